@@ -1,0 +1,297 @@
+"""RT-DAC/USB2: 504-byte frames of 16-bit words, generic logic 0x0103.
+
+The host sends a whole SEND frame, or a READ request that the board answers with one READ frame. READ words use
+all 16 bits; in SEND words bit 15 marks a command and stays 0 in data, so values wider than 15 bits are cut
+differently by direction, and the PWM mode moves from bit 0 (READ) to bit 1 (SEND) of its word.
+
+Sources, as listed in the project's fact sheet on the boards: S1 is the vendor's C# sample for this board, S4 the
+vendor's C++ host library for another rig on the same board. Offsets above word 106 belong to this logic version;
+another logic must have its own table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from firmware_protocol.fields import Bits, Field, FrameTable, Kind, Layout, ProtocolError, Status, Value, bits, words
+
+FRAME_BYTES: Final = 504
+READ_COMMAND: Final = 0x8FFF
+SEND_COMMAND: Final = 0x8F0F
+READ_REQUEST: Final = READ_COMMAND.to_bytes(2, "little") + b"\0\0"
+"""Command word 0x8FFF and padding: the bridge wants at least four bytes (S1)."""
+
+LOGIC_VERSION: Final = 0x0103
+ENDPOINT_OUT: Final = 0x02
+"""Bulk OUT: commands and data to the FPGA. 0x06 programs the FPGA over JTAG and is never touched."""
+ENDPOINT_IN: Final = 0x84
+"""Bulk IN: data from the FPGA. 0x88 is JTAG and is never touched."""
+PWM_CLOCK_HZ: Final = 40_000_000
+PWM_CHANNELS: Final = 8
+ENCODER_CHANNELS: Final = 8
+PWM_FULL_WIDTH: Final = (255, 4095)
+"""Width of a full period, by PWM mode: 0 is 8-bit, 1 is 12-bit."""
+
+
+def pwm_frequency_hz(mode: int, prescaler: int) -> float:
+    """PWM frequency in Hz of mode 0 (8-bit) or 1 (12-bit) and prescaler 0..65535 (manual section 3.1)."""
+    return PWM_CLOCK_HZ / ((prescaler + 1) * PWM_FULL_WIDTH[mode])
+
+
+_RAW: Final = "raw"
+_BITMAP: Final = "bit mask"
+_NAME_READ: Final[Layout] = (Bits(1, 0, 16, 0), Bits(2, 0, 16, 16), Bits(3, 0, 16, 32))
+
+
+def _both(name: str, meaning: str, unit: str, layout: Layout) -> Field:
+    return Field(name, meaning, unit, "S1", read=layout, send=layout)
+
+
+def _header() -> list[Field]:
+    counts = (
+        (6, ("pwm", "encoder", "encoder_index", "timer")),
+        (7, ("counter", "timer_counter", "pulse_generator", "frequency_meter")),
+        (8, ("chronometer",)),
+    )
+    return [
+        Field("logic_version", "version of the FPGA logic; shown in hex", _RAW, "S1", read=bits(0, 0, 16)),
+        Field(
+            "application_name",
+            "name of the logic; its last character travels first",
+            "text",
+            "S1",
+            read=_NAME_READ,
+            kind=Kind.TEXT,
+        ),
+        Field(
+            "synthesis_date",
+            "day the logic was made; the hex digits read YYYYMMDD",
+            "date",
+            "S1",
+            read=words(4, 16, 16),
+            kind=Kind.HEX,
+        ),
+        *(
+            Field(f"{what}_channels", f"number of {what.replace('_', ' ')} channels", "1", "S1", read=bits(word, 4 * i, 4))
+            for word, names in counts
+            for i, what in enumerate(names)
+        ),
+    ]
+
+
+def _digital() -> list[Field]:
+    def pins(name: str, meaning: str, word: int) -> Field:
+        return Field(name, meaning, _BITMAP, "S1", read=words(word, 16, 10), send=words(word, 15, 11))
+
+    return [
+        pins("pin_mode", "CN1 pin mode: 0 = general purpose, 1 = function (PWM)", 10),
+        pins("pin_direction", "CN1 pin direction: 1 = input, 0 = output", 12),
+        pins("pin_output", "CN1 output latch: 1 = high", 14),
+        Field("pin_input", "CN1 input levels", _BITMAP, "S1", read=words(16, 16, 10)),
+    ]
+
+
+def _pwm(i: int) -> list[Field]:
+    word = 20 + 3 * i
+    return [
+        Field(
+            f"pwm{i}_prescaler",
+            f"PWM {i}: clock divider minus one; frequency = 40 MHz / ((prescaler + 1) * 255 or 4095)",
+            "1",
+            "S1",
+            read=bits(word, 0, 16),
+            send=(Bits(word, 0, 15, 0), Bits(word + 1, 0, 1, 15)),
+        ),
+        Field(
+            f"pwm{i}_mode",
+            f"PWM {i}: 0 = 8-bit, 1 = 12-bit",
+            "1",
+            "S1",
+            read=bits(word + 1, 0, 1),
+            send=bits(word + 1, 1, 1),
+        ),
+        _both(f"pwm{i}_width", f"PWM {i}: part of the period at logic 1, of 255 or 4095", "1", bits(word + 2, 0, 12)),
+    ]
+
+
+def _encoders() -> list[Field]:
+    return [
+        _both("encoder_reset", "counter i is held at 0 while bit i is 1", _BITMAP, bits(50, 0, 8)),
+        _both("encoder_index_active", "index input i is used", _BITMAP, bits(51, 0, 8)),
+        _both("encoder_index_invert", "index input i is inverted", _BITMAP, bits(52, 0, 8)),
+        *(
+            Field(
+                f"encoder{i}_count",
+                f"encoder {i}: 32-bit quadrature counter (x4), wraps; the sign is read as two's complement",
+                "counts",
+                "S1",
+                read=words(53 + 2 * i, 16, 16),
+                kind=Kind.SIGNED,
+                status=Status.INFERRED,
+            )
+            for i in range(ENCODER_CHANNELS)
+        ),
+    ]
+
+
+def _timers() -> list[Field]:
+    return [
+        _both("timer_reset", "timer/counter i is held at 0 while bit i is 1", _BITMAP, bits(70, 0, 2)),
+        _both("timer_mode", "timer/counter i: 0 = counter, 1 = timer", _BITMAP, bits(71, 0, 2)),
+        *(
+            Field(f"timer{i}_value", f"timer/counter {i}, wraps", "1", "S1", read=words(72 + 2 * i, 16, 16))
+            for i in range(2)
+        ),
+    ]
+
+
+def _frequency_meters() -> list[Field]:
+    flags = (
+        "enable",
+        "mode",
+        "infinite",
+        "software_start",
+        "start_invert",
+        "software_gate",
+        "hardware_gate_select",
+        "gate_invert",
+        "gate_mode",
+        "input_invert",
+    )
+    return [
+        *(
+            _both(f"frequency_meter_{flag}", f"{flag.replace('_', ' ')} of meter i", _BITMAP, bits(80 + k, 0, 8))
+            for k, flag in enumerate(flags)
+        ),
+        Field("frequency_meter_ready", "meter i has a result", _BITMAP, "S1", read=bits(106, 0, 8)),
+        *(field for i in range(8) for field in _frequency_meter(i)),
+    ]
+
+
+def _frequency_meter(i: int) -> list[Field]:
+    name, what = f"frequency_meter{i}", f"frequency meter {i}:"
+    return [
+        Field(
+            f"{name}_timer",
+            f"{what} gate time in clock ticks",
+            "1",
+            "S1",
+            read=words(90 + 2 * i, 16, 16),
+            send=words(90 + 2 * i, 15, 15),
+        ),
+        Field(f"{name}_counter", f"{what} running count", "1", "S1", read=words(107 + 2 * i, 16, 16)),
+        Field(f"{name}_result", f"{what} last result", "1", "S1", read=words(123 + 2 * i, 16, 16)),
+    ]
+
+
+def _chronometer(i: int) -> list[Field]:
+    name, what = f"chronometer{i}", f"chronometer {i}:"
+    return [
+        _both(
+            f"{name}_control",
+            f"{what} bit 0 enable, 1-2 trigger mode, 4 gate enable, 6 invert start/stop, 7 invert stop, "
+            "8 invert gate, 10 next, 11 arm",
+            _BITMAP,
+            bits(140 + i, 0, 12),
+        ),
+        Field(f"{name}_status", f"{what} state", _RAW, "S1", read=bits(140 + i, 13, 3)),
+        Field(
+            f"{name}_divider",
+            f"{what} clock divider",
+            "1",
+            "S1",
+            read=words(148 + 2 * i, 16, 16),
+            send=words(148 + 2 * i, 15, 15),
+        ),
+        Field(f"{name}_counter", f"{what} running count", "1", "S1", read=words(164 + 2 * i, 16, 16)),
+        Field(f"{name}_result", f"{what} last result", "1", "S1", read=words(180 + 2 * i, 16, 16)),
+    ]
+
+
+def _analogue() -> list[Field]:
+    return [
+        *(
+            _both(
+                f"ad{i}_gain",
+                f"A/D {i} gain code 0..4 = x1, x2, x4, x8, x16",
+                "1",
+                bits(200 + i // 4, 4 * (i % 4), 3),
+            )
+            for i in range(16)
+        ),
+        *(
+            Field(
+                f"ad{i}_result",
+                f"A/D {i}: volts = 10 * result / 2048 / gain",
+                "1",
+                "S1",
+                read=bits(204 + i, 0, 12),
+                kind=Kind.SIGNED,
+            )
+            for i in range(16)
+        ),
+        *(Field(f"ad{i}_busy", f"A/D {i} is converting", "1", "S1", read=bits(204 + i, 12, 1)) for i in range(16)),
+        *(
+            _both(f"da{i}_output", f"D/A {i}: volts = -10 + 20 * code / 16383", "1", bits(220 + i, 0, 14))
+            for i in range(4)
+        ),
+    ]
+
+
+FIELDS: Final[tuple[Field, ...]] = (
+    *_header(),
+    *_digital(),
+    *(field for i in range(PWM_CHANNELS) for field in _pwm(i)),
+    *_encoders(),
+    *_timers(),
+    *_frequency_meters(),
+    *(field for i in range(8) for field in _chronometer(i)),
+    *_analogue(),
+)
+
+READ: Final = FrameTable(
+    "RT-DAC/USB2 READ frame", ((f, f.read) for f in FIELDS if f.read is not None), size=FRAME_BYTES
+)
+SEND: Final = FrameTable(
+    "RT-DAC/USB2 SEND frame",
+    ((f, f.send) for f in FIELDS if f.send is not None),
+    size=FRAME_BYTES,
+    payload_bits=15,
+    command=SEND_COMMAND,
+)
+
+
+def encode_send(values: Mapping[str, Value]) -> bytes:
+    """SEND frame that the host writes; fields not named are zero. Raises ProtocolError."""
+    return SEND.encode(values)
+
+
+def decode_read(frame: bytes | bytearray | memoryview) -> dict[str, Value]:
+    """All fields of a READ frame that the board answered. Raises ProtocolError."""
+    return READ.decode(frame)
+
+
+def encode_read(values: Mapping[str, Value]) -> bytes:
+    """READ frame as the board makes it; fields not named are zero. Raises ProtocolError."""
+    return READ.encode(values)
+
+
+def decode_send(frame: bytes | bytearray | memoryview) -> dict[str, Value]:
+    """All fields of a SEND frame as the board understands it. Raises ProtocolError."""
+    return SEND.decode(frame)
+
+
+__all__ = [
+    "FIELDS",
+    "FRAME_BYTES",
+    "READ",
+    "READ_REQUEST",
+    "SEND",
+    "ProtocolError",
+    "decode_read",
+    "decode_send",
+    "encode_read",
+    "encode_send",
+    "pwm_frequency_hz",
+]
