@@ -1,0 +1,313 @@
+"""rig.toml -> RigConfig: one visible configuration, every mistake reported at once.
+
+Order of precedence: a `--set` on the command line, then the file, then the profile, then the defaults below. The
+result is stored whole in every session.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from inteco_abs.errors import ConfigError, Mistake, near_match
+
+DEFAULT_PROFILE: Final = "sim_usb2"
+_LARGEST_FILE: Final = 1_000_000
+
+Table = dict[str, Any]
+Check = Callable[[Mapping[str, Any]], Iterable[Mistake]]
+"""Looks at the merged table, wrong values included, and names what the model below cannot know."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class BoardConfig(_Section):
+    """Which board is expected and how the rig is wired to it. Comes from a profile."""
+
+    logic_version: Annotated[int, Field(ge=0, le=0xFFFF)]
+    """Version of the FPGA logic that this wiring was checked with."""
+    application_names: list[str]
+    """Names of the logic that may be driven; any other opens read-only."""
+    verified_by: str = ""
+    """Who checked this wiring on the rig; empty: the board opens read-only."""
+    drive_pwm: Annotated[int, Field(ge=0, le=7)] = 0
+    brake_pwm: Annotated[int, Field(ge=0, le=7)] = 1
+    pwm_mode: Literal["8-bit", "12-bit"] = "8-bit"
+    pwm_prescaler: Annotated[int, Field(ge=0, le=65535)] = 44
+    """44 in 8-bit mode is 3486 Hz, the nearest to the paper's 3.5 kHz."""
+    pwm_pins: list[Annotated[int, Field(ge=0, le=25)]] = [2, 5]
+    """CN1 pins switched to their PWM function and to output."""
+    road_encoder: Annotated[int, Field(ge=0, le=7)] = 0
+    wheel_encoder: Annotated[int, Field(ge=0, le=7)] = 1
+    road_sign: Literal[1, -1] = 1
+    wheel_sign: Literal[1, -1] = 1
+
+
+class EncodersConfig(_Section):
+    counts_per_turn: Annotated[int, Field(ge=4, le=1_000_000)] = 2048
+    """Quadrature counts per turn of both wheels: 2048 in the paper, 4096 on the vendor's rig."""
+
+
+class LoopConfig(_Section):
+    rate_hz: Annotated[float, Field(ge=50.0, le=10_000.0)] = 2000.0
+
+
+class ModelConfig(_Section):
+    """What the controller believes about the rig."""
+
+    parameters: Literal["mask", "table"] = "mask"
+
+
+class ExperimentConfig(_Section):
+    idle_s: Annotated[float, Field(ge=0.01, le=10.0)] = 0.05
+    """Time at rest, both wheels watched, before arming; the armed phase lasts as long."""
+    drive_duty: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    start_speed_rad_s: Annotated[float, Field(ge=10.0, le=240.0)] = 180.0
+    """Road wheel speed at which braking begins."""
+    stop_speed_rad_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.5
+    """The road wheel counts as stopped when its mean speed over the last 50 ms is below this."""
+    hold_s: Annotated[float, Field(ge=0.0, le=10.0)] = 0.5
+    """Time that the brake is held after the stop."""
+    spin_up_timeout_s: Annotated[float, Field(ge=0.1, le=120.0)] = 20.0
+    braking_timeout_s: Annotated[float, Field(ge=0.1, le=120.0)] = 10.0
+
+
+class EstimatorConfig(_Section):
+    name: str = "moving-window"
+    window_s: Annotated[float, Field(gt=0.0, le=0.5)] = 0.010
+    """Length of the moving window."""
+
+
+class ControllerConfig(_Section):
+    name: str = "reaching-law"
+    """A name from `--help`, or `file.py:Class` for your own."""
+    reference_slip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
+    hold_below_rad_s: Annotated[float, Field(ge=0.0, le=100.0)] = 5.0
+    """Below this estimated road speed the last demand is held: the model's terms grow like 1/speed."""
+    gains: dict[str, float] = {}
+    """The controller's own; defaults where not named."""
+
+
+class GuardConfig(_Section):
+    brake_limit: Annotated[float, Field(gt=0.0, le=1.0)] = 0.7
+    """Largest brake duty; the vendor's driver stops at 0.7 for its brake supply's sake."""
+    drive_limit: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    over_speed_rad_s: Annotated[float, Field(ge=20.0, le=245.0)] = 245.0
+    """2344 rpm, the limit on the vendor's screen. A ceiling: configuration can only lower it."""
+    missed_in_a_row: Annotated[int, Field(ge=1, le=1000)] = 4
+    """Exchanges missed one after the other that end the run."""
+    bucket_limit: Annotated[int, Field(ge=3, le=3000)] = 30
+    """A missed exchange adds 3, a good one takes 1; at the limit the run ends."""
+
+
+class SimulationConfig(_Section):
+    """The rig inside the mock board; not used on a real one."""
+
+    parameters: Literal["mask", "table"] = "mask"
+    brake_rate_per_s: Annotated[float, Field(ge=1.0, le=1e6)] = 20.37
+    """Rate of the brake actuator's lag."""
+
+
+class RigConfig(_Section):
+    """Everything a run depends on besides the board itself."""
+
+    profile: str = DEFAULT_PROFILE
+    board: BoardConfig
+    encoders: EncodersConfig = EncodersConfig()
+    loop: LoopConfig = LoopConfig()
+    model: ModelConfig = ModelConfig()
+    experiment: ExperimentConfig = ExperimentConfig()
+    estimator: EstimatorConfig = EstimatorConfig()
+    controller: ControllerConfig = ControllerConfig()
+    guard: GuardConfig = GuardConfig()
+    simulation: SimulationConfig = SimulationConfig()
+
+    @property
+    def period_ns(self) -> int:
+        """Nominal period of the loop, ns."""
+        return round(1e9 / self.loop.rate_hz)
+
+    def to_toml(self) -> str:
+        """The effective configuration; `load_config` of it gives an equal RigConfig."""
+        return tomli_w.dumps(self.model_dump())
+
+
+def profiles() -> list[str]:
+    """Names of the shipped profiles."""
+    folder = resources.files("inteco_abs.profiles")
+    return sorted(Path(item.name).stem for item in folder.iterdir() if item.name.endswith(".toml"))
+
+
+def load_config(file: Path | None = None, settings: Sequence[str] = (), checks: Iterable[Check] = ()) -> RigConfig:
+    """Configuration from `file` (or only defaults), with `settings` such as `guard.brake_limit=0.7` over it.
+
+    Raises ConfigError with every mistake found in the file, the settings and by `checks`.
+    """
+    mistakes: list[Mistake] = []
+    table = _read(file) if file is not None else {}
+    for setting in settings:
+        mistakes.extend(_apply(table, setting))
+    profile = table.setdefault("profile", DEFAULT_PROFILE)
+    merged = _merge(_profile(profile, mistakes), table)
+    return _validate(merged, checks, mistakes)
+
+
+def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
+    """Effective configuration as stored in a session; raises ConfigError."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError([Mistake("config.toml", f"is not TOML: {error}")]) from error
+    return _validate(table, checks, [])
+
+
+def _validate(table: Table, checks: Iterable[Check], mistakes: list[Mistake]) -> RigConfig:
+    config = None
+    try:
+        config = RigConfig.model_validate(table)
+    except ValidationError as error:
+        mistakes.extend(_in_words(detail, table) for detail in error.errors())
+    mistakes.extend(_contradictions(table))
+    for check in checks:
+        mistakes.extend(check(table))
+    if config is None or mistakes:
+        raise ConfigError(mistakes)
+    return config
+
+
+def _read(file: Path) -> Table:
+    try:
+        data = file.read_bytes() if file.stat().st_size <= _LARGEST_FILE else None
+    except OSError as error:
+        raise ConfigError([Mistake(str(file), f"cannot be read: {error.strerror}")]) from error
+    if data is None:
+        raise ConfigError([Mistake(str(file), f"is larger than {_LARGEST_FILE} bytes; is it a configuration?")])
+    try:
+        return tomllib.loads(data.decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise ConfigError([Mistake(str(file), f"is not UTF-8 text: byte {error.start}")]) from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError([Mistake(str(file), f"is not TOML: {error}")]) from error
+
+
+def _apply(table: Table, setting: str) -> list[Mistake]:
+    """Put one `key=value` into `table`; the value is TOML, or a bare word."""
+    key, equals, text = setting.partition("=")
+    path = key.strip().split(".")
+    if not equals or not all(path):
+        return [Mistake(f"--set {setting}", "must look like guard.brake_limit=0.7")]
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    for part in path[:-1]:
+        inner = table.setdefault(part, {})
+        if not isinstance(inner, dict):
+            return [Mistake(f"--set {setting}", f"{part} is a value, not a section")]
+        table = inner
+    table[path[-1]] = value
+    return []
+
+
+def _profile(name: object, mistakes: list[Mistake]) -> Table:
+    if isinstance(name, str) and name in profiles():
+        text = resources.files("inteco_abs.profiles").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+        return tomllib.loads(text)
+    if isinstance(name, str) and name.endswith(".toml"):
+        return _read(Path(name))
+    mistakes.append(Mistake("profile", f"{name!r} is not a shipped profile or a .toml file{near_match(str(name), profiles())}"))
+    return _profile(DEFAULT_PROFILE, mistakes)
+
+
+def _merge(below: Table, above: Table) -> Table:
+    merged = dict(below)
+    for key, value in above.items():
+        inner = merged.get(key)
+        merged[key] = _merge(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
+    return merged
+
+
+def _contradictions(table: Mapping[str, Any]) -> list[Mistake]:
+    """Pairs of values that are each in range and cannot be together."""
+
+    def number(section: str, key: str) -> float:
+        values = table.get(section)
+        value = values.get(key) if isinstance(values, dict) else None
+        model = RigConfig.model_fields[section].default
+        return float(value) if isinstance(value, int | float) and math.isfinite(value) else float(getattr(model, key))
+
+    mistakes = []
+    start, limit = number("experiment", "start_speed_rad_s"), number("guard", "over_speed_rad_s")
+    if start >= limit:
+        mistakes.append(
+            Mistake("experiment.start_speed_rad_s", f"{start:g} must be below guard.over_speed_rad_s = {limit:g}")
+        )
+    stop = number("experiment", "stop_speed_rad_s")
+    if stop >= start:
+        mistakes.append(
+            Mistake("experiment.stop_speed_rad_s", f"{stop:g} must be below experiment.start_speed_rad_s = {start:g}")
+        )
+    window, rate = number("estimator", "window_s"), number("loop", "rate_hz")
+    if rate > 0.0 and window * rate < 0.999:
+        mistakes.append(Mistake("estimator.window_s", f"{window:g} s must be at least one period of {1 / rate:g} s"))
+    board = table.get("board")
+    if isinstance(board, dict) and board.get("drive_pwm", 0) == board.get("brake_pwm", 1):
+        mistakes.append(Mistake("board.brake_pwm", "drive and brake cannot share a PWM channel"))
+    if isinstance(board, dict) and board.get("road_encoder", 0) == board.get("wheel_encoder", 1):
+        mistakes.append(Mistake("board.wheel_encoder", "the two wheels cannot share an encoder"))
+    return mistakes
+
+
+_LIMITS: Final = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+
+
+def _in_words(detail: Any, table: Table) -> Mistake:
+    """One of pydantic's findings as dotted key, value and what is allowed."""
+    location = [part for part in detail["loc"] if part != "[key]"]
+    path = ".".join(map(str, location))
+    value, kind = detail["input"], detail["type"]
+    if kind == "extra_forbidden":
+        return Mistake(path, f"unknown key{near_match(str(location[-1]), _known_keys(location[:-1]))}")
+    if kind == "missing":
+        return Mistake(path, "is missing; a profile normally provides it")
+    limits = _limits(location)
+    wanted = f"must be {limits}" if limits else detail["msg"][0].lower() + detail["msg"][1:]
+    return Mistake(path, f"{value!r}: {wanted}")
+
+
+def _model_at(location: Sequence[Any]) -> type[BaseModel] | None:
+    model: Any = RigConfig
+    for part in location:
+        field = model.model_fields.get(part) if isinstance(model, type) and issubclass(model, BaseModel) else None
+        model = field.annotation if field is not None else None
+    return model if isinstance(model, type) and issubclass(model, BaseModel) else None
+
+
+def _known_keys(location: Sequence[Any]) -> Iterable[str]:
+    model = _model_at(location)
+    return model.model_fields if model is not None else ()
+
+
+def _limits(location: Sequence[Any]) -> str:
+    """Type and range of the field at `location`, as in "a number at least 0 and below 1"."""
+    model = _model_at(location[:-1])
+    field = model.model_fields.get(location[-1]) if model is not None and isinstance(location[-1], str) else None
+    names = {float: "a number", int: "a whole number", str: "text"}
+    if field is None or field.annotation not in names:
+        return ""
+    bounds = [
+        f"{words} {getattr(rule, limit):g}"
+        for rule in field.metadata
+        for limit, words in _LIMITS.items()
+        if getattr(rule, limit, None) is not None
+    ]
+    return " ".join([names[field.annotation], " and ".join(bounds)]).strip()

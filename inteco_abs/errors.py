@@ -1,0 +1,63 @@
+"""Errors, written for the person at the rig: what is wrong, the value, what is allowed, what to do next.
+
+AbsError
+├── ConfigError    the command line or rig.toml alone is wrong; nothing was touched
+├── BoardError     the board is missing, unknown, refuses, or cannot be made safe
+│   ├── LinkError      an exchange failed: no answer, short, stale or not what was sent
+│   └── ReadOnlyError  outputs are off: the profile does not know or trust this board
+└── SessionError   a session file cannot be written or used
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+
+class AbsError(Exception):
+    """Anything the person at the rig can act on. `exit_code` is what the command ends with."""
+
+    exit_code = 1
+
+
+class Mistake(NamedTuple):
+    """One thing wrong in a configuration: dotted key, and what is wrong with its value."""
+
+    path: str
+    problem: str
+
+
+class ConfigError(AbsError):
+    """Wrong configuration or usage; `mistakes` has all of them."""
+
+    exit_code = 2
+
+    def __init__(self, mistakes: Sequence[Mistake]) -> None:
+        self.mistakes = tuple(mistakes)
+        lines = [f"  {mistake.path}: {mistake.problem}" for mistake in self.mistakes]
+        count = f"{len(lines)} mistakes" if len(lines) > 1 else "a mistake"
+        super().__init__("\n".join([f"the configuration has {count}; nothing was started:", *lines]))
+
+
+class BoardError(AbsError):
+    """The board is missing, unknown, refuses, or cannot be made safe."""
+
+
+class LinkError(BoardError):
+    """One exchange with the board failed."""
+
+
+class ReadOnlyError(BoardError):
+    """The board is open for reading only, and something asked for an output."""
+
+
+class SessionError(AbsError):
+    """A session file cannot be written, read or replayed."""
+
+
+def near_match(word: str, known: Iterable[str]) -> str:
+    """`"; did you mean X?"`, or the known words when none is close: the tail of a message about a wrong name."""
+    known = sorted(known)
+    near = difflib.get_close_matches(word, known, n=1)
+    return f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"

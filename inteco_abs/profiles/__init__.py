@@ -1,0 +1,1 @@
+"""Shipped rig and board profiles: data only."""

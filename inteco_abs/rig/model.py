@@ -1,0 +1,129 @@
+"""The full signed model of the two wheels, equations (1) to (7), with stiction at standstill."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from inteco_abs.rig.parameters import RigParameters
+
+
+def sign(value: float) -> float:
+    """-1, 0 or +1; sign(0) is 0."""
+    return float((value > 0.0) - (value < 0.0))
+
+
+def wheel_slip(wheel_speed: float, road_speed: float, parameters: RigParameters) -> float:
+    """Slip in 0..1 of the wheel on the road, equation (7) in every regime; speeds in rad/s.
+
+    0 is rolling, 1 a locked or counter-rotating wheel; two wheels at rest have slip 0 by definition.
+    """
+    rim1, rim2 = parameters.r1 * wheel_speed, parameters.r2 * road_speed
+    if rim1 == rim2:
+        return 0.0
+    if rim1 * rim2 <= 0.0:
+        return 1.0
+    fast, slow = max(abs(rim1), abs(rim2)), min(abs(rim1), abs(rim2))
+    return (fast - slow) / fast
+
+
+class Motion(NamedTuple):
+    """What the model says of one instant."""
+
+    wheel_acceleration: float
+    """Upper wheel, rad/s2."""
+    road_acceleration: float
+    """Lower wheel, rad/s2."""
+    normal_force: float
+    """Between the wheels, N."""
+    traction: float
+    """Signed adhesion s*mu: positive when the road drives the wheel."""
+    slip: float
+    """Equation (7), 0..1."""
+
+
+class Model:
+    """Equations (2) to (6) for one parameter set, with its constants worked out once."""
+
+    __slots__ = ("_cos", "_sin", "parameters")
+
+    def __init__(self, parameters: RigParameters) -> None:
+        self.parameters = parameters
+        self._sin = math.sin(parameters.phi_rad)
+        self._cos = math.cos(parameters.phi_rad)
+
+    def motion(self, wheel_speed: float, road_speed: float, brake_torque: float, drive_torque: float) -> Motion:
+        """Accelerations and contact of one instant; see `accelerations`."""
+        k = self.parameters
+        rim1, rim2 = k.r1 * wheel_speed, k.r2 * road_speed
+        side = rim2 - rim1
+        if side == 0.0:
+            slip = traction = 0.0
+        else:
+            if rim1 * rim2 <= 0.0:
+                slip = 1.0
+            else:
+                slip = abs(side) / max(abs(rim1), abs(rim2))
+            power = slip**k.p
+            traction = k.w4 * power / (k.a + power) + ((k.w3 * slip + k.w2) * slip + k.w1) * slip  # (8)
+            if side < 0.0:
+                traction = -traction
+        lever = k.L * (self._sin - traction * self._cos)
+        held = brake_torque + k.M10
+        if wheel_speed > 0.0:
+            resisting = k.d1 * wheel_speed + held
+        elif wheel_speed < 0.0:
+            resisting = k.d1 * wheel_speed - held
+        else:
+            # the brake carries what the road puts in, up to what it can hold
+            reaction = k.Mg / (lever - k.r1 * traction) * k.r1 * traction
+            resisting = max(-held, min(held, reaction))
+        normal = (k.Mg + resisting) / lever  # (5)
+        push = normal * traction
+        wheel = (push * k.r1 - resisting) / k.J1 if wheel_speed != 0.0 or abs(resisting) == held else 0.0  # (2)
+        load = drive_torque - push * k.r2 - k.d2 * road_speed
+        if road_speed > 0.0:
+            load -= k.M20
+        elif road_speed < 0.0:
+            load += k.M20
+        else:
+            load -= max(-k.M20, min(k.M20, load))
+        return Motion(wheel, load / k.J2, normal, traction, slip)  # (3)
+
+    def contact_stiffness(self, wheel_speed: float, road_speed: float, motion: Motion) -> tuple[float, float, float, float]:
+        """Jacobian of the contact as column times row: d(accelerations)/d(traction) and d(traction)/d(speeds).
+
+        All zero where a wheel stands or turns backwards and at exactly zero slip: there the contact is not stiff
+        or not differentiable.
+        """
+        if wheel_speed <= 0.0 or road_speed <= 0.0 or motion.slip == 0.0:
+            return 0.0, 0.0, 0.0, 0.0
+        k = self.parameters
+        slip = motion.slip
+        power = slip**k.p
+        slope = k.w4 * k.a * k.p * power / (slip * (k.a + power) ** 2) + (3.0 * k.w3 * slip + 2.0 * k.w2) * slip + k.w1
+        force = motion.normal_force * self._sin / (self._sin - motion.traction * self._cos)
+        slower = 1.0 - slip
+        if k.r2 * road_speed > k.r1 * wheel_speed:
+            unit = slope / (k.r2 * road_speed)
+            row1, row2 = -unit * k.r1, unit * k.r2 * slower
+        else:
+            unit = slope / (k.r1 * wheel_speed)
+            row1, row2 = -unit * k.r1 * slower, unit * k.r2
+        return force * k.r1 / k.J1, -force * k.r2 / k.J2, row1, row2
+
+
+def accelerations(
+    wheel_speed: float, road_speed: float, brake_torque: float, drive_torque: float, parameters: RigParameters
+) -> Motion:
+    """Accelerations of both wheels, equations (2) to (6), and the stiction hold where a wheel stands still.
+
+    Speeds in rad/s; `brake_torque` >= 0 is what the brake can hold, in N m; `drive_torque` in N m acts on the
+    lower wheel (the paper's model has none: its drive is off while braking).
+    """
+    return Model(parameters).motion(wheel_speed, road_speed, brake_torque, drive_torque)
+
+
+def kinetic_energy(wheel_speed: float, road_speed: float, parameters: RigParameters) -> float:
+    """Kinetic energy of both wheels in J; speeds in rad/s."""
+    return 0.5 * (parameters.J1 * wheel_speed**2 + parameters.J2 * road_speed**2)

@@ -1,0 +1,145 @@
+"""The rig in time: two wheels, the brake's lag, the drive motor.
+
+Integrator: a two-stage Rosenbrock W-method of order 2, L-stable where its matrix is the Jacobian (Verwer's ROS2).
+The only stiff term is the contact, whose eigenvalue grows like 1/speed (86 1/s at 180 rad/s, 1556 at 10, without
+bound towards standstill). Its Jacobian is a column times a row, so the linear solve is one division, and the order
+does not depend on the rest of the Jacobian being left out; where the contact is not stiff it is left out as well,
+and the method is Heun's. Towards standstill the step is cut in proportion to the speed, so that the fast slip
+motion is followed and not only damped. A wheel that comes to rest inside a step ends that step there.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from inteco_abs.rig.actuators import DriveMotor, brake_torque
+from inteco_abs.rig.model import Model, wheel_slip
+from inteco_abs.rig.parameters import RigParameters
+
+_GAMMA: Final = 1.0 - math.sqrt(0.5)
+_CONTACT_RATE: Final = 15.6e3
+"""Largest contact eigenvalue times the speed, rad/s2, of both published sets."""
+_STIFF: Final = 0.25
+"""Step times eigenvalue from which the contact is solved implicitly."""
+_FOLLOWED: Final = 0.5
+"""Largest step times eigenvalue, as long as `_MOST_CUTS` allows."""
+_MOST_CUTS: Final = 64
+_ALMOST_AT_REST: Final = 1e-9
+_STILL_RAD_S: Final = 0.005
+"""Below this, wheels that the drive cannot move are at rest: static friction takes it off within 2 ms."""
+
+
+class Plant:
+    """Two wheels in contact, started at given speeds in rad/s with the brake released.
+
+    Speeds, angles (rad), `brake_torque` (N m, what the brake can hold) and `time_s` may be read at any time.
+    `max_step_s` bounds the integration step; halving it is the convergence test.
+    """
+
+    def __init__(
+        self,
+        parameters: RigParameters,
+        wheel_speed: float,
+        road_speed: float,
+        motor: DriveMotor | None = None,
+        *,
+        max_step_s: float = 0.0005,
+    ) -> None:
+        if not (math.isfinite(wheel_speed) and math.isfinite(road_speed)):
+            raise ValueError(f"speeds {wheel_speed!r}, {road_speed!r} rad/s: must be finite")
+        if not 0.0 < max_step_s < math.inf:
+            raise ValueError(f"max_step_s = {max_step_s!r}: must be finite and above 0 s")
+        self.parameters = parameters
+        self.motor = motor or DriveMotor()
+        self.wheel_speed = wheel_speed
+        self.road_speed = road_speed
+        self.brake_torque = 0.0
+        self.wheel_angle = 0.0
+        self.road_angle = 0.0
+        self.time_s = 0.0
+        self._model = Model(parameters)
+        self._max_step_s = max_step_s
+        self._lag = (math.nan, 0.0)  # step in s and the share of the torque error that it leaves
+
+    @property
+    def slip(self) -> float:
+        """Slip in 0..1, equation (7)."""
+        return wheel_slip(self.wheel_speed, self.road_speed, self.parameters)
+
+    def advance(self, drive: float, brake: float, duration_s: float) -> None:
+        """Move on by `duration_s` >= 0 with constant duties in 0..1; raises ValueError outside."""
+        if not (0.0 <= drive <= 1.0 and 0.0 <= brake <= 1.0):
+            raise ValueError(f"drive {drive!r}, brake {brake!r}: duties must be in 0..1")
+        if not 0.0 <= duration_s < math.inf:
+            raise ValueError(f"duration_s = {duration_s!r}: must be finite and not negative")
+        target = brake_torque(brake, self.parameters)
+        blocks = math.ceil(duration_s / self._max_step_s - 1e-9)
+        for _ in range(blocks):
+            block_s = duration_s / blocks
+            cuts = self._cuts(block_s)
+            for _ in range(cuts):
+                self._step(drive, target, block_s / cuts)
+        self.time_s += duration_s
+
+    def _cuts(self, block_s: float) -> int:
+        fastest = max(abs(self.wheel_speed), abs(self.road_speed))
+        wanted = block_s * _CONTACT_RATE / _FOLLOWED
+        return _MOST_CUTS if wanted >= _MOST_CUTS * fastest else math.ceil(wanted / fastest)
+
+    def _step(self, drive: float, target: float, h: float) -> None:
+        next1, next2 = self._next_speeds(drive, target, h)
+        rest = min(_rest_share(self.wheel_speed, next1), _rest_share(self.road_speed, next2))
+        if rest < 1.0:
+            stops1 = _rest_share(self.wheel_speed, next1) == rest
+            crossed = h * rest
+            next1, next2 = self._next_speeds(drive, target, crossed)
+            self._take(crossed, target, *((0.0, next2) if stops1 else (next1, 0.0)))
+            h -= crossed
+            next1, next2 = self._next_speeds(drive, target, h)
+            next1 = next1 if self.wheel_speed * next1 >= 0.0 else 0.0
+            next2 = next2 if self.road_speed * next2 >= 0.0 else 0.0
+        self._take(h, target, next1, next2)
+        if abs(self.road_speed) < _STILL_RAD_S and abs(self.wheel_speed) < _STILL_RAD_S:
+            if self.motor.torque(drive, 0.0) <= self.parameters.M20:
+                self.wheel_speed = self.road_speed = 0.0
+
+    def _take(self, h: float, target: float, next1: float, next2: float) -> None:
+        self.wheel_angle += 0.5 * h * (self.wheel_speed + next1)
+        self.road_angle += 0.5 * h * (self.road_speed + next2)
+        self.brake_torque = self._brake_after(target, h)
+        self.wheel_speed, self.road_speed = next1, next2
+
+    def _next_speeds(self, drive: float, target: float, h: float) -> tuple[float, float]:
+        motion, motor = self._model.motion, self.motor.torque
+        x1, x2 = self.wheel_speed, self.road_speed
+        start = motion(x1, x2, self.brake_torque, motor(drive, x2))
+        if h * _CONTACT_RATE > _STIFF * max(abs(x1), abs(x2)):
+            column1, column2, row1, row2 = self._model.contact_stiffness(x1, x2, start)
+        else:
+            column1 = column2 = row1 = row2 = 0.0
+        # on the falling side of the friction curve the contact is unstable but slow: damping it would be wrong
+        damping = _GAMMA * h / (1.0 - _GAMMA * h * min(0.0, row1 * column1 + row2 * column2))
+        a1, a2 = start.wheel_acceleration, start.road_acceleration
+        along = damping * (row1 * a1 + row2 * a2)
+        k1, k2 = a1 + along * column1, a2 + along * column2
+        # friction keeps its sign within a step: a wheel that would turn back is taken as about to stop
+        end1 = x1 + h * k1 if x1 * (x1 + h * k1) >= 0.0 else x1 * _ALMOST_AT_REST
+        end2 = x2 + h * k2 if x2 * (x2 + h * k2) >= 0.0 else x2 * _ALMOST_AT_REST
+        end = motion(end1, end2, self._brake_after(target, h), motor(drive, end2))
+        a1, a2 = end.wheel_acceleration - 2.0 * k1, end.road_acceleration - 2.0 * k2
+        along = damping * (row1 * a1 + row2 * a2)
+        return (
+            x1 + h * (1.5 * k1 + 0.5 * (a1 + along * column1)),
+            x2 + h * (1.5 * k2 + 0.5 * (a2 + along * column2)),
+        )
+
+    def _brake_after(self, target: float, h: float) -> float:
+        if h != self._lag[0]:
+            self._lag = (h, math.exp(-self.parameters.c31 * h))
+        return target + (self.brake_torque - target) * self._lag[1]
+
+
+def _rest_share(speed: float, following: float) -> float:
+    """Share of the step after which a wheel comes to rest, by a straight line; 1 if it does not."""
+    return speed / (speed - following) if speed * following < 0.0 else 1.0

@@ -1,0 +1,180 @@
+"""The values on the road from the board to the log. Immutable, SI units in the names, no behaviour."""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+from typing import ClassVar, Final, NamedTuple
+
+
+class BoardFlags(IntFlag):
+    """What the board layer has to say about a sample."""
+
+    NONE = 0
+    STALE = 1
+    """The exchange failed: the counts are those of the last good sample."""
+
+
+class Phase(IntEnum):
+    """Where the experiment stands."""
+
+    UNKNOWN = 0
+    IDLE = 1
+    """Outputs off, watching that both wheels stand still."""
+    ARMED = 2
+    """Outputs off, about to drive."""
+    SPIN_UP = 3
+    """Drive on until the start speed."""
+    BRAKING = 4
+    """Drive off, controller brakes; its first tick has both outputs off."""
+    STOPPED = 5
+    """Road wheel at rest, brake still held."""
+    DONE = 6
+    """Outputs off, nothing left to do."""
+    FAULT = 7
+    """Outputs off for a reason, latched."""
+
+
+class Reason(IntEnum):
+    """Why the outputs were taken away; the first reason stays."""
+
+    NONE = 0
+    OPERATOR_STOP = 1
+    WHEELS_MOVING = 2
+    SPIN_UP_TIMEOUT = 3
+    BRAKING_TIMEOUT = 4
+    BAD_OUTPUT = 5
+    OVER_SPEED = 6
+    ROAD_ENCODER_FROZEN = 7
+    WHEEL_ENCODER_FROZEN = 8
+    COUNT_JUMP = 9
+    ROAD_BACKWARDS = 10
+    MISSED_EXCHANGES = 11
+    CONTROLLER_ERROR = 12
+
+
+EXPLANATIONS: Final[dict[Reason, str]] = {
+    Reason.NONE: "no fault",
+    Reason.OPERATOR_STOP: "the operator stopped the run",
+    Reason.WHEELS_MOVING: "a wheel moved before the start: wait until both stand still",
+    Reason.SPIN_UP_TIMEOUT: "the start speed was not reached in time: check the drive's power and the emergency switch",
+    Reason.BRAKING_TIMEOUT: "the road wheel did not stop in time: check the brake's power and the controller's gains",
+    Reason.BAD_OUTPUT: "the controller asked for a duty that is not a finite number",
+    Reason.OVER_SPEED: "a wheel turned faster than the limit",
+    Reason.ROAD_ENCODER_FROZEN: "the road wheel's encoder does not count although the wheel must turn: check its "
+    "cable, the drive's power and the emergency switch",
+    Reason.WHEEL_ENCODER_FROZEN: "the braked wheel's encoder does not count although the wheel must turn: check its "
+    "cable and whether the brake is stuck",
+    Reason.COUNT_JUMP: "an encoder count changed faster than any wheel can turn: check cable and shield",
+    Reason.ROAD_BACKWARDS: "the road wheel counts backwards: check the encoder's sign in the profile and the wiring",
+    Reason.MISSED_EXCHANGES: "too many exchanges with the board were late or failed",
+    Reason.CONTROLLER_ERROR: "the controller or estimator raised an error",
+}
+"""What each reason means to the person at the rig, and what to check."""
+
+
+class Sample(NamedTuple):
+    """What was measured, at the instant the board was read."""
+
+    tick: int
+    """Number of this exchange, from 0."""
+    time_ns: int
+    """Monotonic clock, ns."""
+    dt_s: float
+    """Time since the previous sample, s; at the first sample, the nominal period."""
+    wheel_count: int
+    """Upper wheel's quadrature count, unwrapped, signed, 0 at open."""
+    road_count: int
+    """Lower wheel's quadrature count, unwrapped, signed, 0 at open."""
+    board_flags: BoardFlags = BoardFlags.NONE
+
+
+class Estimate(NamedTuple):
+    """What the estimator makes of the samples so far."""
+
+    wheel_speed_rad_s: float
+    road_speed_rad_s: float
+    slip: float
+    """In 0..1."""
+    valid: bool
+    """False until enough samples were seen."""
+
+
+class _Duties(NamedTuple):
+    drive: float
+    brake: float
+
+
+class Command(_Duties):
+    """Duty cycles of drive and brake in 0..1."""
+
+    __slots__ = ()
+
+    SAFE: ClassVar[Command]
+    """Both zero: outputs de-energised. Not a standstill: the wheels coast."""
+
+
+Command.SAFE = Command(0.0, 0.0)
+
+
+class BrakeDemand(NamedTuple):
+    """What a controller asks for, and how it came to it."""
+
+    brake: float
+    """Duty, meant to be in 0..1; the guard has the last word."""
+    torque_nm: float = 0.0
+    """Brake torque asked for, before any limit, N m; 0 if the controller does not think in torque."""
+    switching: float = 0.0
+    """Switching function (slip error) or whatever the controller drives to zero."""
+    internals: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    """Four values for the log; the controller's `internals` names them."""
+
+
+class Timing(NamedTuple):
+    """How punctual a tick was, in microseconds."""
+
+    late_us: float
+    """Start of the tick minus its deadline."""
+    io_us: float
+    """Duration of the exchange with the board."""
+    busy_us: float
+    """What the previous tick took after its exchange: decision and record."""
+    skipped: int
+    """Whole periods that were skipped just before this tick."""
+
+
+UNTIMED: Final = Timing(0.0, 0.0, 0.0, 0)
+
+
+class Tick(NamedTuple):
+    """One row of a session. Inputs first, then everything that replay recomputes, then timing."""
+
+    time_ns: int
+    tick: int
+    dt_s: float
+    wheel_count: int
+    road_count: int
+    board_flags: BoardFlags
+    stop_requested: bool
+
+    wheel_speed_rad_s: float
+    road_speed_rad_s: float
+    slip: float
+    estimate_valid: bool
+    phase: Phase
+    slip_reference: float
+    switching: float
+    torque_demand_nm: float
+    drive_wish: float
+    brake_wish: float
+    drive: float
+    brake: float
+    reason: Reason
+    c0: float
+    c1: float
+    c2: float
+    c3: float
+
+    late_us: float
+    io_us: float
+    busy_us: float
+    skipped: int
