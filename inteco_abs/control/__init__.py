@@ -1,0 +1,32 @@
+"""The decision path, pure: no clock, no I/O, no randomness, scalar floats. That is what makes replay exact."""
+
+from inteco_abs.control.assembly import build_pipeline, control_check, gains_in_force
+from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, ReachingLaw, Relay, Setup
+from inteco_abs.control.estimators import ESTIMATORS, Estimator, WindowEstimator
+from inteco_abs.control.guard import Guard
+from inteco_abs.control.model import BrakingModel, reaching_law_torque, reaching_time_bound
+from inteco_abs.control.pipeline import Pipeline
+from inteco_abs.control.sequence import Sequence
+from inteco_abs.control.windows import SpeedWindow
+
+__all__ = [
+    "CONTROLLERS",
+    "ESTIMATORS",
+    "BrakingModel",
+    "Controller",
+    "Estimator",
+    "Gain",
+    "Guard",
+    "Pipeline",
+    "ReachingLaw",
+    "Relay",
+    "Sequence",
+    "Setup",
+    "SpeedWindow",
+    "WindowEstimator",
+    "build_pipeline",
+    "control_check",
+    "gains_in_force",
+    "reaching_law_torque",
+    "reaching_time_bound",
+]

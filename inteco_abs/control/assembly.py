@@ -1,0 +1,63 @@
+"""From a configuration to a pipeline: names, gains, and what is wrong with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from inteco_abs.config import Check, RigConfig
+from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
+from inteco_abs.control.estimators import ESTIMATORS
+from inteco_abs.control.pipeline import Pipeline
+from inteco_abs.errors import Mistake, near_match
+from inteco_abs.rig import RigParameters
+
+
+def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Pipeline:
+    """Pipeline of a configuration that passed `control_check(controllers)`."""
+    parameters = RigParameters.named(config.model.parameters)
+    kind = controllers[config.controller.name]
+    setup = Setup(config.controller.reference_slip, parameters, config.controller.hold_below_rad_s)
+    make: Any = kind  # each controller's constructor takes its own gains
+    controller: Controller = make(setup, **gains_in_force(config, controllers))
+    return Pipeline(config, ESTIMATORS[config.estimator.name](config, parameters), controller)
+
+
+def gains_in_force(
+    config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS
+) -> dict[str, float]:
+    """Every gain of the configured controller, defaults included."""
+    return {gain.name: config.controller.gains.get(gain.name, gain.default) for gain in controllers[config.controller.name].gains}
+
+
+def control_check(controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Check:
+    """Check of names and gains for `load_config`: unknown ones with near matches, gains out of range."""
+
+    def check(table: Mapping[str, Any]) -> Iterator[Mistake]:
+        estimator, controller = _section(table, "estimator"), _section(table, "controller")
+        name = estimator.get("name", "moving-window")
+        if isinstance(name, str) and name not in ESTIMATORS:
+            yield Mistake("estimator.name", f"no estimator {name!r}{near_match(name, ESTIMATORS)}")
+        name = controller.get("name", "reaching-law")
+        if isinstance(name, str) and name not in controllers:
+            yield Mistake("controller.name", f"no controller {name!r}{near_match(name, controllers)}")
+        elif isinstance(name, str):
+            yield from _gain_mistakes(_section(controller, "gains"), controllers[name].gains)
+
+    return check
+
+
+def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterator[Mistake]:
+    known = {gain.name: gain for gain in gains}
+    for name, value in values.items():
+        path, gain = f"controller.gains.{name}", known.get(name)
+        if gain is None:
+            yield Mistake(path, f"unknown gain{near_match(name, known)}")
+        elif isinstance(value, int | float) and math.isfinite(value) and not gain.low <= value <= gain.high:
+            yield Mistake(path, f"{value!r}: must be in {gain.low:g}..{gain.high:g} {gain.unit} ({gain.meaning})")
+
+
+def _section(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    section = table.get(key, {})
+    return section if isinstance(section, dict) else {}

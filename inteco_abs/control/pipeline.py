@@ -1,0 +1,84 @@
+"""The decision path: sample in, tick out. A live run, a virtual run and a replay drive this same object."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from inteco_abs.config import RigConfig
+from inteco_abs.control.controllers import Controller
+from inteco_abs.control.estimators import Estimator
+from inteco_abs.control.guard import Guard
+from inteco_abs.control.sequence import Sequence, Wish
+from inteco_abs.signals import UNTIMED, BrakeDemand, Command, Estimate, Phase, Reason, Sample, Tick, Timing
+
+_NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
+_GIVEN_UP: Final = Wish(Command.SAFE, BrakeDemand(0.0), Reason.CONTROLLER_ERROR)
+
+
+class Pipeline:
+    """Estimator, sequence with its controller, and guard, in that order; the guard has the last word."""
+
+    def __init__(self, config: RigConfig, estimator: Estimator, controller: Controller) -> None:
+        self.error: Exception | None = None
+        """What the estimator or controller raised, if the reason is CONTROLLER_ERROR."""
+        self._estimator = estimator
+        self._sequence = Sequence(config, controller)
+        self._guard = Guard(config)
+        self._reference_slip = config.controller.reference_slip
+
+    @property
+    def phase(self) -> Phase:
+        """Phase of the newest tick."""
+        return self._sequence.phase
+
+    @property
+    def reason(self) -> Reason:
+        """Why the outputs were taken away, or NONE."""
+        return self._guard.reason
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing is left but SAFE."""
+        return self._sequence.phase in (Phase.DONE, Phase.FAULT)
+
+    def step(self, sample: Sample, stop_requested: bool = False, timing: Timing = UNTIMED) -> Tick:  # noqa: FBT002  hot path
+        """Decide on one sample. The tick's `drive` and `brake` are the command for the next exchange."""
+        estimate, wish = self._wish(sample)
+        guard = self._guard
+        if stop_requested:
+            guard.trip(Reason.OPERATOR_STOP)
+        guard.trip(wish.reason)
+        command = guard.admit(wish.command, sample, estimate)
+        if guard.reason is not Reason.NONE:
+            self._sequence.fault()
+        phase, demand = self._sequence.phase, wish.demand
+        return Tick(
+            sample.time_ns,
+            sample.tick,
+            sample.dt_s,
+            sample.wheel_count,
+            sample.road_count,
+            sample.board_flags,
+            stop_requested,
+            *estimate,
+            phase,
+            self._reference_slip if phase is Phase.BRAKING else math.nan,
+            demand.switching,
+            demand.torque_nm,
+            *wish.command,
+            *command,
+            guard.reason,
+            *demand.internals,
+            *timing,
+        )
+
+    def _wish(self, sample: Sample) -> tuple[Estimate, Wish]:
+        if self.error is not None:
+            return _NO_ESTIMATE, _GIVEN_UP
+        try:
+            estimate = self._estimator.update(sample)
+            return estimate, self._sequence.step(sample, estimate)
+        except Exception as error:  # noqa: BLE001  a user's controller may raise anything; the rig must stop all the same
+            self.error = error
+            return _NO_ESTIMATE, _GIVEN_UP

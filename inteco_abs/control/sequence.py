@@ -1,0 +1,96 @@
+"""The experiment, step by step: idle, armed, spin-up, braking, stopped, done."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from inteco_abs.config import RigConfig
+from inteco_abs.control.controllers import Controller
+from inteco_abs.control.windows import SpeedWindow
+from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason, Sample
+
+_START_WINDOW_S: Final = 0.020
+_STOP_WINDOW_S: Final = 0.050
+_REST_COUNTS: Final = 4
+"""Counts that a resting wheel may move, from a nudged table, before it counts as turning."""
+_NO_DEMAND: Final = BrakeDemand(0.0)
+
+
+class Wish(NamedTuple):
+    """What the sequence would like the outputs to be, and why it would rather stop."""
+
+    command: Command
+    demand: BrakeDemand
+    reason: Reason
+
+
+class Sequence:
+    """Steps through the phases on samples alone, so that a replay takes the same steps.
+
+    Rules: drive at `drive_duty` until the road wheel's mean speed over 20 ms reaches the start speed; one tick
+    with both outputs off before the brake may act; brake held until the road wheel's mean speed over 50 ms is
+    below the stop speed, and for `hold_s` longer. Start and stop do not depend on the chosen estimator.
+    """
+
+    def __init__(self, config: RigConfig, controller: Controller) -> None:
+        self.phase = Phase.IDLE
+        self._config = config.experiment
+        self._controller = controller
+        counts, rate = config.encoders.counts_per_turn, config.loop.rate_hz
+        self._start_speed = SpeedWindow(counts, max(1, round(_START_WINDOW_S * rate)))
+        self._stop_speed = SpeedWindow(counts, max(1, round(_STOP_WINDOW_S * rate)))
+        self._since_ns = -1
+        self._rest = (0, 0)
+        self._held = _NO_DEMAND
+
+    def fault(self) -> None:
+        """Give up: the guard has taken the outputs away."""
+        self.phase = Phase.FAULT
+
+    def step(self, sample: Sample, estimate: Estimate) -> Wish:
+        """Move on by one sample."""
+        if self._since_ns < 0:
+            self._since_ns = sample.time_ns
+            self._rest = (sample.wheel_count, sample.road_count)
+        elapsed_s = (sample.time_ns - self._since_ns) * 1e-9
+        starting = self._start_speed.update(sample.time_ns, sample.road_count)
+        stopping = self._stop_speed.update(sample.time_ns, sample.road_count)
+        phase = self.phase
+        if phase is Phase.SPIN_UP:
+            return self._spin_up(sample, elapsed_s, starting)
+        if phase is Phase.BRAKING:
+            return self._brake(sample, estimate, elapsed_s, stopping)
+        if phase is Phase.STOPPED:
+            if elapsed_s < self._config.hold_s:
+                return Wish(Command(0.0, self._held.brake), self._held, Reason.NONE)
+            self._enter(Phase.DONE, sample)
+        elif phase in (Phase.IDLE, Phase.ARMED):
+            return self._wait(sample, elapsed_s)
+        return Wish(Command.SAFE, _NO_DEMAND, Reason.NONE)
+
+    def _wait(self, sample: Sample, elapsed_s: float) -> Wish:
+        wheel, road = self._rest
+        moved = max(abs(sample.wheel_count - wheel), abs(sample.road_count - road)) > _REST_COUNTS
+        if elapsed_s >= self._config.idle_s and not moved:
+            self._enter(Phase.ARMED if self.phase is Phase.IDLE else Phase.SPIN_UP, sample)
+        return Wish(Command.SAFE, _NO_DEMAND, Reason.WHEELS_MOVING if moved else Reason.NONE)
+
+    def _spin_up(self, sample: Sample, elapsed_s: float, speed: float) -> Wish:
+        if speed >= self._config.start_speed_rad_s:
+            self._enter(Phase.BRAKING, sample)
+            return Wish(Command.SAFE, _NO_DEMAND, Reason.NONE)
+        late = elapsed_s > self._config.spin_up_timeout_s
+        return Wish(
+            Command(self._config.drive_duty, 0.0), _NO_DEMAND, Reason.SPIN_UP_TIMEOUT if late else Reason.NONE
+        )
+
+    def _brake(self, sample: Sample, estimate: Estimate, elapsed_s: float, speed: float) -> Wish:
+        demand = self._held = self._controller.update(estimate, sample.dt_s)
+        if abs(speed) < self._config.stop_speed_rad_s:
+            self._enter(Phase.STOPPED, sample)
+        late = elapsed_s > self._config.braking_timeout_s
+        return Wish(Command(0.0, demand.brake), demand, Reason.BRAKING_TIMEOUT if late else Reason.NONE)
+
+    def _enter(self, phase: Phase, sample: Sample) -> None:
+        self.phase = phase
+        self._since_ns = sample.time_ns
