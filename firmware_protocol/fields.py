@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Final, NamedTuple
 
 WORD_BITS: Final = 16
 WORD_BYTES: Final = 2
@@ -141,6 +141,13 @@ class Field:
         return int(value, 16)
 
 
+class Place(NamedTuple):
+    """Byte offset of a field in its frame, and its codec there."""
+
+    offset: int
+    codec: struct.Struct
+
+
 class FrameTable:
     """All fields of one frame in one direction.
 
@@ -235,34 +242,23 @@ class FrameTable:
                 )
         return words
 
-    def accessor(self, *names: str) -> struct.Struct:
-        """Struct that packs and unpacks the named fields in place, for the loop.
+    def place(self, name: str) -> Place:
+        """Where the named field can be packed and unpacked alone and in place, for the loop.
 
-        Only for fields whose bits start at bit 0 of whole words, in frame order: one word each, or 32 bits over
-        two full words. Anything else raises TableError. Unpacked values are raw words: bits above a field's
-        width are not masked.
+        Only for fields that start at bit 0 of whole words: within one word, or 32 bits over two full words. Any
+        other raises TableError. Bits above a field's width in its word are not masked.
         """
-        form, position = "<", 0
-        for name in names:
-            field, layout = self._find(name)
-            widths = tuple(part.width for part in layout)
-            offset = layout[0].word * WORD_BYTES
-            if offset < position or any(part.low for part in layout):
-                raise TableError(f"{self.title}: {name} is not whole words in frame order")
-            if widths == (WORD_BITS, WORD_BITS):
-                code = "i" if field.kind is Kind.SIGNED else "I"
-            elif len(widths) == 1 and field.kind is Kind.UNSIGNED:
-                code = "H"
-            else:
-                raise TableError(f"{self.title}: {name} is cut over words and needs decode()")
-            form += f"{offset - position}x{code}"
-            position = offset + struct.calcsize(code)
-        return struct.Struct(form)
-
-    def span(self, *names: str) -> tuple[int, int]:
-        """First byte and end of the bytes that the named fields touch."""
-        parts = [part for name in names for part in self._find(name)[1]]
-        return min(p.word for p in parts) * WORD_BYTES, (max(p.word for p in parts) + 1) * WORD_BYTES
+        field, layout = self._find(name)
+        widths = tuple(part.width for part in layout)
+        if any(part.low for part in layout):
+            code = ""
+        elif widths == (WORD_BITS, WORD_BITS):
+            code = "i" if field.kind is Kind.SIGNED else "I"
+        else:
+            code = "H" if len(widths) == 1 and field.kind is Kind.UNSIGNED else ""
+        if not code:
+            raise TableError(f"{self.title}: {name} is cut over words and needs decode()")
+        return Place(layout[0].word * WORD_BYTES, struct.Struct(f"<{code}"))
 
     def _find(self, name: str) -> tuple[Field, Layout]:
         found = self.fields.get(name)

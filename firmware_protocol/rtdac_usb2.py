@@ -17,6 +17,8 @@ from typing import Final
 from firmware_protocol.fields import Bits, Field, FrameTable, Kind, Layout, ProtocolError, Status, Value, bits, words
 
 FRAME_BYTES: Final = 504
+HEADER_BYTES: Final = 18
+"""Words 0 to 8 of a READ frame: logic version, name, date and channel counts, constant on a given board."""
 READ_COMMAND: Final = 0x8FFF
 SEND_COMMAND: Final = 0x8F0F
 READ_REQUEST: Final = READ_COMMAND.to_bytes(2, "little") + b"\0\0"

@@ -7,7 +7,7 @@ from typing import Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control.windows import SpeedWindow
-from inteco_abs.signals import BoardFlags, Command, Estimate, Reason, Sample
+from inteco_abs.signals import Command, Estimate, Reason, Sample
 
 _SPEED_WINDOW_S: Final = 0.005
 _FASTEST_RAD_S: Final = 500.0
@@ -80,17 +80,14 @@ class Guard:
         return self._in_force
 
     def _judge_sample(self, sample: Sample) -> Reason:
-        before, self._before = self._before, sample
-        if before is None:
-            self._wheel_speed.update(sample.time_ns, sample.wheel_count)
-            self._road_speed.update(sample.time_ns, sample.road_count)
-            return Reason.NONE
         missed = self._count_misses(sample)
-        if missed is not Reason.NONE or sample.board_flags & BoardFlags.STALE:
-            return missed
+        if missed is not Reason.NONE or sample.board_flags:
+            return missed  # a stale sample says nothing about the wheels
+        before, self._before = self._before or sample, sample
         wheel_step = sample.wheel_count - before.wheel_count
         road_step = sample.road_count - before.road_count
-        possible = _FASTEST_RAD_S * sample.dt_s * self._counts_per_rad + _JUMP_SLACK
+        dt_ns = sample.time_ns - before.time_ns
+        possible = _FASTEST_RAD_S * dt_ns * 1e-9 * self._counts_per_rad + _JUMP_SLACK
         if abs(wheel_step) > possible or abs(road_step) > possible:
             return Reason.COUNT_JUMP
         wheel = self._wheel_speed.update(sample.time_ns, sample.wheel_count)
@@ -99,12 +96,12 @@ class Guard:
             return Reason.OVER_SPEED
         if self._in_force.drive >= _DRIVING_DUTY and road < _BACKWARDS_RAD_S:
             return Reason.ROAD_BACKWARDS
-        return self._judge_encoders(sample.time_ns - before.time_ns, wheel_step, road_step, road)
+        return self._judge_encoders(dt_ns, wheel_step, road_step, road)
 
     def _count_misses(self, sample: Sample) -> Reason:
         """One leaky bucket for failed exchanges and skipped periods alike."""
-        skipped = max(0, round(sample.dt_s / self._period_s) - 1)
-        bad = skipped + (1 if sample.board_flags & BoardFlags.STALE else 0)
+        skipped = int(sample.dt_s / self._period_s - 0.5)
+        bad = skipped + (1 if sample.board_flags else 0)
         if bad:
             self._in_a_row += bad
             self._bucket += _MISS_COST * bad

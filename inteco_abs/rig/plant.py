@@ -77,15 +77,21 @@ class Plant:
         blocks = math.ceil(duration_s / self._max_step_s - 1e-9)
         for _ in range(blocks):
             block_s = duration_s / blocks
-            cuts = self._cuts(block_s)
+            cuts = self._cuts(block_s, drive)
             for _ in range(cuts):
                 self._step(drive, target, block_s / cuts)
         self.time_s += duration_s
 
-    def _cuts(self, block_s: float) -> int:
+    def _cuts(self, block_s: float, drive: float) -> int:
         fastest = max(abs(self.wheel_speed), abs(self.road_speed))
+        if fastest == 0.0 and not self._breaks_away(drive):
+            return 1
         wanted = block_s * _CONTACT_RATE / _FOLLOWED
         return _MOST_CUTS if wanted >= _MOST_CUTS * fastest else math.ceil(wanted / fastest)
+
+    def _breaks_away(self, drive: float) -> bool:
+        """Whether the drive overcomes the static friction of a road wheel at rest."""
+        return self.motor.torque(drive, 0.0) > self.parameters.M20
 
     def _step(self, drive: float, target: float, h: float) -> None:
         next1, next2 = self._next_speeds(drive, target, h)
@@ -101,7 +107,7 @@ class Plant:
             next2 = next2 if self.road_speed * next2 >= 0.0 else 0.0
         self._take(h, target, next1, next2)
         if abs(self.road_speed) < _STILL_RAD_S and abs(self.wheel_speed) < _STILL_RAD_S:
-            if self.motor.torque(drive, 0.0) <= self.parameters.M20:
+            if not self._breaks_away(drive):
                 self.wheel_speed = self.road_speed = 0.0
 
     def _take(self, h: float, target: float, next1: float, next2: float) -> None:

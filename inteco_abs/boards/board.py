@@ -1,0 +1,148 @@
+"""Board, the abstract interface of the device layer, and how one is opened."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from types import TracebackType
+from typing import Final, NamedTuple, Self
+
+from inteco_abs.errors import BoardError, LinkError, ReadOnlyError
+from inteco_abs.signals import BoardFlags, Command, Sample
+
+_COUNTER_RANGE: Final = 1 << 32
+_SAFE_ATTEMPTS: Final = 3
+
+
+class Identity(NamedTuple):
+    """What a board says of itself, and whether it may be driven."""
+
+    logic_version: int
+    application_name: str
+    synthesis_date: str
+    """YYYYMMDD as the board tells it."""
+    read_only_because: str
+    """Empty if outputs may be used."""
+
+    def __str__(self) -> str:
+        return f"logic 0x{self.logic_version:04X} {self.application_name!r} of {self.synthesis_date}"
+
+
+class Board(ABC):
+    """A board with the rig on it; a context manager.
+
+    Every board promises: entering reads before it writes, and writes only to a board that its profile knows and
+    trusts; the first thing written is SAFE; `exchange` is the only call that can energise an output; leaving, by
+    whatever way, leaves SAFE behind and has read it back, or raises BoardError saying that it has not.
+
+    `now_ns` is the monotonic clock of the run, `period_ns` the nominal time between exchanges.
+    """
+
+    def __init__(self, now_ns: Callable[[], int], period_ns: int) -> None:
+        self.link_errors = 0
+        """Exchanges that failed so far."""
+        self.last_error: LinkError | None = None
+        self.identity: Identity | None = None
+        self._now_ns = now_ns
+        self._period_s = period_ns / 1e9
+        self._tick = 0
+        self._before: tuple[int, int, int] | None = None  # time of the newest good sample and its raw counts
+        self._newest_ns = 0
+        self._wheel_count = 0
+        self._road_count = 0
+
+    @abstractmethod
+    def identify(self) -> Identity:
+        """Ask the board what it is; reads only. Raises LinkError if it does not answer in its protocol."""
+
+    @abstractmethod
+    def _prepare(self) -> tuple[int, int]:
+        """Build the output image, write SAFE, check that the board took it; raw wheel and road counts."""
+
+    @abstractmethod
+    def _transfer(self, command: Command) -> tuple[int, int]:
+        """Write `command`, read the board; raw signed 32-bit wheel and road counts. Raises LinkError."""
+
+    @abstractmethod
+    def _write_safe(self) -> None:
+        """Write SAFE and read it back; raises LinkError if that is not what the board says it does."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Let go of the board."""
+
+    def __enter__(self) -> Self:
+        try:
+            self.identity = self.identify()
+            if not self.identity.read_only_because:
+                wheel, road = self._prepare()
+                self._before = (self._now_ns(), wheel, road)
+                self._newest_ns = self._before[0]
+        except BaseException:
+            self._close()  # nothing was energised: SAFE is the first thing written
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if self._before is not None:
+                self.make_safe()
+        finally:
+            self._before = None
+            self._close()
+
+    def exchange(self, command: Command) -> Sample:
+        """Write `command`, then read the board, once.
+
+        A failed exchange gives a sample that repeats the last counts and carries STALE; the guard judges how many
+        are too many. Raises ReadOnlyError on a board whose outputs are off, BoardError on one that is not open.
+        """
+        if self._before is None:
+            raise self._refusal()
+        try:
+            wheel, road = self._transfer(command)
+        except LinkError as error:
+            return self._stale(error)
+        now = self._now_ns()
+        then, wheel_before, road_before = self._before
+        self._before = (now, wheel, road)
+        self._wheel_count += _step(wheel, wheel_before)
+        self._road_count += _step(road, road_before)
+        return self._sample(now, then, BoardFlags.NONE)
+
+    def make_safe(self) -> None:
+        """De-energise both outputs and read it back; raises BoardError after three failures."""
+        failure: LinkError | None = None
+        for _ in range(_SAFE_ATTEMPTS):
+            try:
+                self._write_safe()
+            except LinkError as error:
+                failure = error
+            else:
+                return
+        raise BoardError(
+            f"SAFE could not be confirmed ({failure}). MOTOR POWER MAY STILL BE ON: press the emergency switch"
+        ) from failure
+
+    def _stale(self, error: LinkError) -> Sample:
+        self.link_errors += 1
+        self.last_error = error
+        return self._sample(self._now_ns(), self._newest_ns, BoardFlags.STALE)
+
+    def _sample(self, now: int, then: int, flags: BoardFlags) -> Sample:
+        tick, self._tick = self._tick, self._tick + 1
+        dt_s = (now - then) / 1e9 if tick else self._period_s
+        self._newest_ns = now
+        return Sample(tick, now, dt_s, self._wheel_count, self._road_count, flags)
+
+    def _refusal(self) -> BoardError:
+        if self.identity is not None and self.identity.read_only_because:
+            return ReadOnlyError(f"outputs are off: {self.identity.read_only_because}")
+        return BoardError("the board is not open")
+
+
+def _step(raw: int, before: int) -> int:
+    """Signed difference of two readings of a 32-bit counter that wraps."""
+    return (raw - before + _COUNTER_RANGE // 2) % _COUNTER_RANGE - _COUNTER_RANGE // 2

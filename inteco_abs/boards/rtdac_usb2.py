@@ -1,0 +1,130 @@
+"""RT-DAC/USB2: SEND, READ request and READ answer, one after the other in each tick."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Final
+
+from firmware_protocol import ProtocolError
+from firmware_protocol.rtdac_usb2 import FRAME_BYTES, HEADER_BYTES, PWM_CHANNELS, PWM_FULL_WIDTH, READ, READ_REQUEST, SEND
+from inteco_abs.boards.board import Board, Identity
+from inteco_abs.boards.links import Link
+from inteco_abs.config import BoardConfig
+from inteco_abs.errors import BoardError, LinkError
+from inteco_abs.signals import Command
+
+_WORD: Final = struct.Struct("<H")
+_MODES: Final = ("8-bit", "12-bit")
+
+
+class RtdacUsb2(Board):
+    """The board behind `link`, wired as `wiring` says; see `Board` for what it promises.
+
+    The output image is built once, when the board is opened: words that the wiring owns come from the wiring,
+    all other words from the first read, all PWM widths are zero. In a tick only the two widths change.
+    """
+
+    def __init__(self, link: Link, wiring: BoardConfig, now_ns: Callable[[], int], period_ns: int) -> None:
+        super().__init__(now_ns, period_ns)
+        self._link = link
+        self._wiring = wiring
+        self._mode = _MODES.index(wiring.pwm_mode)
+        self._full = PWM_FULL_WIDTH[self._mode]
+        drive, brake = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
+        self._drive_out, self._brake_out = SEND.place(drive).offset, SEND.place(brake).offset
+        self._drive_echo, self._brake_echo = READ.place(drive).offset, READ.place(brake).offset
+        self._wheel_at = READ.place(f"encoder{wiring.wheel_encoder}_count")
+        self._road_at = READ.place(f"encoder{wiring.road_encoder}_count")
+        self._image = bytearray(FRAME_BYTES)
+        self._header = b""
+
+    def identify(self) -> Identity:
+        """Read the header once; nothing is written but the READ request."""
+        frame = self._read()
+        try:
+            values = READ.decode_some(frame, ("logic_version", "application_name", "synthesis_date"))
+        except ProtocolError as error:
+            raise LinkError(f"the board's answer is no READ frame: {error}") from error
+        self._header = frame[:HEADER_BYTES]
+        version, name = int(values["logic_version"]), str(values["application_name"])
+        return Identity(version, name, str(values["synthesis_date"]), self._distrust(version, name))
+
+    def _distrust(self, version: int, name: str) -> str:
+        wiring = self._wiring
+        if version != wiring.logic_version:
+            return f"the board has logic 0x{version:04X}, the profile was made for 0x{wiring.logic_version:04X}"
+        if name not in wiring.application_names:
+            known = ", ".join(map(repr, wiring.application_names)) or "none yet"
+            return f"the board's logic is named {name!r}, the profile knows {known}"
+        if not wiring.verified_by:
+            return "nobody has verified the profile's wiring on the rig (verified_by is empty)"
+        return ""
+
+    def _prepare(self) -> tuple[int, int]:
+        frame = self._read()
+        try:
+            found = READ.decode(frame)
+            owned = self._owned({name: int(found[name]) for name in ("pin_mode", "pin_direction", "encoder_reset")})
+            self._image[:] = SEND.encode({**{name: found[name] for name in SEND.fields}, **owned})
+        except ProtocolError as error:
+            raise BoardError(f"the board's settings cannot be taken over: {error}") from error
+        self._link.write(self._image)
+        answer = self._read()
+        echo = READ.decode(answer)
+        wrong = [f"{name} = {echo[name]}, not {value}" for name, value in owned.items() if echo[name] != value]
+        if wrong:
+            raise BoardError(f"the board did not take its settings: {'; '.join(wrong)}")
+        return self._counts(answer)
+
+    def _owned(self, found: dict[str, int]) -> dict[str, int]:
+        """What the wiring decides, given the pins and resets as the board has them."""
+        wiring = self._wiring
+        pins = sum(1 << pin for pin in set(wiring.pwm_pins))
+        encoders = 1 << wiring.wheel_encoder | 1 << wiring.road_encoder
+        return {
+            **{f"pwm{channel}_width": 0 for channel in range(PWM_CHANNELS)},
+            **{f"pwm{channel}_mode": self._mode for channel in (wiring.drive_pwm, wiring.brake_pwm)},
+            **{f"pwm{channel}_prescaler": wiring.pwm_prescaler for channel in (wiring.drive_pwm, wiring.brake_pwm)},
+            "pin_mode": found["pin_mode"] | pins,
+            "pin_direction": found["pin_direction"] & ~pins,
+            "encoder_reset": found["encoder_reset"] & ~encoders,
+        }
+
+    def _transfer(self, command: Command) -> tuple[int, int]:
+        full = self._full
+        drive, brake = int(command.drive * full + 0.5), int(command.brake * full + 0.5)
+        if not (0 <= drive <= full and 0 <= brake <= full):
+            raise BoardError(f"{command}: duties must be in 0..1")  # never masked into something else
+        return self._counts(self._write_widths(drive, brake))
+
+    def _write_safe(self) -> None:
+        self._write_widths(0, 0)
+
+    def _write_widths(self, drive: int, brake: int) -> bytes:
+        """SEND both widths, READ, and check that the answer is this board's and echoes them."""
+        _WORD.pack_into(self._image, self._drive_out, drive)
+        _WORD.pack_into(self._image, self._brake_out, brake)
+        self._link.write(self._image)
+        frame = self._read()
+        if not frame.startswith(self._header):
+            raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
+        echo = (_WORD.unpack_from(frame, self._drive_echo)[0], _WORD.unpack_from(frame, self._brake_echo)[0])
+        if echo != (drive, brake):
+            raise LinkError(f"the board reports PWM widths {echo}, sent were {(drive, brake)}: an old frame, or another master")
+        return frame
+
+    def _counts(self, frame: bytes) -> tuple[int, int]:
+        (wheel,) = self._wheel_at.codec.unpack_from(frame, self._wheel_at.offset)
+        (road,) = self._road_at.codec.unpack_from(frame, self._road_at.offset)
+        return self._wiring.wheel_sign * wheel, self._wiring.road_sign * road
+
+    def _read(self) -> bytes:
+        self._link.write(READ_REQUEST)
+        frame = self._link.read(FRAME_BYTES)
+        if len(frame) != FRAME_BYTES:
+            raise LinkError(f"the board's answer has {len(frame)} bytes, must be {FRAME_BYTES}")
+        return frame
+
+    def _close(self) -> None:
+        self._link.close()

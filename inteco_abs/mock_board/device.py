@@ -1,0 +1,163 @@
+"""The board's own side: one device model with the simulated rig on its terminals.
+
+It has what the board has and nothing more: settings that it echoes, PWM outputs, counters, digital pins, timers.
+Faces (`usb2`) put it on a wire. Time comes from outside, so that the same device runs in real or virtual time.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+from firmware_protocol.rtdac_usb2 import PWM_FULL_WIDTH
+from inteco_abs.config import RigConfig
+from inteco_abs.rig import Plant, RigParameters
+
+_COUNTER_RANGE: Final = 1 << 32
+_TIMER_HZ: Final = 20_000_000  # INFERRED from another rig's driver on this board; timers are not used by this project
+
+
+class Truth(NamedTuple):
+    """State of the simulated rig at one instant."""
+
+    time_ns: int
+    wheel_speed_rad_s: float
+    road_speed_rad_s: float
+    slip: float
+    brake_torque_nm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Cable:
+    """Which terminals of the board the rig is plugged into; as on the vendor's PCI version."""
+
+    drive_pwm: int = 0
+    brake_pwm: int = 1
+    road_encoder: int = 0
+    wheel_encoder: int = 1
+
+
+class Counter:
+    """32-bit quadrature counter that wraps; a reset bit holds it at zero as long as it is set."""
+
+    def __init__(self, counts_per_turn: int, generator: random.Random) -> None:
+        self._per_rad = counts_per_turn / (2.0 * math.pi)
+        self._phase = generator.random()  # where between two edges the wheel stands at power-up
+        self._offset = generator.getrandbits(32)
+        self._held = False
+
+    def hold(self, held: bool, angle_rad: float) -> None:
+        """Set or clear the reset bit with the wheel at `angle_rad`."""
+        if held or self._held:
+            self._offset = -self._edges(angle_rad)
+        self._held = held
+
+    def value(self, angle_rad: float) -> int:
+        """Counter as two's complement, -2^31..2^31-1."""
+        if self._held:
+            return 0
+        raw = (self._edges(angle_rad) + self._offset) % _COUNTER_RANGE
+        return raw - _COUNTER_RANGE if raw >= _COUNTER_RANGE // 2 else raw
+
+    def _edges(self, angle_rad: float) -> int:
+        return math.floor(angle_rad * self._per_rad + self._phase)
+
+
+class Device:
+    """A board with the rig on its terminals, at rest, all settings zero, as after power-up.
+
+    `now_ns` is the clock; the rig moves on to it whenever the device is looked at or written to. `seed` decides
+    what differs between two power-ups: counter values and the encoders' position between two edges. `observe`
+    receives the rig's true state at every write, before the write takes effect.
+    """
+
+    def __init__(
+        self,
+        config: RigConfig,
+        now_ns: Callable[[], int],
+        seed: int = 0,
+        observe: Callable[[Truth], None] | None = None,
+        cable: Cable | None = None,
+    ) -> None:
+        self.settings: dict[str, int] = {}
+        self.cable = cable or Cable()
+        parameters = RigParameters.named(config.simulation.parameters)
+        self.plant = Plant(replace(parameters, c31=config.simulation.brake_rate_per_s), 0.0, 0.0)
+        generator = random.Random(seed)
+        self._road = Counter(config.encoders.counts_per_turn, generator)
+        self._wheel = Counter(config.encoders.counts_per_turn, generator)
+        self._now_ns = now_ns
+        self._time_ns = now_ns()
+        self._timer_start_ns = [self._time_ns, self._time_ns]
+        self._observe = observe
+        self._duties = (0.0, 0.0)
+
+    @property
+    def duties(self) -> tuple[float, float]:
+        """Duties of drive and brake at the motors' terminals, as the PWM makes them."""
+        return self._duties
+
+    def write(self, settings: Mapping[str, int]) -> None:
+        """Take over settings, named as in the SEND frame."""
+        self.catch_up()
+        if self._observe is not None:
+            self._observe(self._truth())
+        before = self.settings.get("timer_reset", 0)
+        self.settings.update(settings)
+        self._hold_counters()
+        for i in range(2):
+            if (before | self.settings.get("timer_reset", 0)) >> i & 1:
+                self._timer_start_ns[i] = self._time_ns
+        self._duties = (self._duty(self.cable.drive_pwm), self._duty(self.cable.brake_pwm))
+
+    def counts(self) -> tuple[int, int]:
+        """Counters of road and wheel now, as two's complement."""
+        self.catch_up()
+        return self._road.value(self.plant.road_angle), self._wheel.value(self.plant.wheel_angle)
+
+    def pins(self) -> int:
+        """Levels of the digital pins: nothing but the board itself drives them, so an output reads back its own."""
+        return self.settings.get("pin_output", 0) & ~self.settings.get("pin_direction", 0)
+
+    def timer(self, i: int) -> int:
+        """Timer/counter `i`: time since its reset in timer mode; nothing drives its input in counter mode."""
+        if not self.timer_runs(i):
+            return 0
+        return (self._time_ns - self._timer_start_ns[i]) * _TIMER_HZ // 1_000_000_000 % _COUNTER_RANGE
+
+    def timer_runs(self, i: int) -> bool:
+        """Whether timer/counter `i` is in timer mode and not held at zero."""
+        get = self.settings.get
+        return bool(get("timer_mode", 0) >> i & 1 and not get("timer_reset", 0) >> i & 1)
+
+    def catch_up(self) -> None:
+        """Move the rig on to the present."""
+        now = self._now_ns()
+        if now > self._time_ns:
+            drive, brake = self._duties
+            self.plant.advance(drive, brake, (now - self._time_ns) / 1e9)
+            self._time_ns = now
+
+    def _truth(self) -> Truth:
+        plant = self.plant
+        return Truth(self._time_ns, plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque)
+
+    def _duty(self, channel: int) -> float:
+        """Share of the period that the pin is high: the width, if the pin is switched to its PWM and to output.
+
+        The prescaler sets only the frequency; the motors' inertia averages any frequency in use.
+        """
+        get = self.settings.get
+        pin = 3 * channel + 2
+        if not get("pin_mode", 0) >> pin & 1 or get("pin_direction", 0) >> pin & 1:
+            return 0.0
+        full = PWM_FULL_WIDTH[get(f"pwm{channel}_mode", 0)]
+        return (get(f"pwm{channel}_width", 0) & full) / full
+
+    def _hold_counters(self) -> None:
+        reset = self.settings.get("encoder_reset", 0)
+        self._road.hold(bool(reset >> self.cable.road_encoder & 1), self.plant.road_angle)
+        self._wheel.hold(bool(reset >> self.cable.wheel_encoder & 1), self.plant.wheel_angle)

@@ -1,0 +1,63 @@
+"""The loop: output first, then read, decide, record. Nothing else happens in it."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+from inteco_abs.boards import Board
+from inteco_abs.control import Pipeline
+from inteco_abs.realtime.clock import Clock
+from inteco_abs.realtime.ring import TickRing
+from inteco_abs.signals import Command, Timing
+
+
+class StopWord:
+    """A request to end the run; set from a signal handler, read once a tick. Never cleared."""
+
+    __slots__ = ("requested",)
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def request(self) -> None:
+        """Ask the loop to stop at its next tick."""
+        self.requested = True
+
+
+class Loop:
+    """One experiment on an entered board, until the pipeline has finished.
+
+    A tick writes the command of the tick before, reads the board, decides, records: one period of delay, always.
+    """
+
+    def __init__(self, board: Board, pipeline: Pipeline, clock: Clock, ring: TickRing, stop: StopWord) -> None:
+        self.skipped = 0
+        """Whole periods that passed without a tick."""
+        self._board = board
+        self._pipeline = pipeline
+        self._clock = clock
+        self._beats = iter(clock)
+        self._ring = ring
+        self._stop = stop
+        self._command = Command.SAFE
+        self._busy_us = 0.0
+
+    def run(self, most: int | None = None) -> bool:
+        """Run up to `most` ticks (None: to the end); True once the experiment is over."""
+        exchange, step, append = self._board.exchange, self._pipeline.step, self._ring.append
+        now, stop, pipeline = self._clock.now_ns, self._stop, self._pipeline
+        command, busy_us = self._command, self._busy_us
+        for deadline, skipped in islice(self._beats, most):
+            start = now()
+            sample = exchange(command)
+            read = now()
+            timing = Timing((start - deadline) * 1e-3, (read - start) * 1e-3, busy_us, skipped)
+            tick = step(sample, stop.requested, timing)
+            command = Command(tick.drive, tick.brake)
+            append(tick)
+            self.skipped += skipped
+            busy_us = (now() - read) * 1e-3
+            if pipeline.finished:
+                return True
+        self._command, self._busy_us = command, busy_us
+        return False

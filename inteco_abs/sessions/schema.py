@@ -1,0 +1,268 @@
+"""What a session holds, declared once: protobuf schema, constant byte layout and numpy dtype come from one table.
+
+A message is flat, every field is always written, in order, with a fixed-width type; so its bytes have a constant
+layout: the loop packs them, MCAP stores them, numpy reads them, and any protobuf parser understands them.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from inteco_abs.sessions.wire import chunk, integer, tag
+from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
+
+PACKAGE: Final = "inteco_abs.v1"
+
+
+class Kind(NamedTuple):
+    """Type of a field: descriptor.proto type number, wire type, struct code, numpy type, and its enum if any."""
+
+    type_number: int
+    wire_type: int
+    code: str
+    dtype: str
+    members: type[IntEnum] | None = None
+
+
+DOUBLE: Final = Kind(1, 1, "d", "<f8")
+FLOAT: Final = Kind(2, 5, "f", "<f4")
+FIXED64: Final = Kind(6, 1, "Q", "<u8")
+FIXED32: Final = Kind(7, 5, "I", "<u4")
+SFIXED64: Final = Kind(16, 1, "q", "<i8")
+BOOL: Final = Kind(8, 0, "?", "?")
+PHASE: Final = Kind(14, 0, "B", "u1", Phase)
+REASON: Final = Kind(14, 0, "B", "u1", Reason)
+
+
+class Role(Enum):
+    """What replay does with a field."""
+
+    INPUT = "input"  # fed to the pipeline
+    OUTPUT = "output"  # recomputed and compared bit for bit
+    TIMING = "timing"  # copied: only a clock could make it
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One field of a message."""
+
+    name: str
+    kind: Kind
+    unit: str
+    meaning: str
+    role: Role = Role.OUTPUT
+
+
+class Message:
+    """A flat message with a constant layout. Fields are numbered from 1 in the order of `columns`."""
+
+    def __init__(self, name: str, topic: str, columns: Sequence[Column]) -> None:
+        self.name = f"{PACKAGE}.{name}"
+        self.topic = topic
+        self.columns = tuple(columns)
+        form, offsets, arguments = "<", [], []
+        for number, column in enumerate(self.columns, 1):
+            key = tag(number, column.kind.wire_type)
+            form += f"{len(key)}s"
+            offsets.append(struct.calcsize(form))
+            form += column.kind.code
+            arguments += [key, 0]
+        self._struct = struct.Struct(form)
+        self._arguments = arguments
+        self.size = self._struct.size
+        self.dtype = np.dtype(
+            {
+                "names": [column.name for column in self.columns],
+                "formats": [column.kind.dtype for column in self.columns],
+                "offsets": offsets,
+                "itemsize": self.size,
+            }
+        )
+        self._keys = [(offset, len(key)) for offset, key in zip(offsets, arguments[::2], strict=True)]
+
+    def pack_into(self, buffer: bytearray, offset: int, values: Sequence[Any]) -> None:
+        """Write the message with `values`, one per column, at `offset`."""
+        arguments = self._arguments
+        arguments[1::2] = values
+        self._struct.pack_into(buffer, offset, *arguments)
+
+    def pack(self, values: Sequence[Any]) -> bytes:
+        """The message with `values`, one per column."""
+        buffer = bytearray(self.size)
+        self.pack_into(buffer, 0, values)
+        return bytes(buffer)
+
+    def array(self, data: bytes) -> npt.NDArray[np.void]:
+        """Structured array over the messages in `data`, back to back; no copy."""
+        return np.frombuffer(data, self.dtype)
+
+    def well_formed(self, data: bytes) -> bool:
+        """Whether every message in `data` has this layout: length and all keys."""
+        if len(data) % self.size:
+            return False
+        raw = np.frombuffer(data, np.uint8).reshape(-1, self.size)
+        template = np.frombuffer(self.pack([0] * len(self.columns)), np.uint8)
+        return all(
+            bool((raw[:, at - length : at] == template[at - length : at]).all()) for at, length in self._keys
+        )
+
+    def descriptor(self) -> bytes:
+        """FileDescriptorSet with this message and its enums, as MCAP's protobuf encoding wants it."""
+        enums = b"".join(chunk(5, _enum(c.kind.members)) for c in self.columns if c.kind.members)
+        fields = b"".join(chunk(2, _field(number, column)) for number, column in enumerate(self.columns, 1))
+        message = chunk(1, self.name.rpartition(".")[2]) + fields
+        file = chunk(1, f"{self.name}.proto") + chunk(2, PACKAGE) + chunk(4, message) + enums + chunk(12, "proto3")
+        return chunk(1, file)
+
+
+def _field(number: int, column: Column) -> bytes:
+    optional = 1
+    body = chunk(1, column.name) + integer(3, number) + integer(4, optional) + integer(5, column.kind.type_number)
+    if column.kind.members:
+        body += chunk(6, f".{PACKAGE}.{column.kind.members.__name__}")
+    return body
+
+
+def _enum(members: type[IntEnum]) -> bytes:
+    prefix = members.__name__.upper()  # proto3 enum values share one name space
+    values = b"".join(
+        chunk(2, chunk(1, f"{prefix}_{member.name}") + integer(2, int(member))) for member in members
+    )
+    return chunk(1, members.__name__) + values
+
+
+_D, _F = DOUBLE, FLOAT
+_IN, _T = Role.INPUT, Role.TIMING
+
+TICK: Final = Message(
+    "Tick",
+    "/abs/tick",
+    (
+        Column("time_ns", FIXED64, "ns", "monotonic clock when the board had been read", _IN),
+        Column("tick", FIXED32, "1", "number of the exchange, from 0", _IN),
+        Column("dt_s", _D, "s", "time since the previous sample", _IN),
+        Column("wheel_count", SFIXED64, "counts", "upper, braked wheel, unwrapped", _IN),
+        Column("road_count", SFIXED64, "counts", "lower wheel, the road, unwrapped", _IN),
+        Column("board_flags", FIXED32, "1", "bit set: " + ", ".join(f"{f.value} {f.name}" for f in BoardFlags), _IN),
+        Column("stop_requested", BOOL, "1", "the operator asked to stop", _IN),
+        Column("wheel_speed_rad_s", _D, "rad/s", "estimated speed of the braked wheel"),
+        Column("road_speed_rad_s", _D, "rad/s", "estimated speed of the road wheel"),
+        Column("slip", _D, "1", "estimated slip, 0..1"),
+        Column("estimate_valid", BOOL, "1", "the estimator had enough samples"),
+        Column("phase", PHASE, "1", "where the experiment stands"),
+        Column("slip_reference", _D, "1", "reference slip while braking, else NaN"),
+        Column("switching", _D, "1", "switching function: slip error, or the controller's own"),
+        Column("torque_demand_nm", _D, "N.m", "brake torque that the law asks for, before any limit"),
+        Column("drive_wish", _D, "1", "drive duty that the sequence asks for"),
+        Column("brake_wish", _D, "1", "brake duty that the controller asks for"),
+        Column("drive", _D, "1", "drive duty admitted by the guard, written at the next tick"),
+        Column("brake", _D, "1", "brake duty admitted by the guard, written at the next tick"),
+        Column("reason", REASON, "1", "why the outputs were taken away"),
+        Column("c0", _D, "1", "controller internal, named in the channel's metadata"),
+        Column("c1", _D, "1", "controller internal"),
+        Column("c2", _D, "1", "controller internal"),
+        Column("c3", _D, "1", "controller internal"),
+        Column("late_us", _F, "us", "start of the tick minus its deadline", _T),
+        Column("io_us", _F, "us", "duration of the exchange with the board", _T),
+        Column("busy_us", _F, "us", "what the previous tick took after its exchange", _T),
+        Column("skipped", FIXED32, "1", "whole periods left out before this tick", _T),
+    ),
+)
+"""One tick. The columns are the fields of `signals.Tick`, in the same order."""
+
+TRUTH: Final = Message(
+    "Truth",
+    "/sim/truth",
+    (
+        Column("time_ns", FIXED64, "ns", "monotonic clock, as in the tick", _IN),
+        Column("wheel_speed_rad_s", _D, "rad/s", "true speed of the braked wheel", _IN),
+        Column("road_speed_rad_s", _D, "rad/s", "true speed of the road wheel", _IN),
+        Column("slip", _D, "1", "true slip", _IN),
+        Column("brake_torque_nm", _D, "N.m", "torque that the brake can hold", _IN),
+    ),
+)
+"""State of the simulated rig at the instant of each tick; a real rig has none."""
+
+if tuple(column.name for column in TICK.columns) != Tick._fields:
+    raise TypeError("the columns of TICK must be the fields of signals.Tick")
+
+
+def pack_tick(buffer: bytearray, offset: int, tick: Tick) -> None:
+    """Record of `tick` into `buffer` at `offset`: `TICK.size` bytes."""
+    TICK.pack_into(buffer, offset, tick)
+
+
+PARAMETERS_TOPIC: Final = "/abs/params"
+PARAMETERS_NAME: Final = f"{PACKAGE}.Params"
+
+
+def parameters_descriptor() -> bytes:
+    """Schema of `/abs/params`: map<string, double> values = 1; fixed32 tick = 2."""
+    entry = (
+        chunk(1, "ValuesEntry")
+        + chunk(2, chunk(1, "key") + integer(3, 1) + integer(4, 1) + integer(5, 9))
+        + chunk(2, chunk(1, "value") + integer(3, 2) + integer(4, 1) + integer(5, 1))
+        + chunk(7, integer(7, 1))  # options: map_entry
+    )
+    values = chunk(1, "values") + integer(3, 1) + integer(4, 3) + integer(5, 11) + chunk(6, f".{PARAMETERS_NAME}.ValuesEntry")
+    at = chunk(1, "tick") + integer(3, 2) + integer(4, 1) + integer(5, 7)
+    message = chunk(1, "Params") + chunk(2, values) + chunk(2, at) + chunk(3, entry)
+    return chunk(1, chunk(1, f"{PARAMETERS_NAME}.proto") + chunk(2, PACKAGE) + chunk(4, message) + chunk(12, "proto3"))
+
+
+LOG_TOPIC: Final = "/abs/event"
+LOG_NAME: Final = "foxglove.Log"
+
+
+def log_descriptor() -> bytes:
+    """Schema of `foxglove.Log`, which viewers show as a log; fields as published by its owners."""
+    stamp = chunk(1, "Timestamp") + b"".join(
+        chunk(2, chunk(1, name) + integer(3, number) + integer(4, 1) + integer(5, kind))
+        for name, number, kind in (("seconds", 1, 3), ("nanos", 2, 5))
+    )
+    time_file = (
+        chunk(1, "google/protobuf/timestamp.proto")
+        + chunk(2, "google.protobuf")
+        + chunk(4, stamp)
+        + chunk(12, "proto3")
+    )
+    levels = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
+    level = chunk(1, "Level") + b"".join(
+        chunk(2, chunk(1, name) + integer(2, number)) for number, name in enumerate(levels)
+    )
+    columns = (
+        ("timestamp", 1, 11, ".google.protobuf.Timestamp"),
+        ("level", 2, 14, f".{LOG_NAME}.Level"),
+        ("message", 3, 9, ""),
+        ("name", 4, 9, ""),
+        ("file", 5, 9, ""),
+        ("line", 6, 7, ""),
+    )
+    fields = b"".join(
+        chunk(
+            2,
+            chunk(1, name)
+            + integer(3, number)
+            + integer(4, 1)
+            + integer(5, kind)
+            + (chunk(6, type_name) if type_name else b""),
+        )
+        for name, number, kind, type_name in columns
+    )
+    log_file = (
+        chunk(1, "foxglove/Log.proto")
+        + chunk(2, "foxglove")
+        + chunk(3, "google/protobuf/timestamp.proto")
+        + chunk(4, chunk(1, "Log") + fields + chunk(4, level))
+        + chunk(12, "proto3")
+    )
+    return chunk(1, time_file) + chunk(1, log_file)
+
+
