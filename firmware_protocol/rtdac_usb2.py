@@ -14,7 +14,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from firmware_protocol.fields import Bits, Field, FrameTable, Kind, Layout, ProtocolError, Status, Value, bits, words
+from firmware_protocol.fields import (
+    Bits,
+    Field,
+    FrameTable,
+    Kind,
+    Layout,
+    ProtocolError,
+    Status,
+    Value,
+    bits,
+    words,
+)
 
 FRAME_BYTES: Final = 504
 HEADER_BYTES: Final = 18
@@ -75,7 +86,13 @@ def _header() -> list[Field]:
             kind=Kind.HEX,
         ),
         *(
-            Field(f"{what}_channels", f"number of {what.replace('_', ' ')} channels", "1", "S1", read=bits(word, 4 * i, 4))
+            Field(
+                f"{what}_channels",
+                f"number of {what.replace('_', ' ')} channels",
+                "1",
+                "S1",
+                read=bits(word, 4 * i, 4),
+            )
             for word, names in counts
             for i, what in enumerate(names)
         ),
@@ -113,7 +130,12 @@ def _pwm(i: int) -> list[Field]:
             read=bits(word + 1, 0, 1),
             send=bits(word + 1, 1, 1),
         ),
-        _both(f"pwm{i}_width", f"PWM {i}: part of the period at logic 1, of 255 or 4095", "1", bits(word + 2, 0, 12)),
+        _both(
+            f"pwm{i}_width",
+            f"PWM {i}: part of the period at logic 1, of 255 or 4095",
+            "1",
+            bits(word + 2, 0, 12),
+        ),
     ]
 
 
@@ -163,7 +185,9 @@ def _frequency_meters() -> list[Field]:
     )
     return [
         *(
-            _both(f"frequency_meter_{flag}", f"{flag.replace('_', ' ')} of meter i", _BITMAP, bits(80 + k, 0, 8))
+            _both(
+                f"frequency_meter_{flag}", f"{flag.replace('_', ' ')} of meter i", _BITMAP, bits(80 + k, 0, 8)
+            )
             for k, flag in enumerate(flags)
         ),
         Field("frequency_meter_ready", "meter i has a result", _BITMAP, "S1", read=bits(106, 0, 8)),
@@ -233,7 +257,10 @@ def _analogue() -> list[Field]:
             )
             for i in range(16)
         ),
-        *(Field(f"ad{i}_busy", f"A/D {i} is converting", "1", "S1", read=bits(204 + i, 12, 1)) for i in range(16)),
+        *(
+            Field(f"ad{i}_busy", f"A/D {i} is converting", "1", "S1", read=bits(204 + i, 12, 1))
+            for i in range(16)
+        ),
         *(
             _both(f"da{i}_output", f"D/A {i}: volts = -10 + 20 * code / 16383", "1", bits(220 + i, 0, 14))
             for i in range(4)

@@ -28,7 +28,10 @@ def gains_in_force(
     config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS
 ) -> dict[str, float]:
     """Every gain of the configured controller, defaults included."""
-    return {gain.name: config.controller.gains.get(gain.name, gain.default) for gain in controllers[config.controller.name].gains}
+    return {
+        gain.name: config.controller.gains.get(gain.name, gain.default)
+        for gain in controllers[config.controller.name].gains
+    }
 
 
 def control_check(controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Check:
@@ -55,7 +58,9 @@ def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterat
         if gain is None:
             yield Mistake(path, f"unknown gain{near_match(name, known)}")
         elif isinstance(value, int | float) and math.isfinite(value) and not gain.low <= value <= gain.high:
-            yield Mistake(path, f"{value!r}: must be in {gain.low:g}..{gain.high:g} {gain.unit} ({gain.meaning})")
+            yield Mistake(
+                path, f"{value!r}: must be in {gain.low:g}..{gain.high:g} {gain.unit} ({gain.meaning})"
+            )
 
 
 def _section(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:

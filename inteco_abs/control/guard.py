@@ -68,7 +68,9 @@ class Guard:
         self.trip(self._judge_sample(sample))
         drive, brake = wish
         # written so that NaN and anything that is no number fails
-        if not (type(drive) is float and type(brake) is float and math.isfinite(drive) and math.isfinite(brake)):
+        if not (
+            type(drive) is float and type(brake) is float and math.isfinite(drive) and math.isfinite(brake)
+        ):
             self.trip(Reason.BAD_OUTPUT)
         if self.reason is not Reason.NONE:
             self._in_force = Command.SAFE

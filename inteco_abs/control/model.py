@@ -72,7 +72,9 @@ class BrakingModel:
         f = (
             -(S * self.c11 + self.c13) * rolling
             - ratio / road_speed * (S * self.c12 + self.c14)
-            + rolling / road_speed * ((S * self.c21 / ratio * rolling + self.c23) * road_speed + S * self.c22 + self.c24)
+            + rolling
+            / road_speed
+            * ((S * self.c21 / ratio * rolling + self.c23) * road_speed + S * self.c22 + self.c24)
         )
         g = -ratio / road_speed * (self.c15 * S + self.c16 - self.c25 * S * rolling / ratio)
         return f, g

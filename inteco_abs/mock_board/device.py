@@ -17,7 +17,9 @@ from inteco_abs.config import RigConfig
 from inteco_abs.rig import Plant, RigParameters
 
 _COUNTER_RANGE: Final = 1 << 32
-_TIMER_HZ: Final = 20_000_000  # INFERRED from another rig's driver on this board; timers are not used by this project
+_TIMER_HZ: Final = (
+    20_000_000  # INFERRED from another rig's driver on this board; timers are not used by this project
+)
 
 
 class Truth(NamedTuple):

@@ -52,7 +52,9 @@ class Model:
         self._sin = math.sin(parameters.phi_rad)
         self._cos = math.cos(parameters.phi_rad)
 
-    def motion(self, wheel_speed: float, road_speed: float, brake_torque: float, drive_torque: float) -> Motion:
+    def motion(
+        self, wheel_speed: float, road_speed: float, brake_torque: float, drive_torque: float
+    ) -> Motion:
         """Accelerations and contact of one instant; see `accelerations`."""
         k = self.parameters
         rim1, rim2 = k.r1 * wheel_speed, k.r2 * road_speed
@@ -80,7 +82,9 @@ class Model:
             resisting = max(-held, min(held, reaction))
         normal = (k.Mg + resisting) / lever  # (5)
         push = normal * traction
-        wheel = (push * k.r1 - resisting) / k.J1 if wheel_speed != 0.0 or abs(resisting) == held else 0.0  # (2)
+        wheel = (
+            (push * k.r1 - resisting) / k.J1 if wheel_speed != 0.0 or abs(resisting) == held else 0.0
+        )  # (2)
         load = drive_torque - push * k.r2 - k.d2 * road_speed
         if road_speed > 0.0:
             load -= k.M20
@@ -90,7 +94,9 @@ class Model:
             load -= max(-k.M20, min(k.M20, load))
         return Motion(wheel, load / k.J2, normal, traction, slip)  # (3)
 
-    def contact_stiffness(self, wheel_speed: float, road_speed: float, motion: Motion) -> tuple[float, float, float, float]:
+    def contact_stiffness(
+        self, wheel_speed: float, road_speed: float, motion: Motion
+    ) -> tuple[float, float, float, float]:
         """Jacobian of the contact as column times row: d(accelerations)/d(traction) and d(traction)/d(speeds).
 
         All zero where a wheel stands or turns backwards and at exactly zero slip: there the contact is not stiff
@@ -101,7 +107,11 @@ class Model:
         k = self.parameters
         slip = motion.slip
         power = slip**k.p
-        slope = k.w4 * k.a * k.p * power / (slip * (k.a + power) ** 2) + (3.0 * k.w3 * slip + 2.0 * k.w2) * slip + k.w1
+        slope = (
+            k.w4 * k.a * k.p * power / (slip * (k.a + power) ** 2)
+            + (3.0 * k.w3 * slip + 2.0 * k.w2) * slip
+            + k.w1
+        )
         force = motion.normal_force * self._sin / (self._sin - motion.traction * self._cos)
         slower = 1.0 - slip
         if k.r2 * road_speed > k.r1 * wheel_speed:

@@ -118,13 +118,24 @@ class Message:
         enums = b"".join(chunk(5, _enum(c.kind.members)) for c in self.columns if c.kind.members)
         fields = b"".join(chunk(2, _field(number, column)) for number, column in enumerate(self.columns, 1))
         message = chunk(1, self.name.rpartition(".")[2]) + fields
-        file = chunk(1, f"{self.name}.proto") + chunk(2, PACKAGE) + chunk(4, message) + enums + chunk(12, "proto3")
+        file = (
+            chunk(1, f"{self.name}.proto")
+            + chunk(2, PACKAGE)
+            + chunk(4, message)
+            + enums
+            + chunk(12, "proto3")
+        )
         return chunk(1, file)
 
 
 def _field(number: int, column: Column) -> bytes:
     optional = 1
-    body = chunk(1, column.name) + integer(3, number) + integer(4, optional) + integer(5, column.kind.type_number)
+    body = (
+        chunk(1, column.name)
+        + integer(3, number)
+        + integer(4, optional)
+        + integer(5, column.kind.type_number)
+    )
     if column.kind.members:
         body += chunk(6, f".{PACKAGE}.{column.kind.members.__name__}")
     return body
@@ -150,7 +161,13 @@ TICK: Final = Message(
         Column("dt_s", _D, "s", "time since the previous sample", _IN),
         Column("wheel_count", SFIXED64, "counts", "upper, braked wheel, unwrapped", _IN),
         Column("road_count", SFIXED64, "counts", "lower wheel, the road, unwrapped", _IN),
-        Column("board_flags", FIXED32, "1", "bit set: " + ", ".join(f"{f.value} {f.name}" for f in BoardFlags), _IN),
+        Column(
+            "board_flags",
+            FIXED32,
+            "1",
+            "bit set: " + ", ".join(f"{f.value} {f.name}" for f in BoardFlags),
+            _IN,
+        ),
         Column("stop_requested", BOOL, "1", "the operator asked to stop", _IN),
         Column("wheel_speed_rad_s", _D, "rad/s", "estimated speed of the braked wheel"),
         Column("road_speed_rad_s", _D, "rad/s", "estimated speed of the road wheel"),
@@ -211,10 +228,18 @@ def parameters_descriptor() -> bytes:
         + chunk(2, chunk(1, "value") + integer(3, 2) + integer(4, 1) + integer(5, 1))
         + chunk(7, integer(7, 1))  # options: map_entry
     )
-    values = chunk(1, "values") + integer(3, 1) + integer(4, 3) + integer(5, 11) + chunk(6, f".{PARAMETERS_NAME}.ValuesEntry")
+    values = (
+        chunk(1, "values")
+        + integer(3, 1)
+        + integer(4, 3)
+        + integer(5, 11)
+        + chunk(6, f".{PARAMETERS_NAME}.ValuesEntry")
+    )
     at = chunk(1, "tick") + integer(3, 2) + integer(4, 1) + integer(5, 7)
     message = chunk(1, "Params") + chunk(2, values) + chunk(2, at) + chunk(3, entry)
-    return chunk(1, chunk(1, f"{PARAMETERS_NAME}.proto") + chunk(2, PACKAGE) + chunk(4, message) + chunk(12, "proto3"))
+    return chunk(
+        1, chunk(1, f"{PARAMETERS_NAME}.proto") + chunk(2, PACKAGE) + chunk(4, message) + chunk(12, "proto3")
+    )
 
 
 LOG_TOPIC: Final = "/abs/event"
@@ -264,5 +289,3 @@ def log_descriptor() -> bytes:
         + chunk(12, "proto3")
     )
     return chunk(1, time_file) + chunk(1, log_file)
-
-

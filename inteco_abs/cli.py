@@ -1,0 +1,312 @@
+"""The command `inteco-abs`. Data goes to stdout, talk to stderr.
+
+Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 done with losses or overruns, 4 replay differs,
+5 safety stop, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from inteco_abs.errors import AbsError, ConfigError, Mistake, near_match
+
+if TYPE_CHECKING:
+    from inteco_abs.control import Controller
+    from inteco_abs.experiment import Progress
+    from inteco_abs.sessions import Replay, Session
+
+_LOSSES: Final = 3
+_DIFFERS: Final = 4
+_INTERRUPTED: Final = 130
+_FILE: Final = click.Path(path_type=Path)
+_CUSTOM: Final = ".py:"
+
+
+class _Verbs(click.Group):
+    """Group that suggests the nearest verb."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in self.commands:
+            raise click.UsageError(f"no command {args[0]!r}{near_match(args[0], self.commands)}", ctx)
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="inteco-abs")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+def cli(debug: bool) -> None:  # noqa: ARG001  read by main()
+    """Driver, controller and laboratory for the Inteco anti-lock braking rig."""
+
+
+def _json_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead.")(function)
+
+
+@cli.command()
+@click.option("--board", default="sim:", show_default=True, help="Board address; sim: is the mock board.")
+@click.option("--virtual", is_flag=True, help="Virtual time: as fast as it goes, and repeatable.")
+@click.option(
+    "--seed", default=0, show_default=True, help="What differs between two power-ups of the mock board."
+)
+@click.option("--config", type=_FILE, help="rig.toml; every key has a default.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Over the file, as in guard.brake_limit=0.7.",
+)
+@click.option("--controller", help="reaching-law, relay, or your own as file.py:Class.")
+@click.option("--estimator", help="moving-window, or euler as in the paper.")
+@click.option("--out", type=_FILE, help="Session file to write; default: sessions/stop-TIME.mcap.")
+@click.option("--figure", type=_FILE, help="Also draw the stop: .png, .svg or .pdf.")
+@_json_option
+def run(
+    board: str,
+    virtual: bool,
+    seed: int,
+    config: Path | None,
+    settings: tuple[str, ...],
+    controller: str | None,
+    estimator: str | None,
+    out: Path | None,
+    figure: Path | None,
+    as_json: bool,
+) -> int:
+    """Drive, brake, record: one stop."""
+    from inteco_abs.boards import check_address
+    from inteco_abs.config import load_config
+    from inteco_abs.control import CONTROLLERS, control_check
+    from inteco_abs.experiment import Plan, run_stop
+    from inteco_abs.views.figure import check_figure
+
+    controllers, source = _controllers(controller, CONTROLLERS)
+    chosen = [
+        f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name
+    ]
+    rig = load_config(config, [*settings, *chosen], [control_check(controllers)])
+    check_address(board)
+    if figure is not None:
+        check_figure(figure)
+    out = out or _default_out()
+    with _progress(shown=virtual) as progress:
+        stop = run_stop(rig, Plan(out, board, virtual, seed, controllers, source), progress)
+    if as_json:
+        _print_json(stop.card)
+    else:
+        _print_card(stop.card, stop.explanation)
+    if figure is not None and stop.card["start_speed_rad_s"] is not None:
+        _draw(out, figure)
+    if stop.outcome != "completed":
+        click.echo(f"inteco-abs: {stop.outcome}: {stop.explanation}", err=True)
+    return stop.exit_code
+
+
+@cli.command()
+@click.argument("file", type=_FILE)
+@click.option("--controller", help="Your own controller as file.py:Class, if the session was run with one.")
+@_json_option
+def replay(file: Path, controller: str | None, as_json: bool) -> int:
+    """Run the decisions of a session again and compare them bit for bit."""
+    from dataclasses import asdict
+
+    from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
+    from inteco_abs.sessions import read_session, session_config
+    from inteco_abs.sessions import replay as run_again
+
+    session = _read(file, read_session)
+    controllers, source = _controllers(controller, CONTROLLERS)
+    name = session.metadata.get("controller", {}).get("name", "")
+    if controller is not None:
+        controllers = {**controllers, name: controllers[controller]}
+        if source != session.attachments.get("controller.py", source):
+            click.echo(
+                "inteco-abs: the controller's source is not the one that the session was run with", err=True
+            )
+    elif _CUSTOM in name:
+        raise ConfigError(
+            [Mistake("--controller", f"the session was run with {name!r}; name that file to replay it")]
+        )
+    config = session_config(session, (control_check(controllers),))
+    outcome = run_again(session, build_pipeline(config, controllers))
+    report = {"schema_version": 1, "session": str(file), "incomplete": session.incomplete, **asdict(outcome)}
+    if as_json:
+        _print_json(report)
+    else:
+        _print_replay(file, outcome)
+    return _DIFFERS if outcome.differing else _LOSSES if session.incomplete else 0
+
+
+@cli.command()
+@click.argument("file", type=_FILE)
+@_json_option
+def info(file: Path, as_json: bool) -> int:
+    """What a session holds, how it ended, and with what it was run."""
+    from inteco_abs.sessions import read_session
+
+    session = _read(file, read_session)
+    summary = _summary(session)
+    if as_json:
+        _print_json(summary)
+    else:
+        _print_summary(summary)
+    return _LOSSES if session.incomplete else 0
+
+
+@cli.command()
+@click.argument("file", type=_FILE)
+@click.option("--out", "-o", type=_FILE, required=True, help="Figure to write: .png, .svg or .pdf.")
+def figure(file: Path, out: Path) -> int:
+    """Draw a session: speeds, slip, brake."""
+    _draw(file, out)
+    return 0
+
+
+def main() -> None:
+    """Entry point of the command: maps every way to end to its exit code, without a traceback."""
+    debug = "--debug" in sys.argv
+    try:
+        code = cli.main(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except AbsError as error:
+        if debug:
+            raise
+        click.echo(f"inteco-abs: {error}", err=True)
+        code = error.exit_code
+    except (KeyboardInterrupt, click.Abort):
+        code = _INTERRUPTED
+    except Exception as error:  # the top of the process: a bug must not look like the user's mistake
+        if debug:
+            raise
+        click.echo(
+            f"inteco-abs: internal error, please report it: {type(error).__name__}: {error}\n"
+            "  inteco-abs --debug ... shows where",
+            err=True,
+        )
+        code = 1
+    sys.exit(code)
+
+
+def _read(file: Path, reader: Callable[[Path], Session]) -> Session:
+    session = reader(file)
+    if session.incomplete:
+        click.echo(
+            f"inteco-abs: {file}: {session.incomplete}; {len(session.ticks)} ticks are whole", err=True
+        )
+    return session
+
+
+def _draw(file: Path, out: Path) -> None:
+    from inteco_abs.sessions import read_session
+    from inteco_abs.views.figure import check_figure, draw_stop
+
+    check_figure(out)
+    draw_stop(_read(file, read_session), out)
+    click.echo(f"figure: {out}", err=True)
+
+
+def _controllers(
+    name: str | None, shipped: Mapping[str, type[Controller]]
+) -> tuple[Mapping[str, type[Controller]], bytes]:
+    """Controllers to choose from, with the user's own if `name` is `file.py:Class`, and its source."""
+    if name is None or _CUSTOM not in name:
+        return shipped, b""
+    from inteco_abs.plugins import load_controller
+
+    kind, source = load_controller(name)
+    return {**shipped, name: kind}, source
+
+
+def _default_out() -> Path:
+    folder = Path("sessions")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise ConfigError(
+            [Mistake("--out", f"no folder {folder} can be made here ({error.strerror}); name a file")]
+        ) from error
+    return folder / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"
+
+
+@contextmanager
+def _progress(*, shown: bool) -> Iterator[Progress | None]:
+    """Phase and ticks so far on a terminal's stderr; nothing in real time, where drawing would cost ticks."""
+    if not (shown and sys.stderr.isatty()):
+        yield None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("starting") as status:
+        yield lambda phase, ticks: status.update(f"{phase.name.lower().replace('_', '-')}, {ticks} ticks")
+
+
+def _summary(session: Session) -> dict[str, Any]:
+    ticks = session.ticks
+    seconds = (int(ticks["time_ns"][-1]) - int(ticks["time_ns"][0])) * 1e-9 if len(ticks) else 0.0
+    result = session.metadata.get("result", {}).get("card")
+    return {
+        "schema_version": 1,
+        "session": str(session.path),
+        "incomplete": session.incomplete,
+        "ticks": len(ticks),
+        "duration_s": seconds,
+        "events": session.events,
+        "attachments": {name: len(data) for name, data in session.attachments.items()},
+        "metadata": {name: facts for name, facts in session.metadata.items() if name != "result"},
+        "result": json.loads(result) if result else None,
+    }
+
+
+def _print_json(data: Mapping[str, Any]) -> None:
+    click.echo(json.dumps(data, allow_nan=False))
+
+
+def _print_card(card: Mapping[str, Any], explanation: str) -> None:
+    from rich.console import Console
+
+    from inteco_abs.views import render_card
+
+    Console().print(render_card(card, explanation))
+
+
+def _print_replay(file: Path, outcome: Replay) -> None:
+    if outcome.first is None:
+        click.echo(f"{file}: {outcome.ticks} ticks ({outcome.braking_ticks} braking) replayed, none differs")
+        return
+    first = outcome.first
+    click.echo(
+        f"{file}: {outcome.differing} of {outcome.ticks} ticks differ, first at tick {first.tick}: {first.field}"
+    )
+    click.echo(f"  logged   {first.logged}  {first.logged_hex}")
+    click.echo(f"  replayed {first.replayed}  {first.replayed_hex}")
+    for name, count in outcome.by_field.items():
+        click.echo(f"  {name}: {count} ticks")
+
+
+def _print_summary(summary: Mapping[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(overflow="fold")
+    for key in ("session", "ticks", "duration_s", "events"):
+        table.add_row(key, str(summary[key]))
+    for name, facts in summary["metadata"].items():
+        for key, value in facts.items():
+            table.add_row(f"{name}.{key}", value)
+    for name, size in summary["attachments"].items():
+        table.add_row(f"attachment {name}", f"{size} bytes")
+    Console().print(table)

@@ -1,0 +1,43 @@
+"""A controller of the user's own, from a file that the user names."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+from inteco_abs.control import Controller, Gain
+from inteco_abs.errors import ConfigError, Mistake, near_match
+
+
+def load_controller(name: str) -> tuple[type[Controller], bytes]:
+    """Class and source of `file.py:Class`. Runs the file; raises ConfigError if that gives no controller."""
+    file, _, class_name = name.rpartition(":")
+    path = Path(file)
+    try:
+        source = path.read_bytes()
+    except OSError as error:
+        raise _mistake(f"{file}: cannot be read: {error.strerror}") from error
+    spec = importlib.util.spec_from_file_location(f"inteco_abs_user_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise _mistake(f"{file}: is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # the user's own code, which may raise anything
+        raise _mistake(f"{file}: {type(error).__name__}: {error}") from error
+    kind = getattr(module, class_name, None)
+    if not isinstance(kind, type):
+        classes = [key for key, value in vars(module).items() if isinstance(value, type)]
+        raise _mistake(f"{file} has no class {class_name!r}{near_match(class_name, classes)}")
+    if not callable(getattr(kind, "update", None)):
+        raise _mistake(f"{class_name} has no method update(estimate, dt_s)")
+    gains = getattr(kind, "gains", None)
+    if not isinstance(gains, tuple) or not all(isinstance(gain, Gain) for gain in gains):
+        raise _mistake(f"{class_name}.gains must be a tuple of inteco_abs.control.Gain; () if it has none")
+    if not isinstance(getattr(kind, "internals", None), tuple):
+        raise _mistake(f"{class_name}.internals must be a tuple of names; () if it logs none")
+    return kind, source
+
+
+def _mistake(problem: str) -> ConfigError:
+    return ConfigError([Mistake("--controller", problem)])

@@ -1,0 +1,198 @@
+"""Writes a session: an MCAP file that explains itself from its first flush on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+import time
+import uuid
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Final, Self
+
+from mcap.writer import CompressionType, Writer
+
+from inteco_abs.errors import ConfigError, Mistake, SessionError
+from inteco_abs.sessions import schema
+from inteco_abs.sessions.schema import TICK, TRUTH, Message
+from inteco_abs.sessions.wire import chunk, double, integer, tag
+from inteco_abs.signals import EXPLANATIONS, Phase, Reason
+
+FORMAT_VERSION: Final = "1"
+_INFO, _ERROR = 2, 4  # levels of foxglove.Log
+
+
+def check_output(path: Path) -> None:
+    """Refuse, before anything is opened, a path where no new session can be; raises ConfigError."""
+    problem = ""
+    if path.is_dir():
+        problem = "is a folder; name a file, such as stop.mcap"
+    elif path.exists():
+        problem = "exists already, and sessions are never overwritten; choose another name"
+    elif not path.parent.is_dir():
+        problem = f"the folder {path.parent} does not exist; create it first"
+    if problem:
+        raise ConfigError([Mistake("--out", f"{path}: {problem}")])
+
+
+class Recorder:
+    """A session being written at `path`; a context manager. Raises SessionError when the disk refuses.
+
+    What it is told first (`describe`, `attach`) reaches the file before the first tick. Leaving the context closes
+    the file; only `finish` makes it complete.
+    """
+
+    def __init__(self, path: Path, start_ns: int, controller_internals: Sequence[str] = ()) -> None:
+        check_output(path)
+        self.path = path
+        self.session_id = str(uuid.uuid4())
+        self._epoch_ns = time.time_ns() - start_ns
+        self._start_ns = start_ns
+        self._hash = hashlib.sha256()
+        self._ticks = 0
+        self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
+        try:
+            self._file: BinaryIO = path.open("xb")
+        except OSError as error:
+            raise SessionError(f"{path} cannot be created: {error.strerror}") from error
+        self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        self._writer.start(
+            profile="", library=f"inteco-abs/{version('inteco-abs')} mcap-python/{version('mcap')}"
+        )
+        self._tick_channel = self._flat(TICK, {"internals": json.dumps(list(controller_internals))})
+        self._truth_channel = -1
+        self._event_channel = self._channel(schema.LOG_TOPIC, schema.LOG_NAME, schema.log_descriptor(), {})
+        self._parameter_channel = self._channel(
+            schema.PARAMETERS_TOPIC, schema.PARAMETERS_NAME, schema.parameters_descriptor(), {}
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    @property
+    def payload_sha256(self) -> str:
+        """Hash over the tick payloads so far: independent of compression and of the time of day."""
+        return self._hash.hexdigest()
+
+    def describe(self, name: str, facts: Mapping[str, str]) -> None:
+        """Add the metadata record `inteco_abs.{name}`; a later one of the same name adds to it or replaces."""
+        self._writer.add_metadata(f"inteco_abs.{name}", dict(facts))
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Add a file."""
+        stamp = self._epoch_ns + self._start_ns
+        self._writer.add_attachment(stamp, stamp, name, media_type, data)
+
+    def begin(self, parameters: Mapping[str, float]) -> None:
+        """Write the parameters in force from tick 0, and everything so far to the disk."""
+        values = b"".join(chunk(1, chunk(1, name) + double(2, value)) for name, value in parameters.items())
+        data = values + tag(2, 5) + struct.pack("<I", 0)
+        stamp = self._epoch_ns + self._start_ns
+        self._writer.add_message(self._parameter_channel, stamp, data, stamp)
+        self.describe(
+            "session",
+            {
+                "format_version": FORMAT_VERSION,
+                "session_id": self.session_id,
+                "started_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            },
+        )
+        self._flush()
+
+    def ticks(self, records: bytes) -> None:
+        """Add tick records, back to back, and an event for every change of phase and every fault among them."""
+        self._hash.update(records)
+        columns = TICK.array(records)
+        for i, (time_ns, phase, reason) in enumerate(
+            zip(*(columns[n].tolist() for n in ("time_ns", "phase", "reason")), strict=True)
+        ):
+            stamp = self._epoch_ns + time_ns
+            if (phase, reason) != self._before:
+                self._changed(stamp, phase, reason)
+            self._writer.add_message(
+                self._tick_channel,
+                stamp,
+                records[i * TICK.size : (i + 1) * TICK.size],
+                stamp,
+                self._ticks & 0xFFFFFFFF,
+            )
+            self._ticks += 1
+
+    def truths(self, truths: Iterable[Sequence[Any]]) -> None:
+        """Add states of the simulated rig, one per tick, in the order of `TRUTH`'s columns."""
+        if self._truth_channel < 0:
+            self._truth_channel = self._flat(TRUTH, {})
+        for sequence, truth in enumerate(truths):
+            stamp = self._epoch_ns + truth[0]
+            self._writer.add_message(self._truth_channel, stamp, TRUTH.pack(truth), stamp, sequence)
+
+    def event(self, stamp_ns: int, level: int, text: str) -> None:
+        """Add a line to the log at a wall clock time in ns."""
+        seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+        stamp = integer(1, seconds) + integer(2, nanoseconds)
+        data = chunk(1, stamp) + integer(2, level) + chunk(3, text) + chunk(4, "inteco-abs")
+        self._writer.add_message(self._event_channel, stamp_ns, data, stamp_ns)
+
+    def finish(self, outcome: str, reason: str, result: Mapping[str, Any]) -> None:
+        """Complete the file: how the run ended, its result card, the hash over its payloads, the index."""
+        self.describe(
+            "session",
+            {
+                "outcome": outcome,
+                "reason": reason,
+                "ticks": str(self._ticks),
+                "overruns": str(result["overruns"]),
+                "lost_ticks": str(result["lost_ticks"]),
+                "ended_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            },
+        )
+        self.describe(
+            "timing", {f"late_us.{name}": repr(value) for name, value in result["lateness_us"].items()}
+        )
+        self.describe("result", {"card": json.dumps(result)})
+        self.describe("integrity", {"payload_sha256": self.payload_sha256})
+        try:
+            self._writer.finish()
+            self._file.flush()
+        except OSError as error:
+            raise SessionError(f"{self.path} could not be completed: {error.strerror}") from error
+
+    def discard(self) -> None:
+        """Remove the file: nothing ran, so there is nothing to keep."""
+        self._file.close()
+        self.path.unlink(missing_ok=True)
+
+    def _changed(self, stamp_ns: int, phase: int, reason: int) -> None:
+        if phase != self._before[0]:
+            self.event(stamp_ns, _INFO, f"phase {Phase(phase).name}")
+        if reason != self._before[1]:
+            self.event(stamp_ns, _ERROR, f"{Reason(reason).name}: {EXPLANATIONS[Reason(reason)]}")
+        self._before = (phase, reason)
+
+    def _flat(self, message: Message, metadata: Mapping[str, str]) -> int:
+        facts = {
+            "units": json.dumps({column.name: column.unit for column in message.columns}),
+            "describe": json.dumps({column.name: column.meaning for column in message.columns}),
+            **metadata,
+        }
+        return self._channel(message.topic, message.name, message.descriptor(), facts)
+
+    def _channel(self, topic: str, name: str, descriptor: bytes, metadata: Mapping[str, str]) -> int:
+        schema_id = self._writer.register_schema(name, "protobuf", descriptor)
+        return self._writer.register_channel(topic, "protobuf", schema_id, dict(metadata))
+
+    def _flush(self) -> None:
+        try:
+            self._writer.flush()
+            self._file.flush()
+        except OSError as error:
+            raise SessionError(f"{self.path} cannot be written: {error.strerror}") from error

@@ -1,0 +1,53 @@
+"""The result card on a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+_ROWS = (
+    ("start speed", "start_speed_rad_s", "{:.1f} rad/s", 1.0),
+    ("reaching time", "reaching_time_s", "{:.3f} s", 1.0),
+    ("band entry", "band_entry_s", "{:.3f} s", 1.0),
+    ("stop time", "stop_time_s", "{:.3f} s", 1.0),
+    ("stop distance", "stop_distance_m", "{:.2f} m", 1.0),
+    ("slip RMS, true", "slip_rms_true", "{:.4f}", 1.0),
+    ("slip RMS, estimated", "slip_rms_estimated", "{:.4f}", 1.0),
+    ("slip RMS, 10..60 rad/s", "slip_rms_low_speed_true", "{:.4f}", 1.0),
+    ("slip RMS, from 0.25 s", "slip_rms_fixed_true", "{:.4f}", 1.0),
+    ("wheel locked", "lock_fraction", "{:.1f} %", 100.0),
+    ("torque variation", "torque_variation_nm_per_s", "{:.0f} N m/s", 1.0),
+    ("duty variation", "duty_variation_per_s", "{:.1f} /s", 1.0),
+)
+_COLOURS = {"completed": "green", "interrupted": "yellow"}
+
+
+def render_card(card: Mapping[str, Any], explanation: str) -> RenderableType:
+    """The card as a panel; what was not measured is a dash."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(justify="right", no_wrap=True)
+    for label, key, form, factor in _ROWS:
+        value = card[key]
+        table.add_row(label, "-" if value is None else form.format(value * factor))
+    late = card["lateness_us"]
+    table.add_row(
+        "ticks, overruns, link errors", f"{card['ticks']}, {card['overruns']}, {card['link_errors']}"
+    )
+    if late["max"] is not None:
+        table.add_row("late p50 / p99 / max", f"{late['p50']:.0f} / {late['p99']:.0f} / {late['max']:.0f} us")
+    outcome = str(card["outcome"])
+    colour = _COLOURS.get(outcome, "red")
+    head = Text.assemble(
+        (outcome.upper(), f"bold {colour}"), f"  {card['controller']} on {card['estimator']}, "
+    )
+    head.append(f"reference slip {card['reference_slip']:g}")
+    body: list[RenderableType] = [head, table]
+    if outcome != "completed":
+        body.insert(1, Text(explanation, style=colour))
+    return Panel(Group(*body), title="braking stop", subtitle=Text(str(card["session"])), expand=False)

@@ -1,0 +1,269 @@
+import math
+
+import pytest
+
+from inteco_abs.config import load_config
+from inteco_abs.control import Guard
+from inteco_abs.signals import Command, Estimate, Reason
+
+SEEN = Estimate(0.0, 0.0, 0.0, valid=True)
+DRIVE, BRAKE, OFF = Command(1.0, 0.0), Command(0.0, 0.6), Command.SAFE
+COUNTS = [2048, 4096]
+STRICT = ("guard.missed_in_a_row=4", "guard.bucket_limit=30")
+
+
+class Watched:
+    """A guard that watches scripted wheels; times in s since the first sample."""
+
+    def __init__(self, encoders, *settings: str, counts: int = 2048, rate_hz: float = 2000.0) -> None:
+        config = load_config(
+            settings=[*STRICT, f"encoders.counts_per_turn={counts}", f"loop.rate_hz={rate_hz}", *settings]
+        )
+        self.guard = Guard(config)
+        self.encoders = encoders(counts, rate_hz)
+        self.period_s = self.encoders.period_s
+
+    @property
+    def reason(self) -> Reason:
+        return self.guard.reason
+
+    def see(self, wheel_speed: float, road_speed: float, wish: Command, **timing) -> Command:
+        return self.guard.admit(wish, self.encoders.turn(wheel_speed, road_speed, **timing), SEEN)
+
+    def keep(self, wheel_speed: float, road_speed: float, wish: Command, duration_s: float) -> float:
+        """Hold speeds and wish; time until the guard trips, or `duration_s` if it does not."""
+        for step in range(round(duration_s / self.period_s)):
+            self.see(wheel_speed, road_speed, wish)
+            if self.reason is not Reason.NONE:
+                return step * self.period_s
+        return duration_s
+
+    def run_up(self, road_speed: float, acceleration: float = 100.0) -> None:
+        """Both wheels rolling up to `road_speed` with the drive on."""
+        speed = 0.0
+        while speed < road_speed:
+            speed = min(road_speed, speed + acceleration * self.period_s)
+            self.see(speed, speed, DRIVE)
+        assert self.reason is Reason.NONE
+
+    def coast(self, road_speed: float, duration_s: float = 0.05) -> None:
+        assert self.keep(road_speed, road_speed, OFF, duration_s) == duration_s
+
+
+@pytest.fixture(params=COUNTS)
+def watched(request, encoders):
+    return Watched(encoders, counts=request.param)
+
+
+@pytest.mark.parametrize("wheel", ["wheel", "road", "both", "backwards"])
+def test_a_wheel_above_the_limit_trips_within_6_ms(watched, wheel):
+    watched.run_up(240.0)
+    fast = {"wheel": (260.0, 240.0), "road": (240.0, 260.0), "both": (260.0, 260.0), "backwards": (-260.0, 240.0)}
+    assert watched.keep(*fast[wheel], OFF, 0.1) <= 0.006 + (0.004 if wheel == "backwards" else 0.0)
+    assert watched.reason is Reason.OVER_SPEED
+
+
+def test_a_wheel_just_below_the_limit_does_not_trip(watched):
+    watched.run_up(242.0)
+    assert watched.keep(242.0, 242.0, DRIVE, 1.0) == 1.0
+
+
+def test_the_over_speed_limit_is_the_configured_one(encoders):
+    watched = Watched(encoders, "guard.over_speed_rad_s=100", "experiment.start_speed_rad_s=50")
+    watched.run_up(95.0)
+    assert watched.keep(105.0, 105.0, DRIVE, 0.1) <= 0.006
+    assert watched.reason is Reason.OVER_SPEED
+
+
+def test_an_unstoppable_drive_never_gets_past_the_limit_by_more_than_a_window_of_acceleration(watched):
+    speed = 0.0
+    while watched.reason is Reason.NONE:
+        speed += 100.0 * watched.period_s
+        watched.see(speed, speed, DRIVE)
+    assert watched.reason is Reason.OVER_SPEED
+    assert 245.0 < speed < 246.0
+
+
+@pytest.mark.parametrize("duty", [0.2, 0.5, 1.0])
+def test_a_road_that_does_not_turn_under_the_drive_trips_within_350_ms(watched, duty):
+    watched.keep(0.0, 0.0, OFF, 0.1)
+    tripped_s = watched.keep(0.0, 0.0, Command(duty, 0.0), 2.0)
+    assert 0.300 <= tripped_s <= 0.352
+    assert watched.reason is Reason.ROAD_ENCODER_FROZEN
+
+
+def test_a_road_at_rest_without_drive_is_no_fault(watched):
+    assert watched.keep(0.0, 0.0, OFF, 2.0) == 2.0
+    assert watched.keep(0.0, 0.0, BRAKE, 2.0) == 2.0
+    assert watched.keep(0.0, 0.0, Command(0.19, 0.0), 2.0) == 2.0
+
+
+def test_a_drive_that_is_off_and_on_again_gets_its_grace_again(watched):
+    for _ in range(5):
+        assert watched.keep(0.0, 0.0, DRIVE, 0.25) == 0.25
+        assert watched.keep(0.0, 0.0, OFF, 0.01) == 0.01
+
+
+def test_a_road_that_starts_slowly_under_the_drive_is_no_fault(watched):
+    speed = 0.0
+    for _ in range(4000):
+        speed += 1.5 * watched.period_s
+        watched.see(speed, speed, DRIVE)
+    assert watched.reason is Reason.NONE
+
+
+@pytest.mark.parametrize("speed", [40.0, 100.0, 180.0])
+@pytest.mark.parametrize("wish", [DRIVE, BRAKE, OFF], ids=["driven", "braked", "coasting"])
+def test_a_road_encoder_that_freezes_while_running_trips_within_a_few_ms(watched, speed, wish):
+    watched.run_up(speed)
+    assert watched.keep(speed, speed, wish, 0.02) == 0.02
+    assert watched.keep(speed, 0.0, wish, 1.0) <= 0.002
+    assert watched.reason is Reason.ROAD_ENCODER_FROZEN
+
+
+def test_both_encoders_freezing_at_once_trips_within_a_few_ms(watched):
+    watched.run_up(100.0)
+    assert watched.keep(0.0, 0.0, BRAKE, 1.0) <= 0.002
+    assert watched.reason is Reason.ROAD_ENCODER_FROZEN
+
+
+def test_a_road_encoder_that_freezes_early_in_the_spin_up_is_found_by_the_drive(watched):
+    watched.run_up(15.0)
+    assert watched.keep(15.0, 0.0, DRIVE, 2.0) <= 0.352
+    assert watched.reason is Reason.ROAD_ENCODER_FROZEN
+
+
+@pytest.mark.parametrize("deceleration", [130.0, 170.0, 400.0])
+def test_a_road_that_is_braked_to_rest_is_no_fault(watched, deceleration):
+    watched.run_up(180.0)
+    speed = 180.0
+    while speed > 0.0:
+        speed = max(0.0, speed - deceleration * watched.period_s)
+        watched.see(0.8 * speed, speed, BRAKE)
+    assert watched.keep(0.0, 0.0, BRAKE, 1.0) == 1.0
+
+
+def test_a_wheel_encoder_that_freezes_while_rolling_free_trips_within_20_ms(watched):
+    watched.run_up(100.0)
+    watched.coast(100.0, 0.3)
+    assert 0.019 <= watched.keep(0.0, 100.0, OFF, 1.0) <= 0.022
+    assert watched.reason is Reason.WHEEL_ENCODER_FROZEN
+
+
+def test_a_wheel_encoder_that_freezes_under_the_drive_trips_within_20_ms(watched):
+    watched.run_up(100.0)
+    assert watched.keep(0.0, 100.0, DRIVE, 1.0) <= 0.022
+    assert watched.reason is Reason.WHEEL_ENCODER_FROZEN
+
+
+def test_a_wheel_encoder_that_never_counts_trips_when_the_road_is_at_300_rpm(watched):
+    speed = 0.0
+    while watched.reason is Reason.NONE:
+        speed += 100.0 * watched.period_s
+        watched.see(0.0, speed, DRIVE)
+    assert watched.reason is Reason.WHEEL_ENCODER_FROZEN
+    assert 31.0 < speed < 34.0
+
+
+@pytest.mark.parametrize("speed", [40.0, 100.0, 180.0])
+def test_a_real_lock_under_braking_is_legal(watched, speed):
+    watched.run_up(speed)
+    watched.coast(speed, 0.3)
+    assert watched.keep(0.0, speed, BRAKE, 5.0) == 5.0
+
+
+def test_a_wheel_that_stays_locked_after_the_release_trips_300_ms_later(watched):
+    watched.run_up(150.0)
+    watched.keep(0.0, 150.0, BRAKE, 0.5)
+    assert 0.300 <= watched.keep(0.0, 150.0, OFF, 2.0) <= 0.322
+    assert watched.reason is Reason.WHEEL_ENCODER_FROZEN
+
+
+def test_a_wheel_that_spins_up_again_after_the_release_is_no_fault(watched):
+    watched.run_up(150.0)
+    watched.keep(0.0, 150.0, BRAKE, 0.5)
+    watched.keep(0.0, 150.0, OFF, 0.25)
+    assert watched.keep(140.0, 150.0, OFF, 1.0) == 1.0
+
+
+def test_a_wheel_at_rest_on_a_slow_road_is_no_fault(watched):
+    watched.run_up(30.0)
+    assert watched.keep(0.0, 30.0, OFF, 1.0) == 1.0
+
+
+@pytest.mark.parametrize("wheel", ["wheel", "road"])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("periods", [1.0, 3.0])
+def test_a_count_that_moves_faster_than_500_rad_s_is_no_wheel(encoders, wheel, sign, periods):
+    def jump(counts: float) -> Reason:
+        watched = Watched(encoders)
+        watched.keep(0.0, 0.0, OFF, 0.05)
+        speed = sign * (counts + 0.5) * 2.0 * math.pi / 2048 / (watched.period_s * periods)
+        watched.see(*((speed, 0.0) if wheel == "wheel" else (0.0, speed)), OFF, periods=periods)
+        return watched.reason
+
+    possible = math.floor(500.0 * 0.0005 * periods * 2048 / (2.0 * math.pi)) + 4
+    # backwards the floor of half a count is one more
+    below, above = (possible - 1, possible + 1) if sign < 0 else (possible, possible + 1)
+    assert jump(above) is Reason.COUNT_JUMP
+    assert jump(below) is not Reason.COUNT_JUMP
+
+
+def test_a_count_that_jumps_to_zero_while_running_is_no_wheel(encoders):
+    watched = Watched(encoders)
+    watched.run_up(100.0)
+    sample = watched.encoders.turn(100.0, 100.0)
+    watched.guard.admit(DRIVE, sample._replace(road_count=0), SEEN)
+    assert watched.reason is Reason.COUNT_JUMP
+
+
+def test_a_road_that_counts_backwards_under_the_drive_trips(watched):
+    speed = 0.0
+    while watched.reason is Reason.NONE:
+        speed += 30.0 * watched.period_s
+        watched.see(speed, -speed, DRIVE)
+    assert watched.reason is Reason.ROAD_BACKWARDS
+    assert speed < 6.0
+
+
+def test_a_road_that_rolls_backwards_without_drive_is_no_fault(watched):
+    for speed in (-1.0, -4.0, -10.0, -20.0):
+        assert watched.keep(speed, speed, OFF, 0.05) == 0.05
+
+
+def test_a_road_that_rocks_back_a_few_counts_under_the_drive_is_no_fault(watched):
+    watched.keep(0.0, 0.0, OFF, 0.05)
+    for speed in [3.0, -3.0] * 50:
+        watched.see(speed, speed, DRIVE)
+    assert watched.reason is Reason.NONE
+
+
+@pytest.mark.parametrize("stale", [1, 2, 3])
+@pytest.mark.parametrize("speed", [100.0, 180.0, 240.0])
+def test_the_first_good_sample_after_failed_exchanges_is_no_jump(watched, stale, speed):
+    watched.run_up(speed)
+    for _ in range(stale):
+        watched.see(speed, speed, DRIVE, stale=True)
+    watched.see(speed, speed, DRIVE)
+    assert watched.reason is Reason.NONE
+    assert watched.keep(speed, speed, DRIVE, 0.2) == 0.2
+
+
+@pytest.mark.parametrize("skipped", [1, 2, 3])
+@pytest.mark.parametrize("speed", [100.0, 240.0])
+def test_a_sample_after_skipped_periods_is_no_jump(watched, skipped, speed):
+    watched.run_up(speed)
+    watched.see(speed, speed, DRIVE, periods=1.0 + skipped)
+    assert watched.keep(speed, speed, DRIVE, 0.2) == 0.2
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 500.0, 1000.0, 5000.0])
+def test_frozen_and_fast_wheels_are_found_at_other_rates(encoders, rate_hz):
+    reaction_s = max(0.006, 2.0 / rate_hz)
+    frozen, fast = Watched(encoders, rate_hz=rate_hz), Watched(encoders, rate_hz=rate_hz)
+    frozen.run_up(100.0)
+    assert frozen.keep(100.0, 0.0, DRIVE, 1.0) <= reaction_s
+    assert frozen.reason is Reason.ROAD_ENCODER_FROZEN
+    fast.run_up(240.0)
+    assert fast.keep(260.0, 260.0, DRIVE, 1.0) <= reaction_s
+    assert fast.reason is Reason.OVER_SPEED

@@ -1,0 +1,69 @@
+import math
+from collections import deque
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from inteco_abs.control import SpeedWindow
+
+TURN = 2.0 * math.pi
+
+lengths = st.integers(1, 40)
+turns = st.sampled_from([4, 2048, 4096])
+steps_ns = st.integers(1, 10_000_000)
+counts = st.integers(-(2**40), 2**40)
+
+
+@given(lengths, turns, st.lists(st.tuples(steps_ns, counts), min_size=1, max_size=100))
+def test_the_speed_is_the_count_difference_over_the_window_by_its_elapsed_time(length, per_turn, track):
+    window, kept, time_ns = SpeedWindow(per_turn, length), deque(maxlen=length + 1), 0
+    for step_ns, count in track:
+        time_ns += step_ns
+        kept.append((time_ns, count))
+        then_ns, before = kept[0]
+        elapsed_s = (time_ns - then_ns) * 1e-9
+        expected = (count - before) * TURN / per_turn / elapsed_s if len(kept) > 1 else 0.0
+        assert window.update(time_ns, count) == pytest.approx(expected, rel=1e-12)
+
+
+@given(lengths, turns, st.integers(-90, 90), steps_ns, counts, st.integers(0, 2**60))
+def test_a_constant_speed_is_exact_from_the_second_sample_on(length, per_turn, step, step_ns, start, since_ns):
+    window = SpeedWindow(per_turn, length)
+    exact = step * TURN / per_turn / (step_ns * 1e-9)
+    speeds = [window.update(since_ns + k * step_ns, start + k * step) for k in range(2 * length + 3)]
+    assert speeds[0] == 0.0
+    assert speeds[1:] == pytest.approx([exact] * (2 * length + 2), rel=1e-12)
+
+
+@given(lengths, st.lists(st.tuples(steps_ns, st.integers(-1000, 1000)), min_size=2, max_size=60), counts)
+def test_only_differences_of_counts_matter(length, track, offset):
+    plain, shifted, time_ns = SpeedWindow(2048, length), SpeedWindow(2048, length), 0
+    for step_ns, count in track:
+        time_ns += step_ns
+        assert plain.update(time_ns, count) == shifted.update(time_ns, count + offset)
+
+
+@given(lengths, st.lists(st.tuples(steps_ns, st.integers(-1000, 1000)), min_size=2, max_size=60))
+def test_counting_the_other_way_is_the_negative_speed(length, track):
+    forward, backward, time_ns = SpeedWindow(2048, length), SpeedWindow(2048, length), 0
+    for step_ns, count in track:
+        time_ns += step_ns
+        assert forward.update(time_ns, count) == -backward.update(time_ns, -count)
+
+
+@given(lengths, st.integers(1, 1000))
+def test_a_step_of_counts_is_forgotten_after_one_length(length, jump):
+    window = SpeedWindow(2048, length)
+    for k in range(length + 1):
+        window.update(k * 500_000, 0)
+    at_jump = [window.update((length + 1 + k) * 500_000, jump) for k in range(length + 1)]
+    assert all(speed > 0.0 for speed in at_jump[:length])
+    assert at_jump[length] == 0.0
+
+
+@pytest.mark.parametrize("later_ns", [1_000_000, 999_999])
+def test_no_time_between_two_samples_gives_no_speed_instead_of_a_division_by_zero(later_ns):
+    window = SpeedWindow(2048, 1)
+    window.update(1_000_000, 0)
+    assert window.update(later_ns, 5) == 0.0

@@ -1,0 +1,79 @@
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from inteco_abs.rig import Plant, kinetic_energy
+
+duties = st.sampled_from([0.0, 0.415, 1.0]) | st.floats(0.0, 1.0)
+durations_s = st.sampled_from([0.0005, 0.003, 0.01]) | st.floats(0.0, 0.02)
+speeds_rad_s = st.sampled_from([0.0, 180.0, -180.0, 1e-3, 1e-9, -1e-6]) | st.floats(-260.0, 260.0)
+forward_rad_s = st.sampled_from([0.0, 180.0, 1e-3, 1e-9]) | st.floats(0.0, 260.0)
+bounded = settings(deadline=None, max_examples=60)
+
+
+@bounded
+@given(
+    start=st.tuples(speeds_rad_s, speeds_rad_s),
+    pushes=st.lists(st.tuples(duties, duties, durations_s), max_size=12),
+)
+def test_any_duties_leave_a_finite_state_a_slip_in_0_to_1_and_a_torque_the_brake_has(
+    parameters, start, pushes
+):
+    plant = Plant(parameters, *start)
+    for drive, brake, duration_s in pushes:
+        plant.advance(drive, brake, duration_s)
+        assert abs(plant.wheel_speed) < 320.0
+        assert abs(plant.road_speed) < 320.0
+        assert math.isfinite(plant.wheel_angle)
+        assert math.isfinite(plant.road_angle)
+        assert 0.0 <= plant.slip <= 1.0
+        assert 0.0 <= plant.brake_torque <= 9.03 + 1e-9
+
+
+@bounded
+@given(
+    start=st.tuples(speeds_rad_s, speeds_rad_s), pushes=st.lists(st.tuples(duties, durations_s), max_size=12)
+)
+def test_energy_never_grows_with_the_drive_off(parameters, start, pushes):
+    plant = Plant(parameters, *start)
+    energy_j = kinetic_energy(*start, parameters)
+    for brake, duration_s in pushes:
+        plant.advance(0.0, brake, duration_s)
+        left_j = kinetic_energy(plant.wheel_speed, plant.road_speed, parameters)
+        assert left_j <= energy_j
+        energy_j = left_j
+
+
+@bounded
+@given(
+    start=st.tuples(forward_rad_s, forward_rad_s),
+    pushes=st.lists(st.tuples(duties, durations_s), max_size=12),
+)
+def test_forward_wheels_never_turn_back_with_the_drive_off(parameters, start, pushes):
+    plant = Plant(parameters, *start)
+    for brake, duration_s in pushes:
+        before = (plant.wheel_angle, plant.road_angle)
+        plant.advance(0.0, brake, duration_s)
+        assert plant.wheel_speed >= 0.0
+        assert plant.road_speed >= 0.0
+        assert plant.wheel_angle >= before[0]
+        assert plant.road_angle >= before[1]
+
+
+@bounded
+@given(drive=duties, brake=duties)
+def test_the_drive_never_turns_resting_wheels_backwards(parameters, drive, brake):
+    plant = Plant(parameters, 0.0, 0.0)
+    for _ in range(10):
+        plant.advance(drive, brake, 0.02)
+        assert plant.wheel_speed >= 0.0
+        assert plant.road_speed >= 0.0
+
+
+@bounded
+@given(speed_rad_s=st.floats(0.0, 30.0), brake=duties)
+def test_wheels_left_alone_come_to_rest_and_stay(parameters, speed_rad_s, brake):
+    plant = Plant(parameters, speed_rad_s, speed_rad_s)
+    plant.advance(0.0, brake, 11.0)
+    assert (plant.wheel_speed, plant.road_speed) == (0.0, 0.0)
