@@ -137,9 +137,7 @@ class Field:
         digits = sum(part.width for part in layout) // 4
         # int() would also take signs, underscores and other scripts' digits
         if not isinstance(value, str) or len(value) != digits or not set(value) <= set("0123456789ABCDEF"):
-            raise ProtocolError(
-                f"{self.name} = {value!r}: must be {digits} hex digits, such as {'20110606'[:digits]}"
-            )
+            raise ProtocolError(f"{self.name} = {value!r}: must be {digits} hex digits, such as {'20110606'[:digits]}")
         return int(value, 16)
 
 

@@ -22,9 +22,13 @@ Do not edit.
 One frame is {size} bytes: 16-bit words, little-endian; `w20[0:15]` is bits 0 to 14 of word 20 and a `+` joins the
 parts of a value, low part first. Words that no field names are sent as zero.
 
-* **READ**: OUT `{request}` on bulk endpoint 0x{out:02X}, then IN {size} bytes on 0x{into:02X}. Read words use all 16 bits.
-* **SEND**: OUT {size} bytes on bulk endpoint 0x{out:02X}, word 0 = 0x{send:04X}. No reply. Bit 15 of every data word is 0.
+* **READ**: OUT `{request}` on bulk endpoint 0x{out:02X}, then IN {size} bytes on 0x{into:02X}. Read words use all
+  16 bits.
+* **SEND**: OUT {size} bytes on bulk endpoint 0x{out:02X}, word 0 = 0x{send:04X}. No reply. Bit 15 of every data
+  word is 0.
 * Status: confirmed = read in the named source, inferred = deduced, unknown = no source.
+* Source S1: the vendor's C# sample for this board, as adapted in is-centre/rtdacusb2-bridge-app at 49a5c5d (facts
+  only; the code is the vendor's).
 """
 
 

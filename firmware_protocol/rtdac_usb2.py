@@ -185,9 +185,7 @@ def _frequency_meters() -> list[Field]:
     )
     return [
         *(
-            _both(
-                f"frequency_meter_{flag}", f"{flag.replace('_', ' ')} of meter i", _BITMAP, bits(80 + k, 0, 8)
-            )
+            _both(f"frequency_meter_{flag}", f"{flag.replace('_', ' ')} of meter i", _BITMAP, bits(80 + k, 0, 8))
             for k, flag in enumerate(flags)
         ),
         Field("frequency_meter_ready", "meter i has a result", _BITMAP, "S1", read=bits(106, 0, 8)),
@@ -257,10 +255,7 @@ def _analogue() -> list[Field]:
             )
             for i in range(16)
         ),
-        *(
-            Field(f"ad{i}_busy", f"A/D {i} is converting", "1", "S1", read=bits(204 + i, 12, 1))
-            for i in range(16)
-        ),
+        *(Field(f"ad{i}_busy", f"A/D {i} is converting", "1", "S1", read=bits(204 + i, 12, 1)) for i in range(16)),
         *(
             _both(f"da{i}_output", f"D/A {i}: volts = -10 + 20 * code / 16383", "1", bits(220 + i, 0, 14))
             for i in range(4)

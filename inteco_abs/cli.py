@@ -44,7 +44,7 @@ class _Verbs(click.Group):
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="inteco-abs")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
-def cli(debug: bool) -> None:  # noqa: ARG001  read by main()
+def cli(debug: bool) -> None:
     """Driver, controller and laboratory for the Inteco anti-lock braking rig."""
 
 
@@ -55,9 +55,7 @@ def _json_option(function: Callable[..., Any]) -> Callable[..., Any]:
 @cli.command()
 @click.option("--board", default="sim:", show_default=True, help="Board address; sim: is the mock board.")
 @click.option("--virtual", is_flag=True, help="Virtual time: as fast as it goes, and repeatable.")
-@click.option(
-    "--seed", default=0, show_default=True, help="What differs between two power-ups of the mock board."
-)
+@click.option("--seed", default=0, show_default=True, help="What differs between two power-ups of the mock board.")
 @click.option("--config", type=_FILE, help="rig.toml; every key has a default.")
 @click.option(
     "--set",
@@ -91,9 +89,7 @@ def run(
     from inteco_abs.views.figure import check_figure
 
     controllers, source = _controllers(controller, CONTROLLERS)
-    chosen = [
-        f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name
-    ]
+    chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
     rig = load_config(config, [*settings, *chosen], [control_check(controllers)])
     check_address(board)
     if figure is not None:
@@ -130,13 +126,9 @@ def replay(file: Path, controller: str | None, as_json: bool) -> int:
     if controller is not None:
         controllers = {**controllers, name: controllers[controller]}
         if source != session.attachments.get("controller.py", source):
-            click.echo(
-                "inteco-abs: the controller's source is not the one that the session was run with", err=True
-            )
+            click.echo("inteco-abs: the controller's source is not the one that the session was run with", err=True)
     elif _CUSTOM in name:
-        raise ConfigError(
-            [Mistake("--controller", f"the session was run with {name!r}; name that file to replay it")]
-        )
+        raise ConfigError([Mistake("--controller", f"the session was run with {name!r}; name that file to replay it")])
     config = session_config(session, (control_check(controllers),))
     outcome = run_again(session, build_pipeline(config, controllers))
     report = {"schema_version": 1, "session": str(file), "incomplete": session.incomplete, **asdict(outcome)}
@@ -202,9 +194,7 @@ def main() -> None:
 def _read(file: Path, reader: Callable[[Path], Session]) -> Session:
     session = reader(file)
     if session.incomplete:
-        click.echo(
-            f"inteco-abs: {file}: {session.incomplete}; {len(session.ticks)} ticks are whole", err=True
-        )
+        click.echo(f"inteco-abs: {file}: {session.incomplete}; {len(session.ticks)} ticks are whole", err=True)
     return session
 
 

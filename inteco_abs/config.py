@@ -147,9 +147,7 @@ def profiles() -> list[str]:
     return sorted(Path(item.name).stem for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
-def load_config(
-    file: Path | None = None, settings: Sequence[str] = (), checks: Iterable[Check] = ()
-) -> RigConfig:
+def load_config(file: Path | None = None, settings: Sequence[str] = (), checks: Iterable[Check] = ()) -> RigConfig:
     """Configuration from `file` (or only defaults), with `settings` such as `guard.brake_limit=0.7` over it.
 
     Raises ConfigError with every mistake found in the file, the settings and by `checks`.
@@ -177,7 +175,7 @@ def _validate(table: Table, checks: Iterable[Check], mistakes: list[Mistake]) ->
     try:
         config = RigConfig.model_validate(table)
     except ValidationError as error:
-        mistakes.extend(_in_words(detail, table) for detail in error.errors())
+        mistakes.extend(_in_words(detail) for detail in error.errors())
     mistakes.extend(_contradictions(table))
     for check in checks:
         mistakes.extend(check(table))
@@ -192,9 +190,7 @@ def _read(file: Path) -> Table:
     except OSError as error:
         raise ConfigError([Mistake(str(file), f"cannot be read: {error.strerror}")]) from error
     if data is None:
-        raise ConfigError(
-            [Mistake(str(file), f"is larger than {_LARGEST_FILE} bytes; is it a configuration?")]
-        )
+        raise ConfigError([Mistake(str(file), f"is larger than {_LARGEST_FILE} bytes; is it a configuration?")])
     try:
         return tomllib.loads(data.decode("utf-8"))
     except UnicodeDecodeError as error:
@@ -229,9 +225,7 @@ def _profile(name: object, mistakes: list[Mistake]) -> Table:
     if isinstance(name, str) and name.endswith(".toml"):
         return _read(Path(name))
     mistakes.append(
-        Mistake(
-            "profile", f"{name!r} is not a shipped profile or a .toml file{near_match(str(name), profiles())}"
-        )
+        Mistake("profile", f"{name!r} is not a shipped profile or a .toml file{near_match(str(name), profiles())}")
     )
     return _profile(DEFAULT_PROFILE, mistakes)
 
@@ -251,19 +245,13 @@ def _contradictions(table: Mapping[str, Any]) -> list[Mistake]:
         values = table.get(section)
         value = values.get(key) if isinstance(values, dict) else None
         model = RigConfig.model_fields[section].default
-        return (
-            float(value)
-            if isinstance(value, int | float) and math.isfinite(value)
-            else float(getattr(model, key))
-        )
+        return float(value) if isinstance(value, int | float) and math.isfinite(value) else float(getattr(model, key))
 
     mistakes = []
     start, limit = number("experiment", "start_speed_rad_s"), number("guard", "over_speed_rad_s")
     if start >= limit:
         mistakes.append(
-            Mistake(
-                "experiment.start_speed_rad_s", f"{start:g} must be below guard.over_speed_rad_s = {limit:g}"
-            )
+            Mistake("experiment.start_speed_rad_s", f"{start:g} must be below guard.over_speed_rad_s = {limit:g}")
         )
     stop = number("experiment", "stop_speed_rad_s")
     if stop >= start:
@@ -275,9 +263,7 @@ def _contradictions(table: Mapping[str, Any]) -> list[Mistake]:
         )
     window, rate = number("estimator", "window_s"), number("loop", "rate_hz")
     if rate > 0.0 and window * rate < 0.999:
-        mistakes.append(
-            Mistake("estimator.window_s", f"{window:g} s must be at least one period of {1 / rate:g} s")
-        )
+        mistakes.append(Mistake("estimator.window_s", f"{window:g} s must be at least one period of {1 / rate:g} s"))
     board = table.get("board")
     if isinstance(board, dict) and board.get("drive_pwm", 0) == board.get("brake_pwm", 1):
         mistakes.append(Mistake("board.brake_pwm", "drive and brake cannot share a PWM channel"))
@@ -289,7 +275,7 @@ def _contradictions(table: Mapping[str, Any]) -> list[Mistake]:
 _LIMITS: Final = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 
 
-def _in_words(detail: Any, table: Table) -> Mistake:
+def _in_words(detail: Any) -> Mistake:
     """One of pydantic's findings as dotted key, value and what is allowed."""
     location = [part for part in detail["loc"] if part != "[key]"]
     path = ".".join(map(str, location))
@@ -306,9 +292,7 @@ def _in_words(detail: Any, table: Table) -> Mistake:
 def _model_at(location: Sequence[Any]) -> type[BaseModel] | None:
     model: Any = RigConfig
     for part in location:
-        field = (
-            model.model_fields.get(part) if isinstance(model, type) and issubclass(model, BaseModel) else None
-        )
+        field = model.model_fields.get(part) if isinstance(model, type) and issubclass(model, BaseModel) else None
         model = field.annotation if field is not None else None
     return model if isinstance(model, type) and issubclass(model, BaseModel) else None
 
@@ -321,9 +305,7 @@ def _known_keys(location: Sequence[Any]) -> Iterable[str]:
 def _limits(location: Sequence[Any]) -> str:
     """Type and range of the field at `location`, as in "a number at least 0 and below 1"."""
     model = _model_at(location[:-1])
-    field = (
-        model.model_fields.get(location[-1]) if model is not None and isinstance(location[-1], str) else None
-    )
+    field = model.model_fields.get(location[-1]) if model is not None and isinstance(location[-1], str) else None
     names = {float: "a number", int: "a whole number", str: "text"}
     if field is None or field.annotation not in names:
         return ""

@@ -61,9 +61,7 @@ class RtdacUsb2(Board):
     def _distrust(self, version: int, name: str) -> str:
         wiring = self._wiring
         if version != wiring.logic_version:
-            return (
-                f"the board has logic 0x{version:04X}, the profile was made for 0x{wiring.logic_version:04X}"
-            )
+            return f"the board has logic 0x{version:04X}, the profile was made for 0x{wiring.logic_version:04X}"
         if name not in wiring.application_names:
             known = ", ".join(map(repr, wiring.application_names)) or "none yet"
             return f"the board's logic is named {name!r}, the profile knows {known}"
@@ -75,18 +73,14 @@ class RtdacUsb2(Board):
         frame = self._read()
         try:
             found = READ.decode(frame)
-            owned = self._owned(
-                {name: int(found[name]) for name in ("pin_mode", "pin_direction", "encoder_reset")}
-            )
+            owned = self._owned({name: int(found[name]) for name in ("pin_mode", "pin_direction", "encoder_reset")})
             self._image[:] = SEND.encode({**{name: found[name] for name in SEND.fields}, **owned})
         except ProtocolError as error:
             raise BoardError(f"the board's settings cannot be taken over: {error}") from error
         self._link.write(self._image)
         answer = self._read()
         echo = READ.decode(answer)
-        wrong = [
-            f"{name} = {echo[name]}, not {value}" for name, value in owned.items() if echo[name] != value
-        ]
+        wrong = [f"{name} = {echo[name]}, not {value}" for name, value in owned.items() if echo[name] != value]
         if wrong:
             raise BoardError(f"the board did not take its settings: {'; '.join(wrong)}")
         return self._counts(answer)
@@ -99,10 +93,7 @@ class RtdacUsb2(Board):
         return {
             **{f"pwm{channel}_width": 0 for channel in range(PWM_CHANNELS)},
             **{f"pwm{channel}_mode": self._mode for channel in (wiring.drive_pwm, wiring.brake_pwm)},
-            **{
-                f"pwm{channel}_prescaler": wiring.pwm_prescaler
-                for channel in (wiring.drive_pwm, wiring.brake_pwm)
-            },
+            **{f"pwm{channel}_prescaler": wiring.pwm_prescaler for channel in (wiring.drive_pwm, wiring.brake_pwm)},
             "pin_mode": found["pin_mode"] | pins,
             "pin_direction": found["pin_direction"] & ~pins,
             "encoder_reset": found["encoder_reset"] & ~encoders,
@@ -125,9 +116,7 @@ class RtdacUsb2(Board):
         self._link.write(self._image)
         frame = self._read()
         if not frame.startswith(self._header):
-            raise LinkError(
-                "the answer's header is not this board's: the frame is damaged or the board was reset"
-            )
+            raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
         echo = (_WORD.unpack_from(frame, self._drive_echo)[0], _WORD.unpack_from(frame, self._brake_echo)[0])
         if echo != (drive, brake):
             raise LinkError(

@@ -24,9 +24,7 @@ def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]
     return Pipeline(config, ESTIMATORS[config.estimator.name](config, parameters), controller)
 
 
-def gains_in_force(
-    config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS
-) -> dict[str, float]:
+def gains_in_force(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> dict[str, float]:
     """Every gain of the configured controller, defaults included."""
     return {
         gain.name: config.controller.gains.get(gain.name, gain.default)
@@ -58,9 +56,7 @@ def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterat
         if gain is None:
             yield Mistake(path, f"unknown gain{near_match(name, known)}")
         elif isinstance(value, int | float) and math.isfinite(value) and not gain.low <= value <= gain.high:
-            yield Mistake(
-                path, f"{value!r}: must be in {gain.low:g}..{gain.high:g} {gain.unit} ({gain.meaning})"
-            )
+            yield Mistake(path, f"{value!r}: must be in {gain.low:g}..{gain.high:g} {gain.unit} ({gain.meaning})")
 
 
 def _section(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:

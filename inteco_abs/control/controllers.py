@@ -53,11 +53,11 @@ class ReachingLaw:
     Below `hold_below_rad_s` the last demand is held, because f and g grow without limit as the road stops.
     """
 
-    gains: ClassVar = (
+    gains: ClassVar[tuple[Gain, ...]] = (
         Gain("Mk", 2.0, 0.0, 1000.0, "1/s", "proportional rate: shortens the reaching phase"),
         Gain("Mq", 1.0, 0.0, 1000.0, "1/s", "constant rate: rejects model error, as small as possible"),
     )
-    internals: ClassVar = ("f_per_s", "g_per_s_nm", "torque_eq_nm", "")
+    internals: ClassVar[tuple[str, ...]] = ("f_per_s", "g_per_s_nm", "torque_eq_nm", "")
 
     def __init__(self, setup: Setup, Mk: float, Mq: float) -> None:
         self._reference = setup.reference_slip
@@ -84,7 +84,7 @@ class ReachingLaw:
 class Relay:
     """Brake on while the slip is below the reference, off above: the vendor's demonstration."""
 
-    gains: ClassVar = (
+    gains: ClassVar[tuple[Gain, ...]] = (
         Gain("on_duty", 1.0, 0.0, 1.0, "1", "duty while the slip is below the reference"),
         Gain("off_duty", 0.0, 0.0, 1.0, "1", "duty while it is not"),
     )

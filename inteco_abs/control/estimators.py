@@ -39,7 +39,7 @@ class WindowEstimator:
         road = self._road.update(sample.time_ns, sample.road_count)
         slip = 1.0 - self._ratio * wheel / road if road > 0.0 else 0.0
         self._samples += 1
-        return Estimate(wheel, road, 0.0 if slip < 0.0 else 1.0 if slip > 1.0 else slip, self._samples > 1)
+        return Estimate(wheel, road, 0.0 if slip < 0.0 else min(slip, 1.0), self._samples > 1)
 
 
 def _euler(config: RigConfig, parameters: RigParameters) -> Estimator:

@@ -26,7 +26,7 @@ _RELEASE_GRACE_NS: Final = 300_000_000
 _BACKWARDS_RAD_S: Final = -5.0
 _MISS_COST: Final = 3
 _JUMP_SLACK: Final = 4
-_BRAKING_DUTY: Final = 0.01
+_RELEASED_DUTY: Final = 0.01
 
 
 class Guard:
@@ -48,15 +48,18 @@ class Guard:
         self._wheel_speed = SpeedWindow(counts, length)
         self._road_speed = SpeedWindow(counts, length)
         self._counts_per_rad = counts / (2.0 * math.pi)
+        self._fastest_per_ns = _FASTEST_RAD_S * self._counts_per_rad * 1e-9
+        self._late_s = 1.5 * self._period_s
         self._before: Sample | None = None
-        self._in_force = Command.SAFE
         self._bucket = 0
         self._in_a_row = 0
-        self._drive_on_ns = 0
-        self._brake_off_ns = _RELEASE_GRACE_NS
-        self._wheel_still_ns = 0
-        self._road_still_ns = 0
-        self._road_speed_when_counting = 0.0
+        self._driving = False
+        self._drive_changed_ns = 0
+        self._released = True
+        self._brake_changed_ns = -_RELEASE_GRACE_NS
+        self._wheel_moved_ns = 0
+        self._road_moved_ns = 0
+        self._road_speed_when_moved = 0.0
 
     def trip(self, reason: Reason) -> None:
         """Take the outputs away for `reason`, for good; the first reason stays."""
@@ -65,46 +68,63 @@ class Guard:
 
     def admit(self, wish: Command, sample: Sample, estimate: Estimate) -> Command:  # noqa: ARG002  part of the interface
         """Command that may go to the board, given `wish` and the newest sample."""
-        self.trip(self._judge_sample(sample))
-        drive, brake = wish
-        # written so that NaN and anything that is no number fails
-        if not (
-            type(drive) is float and type(brake) is float and math.isfinite(drive) and math.isfinite(brake)
-        ):
-            self.trip(Reason.BAD_OUTPUT)
+        reason = self._judge_sample(sample)
+        if reason is not Reason.NONE:
+            self.trip(reason)
+        command = self._within_limits(wish)
         if self.reason is not Reason.NONE:
-            self._in_force = Command.SAFE
-            return self._in_force
-        if not (0.0 <= drive <= self._drive_limit and 0.0 <= brake <= self._brake_limit):
-            drive = min(max(drive, 0.0), self._drive_limit)
-            brake = min(max(brake, 0.0), self._brake_limit)
-        self._in_force = Command(drive, brake)
-        return self._in_force
+            command = Command.SAFE
+        if (command.drive >= _DRIVING_DUTY) is not self._driving:
+            self._driving, self._drive_changed_ns = not self._driving, sample.time_ns
+        if (command.brake < _RELEASED_DUTY) is not self._released:
+            self._released, self._brake_changed_ns = not self._released, sample.time_ns
+        return command
+
+    def _within_limits(self, wish: Command) -> Command:
+        drive, brake = wish
+        if type(drive) is float and type(brake) is float:
+            if 0.0 <= drive <= self._drive_limit and 0.0 <= brake <= self._brake_limit:
+                return wish
+            if math.isfinite(drive) and math.isfinite(brake):
+                return Command(
+                    min(max(drive, 0.0), self._drive_limit),
+                    min(max(brake, 0.0), self._brake_limit),
+                )
+        self.trip(Reason.BAD_OUTPUT)  # NaN, infinity, or no float at all
+        return Command.SAFE
 
     def _judge_sample(self, sample: Sample) -> Reason:
-        missed = self._count_misses(sample)
-        if missed is not Reason.NONE or sample.board_flags:
-            return missed  # a stale sample says nothing about the wheels
-        before, self._before = self._before or sample, sample
-        wheel_step = sample.wheel_count - before.wheel_count
-        road_step = sample.road_count - before.road_count
-        dt_ns = sample.time_ns - before.time_ns
-        possible = _FASTEST_RAD_S * dt_ns * 1e-9 * self._counts_per_rad + _JUMP_SLACK
-        if abs(wheel_step) > possible or abs(road_step) > possible:
+        if sample.board_flags or sample.dt_s > self._late_s or self._bucket or self._in_a_row:
+            missed = self._count_misses(sample)
+            if missed is not Reason.NONE or sample.board_flags:
+                return missed  # a stale sample says nothing about the wheels
+        now_ns = sample.time_ns
+        before = self._before
+        self._before = sample
+        wheel_step = sample.wheel_count - before.wheel_count if before else 0
+        road_step = sample.road_count - before.road_count if before else 0
+        possible = (now_ns - before.time_ns) * self._fastest_per_ns + _JUMP_SLACK if before else 0.0
+        if not (-possible <= wheel_step <= possible and -possible <= road_step <= possible):
             return Reason.COUNT_JUMP
-        wheel = self._wheel_speed.update(sample.time_ns, sample.wheel_count)
-        road = self._road_speed.update(sample.time_ns, sample.road_count)
-        if max(abs(wheel), abs(road)) > self._over_speed:
+        wheel = self._wheel_speed.update(now_ns, sample.wheel_count)
+        road = self._road_speed.update(now_ns, sample.road_count)
+        limit = self._over_speed
+        if not (-limit <= wheel <= limit and -limit <= road <= limit):
             return Reason.OVER_SPEED
-        if self._in_force.drive >= _DRIVING_DUTY and road < _BACKWARDS_RAD_S:
-            return Reason.ROAD_BACKWARDS
-        return self._judge_encoders(dt_ns, wheel_step, road_step, road)
+        if wheel_step or not before:
+            self._wheel_moved_ns = now_ns
+        if road_step or not before:
+            self._road_moved_ns = now_ns
+            self._road_speed_when_moved = road
+        if road_step <= 0 or not wheel_step:
+            return self._judge_encoders(now_ns, road)
+        return Reason.NONE
 
     def _count_misses(self, sample: Sample) -> Reason:
         """One leaky bucket for failed exchanges and skipped periods alike."""
         skipped = int(sample.dt_s / self._period_s - 0.5)
         bad = skipped + (1 if sample.board_flags else 0)
-        if bad:
+        if bad > 0:
             self._in_a_row += bad
             self._bucket += _MISS_COST * bad
         else:
@@ -113,22 +133,18 @@ class Guard:
         full = self._in_a_row >= self._most_in_a_row or self._bucket >= self._bucket_limit
         return Reason.MISSED_EXCHANGES if full else Reason.NONE
 
-    def _judge_encoders(self, dt_ns: int, wheel_step: int, road_step: int, road: float) -> Reason:
-        """An encoder that stands still while its wheel must turn. A locked wheel under braking is legal."""
-        self._drive_on_ns = self._drive_on_ns + dt_ns if self._in_force.drive >= _DRIVING_DUTY else 0
-        self._brake_off_ns = self._brake_off_ns + dt_ns if self._in_force.brake < _BRAKING_DUTY else 0
-        self._wheel_still_ns = 0 if wheel_step else self._wheel_still_ns + dt_ns
-        if road_step:
-            self._road_still_ns = 0
-            self._road_speed_when_counting = road
-        else:
-            self._road_still_ns += dt_ns
-            owed = self._road_speed_when_counting * self._road_still_ns * 1e-9 * self._counts_per_rad
-            if self._road_speed_when_counting > _RUNNING_RAD_S and owed > _OWED_COUNTS:
-                return Reason.ROAD_ENCODER_FROZEN
-        if self._drive_on_ns > _DRIVING_GRACE_NS and self._road_still_ns > _ROAD_STILL_NS:
+    def _judge_encoders(self, now_ns: int, road: float) -> Reason:
+        """An encoder that stands still or runs back while its wheel must turn. A locked braked wheel is legal."""
+        driven_ns = now_ns - self._drive_changed_ns if self._driving else 0
+        if self._driving and road < _BACKWARDS_RAD_S:
+            return Reason.ROAD_BACKWARDS
+        still_ns = now_ns - self._road_moved_ns
+        if driven_ns > _DRIVING_GRACE_NS and still_ns > _ROAD_STILL_NS:
             return Reason.ROAD_ENCODER_FROZEN
-        rolling = road > _ROLLING_RAD_S and self._brake_off_ns > _RELEASE_GRACE_NS
-        if rolling and self._wheel_still_ns > _WHEEL_STILL_NS:
+        speed = self._road_speed_when_moved
+        if speed > _RUNNING_RAD_S and speed * still_ns * self._counts_per_rad > _OWED_COUNTS * 1e9:
+            return Reason.ROAD_ENCODER_FROZEN
+        rolling = self._released and now_ns - self._brake_changed_ns > _RELEASE_GRACE_NS and road > _ROLLING_RAD_S
+        if rolling and now_ns - self._wheel_moved_ns > _WHEEL_STILL_NS:
             return Reason.WHEEL_ENCODER_FROZEN
         return Reason.NONE

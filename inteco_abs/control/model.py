@@ -52,7 +52,7 @@ class BrakingModel:
         self._cos = math.cos(k.phi_rad)
 
     def S(self, slip: float) -> float:
-        """S(lam) = mu / (L * (sin phi - mu * cos phi)), in 1/m."""
+        """Abbreviation of equation (10), in 1/m: mu / (L * (sin phi - mu * cos phi))."""
         mu = adhesion(slip, self.parameters)
         return mu / (self._lever * (self._sin - mu * self._cos))
 
@@ -65,7 +65,7 @@ class BrakingModel:
         return self.terms(slip, road_speed)[1]
 
     def terms(self, slip: float, road_speed: float) -> tuple[float, float]:
-        """f and g at once. Raises ValueError for a slip outside 0..1 or a road speed that is not above 0."""
+        """F and g at once. Raises ValueError for a slip outside 0..1 or a road speed that is not above 0."""
         if not road_speed > 0.0:
             raise ValueError(f"road_speed = {road_speed!r} rad/s: must be above 0, f and g grow like 1/speed")
         S, rolling, ratio = self.S(slip), 1.0 - slip, self._ratio

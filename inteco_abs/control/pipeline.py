@@ -42,7 +42,7 @@ class Pipeline:
         """Whether nothing is left but SAFE."""
         return self._sequence.phase in (Phase.DONE, Phase.FAULT)
 
-    def step(self, sample: Sample, stop_requested: bool = False, timing: Timing = UNTIMED) -> Tick:  # noqa: FBT002  hot path
+    def step(self, sample: Sample, stop_requested: bool = False, timing: Timing = UNTIMED) -> Tick:
         """Decide on one sample. The tick's `drive` and `brake` are the command for the next exchange."""
         estimate, wish = self._wish(sample)
         guard = self._guard
@@ -70,7 +70,10 @@ class Pipeline:
             *command,
             guard.reason,
             *demand.internals,
-            *timing,
+            timing.late_us,
+            timing.io_us,
+            timing.busy_us,
+            timing.skipped,
         )
 
     def _wish(self, sample: Sample) -> tuple[Estimate, Wish]:

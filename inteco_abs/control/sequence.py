@@ -24,6 +24,9 @@ class Wish(NamedTuple):
     reason: Reason
 
 
+_NOTHING: Final = Wish(Command.SAFE, _NO_DEMAND, Reason.NONE)
+
+
 class Sequence:
     """Steps through the phases on samples alone, so that a replay takes the same steps.
 
@@ -42,6 +45,7 @@ class Sequence:
         self._since_ns = -1
         self._rest = (0, 0)
         self._held = _NO_DEMAND
+        self._driving = Command(self._config.drive_duty, 0.0)
 
     def fault(self) -> None:
         """Give up: the guard has taken the outputs away."""
@@ -53,20 +57,18 @@ class Sequence:
             self._since_ns = sample.time_ns
             self._rest = (sample.wheel_count, sample.road_count)
         elapsed_s = (sample.time_ns - self._since_ns) * 1e-9
-        starting = self._start_speed.update(sample.time_ns, sample.road_count)
-        stopping = self._stop_speed.update(sample.time_ns, sample.road_count)
         phase = self.phase
         if phase is Phase.SPIN_UP:
-            return self._spin_up(sample, elapsed_s, starting)
+            return self._spin_up(sample, elapsed_s)
         if phase is Phase.BRAKING:
-            return self._brake(sample, estimate, elapsed_s, stopping)
+            return self._brake(sample, estimate, elapsed_s)
         if phase is Phase.STOPPED:
             if elapsed_s < self._config.hold_s:
                 return Wish(Command(0.0, self._held.brake), self._held, Reason.NONE)
             self._enter(Phase.DONE, sample)
         elif phase in (Phase.IDLE, Phase.ARMED):
             return self._wait(sample, elapsed_s)
-        return Wish(Command.SAFE, _NO_DEMAND, Reason.NONE)
+        return _NOTHING
 
     def _wait(self, sample: Sample, elapsed_s: float) -> Wish:
         wheel, road = self._rest
@@ -75,18 +77,18 @@ class Sequence:
             self._enter(Phase.ARMED if self.phase is Phase.IDLE else Phase.SPIN_UP, sample)
         return Wish(Command.SAFE, _NO_DEMAND, Reason.WHEELS_MOVING if moved else Reason.NONE)
 
-    def _spin_up(self, sample: Sample, elapsed_s: float, speed: float) -> Wish:
+    def _spin_up(self, sample: Sample, elapsed_s: float) -> Wish:
+        speed = self._start_speed.update(sample.time_ns, sample.road_count)
         if speed >= self._config.start_speed_rad_s:
             self._enter(Phase.BRAKING, sample)
-            return Wish(Command.SAFE, _NO_DEMAND, Reason.NONE)
+            return _NOTHING
         late = elapsed_s > self._config.spin_up_timeout_s
-        return Wish(
-            Command(self._config.drive_duty, 0.0), _NO_DEMAND, Reason.SPIN_UP_TIMEOUT if late else Reason.NONE
-        )
+        return Wish(self._driving, _NO_DEMAND, Reason.SPIN_UP_TIMEOUT if late else Reason.NONE)
 
-    def _brake(self, sample: Sample, estimate: Estimate, elapsed_s: float, speed: float) -> Wish:
+    def _brake(self, sample: Sample, estimate: Estimate, elapsed_s: float) -> Wish:
+        speed = self._stop_speed.update(sample.time_ns, sample.road_count)
         demand = self._held = self._controller.update(estimate, sample.dt_s)
-        if abs(speed) < self._config.stop_speed_rad_s:
+        if elapsed_s >= _STOP_WINDOW_S and abs(speed) < self._config.stop_speed_rad_s:
             self._enter(Phase.STOPPED, sample)
         late = elapsed_s > self._config.braking_timeout_s
         return Wish(Command(0.0, demand.brake), demand, Reason.BRAKING_TIMEOUT if late else Reason.NONE)

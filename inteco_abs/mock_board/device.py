@@ -17,9 +17,7 @@ from inteco_abs.config import RigConfig
 from inteco_abs.rig import Plant, RigParameters
 
 _COUNTER_RANGE: Final = 1 << 32
-_TIMER_HZ: Final = (
-    20_000_000  # INFERRED from another rig's driver on this board; timers are not used by this project
-)
+_TIMER_HZ: Final = 20_000_000  # INFERRED from another rig's driver on this board; timers are not used by this project
 
 
 class Truth(NamedTuple):
@@ -104,9 +102,7 @@ class Device:
 
     def write(self, settings: Mapping[str, int]) -> None:
         """Take over settings, named as in the SEND frame."""
-        self.catch_up()
-        if self._observe is not None:
-            self._observe(self._truth())
+        self.observe()
         before = self.settings.get("timer_reset", 0)
         self.settings.update(settings)
         self._hold_counters()
@@ -114,6 +110,21 @@ class Device:
             if (before | self.settings.get("timer_reset", 0)) >> i & 1:
                 self._timer_start_ns[i] = self._time_ns
         self._duties = (self._duty(self.cable.drive_pwm), self._duty(self.cable.brake_pwm))
+
+    def write_widths(self, drive: int, brake: int) -> None:
+        """Take over the two PWM widths that move the rig, all other settings as they are."""
+        self.observe()
+        cable = self.cable
+        self.settings[f"pwm{cable.drive_pwm}_width"] = drive
+        self.settings[f"pwm{cable.brake_pwm}_width"] = brake
+        self._duties = (self._duty(cable.drive_pwm), self._duty(cable.brake_pwm))
+
+    def observe(self) -> None:
+        """Move on to the present and show the rig's true state to who asked for it."""
+        self.catch_up()
+        if self._observe is not None:
+            plant = self.plant
+            self._observe(Truth(self._time_ns, plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque))
 
     def counts(self) -> tuple[int, int]:
         """Counters of road and wheel now, as two's complement."""
@@ -142,10 +153,6 @@ class Device:
             drive, brake = self._duties
             self.plant.advance(drive, brake, (now - self._time_ns) / 1e9)
             self._time_ns = now
-
-    def _truth(self) -> Truth:
-        plant = self.plant
-        return Truth(self._time_ns, plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque)
 
     def _duty(self, channel: int) -> float:
         """Share of the period that the pin is high: the width, if the pin is switched to its PWM and to output.

@@ -10,7 +10,7 @@ from inteco_abs.mock_board.device import Device
 
 APPLICATION_NAME: Final = "ABSSIM"
 _SYNTHESIS_DATE: Final = "20260101"
-_HEADER: Final = {
+_HEADER: Final[dict[str, int | str]] = {
     "logic_version": LOGIC_VERSION,
     "application_name": APPLICATION_NAME,
     "synthesis_date": _SYNTHESIS_DATE,
@@ -21,6 +21,7 @@ _HEADER: Final = {
     "frequency_meter_channels": 8,
     "chronometer_channels": 8,
 }
+_WIDTH_MASK: Final = 0x0FFF
 _ECHOED: Final = tuple(name for name in SEND.fields if name in READ.fields)
 
 
@@ -39,7 +40,8 @@ class Usb2Face:
         self._echoed = [READ.place(name) for name in self._hot]
         self._road = READ.place(f"encoder{cable.road_encoder}_count")
         self._wheel = READ.place(f"encoder{cable.wheel_encoder}_count")
-        self._settled = b""  # last SEND frame with its widths blanked: what need not be decoded again
+        self._newest = b""  # last SEND frame, and the same with its widths blanked: what need not be decoded again
+        self._settled = bytearray()
         self._answer = bytearray(READ.encode(_HEADER))
         self._timers: list[int] = []
         self._waiting: list[bytes] = []
@@ -58,24 +60,26 @@ class Usb2Face:
         return self._waiting.pop(0)[:length] if self._waiting else b""
 
     def _send(self, data: bytes | bytearray) -> None:
+        if data == self._newest:
+            self.device.observe()
+            return
         blank = bytearray(data)
-        widths = []
+        drive, brake = (codec.unpack_from(data, offset)[0] for offset, codec in self._written)
         for offset, codec in self._written:
-            widths.append(codec.unpack_from(data, offset)[0])
             codec.pack_into(blank, offset, 0)
-        if blank == self._settled and max(widths) <= 0x0FFF:
-            self.device.write(dict(zip(self._hot, widths, strict=True)))
+        if blank == self._settled and drive <= _WIDTH_MASK and brake <= _WIDTH_MASK:
+            self.device.write_widths(drive, brake)
         else:
             try:
                 settings = SEND.decode(data)
             except ProtocolError:
                 self.rejected += 1
                 return
-            self._settled = bytes(blank)
             self.device.write({name: value for name, value in settings.items() if isinstance(value, int)})
-            self._settle()
-        for (offset, codec), width in zip(self._echoed, widths, strict=True):
-            codec.pack_into(self._answer, offset, width)
+            self._settle(blank)
+        self._newest = bytes(data)
+        for (offset, codec), width in zip(self._echoed, (drive, brake), strict=True):
+            codec.pack_into(self._answer, offset, width & _WIDTH_MASK)
 
     def _read(self) -> bytes:
         road, wheel = self.device.counts()
@@ -86,9 +90,10 @@ class Usb2Face:
             place.codec.pack_into(self._answer, place.offset, self.device.timer(i))
         return bytes(self._answer)
 
-    def _settle(self) -> None:
+    def _settle(self, blank: bytearray) -> None:
         """Make the answer anew, with the settings echoed in their read encoding."""
         device = self.device
+        self._settled = blank
         echo = {name: device.settings[name] for name in _ECHOED}
         self._answer = bytearray(READ.encode({**_HEADER, **echo, "pin_input": device.pins()}))
         self._timers = [i for i in range(2) if device.timer_runs(i)]

@@ -30,9 +30,7 @@ class Loop:
     A tick writes the command of the tick before, reads the board, decides, records: one period of delay, always.
     """
 
-    def __init__(
-        self, board: Board, pipeline: Pipeline, clock: Clock, ring: TickRing, stop: StopWord
-    ) -> None:
+    def __init__(self, board: Board, pipeline: Pipeline, clock: Clock, ring: TickRing, stop: StopWord) -> None:
         self.skipped = 0
         """Whole periods that passed without a tick."""
         self._board = board

@@ -11,7 +11,7 @@ def adhesion(slip: float, parameters: RigParameters) -> float:
     if not 0.0 <= slip <= 1.0:
         raise ValueError(f"slip = {slip!r}: must be in 0..1")
     k = parameters
-    power = slip**k.p
+    power: float = slip**k.p
     return k.w4 * power / (k.a + power) + ((k.w3 * slip + k.w2) * slip + k.w1) * slip
 
 

@@ -5,12 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from inteco_abs.rig.friction import adhesion_slope
 from inteco_abs.rig.parameters import RigParameters
-
-
-def sign(value: float) -> float:
-    """-1, 0 or +1; sign(0) is 0."""
-    return float((value > 0.0) - (value < 0.0))
 
 
 def wheel_slip(wheel_speed: float, road_speed: float, parameters: RigParameters) -> float:
@@ -45,46 +41,47 @@ class Motion(NamedTuple):
 class Model:
     """Equations (2) to (6) for one parameter set, with its constants worked out once."""
 
-    __slots__ = ("_cos", "_sin", "parameters")
+    __slots__ = ("_L_cos", "_L_sin", "_k")
 
     def __init__(self, parameters: RigParameters) -> None:
-        self.parameters = parameters
-        self._sin = math.sin(parameters.phi_rad)
-        self._cos = math.cos(parameters.phi_rad)
+        self._k = parameters
+        self._L_sin = parameters.L * math.sin(parameters.phi_rad)
+        self._L_cos = parameters.L * math.cos(parameters.phi_rad)
 
-    def motion(
+    def rates(
         self, wheel_speed: float, road_speed: float, brake_torque: float, drive_torque: float
-    ) -> Motion:
-        """Accelerations and contact of one instant; see `accelerations`."""
-        k = self.parameters
+    ) -> tuple[float, float, float, float, float]:
+        """The fields of `Motion` as a plain tuple: this is the inner loop of every simulation."""
+        k = self._k
         rim1, rim2 = k.r1 * wheel_speed, k.r2 * road_speed
-        side = rim2 - rim1
-        if side == 0.0:
+        if rim1 == rim2:
             slip = traction = 0.0
         else:
-            if rim1 * rim2 <= 0.0:
-                slip = 1.0
+            if rim2 > rim1 > 0.0:
+                slip = (rim2 - rim1) / rim2
+            elif rim1 > rim2 > 0.0:
+                slip = (rim1 - rim2) / rim1
             else:
-                slip = abs(side) / max(abs(rim1), abs(rim2))
+                slip = wheel_slip(wheel_speed, road_speed, k)
             power = slip**k.p
             traction = k.w4 * power / (k.a + power) + ((k.w3 * slip + k.w2) * slip + k.w1) * slip  # (8)
-            if side < 0.0:
+            if rim2 < rim1:
                 traction = -traction
-        lever = k.L * (self._sin - traction * self._cos)
+        lever = self._L_sin - self._L_cos * traction
         held = brake_torque + k.M10
+        moves = True
         if wheel_speed > 0.0:
             resisting = k.d1 * wheel_speed + held
         elif wheel_speed < 0.0:
             resisting = k.d1 * wheel_speed - held
         else:
-            # the brake carries what the road puts in, up to what it can hold
+            # the brake carries what the road puts in, up to what it can hold; that enters the lever's balance
             reaction = k.Mg / (lever - k.r1 * traction) * k.r1 * traction
-            resisting = max(-held, min(held, reaction))
+            moves = abs(reaction) > held
+            resisting = math.copysign(held, reaction) if moves else reaction
         normal = (k.Mg + resisting) / lever  # (5)
         push = normal * traction
-        wheel = (
-            (push * k.r1 - resisting) / k.J1 if wheel_speed != 0.0 or abs(resisting) == held else 0.0
-        )  # (2)
+        wheel = (push * k.r1 - resisting) / k.J1 if moves else 0.0  # (2)
         load = drive_torque - push * k.r2 - k.d2 * road_speed
         if road_speed > 0.0:
             load -= k.M20
@@ -92,27 +89,21 @@ class Model:
             load += k.M20
         else:
             load -= max(-k.M20, min(k.M20, load))
-        return Motion(wheel, load / k.J2, normal, traction, slip)  # (3)
+        return wheel, load / k.J2, normal, traction, slip  # (3)
 
     def contact_stiffness(
-        self, wheel_speed: float, road_speed: float, motion: Motion
+        self, wheel_speed: float, road_speed: float, normal: float, traction: float, slip: float
     ) -> tuple[float, float, float, float]:
         """Jacobian of the contact as column times row: d(accelerations)/d(traction) and d(traction)/d(speeds).
 
         All zero where a wheel stands or turns backwards and at exactly zero slip: there the contact is not stiff
         or not differentiable.
         """
-        if wheel_speed <= 0.0 or road_speed <= 0.0 or motion.slip == 0.0:
+        if wheel_speed <= 0.0 or road_speed <= 0.0 or slip == 0.0:
             return 0.0, 0.0, 0.0, 0.0
-        k = self.parameters
-        slip = motion.slip
-        power = slip**k.p
-        slope = (
-            k.w4 * k.a * k.p * power / (slip * (k.a + power) ** 2)
-            + (3.0 * k.w3 * slip + 2.0 * k.w2) * slip
-            + k.w1
-        )
-        force = motion.normal_force * self._sin / (self._sin - motion.traction * self._cos)
+        k = self._k
+        slope = adhesion_slope(slip, k)
+        force = normal * self._L_sin / (self._L_sin - self._L_cos * traction)
         slower = 1.0 - slip
         if k.r2 * road_speed > k.r1 * wheel_speed:
             unit = slope / (k.r2 * road_speed)
@@ -131,7 +122,7 @@ def accelerations(
     Speeds in rad/s; `brake_torque` >= 0 is what the brake can hold, in N m; `drive_torque` in N m acts on the
     lower wheel (the paper's model has none: its drive is off while braking).
     """
-    return Model(parameters).motion(wheel_speed, road_speed, brake_torque, drive_torque)
+    return Motion(*Model(parameters).rates(wheel_speed, road_speed, brake_torque, drive_torque))
 
 
 def kinetic_energy(wheel_speed: float, road_speed: float, parameters: RigParameters) -> float:

@@ -94,21 +94,25 @@ class Plant:
         return self.motor.torque(drive, 0.0) > self.parameters.M20
 
     def _step(self, drive: float, target: float, h: float) -> None:
+        x1, x2 = self.wheel_speed, self.road_speed
         next1, next2 = self._next_speeds(drive, target, h)
-        rest = min(_rest_share(self.wheel_speed, next1), _rest_share(self.road_speed, next2))
-        if rest < 1.0:
-            stops1 = _rest_share(self.wheel_speed, next1) == rest
-            crossed = h * rest
-            next1, next2 = self._next_speeds(drive, target, crossed)
-            self._take(crossed, target, *((0.0, next2) if stops1 else (next1, 0.0)))
-            h -= crossed
+        if x1 * next1 < 0.0 or x2 * next2 < 0.0:
+            h -= self._come_to_rest(drive, target, h, next1, next2)
+            x1, x2 = self.wheel_speed, self.road_speed
             next1, next2 = self._next_speeds(drive, target, h)
-            next1 = next1 if self.wheel_speed * next1 >= 0.0 else 0.0
-            next2 = next2 if self.road_speed * next2 >= 0.0 else 0.0
+            next1 = next1 if x1 * next1 >= 0.0 else 0.0
+            next2 = next2 if x2 * next2 >= 0.0 else 0.0
         self._take(h, target, next1, next2)
-        if abs(self.road_speed) < _STILL_RAD_S and abs(self.wheel_speed) < _STILL_RAD_S:
-            if not self._breaks_away(drive):
-                self.wheel_speed = self.road_speed = 0.0
+        if -_STILL_RAD_S < next2 < _STILL_RAD_S and abs(next1) < _STILL_RAD_S and not self._breaks_away(drive):
+            self.wheel_speed = self.road_speed = 0.0
+
+    def _come_to_rest(self, drive: float, target: float, h: float, next1: float, next2: float) -> float:
+        """Move on to the instant in which the first wheel stops; the time in s that this took."""
+        share1, share2 = _rest_share(self.wheel_speed, next1), _rest_share(self.road_speed, next2)
+        crossed = h * min(share1, share2)
+        next1, next2 = self._next_speeds(drive, target, crossed)
+        self._take(crossed, target, *((0.0, next2) if share1 <= share2 else (next1, 0.0)))
+        return crossed
 
     def _take(self, h: float, target: float, next1: float, next2: float) -> None:
         self.wheel_angle += 0.5 * h * (self.wheel_speed + next1)
@@ -117,28 +121,30 @@ class Plant:
         self.wheel_speed, self.road_speed = next1, next2
 
     def _next_speeds(self, drive: float, target: float, h: float) -> tuple[float, float]:
-        motion, motor = self._model.motion, self.motor.torque
+        rates, motor = self._model.rates, self.motor.torque
         x1, x2 = self.wheel_speed, self.road_speed
-        start = motion(x1, x2, self.brake_torque, motor(drive, x2))
-        if h * _CONTACT_RATE > _STIFF * max(abs(x1), abs(x2)):
-            column1, column2, row1, row2 = self._model.contact_stiffness(x1, x2, start)
-        else:
-            column1 = column2 = row1 = row2 = 0.0
-        # on the falling side of the friction curve the contact is unstable but slow: damping it would be wrong
-        damping = _GAMMA * h / (1.0 - _GAMMA * h * min(0.0, row1 * column1 + row2 * column2))
-        a1, a2 = start.wheel_acceleration, start.road_acceleration
-        along = damping * (row1 * a1 + row2 * a2)
-        k1, k2 = a1 + along * column1, a2 + along * column2
+        torque = self.brake_torque
+        k1, k2, normal, traction, slip = rates(x1, x2, torque, motor(drive, x2) if drive else 0.0)
+        stiff = h * _CONTACT_RATE > _STIFF * (max(x2, x1))
+        if stiff:
+            column1, column2, row1, row2 = self._model.contact_stiffness(x1, x2, normal, traction, slip)
+            # on the falling side of the friction curve the contact is unstable but slow: damping it would be wrong
+            damping = _GAMMA * h / (1.0 - _GAMMA * h * min(0.0, row1 * column1 + row2 * column2))
+            along = damping * (row1 * k1 + row2 * k2)
+            k1, k2 = k1 + along * column1, k2 + along * column2
         # friction keeps its sign within a step: a wheel that would turn back is taken as about to stop
-        end1 = x1 + h * k1 if x1 * (x1 + h * k1) >= 0.0 else x1 * _ALMOST_AT_REST
-        end2 = x2 + h * k2 if x2 * (x2 + h * k2) >= 0.0 else x2 * _ALMOST_AT_REST
-        end = motion(end1, end2, self._brake_after(target, h), motor(drive, end2))
-        a1, a2 = end.wheel_acceleration - 2.0 * k1, end.road_acceleration - 2.0 * k2
-        along = damping * (row1 * a1 + row2 * a2)
-        return (
-            x1 + h * (1.5 * k1 + 0.5 * (a1 + along * column1)),
-            x2 + h * (1.5 * k2 + 0.5 * (a2 + along * column2)),
-        )
+        end1, end2 = x1 + h * k1, x2 + h * k2
+        end1 = end1 if x1 * end1 >= 0.0 else x1 * _ALMOST_AT_REST
+        end2 = end2 if x2 * end2 >= 0.0 else x2 * _ALMOST_AT_REST
+        if torque != target:
+            torque = self._brake_after(target, h)
+        a1, a2, _, _, _ = rates(end1, end2, torque, motor(drive, end2) if drive else 0.0)
+        a1 -= 2.0 * k1
+        a2 -= 2.0 * k2
+        if stiff:
+            along = damping * (row1 * a1 + row2 * a2)
+            a1, a2 = a1 + along * column1, a2 + along * column2
+        return x1 + h * (1.5 * k1 + 0.5 * a1), x2 + h * (1.5 * k2 + 0.5 * a2)
 
     def _brake_after(self, target: float, h: float) -> float:
         if h != self._lag[0]:

@@ -44,7 +44,7 @@ class Session:
     """Empty for a whole file, else where it ends."""
 
 
-class _Damaged(Exception):
+class _DamagedError(Exception):
     """A record contradicts itself."""
 
 
@@ -81,7 +81,7 @@ def read_session(path: Path) -> Session:
     try:
         incomplete = _read_records(memoryview(data), content)
         return _assemble(path, content, incomplete)
-    except _Damaged as error:
+    except _DamagedError as error:
         raise SessionError(f"{path}: is damaged: {error}") from error
 
 
@@ -117,7 +117,7 @@ def _take(entry: _Entry, content: _Content) -> None:
     try:
         _TAKERS.get(entry.opcode, _ignore)(entry.data, content)
     except (struct.error, UnicodeDecodeError, IndexError, KeyError) as error:
-        raise _Damaged(f"record of type {entry.opcode} at byte {entry.at}: {error}") from error
+        raise _DamagedError(f"record of type {entry.opcode} at byte {entry.at}: {error}") from error
 
 
 def _ignore(data: memoryview, content: _Content) -> None:
@@ -158,7 +158,7 @@ def _take_attachment(data: memoryview, content: _Content) -> None:
     end = at + 8 + length
     (crc,) = struct.unpack_from("<I", data, end)
     if crc not in (0, zlib.crc32(data[:end])):
-        raise _Damaged(f"attachment {name!r} fails its checksum")
+        raise _DamagedError(f"attachment {name!r} fails its checksum")
     content.attachments[name] = bytes(data[at + 8 : end])
 
 
@@ -178,29 +178,27 @@ def _unpack_chunk(entry: _Entry) -> bytes:
         (length,) = struct.unpack_from("<Q", entry.data, at)
         packed = entry.data[at + 8 : at + 8 + length]
         if size > _LARGEST_CHUNK:
-            raise _Damaged(f"chunk at byte {entry.at} claims {size} bytes, more than {_LARGEST_CHUNK}")
+            raise _DamagedError(f"chunk at byte {entry.at} claims {size} bytes, more than {_LARGEST_CHUNK}")
         if compression == "zstd":
             # the frame's own header also claims a size, and would be believed before ours
             if zstandard.frame_content_size(packed) not in (-1, size):
-                raise _Damaged(f"chunk at byte {entry.at} contradicts its own size")
+                raise _DamagedError(f"chunk at byte {entry.at} contradicts its own size")
             raw = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
         elif not compression:
             raw = bytes(packed)
         else:
-            raise _Damaged(
-                f"chunk at byte {entry.at} is compressed with {compression!r}; this version reads zstd"
-            )
+            raise _DamagedError(f"chunk at byte {entry.at} is compressed with {compression!r}; this version reads zstd")
     except (struct.error, UnicodeDecodeError, zstandard.ZstdError) as error:
-        raise _Damaged(f"chunk at byte {entry.at}: {error}") from error
+        raise _DamagedError(f"chunk at byte {entry.at}: {error}") from error
     if len(raw) != size or crc not in (0, zlib.crc32(raw)):
-        raise _Damaged(f"chunk at byte {entry.at} fails its checksum")
+        raise _DamagedError(f"chunk at byte {entry.at} fails its checksum")
     return raw
 
 
 def _check_data(data: memoryview, entry: _Entry) -> None:
     crc = struct.unpack_from("<I", entry.data)[0] if len(entry.data) >= 4 else 0
     if crc not in (0, zlib.crc32(data[: entry.at - _HEAD.size])):
-        raise _Damaged("the data section fails its checksum")
+        raise _DamagedError("the data section fails its checksum")
 
 
 def _text(data: memoryview, at: int) -> tuple[str, int]:
@@ -226,7 +224,7 @@ def _assemble(path: Path, content: _Content, incomplete: str) -> Session:
     if recorded is None and not incomplete:
         raise SessionError(f"{path}: is an MCAP file, but no session of this program")
     if recorded is not None and recorded != hashlib.sha256(payload).hexdigest():
-        raise _Damaged("the ticks do not match the hash that was recorded with them")
+        raise _DamagedError("the ticks do not match the hash that was recorded with them")
     return Session(
         path,
         TICK.array(payload),
@@ -244,9 +242,9 @@ def _flat(content: _Content, message: Message) -> bytes:
     """All messages of one constant layout, back to back."""
     for topic, number in content.channels.values():
         if topic == message.topic and content.schemas.get(number) != (message.name, message.descriptor()):
-            raise _Damaged(f"{topic} has another layout than {message.name} of this version")
+            raise _DamagedError(f"{topic} has another layout than {message.name} of this version")
     messages = content.messages.get(message.topic, [])
     payload = b"".join(messages)
     if any(len(data) != message.size for data in messages) or not message.well_formed(payload):
-        raise _Damaged(f"a message of {message.topic} has not the layout of {message.name}")
+        raise _DamagedError(f"a message of {message.topic} has not the layout of {message.name}")
     return payload

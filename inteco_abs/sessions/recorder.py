@@ -60,9 +60,7 @@ class Recorder:
         except OSError as error:
             raise SessionError(f"{path} cannot be created: {error.strerror}") from error
         self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
-        self._writer.start(
-            profile="", library=f"inteco-abs/{version('inteco-abs')} mcap-python/{version('mcap')}"
-        )
+        self._writer.start(profile="", library=f"inteco-abs/{version('inteco-abs')} mcap-python/{version('mcap')}")
         self._tick_channel = self._flat(TICK, {"internals": json.dumps(list(controller_internals))})
         self._truth_channel = -1
         self._event_channel = self._channel(schema.LOG_TOPIC, schema.LOG_NAME, schema.log_descriptor(), {})
@@ -155,13 +153,11 @@ class Recorder:
                 "ended_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
             },
         )
-        self.describe(
-            "timing", {f"late_us.{name}": repr(value) for name, value in result["lateness_us"].items()}
-        )
+        self.describe("timing", {f"late_us.{name}": repr(value) for name, value in result["lateness_us"].items()})
         self.describe("result", {"card": json.dumps(result)})
         self.describe("integrity", {"payload_sha256": self.payload_sha256})
         try:
-            self._writer.finish()
+            self._writer.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
             self._file.flush()
         except OSError as error:
             raise SessionError(f"{self.path} could not be completed: {error.strerror}") from error
@@ -192,7 +188,7 @@ class Recorder:
 
     def _flush(self) -> None:
         try:
-            self._writer.flush()
+            self._writer.flush()  # type: ignore[no-untyped-call]  # same
             self._file.flush()
         except OSError as error:
             raise SessionError(f"{self.path} cannot be written: {error.strerror}") from error

@@ -85,9 +85,7 @@ def _compare(session: Session, again: bytes, braking: int) -> Replay:
     if any_differs.any():
         row = int(np.argmax(any_differs))
         name = next(name for name, where in differs.items() if where[row])
-        first = _difference(
-            int(logged["tick"][row]), name, logged[name][row].item(), replayed[name][row].item()
-        )
+        first = _difference(int(logged["tick"][row]), name, logged[name][row].item(), replayed[name][row].item())
     by_field = {name: int(where.sum()) for name, where in differs.items() if where.any()}
     return Replay(len(logged), braking, int(any_differs.sum()), first, by_field)
 

@@ -70,9 +70,7 @@ _STOP_METRICS: Final = (
 )
 
 
-def _stop_metrics(
-    config: RigConfig, stop: Array, slip: Array, speed: Array, true: Array | None
-) -> dict[str, Any]:
+def _stop_metrics(config: RigConfig, stop: Array, slip: Array, speed: Array, true: Array | None) -> dict[str, Any]:
     reference = config.controller.reference_slip
     time_s = (stop["time_ns"] - stop["time_ns"][0]) * 1e-9
     entry = _first(time_s, np.abs(slip - reference) < _BAND)

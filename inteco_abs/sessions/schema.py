@@ -67,15 +67,16 @@ class Message:
         self.name = f"{PACKAGE}.{name}"
         self.topic = topic
         self.columns = tuple(columns)
-        form, offsets, arguments = "<", [], []
+        form = "<"
+        offsets: list[int] = []
+        keys: list[bytes] = []
         for number, column in enumerate(self.columns, 1):
-            key = tag(number, column.kind.wire_type)
-            form += f"{len(key)}s"
+            keys.append(tag(number, column.kind.wire_type))
+            form += f"{len(keys[-1])}s"
             offsets.append(struct.calcsize(form))
             form += column.kind.code
-            arguments += [key, 0]
         self._struct = struct.Struct(form)
-        self._arguments = arguments
+        self._arguments: list[Any] = [part for key in keys for part in (key, 0)]
         self.size = self._struct.size
         self.dtype = np.dtype(
             {
@@ -85,7 +86,7 @@ class Message:
                 "itemsize": self.size,
             }
         )
-        self._keys = [(offset, len(key)) for offset, key in zip(offsets, arguments[::2], strict=True)]
+        self._keys = [(offset, len(key)) for offset, key in zip(offsets, keys, strict=True)]
 
     def pack_into(self, buffer: bytearray, offset: int, values: Sequence[Any]) -> None:
         """Write the message with `values`, one per column, at `offset`."""
@@ -109,33 +110,20 @@ class Message:
             return False
         raw = np.frombuffer(data, np.uint8).reshape(-1, self.size)
         template = np.frombuffer(self.pack([0] * len(self.columns)), np.uint8)
-        return all(
-            bool((raw[:, at - length : at] == template[at - length : at]).all()) for at, length in self._keys
-        )
+        return all(bool((raw[:, at - length : at] == template[at - length : at]).all()) for at, length in self._keys)
 
     def descriptor(self) -> bytes:
         """FileDescriptorSet with this message and its enums, as MCAP's protobuf encoding wants it."""
         enums = b"".join(chunk(5, _enum(c.kind.members)) for c in self.columns if c.kind.members)
         fields = b"".join(chunk(2, _field(number, column)) for number, column in enumerate(self.columns, 1))
         message = chunk(1, self.name.rpartition(".")[2]) + fields
-        file = (
-            chunk(1, f"{self.name}.proto")
-            + chunk(2, PACKAGE)
-            + chunk(4, message)
-            + enums
-            + chunk(12, "proto3")
-        )
+        file = chunk(1, f"{self.name}.proto") + chunk(2, PACKAGE) + chunk(4, message) + enums + chunk(12, "proto3")
         return chunk(1, file)
 
 
 def _field(number: int, column: Column) -> bytes:
     optional = 1
-    body = (
-        chunk(1, column.name)
-        + integer(3, number)
-        + integer(4, optional)
-        + integer(5, column.kind.type_number)
-    )
+    body = chunk(1, column.name) + integer(3, number) + integer(4, optional) + integer(5, column.kind.type_number)
     if column.kind.members:
         body += chunk(6, f".{PACKAGE}.{column.kind.members.__name__}")
     return body
@@ -143,9 +131,7 @@ def _field(number: int, column: Column) -> bytes:
 
 def _enum(members: type[IntEnum]) -> bytes:
     prefix = members.__name__.upper()  # proto3 enum values share one name space
-    values = b"".join(
-        chunk(2, chunk(1, f"{prefix}_{member.name}") + integer(2, int(member))) for member in members
-    )
+    values = b"".join(chunk(2, chunk(1, f"{prefix}_{member.name}") + integer(2, int(member))) for member in members)
     return chunk(1, members.__name__) + values
 
 
@@ -237,9 +223,7 @@ def parameters_descriptor() -> bytes:
     )
     at = chunk(1, "tick") + integer(3, 2) + integer(4, 1) + integer(5, 7)
     message = chunk(1, "Params") + chunk(2, values) + chunk(2, at) + chunk(3, entry)
-    return chunk(
-        1, chunk(1, f"{PARAMETERS_NAME}.proto") + chunk(2, PACKAGE) + chunk(4, message) + chunk(12, "proto3")
-    )
+    return chunk(1, chunk(1, f"{PARAMETERS_NAME}.proto") + chunk(2, PACKAGE) + chunk(4, message) + chunk(12, "proto3"))
 
 
 LOG_TOPIC: Final = "/abs/event"

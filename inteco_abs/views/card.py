@@ -36,16 +36,12 @@ def render_card(card: Mapping[str, Any], explanation: str) -> RenderableType:
         value = card[key]
         table.add_row(label, "-" if value is None else form.format(value * factor))
     late = card["lateness_us"]
-    table.add_row(
-        "ticks, overruns, link errors", f"{card['ticks']}, {card['overruns']}, {card['link_errors']}"
-    )
+    table.add_row("ticks, overruns, link errors", f"{card['ticks']}, {card['overruns']}, {card['link_errors']}")
     if late["max"] is not None:
         table.add_row("late p50 / p99 / max", f"{late['p50']:.0f} / {late['p99']:.0f} / {late['max']:.0f} us")
     outcome = str(card["outcome"])
     colour = _COLOURS.get(outcome, "red")
-    head = Text.assemble(
-        (outcome.upper(), f"bold {colour}"), f"  {card['controller']} on {card['estimator']}, "
-    )
+    head = Text.assemble((outcome.upper(), f"bold {colour}"), f"  {card['controller']} on {card['estimator']}, ")
     head.append(f"reference slip {card['reference_slip']:g}")
     body: list[RenderableType] = [head, table]
     if outcome != "completed":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -28,13 +29,9 @@ def check_figure(path: Path) -> None:
     if path.suffix.removeprefix(".") not in FORMATS:
         raise ConfigError([Mistake("--figure", f"{path}: must end in .{', .'.join(FORMATS)}")])
     if not path.parent.is_dir():
-        raise ConfigError(
-            [Mistake("--figure", f"{path}: the folder {path.parent} does not exist; create it first")]
-        )
-    try:
-        import matplotlib as _  # noqa: PLC0415  an extra
-    except ImportError as error:
-        raise AbsError("figures need matplotlib: pip install 'inteco-abs[figures]'") from error
+        raise ConfigError([Mistake("--figure", f"{path}: the folder {path.parent} does not exist; create it first")])
+    if importlib.util.find_spec("matplotlib") is None:
+        raise AbsError("figures need matplotlib: pip install 'inteco-abs[figures]'")
 
 
 def draw_stop(session: Session, path: Path) -> None:
@@ -83,9 +80,7 @@ def _slip(panel: Axes, session: Session, start_ns: int) -> None:
     time_s = _seconds(ticks, start_ns)
     panel.plot(time_s, ticks["slip"], color=_WHEEL, lw=0.8, alpha=0.6, label="slip, estimated")
     if len(session.truth):
-        panel.plot(
-            _seconds(session.truth, start_ns), session.truth["slip"], color=_ROAD, lw=1.2, label="slip, true"
-        )
+        panel.plot(_seconds(session.truth, start_ns), session.truth["slip"], color=_ROAD, lw=1.2, label="slip, true")
     panel.plot(time_s, ticks["slip_reference"], color="black", lw=1.0, ls="--", label="reference")
     panel.set_ylabel("slip [1]")
     panel.set_ylim(0.0, 1.02)
@@ -93,14 +88,10 @@ def _slip(panel: Axes, session: Session, start_ns: int) -> None:
 
 def _brake(panel: Axes, session: Session, start_ns: int) -> None:
     time_s = _seconds(session.ticks, start_ns)
-    panel.plot(
-        time_s, session.ticks["torque_demand_nm"], color=_WHEEL, lw=0.8, alpha=0.6, label="torque, asked"
-    )
+    panel.plot(time_s, session.ticks["torque_demand_nm"], color=_WHEEL, lw=0.8, alpha=0.6, label="torque, asked")
     if len(session.truth):
         truth = session.truth
-        panel.plot(
-            _seconds(truth, start_ns), truth["brake_torque_nm"], color=_ROAD, lw=1.2, label="torque, true"
-        )
+        panel.plot(_seconds(truth, start_ns), truth["brake_torque_nm"], color=_ROAD, lw=1.2, label="torque, true")
     panel.set_ylabel("brake torque [N m]")
     panel.set_ylim(-0.2, 10.0)
     duty = panel.twinx()

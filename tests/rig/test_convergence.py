@@ -1,4 +1,5 @@
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -44,8 +45,8 @@ def reference(paper, start, brake, duration_s):
 )
 def test_halving_the_step_divides_the_error_by_four(parameters, start, brake, duration_s):
     states = [state_after(parameters, start, brake, duration_s, 0.001 / 2**k) for k in range(2, 6)]
-    errors = [np.linalg.norm(coarse - fine) for coarse, fine in zip(states, states[1:], strict=False)]
-    ratios = [coarse / fine for coarse, fine in zip(errors, errors[1:], strict=False)]
+    errors = [np.linalg.norm(coarse - fine) for coarse, fine in pairwise(states)]
+    ratios = [coarse / fine for coarse, fine in pairwise(errors)]
     assert ratios == pytest.approx([4.0, 4.0], rel=0.15)
 
 
@@ -54,11 +55,11 @@ def test_halving_the_step_divides_the_error_by_four(parameters, start, brake, du
     [((180.0 * ROLLING, 180.0), 1.0, 1.4), ((30.0, 30.0), 0.6, 1.0), ((20.0, 20.0), 0.5, 1.0)],
 )
 def test_halving_the_step_converges_down_to_standstill(parameters, start, brake, duration_s):
-    states = [state_after(parameters, start, brake, duration_s, 0.001 / 2**k) for k in range(4)]
-    assert [list(state[:2]) for state in states] == [[0.0, 0.0]] * 4
-    errors_rad = [np.linalg.norm(state[2:] - states[-1][2:]) for state in states[:-1]]
-    assert errors_rad[0] > 2.5 * errors_rad[1] > 6.0 * errors_rad[2]
-    assert errors_rad[1] < 5e-5
+    states = [state_after(parameters, start, brake, duration_s, 0.001 / 2**k) for k in range(1, 6)]
+    assert [list(state[:2]) for state in states] == [[0.0, 0.0]] * 5
+    errors_rad = [np.linalg.norm(fine[2:] - coarse[2:]) for coarse, fine in pairwise(states)]
+    assert errors_rad[0] < 2e-4
+    assert [coarse / fine for coarse, fine in pairwise(errors_rad)] == pytest.approx([4.0] * 3, rel=0.3)
 
 
 @pytest.mark.parametrize("road_rad_s", [30.0, 10.0, 3.0, 1.0])
@@ -67,7 +68,7 @@ def test_standard_step_follows_the_stiff_contact_at_low_speed(parameters, road_r
     duration_s = 0.004 * max(1, round(road_rad_s / 60.0 / 0.004))
     coarse = state_after(parameters, start, 0.5, duration_s, 0.0005)
     fine = state_after(parameters, start, 0.5, duration_s, 0.00002)
-    assert fine[1] > 0.3 * road_rad_s
+    assert fine[1] > 0.25 * road_rad_s
     assert coarse[:2] == pytest.approx(fine[:2], rel=2e-4)
 
 

@@ -1,0 +1,158 @@
+import math
+
+import pytest
+
+from inteco_abs.config import load_config
+from inteco_abs.control import CONTROLLERS, BrakingModel, build_pipeline, control_check, gains_in_force
+from inteco_abs.errors import ConfigError
+from inteco_abs.rig import RigParameters
+from inteco_abs.signals import BrakeDemand, Phase
+
+
+class Own:
+    """Controller of a user."""
+
+    gains = (CONTROLLERS["relay"].gains[0]._replace(name="Kp", default=0.5, low=0.1, high=0.9),)
+    internals = ("p",)
+
+    def __init__(self, setup, Kp) -> None:
+        self.setup, self.Kp = setup, Kp
+
+    def update(self, _estimate, _dt_s):
+        return BrakeDemand(self.Kp, internals=(self.setup.reference_slip, 0.0, 0.0, 0.0))
+
+
+OWN = {**CONTROLLERS, "own": Own}
+
+
+def mistakes(*settings: str, controllers=CONTROLLERS) -> dict[str, str]:
+    with pytest.raises(ConfigError) as caught:
+        load_config(settings=settings, checks=[control_check(controllers)])
+    return {mistake.path: mistake.problem for mistake in caught.value.mistakes}
+
+
+def test_gains_that_are_not_named_have_their_defaults():
+    config = load_config(settings=["controller.gains.Mk=10"], checks=[control_check()])
+    assert gains_in_force(config) == {"Mk": 10.0, "Mq": 1.0}
+
+
+def test_the_gains_of_the_papers_simulation_are_the_default():
+    assert gains_in_force(load_config()) == {"Mk": 2.0, "Mq": 1.0}
+
+
+def test_each_controller_has_its_own_gains():
+    config = load_config(settings=["controller.name=relay"], checks=[control_check()])
+    assert gains_in_force(config) == {"on_duty": 1.0, "off_duty": 0.0}
+
+
+def test_an_unknown_controller_is_named_with_the_nearest():
+    assert mistakes("controller.name=reaching_law") == {
+        "controller.name": "no controller 'reaching_law'; did you mean reaching-law?"
+    }
+
+
+def test_an_unknown_estimator_is_named_with_the_nearest():
+    assert mistakes("estimator.name=moving-windows") == {
+        "estimator.name": "no estimator 'moving-windows'; did you mean moving-window?"
+    }
+
+
+def test_names_that_are_near_nothing_get_the_known_ones():
+    found = mistakes("estimator.name=kalman", "controller.name=xyz")
+    assert found["estimator.name"].endswith("; known: euler, moving-window")
+    assert found["controller.name"].endswith("; known: reaching-law, relay")
+
+
+def test_an_unknown_gain_is_named_with_the_nearest():
+    assert mistakes("controller.gains.Mkk=2") == {"controller.gains.Mkk": "unknown gain; did you mean Mk?"}
+
+
+def test_a_gain_of_another_controller_is_unknown():
+    assert mistakes("controller.name=relay", "controller.gains.Mk=2") == {
+        "controller.gains.Mk": "unknown gain; known: off_duty, on_duty"
+    }
+
+
+@pytest.mark.parametrize("value", ["-0.1", "1000.5", "-1"])
+def test_a_gain_out_of_range_is_named_with_value_range_unit_and_meaning(value):
+    problem = mistakes(f"controller.gains.Mq={value}")["controller.gains.Mq"]
+    assert problem.startswith(f"{value}: must be in 0..1000 1/s (")
+
+
+@pytest.mark.parametrize("value", ["0", "1000", "0.0", "3"])
+def test_a_gain_at_the_edge_of_its_range_is_allowed(value):
+    config = load_config(settings=[f"controller.gains.Mq={value}"], checks=[control_check()])
+    gain = gains_in_force(config)["Mq"]
+    assert (gain, type(gain)) == (float(value), float)
+
+
+@pytest.mark.parametrize("value", ["true", '"2"', "nan", "inf", "[1.0]", "1979-05-27"])
+def test_a_gain_that_is_no_number_is_named_once(value):
+    assert list(mistakes(f"controller.gains.Mk={value}")) == ["controller.gains.Mk"]
+
+
+@pytest.mark.parametrize("setting", ["controller=relay", "estimator=euler", "controller.gains=2"])
+def test_a_section_that_is_a_value_is_named_once(setting):
+    assert list(mistakes(setting)) == [setting.partition("=")[0]]
+
+
+@pytest.mark.parametrize("key", ["controller.name", "estimator.name"])
+def test_a_name_that_is_no_text_is_named_once(key):
+    assert mistakes(f"{key}=3") == {key: "3: must be text"}
+
+
+def test_wrong_names_wrong_gains_and_wrong_values_are_all_reported_at_once():
+    found = mistakes(
+        "estimator.name=kalman",
+        "controller.gains.Mq=-1",
+        "controller.gains.Mz=1",
+        "guard.brake_limit=2",
+        "experiment.start_sped_rad_s=100",
+    )
+    assert set(found) == {
+        "estimator.name",
+        "controller.gains.Mq",
+        "controller.gains.Mz",
+        "guard.brake_limit",
+        "experiment.start_sped_rad_s",
+    }
+
+
+def test_a_controller_of_the_users_own_is_checked_and_built():
+    assert "controller.name" in mistakes("controller.name=own")
+    assert mistakes("controller.name=own", "controller.gains.Kp=1.0", controllers=OWN) == {
+        "controller.gains.Kp": "1.0: must be in 0.1..0.9 1 (duty while the slip is below the reference)"
+    }
+    config = load_config(settings=["controller.name=own"], checks=[control_check(OWN)])
+    assert gains_in_force(config, OWN) == {"Kp": 0.5}
+    assert build_pipeline(config, OWN).phase is Phase.IDLE
+
+
+def test_the_controller_believes_in_the_model_section_and_not_in_the_simulated_rig(experiment):
+    def first_terms(*settings: str):
+        run = experiment("experiment.start_speed_rad_s=60", *settings)
+        for moment in run.moments():
+            if moment.tick.c1:
+                return moment.tick
+        raise AssertionError("never braked")
+
+    for name in ("mask", "table"):
+        tick = first_terms(f"model.parameters={name}")
+        f, g = BrakingModel(RigParameters.named(name)).terms(tick.slip, tick.road_speed_rad_s)
+        assert (tick.c0, tick.c1) == (f, g)
+
+
+def test_reference_and_gains_reach_the_law(experiment):
+    settings = ("controller.reference_slip=0.35", "controller.gains={Mk=7.0, Mq=3.0}")
+    run = experiment("experiment.start_speed_rad_s=60", "controller.hold_below_rad_s=20", *settings)
+    for moment in run.moments():
+        tick = moment.tick
+        if tick.phase is Phase.BRAKING and tick.road_speed_rad_s > 20.0 and tick.c1:
+            error = tick.slip - 0.35
+            wanted = -(tick.c0 + 7.0 * error + math.copysign(3.0, error)) / tick.c1
+            assert tick.slip_reference == 0.35
+            assert tick.switching == error
+            assert tick.torque_demand_nm == pytest.approx(wanted, rel=1e-12)
+            held = tick
+        elif tick.phase is Phase.BRAKING and tick.c1:
+            assert tick.torque_demand_nm == held.torque_demand_nm

@@ -1,0 +1,500 @@
+import math
+import tomllib
+from pathlib import Path
+
+import pytest
+import tomli_w
+from hypothesis import given
+from hypothesis import strategies as st
+
+from inteco_abs.config import DEFAULT_PROFILE, RigConfig, load_config, parse_config, profiles
+from inteco_abs.control import control_check
+from inteco_abs.errors import AbsError, ConfigError, Mistake
+
+
+def mistakes(*settings: str, file: Path | None = None) -> dict[str, str]:
+    with pytest.raises(ConfigError) as caught:
+        load_config(file, settings)
+    found = {mistake.path: mistake.problem for mistake in caught.value.mistakes}
+    assert len(found) == len(caught.value.mistakes), "a key is reported twice"
+    return found
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(content: str | bytes) -> Path:
+        file = tmp_path / "rig.toml"
+        file.write_bytes(content.encode() if isinstance(content, str) else content)
+        return file
+
+    return write
+
+
+# what is loaded
+
+
+def test_the_defaults_are_the_simulated_rig_of_the_paper():
+    config = load_config()
+    assert config.profile == DEFAULT_PROFILE == "sim_usb2"
+    assert config.encoders.counts_per_turn == 2048
+    assert config.loop.rate_hz == 2000.0
+    assert config.period_ns == 500_000
+    assert config.experiment.start_speed_rad_s == 180.0
+    assert config.controller.reference_slip == 0.2
+    assert config.guard.brake_limit == 1.0
+    assert config.guard.over_speed_rad_s == 245.0
+
+
+def test_every_shipped_profile_loads_and_passes_the_checks():
+    assert DEFAULT_PROFILE in profiles()
+    for name in profiles():
+        config = load_config(settings=[f"profile={name}"], checks=[control_check()])
+        assert config.profile == name
+
+
+def test_the_profile_of_a_real_board_is_strict_and_signed_by_nobody():
+    config = load_config(settings=["profile=usb2_generic_0103"])
+    assert config.board.verified_by == ""
+    assert config.guard.brake_limit == 0.7
+    assert (config.guard.missed_in_a_row, config.guard.bucket_limit) == (4, 30)
+
+
+def test_a_setting_is_above_the_file_the_file_above_the_profile_the_profile_above_the_defaults(written):
+    file = written("profile = 'usb2_generic_0103'\n[guard]\nbrake_limit = 0.5\nover_speed_rad_s = 200.0\n")
+    config = load_config(file, ["guard.over_speed_rad_s=190"])
+    assert config.guard.over_speed_rad_s == 190.0
+    assert config.guard.brake_limit == 0.5
+    assert config.encoders.counts_per_turn == 4096
+    assert config.guard.drive_limit == 1.0
+
+
+def test_a_file_that_sets_one_key_of_a_section_leaves_the_others_to_the_profile(written):
+    config = load_config(written("[guard]\nover_speed_rad_s = 200.0\n"))
+    assert config.guard.brake_limit == 1.0
+    assert config.guard.missed_in_a_row == 200
+
+
+def test_an_empty_file_is_the_defaults(written):
+    assert load_config(written("")) == load_config()
+
+
+def test_a_profile_may_be_a_file(tmp_path):
+    profile = tmp_path / "lab.toml"
+    profile.write_text('[board]\nlogic_version = 7\napplication_names = ["MYRIG"]\n', encoding="utf-8")
+    config = load_config(settings=[f"profile={profile}"])
+    assert config.board.application_names == ["MYRIG"]
+    assert config.board.logic_version == 7
+    assert config.profile == str(profile)
+    assert config.guard.brake_limit == 0.7
+
+
+def test_whole_numbers_are_accepted_where_a_number_is_meant_and_become_one():
+    limit = load_config(settings=["guard.over_speed_rad_s=200"]).guard.over_speed_rad_s
+    assert (limit, type(limit)) == (200.0, float)
+
+
+def test_a_configuration_cannot_be_changed():
+    config = load_config()
+    with pytest.raises(ValueError, match="frozen"):
+        config.guard.brake_limit = 0.9
+
+
+@pytest.mark.parametrize(("rate_hz", "period_ns"), [(2000, 500_000), (50, 20_000_000), (3000, 333_333)])
+def test_the_period_is_the_nearest_whole_nanosecond(rate_hz, period_ns):
+    assert load_config(settings=[f"loop.rate_hz={rate_hz}"]).period_ns == period_ns
+
+
+# round trip
+
+
+def assert_survives(config: RigConfig) -> None:
+    text = config.to_toml()
+    assert parse_config(text) == config
+    assert parse_config(text).to_toml() == text
+
+
+@pytest.mark.parametrize("name", profiles())
+def test_the_effective_configuration_of_every_profile_survives_its_text(name):
+    assert_survives(load_config(settings=[f"profile={name}"]))
+
+
+@given(
+    brake_limit=st.floats(0.0, 1.0, exclude_min=True),
+    window_s=st.floats(0.001, 0.5),
+    start=st.floats(10.5, 240.0),
+    counts=st.integers(4, 1_000_000),
+    verified_by=st.text(st.characters(exclude_categories=["Cs"])),
+    gains=st.dictionaries(st.text(st.characters(exclude_categories=["Cs"])), st.floats(allow_nan=False, allow_infinity=False)),
+)
+def test_any_valid_configuration_survives_its_text(brake_limit, window_s, start, counts, verified_by, gains):
+    table = tomllib.loads(load_config().to_toml())
+    table["guard"]["brake_limit"] = brake_limit
+    table["estimator"]["window_s"] = window_s
+    table["experiment"]["start_speed_rad_s"] = start
+    table["encoders"]["counts_per_turn"] = counts
+    table["board"]["verified_by"] = verified_by
+    table["controller"]["gains"] = gains
+    config = parse_config(tomli_w.dumps(table))
+    assert config.guard.brake_limit == brake_limit
+    assert config.controller.gains == gains
+    assert_survives(config)
+
+
+def test_a_stored_configuration_does_not_depend_on_a_profile_file(tmp_path):
+    profile = tmp_path / "lab.toml"
+    profile.write_text('[board]\nlogic_version = 7\napplication_names = ["MYRIG"]\n', encoding="utf-8")
+    text = load_config(settings=[f"profile={profile}"]).to_toml()
+    profile.unlink()
+    assert parse_config(text).board.logic_version == 7
+
+
+def test_the_effective_configuration_can_be_used_as_a_file_again(written):
+    config = load_config(settings=["guard.brake_limit=0.6", "controller.gains.Mk=10", "loop.rate_hz=1000"])
+    assert load_config(written(config.to_toml())) == config
+
+
+def test_a_stored_configuration_with_mistakes_is_refused_with_all_of_them():
+    with pytest.raises(ConfigError) as caught:
+        parse_config("[guard]\nbrake_limit = 2.0\n[loop]\nrte_hz = 1.0\n")
+    assert {mistake.path for mistake in caught.value.mistakes} == {"board", "guard.brake_limit", "loop.rte_hz"}
+
+
+def test_a_stored_configuration_that_is_no_toml_is_refused():
+    with pytest.raises(ConfigError, match="is not TOML"):
+        parse_config("guard = [")
+
+
+def test_a_stored_configuration_passes_the_checks_too():
+    text = load_config(settings=["controller.name=mine"]).to_toml()
+    with pytest.raises(ConfigError, match="no controller 'mine'"):
+        parse_config(text, checks=[control_check()])
+
+
+# every mistake at once, in words
+
+
+def test_five_different_mistakes_are_all_reported_with_key_value_and_what_is_allowed(written):
+    file = written(
+        """
+        profile = "sim_usb2"
+        [guard]
+        brake_limit = 1.5
+        missed_in_arow = 4
+        [encoders]
+        counts_per_turn = "2048"
+        [experiment]
+        start_speed_rad_s = nan
+        [loop]
+        rate_hz = true
+        """
+    )
+    assert mistakes(file=file) == {
+        "guard.brake_limit": "1.5: must be a number above 0 and at most 1",
+        "guard.missed_in_arow": "unknown key; did you mean missed_in_a_row?",
+        "encoders.counts_per_turn": mistakes("encoders.counts_per_turn='2048'")["encoders.counts_per_turn"],
+        "experiment.start_speed_rad_s": "nan: must be a number at least 10 and at most 240",
+        "loop.rate_hz": "True: must be a number at least 50 and at most 10000",
+    }
+
+
+def test_the_text_of_the_error_names_every_mistake_on_a_line_and_that_nothing_was_started():
+    with pytest.raises(ConfigError) as caught:
+        load_config(settings=["guard.brake_limit=2", "loop.rate_hz=1"])
+    first, *others = str(caught.value).splitlines()
+    assert first == "the configuration has 2 mistakes; nothing was started:"
+    assert others == [
+        "  loop.rate_hz: 1: must be a number at least 50 and at most 10000",
+        "  guard.brake_limit: 2: must be a number above 0 and at most 1",
+    ]
+
+
+def test_a_single_mistake_is_called_one():
+    with pytest.raises(ConfigError, match=r"^the configuration has a mistake; nothing was started:\n  guard\."):
+        load_config(settings=["guard.brake_limit=2"])
+
+
+def test_a_wrong_configuration_is_wrong_usage():
+    with pytest.raises(AbsError) as caught:
+        load_config(settings=["guard.brake_limit=2"])
+    assert caught.value.exit_code == 2
+
+
+def test_mistakes_of_settings_file_profile_and_checks_come_together(written):
+    found = []
+    file = written("profile = 'sim_usb3'\n[guard]\nbrake_limit = 2.0\n")
+    with pytest.raises(ConfigError) as caught:
+        load_config(file, ["oops", "controller.name=reaching_law"], [control_check()])
+    found = {mistake.path for mistake in caught.value.mistakes}
+    assert found == {"--set oops", "profile", "guard.brake_limit", "controller.name"}
+
+
+def test_a_check_sees_the_merged_table_and_its_mistakes_count():
+    def check(table):
+        yield Mistake("guard.brake_limit", f"{table['guard']['brake_limit']} of {table['board']['logic_version']}")
+
+    with pytest.raises(ConfigError) as caught:
+        load_config(settings=["guard.brake_limit=0.25"], checks=[check])
+    assert caught.value.mistakes == (Mistake("guard.brake_limit", "0.25 of 259"),)
+
+
+@pytest.mark.parametrize(
+    ("setting", "path", "nearest"),
+    [
+        ("gaurd.brake_limit=1", "gaurd", "guard"),
+        ("guard.brake_limt=1", "guard.brake_limt", "brake_limit"),
+        ("guard.overspeed_rad_s=1", "guard.overspeed_rad_s", "over_speed_rad_s"),
+        ("controller.refrence_slip=0.1", "controller.refrence_slip", "reference_slip"),
+        ("board.road_enc=1", "board.road_enc", "road_encoder"),
+        ("profil=sim_usb2", "profil", "profile"),
+    ],
+)
+def test_an_unknown_key_is_named_with_the_nearest_known_one(setting, path, nearest):
+    assert mistakes(setting) == {path: f"unknown key; did you mean {nearest}?"}
+
+
+def test_an_unknown_key_near_nothing_gets_the_known_ones():
+    assert mistakes("loop.zzz=1") == {"loop.zzz": "unknown key; known: rate_hz"}
+
+
+@pytest.mark.parametrize("value", ["true", "false", '"0.7"', "nan", "-nan", "inf", "-inf", "1e400", "[0.7]", "1979-05-27", ""])
+def test_what_is_no_usable_number_is_refused_with_its_value_and_the_range(value):
+    seen = tomllib.loads(f"v = {value}")["v"] if value else ""
+    assert mistakes(f"guard.brake_limit={value}") == {
+        "guard.brake_limit": f"{seen!r}: must be a number above 0 and at most 1"
+    }
+
+
+@pytest.mark.parametrize("value", ["true", "2.0", '"2"', "nan", "8", "-1"])
+def test_what_is_no_usable_whole_number_is_refused_with_its_value_and_the_range(value):
+    seen = tomllib.loads(f"v = {value}")["v"]
+    assert mistakes(f"board.drive_pwm={value}") == {
+        "board.drive_pwm": f"{seen!r}: must be a whole number at least 0 and at most 7"
+    }
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        pytest.param(f"{key}={'1' * digits}", id=f"{key} with {digits} digits")
+        for key in ("experiment.start_speed_rad_s", "guard.bucket_limit", "controller.gains.Mk")
+        for digits in (400, 5000)
+    ],
+)
+def test_a_number_too_large_for_any_computer_is_a_mistake_like_another(setting):
+    with pytest.raises(ConfigError):
+        load_config(settings=[setting], checks=[control_check()])
+
+
+@pytest.mark.parametrize("setting", ["profile=3", "estimator.name=3", "controller.name=true", "board.verified_by=1"])
+def test_what_is_no_text_is_refused(setting):
+    path, _, value = setting.partition("=")
+    assert mistakes(setting)[path].startswith({"true": "True"}.get(value, value))
+
+
+@pytest.mark.parametrize(
+    ("setting", "path", "allowed"),
+    [
+        ("board.road_sign=2", "board.road_sign", ["1", "-1"]),
+        ("board.road_sign=0", "board.road_sign", ["1", "-1"]),
+        ("board.pwm_mode=8bit", "board.pwm_mode", ["8-bit", "12-bit"]),
+        ("model.parameters=masc", "model.parameters", ["mask", "table"]),
+        ("board.pwm_pins=[2, 26]", "board.pwm_pins.1", ["25"]),
+    ],
+)
+def test_a_choice_out_of_a_few_names_them(setting, path, allowed):
+    found = mistakes(setting)
+    assert list(found) == [path]
+    assert all(choice in found[path] for choice in allowed)
+
+
+@pytest.mark.parametrize(
+    ("key", "inside", "outside"),
+    [
+        ("guard.brake_limit", ["1e-9", "1.0"], ["0.0", "-0.1", "1.0000001"]),
+        ("guard.over_speed_rad_s", ["190.0", "245.0"], ["245.1", "19.9"]),
+        ("controller.reference_slip", ["0.001", "0.999"], ["0.0", "1.0"]),
+        ("loop.rate_hz", ["50.0", "10000.0"], ["49.9", "10001.0"]),
+        ("encoders.counts_per_turn", ["4", "1000000"], ["3", "1000001"]),
+        ("guard.missed_in_a_row", ["1", "1000"], ["0", "1001"]),
+        ("board.logic_version", ["0", "65535"], ["-1", "65536"]),
+        ("board.brake_pwm", ["1", "7"], ["-1", "8"]),
+    ],
+)
+def test_ranges_include_their_edges_and_nothing_beyond(key, inside, outside):
+    roomy = "estimator.window_s=0.1"
+    for value in inside:
+        section, _, name = key.partition(".")
+        assert getattr(getattr(load_config(settings=[roomy, f"{key}={value}"]), section), name) == float(value)
+    for value in outside:
+        assert list(mistakes(roomy, f"{key}={value}")) == [key]
+
+
+def test_the_over_speed_limit_can_only_be_lowered():
+    assert "at most 245" in mistakes("guard.over_speed_rad_s=300")["guard.over_speed_rad_s"]
+
+
+# --set
+
+
+@pytest.mark.parametrize(
+    ("setting", "section", "key", "value"),
+    [
+        ("guard.brake_limit=0.7", "guard", "brake_limit", 0.7),
+        ("guard.brake_limit = 0.7", "guard", "brake_limit", 0.7),
+        (" guard.brake_limit=7e-1", "guard", "brake_limit", 0.7),
+        ("board.logic_version=0x0103", "board", "logic_version", 0x0103),
+        ("board.logic_version=1_000", "board", "logic_version", 1000),
+        ("controller.name=relay", "controller", "name", "relay"),
+        ('controller.name="relay"', "controller", "name", "relay"),
+        ("controller.name=my controller.py:Class", "controller", "name", "my controller.py:Class"),
+        ("controller.name=a=b", "controller", "name", "a=b"),
+        ("board.verified_by=", "board", "verified_by", ""),
+        ("board.pwm_pins=[1, 2]", "board", "pwm_pins", [1, 2]),
+        ("controller.gains.Mk=10", "controller", "gains", {"Mk": 10.0}),
+        ("controller.gains={Mk = 10, Mq = 4.0}", "controller", "gains", {"Mk": 10.0, "Mq": 4.0}),
+    ],
+)
+def test_a_setting_is_a_toml_value_or_a_bare_word(setting, section, key, value):
+    assert getattr(getattr(load_config(settings=[setting]), section), key) == value
+
+
+def test_the_last_of_several_settings_of_a_key_wins():
+    assert load_config(settings=["guard.brake_limit=5", "guard.brake_limit=0.6"]).guard.brake_limit == 0.6
+
+
+def test_settings_of_one_section_add_up():
+    config = load_config(settings=["controller.gains.Mk=10", "controller.gains.Mq=4"])
+    assert config.controller.gains == {"Mk": 10.0, "Mq": 4.0}
+
+
+@pytest.mark.parametrize("setting", ["guard.brake_limit", "", "=0.7", "guard.=1", ".brake_limit=1", "guard..x=1"])
+def test_a_setting_without_key_or_equals_sign_is_shown_with_an_example(setting):
+    assert mistakes(setting) == {f"--set {setting}": "must look like guard.brake_limit=0.7"}
+
+
+def test_a_setting_below_a_value_is_refused(written):
+    found = mistakes("profile.name=1", file=written("profile = 'sim_usb2'\n"))
+    assert found == {"--set profile.name=1": "profile is a value, not a section"}
+
+
+def test_a_setting_that_carries_a_second_line_is_not_taken_for_its_first():
+    assert "guard.brake_limit" in str(mistakes("guard.brake_limit=0.7\nover_speed_rad_s=100"))
+
+
+# contradictions
+
+
+@pytest.mark.parametrize(
+    ("settings", "path", "other"),
+    [
+        (["guard.over_speed_rad_s=180"], "experiment.start_speed_rad_s", "guard.over_speed_rad_s"),
+        (["guard.over_speed_rad_s=100"], "experiment.start_speed_rad_s", "guard.over_speed_rad_s"),
+        (
+            ["experiment.start_speed_rad_s=10", "experiment.stop_speed_rad_s=10"],
+            "experiment.stop_speed_rad_s",
+            "experiment.start_speed_rad_s",
+        ),
+        (["estimator.window_s=0.0004"], "estimator.window_s", "period"),
+        (["estimator.window_s=0.015", "loop.rate_hz=50"], "estimator.window_s", "period"),
+        (["board.brake_pwm=0"], "board.brake_pwm", "PWM channel"),
+        (["board.drive_pwm=1"], "board.brake_pwm", "PWM channel"),
+        (["board.drive_pwm=5", "board.brake_pwm=5"], "board.brake_pwm", "PWM channel"),
+        (["board.wheel_encoder=0"], "board.wheel_encoder", "encoder"),
+        (["board.road_encoder=1"], "board.wheel_encoder", "encoder"),
+    ],
+)
+def test_values_that_contradict_each_other_are_refused_with_both_names(settings, path, other):
+    found = mistakes(*settings)
+    assert list(found) == [path]
+    assert other in found[path]
+
+
+def test_values_that_just_do_not_contradict_each_other_are_accepted():
+    load_config(settings=["guard.over_speed_rad_s=180.1"])
+    load_config(settings=["estimator.window_s=0.0005"])
+    load_config(settings=["board.drive_pwm=1", "board.brake_pwm=0"])
+    load_config(settings=["estimator.window_s=0.02", "loop.rate_hz=50"])
+
+
+def test_contradictions_are_reported_together_with_other_mistakes():
+    found = mistakes("guard.over_speed_rad_s=100", "board.brake_pwm=0", "guard.brake_limit=9")
+    assert set(found) == {"experiment.start_speed_rad_s", "board.brake_pwm", "guard.brake_limit"}
+
+
+def test_a_wrong_value_is_not_called_a_contradiction_as_well():
+    assert list(mistakes("experiment.start_speed_rad_s='fast'")) == ["experiment.start_speed_rad_s"]
+    assert list(mistakes("guard.over_speed_rad_s=inf")) == ["guard.over_speed_rad_s"]
+
+
+@pytest.mark.parametrize("section", ["guard", "experiment", "board", "loop", "estimator", "controller", "simulation"])
+@pytest.mark.parametrize("value", ["5", "true", "word", "[1]"])
+def test_a_section_that_is_a_value_is_a_mistake_and_no_crash(section, value):
+    assert section in mistakes(f"{section}={value}")
+
+
+# profiles and files
+
+
+def test_an_unknown_profile_is_named_with_the_nearest():
+    assert mistakes("profile=sim_usb") == {
+        "profile": "'sim_usb' is not a shipped profile or a .toml file; did you mean sim_usb2?"
+    }
+
+
+def test_a_profile_file_that_is_missing_is_named(tmp_path):
+    missing = tmp_path / "lab.toml"
+    assert mistakes(f"profile={missing}") == {str(missing): "cannot be read: No such file or directory"}
+
+
+def test_a_profile_file_with_mistakes_is_like_any_other(tmp_path):
+    profile = tmp_path / "lab.toml"
+    profile.write_text("[board]\nlogic_version = -1\n[guard]\nbrake_limt = 1.0\n", encoding="utf-8")
+    assert mistakes(f"profile={profile}") == {
+        "board.logic_version": "-1: must be a whole number at least 0 and at most 65535",
+        "board.application_names": "is missing; a profile normally provides it",
+        "guard.brake_limt": "unknown key; did you mean brake_limit?",
+    }
+
+
+def test_a_missing_file_is_named(tmp_path):
+    file = tmp_path / "nowhere.toml"
+    assert mistakes(file=file) == {str(file): "cannot be read: No such file or directory"}
+
+
+def test_a_directory_is_named(tmp_path):
+    assert mistakes(file=tmp_path) == {str(tmp_path): "cannot be read: Is a directory"}
+
+
+def test_bytes_that_are_no_text_are_named_with_their_place(written):
+    file = written(b"[guard]\n# \xff\n")
+    assert mistakes(file=file) == {str(file): "is not UTF-8 text: byte 10"}
+
+
+@pytest.mark.parametrize(
+    ("content", "line"), [("[guard\n", 1), ("a = 1\nb =\n", 2), ("a = 1\na = 2\n", 2), ("\0", 1), ("[a]\n[a]\n", 2)]
+)
+def test_what_is_no_toml_is_named_with_its_line(written, content, line):
+    file = written(content)
+    found = mistakes(file=file)
+    assert list(found) == [str(file)]
+    assert found[str(file)].startswith("is not TOML: ")
+    assert f"line {line}" in found[str(file)]
+
+
+def test_a_file_nested_beyond_reason_is_a_mistake_and_no_crash(written):
+    file = written("a = " + "[" * 100_000)
+    assert list(mistakes(file=file)) == [str(file)]
+
+
+def test_a_file_that_is_far_too_large_is_not_read(written):
+    file = written(b"#" * 1_000_001)
+    assert mistakes(file=file) == {str(file): "is larger than 1000000 bytes; is it a configuration?"}
+
+
+def test_a_file_of_the_largest_size_is_read(written):
+    assert load_config(written(b"#" * 1_000_000)) == load_config()
+
+
+def test_numbers_keep_their_last_digit_through_the_text():
+    third = math.nextafter(1.0 / 3.0, 1.0)
+    assert parse_config(load_config(settings=[f"guard.brake_limit={third!r}"]).to_toml()).guard.brake_limit == third
