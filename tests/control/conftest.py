@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import pytest
@@ -67,7 +68,7 @@ class Stop(NamedTuple):
     def variation_nm_per_s(self) -> float:
         torques = [row.torque for row in self.rows if row.road_speed > 10.0]
         last_s = max(row.time_s for row in self.rows if row.road_speed > 10.0)
-        return sum(abs(b - a) for a, b in zip(torques, torques[1:], strict=False)) / last_s
+        return sum(abs(b - a) for a, b in pairwise(torques)) / last_s
 
     def mean_slip(self, low: float, high: float) -> float:
         slips = [row.slip for row in self.rows if low < row.road_speed < high]
@@ -86,9 +87,7 @@ def _brake_to_rest(plant: Plant, period_s: float, duty_of: Callable[[Plant], flo
         if plant.road_speed > HOLD_BELOW_RAD_S:
             duty = duty_of(plant)
         torque = brake_torque(duty, plant.parameters)
-        rows.append(
-            Row(plant.time_s, plant.wheel_angle, plant.road_angle, plant.road_speed, plant.slip, torque)
-        )
+        rows.append(Row(plant.time_s, plant.wheel_angle, plant.road_angle, plant.road_speed, plant.slip, torque))
         plant.advance(0.0, duty, period_s)
     return Stop(rows, plant.time_s, plant.road_angle * plant.parameters.r2)
 
@@ -169,9 +168,7 @@ class Encoders:
         self._angles = [0.0, 0.0]
         self._shown = (0, 0)
 
-    def turn(
-        self, wheel_speed: float, road_speed: float, *, periods: float = 1.0, stale: bool = False
-    ) -> Sample:
+    def turn(self, wheel_speed: float, road_speed: float, *, periods: float = 1.0, stale: bool = False) -> Sample:
         """Next sample, `periods` after the last one; a stale one shows the counts of the last good one."""
         dt_s = self.period_s * periods
         self._tick += 1

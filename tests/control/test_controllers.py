@@ -73,9 +73,7 @@ def test_the_law_goes_on_after_a_hold():
     law = ReachingLaw(SETUP, 2.0, 1.0)
     law.update(seen(0.1, 180.0), PERIOD_S)
     law.update(seen(0.1, 1.0), PERIOD_S)
-    assert law.update(seen(0.1, 100.0), PERIOD_S) == ReachingLaw(SETUP, 2.0, 1.0).update(
-        seen(0.1, 100.0), PERIOD_S
-    )
+    assert law.update(seen(0.1, 100.0), PERIOD_S) == ReachingLaw(SETUP, 2.0, 1.0).update(seen(0.1, 100.0), PERIOD_S)
 
 
 def test_the_two_gains_of_the_law_are_not_swapped():

@@ -2,7 +2,7 @@ import pytest
 
 from inteco_abs.config import load_config
 from inteco_abs.control import build_pipeline
-from inteco_abs.signals import BoardFlags, Phase, Reason
+from inteco_abs.signals import BoardFlags, Phase, Reason, Sample
 
 QUICK = (
     "guard.missed_in_a_row=4",
@@ -72,9 +72,7 @@ def racing(sample, since):
         (Phase.BRAKING, 100, racing, Reason.OVER_SPEED, 0.006),
     ],
 )
-def test_a_fault_takes_the_outputs_away_in_time_and_with_its_reason(
-    experiment, phase, after, change, reason, within_s
-):
+def test_a_fault_takes_the_outputs_away_in_time_and_with_its_reason(experiment, phase, after, change, reason, within_s):
     fault = Fault(phase, after, change)
     moments = experiment(*QUICK).run(tamper=fault)
     last = moments[-1].tick
@@ -93,8 +91,6 @@ def test_a_frozen_wheel_encoder_while_braking_is_taken_for_a_locked_wheel_and_th
 def test_a_drive_without_power_ends_in_a_frozen_road_within_350_ms():
     config = load_config(settings=QUICK)
     pipeline, encoder_rest = build_pipeline(config), (0, 0)
-    from inteco_abs.signals import Sample
-
     driven = 0
     for tick in range(10_000):
         sample = Sample(tick, tick * config.period_ns, config.period_ns * 1e-9, *encoder_rest)

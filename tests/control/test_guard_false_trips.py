@@ -62,9 +62,7 @@ def test_no_false_trip_with_exchanges_that_fail_now_and_then(experiment, seed):
         nonlocal counts, failed
         if sample.tick % 20 < 3 and rng.random() < 0.5:
             failed += 1
-            return sample._replace(
-                wheel_count=counts[0], road_count=counts[1], board_flags=BoardFlags.STALE
-            )
+            return sample._replace(wheel_count=counts[0], road_count=counts[1], board_flags=BoardFlags.STALE)
         counts = sample.wheel_count, sample.road_count
         return sample
 

@@ -139,7 +139,9 @@ def test_a_bad_sample_is_the_reason_when_sample_and_output_are_both_bad(guard):
     assert guard.reason is Reason.COUNT_JUMP
 
 
-@pytest.mark.parametrize("estimate", [Estimate(math.nan, math.nan, math.nan, valid=True), Estimate(0, 0, 0, valid=False)])
+@pytest.mark.parametrize(
+    "estimate", [Estimate(math.nan, math.nan, math.nan, valid=True), Estimate(0, 0, 0, valid=False)]
+)
 def test_the_guard_does_not_trust_the_estimator(guard, estimate):
     for sample in AT_REST:
         assert guard.admit(Command(0.5, 0.0), sample, estimate) == Command(0.5, 0.0)

@@ -1,4 +1,5 @@
 import math
+from itertools import pairwise
 
 import pytest
 
@@ -45,7 +46,7 @@ def test_after_reaching_the_slip_error_stays_below_one_step(ideal_stop):
 
 def test_on_the_surface_the_torque_command_switches_at_every_sample(ideal_stop):
     settled = ideal_stop().settled
-    switches = sum(a.error * b.error < 0.0 for a, b in zip(settled, settled[1:], strict=False))
+    switches = sum(a.error * b.error < 0.0 for a, b in pairwise(settled))
     assert switches > 0.98 * (len(settled) - 1)
 
 
@@ -155,9 +156,7 @@ def test_the_larger_gains_hold_the_slip_against_ten_percent_friction_down_to_20_
         (10.0, 4.0, 1.1, 11.0, 18.0),
     ],
 )
-def test_sliding_is_lost_near_the_speed_where_the_existence_condition_fails(
-    ideal_stop, Mk, Mq, friction, low, high
-):
+def test_sliding_is_lost_near_the_speed_where_the_existence_condition_fails(ideal_stop, Mk, Mq, friction, low, high):
     stop = ideal_stop(Mk=Mk, Mq=Mq, friction=friction)
     # the reference is met late or early with a wrong model: wait until the error is small for the first time
     met_s = next(row.time_s for row in stop.rows if abs(row.error) < 0.002)

@@ -1,10 +1,11 @@
 import math
+import struct
 
 import numpy as np
 import pytest
 
 from inteco_abs.config import load_config
-from inteco_abs.control import ESTIMATORS, CONTROLLERS, Pipeline, Setup, build_pipeline, control_check
+from inteco_abs.control import CONTROLLERS, ESTIMATORS, Pipeline, Setup, build_pipeline, control_check
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import (
     UNTIMED,
@@ -56,8 +57,8 @@ def with_controller(answer):
     return make
 
 
-def at_call(number: int, action, otherwise=BrakeDemand(0.6)):
-    return lambda call: action() if call == number else otherwise
+def at_call(number: int, action):
+    return lambda call: action() if call == number else BrakeDemand(0.6)
 
 
 def fail():
@@ -100,7 +101,7 @@ def test_recorded_samples_replay_to_identical_ticks(experiment, settings):
     assert [exact(fresh.step(inputs(tick))) for tick in ticks] == list(map(exact, ticks))
 
 
-def test_a_replay_with_another_gain_differs(experiment, quick_run):
+def test_a_replay_with_another_gain_differs(quick_run):
     config = load_config(settings=[*QUICK, "controller.gains.Mk=2.1"])
     other = build_pipeline(config)
     replayed = [other.step(inputs(tick)) for tick in quick_run]
@@ -133,7 +134,7 @@ def test_timing_has_no_influence_on_the_decision(quick_run, experiment):
 
 
 def test_every_value_of_a_tick_has_its_plain_type(quick_run):
-    kinds = {name: float for name in Tick._fields}
+    kinds = dict.fromkeys(Tick._fields, float)
     kinds |= dict.fromkeys(["time_ns", "tick", "wheel_count", "road_count", "skipped"], int)
     kinds |= {"board_flags": BoardFlags, "phase": Phase, "reason": Reason}
     kinds |= dict.fromkeys(["stop_requested", "estimate_valid"], bool)
@@ -212,9 +213,10 @@ def test_a_controller_that_raises_ends_the_run_and_its_error_is_kept(experiment,
 
 def test_a_controller_that_raised_is_not_asked_again(experiment):
     controller = Scripted(lambda _call: fail())
-    run = experiment(*QUICK, pipeline=lambda config: Pipeline(
-        config, ESTIMATORS["euler"](config, RigParameters.named("mask")), controller
-    ))
+    run = experiment(
+        *QUICK,
+        pipeline=lambda config: Pipeline(config, ESTIMATORS["euler"](config, RigParameters.named("mask")), controller),
+    )
     last = run.run()[-1].tick
     assert_only_safe_from_now_on(run.pipeline, last)
     assert controller.calls == 1
@@ -273,6 +275,28 @@ def test_a_duty_that_is_no_finite_number_is_never_sent(experiment, brake):
     assert run.pipeline.error is None
 
 
+@pytest.mark.parametrize(
+    "demand",
+    [
+        BrakeDemand(None),
+        BrakeDemand("0.5"),
+        BrakeDemand([]),
+        BrakeDemand(0.5, torque_nm=None),
+        BrakeDemand(0.5, torque_nm=10**400),
+        BrakeDemand(0.5, switching="x"),
+        BrakeDemand(0.5, internals=(None, 0.0, 0.0, 0.0)),
+        BrakeDemand(0.5, internals="wxyz"),
+    ],
+    ids=lambda demand: repr(demand)[:70],
+)
+def test_whatever_the_controller_demands_every_tick_can_be_recorded(experiment, demand):
+    run = experiment(*QUICK, pipeline=with_controller(at_call(20, lambda: demand)))
+    for moment in run.moments():
+        tick = moment.tick
+        numbers = tick.switching, tick.torque_demand_nm, tick.drive_wish, tick.brake_wish, *tick[-8:-4]
+        assert len(struct.pack("<8d", *numbers)) == 64
+
+
 @pytest.mark.parametrize(("wish", "sent"), [(1.0, 0.7), (0.7, 0.7), (0.3, 0.3), (-0.5, 0.0), (1e308, 0.7)])
 def test_wish_and_command_are_both_logged_and_the_guard_has_the_last_word(experiment, wish, sent):
     run = experiment(*QUICK, "guard.brake_limit=0.7", pipeline=with_controller(lambda _call: BrakeDemand(wish)))
@@ -295,7 +319,7 @@ def test_the_demand_of_the_controller_is_logged(experiment):
         for tick in (moment.tick for moment in run.run())
         if tick.phase is Phase.BRAKING
     ]
-    assert set(logged[1:]) == {tuple(demand[:3]) + (demand.internals,)}
+    assert set(logged[1:]) == {(*demand[:3], demand.internals)}
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
 import math
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import pytest
 
@@ -119,7 +119,7 @@ def test_the_brake_never_follows_the_drive_without_a_tick_of_rest(nominal):
     commands = [wish.command for _, wish in nominal.steps]
     assert any(command.drive for command in commands)
     assert any(command.brake for command in commands)
-    for before, after in zip(commands, commands[1:], strict=False):
+    for before, after in pairwise(commands):
         assert not (after.brake and (before.drive or after.drive))
 
 

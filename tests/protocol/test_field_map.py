@@ -136,10 +136,7 @@ READ_ONLY = {
     "synthesis_date",
     "pin_input",
     "frequency_meter_ready",
-    *(
-        f"{what}_channels"
-        for what in ("pwm", "encoder", "encoder_index", "timer", "counter", "timer_counter")
-    ),
+    *(f"{what}_channels" for what in ("pwm", "encoder", "encoder_index", "timer", "counter", "timer_counter")),
     *(f"{what}_channels" for what in ("pulse_generator", "frequency_meter", "chronometer")),
     *(f"timer{i}_value" for i in range(2)),
     *(f"ad{i}_{what}" for i in range(16) for what in ("result", "busy")),

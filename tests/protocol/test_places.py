@@ -38,17 +38,13 @@ def test_an_unsigned_pair_of_words_is_not_read_as_negative(name):
     assert codec.unpack_from(encode_read({name: 2**32 - 1}), offset) == (2**32 - 1,)
 
 
-@pytest.mark.parametrize(
-    "name", ["pwm0_width", "encoder_reset", "logic_version", "pwm7_mode", "pwm0_prescaler"]
-)
+@pytest.mark.parametrize("name", ["pwm0_width", "encoder_reset", "logic_version", "pwm7_mode", "pwm0_prescaler"])
 def test_one_word_fields_of_a_read_frame_have_a_place(name):
     offset, codec = READ.place(name)
     assert codec.unpack_from(encode_read({**SETTINGS, name: 1}), offset) == (1,)
 
 
-@pytest.mark.parametrize(
-    "name", ["pin_mode", "pwm0_prescaler", "pwm0_mode", "frequency_meter0_timer", "ad1_gain"]
-)
+@pytest.mark.parametrize("name", ["pin_mode", "pwm0_prescaler", "pwm0_mode", "frequency_meter0_timer", "ad1_gain"])
 def test_a_field_cut_over_words_or_beside_bit_0_has_no_place_in_a_send_frame(name):
     with pytest.raises(TableError, match=name):
         SEND.place(name)
@@ -68,9 +64,7 @@ def test_words_that_do_not_follow_each_other_have_no_place():
 
 
 def test_words_in_order_have_a_place():
-    joined = FrameTable(
-        "test frame", [(Field("joined", "meaning", "unit", "source"), words(2, 16, 16))], size=8
-    )
+    joined = FrameTable("test frame", [(Field("joined", "meaning", "unit", "source"), words(2, 16, 16))], size=8)
     offset, codec = joined.place("joined")
     assert codec.unpack_from(joined.encode({"joined": 0x89ABCDEF}), offset) == (0x89ABCDEF,)
 

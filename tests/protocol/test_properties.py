@@ -7,9 +7,7 @@ from hypothesis import strategies as st
 from firmware_protocol import Kind, ProtocolError
 from firmware_protocol.rtdac_usb2 import READ, SEND, decode_read, decode_send, encode_read, encode_send
 
-whole_table = settings(
-    deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
-)
+whole_table = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 no_deadline = settings(deadline=None)
 frames = st.binary(min_size=504, max_size=504)
 
@@ -73,13 +71,9 @@ def test_a_send_frame_is_understood_exactly_when_no_data_word_has_bit_15(frame, 
 @given(junk=st.binary(max_size=1100))
 def test_decoders_answer_any_bytes_with_values_or_a_protocol_error(junk):
     for decode in (decode_read, decode_send):
-        try:
-            values = decode(junk)
-        except ProtocolError as error:
-            assert str(error)
-        else:
+        with suppress(ProtocolError):
+            assert decode(junk)
             assert len(junk) == 504
-            assert values
 
 
 @no_deadline

@@ -48,7 +48,8 @@ def test_a_changed_document_is_stale_and_left_alone_by_the_check(written, capsys
     assert written.read_text(encoding="utf-8") == changed
 
 
-def test_a_changed_table_makes_the_document_stale(written, monkeypatch):
+@pytest.mark.usefixtures("written")
+def test_a_changed_table_makes_the_document_stale(monkeypatch):
     assert reference.main([]) == 0
     monkeypatch.setattr(rtdac_usb2, "FIELDS", rtdac_usb2.FIELDS[:-1])
     assert reference.main(["--check"]) == 1

@@ -75,13 +75,11 @@ def test_an_unknown_field_is_named_with_its_nearest_match(wrong, near):
 
 
 def test_an_unknown_field_like_no_other_is_named_without_a_guess():
-    with pytest.raises(ProtocolError, match="'zzz'$"):
+    with pytest.raises(ProtocolError, match=r"'zzz'$"):
         encode_send({"zzz": 0})
 
 
-@pytest.mark.parametrize(
-    "name", ["encoder0_count", "logic_version", "pin_input", "ad0_result", "chronometer0_status"]
-)
+@pytest.mark.parametrize("name", ["encoder0_count", "logic_version", "pin_input", "ad0_result", "chronometer0_status"])
 def test_send_refuses_a_field_that_only_the_board_writes(name):
     with pytest.raises(ProtocolError, match=f"SEND frame has no field '{name}'"):
         encode_send({name: 0})

@@ -26,9 +26,7 @@ def reference(paper, start, brake, duration_s):
         x1, x2, torque_nm = state[:3]
         return (*paper.accelerations(x1, x2, torque_nm), k.c31 * (settled_nm - torque_nm), x1, x2)
 
-    found = solve_ivp(
-        derivative, (0.0, duration_s), (*start, 0.0, 0.0, 0.0), method="LSODA", rtol=1e-10, atol=1e-11
-    )
+    found = solve_ivp(derivative, (0.0, duration_s), (*start, 0.0, 0.0, 0.0), method="LSODA", rtol=1e-10, atol=1e-11)
     assert found.success
     return found.y[:, -1]
 

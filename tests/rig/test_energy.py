@@ -21,7 +21,8 @@ def closing(plant, paper, drive, brake, duration_s, sampling_s):
 
     def note():
         x1, x2 = plant.wheel_speed, plant.road_speed
-        lost_w.append(paper.dissipation_w(x1, x2, plant.brake_torque) - plant.motor.torque(drive, x2) * x2)
+        driven_w = plant.motor.torque(drive, x2) * x2 if drive else 0.0
+        lost_w.append(paper.dissipation_w(x1, x2, plant.brake_torque) - driven_w)
 
     note()
     for _ in range(round(duration_s / sampling_s)):
@@ -32,9 +33,7 @@ def closing(plant, paper, drive, brake, duration_s, sampling_s):
 
 
 def test_kinetic_energy_is_that_of_both_wheels(mask):
-    assert kinetic_energy(10.0, -20.0, mask) == pytest.approx(
-        (7.5281e-3 * 100 + 25.603e-3 * 400) / 2, rel=1e-14
-    )
+    assert kinetic_energy(10.0, -20.0, mask) == pytest.approx((7.5281e-3 * 100 + 25.603e-3 * 400) / 2, rel=1e-14)
 
 
 @settings(deadline=None)
@@ -57,7 +56,7 @@ def test_power_is_never_positive_where_adhesion_is_not_negative(parameters, pape
         (140.0, 150.0, 0.65, 0.5),
         (170.0, 120.0, 0.0, 0.3),
         (-120.0, -100.0, 0.5, 0.3),
-        (-100.0, 100.0, 0.6, 0.2),
+        (-100.0, 100.0, 0.6, 0.15),
     ],
 )
 def test_dissipation_over_time_is_the_kinetic_energy_lost(
@@ -88,9 +87,9 @@ def test_energy_of_a_locked_stop_goes_into_rubbing_and_the_roads_bearing(paramet
     turned_rad = plant.road_angle - locked_at_rad
     rubbed_j = paper.locked_normal_force() * paper.mu(1.0) * k.r2 * turned_rad
     lost_j = kinetic_energy(0.0, locked_at_rad_s, k) - kinetic_energy(0.0, plant.road_speed, k)
-    viscous_j = (
-        k.d2 * turned_rad * (locked_at_rad_s + plant.road_speed) / 2
-    )  # the speed falls almost linearly
+    a, b = locked_at_rad_s, plant.road_speed
+    mean_rad_s = 2 / 3 * (a**3 - b**3) / (a**2 - b**2)  # over the angle, for a constant deceleration
+    viscous_j = k.d2 * turned_rad * mean_rad_s
     assert lost_j == pytest.approx(rubbed_j + k.M20 * turned_rad + viscous_j, rel=2e-5)
 
 

@@ -29,9 +29,7 @@ def test_locked_wheel_value_from_the_published_constants(parameters):
 
 
 def test_local_maximum_lies_where_published(parameters):
-    peak = minimize_scalar(
-        lambda slip: -adhesion(slip, parameters), bounds=(0.1, 0.3), options={"xatol": 1e-7}
-    )
+    peak = minimize_scalar(lambda slip: -adhesion(slip, parameters), bounds=(0.1, 0.3), options={"xatol": 1e-7})
     assert peak.x == pytest.approx(PEAK_SLIP, abs=1e-5)
 
 

@@ -28,9 +28,7 @@ def test_coast_down_takes_as_long_as_the_friction_of_both_wheels_says(parameters
     inertia = k.J2 + k.J1 * ratio**2
     static_rad_s2 = (k.M20 + k.M10 * ratio) / inertia
     viscous_per_s = (k.d2 + k.d1 * ratio**2) / inertia
-    assert plant.time_s == pytest.approx(
-        math.log1p(viscous_per_s * 180.0 / static_rad_s2) / viscous_per_s, abs=0.05
-    )
+    assert plant.time_s == pytest.approx(math.log1p(viscous_per_s * 180.0 / static_rad_s2) / viscous_per_s, abs=0.05)
     assert plant.time_s == pytest.approx(48.0, abs=0.5)
 
 

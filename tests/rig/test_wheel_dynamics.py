@@ -68,9 +68,7 @@ def test_normal_force_at_rest_is_the_levers_weight(parameters):
 
 
 def test_braking_raises_the_normal_force(parameters):
-    forces_n = [
-        accelerations(80.0, 100.0, torque_nm, 0.0, parameters).normal_force for torque_nm in (0.0, 3.0, 9.0)
-    ]
+    forces_n = [accelerations(80.0, 100.0, torque_nm, 0.0, parameters).normal_force for torque_nm in (0.0, 3.0, 9.0)]
     assert forces_n == sorted(set(forces_n))
 
 
@@ -108,8 +106,7 @@ def test_coefficients_found_in_the_accelerations_have_the_printed_structure(para
 
 @settings(deadline=None)
 @given(x1=moving_rad_s, x2=moving_rad_s)
-def test_coasting_backwards_mirrors_viscous_and_static_friction(parameters, x1, x2):
-    # the lever's weight breaks the mirror: turning back, static and viscous friction lift it instead of pressing
+def test_contact_pushes_both_wheels_with_the_normal_force_it_reports(parameters, x1, x2):
     k = parameters
     motion = accelerations(x1, x2, 0.0, 0.0, k)
     push = motion.normal_force * motion.traction
@@ -125,9 +122,7 @@ def test_more_brake_torque_always_raises_the_slip(parameters, slip):
     slip_rates = []
     for torque_nm in (0.0, 3.0, 6.0, 9.0):
         motion = accelerations(x1, x2, torque_nm, 0.0, k)
-        slip_rates.append(
-            k.r1 / (k.r2 * x2) * (x1 / x2 * motion.road_acceleration - motion.wheel_acceleration)
-        )
+        slip_rates.append(k.r1 / (k.r2 * x2) * (x1 / x2 * motion.road_acceleration - motion.wheel_acceleration))
     assert slip_rates == sorted(set(slip_rates))
 
 

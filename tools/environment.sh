@@ -1,0 +1,41 @@
+# Makes or renews the virtual environment .venv/$1 from the pinned versions in tools/$1.lock, then returns with
+# $venv set. Sourced by the two commands, from the root of the repository. Needs Python 3.11 or newer.
+
+find_python() {
+    for candidate in "${PYTHON:-}" python3 python3.14 python3.13 python3.12 python3.11; do
+        [ -n "$candidate" ] || continue
+        if "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+            command -v "$candidate"
+            return
+        fi
+    done
+    echo "$0: no Python 3.11 or newer found; install one, or name it: PYTHON=/path/to/python3 $0" >&2
+    return 1
+}
+
+# Debian splits venv off its Python
+ensure_venv_module() {
+    "$1" -c 'import ensurepip, venv' 2>/dev/null && return
+    echo "this Python has no venv module; installing Debian's python3-venv" >&2
+    if [ "$(id -u)" = 0 ]; then sudo=; else sudo='sudo -n'; fi
+    if command -v apt-get >/dev/null 2>&1; then
+        $sudo apt-get update -qq >&2 && $sudo apt-get install -y -qq python3-venv >&2 && return
+    fi
+    echo "$0: that did not work; please install the venv module (Debian: apt-get install python3-venv)" >&2
+    return 1
+}
+
+venv=.venv/$1
+stamp=$venv/installed
+python=$(find_python) || exit 1
+wanted=$(cat "tools/$1.lock" pyproject.toml tools/environment.sh | cksum; "$python" -V; pwd)
+if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
+    echo "setting up $venv (once; later runs start at once)" >&2
+    ensure_venv_module "$python" || exit 1
+    rm -rf "$venv"
+    "$python" -m venv "$venv" || exit 1
+    pip="$venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input"
+    $pip --require-hashes --only-binary :all: -r "tools/$1.lock" >&2 || exit 1
+    $pip --no-deps --no-build-isolation --no-index --editable . >&2 || exit 1
+    echo "$wanted" >"$stamp"
+fi
