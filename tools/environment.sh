@@ -1,5 +1,5 @@
-# Makes or renews the virtual environment .venv/$1 from the pinned versions in tools/$1.lock, then returns with
-# $venv set. Sourced by the two commands, from the root of the repository. Needs Python 3.11 or newer.
+# Makes or renews the virtual environment .venv/$environment from the pinned versions in tools/$environment.lock, and
+# sets $venv. Sourced by the two commands, from the root of the repository. Needs Python 3.11 or newer.
 
 find_python() {
     for candidate in "${PYTHON:-}" python3 python3.14 python3.13 python3.12 python3.11; do
@@ -25,17 +25,17 @@ ensure_venv_module() {
     return 1
 }
 
-venv=.venv/$1
+venv=.venv/$environment
 stamp=$venv/installed
 python=$(find_python) || exit 1
-wanted=$(cat "tools/$1.lock" pyproject.toml tools/environment.sh | cksum; "$python" -V; pwd)
+wanted=$(cat "tools/$environment.lock" pyproject.toml tools/environment.sh | cksum; "$python" -V; pwd)
 if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
     echo "setting up $venv (once; later runs start at once)" >&2
     ensure_venv_module "$python" || exit 1
     rm -rf "$venv"
     "$python" -m venv "$venv" || exit 1
     pip="$venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input"
-    $pip --require-hashes --only-binary :all: -r "tools/$1.lock" >&2 || exit 1
+    $pip --require-hashes --only-binary :all: -r "tools/$environment.lock" >&2 || exit 1
     $pip --no-deps --no-build-isolation --no-index --editable . >&2 || exit 1
     echo "$wanted" >"$stamp"
 fi
