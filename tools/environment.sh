@@ -27,14 +27,14 @@ ensure_venv_module() {
 
 venv=.venv/$environment
 stamp=$venv/installed
-python=$(find_python) || exit 1
-wanted=$(cat "tools/$environment.lock" pyproject.toml tools/environment.sh | cksum; "$python" -V; pwd)
-if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
+wanted=$(cat "tools/$environment.lock" pyproject.toml tools/environment.sh | cksum; pwd)
+if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ] || ! "$venv/bin/python" -c '' 2>/dev/null; then
+    python=$(find_python) || exit 1
     echo "setting up $venv (once; later runs start at once)" >&2
     ensure_venv_module "$python" || exit 1
     rm -rf "$venv"
     "$python" -m venv "$venv" || exit 1
-    pip="$venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input"
+    pip="$venv/bin/python -m pip install -qq --disable-pip-version-check --no-input"
     $pip --require-hashes --only-binary :all: -r "tools/$environment.lock" >&2 || exit 1
     $pip --no-deps --no-build-isolation --no-index --editable . >&2 || exit 1
     echo "$wanted" >"$stamp"

@@ -179,6 +179,17 @@ def test_a_single_wrong_count_does_not_start_the_braking(play):
     assert play.phase is Phase.SPIN_UP
 
 
+@pytest.mark.parametrize("after", [0, 1, 5, 30])
+def test_a_wrong_count_at_the_beginning_of_the_spin_up_does_not_start_the_braking(play, after):
+    play.reach(Phase.SPIN_UP)
+    for _ in range(after):
+        play.step(0.0)
+    play.step(450.0)  # less than the guard calls impossible
+    for _ in range(20):
+        play.step(0.0)
+    assert play.phase is Phase.SPIN_UP
+
+
 def test_the_start_does_not_depend_on_the_wheel_or_the_estimator(play):
     play.reach(Phase.SPIN_UP)
     for _ in range(45):

@@ -14,8 +14,8 @@ speeds_rad_s = (
     st.sampled_from([0.0, 180.0, -180.0, 1e-3, 1e-9, -1e-6]) | st.floats(0.001, 260.0) | st.floats(-260.0, -0.001)
 )
 forward_rad_s = st.sampled_from([0.0, 180.0, 1e-3, 1e-9]) | st.floats(0.001, 260.0)
-bounded = settings(deadline=None, max_examples=1500)
-costly = settings(deadline=None, max_examples=150)
+bounded = settings(deadline=None, max_examples=60)
+costly = settings(deadline=None, max_examples=15)
 
 
 @bounded
