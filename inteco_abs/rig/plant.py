@@ -74,18 +74,19 @@ class Plant:
         if not 0.0 <= duration_s < math.inf:
             raise ValueError(f"duration_s = {duration_s!r}: must be finite and not negative")
         target = brake_torque(brake, self.parameters)
+        self.time_s += duration_s
+        if self.wheel_speed == 0.0 == self.road_speed and not self._breaks_away(drive):
+            self.brake_torque = self._brake_after(target, duration_s)
+            return
         blocks = math.ceil(duration_s / self._max_step_s - 1e-9)
         for _ in range(blocks):
             block_s = duration_s / blocks
-            cuts = self._cuts(block_s, drive)
+            cuts = self._cuts(block_s)
             for _ in range(cuts):
                 self._step(drive, target, block_s / cuts)
-        self.time_s += duration_s
 
-    def _cuts(self, block_s: float, drive: float) -> int:
+    def _cuts(self, block_s: float) -> int:
         fastest = max(abs(self.wheel_speed), abs(self.road_speed))
-        if fastest == 0.0 and not self._breaks_away(drive):
-            return 1
         wanted = block_s * _CONTACT_RATE / _FOLLOWED
         return _MOST_CUTS if wanted >= _MOST_CUTS * fastest else math.ceil(wanted / fastest)
 
