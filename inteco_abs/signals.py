@@ -12,6 +12,8 @@ class BoardFlags(IntFlag):
     NONE = 0
     STALE = 1
     """The exchange failed: the counts are those of the last good sample."""
+    SLOW = 2
+    """The exchange took longer than a period: the counts are good, but not known to the instant."""
 
 
 class Phase(IntEnum):
@@ -66,7 +68,7 @@ EXPLANATIONS: Final[dict[Reason, str]] = {
     "cable and whether the brake is stuck",
     Reason.COUNT_JUMP: "an encoder count changed faster than any wheel can turn: check cable and shield",
     Reason.ROAD_BACKWARDS: "the road wheel counts backwards: check the encoder's sign in the profile and the wiring",
-    Reason.MISSED_EXCHANGES: "too many exchanges with the board were late or failed",
+    Reason.MISSED_EXCHANGES: "too many exchanges with the board were late, slow or failed",
     Reason.CONTROLLER_ERROR: "the controller or estimator raised an error",
 }
 """What each reason means to the person at the rig, and what to check."""

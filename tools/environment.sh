@@ -19,7 +19,7 @@ ensure_venv_module() {
     echo "this Python has no venv module; installing Debian's python3-venv" >&2
     if [ "$(id -u)" = 0 ]; then sudo=; else sudo='sudo -n'; fi
     if command -v apt-get >/dev/null 2>&1; then
-        $sudo apt-get update -qq >&2 && $sudo apt-get install -y -qq python3-venv >&2 && return
+        $sudo apt-get update -qq >/dev/null && $sudo apt-get install -y -qq python3-venv >/dev/null && return
     fi
     echo "$0: that did not work; please install the venv module (Debian: apt-get install python3-venv)" >&2
     return 1

@@ -44,9 +44,10 @@ class Board(ABC):
         self.last_error: LinkError | None = None
         self.identity: Identity | None = None
         self._now_ns = now_ns
-        self._period_s = period_ns / 1e9
+        self._period_ns = period_ns
         self._tick = 0
-        self._before: tuple[int, int, int] | None = None  # time of the newest good sample and its raw counts
+        self._ready = False
+        self._raw = (0, 0)  # counters of wheel and road at the newest good exchange
         self._newest_ns = 0
         self._wheel_count = 0
         self._road_count = 0
@@ -75,9 +76,8 @@ class Board(ABC):
         try:
             self.identity = self.identify()
             if not self.identity.read_only_because:
-                wheel, road = self._prepare()
-                self._before = (self._now_ns(), wheel, road)
-                self._newest_ns = self._before[0]
+                self._raw = self._prepare()
+                self._ready = True
         except BaseException:
             self._close()  # nothing was energised: SAFE is the first thing written
             raise
@@ -87,30 +87,34 @@ class Board(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if self._before is not None:
+            if self._ready:
                 self.make_safe()
         finally:
-            self._before = None
+            self._ready = False
             self._close()
 
     def exchange(self, command: Command) -> Sample:
         """Write `command`, then read the board, once.
 
-        A failed exchange gives a sample that repeats the last counts and carries STALE; the guard judges how many
-        are too many. Raises ReadOnlyError on a board whose outputs are off, BoardError on one that is not open.
+        A failed exchange gives a sample that repeats the last counts and carries STALE, one that took longer than a
+        period carries SLOW; the guard judges how many are too many. Raises ReadOnlyError on a board whose outputs are
+        off, BoardError on one that is not open.
         """
-        if self._before is None:
+        if not self._ready:
             raise self._refusal()
+        start = self._now_ns()
         try:
             wheel, road = self._transfer(command)
         except LinkError as error:
-            return self._stale(error)
+            self.link_errors += 1
+            self.last_error = error
+            return self._sample(self._now_ns(), BoardFlags.STALE)
         now = self._now_ns()
-        then, wheel_before, road_before = self._before
-        self._before = (now, wheel, road)
+        wheel_before, road_before = self._raw
+        self._raw = wheel, road
         self._wheel_count += _step(wheel, wheel_before)
         self._road_count += _step(road, road_before)
-        return self._sample(now, then, BoardFlags.NONE)
+        return self._sample(now, BoardFlags.NONE if now - start <= self._period_ns else BoardFlags.SLOW)
 
     def make_safe(self) -> None:
         """De-energise both outputs and read it back; raises BoardError after three failures."""
@@ -126,14 +130,9 @@ class Board(ABC):
             f"SAFE could not be confirmed ({failure}). MOTOR POWER MAY STILL BE ON: press the emergency switch"
         ) from failure
 
-    def _stale(self, error: LinkError) -> Sample:
-        self.link_errors += 1
-        self.last_error = error
-        return self._sample(self._now_ns(), self._newest_ns, BoardFlags.STALE)
-
-    def _sample(self, now: int, then: int, flags: BoardFlags) -> Sample:
+    def _sample(self, now: int, flags: BoardFlags) -> Sample:
         tick, self._tick = self._tick, self._tick + 1
-        dt_s = (now - then) / 1e9 if tick else self._period_s
+        dt_s = (now - self._newest_ns if tick else self._period_ns) / 1e9
         self._newest_ns = now
         return Sample(tick, now, dt_s, self._wheel_count, self._road_count, flags)
 

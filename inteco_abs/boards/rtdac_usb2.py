@@ -23,6 +23,8 @@ from inteco_abs.errors import BoardError, LinkError
 from inteco_abs.signals import Command
 
 _WORD: Final = struct.Struct("<H")
+_EXACT: Final = 1e-9
+"""Keeps a duty that is a whole number of widths from losing one to binary rounding."""
 _MODES: Final = ("8-bit", "12-bit")
 
 
@@ -101,7 +103,8 @@ class RtdacUsb2(Board):
 
     def _transfer(self, command: Command) -> tuple[int, int]:
         full = self._full
-        drive, brake = int(command.drive * full + 0.5), int(command.brake * full + 0.5)
+        # rounded down: the output is never more than what the guard has admitted
+        drive, brake = int(command.drive * full + _EXACT), int(command.brake * full + _EXACT)
         if not (0 <= drive <= full and 0 <= brake <= full):
             raise BoardError(f"{command}: duties must be in 0..1")  # never masked into something else
         return self._counts(self._write_widths(drive, brake))

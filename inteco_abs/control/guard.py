@@ -10,8 +10,8 @@ from inteco_abs.control.windows import SpeedWindow
 from inteco_abs.signals import Command, Estimate, Reason, Sample
 
 _SPEED_WINDOW_S: Final = 0.005
-_FASTEST_RAD_S: Final = 500.0
-"""No wheel of this rig turns faster: twice the over-speed limit."""
+_FASTEST_RAD_S: Final = 300.0
+"""No wheel of this rig turns faster: well above the over-speed limit."""
 _DRIVING_DUTY: Final = 0.2
 """Duty from which the drive must turn the road wheel."""
 _DRIVING_GRACE_NS: Final = 300_000_000
@@ -25,7 +25,6 @@ _WHEEL_STILL_NS: Final = 20_000_000
 _RELEASE_GRACE_NS: Final = 300_000_000
 _BACKWARDS_RAD_S: Final = -5.0
 _MISS_COST: Final = 3
-_JUMP_SLACK: Final = 4
 _RELEASED_DUTY: Final = 0.01
 
 
@@ -44,6 +43,7 @@ class Guard:
         self._most_in_a_row = limits.missed_in_a_row
         self._bucket_limit = limits.bucket_limit
         self._period_s = 1.0 / config.loop.rate_hz
+        self._period_ns = config.period_ns  # how late a good sample's time stamp may be
         length = max(1, round(_SPEED_WINDOW_S * config.loop.rate_hz))
         self._wheel_speed = SpeedWindow(counts, length)
         self._road_speed = SpeedWindow(counts, length)
@@ -97,13 +97,13 @@ class Guard:
         if sample.board_flags or sample.dt_s > self._late_s or self._bucket or self._in_a_row:
             missed = self._count_misses(sample)
             if missed is not Reason.NONE or sample.board_flags:
-                return missed  # a stale sample says nothing about the wheels
+                return missed  # a stale or slow sample does not say where the wheels were when
         now_ns = sample.time_ns
         before = self._before
         self._before = sample
         wheel_step = sample.wheel_count - before.wheel_count if before else 0
         road_step = sample.road_count - before.road_count if before else 0
-        possible = (now_ns - before.time_ns) * self._fastest_per_ns + _JUMP_SLACK if before else 0.0
+        possible = (now_ns - before.time_ns + self._period_ns) * self._fastest_per_ns if before else 0.0
         if not (-possible <= wheel_step <= possible and -possible <= road_step <= possible):
             return Reason.COUNT_JUMP
         wheel = self._wheel_speed.update(now_ns, sample.wheel_count)

@@ -25,6 +25,7 @@ class Pipeline:
         self._estimator = estimator
         self._sequence = Sequence(config, controller)
         self._guard = Guard(config)
+        self._decided = _NO_ESTIMATE, Wish(Command.SAFE, BrakeDemand(0.0), Reason.NONE)
         self._reference_slip = config.controller.reference_slip
 
     @property
@@ -44,7 +45,7 @@ class Pipeline:
 
     def step(self, sample: Sample, stop_requested: bool = False, timing: Timing = UNTIMED) -> Tick:
         """Decide on one sample. The tick's `drive` and `brake` are the command for the next exchange."""
-        estimate, wish = self._wish(sample)
+        estimate, wish = self._decide(sample)
         guard = self._guard
         if stop_requested:
             guard.trip(Reason.OPERATOR_STOP)
@@ -76,12 +77,16 @@ class Pipeline:
             timing.skipped,
         )
 
-    def _wish(self, sample: Sample) -> tuple[Estimate, Wish]:
+    def _decide(self, sample: Sample) -> tuple[Estimate, Wish]:
+        """Estimate and wish; those of the tick before where the sample cannot be trusted."""
         if self.error is not None:
             return _NO_ESTIMATE, _GIVEN_UP
+        if sample.board_flags:
+            return self._decided
         try:
             estimate = self._estimator.update(sample)
-            return estimate, self._sequence.step(sample, estimate)
+            self._decided = estimate, self._sequence.step(sample, estimate)
         except Exception as error:  # noqa: BLE001  a user's controller may raise anything; the rig must stop all the same
             self.error = error
             return _NO_ESTIMATE, _GIVEN_UP
+        return self._decided

@@ -1,0 +1,66 @@
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```(\w+)\n(.*?)```", README, re.DOTALL)
+COMMANDS = [line.removeprefix("$ ") for kind, text in BLOCKS if kind == "console" for line in text.splitlines()]
+FILES = {text.split("\n", 1)[0].removeprefix("# "): text for kind, text in BLOCKS if kind in {"toml", "python"}}
+CHECK_ITSELF = "./tools/check"  # running it is what runs this test
+
+
+@pytest.fixture(scope="module")
+def clone(tmp_path_factory):
+    """The tracked and new files of this tree in an empty folder, as a fresh clone has them."""
+    folder = tmp_path_factory.mktemp("clone")
+    names = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    ).stdout.splitlines()  # fmt: skip
+    for name in filter(lambda name: (ROOT / name).is_file(), names):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, folder / name)
+    for name, text in FILES.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return folder
+
+
+def test_every_command_of_the_readme_runs(clone):
+    assert CHECK_ITSELF in COMMANDS
+    environment = {key: value for key, value in os.environ.items() if not key.startswith(("COVERAGE", "COV_"))}
+    for command in COMMANDS:
+        if command == CHECK_ITSELF:
+            continue
+        run = subprocess.run(
+            ["sh", "-c", command], cwd=clone, env=environment, capture_output=True, text=True, timeout=300, check=False
+        )
+        real_time = "--board sim: --out" in command
+        assert run.returncode in ((0, 3) if real_time else (0,)), f"{command}\n{run.stdout}{run.stderr}"
+    assert list((clone / "sessions").glob("stop-*.png"))
+    assert (clone / "stop.png").is_file()
+
+
+def test_the_figures_in_the_readmes_table_are_those_of_the_program(card):
+    rows = re.findall(
+        r"^\| (moving-window|euler) \| ([\w-]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", README, re.MULTILINE
+    )
+    assert len(rows) == 3
+    for number, (estimator, controller, rms, low, stop) in enumerate(rows):
+        result = card("--estimator", estimator, "--controller", controller, out=f"{number}.mcap")
+        assert result["slip_rms_true"] == pytest.approx(float(rms), abs=0.0006)
+        assert result["slip_rms_low_speed_true"] == pytest.approx(float(low), abs=0.0006)
+        assert result["stop_time_s"] == pytest.approx(float(stop), abs=0.006)
+
+
+def test_every_link_of_the_readme_leads_somewhere():
+    for target in re.findall(r"\]\(([^)]+)\)", README):
+        assert (ROOT / target).exists(), target
+
+
+def test_the_picture_is_a_picture():
+    assert (ROOT / "tools/images/stop.png").read_bytes().startswith(b"\x89PNG")

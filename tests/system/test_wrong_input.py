@@ -1,0 +1,142 @@
+import pytest
+
+CASES = [
+    (["bogus"], 2, ["bogus", "run"]),
+    (["rum"], 2, ["did you mean run"]),
+    (["run", "--bord", "sim:"], 2, ["--bord", "--board"]),
+    (["run", "--board", "usb2:"], 2, ["usb2:", "sim:"]),
+    (["run", "--board", "sim"], 2, ["'sim'", "sim:"]),
+    (["run", "--board", "sim:extra"], 2, ["nothing may follow"]),
+    (["run", "--board", ""], 2, ["--board"]),
+    (["run", "--seed", "one"], 2, ["--seed", "one"]),
+    (["run", "--controller", "reachin-law"], 2, ["did you mean reaching-law"]),
+    (["run", "--controller", "quantum"], 2, ["quantum", "reaching-law", "relay"]),
+    (["run", "--controller", "missing.py:Law"], 2, ["missing.py", "No such file"]),
+    (["run", "--estimator", "eular"], 2, ["did you mean euler"]),
+    (["run", "--set", "guard.brake_limt=0.7"], 2, ["guard.brake_limt", "did you mean brake_limit"]),
+    (["run", "--set", "guard.brake_limit=1.7"], 2, ["guard.brake_limit", "1.7", "at most 1"]),
+    (["run", "--set", "guard.brake_limit=0,7"], 2, ["guard.brake_limit", "0,7", "a number"]),
+    (["run", "--set", "guard.over_speed_rad_s=1000"], 2, ["1000", "at most 245"]),
+    (["run", "--set", "experiment.start_speed_rad_s=nan"], 2, ["experiment.start_speed_rad_s", "nan"]),
+    (["run", "--set", "experiment.start_speed_rad_s=1800rpm"], 2, ["1800rpm", "a number"]),
+    (["run", "--set", "controller.gains.Mx=1"], 2, ["controller.gains.Mx", "Mk, Mq"]),
+    (["run", "--set", "controller.gains.Mk=-1"], 2, ["Mk", "-1", "0..1000 1/s"]),
+    (["run", "--set", "nonsense"], 2, ["nonsense", "guard.brake_limit=0.7"]),
+    (["run", "--set", "profile=usb3"], 2, ["usb3", "usb2_generic_0103"]),
+    (["run", "--config", "missing.toml"], 2, ["missing.toml", "No such file"]),
+    (["run", "--out", "nowhere/stop.mcap"], 2, ["nowhere", "does not exist"]),
+    (["run", "--out", "."], 2, ["is a folder"]),
+    (["run", "--out", "/proc/stop.mcap"], 1, ["/proc/stop.mcap", "cannot be created"]),
+    (["run", "--figure", "stop.bmp"], 2, ["stop.bmp", ".png"]),
+    (["run", "--figure", "nowhere/stop.png"], 2, ["nowhere", "does not exist"]),
+    (["replay", "missing.mcap"], 1, ["missing.mcap", "No such file"]),
+    (["replay"], 2, ["FILE"]),
+    (["info", "."], 1, ["cannot be read"]),
+    (["info", "notes.txt"], 1, ["no MCAP file"]),
+    (["info", "empty.mcap"], 1, ["is empty"]),
+    (["figure", "notes.txt", "-o", "x.png"], 1, ["no MCAP file"]),
+    (["run", "--virtual", "--set", "profile=usb2_generic_0103"], 1, ["reading only", "verified_by"]),
+]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    CASES,
+    ids=lambda value: " ".join(map(str, value))[:60] if isinstance(value, list) else None,
+)
+def test_wrong_input_gets_one_clear_answer(inteco_abs, tmp_path, arguments, code, words):
+    (tmp_path / "notes.txt").write_text("just text")
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    before = set(tmp_path.iterdir())
+    run = inteco_abs(*arguments)
+    assert run.returncode == code, run.stderr
+    for word in words:
+        assert word in run.stderr
+    assert len(run.stderr.splitlines()) <= 24
+    assert run.stdout == ""
+    assert {path for path in tmp_path.iterdir() if path.name != "sessions"} == before
+    assert not list(tmp_path.glob("sessions/*"))
+
+
+def test_five_mistakes_are_all_reported_at_once(inteco_abs, tmp_path):
+    (tmp_path / "rig.toml").write_text(
+        """
+        colour = "red"
+        [guard]
+        brake_limit = 1.5
+        [experiment]
+        start_speed_rad_s = "180"
+        stop_speed = 0.5
+        [controller]
+        name = "reaching-lw"
+        """
+    )
+    run = inteco_abs("run", "--config", "rig.toml")
+    assert run.returncode == 2
+    for path in (
+        "colour",
+        "guard.brake_limit",
+        "experiment.start_speed_rad_s",
+        "experiment.stop_speed",
+        "controller.name",
+    ):
+        assert f"{path}: " in run.stderr
+    assert "5 mistakes" in run.stderr
+
+
+def test_an_existing_session_is_never_overwritten(inteco_abs, tmp_path):
+    (tmp_path / "stop.mcap").write_bytes(b"precious")
+    run = inteco_abs("run", "--virtual", "--out", "stop.mcap")
+    assert run.returncode == 2
+    assert "exists already" in run.stderr
+    assert (tmp_path / "stop.mcap").read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("verb", ["info", "replay"])
+def test_a_truncated_session_says_so_and_a_flipped_bit_is_found(card, inteco_abs, tmp_path, verb):
+    card("--set", "experiment.start_speed_rad_s=20")
+    data = (tmp_path / "stop.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
+    run = inteco_abs(verb, "cut.mcap")
+    assert run.returncode in (1, 3)
+    assert "ends early" in run.stderr or "no ticks" in run.stderr
+    flipped = bytearray(data)
+    flipped[len(data) // 2] ^= 0x10
+    (tmp_path / "flipped.mcap").write_bytes(flipped)
+    run = inteco_abs(verb, "flipped.mcap")
+    assert run.returncode == 1
+    assert "damaged" in run.stderr
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("class Law:\n    pass\n", ["no method update"]),
+        ("class Law:\n    def update(self, e, dt): ...\n", ["gains must be a tuple"]),
+        ("class Lab: pass\n", ["no class 'Law'", "did you mean Lab"]),
+        ("import nonexistent_module\n", ["ModuleNotFoundError"]),
+        ("def broken(:\n", ["SyntaxError"]),
+    ],
+)
+def test_a_file_that_holds_no_controller_is_explained(inteco_abs, tmp_path, source, words):
+    (tmp_path / "law.py").write_text(source)
+    run = inteco_abs("run", "--virtual", "--controller", "law.py:Law")
+    assert run.returncode == 2
+    for word in words:
+        assert word in run.stderr
+
+
+def test_a_controller_that_raises_ends_in_a_safety_stop(inteco_abs, tmp_path):
+    (tmp_path / "law.py").write_text(
+        "class Law:\n"
+        "    gains = ()\n"
+        "    internals = ()\n"
+        "    def __init__(self, setup): self.calls = 0\n"
+        "    def update(self, estimate, dt_s):\n"
+        "        raise ZeroDivisionError('my own mistake')\n"
+    )
+    run = inteco_abs("run", "--virtual", "--controller", "law.py:Law", "--out", "stop.mcap")
+    assert run.returncode == 5
+    assert "my own mistake" in run.stderr
+    assert "law.py, line 6" in run.stderr
+    assert inteco_abs("info", "stop.mcap").returncode == 0
