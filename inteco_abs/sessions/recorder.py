@@ -10,9 +10,10 @@ import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
+from io import BufferedWriter, FileIO
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from mcap.writer import CompressionType, Writer
 
@@ -21,6 +22,9 @@ from inteco_abs.sessions import schema
 from inteco_abs.sessions.schema import TICK, TRUTH, Message
 from inteco_abs.sessions.wire import chunk, double, integer, tag
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer  # collections.abc has it from Python 3.12 on
 
 FORMAT_VERSION: Final = "1"
 _INFO, _ERROR = 2, 4  # levels of foxglove.Log
@@ -39,6 +43,25 @@ def check_output(path: Path) -> None:
         raise ConfigError([Mistake("--out", f"{path}: {problem}")])
 
 
+class _Disk(FileIO):
+    """A new file whose refusals are SessionErrors."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            super().__init__(path, "xb")
+        except OSError as error:
+            raise SessionError(f"{path} cannot be created: {error.strerror}") from error
+
+    def write(self, data: Buffer, /) -> int:
+        """Write some of `data`."""
+        try:
+            return super().write(data)
+        except OSError as error:
+            raise SessionError(
+                f"{self.name} cannot be written: {error.strerror}; what it holds so far stays readable"
+            ) from error
+
+
 class Recorder:
     """A session being written at `path`; a context manager. Raises SessionError when the disk refuses.
 
@@ -55,10 +78,7 @@ class Recorder:
         self._hash = hashlib.sha256()
         self._ticks = 0
         self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
-        try:
-            self._file: BinaryIO = path.open("xb")
-        except OSError as error:
-            raise SessionError(f"{path} cannot be created: {error.strerror}") from error
+        self._file = BufferedWriter(_Disk(path))
         self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="", library=f"inteco-abs/{version('inteco-abs')} mcap-python/{version('mcap')}")
         self._tick_channel = self._flat(TICK, {"internals": json.dumps(list(controller_internals))})
@@ -74,7 +94,11 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        try:
+            self._file.close()
+        except SessionError:
+            if error is None:  # else it has been said already
+                raise
 
     @property
     def payload_sha256(self) -> str:
@@ -104,7 +128,8 @@ class Recorder:
                 "started_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
             },
         )
-        self._flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]  # the library left it untyped
+        self._file.flush()
 
     def ticks(self, records: bytes) -> None:
         """Add tick records, back to back, and an event for every change of phase and every fault among them."""
@@ -156,11 +181,8 @@ class Recorder:
         self.describe("timing", {f"late_us.{name}": repr(value) for name, value in result["lateness_us"].items()})
         self.describe("result", {"card": json.dumps(result)})
         self.describe("integrity", {"payload_sha256": self.payload_sha256})
-        try:
-            self._writer.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
-            self._file.flush()
-        except OSError as error:
-            raise SessionError(f"{self.path} could not be completed: {error.strerror}") from error
+        self._writer.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
+        self._file.flush()
 
     def discard(self) -> None:
         """Remove the file: nothing ran, so there is nothing to keep."""
@@ -185,10 +207,3 @@ class Recorder:
     def _channel(self, topic: str, name: str, descriptor: bytes, metadata: Mapping[str, str]) -> int:
         schema_id = self._writer.register_schema(name, "protobuf", descriptor)
         return self._writer.register_channel(topic, "protobuf", schema_id, dict(metadata))
-
-    def _flush(self) -> None:
-        try:
-            self._writer.flush()  # type: ignore[no-untyped-call]  # same
-            self._file.flush()
-        except OSError as error:
-            raise SessionError(f"{self.path} cannot be written: {error.strerror}") from error

@@ -1,3 +1,5 @@
+import subprocess
+
 import pytest
 
 CASES = [
@@ -140,3 +142,17 @@ def test_a_controller_that_raises_ends_in_a_safety_stop(inteco_abs, tmp_path):
     assert "my own mistake" in run.stderr
     assert "law.py, line 6" in run.stderr
     assert inteco_abs("info", "stop.mcap").returncode == 0
+
+
+def test_a_full_disk_ends_the_run_with_a_clear_error_and_a_readable_file(command_path, inteco_abs, tmp_path):
+    # a limit on file size is the disk that a test can fill
+    run = subprocess.run(
+        ["sh", "-c", f"ulimit -f 300; exec {command_path} run --virtual --seed 1 --out stop.mcap"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert run.returncode == 1
+    assert "cannot be written: File too large" in run.stderr
+    assert "Traceback" not in run.stderr
+    info = inteco_abs("info", "stop.mcap", check=3)
+    assert "ends early" in info.stderr
+    assert "ticks are whole" in info.stderr
