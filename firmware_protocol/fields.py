@@ -190,9 +190,10 @@ class FrameTable:
                 raise TableError(f"{self.title}: {name} has a gap or overlap in its own bits at {part}")
             shift += part.width
             for bit in range(part.low, part.low + part.width):
-                first = owner.setdefault((part.word, bit), name)
-                if first != name:
+                if (part.word, bit) in owner:
+                    first = owner[part.word, bit]
                     raise TableError(f"{self.title}: {name} and {first} share word {part.word} bit {bit}")
+                owner[part.word, bit] = name
 
     def encode(self, values: Mapping[str, Value]) -> bytes:
         """Whole frame with `values`; fields not named are zero.
@@ -250,7 +251,7 @@ class FrameTable:
         """
         field, layout = self._find(name)
         widths = tuple(part.width for part in layout)
-        if any(part.low for part in layout):
+        if any(part.low or part.word != layout[0].word + i for i, part in enumerate(layout)):
             code = ""
         elif widths == (WORD_BITS, WORD_BITS):
             code = "i" if field.kind is Kind.SIGNED else "I"

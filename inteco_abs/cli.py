@@ -95,7 +95,7 @@ def run(
     if figure is not None:
         check_figure(figure)
     out = out or _default_out()
-    with _progress(shown=virtual) as progress:
+    with _progress(virtual=virtual) as progress:
         stop = run_stop(rig, Plan(out, board, virtual, seed, controllers, source), progress)
     if as_json:
         _print_json(stop.card)
@@ -231,9 +231,11 @@ def _default_out() -> Path:
 
 
 @contextmanager
-def _progress(*, shown: bool) -> Iterator[Progress | None]:
-    """Phase and ticks so far on a terminal's stderr; nothing in real time, where drawing would cost ticks."""
-    if not (shown and sys.stderr.isatty()):
+def _progress(*, virtual: bool) -> Iterator[Progress | None]:
+    """Phase and ticks so far on a terminal's stderr; in real time one line before, as drawing would cost ticks."""
+    if not (virtual and sys.stderr.isatty()):
+        if not virtual:
+            click.echo("running in real time; Ctrl-C stops safely", err=True)
         yield None
         return
     from rich.console import Console

@@ -6,12 +6,12 @@ result is stored whole in every session.
 
 from __future__ import annotations
 
-import math
+import operator
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -20,6 +20,9 @@ from inteco_abs.errors import ConfigError, Mistake, near_match
 
 DEFAULT_PROFILE: Final = "sim_usb2"
 _LARGEST_FILE: Final = 1_000_000
+_LONGEST_VALUE: Final = 60
+_NOT_TOML: Final = (ValueError, RecursionError)
+"""What the standard reader raises: besides its own error, for absurdly long numbers and deep nesting."""
 
 Table = dict[str, Any]
 Check = Callable[[Mapping[str, Any]], Iterable[Mistake]]
@@ -165,7 +168,7 @@ def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
     """Effective configuration as stored in a session; raises ConfigError."""
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except _NOT_TOML as error:
         raise ConfigError([Mistake("config.toml", f"is not TOML: {error}")]) from error
     return _validate(table, checks, [])
 
@@ -176,7 +179,7 @@ def _validate(table: Table, checks: Iterable[Check], mistakes: list[Mistake]) ->
         config = RigConfig.model_validate(table)
     except ValidationError as error:
         mistakes.extend(_in_words(detail) for detail in error.errors())
-    mistakes.extend(_contradictions(table))
+    mistakes.extend(_contradictions(table, [mistake.path for mistake in mistakes]))
     for check in checks:
         mistakes.extend(check(table))
     if config is None or mistakes:
@@ -195,7 +198,7 @@ def _read(file: Path) -> Table:
         return tomllib.loads(data.decode("utf-8"))
     except UnicodeDecodeError as error:
         raise ConfigError([Mistake(str(file), f"is not UTF-8 text: byte {error.start}")]) from error
-    except tomllib.TOMLDecodeError as error:
+    except _NOT_TOML as error:
         raise ConfigError([Mistake(str(file), f"is not TOML: {error}")]) from error
 
 
@@ -203,12 +206,14 @@ def _apply(table: Table, setting: str) -> list[Mistake]:
     """Put one `key=value` into `table`; the value is TOML, or a bare word."""
     key, equals, text = setting.partition("=")
     path = key.strip().split(".")
-    if not equals or not all(path):
+    if not equals or not all(path) or "\n" in setting:
         return [Mistake(f"--set {setting}", "must look like guard.brake_limit=0.7")]
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()
+    except _NOT_TOML as error:
+        return [Mistake(key.strip(), f"is no value that can be used: {error}")]
     for part in path[:-1]:
         inner = table.setdefault(part, {})
         if not isinstance(inner, dict):
@@ -224,8 +229,10 @@ def _profile(name: object, mistakes: list[Mistake]) -> Table:
         return tomllib.loads(text)
     if isinstance(name, str) and name.endswith(".toml"):
         return _read(Path(name))
+    if not isinstance(name, str):
+        return _profile(DEFAULT_PROFILE, mistakes)  # the model below says what is wrong with it
     mistakes.append(
-        Mistake("profile", f"{name!r} is not a shipped profile or a .toml file{near_match(str(name), profiles())}")
+        Mistake("profile", f"{name!r} is not a shipped profile or a .toml file{near_match(name, profiles())}")
     )
     return _profile(DEFAULT_PROFILE, mistakes)
 
@@ -238,38 +245,37 @@ def _merge(below: Table, above: Table) -> Table:
     return merged
 
 
-def _contradictions(table: Mapping[str, Any]) -> list[Mistake]:
-    """Pairs of values that are each in range and cannot be together."""
+class _Pair(NamedTuple):
+    """Two values that are each in range and cannot be together."""
 
-    def number(section: str, key: str) -> float:
-        values = table.get(section)
-        value = values.get(key) if isinstance(values, dict) else None
-        model = RigConfig.model_fields[section].default
-        return float(value) if isinstance(value, int | float) and math.isfinite(value) else float(getattr(model, key))
+    first: str
+    second: str
+    fits: Callable[[Any, Any], bool]
+    must: str
 
-    mistakes = []
-    start, limit = number("experiment", "start_speed_rad_s"), number("guard", "over_speed_rad_s")
-    if start >= limit:
-        mistakes.append(
-            Mistake("experiment.start_speed_rad_s", f"{start:g} must be below guard.over_speed_rad_s = {limit:g}")
-        )
-    stop = number("experiment", "stop_speed_rad_s")
-    if stop >= start:
-        mistakes.append(
-            Mistake(
-                "experiment.stop_speed_rad_s",
-                f"{stop:g} must be below experiment.start_speed_rad_s = {start:g}",
-            )
-        )
-    window, rate = number("estimator", "window_s"), number("loop", "rate_hz")
-    if rate > 0.0 and window * rate < 0.999:
-        mistakes.append(Mistake("estimator.window_s", f"{window:g} s must be at least one period of {1 / rate:g} s"))
-    board = table.get("board")
-    if isinstance(board, dict) and board.get("drive_pwm", 0) == board.get("brake_pwm", 1):
-        mistakes.append(Mistake("board.brake_pwm", "drive and brake cannot share a PWM channel"))
-    if isinstance(board, dict) and board.get("road_encoder", 0) == board.get("wheel_encoder", 1):
-        mistakes.append(Mistake("board.wheel_encoder", "the two wheels cannot share an encoder"))
-    return mistakes
+
+_PAIRS: Final = (
+    _Pair("experiment.start_speed_rad_s", "guard.over_speed_rad_s", operator.lt, "must be below"),
+    _Pair("experiment.stop_speed_rad_s", "experiment.start_speed_rad_s", operator.lt, "must be below"),
+    _Pair("estimator.window_s", "loop.rate_hz", lambda s, hz: s * hz > 0.999, "must be at least one period of"),
+    _Pair("board.brake_pwm", "board.drive_pwm", operator.ne, "must be another PWM channel than"),
+    _Pair("board.wheel_encoder", "board.road_encoder", operator.ne, "must be another encoder than"),
+)
+
+
+def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[Mistake]:
+    """Pairs that do not fit; `wrong` are the keys that are mistaken by themselves."""
+
+    def value(path: str) -> Any:
+        section, key = path.split(".")
+        default = RigConfig.model_fields[section].annotation.model_fields[key].default  # type: ignore[union-attr]  # a section
+        return table.get(section, {}).get(key, default)
+
+    for pair in _PAIRS:
+        if not {pair.first, pair.second, pair.first.partition(".")[0], pair.second.partition(".")[0]} & set(wrong):
+            first, second = value(pair.first), value(pair.second)
+            if not pair.fits(first, second):
+                yield Mistake(pair.first, f"{first!r}: {pair.must} {pair.second} = {second!r}")
 
 
 _LIMITS: Final = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
@@ -286,7 +292,12 @@ def _in_words(detail: Any) -> Mistake:
         return Mistake(path, "is missing; a profile normally provides it")
     limits = _limits(location)
     wanted = f"must be {limits}" if limits else detail["msg"][0].lower() + detail["msg"][1:]
-    return Mistake(path, f"{value!r}: {wanted}")
+    return Mistake(path, f"{_short(value)}: {wanted}")
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
 
 
 def _model_at(location: Sequence[Any]) -> type[BaseModel] | None:

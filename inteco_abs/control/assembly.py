@@ -55,7 +55,7 @@ def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterat
         path, gain = f"controller.gains.{name}", known.get(name)
         if gain is None:
             yield Mistake(path, f"unknown gain{near_match(name, known)}")
-        elif isinstance(value, int | float) and math.isfinite(value) and not gain.low <= value <= gain.high:
+        elif isinstance(value, int | float) and abs(value) < math.inf and not gain.low <= value <= gain.high:
             yield Mistake(path, f"{value!r}: must be in {gain.low:g}..{gain.high:g} {gain.unit} ({gain.meaning})")
 
 

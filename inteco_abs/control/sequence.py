@@ -13,6 +13,7 @@ _START_WINDOW_S: Final = 0.020
 _STOP_WINDOW_S: Final = 0.050
 _REST_COUNTS: Final = 4
 """Counts that a resting wheel may move, from a nudged table, before it counts as turning."""
+_FOUR_FLOATS: Final = (float, float, float, float)
 _NO_DEMAND: Final = BrakeDemand(0.0)
 
 
@@ -79,7 +80,7 @@ class Sequence:
 
     def _spin_up(self, sample: Sample, elapsed_s: float) -> Wish:
         speed = self._start_speed.update(sample.time_ns, sample.road_count)
-        if speed >= self._config.start_speed_rad_s:
+        if elapsed_s >= _START_WINDOW_S and speed >= self._config.start_speed_rad_s:
             self._enter(Phase.BRAKING, sample)
             return _NOTHING
         late = elapsed_s > self._config.spin_up_timeout_s
@@ -87,7 +88,7 @@ class Sequence:
 
     def _brake(self, sample: Sample, estimate: Estimate, elapsed_s: float) -> Wish:
         speed = self._stop_speed.update(sample.time_ns, sample.road_count)
-        demand = self._held = self._controller.update(estimate, sample.dt_s)
+        demand = self._held = _recordable(self._controller.update(estimate, sample.dt_s))
         if elapsed_s >= _STOP_WINDOW_S and abs(speed) < self._config.stop_speed_rad_s:
             self._enter(Phase.STOPPED, sample)
         late = elapsed_s > self._config.braking_timeout_s
@@ -96,3 +97,17 @@ class Sequence:
     def _enter(self, phase: Phase, sample: Sample) -> None:
         self.phase = phase
         self._since_ns = sample.time_ns
+
+
+def _recordable(demand: BrakeDemand) -> BrakeDemand:
+    """The demand of a user's controller with every logged value a float; raises if it has none to log.
+
+    The duty itself is left as it is: the guard judges it.
+    """
+    if type(demand) is not BrakeDemand:
+        raise TypeError(f"update() must give a BrakeDemand, not {demand!r}")
+    brake, torque, switching, internals = demand
+    if type(torque) is float and type(switching) is float and tuple(map(type, internals)) == _FOUR_FLOATS:
+        return demand
+    c0, c1, c2, c3 = map(float, internals)
+    return BrakeDemand(brake, float(torque), float(switching), (c0, c1, c2, c3))

@@ -36,5 +36,7 @@ class DriveMotor:
 
     def torque(self, duty: float, road_speed: float) -> float:
         """Torque in N m at `duty` (0..1) and `road_speed` in rad/s; with no duty there is none, so it coasts."""
+        if duty <= 0.0:
+            return 0.0
         torque = self.stall_torque_nm * (duty - road_speed / self.no_load_speed_rad_s)
         return max(0.0, torque)

@@ -26,8 +26,8 @@ _FOLLOWED: Final = 0.5
 """Largest step times eigenvalue, as long as `_MOST_CUTS` allows."""
 _MOST_CUTS: Final = 64
 _ALMOST_AT_REST: Final = 1e-9
-_STILL_RAD_S: Final = 0.005
-"""Below this, wheels that the drive cannot move are at rest: static friction takes it off within 2 ms."""
+_CRAWL_RAD_S: Final = 0.005
+"""Below this the slip has no meaning; static friction takes it off within 2 ms, an encoder counts once in 0.6 s."""
 
 
 class Plant:
@@ -60,7 +60,8 @@ class Plant:
         self.time_s = 0.0
         self._model = Model(parameters)
         self._max_step_s = max_step_s
-        self._lag = (math.nan, 0.0)  # step in s and the share of the torque error that it leaves
+        # a step in s; the share of the brake's distance to its target that is left after it, and over it in the mean
+        self._lag = (math.nan, 0.0, 0.0)
 
     @property
     def slip(self) -> float:
@@ -76,7 +77,7 @@ class Plant:
         target = brake_torque(brake, self.parameters)
         self.time_s += duration_s
         if self.wheel_speed == 0.0 == self.road_speed and not self._breaks_away(drive):
-            self.brake_torque = self._brake_after(target, duration_s)
+            self._take(duration_s, target, 0.0, 0.0)
             return
         blocks = math.ceil(duration_s / self._max_step_s - 1e-9)
         for _ in range(blocks):
@@ -96,6 +97,9 @@ class Plant:
 
     def _step(self, drive: float, target: float, h: float) -> None:
         x1, x2 = self.wheel_speed, self.road_speed
+        if -_CRAWL_RAD_S < x2 < _CRAWL_RAD_S and -_CRAWL_RAD_S < x1 < _CRAWL_RAD_S:
+            self._crawl(drive, target, h)
+            return
         next1, next2 = self._next_speeds(drive, target, h)
         if x1 * next1 < 0.0 or x2 * next2 < 0.0:
             h -= self._come_to_rest(drive, target, h, next1, next2)
@@ -104,8 +108,14 @@ class Plant:
             next1 = next1 if x1 * next1 >= 0.0 else 0.0
             next2 = next2 if x2 * next2 >= 0.0 else 0.0
         self._take(h, target, next1, next2)
-        if -_STILL_RAD_S < next2 < _STILL_RAD_S and abs(next1) < _STILL_RAD_S and not self._breaks_away(drive):
-            self.wheel_speed = self.road_speed = 0.0
+
+    def _crawl(self, drive: float, target: float, h: float) -> None:
+        """Both wheels as good as at rest: they stick together, and move off together or not at all."""
+        k = self.parameters
+        ratio = k.r2 / k.r1
+        torque = self.motor.torque(drive, 0.0) - k.M20 - ratio * (k.M10 + self.brake_torque)
+        next2 = self.road_speed + h * torque / (k.J2 + ratio**2 * k.J1) if torque > 0.0 else 0.0
+        self._take(h, target, ratio * next2, next2)
 
     def _come_to_rest(self, drive: float, target: float, h: float, next1: float, next2: float) -> float:
         """Move on to the instant in which the first wheel stops; the time in s that this took."""
@@ -118,13 +128,14 @@ class Plant:
     def _take(self, h: float, target: float, next1: float, next2: float) -> None:
         self.wheel_angle += 0.5 * h * (self.wheel_speed + next1)
         self.road_angle += 0.5 * h * (self.road_speed + next2)
-        self.brake_torque = self._brake_after(target, h)
+        self.brake_torque = target + (self.brake_torque - target) * self._brake_lag(h)[1]
         self.wheel_speed, self.road_speed = next1, next2
 
     def _next_speeds(self, drive: float, target: float, h: float) -> tuple[float, float]:
         rates, motor = self._model.rates, self.motor.torque
         x1, x2 = self.wheel_speed, self.road_speed
-        torque = self.brake_torque
+        # the exact mean over the step: the speeds follow the brake's impulse, however fast the brake is
+        torque = target + (self.brake_torque - target) * self._brake_lag(h)[2]
         k1, k2, normal, traction, slip = rates(x1, x2, torque, motor(drive, x2) if drive else 0.0)
         stiff = h * _CONTACT_RATE > _STIFF * (max(x2, x1))
         if stiff:
@@ -137,8 +148,6 @@ class Plant:
         end1, end2 = x1 + h * k1, x2 + h * k2
         end1 = end1 if x1 * end1 >= 0.0 else x1 * _ALMOST_AT_REST
         end2 = end2 if x2 * end2 >= 0.0 else x2 * _ALMOST_AT_REST
-        if torque != target:
-            torque = self._brake_after(target, h)
         a1, a2, _, _, _ = rates(end1, end2, torque, motor(drive, end2) if drive else 0.0)
         a1 -= 2.0 * k1
         a2 -= 2.0 * k2
@@ -147,10 +156,12 @@ class Plant:
             a1, a2 = a1 + along * column1, a2 + along * column2
         return x1 + h * (1.5 * k1 + 0.5 * a1), x2 + h * (1.5 * k2 + 0.5 * a2)
 
-    def _brake_after(self, target: float, h: float) -> float:
+    def _brake_lag(self, h: float) -> tuple[float, float, float]:
         if h != self._lag[0]:
-            self._lag = (h, math.exp(-self.parameters.c31 * h))
-        return target + (self.brake_torque - target) * self._lag[1]
+            rate = self.parameters.c31 * h
+            left = math.exp(-rate)
+            self._lag = (h, left, (1.0 - left) / rate if rate > 0.0 else 1.0)
+        return self._lag
 
 
 def _rest_share(speed: float, following: float) -> float:
