@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import signal
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 _SLICE_TICKS: Final = 1000
 _SPARE_S: Final = 2.0
+_PATIENCE_S: Final = 1.0
 
 Progress = Callable[[Phase, int], None]
 """Told the phase and the number of ticks so far, between slices of a virtual run."""
@@ -70,16 +72,15 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None) ->
     """
     check_address(plan.board)
     check_output(plan.out)
-    stop = StopWord()
-    with _stopped_by_signals(stop):
-        return _Experiment(config, plan, stop).run(progress)
+    with _Interrupts() as interrupts:
+        return _Experiment(config, plan, interrupts).run(progress)
 
 
 class _Experiment:
-    def __init__(self, config: RigConfig, plan: Plan, stop: StopWord) -> None:
+    def __init__(self, config: RigConfig, plan: Plan, interrupts: _Interrupts) -> None:
         self._config = config
         self._plan = plan
-        self._stop = stop
+        self._interrupts = interrupts
         self._clock: Clock = VirtualClock(config.period_ns) if plan.virtual else PacedClock(config.period_ns)
         self._truths: list[Truth] = []
         self._ticks = bytearray()
@@ -102,21 +103,24 @@ class _Experiment:
             return self._conclude(recorder, board)
 
     def _drive(self, recorder: Recorder, board: Board, progress: Progress | None) -> None:
-        loop = Loop(board, self._pipeline, self._clock, self._ring, self._stop)
+        loop = Loop(board, self._pipeline, self._clock, self._ring, self._interrupts.stop)
         self._truths.clear()  # what the device saw while it was opened belongs to no tick
         # in real time nothing may come between two ticks: the ring holds the whole run, and is read afterwards
         most = _SLICE_TICKS if self._plan.virtual else None
         try:
             over = False
             while not over:
-                over = loop.run(most)
+                with self._interrupts.breaking():
+                    over = loop.run(most)
                 if progress is not None:
                     progress(self._pipeline.phase, self._ring.written)
                 if not over:
                     self._record(recorder)
         finally:
-            board.make_safe()  # before anything that takes time or can fail
-            self._record(recorder)
+            try:
+                board.make_safe()  # before anything that takes time or can fail
+            finally:
+                self._record(recorder)
 
     def _record(self, recorder: Recorder) -> None:
         records = self._ring.take()
@@ -216,16 +220,43 @@ def _in_words(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}{place}"
 
 
-@contextmanager
-def _stopped_by_signals(stop: StopWord) -> Iterator[None]:
-    """While inside, signals that would end the program set the stop word, and do nothing else."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # Python delivers signals to the main thread only
-        return
-    wanted = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {number: signal.signal(number, lambda *_: stop.request()) for number in wanted}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
+class _Interrupts:
+    """While inside, the signals that would end the program set the stop word, and do nothing else.
+
+    One exception, for a controller that never returns: where the run allows it (`breaking`), a signal that comes
+    a second after the first unanswered one breaks into the loop. It cannot break into what makes the outputs safe.
+    """
+
+    def __init__(self) -> None:
+        self.stop = StopWord()
+        self._may_break = False
+        self._asked_s = 0.0
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():  # Python delivers signals to no other
+            wanted = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+            self._before = {number: signal.signal(number, self._handle) for number in wanted}
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._before.items():
             signal.signal(number, handler)
+
+    @contextmanager
+    def breaking(self) -> Iterator[None]:
+        """The loop is running, and may be broken into."""
+        self._may_break = True
+        try:
+            yield
+        finally:
+            self._may_break = False
+
+    def _handle(self, *_: object) -> None:
+        now_s = time.monotonic()
+        if not self.stop.requested:
+            self._asked_s = now_s
+            self.stop.request()
+        elif self._may_break and now_s - self._asked_s > _PATIENCE_S:
+            self._may_break = False
+            raise KeyboardInterrupt

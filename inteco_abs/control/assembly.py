@@ -10,17 +10,24 @@ from inteco_abs.config import Check, RigConfig
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
 from inteco_abs.control.estimators import ESTIMATORS
 from inteco_abs.control.pipeline import Pipeline
-from inteco_abs.errors import Mistake, near_match
+from inteco_abs.errors import ConfigError, Mistake, near_match
 from inteco_abs.rig import RigParameters
 
 
 def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Pipeline:
-    """Pipeline of a configuration that passed `control_check(controllers)`."""
+    """Pipeline of a configuration that passed `control_check(controllers)`.
+
+    Raises ConfigError if the controller's constructor fails.
+    """
     parameters = RigParameters.named(config.model.parameters)
     kind = controllers[config.controller.name]
     setup = Setup(config.controller.reference_slip, parameters, config.controller.hold_below_rad_s)
     make: Any = kind  # each controller's constructor takes its own gains
-    controller: Controller = make(setup, **gains_in_force(config, controllers))
+    try:
+        controller: Controller = make(setup, **gains_in_force(config, controllers))
+    except Exception as error:
+        problem = f"{config.controller.name} cannot be made: {type(error).__name__}: {error}"
+        raise ConfigError([Mistake("controller.name", problem)]) from error
     return Pipeline(config, ESTIMATORS[config.estimator.name](config, parameters), controller)
 
 

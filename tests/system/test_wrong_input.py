@@ -118,6 +118,10 @@ def test_a_truncated_session_says_so_and_a_flipped_bit_is_found(card, inteco_abs
         ("class Lab: pass\n", ["no class 'Law'", "did you mean Lab"]),
         ("import nonexistent_module\n", ["ModuleNotFoundError"]),
         ("def broken(:\n", ["SyntaxError"]),
+        (
+            "class Law:\n    gains = internals = ()\n    def update(self, e, dt): ...\n",
+            ["cannot be made", "takes no arguments"],
+        ),
     ],
 )
 def test_a_file_that_holds_no_controller_is_explained(inteco_abs, tmp_path, source, words):
