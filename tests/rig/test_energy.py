@@ -80,9 +80,11 @@ def test_energy_of_a_spin_up_is_the_drives_work_less_the_dissipation(parameters,
 def test_energy_of_a_locked_stop_goes_into_rubbing_and_the_roads_bearing(parameters, paper):
     plant = Plant(parameters, 100.0, 120.0)
     while plant.wheel_speed > 0.0:
+        assert plant.time_s < 3.0
         plant.advance(0.0, 1.0, 0.001)
     k, locked_at_rad_s, locked_at_rad = parameters, plant.road_speed, plant.road_angle
     while plant.road_speed > 20.0:
+        assert plant.time_s < 3.0
         plant.advance(0.0, 1.0, 0.001)
     turned_rad = plant.road_angle - locked_at_rad
     rubbed_j = paper.locked_normal_force() * paper.mu(1.0) * k.r2 * turned_rad

@@ -34,7 +34,7 @@ FRICTION = {
 def test_published_set(name):
     found = RigParameters.named(name)
     published = COMMON | FRICTION[name]
-    assert {symbol: getattr(found, symbol) for symbol in published} == pytest.approx(published, rel=1e-15)
+    assert {symbol: getattr(found, symbol) for symbol in published} == pytest.approx(published, rel=1e-15, abs=0.0)
     assert set(found.__dataclass_fields__) == set(published)
 
 
