@@ -46,6 +46,10 @@ class Kind(Enum):
     HEX = "hex digits"  # the number's hexadecimal digits are the text
 
 
+_WIDTH_UNITS: Final = {Kind.TEXT: 8, Kind.HEX: 4}
+"""Bits per character, for the kinds that are text."""
+
+
 @dataclass(frozen=True, slots=True)
 class Bits:
     """`width` bits from bit `low` of word `word`; they are bits `shift` and up of the value."""
@@ -130,7 +134,7 @@ class Field:
         except UnicodeEncodeError:
             text = None
         if text is None or len(text) > length or text.endswith(b"\0"):
-            raise ProtocolError(f"{self.name} = {value!r}: must be text of at most {length} ASCII characters")
+            raise ProtocolError(f"{self.name} = {value!r}: must be text of at most {length} single-byte characters")
         return int.from_bytes(text.ljust(length, b"\0"), "big")
 
     def _hex_to_bits(self, value: Value, layout: Layout) -> int:
@@ -165,6 +169,8 @@ class FrameTable:
         payload_bits: int = WORD_BITS,
         command: int | None = None,
     ) -> None:
+        if size <= 0 or size % WORD_BYTES:
+            raise TableError(f"{title}: {size} bytes are not whole words")
         self.title = title
         self.size = size
         self.command = command
@@ -179,6 +185,9 @@ class FrameTable:
                 raise TableError(f"{title}: {field.name!r} is declared twice or is no name")
             self.fields[field.name] = (field, layout)
             self._claim(field.name, layout, owner)
+            width, unit = sum(part.width for part in layout), _WIDTH_UNITS.get(field.kind, 1)
+            if not width or width % unit:
+                raise TableError(f"{title}: {field.name} has {width} bits, must be a multiple of {unit}")
 
     def _claim(self, name: str, layout: Layout, owner: dict[tuple[int, int], str]) -> None:
         shift = 0
@@ -246,25 +255,27 @@ class FrameTable:
     def place(self, name: str) -> Place:
         """Where the named field can be packed and unpacked alone and in place, for the loop.
 
-        Only for fields that start at bit 0 of whole words: within one word, or 32 bits over two full words. Any
-        other raises TableError. Bits above a field's width in its word are not masked.
+        Only for fields that have their words for themselves: part of one word from bit 0, or 32 bits over two full
+        words. Any other raises TableError. Unnamed bits above a field's width in its word are not masked.
         """
         field, layout = self._find(name)
+        own = {part.word for part in layout}
+        shared = any(own & {part.word for part in other} for f, other in self.fields.values() if f is not field)
         widths = tuple(part.width for part in layout)
-        if any(part.low or part.word != layout[0].word + i for i, part in enumerate(layout)):
+        if shared or any(part.low or part.word != layout[0].word + i for i, part in enumerate(layout)):
             code = ""
         elif widths == (WORD_BITS, WORD_BITS):
             code = "i" if field.kind is Kind.SIGNED else "I"
         else:
             code = "H" if len(widths) == 1 and field.kind is Kind.UNSIGNED else ""
         if not code:
-            raise TableError(f"{self.title}: {name} is cut over words and needs decode()")
+            raise TableError(f"{self.title}: {name} has no words of its own and needs decode()")
         return Place(layout[0].word * WORD_BYTES, struct.Struct(f"<{code}"))
 
     def _find(self, name: str) -> tuple[Field, Layout]:
         found = self.fields.get(name)
         if found is None:
-            near = difflib.get_close_matches(name, self.fields, n=1)
+            near = difflib.get_close_matches(str(name), self.fields, n=1)
             hint = f"; did you mean {near[0]}?" if near else ""
             raise ProtocolError(f"{self.title} has no field {name!r}{hint}")
         return found

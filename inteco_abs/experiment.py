@@ -18,7 +18,7 @@ import numpy as np
 from inteco_abs.boards import Board, InProcessLink, RtdacUsb2, check_address
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller, build_pipeline, gains_in_force
-from inteco_abs.errors import ReadOnlyError
+from inteco_abs.errors import ReadOnlyError, SessionError
 from inteco_abs.mock_board import Device, Truth, Usb2Face
 from inteco_abs.realtime import Clock, Loop, PacedClock, StopWord, TickRing, VirtualClock
 from inteco_abs.rig import RigParameters
@@ -98,7 +98,10 @@ class _Experiment:
                     self._introduce(recorder, board)
                     self._drive(recorder, board, progress)
             except BaseException as error:
-                self._give_up(recorder, board, error)
+                try:
+                    self._give_up(recorder, board, error)
+                except SessionError as second:
+                    error.add_note(str(second))  # the first error is what matters
                 raise
             return self._conclude(recorder, board)
 

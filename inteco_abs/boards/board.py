@@ -12,6 +12,7 @@ from inteco_abs.signals import BoardFlags, Command, Sample
 
 _COUNTER_RANGE: Final = 1 << 32
 _SAFE_ATTEMPTS: Final = 3
+STILL_ON: Final = "MOTOR POWER MAY STILL BE ON: press the emergency switch"
 
 
 class Identity(NamedTuple):
@@ -69,6 +70,10 @@ class Board(ABC):
         """Write SAFE and read it back; raises LinkError if that is not what the board says it does."""
 
     @abstractmethod
+    def _resynchronise(self) -> None:
+        """Drop answers of failed exchanges, which must not be taken for the next one's. Raises nothing."""
+
+    @abstractmethod
     def _close(self) -> None:
         """Let go of the board."""
 
@@ -108,6 +113,7 @@ class Board(ABC):
         except LinkError as error:
             self.link_errors += 1
             self.last_error = error
+            self._resynchronise()
             return self._sample(self._now_ns(), BoardFlags.STALE)
         now = self._now_ns()
         wheel_before, road_before = self._raw
@@ -117,18 +123,28 @@ class Board(ABC):
         return self._sample(now, BoardFlags.NONE if now - start <= self._period_ns else BoardFlags.SLOW)
 
     def make_safe(self) -> None:
-        """De-energise both outputs and read it back; raises BoardError after three failures."""
+        """De-energise both outputs and read it back; raises BoardError after three failures, or if not open.
+
+        What interrupts it, Ctrl-C included, is raised only once the outputs are safe.
+        """
+        if not self._ready:
+            raise self._refusal()
         failure: LinkError | None = None
+        interruption: BaseException | None = None
         for _ in range(_SAFE_ATTEMPTS):
             try:
                 self._write_safe()
             except LinkError as error:
                 failure = error
+                self._resynchronise()
+            except BaseException as error:  # noqa: BLE001  nothing may keep the outputs on; raised below
+                interruption = error
             else:
-                return
-        raise BoardError(
-            f"SAFE could not be confirmed ({failure}). MOTOR POWER MAY STILL BE ON: press the emergency switch"
-        ) from failure
+                break
+        else:
+            raise BoardError(f"SAFE could not be confirmed ({failure or interruption}). {STILL_ON}") from failure
+        if interruption is not None:
+            raise interruption
 
     def _sample(self, now: int, flags: BoardFlags) -> Sample:
         tick, self._tick = self._tick, self._tick + 1

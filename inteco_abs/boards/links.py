@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from typing import Final, Protocol
 
 from inteco_abs.errors import ConfigError, LinkError, Mistake
+
+_MOST_WAITING: Final = 4
+"""More late answers than this is another program reading along; the next exchange will say so."""
 
 
 class Link(ABC):
@@ -25,6 +29,12 @@ class Link(ABC):
     @abstractmethod
     def close(self) -> None:
         """Let go of the board. Writes nothing; may be called twice."""
+
+    def discard(self, length: int) -> None:
+        """Drop messages of at most `length` bytes that the board has sent and nobody waits for any more."""
+        with suppress(LinkError):
+            for _ in range(_MOST_WAITING):
+                self.read(length)
 
 
 class BulkDevice(Protocol):

@@ -16,7 +16,7 @@ from firmware_protocol.rtdac_usb2 import (
     READ_REQUEST,
     SEND,
 )
-from inteco_abs.boards.board import Board, Identity
+from inteco_abs.boards.board import STILL_ON, Board, Identity
 from inteco_abs.boards.links import Link
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import BoardError, LinkError
@@ -84,7 +84,7 @@ class RtdacUsb2(Board):
         echo = READ.decode(answer)
         wrong = [f"{name} = {echo[name]}, not {value}" for name, value in owned.items() if echo[name] != value]
         if wrong:
-            raise BoardError(f"the board did not take its settings: {'; '.join(wrong)}")
+            raise BoardError(f"the board did not take its settings ({'; '.join(wrong)}). {STILL_ON}")
         return self._counts(answer)
 
     def _owned(self, found: dict[str, int]) -> dict[str, int]:
@@ -102,11 +102,11 @@ class RtdacUsb2(Board):
         }
 
     def _transfer(self, command: Command) -> tuple[int, int]:
+        if not (0.0 <= command.drive <= 1.0 and 0.0 <= command.brake <= 1.0):  # NaN fails too
+            raise BoardError(f"{command}: duties must be in 0..1")  # never masked into something else
         full = self._full
         # rounded down: the output is never more than what the guard has admitted
         drive, brake = int(command.drive * full + _EXACT), int(command.brake * full + _EXACT)
-        if not (0 <= drive <= full and 0 <= brake <= full):
-            raise BoardError(f"{command}: duties must be in 0..1")  # never masked into something else
         return self._counts(self._write_widths(drive, brake))
 
     def _write_safe(self) -> None:
@@ -138,6 +138,9 @@ class RtdacUsb2(Board):
         if len(frame) != FRAME_BYTES:
             raise LinkError(f"the board's answer has {len(frame)} bytes, must be {FRAME_BYTES}")
         return frame
+
+    def _resynchronise(self) -> None:
+        self._link.discard(FRAME_BYTES)
 
     def _close(self) -> None:
         self._link.close()

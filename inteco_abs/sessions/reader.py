@@ -18,8 +18,11 @@ from inteco_abs.errors import SessionError
 from inteco_abs.sessions.schema import LOG_TOPIC, TICK, TRUTH, Message
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
-_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _ATTACHMENT, _METADATA, _DATA_END = 3, 4, 5, 6, 9, 12, 15
+_LIBRARY: Final = "inteco-abs/"
+_HEADER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _ATTACHMENT, _METADATA, _DATA_END = 1, 3, 4, 5, 6, 9, 12, 15
 _LARGEST_CHUNK: Final = 1 << 28
+_MALFORMED: Final = (struct.error, UnicodeDecodeError, IndexError, KeyError, OverflowError)
+"""What taking a record apart raises when its own lengths and numbers do not fit."""
 _HEAD: Final = struct.Struct("<BQ")
 _MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 
@@ -57,6 +60,8 @@ class _Entry(NamedTuple):
 
 @dataclass(slots=True)
 class _Content:
+    library: str = _LIBRARY
+    """Program that wrote the file; assumed ours until the header says otherwise."""
     schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)
     channels: dict[int, tuple[str, int]] = field(default_factory=dict)
     channel_facts: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -116,12 +121,17 @@ def _records(data: memoryview, at: int) -> Iterator[_Entry]:
 def _take(entry: _Entry, content: _Content) -> None:
     try:
         _TAKERS.get(entry.opcode, _ignore)(entry.data, content)
-    except (struct.error, UnicodeDecodeError, IndexError, KeyError) as error:
+    except _MALFORMED as error:
         raise _DamagedError(f"record of type {entry.opcode} at byte {entry.at}: {error}") from error
 
 
 def _ignore(data: memoryview, content: _Content) -> None:
     """Records that repeat what is known, or that a later version added."""
+
+
+def _take_header(data: memoryview, content: _Content) -> None:
+    _, at = _text(data, 0)
+    content.library, _ = _text(data, at)
 
 
 def _take_schema(data: memoryview, content: _Content) -> None:
@@ -163,6 +173,7 @@ def _take_attachment(data: memoryview, content: _Content) -> None:
 
 
 _TAKERS: Final = {
+    _HEADER: _take_header,
     _SCHEMA: _take_schema,
     _CHANNEL: _take_channel,
     _MESSAGE: _take_message,
@@ -188,7 +199,7 @@ def _unpack_chunk(entry: _Entry) -> bytes:
             raw = bytes(packed)
         else:
             raise _DamagedError(f"chunk at byte {entry.at} is compressed with {compression!r}; this version reads zstd")
-    except (struct.error, UnicodeDecodeError, zstandard.ZstdError) as error:
+    except (*_MALFORMED, zstandard.ZstdError) as error:
         raise _DamagedError(f"chunk at byte {entry.at}: {error}") from error
     if len(raw) != size or crc not in (0, zlib.crc32(raw)):
         raise _DamagedError(f"chunk at byte {entry.at} fails its checksum")
@@ -221,7 +232,8 @@ def _map(data: memoryview, at: int) -> dict[str, str]:
 def _assemble(path: Path, content: _Content, incomplete: str) -> Session:
     payload = _flat(content, TICK)
     recorded = content.metadata.get("integrity", {}).get("payload_sha256")
-    if recorded is None and not incomplete:
+    ticks_announced = any(topic == TICK.topic for topic, _ in content.channels.values())
+    if not (ticks_announced or content.library.startswith(_LIBRARY)) or (recorded is None and not incomplete):
         raise SessionError(f"{path}: is an MCAP file, but no session of this program")
     if recorded is not None and recorded != hashlib.sha256(payload).hexdigest():
         raise _DamagedError("the ticks do not match the hash that was recorded with them")

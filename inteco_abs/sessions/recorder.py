@@ -8,6 +8,7 @@ import struct
 import time
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
 from io import BufferedWriter, FileIO
@@ -33,12 +34,15 @@ _INFO, _ERROR = 2, 4  # levels of foxglove.Log
 def check_output(path: Path) -> None:
     """Refuse, before anything is opened, a path where no new session can be; raises ConfigError."""
     problem = ""
-    if path.is_dir():
-        problem = "is a folder; name a file, such as stop.mcap"
-    elif path.exists():
-        problem = "exists already, and sessions are never overwritten; choose another name"
-    elif not path.parent.is_dir():
-        problem = f"the folder {path.parent} does not exist; create it first"
+    try:
+        if path.is_dir():
+            problem = "is a folder; name a file, such as stop.mcap"
+        elif path.exists():
+            problem = "exists already, and sessions are never overwritten; choose another name"
+        elif not path.parent.is_dir():
+            problem = f"the folder {path.parent} does not exist; create it first"
+    except OSError as error:  # a name that no file can have
+        problem = error.strerror or "cannot be a file's name"
     if problem:
         raise ConfigError([Mistake("--out", f"{path}: {problem}")])
 
@@ -128,8 +132,7 @@ class Recorder:
                 "started_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
             },
         )
-        self._writer.flush()  # type: ignore[no-untyped-call]  # the library left it untyped
-        self._file.flush()
+        self._flush()
 
     def ticks(self, records: bytes) -> None:
         """Add tick records, back to back, and an event for every change of phase and every fault among them."""
@@ -167,6 +170,7 @@ class Recorder:
 
     def finish(self, outcome: str, reason: str, result: Mapping[str, Any]) -> None:
         """Complete the file: how the run ended, its result card, the hash over its payloads, the index."""
+        self._flush()  # the last ticks come before what is said about them
         self.describe(
             "session",
             {
@@ -186,8 +190,13 @@ class Recorder:
 
     def discard(self) -> None:
         """Remove the file: nothing ran, so there is nothing to keep."""
-        self._file.close()
+        with suppress(SessionError):  # what could not be written is not wanted any more
+            self._file.close()
         self.path.unlink(missing_ok=True)
+
+    def _flush(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]  # the library left it untyped
+        self._file.flush()
 
     def _changed(self, stamp_ns: int, phase: int, reason: int) -> None:
         if phase != self._before[0]:

@@ -20,6 +20,7 @@ _LOWEST_RAD_S: Final = 10.0
 _LOW_SPEED_RAD_S: Final = 60.0
 _LOCKED_SLIP: Final = 0.9
 _STANDSTILL_RAD_S: Final = 0.5
+_NEVER: Final = np.iinfo(np.int64).max
 
 Array = npt.NDArray[Any]
 
@@ -72,11 +73,13 @@ _STOP_METRICS: Final = (
 
 def _stop_metrics(config: RigConfig, stop: Array, slip: Array, speed: Array, true: Array | None) -> dict[str, Any]:
     reference = config.controller.reference_slip
-    time_s = (stop["time_ns"] - stop["time_ns"][0]) * 1e-9
+    since_ns = stop["time_ns"].astype(np.int64) - int(stop["time_ns"][0])
+    time_s = since_ns * 1e-9
     entry = _first(time_s, np.abs(slip - reference) < _BAND)
-    fast = speed >= _LOWEST_RAD_S
-    settled = fast & (time_s >= (math.inf if entry is None else entry + _SETTLE_S))
-    end = _first(time_s, ~fast)
+    slow = np.flatnonzero(speed < _LOWEST_RAD_S)
+    fast = np.arange(len(stop)) < (slow[0] if len(slow) else len(stop))
+    end = float(time_s[slow[0]]) if len(slow) else None
+    settled = fast & (since_ns >= (_NEVER if entry is None else round((entry + _SETTLE_S) * 1e9)))
     standing = np.flatnonzero(speed < _STANDSTILL_RAD_S)
     parameters = RigParameters.named(config.model.parameters)
     metrics: dict[str, Any] = {
@@ -98,7 +101,7 @@ def _stop_metrics(config: RigConfig, stop: Array, slip: Array, speed: Array, tru
         error = true["slip"] - reference
         metrics["slip_rms_true"] = _rms(error, settled)
         metrics["slip_rms_low_speed_true"] = _rms(error, settled & (speed <= _LOW_SPEED_RAD_S))
-        metrics["slip_rms_fixed_true"] = _rms(error, fast & (time_s >= _FIXED_START_S))
+        metrics["slip_rms_fixed_true"] = _rms(error, fast & (since_ns >= round(_FIXED_START_S * 1e9)))
     return metrics
 
 
