@@ -15,12 +15,15 @@ def wheel_slip(wheel_speed: float, road_speed: float, parameters: RigParameters)
     0 is rolling, 1 a locked or counter-rotating wheel; two wheels at rest have slip 0 by definition.
     """
     rim1, rim2 = parameters.r1 * wheel_speed, parameters.r2 * road_speed
+    if rim2 > rim1 > 0.0:
+        return (rim2 - rim1) / rim2
+    if rim1 > rim2 > 0.0:
+        return (rim1 - rim2) / rim1
     if rim1 == rim2:
         return 0.0
     if rim1 * rim2 <= 0.0:
         return 1.0
-    fast, slow = max(abs(rim1), abs(rim2)), min(abs(rim1), abs(rim2))
-    return (fast - slow) / fast
+    return wheel_slip(-wheel_speed, -road_speed, parameters)
 
 
 class Motion(NamedTuple):
@@ -54,15 +57,10 @@ class Model:
         """The fields of `Motion` as a plain tuple: this is the inner loop of every simulation."""
         k = self._k
         rim1, rim2 = k.r1 * wheel_speed, k.r2 * road_speed
-        if rim1 == rim2:
-            slip = traction = 0.0
+        slip = wheel_slip(wheel_speed, road_speed, k)
+        if slip == 0.0:
+            traction = 0.0
         else:
-            if rim2 > rim1 > 0.0:
-                slip = (rim2 - rim1) / rim2
-            elif rim1 > rim2 > 0.0:
-                slip = (rim1 - rim2) / rim1
-            else:
-                slip = wheel_slip(wheel_speed, road_speed, k)
             power = slip**k.p
             traction = k.w4 * power / (k.a + power) + ((k.w3 * slip + k.w2) * slip + k.w1) * slip  # (8)
             if rim2 < rim1:

@@ -29,6 +29,8 @@ HOLD_BELOW_RAD_S = 5.0
 LONGEST_STOP_S = 6.0
 SETTLE_S = 0.020
 COAST_TICKS = 200
+FIRST_NS = 5_000_000_000_000  # a monotonic clock does not begin at 0
+FIRST_COUNTS = (1000, -3000)  # nor need counts
 
 
 class Row(NamedTuple):
@@ -164,9 +166,9 @@ class Encoders:
         self.period_s = 1.0 / rate_hz
         self._counts_per_rad = counts_per_turn / (2.0 * math.pi)
         self._tick = -1
-        self._time_ns = 0
+        self._time_ns = FIRST_NS
         self._angles = [0.0, 0.0]
-        self._shown = (0, 0)
+        self._shown = FIRST_COUNTS
 
     def turn(self, wheel_speed: float, road_speed: float, *, periods: float = 1.0, stale: bool = False) -> Sample:
         """Next sample, `periods` after the last one; a stale one shows the counts of the last good one."""
@@ -177,7 +179,7 @@ class Encoders:
         self._angles[1] += road_speed * dt_s
         if not stale:
             wheel, road = (math.floor(angle * self._counts_per_rad) for angle in self._angles)
-            self._shown = (wheel, road)
+            self._shown = (FIRST_COUNTS[0] + wheel, FIRST_COUNTS[1] + road)
         flags = BoardFlags.STALE if stale else BoardFlags.NONE
         return Sample(self._tick, self._time_ns, dt_s, *self._shown, flags)
 
@@ -225,7 +227,7 @@ class Experiment:
         length of each period.
         """
         plant, counts_per_rad = self.plant, self.config.encoders.counts_per_turn / (2.0 * math.pi)
-        command, time_ns, number = Command.SAFE, 0, 0
+        command, time_ns, number = Command.SAFE, FIRST_NS, 0
         while not self.pipeline.finished:
             before_ns = time_ns
             time_ns += round(self.config.period_ns * periods(number))

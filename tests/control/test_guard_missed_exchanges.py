@@ -21,7 +21,6 @@ class AtRest:
         self.guard = Guard(config)
         self.time_ns = 0
         self.tick = 0
-        self.exchange(GOOD)
 
     def exchange(self, kind: tuple[int, bool], jitter: float = 0.0) -> bool:
         """Whether the guard still admits."""
@@ -76,6 +75,16 @@ def test_one_miss_in_every_four_or_more_exchanges_never_trips(kind, good):
 def test_more_misses_than_that_fill_the_bucket(kind, good, misses):
     cycle = [kind] + [GOOD] * good
     assert AtRest().good_until_trip(cycle * 100) == (misses - 1) * len(cycle)
+
+
+def test_every_period_of_a_long_gap_fills_the_bucket():
+    assert AtRest().good_until_trip([(3, False), GOOD] * 10) == 6
+
+
+def test_good_exchanges_empty_the_bucket_completely():
+    config = load_config(settings=["guard.missed_in_a_row=1000", "guard.bucket_limit=28"])
+    kinds = [STALE] + [GOOD] * 50 + [STALE] * 9
+    assert AtRest(config).good_until_trip(kinds) == len(kinds)
 
 
 def test_nine_misses_fit_into_the_bucket_and_the_tenth_trips():

@@ -200,6 +200,38 @@ def test_a_stop_request_at_the_very_first_tick_is_obeyed():
     assert_only_safe_from_now_on(pipeline, tick)
 
 
+@pytest.mark.parametrize("flag", [BoardFlags.STALE, BoardFlags.SLOW])
+@pytest.mark.parametrize("phase", ACTIVE)
+def test_samples_that_cannot_be_trusted_change_neither_phase_nor_estimate_nor_wish(experiment, phase, flag):
+    run = experiment(*QUICK)
+    good = next(moment.tick for moment in run.moments() if moment.tick.phase is phase)
+    wishes = good.drive_wish, good.brake_wish
+    for later in range(1, 111):
+        sample = inputs(good)._replace(tick=good.tick + later, time_ns=good.time_ns + later * 500_000, board_flags=flag)
+        tick = run.pipeline.step(sample)
+        assert (tick.phase, tick.reason) == (phase, Reason.NONE)
+        assert (tick.drive_wish, tick.brake_wish) == wishes
+        assert (tick.road_speed_rad_s, tick.slip) == (good.road_speed_rad_s, good.slip)
+
+
+def test_a_braking_run_goes_on_after_failed_exchanges_and_still_stops(experiment):
+    run, last_good, braking = experiment(*QUICK), [], 0
+
+    def tamper(sample, phase):
+        nonlocal braking
+        braking += phase is Phase.BRAKING
+        if 120 < braking <= 230:
+            return last_good[0]._replace(
+                tick=sample.tick, time_ns=sample.time_ns, dt_s=sample.dt_s, board_flags=BoardFlags.STALE
+            )
+        last_good[:] = [sample]
+        return sample
+
+    moments = run.run(tamper=tamper)
+    assert moments[-1].tick.phase is Phase.DONE
+    assert next(moment.road_speed for moment in moments if moment.tick.phase is Phase.STOPPED) < 0.5
+
+
 @pytest.mark.parametrize("call", [1, 2, 50])
 def test_a_controller_that_raises_ends_the_run_and_its_error_is_kept(experiment, call):
     run = experiment(*QUICK, pipeline=with_controller(at_call(call, fail)))

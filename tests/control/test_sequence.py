@@ -226,13 +226,6 @@ def test_a_moment_without_counts_is_not_a_stop(play):
     assert play.phase is Phase.BRAKING
 
 
-def test_failed_exchanges_are_not_a_standstill(play):
-    brake_from_start(play)
-    for _ in range(110):
-        play.step(100.0, stale=True)
-    assert play.phase is Phase.BRAKING
-
-
 def test_a_wheel_that_never_stands_does_not_keep_the_run_from_stopping(play):
     brake_from_start(play)
     for _ in range(120):
