@@ -55,7 +55,13 @@ def _json_option(function: Callable[..., Any]) -> Callable[..., Any]:
 @cli.command()
 @click.option("--board", default="sim:", show_default=True, help="Board address; sim: is the mock board.")
 @click.option("--virtual", is_flag=True, help="Virtual time: as fast as it goes, and repeatable.")
-@click.option("--seed", default=0, show_default=True, help="What differs between two power-ups of the mock board.")
+@click.option(
+    "--seed",
+    default=0,
+    show_default=True,
+    type=click.IntRange(min=0),
+    help="What differs between two power-ups of the mock board.",
+)
 @click.option("--config", type=_FILE, help="rig.toml; every key has a default.")
 @click.option(
     "--set",
@@ -92,19 +98,28 @@ def run(
     chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
     rig = load_config(config, [*settings, *chosen], [control_check(controllers)])
     check_address(board)
+    out = out or _default_out()
     if figure is not None:
         check_figure(figure)
-    out = out or _default_out()
+        if figure.resolve() == out.resolve():
+            raise ConfigError([Mistake("--figure", f"{figure}: is the session's own file; choose another name")])
     with _progress(virtual=virtual) as progress:
         stop = run_stop(rig, Plan(out, board, virtual, seed, controllers, source), progress)
     if as_json:
         _print_json(stop.card)
     else:
         _print_card(stop.card, stop.explanation)
-    if figure is not None and stop.card["start_speed_rad_s"] is not None:
-        _draw(out, figure)
     if stop.outcome != "completed":
         click.echo(f"inteco-abs: {stop.outcome}: {stop.explanation}", err=True)
+    elif stop.exit_code:
+        lost = f"{stop.card['overruns']} periods overrun, {stop.card['link_errors']} exchanges failed"
+        click.echo(f"inteco-abs: completed, but look at it: {lost}", err=True)
+    if figure is not None and stop.card["start_speed_rad_s"] is not None:
+        try:
+            _draw(out, figure)
+        except AbsError as error:  # how the run ended matters more than its picture
+            click.echo(f"inteco-abs: {error}", err=True)
+            return stop.exit_code or error.exit_code
     return stop.exit_code
 
 
@@ -124,6 +139,10 @@ def replay(file: Path, controller: str | None, as_json: bool) -> int:
     controllers, source = _controllers(controller, CONTROLLERS)
     name = session.metadata.get("controller", {}).get("name", "")
     if controller is not None:
+        if controller not in controllers:
+            raise ConfigError(
+                [Mistake("--controller", f"no controller {controller!r}{near_match(controller, controllers)}")]
+            )
         controllers = {**controllers, name: controllers[controller]}
         if source != session.attachments.get("controller.py", source):
             click.echo("inteco-abs: the controller's source is not the one that the session was run with", err=True)
@@ -175,10 +194,16 @@ def main() -> None:
     except AbsError as error:
         if debug:
             raise
-        click.echo(f"inteco-abs: {error}", err=True)
+        for line in (str(error), *getattr(error, "__notes__", ())):
+            click.echo(f"inteco-abs: {line}", err=True)
         code = error.exit_code
     except (KeyboardInterrupt, click.Abort):
+        click.echo("inteco-abs: interrupted", err=True)
         code = _INTERRUPTED
+    except OSError as error:  # the output went away: a closed pipe, a full disk
+        sys.stdout = sys.stderr
+        click.echo(f"inteco-abs: the output cannot be written: {error.strerror}", err=True)
+        code = 1
     except Exception as error:  # the top of the process: a bug must not look like the user's mistake
         if debug:
             raise
@@ -212,6 +237,8 @@ def _controllers(
 ) -> tuple[Mapping[str, type[Controller]], bytes]:
     """Controllers to choose from, with the user's own if `name` is `file.py:Class`, and its source."""
     if name is None or _CUSTOM not in name:
+        if name is not None and name.endswith(".py"):
+            raise ConfigError([Mistake("--controller", f"{name}: name the class too, as in {name}:Class")])
         return shipped, b""
     from inteco_abs.plugins import load_controller
 
@@ -301,4 +328,4 @@ def _print_summary(summary: Mapping[str, Any]) -> None:
             table.add_row(f"{name}.{key}", value)
     for name, size in summary["attachments"].items():
         table.add_row(f"attachment {name}", f"{size} bytes")
-    Console().print(table)
+    Console(markup=False).print(table)

@@ -4,6 +4,7 @@ AbsError
 ├── ConfigError    the command line or rig.toml alone is wrong; nothing was touched
 ├── BoardError     the board is missing, unknown, refuses, or cannot be made safe
 │   ├── LinkError      an exchange failed: no answer, short, stale or not what was sent
+│   ├── UnsafeError    SAFE could not be confirmed
 │   └── ReadOnlyError  outputs are off: the profile does not know or trust this board
 └── SessionError   a session file cannot be written or used
 """
@@ -46,6 +47,12 @@ class BoardError(AbsError):
 
 class LinkError(BoardError):
     """One exchange with the board failed."""
+
+
+class UnsafeError(BoardError):
+    """SAFE could not be confirmed: motor power may still be on."""
+
+    exit_code = 5
 
 
 class ReadOnlyError(BoardError):

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import signal
+import sys
 import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
@@ -29,6 +30,8 @@ from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 _SLICE_TICKS: Final = 1000
 _SPARE_S: Final = 2.0
 _PATIENCE_S: Final = 1.0
+_ENDING: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGXCPU")
+"""Signals that would otherwise end or stop the program with its outputs on."""
 
 Progress = Callable[[Phase, int], None]
 """Told the phase and the number of ticks so far, between slices of a virtual run."""
@@ -67,12 +70,13 @@ class Stop:
 def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None) -> Stop:
     """Run one experiment and record it at `plan.out`.
 
-    SIGINT, SIGTERM and SIGHUP end it at the next tick, with SAFE and a complete file. Raises ConfigError or
+    SIGINT, SIGTERM and their like end it at the next tick, with SAFE and a complete file. Raises ConfigError or
     BoardError if it cannot start, and then leaves no file; BoardError also if SAFE could not be confirmed.
     """
     check_address(plan.board)
     check_output(plan.out)
-    with _Interrupts() as interrupts:
+    # a controller's prints must not mix with the result card
+    with _Interrupts() as interrupts, redirect_stdout(sys.stderr):
         return _Experiment(config, plan, interrupts).run(progress)
 
 
@@ -100,6 +104,8 @@ class _Experiment:
             except BaseException as error:
                 try:
                     self._give_up(recorder, board, error)
+                    if self._pipeline.reason is not Reason.NONE:
+                        error.add_note(f"the run had been stopped: {EXPLANATIONS[self._pipeline.reason]}")
                 except SessionError as second:
                     error.add_note(str(second))  # the first error is what matters
                 raise
@@ -115,10 +121,10 @@ class _Experiment:
             while not over:
                 with self._interrupts.breaking():
                     over = loop.run(most)
-                if progress is not None:
-                    progress(self._pipeline.phase, self._ring.written)
                 if not over:
                     self._record(recorder)
+                    if progress is not None:
+                        progress(self._pipeline.phase, self._ring.written)
         finally:
             try:
                 board.make_safe()  # before anything that takes time or can fail
@@ -196,6 +202,7 @@ class _Experiment:
             "outcome": outcome,
             "board": self._plan.board,
             **metrics,
+            "lost_ticks": self._ring.written - metrics["ticks"],
             "link_errors": board.link_errors,
             "payload_sha256": recorder.payload_sha256,
         }
@@ -238,7 +245,7 @@ class _Interrupts:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():  # Python delivers signals to no other
-            wanted = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+            wanted = [getattr(signal, name) for name in _ENDING if hasattr(signal, name)]
             self._before = {number: signal.signal(number, self._handle) for number in wanted}
         return self
 
@@ -261,5 +268,4 @@ class _Interrupts:
             self._asked_s = now_s
             self.stop.request()
         elif self._may_break and now_s - self._asked_s > _PATIENCE_S:
-            self._may_break = False
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt("a second signal")

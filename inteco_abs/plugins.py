@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
+import sys
 from pathlib import Path
+from types import ModuleType
+from typing import Final
 
 from inteco_abs.control import Controller, Gain
 from inteco_abs.errors import ConfigError, Mistake, near_match
+
+_MOST_INTERNALS: Final = 4
 
 
 def load_controller(name: str) -> tuple[type[Controller], bytes]:
@@ -17,13 +21,13 @@ def load_controller(name: str) -> tuple[type[Controller], bytes]:
         source = path.read_bytes()
     except OSError as error:
         raise _mistake(f"{file}: cannot be read: {error.strerror}") from error
-    spec = importlib.util.spec_from_file_location(f"inteco_abs_user_{path.stem}", path)
-    if spec is None or spec.loader is None:
-        raise _mistake(f"{file}: is no Python file")
-    module = importlib.util.module_from_spec(spec)
+    module = ModuleType(f"inteco_abs_user_{path.stem}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # dataclasses and pickles look their module up there
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:  # the user's own code, which may raise anything
+        # the very bytes that the session keeps, and no cached older version of them
+        exec(compile(source, str(path), "exec"), vars(module))  # noqa: S102  the user named this file to be run
+    except (Exception, SystemExit) as error:  # the user's own code, which may raise anything
         raise _mistake(f"{file}: {type(error).__name__}: {error}") from error
     kind = getattr(module, class_name, None)
     if not isinstance(kind, type):
@@ -34,8 +38,9 @@ def load_controller(name: str) -> tuple[type[Controller], bytes]:
     gains = getattr(kind, "gains", None)
     if not isinstance(gains, tuple) or not all(isinstance(gain, Gain) for gain in gains):
         raise _mistake(f"{class_name}.gains must be a tuple of inteco_abs.control.Gain; () if it has none")
-    if not isinstance(getattr(kind, "internals", None), tuple):
-        raise _mistake(f"{class_name}.internals must be a tuple of names; () if it logs none")
+    internals = getattr(kind, "internals", None)
+    if not isinstance(internals, tuple) or len(internals) > _MOST_INTERNALS:
+        raise _mistake(f"{class_name}.internals must be a tuple of at most {_MOST_INTERNALS} names; () if it logs none")
     return kind, source
 
 

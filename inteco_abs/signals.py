@@ -47,7 +47,7 @@ class Reason(IntEnum):
     BAD_OUTPUT = 5
     OVER_SPEED = 6
     ROAD_ENCODER_FROZEN = 7
-    WHEEL_ENCODER_FROZEN = 8
+    ENCODERS_DISAGREE = 8
     COUNT_JUMP = 9
     ROAD_BACKWARDS = 10
     MISSED_EXCHANGES = 11
@@ -62,10 +62,10 @@ EXPLANATIONS: Final[dict[Reason, str]] = {
     Reason.BRAKING_TIMEOUT: "the road wheel did not stop in time: check the brake's power and the controller's gains",
     Reason.BAD_OUTPUT: "the controller asked for a duty that is not a finite number",
     Reason.OVER_SPEED: "a wheel turned faster than the limit",
-    Reason.ROAD_ENCODER_FROZEN: "the road wheel's encoder does not count although the wheel must turn: check its "
+    Reason.ROAD_ENCODER_FROZEN: "the road wheel's encoder loses counts although the wheel must turn: check its "
     "cable, the drive's power and the emergency switch",
-    Reason.WHEEL_ENCODER_FROZEN: "the braked wheel's encoder does not count although the wheel must turn: check its "
-    "cable and whether the brake is stuck",
+    Reason.ENCODERS_DISAGREE: "the two encoders do not agree: check their cables, signs and counts per turn, "
+    "whether they are swapped, and whether the brake is stuck",
     Reason.COUNT_JUMP: "an encoder count changed faster than any wheel can turn: check cable and shield",
     Reason.ROAD_BACKWARDS: "the road wheel counts backwards: check the encoder's sign in the profile and the wiring",
     Reason.MISSED_EXCHANGES: "too many exchanges with the board were late, slow or failed",

@@ -45,6 +45,33 @@ def test_the_defaults_are_the_simulated_rig_of_the_paper():
     assert config.guard.over_speed_rad_s == 245.0
 
 
+def test_the_defaults_that_no_profile_sets():
+    config = load_config(settings=["profile=usb2_generic_0103"])
+    assert config.experiment.model_dump() == {
+        "idle_s": 0.05,
+        "drive_duty": 1.0,
+        "start_speed_rad_s": 178.0,
+        "stop_speed_rad_s": 0.5,
+        "hold_s": 0.5,
+        "spin_up_timeout_s": 20.0,
+        "braking_timeout_s": 10.0,
+    }
+    assert config.guard.model_dump() == {
+        "brake_limit": 0.7,
+        "drive_limit": 1.0,
+        "over_speed_rad_s": 245.0,
+        "missed_in_a_row": 4,
+        "bucket_limit": 30,
+    }
+    assert (config.estimator.name, config.estimator.window_s) == ("moving-window", 0.010)
+    assert (config.controller.name, config.controller.hold_below_rad_s) == ("reaching-law", 5.0)
+    assert (config.simulation.parameters, config.simulation.brake_rate_per_s) == ("mask", 20.37)
+    board = config.board
+    assert (board.drive_pwm, board.brake_pwm, board.road_encoder, board.wheel_encoder) == (0, 1, 0, 1)
+    assert (board.road_sign, board.wheel_sign) == (1, 1)
+    assert (board.pwm_mode, board.pwm_prescaler, board.pwm_pins) == ("8-bit", 44, [2, 5])
+
+
 def test_every_shipped_profile_loads_and_passes_the_checks():
     assert DEFAULT_PROFILE in profiles()
     for name in profiles():
@@ -61,8 +88,8 @@ def test_the_profile_of_a_real_board_is_strict_and_signed_by_nobody():
 
 def test_a_setting_is_above_the_file_the_file_above_the_profile_the_profile_above_the_defaults(written):
     file = written("profile = 'usb2_generic_0103'\n[guard]\nbrake_limit = 0.5\nover_speed_rad_s = 200.0\n")
-    config = load_config(file, ["guard.over_speed_rad_s=190"])
-    assert config.guard.over_speed_rad_s == 190.0
+    config = load_config(file, ["guard.over_speed_rad_s=198"])
+    assert config.guard.over_speed_rad_s == 198.0
     assert config.guard.brake_limit == 0.5
     assert config.encoders.counts_per_turn == 4096
     assert config.guard.drive_limit == 1.0
@@ -121,8 +148,8 @@ def test_the_effective_configuration_of_every_profile_survives_its_text(name):
 @given(
     brake_limit=st.floats(0.0, 1.0, exclude_min=True),
     window_s=st.floats(0.001, 0.5),
-    start=st.floats(10.5, 240.0),
-    counts=st.integers(4, 1_000_000),
+    start=st.floats(10.5, 220.0),
+    counts=st.integers(256, 1_000_000),
     verified_by=st.text(st.characters(exclude_categories=["Cs"])),
     gains=st.dictionaries(
         st.text(st.characters(exclude_categories=["Cs"])), st.floats(allow_nan=False, allow_infinity=False)
@@ -317,23 +344,46 @@ def test_a_choice_out_of_a_few_names_them(setting, path, allowed):
 @pytest.mark.parametrize(
     ("key", "inside", "outside"),
     [
-        ("guard.brake_limit", ["1e-9", "1.0"], ["0.0", "-0.1", "1.0000001"]),
-        ("guard.over_speed_rad_s", ["181.0", "245.0"], ["245.1"]),
-        ("controller.reference_slip", ["0.001", "0.999"], ["0.0", "1.0"]),
-        ("loop.rate_hz", ["50.0", "10000.0"], ["49.9", "10001.0"]),
-        ("encoders.counts_per_turn", ["4", "1000000"], ["3", "1000001"]),
-        ("guard.missed_in_a_row", ["1", "1000"], ["0", "1001"]),
-        ("board.logic_version", ["0", "65535"], ["-1", "65536"]),
-        ("board.brake_pwm", ["1", "7"], ["-1", "8"]),
+        ("board.logic_version", [0, 65535], [-1, 65536]),
+        ("board.drive_pwm", [0, 7], [-1, 8]),
+        ("board.brake_pwm", [1, 7], [-1, 8]),
+        ("board.pwm_prescaler", [0, 65535], [-1, 65536]),
+        ("board.road_encoder", [0, 7], [-1, 8]),
+        ("board.wheel_encoder", [1, 7], [-1, 8]),
+        ("board.road_sign", [1, -1], [0, 2]),
+        ("board.wheel_sign", [1, -1], [0, 2]),
+        ("encoders.counts_per_turn", [256, 1000000], [255, 1000001]),
+        ("loop.rate_hz", [50.0, 10000.0], [49.9, 10001.0]),
+        ("experiment.idle_s", [0.01, 10.0], [0.009, 10.1]),
+        ("experiment.drive_duty", [0.2, 1.0], [0.0, 0.199, 1.001]),
+        ("experiment.start_speed_rad_s", [10.0, 220.0], [9.9, 240.1]),
+        ("experiment.stop_speed_rad_s", [1e-9, 10.0], [0.0, 10.1]),
+        ("experiment.hold_s", [0.0, 10.0], [-0.001, 10.1]),
+        ("experiment.spin_up_timeout_s", [0.1, 120.0], [0.09, 121.0]),
+        ("experiment.braking_timeout_s", [0.1, 120.0], [0.09, 121.0]),
+        ("estimator.window_s", [0.02, 0.5], [0.0, 0.51]),
+        ("controller.reference_slip", [0.001, 0.999], [0.0, 1.0]),
+        ("controller.hold_below_rad_s", [0.0, 100.0], [-0.1, 100.1]),
+        ("guard.brake_limit", [1e-9, 1.0], [0.0, -0.1, 1.001]),
+        ("guard.drive_limit", [0.2, 1.0], [0.0, 0.199, 1.001]),
+        ("guard.over_speed_rad_s", [201.0, 245.0], [19.9, 245.1]),
+        ("guard.missed_in_a_row", [1, 1000], [0, 1001]),
+        ("guard.bucket_limit", [3, 3000], [2, 3001]),
+        ("simulation.brake_rate_per_s", [1.0, 1e6], [0.9, 1e7]),
     ],
 )
 def test_ranges_include_their_edges_and_nothing_beyond(key, inside, outside):
-    roomy = "estimator.window_s=0.1"
+    section, _, name = key.partition(".")
+    others = ["estimator.window_s=0.02"] if section == "loop" else []
     for value in inside:
-        section, _, name = key.partition(".")
-        assert getattr(getattr(load_config(settings=[roomy, f"{key}={value}"]), section), name) == float(value)
+        assert getattr(getattr(load_config(settings=[*others, f"{key}={value}"]), section), name) == value
     for value in outside:
-        assert list(mistakes(roomy, f"{key}={value}")) == [key]
+        assert list(mistakes(*others, f"{key}={value}")) == [key]
+
+
+def test_an_over_speed_limit_may_be_as_low_as_20_rad_s():
+    settings = ["experiment.start_speed_rad_s=15", "guard.over_speed_rad_s=20"]
+    assert load_config(settings=settings).guard.over_speed_rad_s == 20.0
 
 
 def test_the_over_speed_limit_can_only_be_lowered():
@@ -417,7 +467,7 @@ def test_values_that_contradict_each_other_are_refused_with_both_names(settings,
 
 
 def test_values_that_just_do_not_contradict_each_other_are_accepted():
-    load_config(settings=["guard.over_speed_rad_s=180.1"])
+    load_config(settings=["guard.over_speed_rad_s=200.1"])
     load_config(settings=["estimator.window_s=0.0005"])
     load_config(settings=["board.drive_pwm=1", "board.brake_pwm=0"])
     load_config(settings=["estimator.window_s=0.02", "loop.rate_hz=50"])

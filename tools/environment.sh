@@ -16,12 +16,12 @@ find_python() {
 # Debian splits venv off its Python
 ensure_venv_module() {
     "$1" -c 'import ensurepip, venv' 2>/dev/null && return
-    echo "this Python has no venv module; installing Debian's python3-venv" >&2
-    if [ "$(id -u)" = 0 ]; then sudo=; else sudo='sudo -n'; fi
-    if command -v apt-get >/dev/null 2>&1; then
-        $sudo apt-get update -qq >/dev/null && $sudo apt-get install -y -qq python3-venv >/dev/null && return
+    if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then
+        echo "this Python has no venv module; installing Debian's python3-venv" >&2
+        apt-get update -qq >/dev/null && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq python3-venv >/dev/null
+        "$1" -c 'import ensurepip, venv' 2>/dev/null && return
     fi
-    echo "$0: that did not work; please install the venv module (Debian: apt-get install python3-venv)" >&2
+    echo "$0: this Python has no venv module; please install it (Debian: sudo apt-get install python3-venv)" >&2
     return 1
 }
 

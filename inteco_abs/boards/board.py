@@ -1,4 +1,4 @@
-"""Board, the abstract interface of the device layer, and how one is opened."""
+"""Board, the abstract interface of the device layer."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
-from inteco_abs.errors import BoardError, LinkError, ReadOnlyError
+from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, UnsafeError
 from inteco_abs.signals import BoardFlags, Command, Sample
 
 _COUNTER_RANGE: Final = 1 << 32
@@ -34,7 +34,7 @@ class Board(ABC):
 
     Every board promises: entering reads before it writes, and writes only to a board that its profile knows and
     trusts; the first thing written is SAFE; `exchange` is the only call that can energise an output; leaving, by
-    whatever way, leaves SAFE behind and has read it back, or raises BoardError saying that it has not.
+    whatever way, leaves SAFE behind and has read it back, or raises UnsafeError saying that it has not.
 
     `now_ns` is the monotonic clock of the run, `period_ns` the nominal time between exchanges.
     """
@@ -58,8 +58,12 @@ class Board(ABC):
         """Ask the board what it is; reads only. Raises LinkError if it does not answer in its protocol."""
 
     @abstractmethod
-    def _prepare(self) -> tuple[int, int]:
-        """Build the output image, write SAFE, check that the board took it; raw wheel and road counts."""
+    def _take_over(self) -> None:
+        """Build the output image, all outputs off; reads only. Raises BoardError or LinkError."""
+
+    @abstractmethod
+    def _start(self) -> tuple[int, int]:
+        """Write the image and check that the board took it; raw wheel and road counts."""
 
     @abstractmethod
     def _transfer(self, command: Command) -> tuple[int, int]:
@@ -70,10 +74,6 @@ class Board(ABC):
         """Write SAFE and read it back; raises LinkError if that is not what the board says it does."""
 
     @abstractmethod
-    def _resynchronise(self) -> None:
-        """Drop answers of failed exchanges, which must not be taken for the next one's. Raises nothing."""
-
-    @abstractmethod
     def _close(self) -> None:
         """Let go of the board."""
 
@@ -81,10 +81,11 @@ class Board(ABC):
         try:
             self.identity = self.identify()
             if not self.identity.read_only_because:
-                self._raw = self._prepare()
+                self._take_over()
                 self._ready = True
+                self._raw = self._start()
         except BaseException:
-            self._close()  # nothing was energised: SAFE is the first thing written
+            self.__exit__(None, None, None)  # from the first write on, leaving means SAFE
             raise
         return self
 
@@ -113,7 +114,6 @@ class Board(ABC):
         except LinkError as error:
             self.link_errors += 1
             self.last_error = error
-            self._resynchronise()
             return self._sample(self._now_ns(), BoardFlags.STALE)
         now = self._now_ns()
         wheel_before, road_before = self._raw
@@ -123,9 +123,10 @@ class Board(ABC):
         return self._sample(now, BoardFlags.NONE if now - start <= self._period_ns else BoardFlags.SLOW)
 
     def make_safe(self) -> None:
-        """De-energise both outputs and read it back; raises BoardError after three failures, or if not open.
+        """De-energise both outputs and read it back.
 
-        What interrupts it, Ctrl-C included, is raised only once the outputs are safe.
+        What interrupts it, Ctrl-C included, is raised only once the outputs are safe. Raises UnsafeError after three
+        failures, BoardError if the board is not open.
         """
         if not self._ready:
             raise self._refusal()
@@ -136,13 +137,12 @@ class Board(ABC):
                 self._write_safe()
             except LinkError as error:
                 failure = error
-                self._resynchronise()
             except BaseException as error:  # noqa: BLE001  nothing may keep the outputs on; raised below
                 interruption = error
             else:
                 break
         else:
-            raise BoardError(f"SAFE could not be confirmed ({failure or interruption}). {STILL_ON}") from failure
+            raise UnsafeError(f"SAFE could not be confirmed ({failure or interruption}). {STILL_ON}") from failure
         if interruption is not None:
             raise interruption
 

@@ -42,23 +42,30 @@ class RtdacUsb2(Board):
         self._mode = _MODES.index(wiring.pwm_mode)
         self._full = PWM_FULL_WIDTH[self._mode]
         drive, brake = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
+        self._widths = drive, brake
         self._drive_out, self._brake_out = SEND.place(drive).offset, SEND.place(brake).offset
         self._drive_echo, self._brake_echo = READ.place(drive).offset, READ.place(brake).offset
         self._wheel_at = READ.place(f"encoder{wiring.wheel_encoder}_count")
         self._road_at = READ.place(f"encoder{wiring.road_encoder}_count")
         self._image = bytearray(FRAME_BYTES)
+        self._settings: dict[str, int] = {}
         self._header = b""
+        self._late = False  # whether an exchange failed, so that its answer may still come
 
     def identify(self) -> Identity:
         """Read the header once; nothing is written but the READ request."""
         frame = self._read()
         try:
-            values = READ.decode_some(frame, ("logic_version", "application_name", "synthesis_date"))
+            values = READ.decode_some(frame, ("logic_version", "application_name", "synthesis_date", *self._widths))
         except ProtocolError as error:
             raise LinkError(f"the board's answer is no READ frame: {error}") from error
-        self._header = frame[:HEADER_BYTES]
+        if not self._ready:  # an open board that now calls itself something else has been reset or replaced
+            self._header = frame[:HEADER_BYTES]
         version, name = int(values["logic_version"]), str(values["application_name"])
-        return Identity(version, name, str(values["synthesis_date"]), self._distrust(version, name))
+        because = self._distrust(version, name)
+        if because and any(values[width] for width in self._widths):
+            because += f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}"
+        return Identity(version, name, str(values["synthesis_date"]), because)
 
     def _distrust(self, version: int, name: str) -> str:
         wiring = self._wiring
@@ -71,21 +78,22 @@ class RtdacUsb2(Board):
             return "nobody has verified the profile's wiring on the rig (verified_by is empty)"
         return ""
 
-    def _prepare(self) -> tuple[int, int]:
-        frame = self._read()
+    def _take_over(self) -> None:
         try:
-            found = READ.decode(frame)
-            owned = self._owned({name: int(found[name]) for name in ("pin_mode", "pin_direction", "encoder_reset")})
-            self._image[:] = SEND.encode({**{name: found[name] for name in SEND.fields}, **owned})
+            found = READ.decode(self._read())
+            pins = {name: int(found[name]) for name in ("pin_mode", "pin_direction", "encoder_reset")}
+            self._settings = self._owned(pins)
+            self._image[:] = SEND.encode({**{name: found[name] for name in SEND.fields}, **self._settings})
         except ProtocolError as error:
             raise BoardError(f"the board's settings cannot be taken over: {error}") from error
-        self._link.write(self._image)
-        answer = self._read()
-        echo = READ.decode(answer)
-        wrong = [f"{name} = {echo[name]}, not {value}" for name, value in owned.items() if echo[name] != value]
+
+    def _start(self) -> tuple[int, int]:
+        frame = self._write_widths(0, 0)
+        echo = READ.decode(frame)
+        wrong = [f"{name} = {echo[name]}, not {value}" for name, value in self._settings.items() if echo[name] != value]
         if wrong:
-            raise BoardError(f"the board did not take its settings ({'; '.join(wrong)}). {STILL_ON}")
-        return self._counts(answer)
+            raise BoardError(f"the board did not take its settings: {'; '.join(wrong)}")
+        return self._counts(frame)
 
     def _owned(self, found: dict[str, int]) -> dict[str, int]:
         """What the wiring decides, given the pins and resets as the board has them."""
@@ -117,6 +125,10 @@ class RtdacUsb2(Board):
         _WORD.pack_into(self._image, self._drive_out, drive)
         _WORD.pack_into(self._image, self._brake_out, brake)
         self._link.write(self._image)
+        if self._late:
+            # the answer of a failed exchange must not be taken for this one's; the output has gone out before
+            self._link.discard(FRAME_BYTES)
+        self._late = True
         frame = self._read()
         if not frame.startswith(self._header):
             raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
@@ -125,6 +137,7 @@ class RtdacUsb2(Board):
             raise LinkError(
                 f"the board reports PWM widths {echo}, sent were {(drive, brake)}: an old frame, or another master"
             )
+        self._late = False
         return frame
 
     def _counts(self, frame: bytes) -> tuple[int, int]:
@@ -138,9 +151,6 @@ class RtdacUsb2(Board):
         if len(frame) != FRAME_BYTES:
             raise LinkError(f"the board's answer has {len(frame)} bytes, must be {FRAME_BYTES}")
         return frame
-
-    def _resynchronise(self) -> None:
-        self._link.discard(FRAME_BYTES)
 
     def _close(self) -> None:
         self._link.close()

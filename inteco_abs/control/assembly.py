@@ -25,7 +25,7 @@ def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]
     make: Any = kind  # each controller's constructor takes its own gains
     try:
         controller: Controller = make(setup, **gains_in_force(config, controllers))
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         problem = f"{config.controller.name} cannot be made: {type(error).__name__}: {error}"
         raise ConfigError([Mistake("controller.name", problem)]) from error
     return Pipeline(config, ESTIMATORS[config.estimator.name](config, parameters), controller)
@@ -34,7 +34,7 @@ def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]
 def gains_in_force(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> dict[str, float]:
     """Every gain of the configured controller, defaults included."""
     return {
-        gain.name: config.controller.gains.get(gain.name, gain.default)
+        gain.name: float(config.controller.gains.get(gain.name, gain.default))
         for gain in controllers[config.controller.name].gains
     }
 

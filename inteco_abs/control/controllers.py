@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Final, NamedTuple, Protocol
 
-from inteco_abs.control.model import BrakingModel
+from inteco_abs.control.model import BrakingModel, reaching_torque
 from inteco_abs.rig import RigParameters, brake_duty
 from inteco_abs.signals import BrakeDemand, Estimate
 
@@ -74,8 +74,7 @@ class ReachingLaw:
             return self._last
         f, g = self._model.terms(slip, speed)
         switching = slip - self._reference
-        rate = self._Mk * switching + self._Mq * ((switching > 0.0) - (switching < 0.0))
-        torque = -(f + rate) / g
+        torque = reaching_torque(f, g, switching, self._Mk, self._Mq)
         duty = min(1.0, brake_duty(torque, self._model.parameters))
         self._last = BrakeDemand(duty, torque, switching, (f, g, -f / g, 0.0))
         return self._last

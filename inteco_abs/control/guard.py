@@ -3,29 +3,37 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control.windows import SpeedWindow
-from inteco_abs.signals import Command, Estimate, Reason, Sample
+from inteco_abs.rig import RigParameters
+from inteco_abs.signals import BoardFlags, Command, Estimate, Reason, Sample
 
 _SPEED_WINDOW_S: Final = 0.005
+_HISTORY_S: Final = 0.020
 _FASTEST_RAD_S: Final = 300.0
 """No wheel of this rig turns faster: well above the over-speed limit."""
 _DRIVING_DUTY: Final = 0.2
-"""Duty from which the drive must turn the road wheel."""
+"""Duty from which the drive must turn the road wheel; the configuration allows no less."""
 _DRIVING_GRACE_NS: Final = 300_000_000
 _ROAD_STILL_NS: Final = 50_000_000
+_HARDEST_STOP_RAD_S2: Final = 400.0
+"""No brake slows the road wheel so fast: the highest published deceleration is 167 rad/s2."""
+_TIMING_SHARE: Final = 0.2
+"""What late time stamps can do to the difference of two such speeds, as a share of the speed."""
+_OWED_COUNTS: Final = 6.0
 _RUNNING_RAD_S: Final = 21.0
 """200 rpm: a road wheel this fast cannot come to rest within a few counts, whatever the brake does."""
-_OWED_COUNTS: Final = 6.0
 _ROLLING_RAD_S: Final = 31.4
-"""300 rpm: with the brake off, a wheel on a road this fast turns with it."""
-_WHEEL_STILL_NS: Final = 20_000_000
-_RELEASE_GRACE_NS: Final = 300_000_000
+"""300 rpm: from here on the wheels' speeds are compared."""
+_ROLLING_SHARE: Final = 0.1
+"""A wheel that rolls freely follows the road more closely than this."""
 _BACKWARDS_RAD_S: Final = -5.0
 _MISS_COST: Final = 3
 _RELEASED_DUTY: Final = 0.01
+_RELEASE_GRACE_NS: Final = 300_000_000
 
 
 class Guard:
@@ -47,7 +55,13 @@ class Guard:
         length = max(1, round(_SPEED_WINDOW_S * config.loop.rate_hz))
         self._wheel_speed = SpeedWindow(counts, length)
         self._road_speed = SpeedWindow(counts, length)
+        history = max(1, round(_HISTORY_S * config.loop.rate_hz))
+        self._road_speeds: deque[float] = deque(maxlen=history)
+        self._history_s = history * self._period_s
         self._counts_per_rad = counts / (2.0 * math.pi)
+        self._slack = 2.0 / (self._counts_per_rad * length * self._period_s)  # two counts in a window, as a speed
+        parameters = RigParameters.named(config.model.parameters)
+        self._rim_ratio = parameters.r1 / parameters.r2
         self._fastest_per_ns = _FASTEST_RAD_S * self._counts_per_rad * 1e-9
         self._late_s = 1.5 * self._period_s
         self._before: Sample | None = None
@@ -57,7 +71,6 @@ class Guard:
         self._drive_changed_ns = 0
         self._released = True
         self._brake_changed_ns = -_RELEASE_GRACE_NS
-        self._wheel_moved_ns = 0
         self._road_moved_ns = 0
         self._road_speed_when_moved = 0.0
 
@@ -108,22 +121,21 @@ class Guard:
             return Reason.COUNT_JUMP
         wheel = self._wheel_speed.update(now_ns, sample.wheel_count)
         road = self._road_speed.update(now_ns, sample.road_count)
-        limit = self._over_speed
-        if not (-limit <= wheel <= limit and -limit <= road <= limit):
-            return Reason.OVER_SPEED
-        if wheel_step or not before:
-            self._wheel_moved_ns = now_ns
         if road_step or not before:
             self._road_moved_ns = now_ns
             self._road_speed_when_moved = road
-        if road_step <= 0 or not wheel_step:
-            return self._judge_encoders(now_ns, road)
-        return Reason.NONE
+        limit = self._over_speed
+        if not (-limit <= wheel <= limit and -limit <= road <= limit):
+            return Reason.OVER_SPEED
+        return self._judge_road(now_ns, road) or self._judge_wheel(now_ns, wheel, road)
 
     def _count_misses(self, sample: Sample) -> Reason:
         """One leaky bucket for failed exchanges and skipped periods alike."""
         skipped = int(sample.dt_s / self._period_s - 0.5)
-        bad = skipped + (1 if sample.board_flags else 0)
+        if sample.board_flags & BoardFlags.STALE:
+            bad = skipped + 1
+        else:  # the periods that a slow exchange overran are its own
+            bad = max(skipped, 1 if sample.board_flags else 0)
         if bad > 0:
             self._in_a_row += bad
             self._bucket += _MISS_COST * bad
@@ -133,18 +145,30 @@ class Guard:
         full = self._in_a_row >= self._most_in_a_row or self._bucket >= self._bucket_limit
         return Reason.MISSED_EXCHANGES if full else Reason.NONE
 
-    def _judge_encoders(self, now_ns: int, road: float) -> Reason:
-        """An encoder that stands still or runs back while its wheel must turn. A locked braked wheel is legal."""
-        driven_ns = now_ns - self._drive_changed_ns if self._driving else 0
-        if self._driving and road < _BACKWARDS_RAD_S:
+    def _judge_road(self, now_ns: int, road: float) -> Reason:
+        """The road wheel's encoder, which everything else is measured by."""
+        if road < _BACKWARDS_RAD_S - self._slack:
             return Reason.ROAD_BACKWARDS
         still_ns = now_ns - self._road_moved_ns
-        if driven_ns > _DRIVING_GRACE_NS and still_ns > _ROAD_STILL_NS:
+        driven = self._driving and now_ns - self._drive_changed_ns > _DRIVING_GRACE_NS + _ROAD_STILL_NS
+        before = self._road_speed_when_moved
+        owed = before * still_ns * 1e-9 * self._counts_per_rad if before > _RUNNING_RAD_S else 0.0
+        if owed > _OWED_COUNTS or (driven and still_ns > _ROAD_STILL_NS):
             return Reason.ROAD_ENCODER_FROZEN
-        speed = self._road_speed_when_moved
-        if speed > _RUNNING_RAD_S and speed * still_ns * self._counts_per_rad > _OWED_COUNTS * 1e9:
-            return Reason.ROAD_ENCODER_FROZEN
-        rolling = self._released and now_ns - self._brake_changed_ns > _RELEASE_GRACE_NS and road > _ROLLING_RAD_S
-        if rolling and now_ns - self._wheel_moved_ns > _WHEEL_STILL_NS:
-            return Reason.WHEEL_ENCODER_FROZEN
-        return Reason.NONE
+        # counts that come and go, as from a single channel, look like movement but not like a road that brakes
+        speeds = self._road_speeds
+        earlier = speeds[0] if speeds else road
+        speeds.append(road)
+        lost = _HARDEST_STOP_RAD_S2 * self._history_s + _TIMING_SHARE * earlier + self._slack
+        return Reason.ROAD_ENCODER_FROZEN if earlier - road > lost else Reason.NONE
+
+    def _judge_wheel(self, now_ns: int, wheel: float, road: float) -> Reason:
+        """The braked wheel's encoder, by the road: it may lock under braking, but never run ahead or backwards."""
+        if wheel < _BACKWARDS_RAD_S - self._slack:
+            return Reason.ENCODERS_DISAGREE
+        if road < _ROLLING_RAD_S:
+            return Reason.NONE
+        ahead = self._rim_ratio * wheel - road
+        most = _ROLLING_SHARE * road + self._slack
+        rolling = self._released and now_ns - self._brake_changed_ns > _RELEASE_GRACE_NS
+        return Reason.ENCODERS_DISAGREE if ahead > most or (rolling and ahead < -most) else Reason.NONE

@@ -88,7 +88,11 @@ def reaching_law_torque(
     Gains in 1/s. On the switching surface itself sgn(0) = 0. Raises ValueError as `BrakingModel.terms` does.
     """
     f, g = model.terms(slip, road_speed)
-    switching = slip - reference
+    return reaching_torque(f, g, slip - reference, Mk, Mq)
+
+
+def reaching_torque(f: float, g: float, switching: float, Mk: float, Mq: float) -> float:
+    """Equation (22) on terms already worked out: torque in N m from f in 1/s, g in 1/(s N m) and the slip error."""
     return -(f + Mk * switching + Mq * ((switching > 0.0) - (switching < 0.0))) / g
 
 

@@ -20,7 +20,7 @@ class Pipeline:
     """Estimator, sequence with its controller, and guard, in that order; the guard has the last word."""
 
     def __init__(self, config: RigConfig, estimator: Estimator, controller: Controller) -> None:
-        self.error: Exception | None = None
+        self.error: BaseException | None = None
         """What the estimator or controller raised, if the reason is CONTROLLER_ERROR."""
         self._estimator = estimator
         self._sequence = Sequence(config, controller)
@@ -87,7 +87,7 @@ class Pipeline:
         try:
             estimate = self._estimator.update(sample)
             self._decided = estimate, self._sequence.step(sample, estimate)
-        except Exception as error:  # noqa: BLE001  a user's controller may raise anything; the rig must stop all the same
+        except (Exception, SystemExit) as error:  # noqa: BLE001  a user's controller may raise anything; the rig must stop all the same
             self.error = error
             return _NO_ESTIMATE, _GIVEN_UP
         return self._decided

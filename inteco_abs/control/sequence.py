@@ -102,12 +102,14 @@ class Sequence:
 def _recordable(demand: BrakeDemand) -> BrakeDemand:
     """The demand of a user's controller with every logged value a float; raises if it has none to log.
 
-    The duty itself is left as it is: the guard judges it.
+    A duty that is no number is left as it is: the guard judges it.
     """
     if type(demand) is not BrakeDemand:
         raise TypeError(f"update() must give a BrakeDemand, not {demand!r}")
     brake, torque, switching, internals = demand
-    if type(torque) is float and type(switching) is float and tuple(map(type, internals)) == _FOUR_FLOATS:
+    if type(brake) is int:
+        brake = float(brake)
+    elif type(torque) is float and type(switching) is float and tuple(map(type, internals)) == _FOUR_FLOATS:
         return demand
     c0, c1, c2, c3 = map(float, internals)
     return BrakeDemand(brake, float(torque), float(switching), (c0, c1, c2, c3))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from inteco_abs.rig.friction import adhesion_slope
+from inteco_abs.rig.friction import adhesion, adhesion_slope
 from inteco_abs.rig.parameters import RigParameters
 
 
@@ -56,15 +56,8 @@ class Model:
     ) -> tuple[float, float, float, float, float]:
         """The fields of `Motion` as a plain tuple: this is the inner loop of every simulation."""
         k = self._k
-        rim1, rim2 = k.r1 * wheel_speed, k.r2 * road_speed
         slip = wheel_slip(wheel_speed, road_speed, k)
-        if slip == 0.0:
-            traction = 0.0
-        else:
-            power = slip**k.p
-            traction = k.w4 * power / (k.a + power) + ((k.w3 * slip + k.w2) * slip + k.w1) * slip  # (8)
-            if rim2 < rim1:
-                traction = -traction
+        traction = adhesion(slip, k) if k.r2 * road_speed >= k.r1 * wheel_speed else -adhesion(slip, k)
         lever = self._L_sin - self._L_cos * traction
         held = brake_torque + k.M10
         moves = True

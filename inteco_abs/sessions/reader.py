@@ -20,7 +20,9 @@ from inteco_abs.sessions.schema import LOG_TOPIC, TICK, TRUTH, Message
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _LIBRARY: Final = "inteco-abs/"
 _HEADER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _ATTACHMENT, _METADATA, _DATA_END = 1, 3, 4, 5, 6, 9, 12, 15
-_LARGEST_CHUNK: Final = 1 << 28
+_LARGEST_CHUNK: Final = 1 << 24
+_MOST_EXPANSION: Final = 100
+"""Bytes unpacked per byte of file; ticks of a wheel at rest reach about 40. More is a bomb, not a session."""
 _MALFORMED: Final = (struct.error, UnicodeDecodeError, IndexError, KeyError, OverflowError)
 """What taking a record apart raises when its own lengths and numbers do not fit."""
 _HEAD: Final = struct.Struct("<BQ")
@@ -76,11 +78,15 @@ def read_session(path: Path) -> Session:
     Raises SessionError if the file cannot be opened, is no session, or is damaged.
     """
     try:
-        data = path.read_bytes()
+        if path.exists() and not path.is_file():
+            raise SessionError(f"{path}: cannot be read: it is no regular file")
+        with path.open("rb") as file:
+            head = file.read(len(_MAGIC))
+            data = head + file.read() if head == _MAGIC else head
     except OSError as error:
         raise SessionError(f"{path}: cannot be read: {error.strerror}") from error
     if not data.startswith(_MAGIC):
-        kind = f"starts with {data[:8]!r}" if data else "is empty"
+        kind = f"starts with {data!r}" if data else "is empty"
         raise SessionError(f"{path}: is no MCAP file, it {kind}")
     content = _Content()
     try:
@@ -92,13 +98,18 @@ def read_session(path: Path) -> Session:
 
 def _read_records(data: memoryview, content: _Content) -> str:
     checked = False
+    budget = _LARGEST_CHUNK + _MOST_EXPANSION * len(data)
     for entry in _records(data, len(_MAGIC)):
         if entry.opcode == _DATA_END:
             _check_data(data, entry)
             checked = True
             break
         if entry.opcode == _CHUNK:
-            for inner in _records(memoryview(_unpack_chunk(entry)), 0):
+            unpacked = _unpack_chunk(entry)
+            budget -= len(unpacked)
+            if budget < 0:
+                raise _DamagedError(f"chunk at byte {entry.at} unpacks to more than a session of this size can hold")
+            for inner in _records(memoryview(unpacked), 0):
                 _take(inner, content)
         else:
             _take(entry, content)
@@ -119,6 +130,8 @@ def _records(data: memoryview, at: int) -> Iterator[_Entry]:
 
 
 def _take(entry: _Entry, content: _Content) -> None:
+    if not entry.opcode:
+        raise _DamagedError(f"record at byte {entry.at} has no type")
     try:
         _TAKERS.get(entry.opcode, _ignore)(entry.data, content)
     except _MALFORMED as error:
@@ -254,7 +267,9 @@ def _flat(content: _Content, message: Message) -> bytes:
     """All messages of one constant layout, back to back."""
     for topic, number in content.channels.values():
         if topic == message.topic and content.schemas.get(number) != (message.name, message.descriptor()):
-            raise _DamagedError(f"{topic} has another layout than {message.name} of this version")
+            raise _DamagedError(
+                f"{topic} has another layout than {message.name} here: another version of this program made it"
+            )
     messages = content.messages.get(message.topic, [])
     payload = b"".join(messages)
     if any(len(data) != message.size for data in messages) or not message.well_formed(payload):

@@ -81,6 +81,7 @@ class Recorder:
         self._start_ns = start_ns
         self._hash = hashlib.sha256()
         self._ticks = 0
+        self._truths = 0
         self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
         self._file = BufferedWriter(_Disk(path))
         self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
@@ -157,9 +158,10 @@ class Recorder:
         """Add states of the simulated rig, one per tick, in the order of `TRUTH`'s columns."""
         if self._truth_channel < 0:
             self._truth_channel = self._flat(TRUTH, {})
-        for sequence, truth in enumerate(truths):
+        for truth in truths:
             stamp = self._epoch_ns + truth[0]
-            self._writer.add_message(self._truth_channel, stamp, TRUTH.pack(truth), stamp, sequence)
+            self._writer.add_message(self._truth_channel, stamp, TRUTH.pack(truth), stamp, self._truths)
+            self._truths += 1
 
     def event(self, stamp_ns: int, level: int, text: str) -> None:
         """Add a line to the log at a wall clock time in ns."""

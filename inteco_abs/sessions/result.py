@@ -43,7 +43,6 @@ def result_card(config: RigConfig, ticks: Array, truth: Array) -> dict[str, Any]
         "estimator": config.estimator.name,
         "ticks": len(ticks),
         "overruns": int(ticks["skipped"].sum()),
-        "lost_ticks": 0,
         "start_speed_rad_s": None,
         "reference_slip": reference,
         **dict.fromkeys(_STOP_METRICS),

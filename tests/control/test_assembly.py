@@ -73,17 +73,28 @@ def test_a_gain_of_another_controller_is_unknown():
     }
 
 
-@pytest.mark.parametrize("value", ["-0.1", "1000.5", "-1"])
-def test_a_gain_out_of_range_is_named_with_value_range_unit_and_meaning(value):
-    problem = mistakes(f"controller.gains.Mq={value}")["controller.gains.Mq"]
-    assert problem.startswith(f"{value}: must be in 0..1000 1/s (")
+RANGES = [
+    ("reaching-law", "Mk", 0.0, 1000.0, "1/s"),
+    ("reaching-law", "Mq", 0.0, 1000.0, "1/s"),
+    ("relay", "on_duty", 0.0, 1.0, "1"),
+    ("relay", "off_duty", 0.0, 1.0, "1"),
+]
 
 
-@pytest.mark.parametrize("value", ["0", "1000", "0.0", "3"])
-def test_a_gain_at_the_edge_of_its_range_is_allowed(value):
-    config = load_config(settings=[f"controller.gains.Mq={value}"], checks=[control_check()])
-    gain = gains_in_force(config)["Mq"]
-    assert (gain, type(gain)) == (float(value), float)
+@pytest.mark.parametrize(("controller", "gain", "low", "high", "unit"), RANGES)
+def test_a_gain_out_of_range_is_named_with_value_range_unit_and_meaning(controller, gain, low, high, unit):
+    for value in (low - 0.001, high + 0.001):
+        problem = mistakes(f"controller.name={controller}", f"controller.gains.{gain}={value}")
+        assert list(problem) == [f"controller.gains.{gain}"]
+        assert problem[f"controller.gains.{gain}"].startswith(f"{value}: must be in {low:g}..{high:g} {unit} (")
+
+
+@pytest.mark.parametrize(("controller", "gain", "low", "high"), [case[:4] for case in RANGES])
+def test_a_gain_at_the_edge_of_its_range_is_allowed(controller, gain, low, high):
+    for value in (low, high):
+        settings = [f"controller.name={controller}", f"controller.gains.{gain}={value:g}"]
+        in_force = gains_in_force(load_config(settings=settings, checks=[control_check()]))[gain]
+        assert (in_force, type(in_force)) == (value, float)
 
 
 @pytest.mark.parametrize("value", ["true", '"2"', "nan", "inf", "[1.0]", "1979-05-27"])

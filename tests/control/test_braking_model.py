@@ -150,6 +150,13 @@ def test_terms_are_f_and_g(name, slip, road_speed):
     assert model.terms(slip, road_speed) == (model.f(slip, road_speed), model.g(slip, road_speed))
 
 
+@pytest.mark.parametrize("road_speed", [1e-6, 0.1, 1.0, 1000.0])
+def test_every_road_speed_above_zero_is_accepted(road_speed):
+    f, g = MODELS["mask"].terms(0.2, road_speed)
+    assert f * road_speed == pytest.approx(-461.5, rel=0.01)
+    assert g * road_speed == pytest.approx(110.1, rel=0.01)
+
+
 @pytest.mark.parametrize("road_speed", [0.0, -0.0, -1.0, math.nan, -math.inf])
 @pytest.mark.parametrize("method", ["f", "g", "terms"])
 def test_a_road_speed_that_is_not_above_zero_is_refused_with_its_value(method, road_speed):

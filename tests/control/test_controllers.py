@@ -76,6 +76,12 @@ def test_the_law_goes_on_after_a_hold():
     assert law.update(seen(0.1, 100.0), PERIOD_S) == ReachingLaw(SETUP, 2.0, 1.0).update(seen(0.1, 100.0), PERIOD_S)
 
 
+def test_on_the_surface_itself_the_law_demands_the_holding_torque():
+    f, g = MODEL.terms(0.2, 100.0)
+    demand = ReachingLaw(SETUP, 10.0, 4.0).update(seen(0.2, 100.0), PERIOD_S)
+    assert (demand.torque_nm, demand.switching) == (-f / g, 0.0)
+
+
 def test_the_two_gains_of_the_law_are_not_swapped():
     error = -0.1
     f, g = MODEL.terms(0.2 + error, 100.0)

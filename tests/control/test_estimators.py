@@ -67,6 +67,14 @@ def test_regimes_outside_braking_read_as_rolling_or_locked(wheel_step, road_step
     assert estimate.update(Sample(1, 500_000, PERIOD_S, wheel_step, road_step)).slip == slip
 
 
+def test_the_slip_of_a_slow_road_is_a_slip_all_the_same():
+    estimate = window(1)
+    estimate.update(Sample(0, 0, PERIOD_S, 0, 0))
+    seen = estimate.update(Sample(1, 10**9, 1.0, 50, 100))
+    assert seen.road_speed_rad_s == pytest.approx(0.307, abs=0.001)
+    assert seen.slip == pytest.approx(1.0 - 0.5 * MASK.r1 / MASK.r2, rel=1e-12)
+
+
 @pytest.mark.parametrize("name", sorted(ESTIMATORS))
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=60))
 def test_uneven_sample_times_do_not_change_a_constant_speed(name, steps):

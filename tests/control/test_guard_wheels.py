@@ -55,11 +55,11 @@ def watched(request, encoders):
     return Watched(encoders, counts=request.param)
 
 
-@pytest.mark.parametrize("wheel", ["wheel", "road", "both", "backwards"])
+@pytest.mark.parametrize("wheel", ["wheel", "road", "both"])
 def test_a_wheel_above_the_limit_trips_within_6_ms(watched, wheel):
     watched.run_up(240.0)
-    fast = {"wheel": (260.0, 240.0), "road": (240.0, 260.0), "both": (260.0, 260.0), "backwards": (-260.0, 240.0)}
-    assert watched.keep(*fast[wheel], OFF, 0.1) <= 0.006 + (0.004 if wheel == "backwards" else 0.0)
+    fast = {"wheel": (260.0, 240.0), "road": (240.0, 260.0), "both": (260.0, 260.0)}
+    assert watched.keep(*fast[wheel], OFF, 0.1) <= 0.006
     assert watched.reason is Reason.OVER_SPEED
 
 
@@ -131,7 +131,7 @@ def test_a_frozen_road_encoder_is_found_when_six_counts_are_owed(encoders):
 
 
 def test_a_coarse_encoder_with_less_than_a_count_per_tick_is_no_fault(encoders):
-    watched = Watched(encoders, counts=128)
+    watched = Watched(encoders, counts=256)
     watched.run_up(180.0)
     speed = 180.0
     while speed > 0.0:
@@ -140,8 +140,8 @@ def test_a_coarse_encoder_with_less_than_a_count_per_tick_is_no_fault(encoders):
     assert watched.reason is Reason.NONE
 
 
-def test_a_road_slower_than_200_rpm_may_stand_at_once(watched):
-    watched.run_up(19.0)
+def test_a_road_slower_than_75_rpm_may_stand_at_once(watched):
+    watched.run_up(8.0)
     assert watched.keep(0.0, 0.0, BRAKE, 1.0) == 1.0
 
 
@@ -159,7 +159,7 @@ def test_a_road_encoder_that_freezes_early_in_the_spin_up_is_found_by_the_drive(
 
 def test_a_road_encoder_that_freezes_on_a_slow_road_after_the_grace_is_found_in_50_ms(watched):
     watched.run_up(15.0, acceleration=30.0)
-    assert 0.048 <= watched.keep(15.0, 0.0, DRIVE, 2.0) <= 0.053
+    assert watched.keep(15.0, 0.0, DRIVE, 2.0) <= 0.053
     assert watched.reason is Reason.ROAD_ENCODER_FROZEN
 
 
@@ -176,14 +176,14 @@ def test_a_road_that_is_braked_to_rest_is_no_fault(watched, deceleration):
 def test_a_wheel_encoder_that_freezes_while_rolling_free_trips_within_20_ms(watched):
     watched.run_up(100.0)
     watched.coast(100.0, 0.3)
-    assert 0.019 <= watched.keep(0.0, 100.0, OFF, 1.0) <= 0.022
-    assert watched.reason is Reason.WHEEL_ENCODER_FROZEN
+    assert watched.keep(0.0, 100.0, OFF, 1.0) <= 0.022
+    assert watched.reason is Reason.ENCODERS_DISAGREE
 
 
 def test_a_wheel_encoder_that_freezes_under_the_drive_trips_within_20_ms(watched):
     watched.run_up(100.0)
     assert watched.keep(0.0, 100.0, DRIVE, 1.0) <= 0.022
-    assert watched.reason is Reason.WHEEL_ENCODER_FROZEN
+    assert watched.reason is Reason.ENCODERS_DISAGREE
 
 
 def test_a_wheel_encoder_that_never_counts_trips_when_the_road_is_at_300_rpm(watched):
@@ -191,7 +191,7 @@ def test_a_wheel_encoder_that_never_counts_trips_when_the_road_is_at_300_rpm(wat
     while watched.reason is Reason.NONE:
         speed += 100.0 * watched.period_s
         watched.see(0.0, speed, DRIVE)
-    assert watched.reason is Reason.WHEEL_ENCODER_FROZEN
+    assert watched.reason is Reason.ENCODERS_DISAGREE
     assert 31.0 < speed < 34.0
 
 
@@ -206,7 +206,7 @@ def test_a_wheel_that_stays_locked_after_the_release_trips_300_ms_later(watched)
     watched.run_up(150.0)
     watched.keep(0.0, 150.0, BRAKE, 0.5)
     assert 0.300 <= watched.keep(0.0, 150.0, OFF, 2.0) <= 0.322
-    assert watched.reason is Reason.WHEEL_ENCODER_FROZEN
+    assert watched.reason is Reason.ENCODERS_DISAGREE
 
 
 def test_a_wheel_that_spins_up_again_after_the_release_is_no_fault(watched):
@@ -262,12 +262,46 @@ def test_a_road_that_counts_backwards_under_the_drive_trips(watched):
         speed += 30.0 * watched.period_s
         watched.see(speed, -speed, DRIVE)
     assert watched.reason is Reason.ROAD_BACKWARDS
-    assert speed < 6.0
+    assert speed < 8.0
 
 
-def test_a_road_that_rolls_backwards_without_drive_is_no_fault(watched):
-    for speed in (-1.0, -4.0, -10.0, -20.0):
-        assert watched.keep(speed, speed, OFF, 0.05) == 0.05
+@pytest.mark.parametrize("command", [OFF, DRIVE, BRAKE])
+def test_a_road_that_counts_backwards_trips_in_every_phase(watched, command):
+    watched.run_up(60.0)
+    assert watched.keep(60.0, -60.0, command, 0.1) <= 0.005
+    assert watched.reason in (Reason.ROAD_BACKWARDS, Reason.ROAD_ENCODER_FROZEN, Reason.ENCODERS_DISAGREE)
+
+
+@pytest.mark.parametrize("speed", [20.0, 60.0, 170.0])
+@pytest.mark.parametrize("command", [DRIVE, BRAKE])
+def test_a_road_encoder_that_only_dithers_is_found_in_20_ms(watched, command, speed):
+    watched.run_up(speed)
+    still = watched.encoders.turn(speed, speed)
+    watched.guard.admit(command, still, SEEN)
+    ticks = 0
+    while watched.reason is Reason.NONE:
+        ticks += 1
+        sample = watched.encoders.turn(speed, speed)
+        watched.guard.admit(command, sample._replace(road_count=still.road_count + ticks % 2), SEEN)
+        assert ticks * watched.period_s < 0.020
+    assert watched.reason in (Reason.ROAD_ENCODER_FROZEN, Reason.ENCODERS_DISAGREE)
+
+
+@pytest.mark.parametrize("share", [0.5, 2.0, -1.0])
+def test_a_wheel_encoder_of_another_scale_or_sign_trips_while_rolling(watched, share):
+    speed = 0.0
+    while watched.reason is Reason.NONE:
+        speed += 30.0 * watched.period_s
+        watched.see(share * speed, speed, DRIVE)
+        assert speed < 60.0
+    assert watched.reason is Reason.ENCODERS_DISAGREE
+
+
+def test_swapped_encoders_trip_once_the_brake_bites(watched):
+    watched.run_up(100.0)
+    assert watched.keep(100.0, 100.0, BRAKE, 0.05) == 0.05
+    assert watched.keep(100.0, 85.0, BRAKE, 0.1) < 0.02
+    assert watched.reason is Reason.ENCODERS_DISAGREE
 
 
 def test_a_road_that_rocks_back_a_few_counts_under_the_drive_is_no_fault(watched):

@@ -1,0 +1,300 @@
+"""Benches: a board, the mock device at its far end, and between them a link that fails when a test says so."""
+
+from collections.abc import Callable
+
+import pytest
+
+from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, SEND_COMMAND, decode_send, encode_send
+from inteco_abs.boards import InProcessLink, Link, RtdacUsb2
+from inteco_abs.config import load_config
+from inteco_abs.errors import LinkError
+from inteco_abs.mock_board import Device, Usb2Face
+from inteco_abs.signals import Command, Sample
+
+COUNTER_RANGE = 1 << 32
+POWERED_PINS = {"pin_mode": 1 << 2 | 1 << 5, "pin_direction": 0}
+BOTH_ON = {**POWERED_PINS, "pwm0_width": 255, "pwm1_width": 255}
+
+
+def two_complement(count: int) -> int:
+    return (count + COUNTER_RANGE // 2) % COUNTER_RANGE - COUNTER_RANGE // 2
+
+
+class HandClock:
+    """Time that moves only when a test moves it."""
+
+    def __init__(self) -> None:
+        self.time_ns = 5_000_000_321
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+    def advance(self, duration_ns: int) -> None:
+        self.time_ns += duration_ns
+
+
+class SteeredDevice(Device):
+    """The mock device, whose counters a test may set."""
+
+    shown: tuple[int, int] | None = None
+
+    def show(self, wheel: int, road: int) -> None:
+        self.shown = (two_complement(road), two_complement(wheel))
+
+    def counts(self) -> tuple[int, int]:
+        return super().counts() if self.shown is None else self.shown
+
+
+class MoodyFace:
+    """The mock's endpoints. Deaf, they ignore SEND frames; an answer can come late, even later, or twice."""
+
+    def __init__(self, face: Usb2Face) -> None:
+        self.face = face
+        self.deaf = False
+        self.ignored = 0
+        self.next_answer = "in time"
+        self._queue: list[bytes] = []
+        self._held: list[bytes] = []
+
+    def bulk_out(self, data: bytes | bytearray) -> None:
+        if bytes(data) == READ_REQUEST:
+            self._queue += self._held
+            self._held.clear()
+        if self.deaf and len(data) == FRAME_BYTES:
+            self.ignored += 1
+        else:
+            self.face.bulk_out(data)
+
+    def bulk_in(self, length: int) -> bytes:
+        mood, self.next_answer = self.next_answer, "in time"
+        answer = self.face.bulk_in(length)
+        if mood == "after the next request":
+            self._held.append(answer)
+        elif answer:
+            self._queue += [answer, answer] if mood == "twice" else [answer]
+        return self._queue.pop(0) if self._queue and not mood.startswith("after") else b""
+
+
+class FaultyLink(Link):
+    """Hands every message on, keeps a copy of it, and fails when told to; `failed` counts the failures."""
+
+    def __init__(self, inner: Link) -> None:
+        self.written: list[bytes] = []
+        self.closed = False
+        self.failed = 0
+        self.operations = 0
+        self.unplugged = False
+        self.before_operation: Callable[[int], None] = lambda _number: None
+        self.change_answer: Callable[[bytes], bytes] = bytes
+        self.change_next_answer: Callable[[bytes], bytes] | None = None
+        self.refuse_next: str | None = None
+        self._inner = inner
+
+    def write(self, data: bytes | bytearray) -> None:
+        self._count()
+        message = "request" if bytes(data) == READ_REQUEST else "send"
+        if self.refuse_next == message:
+            self.refuse_next = None
+            self._fail()
+        self.written.append(bytes(data))
+        self._inner.write(data)
+
+    def read(self, length: int) -> bytes:
+        self._count()
+        answer = self._inner.read(length)
+        if self.refuse_next == "answer":
+            self.refuse_next = None
+            self._fail()
+        if self.change_next_answer is not None:
+            change, self.change_next_answer = self.change_next_answer, None
+            self.failed += 1
+            answer = change(answer)
+        return self.change_answer(answer)
+
+    def close(self) -> None:
+        self.closed = True
+        self._inner.close()
+
+    def _count(self) -> None:
+        number, self.operations = self.operations, self.operations + 1
+        if self.unplugged:
+            self._fail()
+        self.before_operation(number)
+
+    def _fail(self) -> None:
+        self.failed += 1
+        raise LinkError("the cable is unplugged")
+
+
+def _flipped(offset: int) -> Callable[[bytes], bytes]:
+    return lambda answer: answer[:offset] + bytes([answer[offset] ^ 1]) + answer[offset + 1 :]
+
+
+WAYS_TO_FAIL = (
+    "short answer",
+    "empty answer",
+    "wrong header",
+    "wrong echo of the drive",
+    "wrong echo of the brake",
+    "no answer",
+    "command not delivered",
+    "request not delivered",
+)
+
+
+class Usb2Bench:
+    """An RT-DAC/USB2 over the in-process link to the mock.
+
+    `settings` are those of `load_config`, `earlier` the outputs as an earlier program left them.
+    """
+
+    def __init__(self, *settings: str, earlier: dict[str, int] | None = None, seed: int = 0) -> None:
+        self.config = load_config(settings=settings)
+        self.clock = HandClock()
+        self.device = SteeredDevice(self.config, self.clock.now_ns, seed)
+        face = Usb2Face(self.device)
+        if earlier is not None:
+            face.bulk_out(encode_send(earlier))
+        self.face = MoodyFace(face)
+        self.link = FaultyLink(InProcessLink(self.face))
+        self.board = RtdacUsb2(self.link, self.config.board, self.clock.now_ns, self.config.period_ns)
+
+    @property
+    def only_read(self) -> bool:
+        """Whether the board was asked something, and nothing was written to it but that."""
+        return set(self.link.written) == {READ_REQUEST}
+
+    @property
+    def frames_sent(self) -> list[bytes]:
+        """Settings written so far, as they went over the link."""
+        return [message for message in self.link.written if message != READ_REQUEST]
+
+    @property
+    def settings_sent(self) -> list[dict[str, int]]:
+        """Settings written so far."""
+        return [decode_send(frame) for frame in self.frames_sent]
+
+    def exchange(self, drive: float = 0.0, brake: float = 0.0, periods: float = 1.0) -> Sample:
+        """One exchange, `periods` after the last one."""
+        self.clock.advance(round(periods * self.config.period_ns))
+        return self.board.exchange(Command(drive, brake))
+
+    def spin_up(self, exchanges: int = 100) -> Sample:
+        """Newest sample after driving at full duty."""
+        for _ in range(exchanges):
+            sample = self.exchange(1.0, 0.0)
+        return sample
+
+    def fail_next(self, way: str) -> None:
+        """Make the next exchange fail in one of `WAYS_TO_FAIL`."""
+        changes = {
+            "short answer": lambda answer: answer[:-1],
+            "empty answer": lambda _answer: b"",
+            "wrong header": _flipped(2),
+            "wrong echo of the drive": _flipped(44),
+            "wrong echo of the brake": _flipped(50),
+        }
+        refusals = {"no answer": "answer", "command not delivered": "send", "request not delivered": "request"}
+        self.link.change_next_answer = changes.get(way)
+        self.link.refuse_next = refusals.get(way)
+
+    def strike(self, errors: dict[int, BaseException]) -> list[int]:
+        """Raise each error at the link's use of that number, from 0; the list is of those that it has come to."""
+        reached: list[int] = []
+
+        def before_operation(number: int) -> None:
+            if number in errors:
+                reached.append(number)
+                raise errors[number]
+
+        self.link.before_operation = before_operation
+        return reached
+
+    def unplug(self) -> None:
+        """Nothing gets through any more."""
+        self.link.unplugged = True
+
+    def ignore_commands(self) -> None:
+        """From now on the device answers and does not do what it is told."""
+        self.face.deaf = True
+
+
+@pytest.fixture(scope="session", params=[Usb2Bench], ids=["rtdac-usb2"])
+def new_bench(request):
+    """Maker of benches; the contract tests run once for every board in `params`."""
+    return request.param
+
+
+@pytest.fixture(scope="session")
+def new_usb2_bench():
+    return Usb2Bench
+
+
+@pytest.fixture(scope="session")
+def both_on():
+    """Outputs as an earlier program may leave them: drive and brake at full duty."""
+    return BOTH_ON
+
+
+@pytest.fixture(params=WAYS_TO_FAIL)
+def way(request):
+    return request.param
+
+
+@pytest.fixture(scope="session")
+def ways_to_fail():
+    return WAYS_TO_FAIL
+
+
+class MockBoard:
+    """The mock on its own: raw messages in, raw answers out."""
+
+    def __init__(self, *settings: str, seed: int = 0, **device) -> None:
+        self.clock = HandClock()
+        self.device = Device(load_config(settings=settings), self.clock.now_ns, seed, **device)
+        self.face = Usb2Face(self.device)
+
+    def send(self, **settings: int) -> None:
+        self.face.bulk_out(encode_send(settings))
+
+    def read(self) -> bytes:
+        self.face.bulk_out(READ_REQUEST)
+        return self.face.bulk_in(FRAME_BYTES)
+
+    def run(self, duration_s: float) -> None:
+        """Let the rig move on, at the rate at which a loop would look at it."""
+        end_ns = self.clock.time_ns + round(duration_s * 1e9)
+        while self.clock.time_ns < end_ns:
+            self.clock.advance(min(500_000, end_ns - self.clock.time_ns))
+            self.device.catch_up()
+
+
+@pytest.fixture(scope="session")
+def new_mock():
+    return MockBoard
+
+
+@pytest.fixture
+def mock(new_mock):
+    return new_mock()
+
+
+class Wire:
+    """Frames written out by hand, without the product's tables."""
+
+    @staticmethod
+    def frame(words: dict[int, int], command: int = SEND_COMMAND) -> bytes:
+        image = [0] * (FRAME_BYTES // 2)
+        image[0] = command
+        for index, value in words.items():
+            image[index] = value
+        return b"".join(word.to_bytes(2, "little") for word in image)
+
+    @staticmethod
+    def words(frame: bytes) -> list[int]:
+        return [int.from_bytes(frame[at : at + 2], "little") for at in range(0, len(frame), 2)]
+
+
+@pytest.fixture(scope="session")
+def wire():
+    return Wire

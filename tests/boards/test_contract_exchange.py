@@ -1,0 +1,94 @@
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from inteco_abs.signals import BoardFlags
+
+
+class TestExchange:
+    def test_the_first_sample_is_tick_zero_at_count_zero(self, new_bench):
+        bench = new_bench(seed=3)
+        with bench.board:
+            sample = bench.exchange(periods=7.0)
+        assert sample.tick == 0
+        assert (sample.wheel_count, sample.road_count) == (0, 0)
+        assert sample.dt_s == bench.config.period_ns / 1e9
+        assert sample.board_flags is BoardFlags.NONE
+
+    def test_driving_turns_both_wheels_and_the_counts_follow_them(self, new_bench):
+        bench = new_bench(seed=11)
+        road_start, wheel_start = bench.device.counts()
+        with bench.board:
+            samples = [bench.exchange(1.0) for _ in range(400)]
+            road, wheel = bench.device.counts()
+        last = samples[-1]
+        assert (last.wheel_count, last.road_count) == (wheel - wheel_start, road - road_start)
+        assert last.wheel_count > 50
+        assert last.road_count > 50
+        for counts in ([s.wheel_count for s in samples], [s.road_count for s in samples]):
+            assert counts == sorted(counts)
+
+    def test_braking_slows_the_wheels_down(self, new_bench):
+        bench = new_bench()
+        with bench.board:
+            bench.spin_up(400)
+            fast = bench.device.plant.road_speed
+            for _ in range(400):
+                bench.exchange(0.0, 0.6)
+            assert 0.0 <= bench.device.plant.road_speed < 0.5 * fast
+
+    def test_a_command_acts_until_the_next_one(self, new_bench):
+        bench = new_bench()
+        with bench.board:
+            bench.exchange(1.0, 0.0)
+            assert bench.device.duties == (1.0, 0.0)
+            bench.clock.advance(10**8)
+            bench.device.catch_up()
+            assert bench.device.duties == (1.0, 0.0)
+            bench.exchange(0.0, 0.6)
+            assert bench.device.duties == (0.0, 0.6)
+
+    def test_the_sample_shows_the_rig_before_its_command_has_acted(self, new_bench):
+        bench = new_bench()
+        with bench.board:
+            sample = bench.exchange(1.0, periods=2000.0)
+        assert (sample.wheel_count, sample.road_count) == (0, 0)
+
+    @given(periods=st.lists(st.floats(0.0, 50.0), min_size=1, max_size=12))
+    def test_ticks_count_up_and_times_are_the_clocks(self, new_bench, periods):
+        bench = new_bench()
+        times = []
+        with bench.board:
+            samples = []
+            for gap in periods:
+                samples.append(bench.exchange(0.5, periods=gap))
+                times.append(bench.clock.time_ns)
+        assert [s.tick for s in samples] == list(range(len(periods)))
+        assert [s.time_ns for s in samples] == times
+        differences = [(b - a) / 1e9 for a, b in pairwise(times)]
+        assert [s.dt_s for s in samples] == [bench.config.period_ns / 1e9, *differences]
+
+    @pytest.mark.parametrize(("duration", "flags"), [(0.0, 0), (1.0, 0), (1.01, BoardFlags.SLOW), (9, BoardFlags.SLOW)])
+    def test_an_exchange_that_takes_longer_than_a_period_is_slow_and_its_counts_are_good(
+        self, new_bench, duration, flags
+    ):
+        bench = new_bench()
+        with bench.board:
+            before = bench.spin_up()
+            bench.device.show(1_000_000, 2_000_000)
+            base = bench.exchange()
+            bench.device.show(1_000_123, 2_000_456)
+
+            def delay(answer):
+                bench.clock.advance(round(duration * bench.config.period_ns))
+                return answer
+
+            bench.link.change_answer = delay
+            sample = bench.exchange()
+            assert sample.board_flags == flags
+            assert sample.time_ns == bench.clock.time_ns
+            assert (sample.wheel_count - base.wheel_count, sample.road_count - base.road_count) == (123, 456)
+            assert sample.tick == before.tick + 2
+            assert bench.board.link_errors == 0

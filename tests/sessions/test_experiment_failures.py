@@ -1,0 +1,196 @@
+import errno
+import math
+import os
+
+import pytest
+
+import inteco_abs.experiment
+from inteco_abs.config import load_config
+from inteco_abs.control import CONTROLLERS
+from inteco_abs.errors import AbsError, BoardError, ConfigError, ReadOnlyError, SessionError
+from inteco_abs.experiment import Plan, run_stop
+from inteco_abs.sessions import Recorder, read_session
+from inteco_abs.signals import EXPLANATIONS, BrakeDemand, Phase, Reason
+
+
+class Broken:
+    """Controller that raises at its tenth update."""
+
+    gains = ()
+    internals = ()
+
+    def __init__(self, _setup) -> None:
+        self._left = 10
+
+    def update(self, estimate, dt_s):
+        self._left -= 1
+        if not self._left:
+            raise ZeroDivisionError(f"slip {estimate.slip:.1f} after {dt_s} s")
+        return BrakeDemand(0.5)
+
+
+class NotANumber(Broken):
+    """Controller that asks for NaN."""
+
+    def update(self, _estimate, _dt_s):
+        return BrakeDemand(math.nan)
+
+
+class Unbuildable(Broken):
+    """Controller whose constructor raises."""
+
+    def __init__(self, _setup) -> None:
+        raise ValueError("no such table")
+
+
+def mine(kind):
+    return {**CONTROLLERS, "mine": kind}
+
+
+def run_mine(run, kind):
+    return run("controller.name=mine", controllers=mine(kind))
+
+
+def test_a_controller_that_raises_ends_in_a_fault_with_its_words(run, devices, replayed):
+    made = run_mine(run, Broken)
+    stop, session = made.stop, made.session
+    assert (stop.outcome, stop.reason, stop.exit_code) == ("fault", Reason.CONTROLLER_ERROR, 5)
+    assert stop.explanation.startswith(f"{EXPLANATIONS[Reason.CONTROLLER_ERROR]}: ZeroDivisionError: slip 0.")
+    assert "after 0.0005 s (test_experiment_failures.py, line " in stop.explanation
+    assert (session.incomplete, session.metadata["session"]["reason"]) == ("", stop.explanation)
+    assert [device.duties for device in devices] == [(0.0, 0.0)]
+    last = session.ticks[-1]
+    assert (last["phase"], last["reason"]) == (Phase.FAULT, Reason.CONTROLLER_ERROR)
+    assert (last["drive"], last["brake"]) == (0.0, 0.0)
+    assert session.ticks["brake"][-2] == 0.5
+    assert replayed(session, mine(Broken)).differing == 0
+
+
+def test_a_controller_that_asks_for_nan_ends_in_a_fault(run, devices, replayed):
+    made = run_mine(run, NotANumber)
+    assert (made.stop.outcome, made.stop.reason) == ("fault", Reason.BAD_OUTPUT)
+    assert [device.duties for device in devices] == [(0.0, 0.0)]
+    assert made.session.ticks["brake"].max() == 0.0
+    assert math.isnan(made.session.ticks["brake_wish"][-1])
+    assert replayed(made.session, mine(NotANumber)).differing == 0
+
+
+def test_a_controller_that_cannot_be_built_leaves_no_file(run, tmp_path):
+    with pytest.raises(ConfigError, match=r"controller\.name: mine cannot be made: ValueError: no such table"):
+        run_mine(run, Unbuildable)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["profile=usb2_generic_0103"], "the board's logic is named 'ABSSIM', the profile knows none yet"),
+        (["board.application_names=['ABS2']"], "the board's logic is named 'ABSSIM', the profile knows 'ABS2'"),
+        (["board.logic_version=258"], "the board has logic 0x0103, the profile was made for 0x0102"),
+        (["board.verified_by=''"], "nobody has verified the profile's wiring"),
+    ],
+    ids=["generic", "name", "version", "unsigned"],
+)
+def test_a_board_that_the_profile_does_not_know_leaves_no_file(tmp_path, devices, settings, words):
+    with pytest.raises(ReadOnlyError) as refusal:
+        run_stop(load_config(settings=settings), Plan(out=tmp_path / "stop.mcap"))
+    assert words in str(refusal.value)
+    assert list(tmp_path.iterdir()) == []
+    (device,) = devices
+    assert device.settings == {}  # nothing was written
+
+
+@pytest.mark.parametrize("address", ["usb:", "sim", "", "sim:1"])
+def test_an_unknown_address_leaves_no_file(tmp_path, devices, address):
+    with pytest.raises(ConfigError, match="--board"):
+        run_stop(load_config(), Plan(out=tmp_path / "stop.mcap", board=address))
+    assert list(tmp_path.iterdir()) == []
+    assert devices == []
+
+
+def test_an_existing_session_is_left_alone_and_the_board_too(run, devices, tmp_path):
+    path = tmp_path / "stop.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(ConfigError, match="never overwritten"):
+        run()
+    assert path.read_bytes() == b"precious"
+    assert devices == []
+
+
+@pytest.mark.parametrize("kind", [RuntimeError, KeyboardInterrupt, SystemExit])
+def test_whatever_breaks_the_run_off_the_board_is_safe_and_the_file_whole(run, devices, replayed, tmp_path, kind):
+    def progress(phase, _ticks):
+        if phase is Phase.BRAKING:
+            raise kind("the screen is gone")
+
+    with pytest.raises(kind, match="the screen is gone"):
+        run(progress=progress)
+    assert [device.duties for device in devices] == [(0.0, 0.0)]
+    session = read_session(tmp_path / "stop.mcap")
+    assert session.incomplete == ""
+    facts = session.metadata["session"]
+    assert facts["outcome"] == "aborted"
+    assert facts["reason"].startswith(f"{kind.__name__}: the screen is gone")
+    assert session.ticks["phase"][-1] == Phase.BRAKING
+    assert len(session.truth) == len(session.ticks)
+    assert replayed(session).differing == 0
+
+
+@pytest.fixture
+def stuck(monkeypatch):
+    """A board that does not confirm SAFE."""
+
+    class Stuck(inteco_abs.experiment.RtdacUsb2):
+        def make_safe(self) -> None:
+            raise BoardError("SAFE could not be confirmed")
+
+    monkeypatch.setattr(inteco_abs.experiment, "RtdacUsb2", Stuck)
+
+
+@pytest.mark.usefixtures("stuck")
+def test_a_board_that_cannot_be_made_safe_is_said_and_no_tick_is_lost(run, quick, tmp_path):
+    with pytest.raises(BoardError, match="SAFE could not be confirmed"):
+        run()
+    session = read_session(tmp_path / "stop.mcap")
+    assert session.incomplete == ""
+    assert session.metadata["session"]["outcome"] == "aborted"
+    assert len(session.ticks) == quick.stop.card["ticks"]
+    assert session.payload == quick.session.payload
+
+
+@pytest.mark.usefixtures("stuck")
+def test_a_board_that_cannot_be_made_safe_is_said_even_when_the_disk_is_full(run, room):
+    room(100_000)
+    with pytest.raises(BoardError, match="SAFE could not be confirmed"):
+        run("experiment.start_speed_rad_s=60.0")
+
+
+def test_a_disk_that_fills_up_during_the_run_leaves_the_board_safe_and_the_file_readable(run, devices, room, tmp_path):
+    room(100_000)
+    with pytest.raises(SessionError, match=os.strerror(errno.EFBIG)):
+        run("experiment.start_speed_rad_s=60.0")
+    assert [device.duties for device in devices] == [(0.0, 0.0)]
+    session = read_session(tmp_path / "stop.mcap")
+    assert session.incomplete
+    assert session.attachments.keys() == {"config.toml"}
+
+
+def test_a_disk_that_is_full_from_the_start_leaves_no_file_and_nothing_moves(run, devices, room, tmp_path):
+    room(0)
+    with pytest.raises(SessionError, match=os.strerror(errno.EFBIG)):
+        run()
+    assert list(tmp_path.iterdir()) == []
+    (device,) = devices
+    assert (device.duties, device.plant.road_speed) == ((0.0, 0.0), 0.0)
+
+
+def test_a_failure_before_the_first_tick_leaves_no_file(run, devices, monkeypatch, tmp_path):
+    class Failing(Recorder):
+        def begin(self, _parameters) -> None:
+            raise SessionError("no room")
+
+    monkeypatch.setattr(inteco_abs.experiment, "Recorder", Failing)
+    with pytest.raises(AbsError, match="no room"):
+        run()
+    assert list(tmp_path.iterdir()) == []
+    assert [device.duties for device in devices] == [(0.0, 0.0)]

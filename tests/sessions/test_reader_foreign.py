@@ -1,0 +1,149 @@
+import gzip
+import json
+
+import pytest
+from mcap.writer import CompressionType, Writer
+
+from inteco_abs.errors import SessionError
+from inteco_abs.sessions import TICK, read_session
+
+CHUNK, DATA_END = 6, 15
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "is no MCAP file, it is empty"),
+        (b"\n", "is no MCAP file"),
+        (b"time;slip\n0.0;0.2\n", "is no MCAP file, it starts with b'time;sli'"),
+        (gzip.compress(b"\x89MCAP0\r\n" * 100), "is no MCAP file"),
+        (b"\x89MCAP1\r\n" + bytes(100), "is no MCAP file"),
+        (b"\x89MCAP0\r", "is no MCAP file"),
+    ],
+    ids=["empty", "newline", "text", "gzip", "later version", "cut magic"],
+)
+def test_a_file_of_another_kind_is_refused_and_named(altered, data, words):
+    path = altered(data)
+    with pytest.raises(SessionError) as refusal:
+        read_session(path)
+    assert str(refusal.value).startswith(f"{path}: {words}")
+
+
+def test_a_folder_is_refused(tmp_path):
+    with pytest.raises(SessionError, match=f"{tmp_path}: cannot be read: it is no regular file"):
+        read_session(tmp_path)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(SessionError, match=r"nothing\.mcap: cannot be read: No such file"):
+        read_session(tmp_path / "nothing.mcap")
+
+
+def write_foreign(path, topic, *, finish=True, name="Frame", encoding="jsonschema", descriptor=b"{}", data=b"{}"):
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start()
+        schema = writer.register_schema(name, encoding, descriptor)
+        channel = writer.register_channel(topic, "json" if encoding == "jsonschema" else "protobuf", schema)
+        for time_ns in range(50):
+            writer.add_message(channel, time_ns, data, time_ns)
+        writer.flush()
+        if finish:
+            writer.add_metadata("camera", {"lens": "f/2"})
+            writer.finish()
+    return path
+
+
+def test_an_mcap_file_of_another_program_is_refused(tmp_path):
+    path = write_foreign(tmp_path / "camera.mcap", "/camera")
+    with pytest.raises(SessionError, match="is an MCAP file, but no session of this program"):
+        read_session(path)
+
+
+def test_a_cut_mcap_file_of_another_program_is_refused(tmp_path):
+    path = write_foreign(tmp_path / "camera.mcap", "/camera", finish=False)
+    with pytest.raises(SessionError, match="no session of this program"):
+        read_session(path)
+
+
+@pytest.mark.parametrize("finish", [True, False], ids=["whole", "cut"])
+def test_our_topic_with_another_encoding_is_refused(tmp_path, finish):
+    path = write_foreign(tmp_path / "stop.mcap", TICK.topic, finish=finish, data=json.dumps({"slip": 0.2}).encode())
+    with pytest.raises(SessionError, match=r"/abs/tick has another layout than inteco_abs\.v1\.Tick"):
+        read_session(path)
+
+
+def test_our_name_with_another_schema_is_refused(tmp_path):
+    path = write_foreign(
+        tmp_path / "stop.mcap", TICK.topic, name=TICK.name, encoding="protobuf", descriptor=b"\n\x00", data=b""
+    )
+    with pytest.raises(SessionError, match="another layout"):
+        read_session(path)
+
+
+@pytest.mark.parametrize("data", [b"", bytes(TICK.size), bytes(TICK.size - 1), b"\x0a" * TICK.size])
+def test_a_tick_with_another_layout_under_our_schema_is_refused(tmp_path, data):
+    path = write_foreign(
+        tmp_path / "stop.mcap",
+        TICK.topic,
+        name=TICK.name,
+        encoding="protobuf",
+        descriptor=TICK.descriptor(),
+        data=data,
+    )
+    with pytest.raises(SessionError, match="has not the layout"):
+        read_session(path)
+
+
+def test_records_of_an_unknown_kind_are_skipped(container, altered, tiny):
+    records = []
+    for record in container.split(tiny.path.read_bytes()):
+        unknown = [container.record(opcode, b"from a later version") for opcode in (16, 0x80, 255)]
+        records += [*unknown, record] if record.opcode <= DATA_END else [record]
+    session = read_session(altered(container.join(records)))
+    assert session.incomplete == ""
+    assert session.payload == tiny.session.payload
+    assert (session.metadata, session.attachments) == (tiny.session.metadata, tiny.session.attachments)
+
+
+def test_records_of_an_unknown_kind_in_a_chunk_are_skipped(container, altered, tiny):
+    records = []
+    for record in container.split(tiny.path.read_bytes()):
+        if record.opcode != CHUNK:
+            records.append(record)
+            continue
+        inner = container.split(container.unpack(record), 0)
+        raw = b"".join(bytes(container.record(200, b"later")) + bytes(entry) for entry in inner)
+        records.append(container.chunk(raw, len(raw), ""))
+    session = read_session(altered(container.join(records)))
+    assert session.incomplete == ""
+    assert session.payload == tiny.session.payload
+
+
+@pytest.mark.parametrize("compression", ["lz4", "br", "ZSTD"])
+def test_an_unknown_compression_is_named(container, altered, tiny, compression):
+    records = [
+        container.chunk(container.unpack(record), len(container.unpack(record)), compression)
+        if record.opcode == CHUNK
+        else record
+        for record in container.split(tiny.path.read_bytes())
+    ]
+    with pytest.raises(SessionError, match=f"is compressed with '{compression}'"):
+        read_session(altered(container.join(records)))
+
+
+def test_chunks_without_compression_are_read(container, altered, tiny):
+    records = [
+        container.chunk(container.unpack(record), len(container.unpack(record)), "")
+        if record.opcode == CHUNK
+        else record
+        for record in container.split(tiny.path.read_bytes())
+    ]
+    session = read_session(altered(container.join(records)))
+    assert (session.incomplete, session.payload) == ("", tiny.session.payload)
+
+
+def test_a_message_of_an_unknown_channel_is_damage(container, altered):
+    message = container.record(5, (9).to_bytes(2, "little") + bytes(20) + b"data")
+    with pytest.raises(SessionError, match="is damaged"):
+        read_session(altered(container.craft(message)))

@@ -1,0 +1,144 @@
+"""Files that claim far more than they hold."""
+
+import struct
+import tracemalloc
+
+import pytest
+import zstandard
+
+from inteco_abs.errors import SessionError
+from inteco_abs.sessions import read_session
+
+CHUNK, METADATA, ATTACHMENT, SCHEMA, CHANNEL, MESSAGE = 6, 12, 9, 3, 4, 5
+MOST_BYTES = 4_000_000
+U32, U64 = (1 << 32) - 1, (1 << 64) - 1
+LENGTHS = [1 << 32, 1 << 60, (1 << 63) - 1, 1 << 63, U64]
+
+
+def read_within(path, most_bytes):
+    """The session; reading may take only so much memory."""
+    tracemalloc.start()
+    try:
+        return read_session(path)
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < most_bytes
+
+
+@pytest.fixture
+def refuse(altered):
+    """Reads a file that must be refused, and must not cost memory; gives the message."""
+
+    def check(data):
+        with pytest.raises(SessionError) as refusal:
+            read_within(altered(data), MOST_BYTES)
+        return str(refusal.value)
+
+    return check
+
+
+def zstd_frame_of(declared: int) -> bytes:
+    """A frame whose header declares that size, with one small block."""
+    single_segment_and_8_byte_size = 0xE0
+    last_raw_block = (5 << 3 | 1).to_bytes(3, "little")
+    return (
+        b"\x28\xb5\x2f\xfd" + struct.pack("<BQ", single_segment_and_8_byte_size, declared) + last_raw_block + b"hello"
+    )
+
+
+def test_the_crafted_frame_is_a_frame():
+    assert zstandard.frame_content_size(zstd_frame_of(1 << 50)) == 1 << 50
+    assert zstandard.decompress(zstd_frame_of(5)) == b"hello"
+
+
+@pytest.mark.parametrize("compression", ["", "zstd"])
+@pytest.mark.parametrize("size", [1 << 32, 1 << 60, U64])
+def test_a_chunk_that_claims_to_unpack_to_more_than_any_session_has(container, refuse, compression, size):
+    packed = zstandard.compress(b"small") if compression else b"small"
+    message = refuse(container.craft(container.chunk(packed, size, compression)))
+    assert f"claims {size} bytes" in message
+
+
+@pytest.mark.parametrize("declared", [1 << 28, 1 << 40, 1 << 60, U64 - 2])
+def test_a_frame_that_declares_another_size_than_its_chunk(container, refuse, declared):
+    message = refuse(container.craft(container.chunk(zstd_frame_of(declared), 5, "zstd")))
+    assert "contradicts its own size" in message
+
+
+def test_a_frame_that_unpacks_to_more_than_its_chunk_says(container, refuse):
+    bomb = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(64_000_000))
+    assert len(bomb) < 10_000
+    assert "is damaged" in refuse(container.craft(container.chunk(bomb, 1000, "zstd")))
+
+
+def test_a_frame_that_unpacks_to_less_than_its_chunk_says(container, refuse):
+    packed = zstandard.ZstdCompressor(write_content_size=False).compress(b"small")
+    assert "is damaged" in refuse(container.craft(container.chunk(packed, 1000, "zstd")))
+
+
+@pytest.mark.parametrize("size", [0, 4, 6, 1000])
+def test_a_chunk_without_compression_of_another_size_than_it_says(container, refuse, size):
+    assert "is damaged" in refuse(container.craft(container.chunk(b"small", size, "")))
+
+
+def test_a_chunk_that_is_no_frame(container, refuse):
+    assert "is damaged" in refuse(container.craft(container.chunk(b"no frame", 8, "zstd")))
+
+
+@pytest.mark.parametrize("length", [10, *LENGTHS])
+def test_a_chunk_whose_records_claim_to_be_longer_than_it(container, refuse, length):
+    chunk = struct.pack("<QQQI", 0, 0, 5, 0) + container.text("") + struct.pack("<Q", length) + b"small"
+    refuse(container.craft(container.record(CHUNK, chunk)))
+
+
+@pytest.mark.parametrize("length", [5, U32])
+def test_a_compression_name_longer_than_its_chunk(container, refuse, length):
+    chunk = struct.pack("<QQQII", 0, 0, 5, 0, length) + b"zstd"
+    assert "is damaged" in refuse(container.craft(container.record(CHUNK, chunk)))
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_a_record_that_claims_to_leave_the_file_is_where_the_file_ends(container, altered, tiny, length):
+    first = container.split(tiny.path.read_bytes())[:8]  # up to the chunk that the first flush wrote
+    data = container.magic + b"".join(map(bytes, first)) + struct.pack("<BQ", METADATA, length) + bytes(100)
+    session = read_within(altered(data), MOST_BYTES)
+    assert session.incomplete
+    assert len(session.ticks) == 0
+    assert session.attachments == tiny.session.attachments
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_an_attachment_longer_than_its_record(container, refuse, length):
+    content = bytes(16) + container.text("config.toml") + container.text("application/toml") + struct.pack("<Q", length)
+    refuse(container.craft(container.record(ATTACHMENT, content + b"profile = 1" + bytes(4))))
+
+
+@pytest.mark.parametrize("length", [20, U32])
+@pytest.mark.parametrize(
+    ("opcode", "before"),
+    [
+        (METADATA, b""),
+        (METADATA, b"\x01\0\0\0a"),
+        (METADATA, b"\x01\0\0\0a\x08\0\0\0"),
+        (SCHEMA, b"\x01\0"),
+        (CHANNEL, b"\x01\0\x01\0"),
+        (CHANNEL, b"\x01\0\x01\0\x01\0\0\0a"),
+        (ATTACHMENT, bytes(16)),
+    ],
+    ids=["name", "map", "key", "schema", "topic", "encoding", "attachment"],
+)
+def test_a_text_or_map_longer_than_its_record(container, refuse, opcode, before, length):
+    content = before + struct.pack("<I", length) + b"abcd"
+    assert "is damaged" in refuse(container.craft(container.record(opcode, content)))
+
+
+@pytest.mark.parametrize("opcode", [SCHEMA, CHANNEL, MESSAGE, CHUNK, ATTACHMENT, METADATA])
+@pytest.mark.parametrize("size", [0, 1, 3])
+def test_a_record_too_short_for_its_kind(container, refuse, opcode, size):
+    assert "is damaged" in refuse(container.craft(container.record(opcode, bytes(size))))
+
+
+def test_text_that_is_not_utf_8(container, refuse):
+    content = struct.pack("<I", 2) + b"\xff\xfe" + struct.pack("<I", 0)
+    assert "is damaged" in refuse(container.craft(container.record(METADATA, content)))
