@@ -11,6 +11,7 @@ from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, UnsafeError
 from inteco_abs.signals import BoardFlags, Command, Sample
 
 _COUNTER_RANGE: Final = 1 << 32
+_HALF_RANGE: Final = 1 << 31
 _SAFE_ATTEMPTS: Final = 3
 STILL_ON: Final = "MOTOR POWER MAY STILL BE ON: press the emergency switch"
 
@@ -160,4 +161,7 @@ class Board(ABC):
 
 def _step(raw: int, before: int) -> int:
     """Signed difference of two readings of a 32-bit counter that wraps."""
-    return (raw - before + _COUNTER_RANGE // 2) % _COUNTER_RANGE - _COUNTER_RANGE // 2
+    step = raw - before
+    if -_HALF_RANGE <= step < _HALF_RANGE:
+        return step
+    return step - _COUNTER_RANGE if step > 0 else step + _COUNTER_RANGE

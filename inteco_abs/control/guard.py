@@ -132,10 +132,8 @@ class Guard:
     def _count_misses(self, sample: Sample) -> Reason:
         """One leaky bucket for failed exchanges and skipped periods alike."""
         skipped = int(sample.dt_s / self._period_s - 0.5)
-        if sample.board_flags & BoardFlags.STALE:
-            bad = skipped + 1
-        else:  # the periods that a slow exchange overran are its own
-            bad = max(skipped, 1 if sample.board_flags else 0)
+        # the periods that a slow exchange overran are its own
+        bad = skipped + 1 if sample.board_flags & BoardFlags.STALE else max(skipped, 1 if sample.board_flags else 0)
         if bad > 0:
             self._in_a_row += bad
             self._bucket += _MISS_COST * bad

@@ -22,6 +22,8 @@ class Pipeline:
     def __init__(self, config: RigConfig, estimator: Estimator, controller: Controller) -> None:
         self.error: BaseException | None = None
         """What the estimator or controller raised, if the reason is CONTROLLER_ERROR."""
+        self.command = Command.SAFE
+        """What the newest tick admitted, to be written at the next exchange."""
         self._estimator = estimator
         self._sequence = Sequence(config, controller)
         self._guard = Guard(config)
@@ -53,6 +55,7 @@ class Pipeline:
         command = guard.admit(wish.command, sample, estimate)
         if guard.reason is not Reason.NONE:
             self._sequence.fault()
+        self.command = command
         phase, demand = self._sequence.phase, wish.demand
         return Tick(
             sample.time_ns,

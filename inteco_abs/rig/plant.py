@@ -79,6 +79,9 @@ class Plant:
         if self.wheel_speed == 0.0 == self.road_speed and not self._breaks_away(drive):
             self._take(duration_s, target, 0.0, 0.0)
             return
+        if duration_s <= self._max_step_s and self.road_speed > duration_s * _CONTACT_RATE / _FOLLOWED:
+            self._step(drive, target, duration_s)  # what follows would do the same: one block, one cut
+            return
         blocks = math.ceil(duration_s / self._max_step_s - 1e-9)
         for _ in range(blocks):
             block_s = duration_s / blocks
@@ -128,14 +131,17 @@ class Plant:
     def _take(self, h: float, target: float, next1: float, next2: float) -> None:
         self.wheel_angle += 0.5 * h * (self.wheel_speed + next1)
         self.road_angle += 0.5 * h * (self.road_speed + next2)
-        self.brake_torque = target + (self.brake_torque - target) * self._brake_lag(h)[1]
+        if self.brake_torque != target:
+            self.brake_torque = target + (self.brake_torque - target) * self._brake_lag(h)[1]
         self.wheel_speed, self.road_speed = next1, next2
 
     def _next_speeds(self, drive: float, target: float, h: float) -> tuple[float, float]:
         rates, motor = self._model.rates, self.motor.torque
         x1, x2 = self.wheel_speed, self.road_speed
-        # the exact mean over the step: the speeds follow the brake's impulse, however fast the brake is
-        torque = target + (self.brake_torque - target) * self._brake_lag(h)[2]
+        torque = self.brake_torque
+        if torque != target:
+            # the exact mean over the step: the speeds follow the brake's impulse, however fast the brake is
+            torque = target + (torque - target) * self._brake_lag(h)[2]
         k1, k2, normal, traction, slip = rates(x1, x2, torque, motor(drive, x2) if drive else 0.0)
         stiff = h * _CONTACT_RATE > _STIFF * (max(x2, x1))
         if stiff:
