@@ -94,7 +94,9 @@ def test_the_limits_hold_to_the_last_bit(guard, limit):
         assert admitted == Command(min(max(wish, 0.0), DRIVE_LIMIT), min(max(wish, 0.0), BRAKE_LIMIT))
 
 
-@pytest.mark.parametrize("value", NOT_A_DUTY, ids=lambda value: f"{type(value).__name__} {value!r}"[:40])
+@pytest.mark.parametrize(
+    "value", NOT_A_DUTY, ids=lambda value: f"{type(value).__name__} {value!r}".partition(" at 0x")[0][:40]
+)
 @pytest.mark.parametrize("output", ["drive", "brake"])
 @pytest.mark.parametrize("at", [0, 2])
 def test_what_is_not_a_finite_float_is_never_sent_and_ends_the_run(guard, value, output, at):
