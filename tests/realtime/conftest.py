@@ -93,6 +93,7 @@ class ScriptedPipeline:
 
     def __init__(self, script: list[Command | BaseException], during: Callable[[int], None] = lambda _tick: None):
         self.seen: list[tuple[Sample, bool, Timing]] = []
+        self.command = Command.SAFE
         self._script = script
         self._during = during
 
@@ -106,6 +107,7 @@ class ScriptedPipeline:
         self.seen.append((sample, stop_requested, timing))
         if isinstance(decision, BaseException):
             raise decision
+        self.command = decision
         return tick_of(sample, decision, stop_requested, timing)
 
 
