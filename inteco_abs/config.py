@@ -189,6 +189,8 @@ def _validate(table: Table, checks: Iterable[Check], mistakes: list[Mistake]) ->
 
 def _read(file: Path) -> Table:
     try:
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            raise ConfigError([Mistake(str(file), "cannot be read: it is no regular file")])
         data = file.read_bytes() if file.stat().st_size <= _LARGEST_FILE else None
     except OSError as error:
         raise ConfigError([Mistake(str(file), f"cannot be read: {error.strerror}")]) from error

@@ -200,6 +200,7 @@ class _Experiment:
             "schema_version": 1,
             "session": str(self._plan.out),
             "outcome": outcome,
+            "reason": self._pipeline.reason.name,
             "board": self._plan.board,
             **metrics,
             "lost_ticks": self._ring.written - metrics["ticks"],

@@ -48,7 +48,9 @@ def control_check(controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> 
         if isinstance(name, str) and name not in ESTIMATORS:
             yield Mistake("estimator.name", f"no estimator {name!r}{near_match(name, ESTIMATORS)}")
         name = controller.get("name", "reaching-law")
-        if isinstance(name, str) and name not in controllers:
+        if isinstance(name, str) and name not in controllers and ".py:" in name:
+            yield Mistake("controller.name", f"{name!r} is code, which runs only if named by --controller")
+        elif isinstance(name, str) and name not in controllers:
             yield Mistake("controller.name", f"no controller {name!r}{near_match(name, controllers)}")
         elif isinstance(name, str):
             yield from _gain_mistakes(_section(controller, "gains"), controllers[name].gains)
