@@ -56,8 +56,7 @@ class Guard:
         self._wheel_speed = SpeedWindow(counts, length)
         self._road_speed = SpeedWindow(counts, length)
         history = max(1, round(_HISTORY_S * config.loop.rate_hz))
-        self._road_speeds: deque[float] = deque(maxlen=history)
-        self._history_s = history * self._period_s
+        self._road_speeds: deque[tuple[int, float]] = deque(maxlen=history)
         self._counts_per_rad = counts / (2.0 * math.pi)
         self._slack = 2.0 / (self._counts_per_rad * length * self._period_s)  # two counts in a window, as a speed
         parameters = RigParameters.named(config.model.parameters)
@@ -154,10 +153,10 @@ class Guard:
         if owed > _OWED_COUNTS or (driven and still_ns > _ROAD_STILL_NS):
             return Reason.ROAD_ENCODER_FROZEN
         # counts that come and go, as from a single channel, look like movement but not like a road that brakes
-        speeds = self._road_speeds
-        earlier = speeds[0] if speeds else road
-        speeds.append(road)
-        lost = _HARDEST_STOP_RAD_S2 * self._history_s + _TIMING_SHARE * earlier + self._slack
+        then_ns, earlier = self._road_speeds[0] if self._road_speeds else (now_ns, road)
+        self._road_speeds.append((now_ns, road))
+        elapsed_s = max(_HISTORY_S, (now_ns - then_ns) * 1e-9)
+        lost = _HARDEST_STOP_RAD_S2 * elapsed_s + _TIMING_SHARE * earlier + self._slack
         return Reason.ROAD_ENCODER_FROZEN if earlier - road > lost else Reason.NONE
 
     def _judge_wheel(self, now_ns: int, wheel: float, road: float) -> Reason:
