@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from inteco_abs.sessions.descriptors import ENUM, INT32, INT64, MESSAGE, TEXT, enum, field, message, proto_file
 from inteco_abs.sessions.wire import chunk, integer, tag
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
 
@@ -115,24 +116,19 @@ class Message:
     def descriptor(self) -> bytes:
         """FileDescriptorSet with this message and its enums, as MCAP's protobuf encoding wants it."""
         enums = b"".join(chunk(5, _enum(c.kind.members)) for c in self.columns if c.kind.members)
-        fields = b"".join(chunk(2, _field(number, column)) for number, column in enumerate(self.columns, 1))
-        message = chunk(1, self.name.rpartition(".")[2]) + fields
-        file = chunk(1, f"{self.name}.proto") + chunk(2, PACKAGE) + chunk(4, message) + enums + chunk(12, "proto3")
-        return chunk(1, file)
+        fields = [_field(number, column) for number, column in enumerate(self.columns, 1)]
+        body = chunk(4, message(self.name.rpartition(".")[2], fields)) + enums
+        return chunk(1, proto_file(f"{self.name}.proto", PACKAGE, body))
 
 
 def _field(number: int, column: Column) -> bytes:
-    optional = 1
-    body = chunk(1, column.name) + integer(3, number) + integer(4, optional) + integer(5, column.kind.type_number)
-    if column.kind.members:
-        body += chunk(6, f".{PACKAGE}.{column.kind.members.__name__}")
-    return body
+    members = column.kind.members
+    return field(column.name, number, column.kind.type_number, f"{PACKAGE}.{members.__name__}" if members else "")
 
 
 def _enum(members: type[IntEnum]) -> bytes:
     prefix = members.__name__.upper()  # proto3 enum values share one name space
-    values = b"".join(chunk(2, chunk(1, f"{prefix}_{member.name}") + integer(2, int(member))) for member in members)
-    return chunk(1, members.__name__) + values
+    return enum(members.__name__, [(f"{prefix}_{member.name}", int(member)) for member in members])
 
 
 _D, _F = DOUBLE, FLOAT
@@ -208,22 +204,14 @@ PARAMETERS_NAME: Final = f"{PACKAGE}.Params"
 
 def parameters_descriptor() -> bytes:
     """Schema of `/abs/params`: map<string, double> values = 1; fixed32 tick = 2."""
-    entry = (
-        chunk(1, "ValuesEntry")
-        + chunk(2, chunk(1, "key") + integer(3, 1) + integer(4, 1) + integer(5, 9))
-        + chunk(2, chunk(1, "value") + integer(3, 2) + integer(4, 1) + integer(5, 1))
-        + chunk(7, integer(7, 1))  # options: map_entry
-    )
-    values = (
-        chunk(1, "values")
-        + integer(3, 1)
-        + integer(4, 3)
-        + integer(5, 11)
-        + chunk(6, f".{PARAMETERS_NAME}.ValuesEntry")
-    )
-    at = chunk(1, "tick") + integer(3, 2) + integer(4, 1) + integer(5, 7)
-    message = chunk(1, "Params") + chunk(2, values) + chunk(2, at) + chunk(3, entry)
-    return chunk(1, chunk(1, f"{PARAMETERS_NAME}.proto") + chunk(2, PACKAGE) + chunk(4, message) + chunk(12, "proto3"))
+    map_entry = chunk(7, integer(7, 1))  # the option that makes a repeated message a map
+    entry = message("ValuesEntry", [field("key", 1, TEXT), field("value", 2, DOUBLE.type_number)]) + map_entry
+    fields = [
+        field("values", 1, MESSAGE, f"{PARAMETERS_NAME}.ValuesEntry", repeated=True),
+        field("tick", 2, FIXED32.type_number),
+    ]
+    body = chunk(4, message("Params", fields) + chunk(3, entry))
+    return chunk(1, proto_file(f"{PARAMETERS_NAME}.proto", PACKAGE, body))
 
 
 LOG_TOPIC: Final = "/abs/event"
@@ -232,44 +220,19 @@ LOG_NAME: Final = "foxglove.Log"
 
 def log_descriptor() -> bytes:
     """Schema of `foxglove.Log`, which viewers show as a log; fields as published by its owners."""
-    stamp = chunk(1, "Timestamp") + b"".join(
-        chunk(2, chunk(1, name) + integer(3, number) + integer(4, 1) + integer(5, kind))
-        for name, number, kind in (("seconds", 1, 3), ("nanos", 2, 5))
-    )
-    time_file = (
-        chunk(1, "google/protobuf/timestamp.proto")
-        + chunk(2, "google.protobuf")
-        + chunk(4, stamp)
-        + chunk(12, "proto3")
-    )
+    stamp_file, stamp = "google/protobuf/timestamp.proto", "google.protobuf.Timestamp"
+    stamp_fields = [field("seconds", 1, INT64), field("nanos", 2, INT32)]
     levels = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
-    level = chunk(1, "Level") + b"".join(
-        chunk(2, chunk(1, name) + integer(2, number)) for number, name in enumerate(levels)
+    level = enum("Level", [(name, number) for number, name in enumerate(levels)])
+    fields = [
+        field("timestamp", 1, MESSAGE, stamp),
+        field("level", 2, ENUM, f"{LOG_NAME}.Level"),
+        field("message", 3, TEXT),
+        field("name", 4, TEXT),
+        field("file", 5, TEXT),
+        field("line", 6, FIXED32.type_number),
+    ]
+    log = chunk(3, stamp_file) + chunk(4, message("Log", fields) + chunk(4, level))
+    return chunk(1, proto_file(stamp_file, "google.protobuf", chunk(4, message("Timestamp", stamp_fields)))) + chunk(
+        1, proto_file("foxglove/Log.proto", "foxglove", log)
     )
-    columns = (
-        ("timestamp", 1, 11, ".google.protobuf.Timestamp"),
-        ("level", 2, 14, f".{LOG_NAME}.Level"),
-        ("message", 3, 9, ""),
-        ("name", 4, 9, ""),
-        ("file", 5, 9, ""),
-        ("line", 6, 7, ""),
-    )
-    fields = b"".join(
-        chunk(
-            2,
-            chunk(1, name)
-            + integer(3, number)
-            + integer(4, 1)
-            + integer(5, kind)
-            + (chunk(6, type_name) if type_name else b""),
-        )
-        for name, number, kind, type_name in columns
-    )
-    log_file = (
-        chunk(1, "foxglove/Log.proto")
-        + chunk(2, "foxglove")
-        + chunk(3, "google/protobuf/timestamp.proto")
-        + chunk(4, chunk(1, "Log") + fields + chunk(4, level))
-        + chunk(12, "proto3")
-    )
-    return chunk(1, time_file) + chunk(1, log_file)
