@@ -1,4 +1,5 @@
 import json
+import os
 import subprocess
 import sysconfig
 from pathlib import Path
@@ -13,13 +14,25 @@ def command_path():
     return COMMAND
 
 
+@pytest.fixture(scope="session")
+def untraced():
+    """Environment without coverage's tracing: what must keep real time, or fit on a small disk, cannot carry it."""
+    return {key: value for key, value in os.environ.items() if not key.startswith("COV")}
+
+
 @pytest.fixture
 def inteco_abs(tmp_path):
     """Runs the installed command in an empty folder; gives back the finished process."""
 
-    def run(*arguments, check=None, folder=tmp_path):
+    def run(*arguments, check=None, folder=tmp_path, environment=None):
         process = subprocess.run(
-            [COMMAND, *map(str, arguments)], cwd=folder, capture_output=True, text=True, timeout=120, check=False
+            [COMMAND, *map(str, arguments)],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
         )
         if check is not None:
             assert process.returncode == check, process.stderr

@@ -16,11 +16,11 @@ def interrupt_when(process, out, written, number, deadline_s=60.0):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda n: n.name)
-def test_a_signal_ends_a_real_time_run_with_a_complete_session(command_path, inteco_abs, tmp_path, number):
+def test_a_signal_ends_a_real_time_run_with_a_complete_session(command_path, inteco_abs, untraced, tmp_path, number):
     out = tmp_path / "stop.mcap"
     process = subprocess.Popen(
         [command_path, "run", "--board", "sim:", "--out", out, "--json"],
-        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        cwd=tmp_path, env=untraced, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     interrupt_when(process, out, b"inteco_abs.session", number)
     stdout, stderr = process.communicate(timeout=60)

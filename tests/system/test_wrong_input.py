@@ -1,4 +1,3 @@
-import os
 import subprocess
 
 import pytest
@@ -149,12 +148,11 @@ def test_a_controller_that_raises_ends_in_a_safety_stop(inteco_abs, tmp_path):
     assert inteco_abs("info", "stop.mcap").returncode == 0
 
 
-def test_a_full_disk_ends_the_run_with_a_clear_error_and_a_readable_file(command_path, inteco_abs, tmp_path):
-    # a limit on file size is the disk that a test can fill; coverage's own file would not fit on it either
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("COV")}
+def test_a_full_disk_ends_the_run_with_a_clear_error_and_a_readable_file(command_path, inteco_abs, untraced, tmp_path):
+    # a limit on file size is the disk that a test can fill
     run = subprocess.run(
         ["sh", "-c", f"ulimit -f 300; exec {command_path} run --virtual --seed 1 --out stop.mcap"],
-        cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=False,
+        cwd=tmp_path, env=untraced, capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert run.returncode == 1
     assert "cannot be written: File too large" in run.stderr
