@@ -1,0 +1,208 @@
+"""What a process asks of the machine to be punctual. Every wish may be refused, and each refusal says why.
+
+Ranked and measured in the fact sheet on real time (section 6); values follow LinuxCNC's and Klipper's practice.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import signal
+import struct
+import sys
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+LOOP_PRIORITY: Final = 80
+GUARDIAN_PRIORITY: Final = 70
+"""Below the loop's, so that watching never delays it."""
+BOARD_PRIORITY: Final = 60
+"""Of the mock board's process."""
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
+_PR_SET_TIMERSLACK: Final = 29
+_ISOLATED: Final = Path("/sys/devices/system/cpu/isolated")
+_CPU_LATENCY: Final = Path("/dev/cpu_dma_latency")
+_OOM: Final = Path("/proc/self/oom_score_adj")
+_NEVER_KILL: Final = "-1000"
+
+
+class Setting(NamedTuple):
+    """One wish: what is in force now, or why it was refused and what to do about it."""
+
+    name: str
+    value: str
+    refused: str = ""
+
+
+class Wish(NamedTuple):
+    """How one thing is asked for: `ask` gives the value in force or raises OSError; `fix` goes with a refusal."""
+
+    name: str
+    ask: Callable[[], str]
+    fix: str
+
+
+def loop_cpus(allowed: Collection[int], isolated: Collection[int]) -> set[int]:
+    """CPU for the loop alone: an isolated one if there is any, else the last; none on a machine with a single CPU."""
+    candidates = set(allowed) & set(isolated) or (set(allowed) if len(allowed) > 1 else set())
+    return {max(candidates)} if candidates else set()
+
+
+def other_cpus(allowed: Collection[int], isolated: Collection[int]) -> set[int]:
+    """CPUs for everything that runs beside the loop."""
+    return set(allowed) - loop_cpus(allowed, isolated) or set(allowed)
+
+
+def isolated_cpus(file: Path = _ISOLATED) -> set[int]:
+    """CPUs that the kernel was told to keep free (isolcpus), from its list such as `2,4-5`."""
+    try:
+        text = file.read_text(encoding="ascii").strip()
+    except OSError:
+        return set()
+    return parse_cpus(text)
+
+
+def parse_cpus(text: str) -> set[int]:
+    """CPU numbers of a kernel list such as `0,2-3`."""
+    cpus: set[int] = set()
+    for part in filter(None, text.split(",")):
+        first, _, last = part.partition("-")
+        cpus |= set(range(int(first), int(last or first) + 1))
+    return cpus
+
+
+def prepare(wishes: Collection[Wish]) -> list[Setting]:
+    """Ask for everything in order; what is refused is reported, never an error."""
+    settings = []
+    for name, ask, fix in wishes:
+        try:
+            settings.append(Setting(name, ask()))
+        except (OSError, AttributeError, ValueError) as error:  # AttributeError: this system has no such call
+            why = getattr(error, "strerror", None) or str(error)
+            settings.append(Setting(name, "default", f"{why}: {fix}"))
+    return settings
+
+
+def loop_wishes() -> tuple[Wish, ...]:
+    """Everything for the process that runs the loop. Garbage goes last: it freezes what exists by then."""
+    allowed, isolated = _allowed(), isolated_cpus()
+    return (
+        _affinity(loop_cpus(allowed, isolated), "the loop shares its CPUs; a second core would help"),
+        *_common(LOOP_PRIORITY),
+        Wish("C-states", _keep_awake, "deep sleep states add up to 100 us; allow writing /dev/cpu_dma_latency"),
+        Wish("garbage", _freeze_garbage, ""),
+    )
+
+
+def guardian_wishes(priority: int = GUARDIAN_PRIORITY) -> tuple[Wish, ...]:
+    """Everything for the guardian and for the mock board: beside the loop, never on its CPU."""
+    return (
+        _affinity(other_cpus(_allowed(), isolated_cpus()), "a second core would help"),
+        *_common(priority),
+        Wish("out of memory", _survive, "the kernel may choose this process when memory runs out"),
+        Wish("garbage", _freeze_garbage, ""),
+    )
+
+
+def recorder_wishes() -> tuple[Wish, ...]:
+    """The recorder is an ordinary process that keeps off the loop's CPU."""
+    return (
+        _affinity(other_cpus(_allowed(), isolated_cpus()), "a second core would help"),
+        Wish("signals", _block_signals, ""),
+    )
+
+
+def _common(priority: int) -> tuple[Wish, ...]:
+    return (
+        Wish("signals", _block_signals, ""),
+        Wish("malloc", _keep_heap, "the C library is not glibc"),
+        Wish(
+            "memory",
+            _lock_memory,
+            "a page fault may cost a tick; raise memlock to unlimited in /etc/security/limits.d",
+        ),
+        Wish("timer slack", _no_slack, "wake-ups may come 50 us late"),
+        Wish(
+            "scheduler",
+            lambda: _first_in_first_out(priority),
+            "ordinary priority, so any busy program delays the loop; raise rtprio to 90 in /etc/security/limits.d",
+        ),
+    )
+
+
+def _affinity(cpus: set[int], fix: str) -> Wish:
+    def ask() -> str:
+        if not cpus:
+            raise OSError(None, "there is one CPU only")
+        os.sched_setaffinity(0, cpus)
+        return "CPU " + ",".join(map(str, sorted(cpus)))
+
+    return Wish("affinity", ask, fix)
+
+
+def _allowed() -> set[int]:
+    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+
+
+def _first_in_first_out(priority: int) -> str:
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    return f"SCHED_FIFO {priority}"
+
+
+def _lock_memory() -> str:
+    _call("mlockall", _MCL_CURRENT | _MCL_FUTURE)
+    return "locked"
+
+
+def _keep_heap() -> str:
+    """Freed memory stays with the process, and large blocks come from the heap: no page is faulted in twice."""
+    libc = _libc()
+    if not (libc.mallopt(_M_TRIM_THRESHOLD, -1) and libc.mallopt(_M_MMAP_MAX, 0)):
+        raise OSError(None, "mallopt failed")
+    return "never trimmed"
+
+
+def _no_slack() -> str:
+    _call("prctl", _PR_SET_TIMERSLACK, 1)
+    return "1 ns"
+
+
+def _block_signals() -> str:
+    """A handler would run between two bytecodes of the tick; the supervisor listens instead."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals() - {signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE})
+    return "blocked"
+
+
+def _keep_awake() -> str:
+    """The wish holds as long as the file is open: until the process ends."""
+    file = os.open(_CPU_LATENCY, os.O_WRONLY)
+    os.write(file, struct.pack("i", 0))
+    return "latency 0 us"
+
+
+def _survive() -> str:
+    _OOM.write_text(_NEVER_KILL, encoding="ascii")
+    return "killed last"
+
+
+def _freeze_garbage() -> str:
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    return "frozen and off"
+
+
+def _libc() -> Any:
+    if not sys.platform.startswith("linux"):
+        raise OSError(None, f"{sys.platform} has no such call")
+    return ctypes.CDLL(None, use_errno=True)
+
+
+def _call(name: str, *arguments: int) -> None:
+    if getattr(_libc(), name)(*arguments):
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
