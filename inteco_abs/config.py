@@ -62,6 +62,8 @@ class EncodersConfig(_Section):
 
 class LoopConfig(_Section):
     rate_hz: Annotated[float, Field(ge=50.0, le=10_000.0)] = 2000.0
+    ring_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.0
+    """Length of the shared memory for ticks in real time; 0: the longest that the experiment can take."""
 
 
 class ModelConfig(_Section):
@@ -82,6 +84,8 @@ class ExperimentConfig(_Section):
     """Time that the brake is held after the stop."""
     spin_up_timeout_s: Annotated[float, Field(ge=0.1, le=120.0)] = 20.0
     braking_timeout_s: Annotated[float, Field(ge=0.1, le=120.0)] = 10.0
+    stops: Annotated[int, Field(ge=1, le=1000)] = 1
+    """How often all of this is done, one stop after the other, in one session."""
 
 
 class EstimatorConfig(_Section):
@@ -110,6 +114,8 @@ class GuardConfig(_Section):
     """Exchanges missed one after the other that end the run."""
     bucket_limit: Annotated[int, Field(ge=3, le=3000)] = 30
     """A missed exchange adds 3, a good one takes 1; at the limit the run ends."""
+    silence_s: Annotated[float, Field(ge=0.05, le=2.0)] = 0.05
+    """Time without a tick after which the guardian takes a loop for hung, kills it and makes the board safe."""
 
 
 class SimulationConfig(_Section):
@@ -260,6 +266,7 @@ _OF_LIMIT: Final = "must be below, by a tenth that measurement may be off:"
 _PAIRS: Final = (
     _Pair("experiment.start_speed_rad_s", "guard.over_speed_rad_s", lambda v, most: v <= 0.9 * most, _OF_LIMIT),
     _Pair("experiment.stop_speed_rad_s", "experiment.start_speed_rad_s", operator.lt, "must be below"),
+    _Pair("guard.silence_s", "loop.rate_hz", lambda s, hz: s * hz > 4.999, "must be at least five periods of"),
     _Pair("estimator.window_s", "loop.rate_hz", lambda s, hz: s * hz > 0.999, "must be at least one period of"),
     _Pair("board.brake_pwm", "board.drive_pwm", operator.ne, "must be another PWM channel than"),
     _Pair("board.wheel_encoder", "board.road_encoder", operator.ne, "must be another encoder than"),

@@ -1,37 +1,46 @@
-"""One braking stop from start to file: puts board, loop, pipeline and recorder together."""
+"""One experiment from start to file: puts board, loop, pipeline and recorder together, in virtual or in real time."""
 
 from __future__ import annotations
 
-import hashlib
 import signal
 import sys
 import threading
 import time
-import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
 
-import numpy as np
-
 from inteco_abs.boards import Board, InProcessLink, RtdacUsb2, check_address
 from inteco_abs.config import RigConfig
-from inteco_abs.control import CONTROLLERS, Controller, build_pipeline, gains_in_force
-from inteco_abs.errors import ReadOnlyError, SessionError
+from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline, gains_in_force
+from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
 from inteco_abs.mock_board import Device, Truth, Usb2Face
-from inteco_abs.realtime import Clock, Loop, PacedClock, StopWord, TickRing, VirtualClock
-from inteco_abs.rig import RigParameters
-from inteco_abs.sessions import CONFIG_NAME, TICK, TRUTH, Recorder, check_output, pack_tick, result_card
-from inteco_abs.sessions.provenance import controller_facts, host_facts, software_facts
+from inteco_abs.realtime import Loop, RingReader, StopWord, TickRing, VirtualClock
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.memory import RunMemory
+from inteco_abs.realtime.supervisor import SIGNALS, Supervisor, Watch
+from inteco_abs.sessions import (
+    TICK,
+    TRUTH,
+    Account,
+    Conclusion,
+    Introduction,
+    Recorder,
+    Scribe,
+    check_output,
+    pack_tick,
+)
+from inteco_abs.sessions.provenance import host_facts, software_facts
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 _SLICE_TICKS: Final = 1000
 _SPARE_S: Final = 2.0
 _PATIENCE_S: Final = 1.0
-_ENDING: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGXCPU")
-"""Signals that would otherwise end or stop the program with its outputs on."""
+_BOARD_START_S: Final = 20.0
+_SHORTEST_RING_S: Final = 4.0
+"""Long enough for the recorder to be found dead and the run to end before the ring is full."""
 
 Progress = Callable[[Phase, int], None]
 """Told the phase and the number of ticks so far, between slices of a virtual run."""
@@ -47,28 +56,11 @@ class Plan:
     seed: int = 0
     controllers: Mapping[str, type[Controller]] = field(default_factory=lambda: CONTROLLERS)
     controller_source: bytes = b""
-    """Source of a controller that does not ship, kept in the session."""
+    """Source of a controller that does not ship, kept in the session; in real time it runs in another process."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """How a run ended."""
-
-    outcome: str
-    """`completed`, `interrupted` or `fault`."""
-    reason: Reason
-    explanation: str
-    card: dict[str, Any]
-
-    @property
-    def exit_code(self) -> int:
-        """5 safety stop, 130 interrupted, 3 done with overruns, 0 done."""
-        codes = {"fault": 5, "interrupted": 130}
-        return codes.get(self.outcome, 3 if self.card["overruns"] or self.card["link_errors"] else 0)
-
-
-def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None) -> Stop:
-    """Run one experiment and record it at `plan.out`.
+def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, watch: Watch | None = None) -> Account:
+    """Run one experiment and record it at `plan.out`; `watch` sees a real-time run ten times a second.
 
     SIGINT, SIGTERM and their like end it at the next tick, with SAFE and a complete file. Raises ConfigError or
     BoardError if it cannot start, and then leaves no file; BoardError also if SAFE could not be confirmed.
@@ -76,159 +68,145 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None) ->
     check_address(plan.board)
     check_output(plan.out)
     # a controller's prints must not mix with the result card
-    with _Interrupts() as interrupts, redirect_stdout(sys.stderr):
-        return _Experiment(config, plan, interrupts).run(progress)
+    with redirect_stdout(sys.stderr):
+        pipeline = build_pipeline(config, plan.controllers)
+        if not plan.virtual:
+            return _run_in_real_time(config, plan, watch)
+        with _Interrupts() as interrupts:
+            return _VirtualRun(config, plan, pipeline, interrupts).run(progress)
 
 
-class _Experiment:
-    def __init__(self, config: RigConfig, plan: Plan, interrupts: _Interrupts) -> None:
+def _run_in_real_time(config: RigConfig, plan: Plan, watch: Watch | None) -> Account:
+    if not sys.platform.startswith("linux"):
+        raise BoardError(f"real time needs Linux, and this is {sys.platform}; use --virtual")
+    if config.controller.name not in CONTROLLERS and not plan.controller_source:
+        problem = f"{config.controller.name!r}: in real time a controller must come from a file, as file.py:Class"
+        raise ConfigError([Mistake("controller.name", problem)])
+    memory = RunMemory.create(TICK.size, _ring_ticks(config), TRUTH.size, _ring_ticks(config))
+    socket = memory.path.with_suffix(".board")
+    job = Job(
+        out=str(plan.out.absolute()),
+        board=plan.board,
+        address=f"{plan.board}{socket}",
+        seed=plan.seed,
+        config=config,
+        controller_source=plan.controller_source,
+        facts=_facts(plan),
+    )
+    try:
+        job.post(memory)
+        supervisor = Supervisor(memory, job)
+        supervisor.spawn("board", "inteco_abs.simulator", str(memory.path), str(socket))
+        memory.wait(socket.exists, _BOARD_START_S)
+        account = supervisor.run(watch)
+    except SessionError:
+        if not memory.tick_reader().written:
+            memory.remove()
+        raise
+    except BaseException:
+        memory.remove()
+        raise
+    finally:
+        socket.unlink(missing_ok=True)
+    memory.remove()
+    return account
+
+
+class _VirtualRun:
+    """An experiment in this process, in virtual time, on the mock board."""
+
+    def __init__(self, config: RigConfig, plan: Plan, pipeline: Pipeline, interrupts: _Interrupts) -> None:
         self._config = config
         self._plan = plan
         self._interrupts = interrupts
-        self._clock: Clock = VirtualClock(config.period_ns) if plan.virtual else PacedClock(config.period_ns)
+        self._clock = VirtualClock(config.period_ns)
         self._truths: list[Truth] = []
-        self._ticks = bytearray()
-        self._truth_rows = bytearray()
-        self._pipeline = build_pipeline(config, plan.controllers)
-        self._ring = TickRing(pack_tick, TICK.size, _longest_run(config))
+        self._pipeline = pipeline
+        self._ring = TickRing(pack_tick, TICK.size, 2 * _SLICE_TICKS)
+        self._reader = RingReader(self._ring.memory, TICK.size, 2 * _SLICE_TICKS)
 
-    def run(self, progress: Progress | None) -> Stop:
-        face = Usb2Face(Device(self._config, self._clock.now_ns, self._plan.seed, self._truths.append))
-        board = RtdacUsb2(InProcessLink(face), self._config.board, self._clock.now_ns, self._config.period_ns)
-        controller = self._plan.controllers[self._config.controller.name]
-        with Recorder(self._plan.out, self._clock.now_ns(), controller.internals) as recorder:
+    def run(self, progress: Progress | None) -> Account:
+        plan, config = self._plan, self._config
+        face = Usb2Face(Device(config, self._clock.now_ns, plan.seed, self._truths.append))
+        board = RtdacUsb2(InProcessLink(face), config.board, self._clock.now_ns, config.period_ns)
+        controller = plan.controllers[config.controller.name]
+        with Recorder(plan.out, self._clock.now_ns(), controller.internals) as recorder:
+            scribe: Scribe | None = None
             try:
                 with board:
-                    self._introduce(recorder, board)
-                    self._drive(recorder, board, progress)
+                    scribe = Scribe(recorder, config, self._introduction(board))
+                    scribe.introduce()
+                    self._drive(scribe, board, progress)
             except BaseException as error:
                 try:
-                    self._give_up(recorder, board, error)
+                    self._give_up(recorder, scribe, board, error)
                     if self._pipeline.reason is not Reason.NONE:
                         error.add_note(f"the run had been stopped: {EXPLANATIONS[self._pipeline.reason]}")
                 except SessionError as second:
                     error.add_note(str(second))  # the first error is what matters
                 raise
-            return self._conclude(recorder, board)
+            return scribe.conclude(self._end(board))
 
-    def _drive(self, recorder: Recorder, board: Board, progress: Progress | None) -> None:
+    def _drive(self, scribe: Scribe, board: Board, progress: Progress | None) -> None:
         loop = Loop(board, self._pipeline, self._clock, self._ring, self._interrupts.stop)
         self._truths.clear()  # what the device saw while it was opened belongs to no tick
-        # in real time nothing may come between two ticks: the ring holds the whole run, and is read afterwards
-        most = _SLICE_TICKS if self._plan.virtual else None
         try:
             over = False
             while not over:
                 with self._interrupts.breaking():
-                    over = loop.run(most)
+                    over = loop.run(_SLICE_TICKS)
                 if not over:
-                    self._record(recorder)
+                    self._record(scribe)
                     if progress is not None:
                         progress(self._pipeline.phase, self._ring.written)
         finally:
             try:
                 board.make_safe()  # before anything that takes time or can fail
             finally:
-                self._record(recorder)
+                self._record(scribe)
 
-    def _record(self, recorder: Recorder) -> None:
-        records = self._ring.take()
-        recorder.ticks(records)
-        self._ticks += records
-        # the write that made the outputs safe was the last one and belongs to no tick
-        truths = self._truths[: len(records) // TICK.size]
+    def _record(self, scribe: Scribe) -> None:
+        truths = b"".join(map(TRUTH.pack, self._truths))
         self._truths.clear()
-        recorder.truths(truths)
-        self._truth_rows += b"".join(map(TRUTH.pack, truths))
+        scribe.add(self._reader.take(), truths)
 
-    def _introduce(self, recorder: Recorder, board: Board) -> None:
-        """Everything that explains the run, on the disk before the first tick."""
+    def _introduction(self, board: Board) -> Introduction:
         config, plan = self._config, self._plan
-        identity = board.identity
-        if identity is None or identity.read_only_because:
-            raise ReadOnlyError(_refusal(board))
-        gains = gains_in_force(config, plan.controllers)
-        parameters = RigParameters.named(config.model.parameters)
-        recorder.describe("software", {**software_facts(), "seed": str(plan.seed)})
-        recorder.describe("host", host_facts())
-        recorder.describe(
-            "rig",
-            {
-                "board": plan.board,
-                "logic_version": f"0x{identity.logic_version:04X}",
-                "application_name": identity.application_name,
-                "synthesis_date": identity.synthesis_date,
-                "profile": config.profile,
-                "counts_per_turn": str(config.encoders.counts_per_turn),
-                "r1_m": repr(parameters.r1),
-                "r2_m": repr(parameters.r2),
-                "parameters": config.model.parameters,
-                "simulated": "true",
-                "virtual_time": str(plan.virtual).lower(),
-            },
+        return Introduction(
+            board=plan.board,
+            identity=board.insist().facts(),
+            virtual=True,
+            gains=gains_in_force(config, plan.controllers),
+            internals=plan.controllers[config.controller.name].internals,
+            controller_source=plan.controller_source,
+            facts=_facts(plan),
         )
-        source = hashlib.sha256(plan.controller_source).hexdigest() if plan.controller_source else ""
-        recorder.describe("controller", controller_facts(config, gains, source))
-        recorder.attach(CONFIG_NAME, "application/toml", config.to_toml().encode())
-        if plan.controller_source:
-            recorder.attach("controller.py", "text/x-python", plan.controller_source)
-        recorder.begin({"reference_slip": config.controller.reference_slip, **gains})
 
-    def _conclude(self, recorder: Recorder, board: Board) -> Stop:
-        reason, error = self._pipeline.reason, self._pipeline.error
-        outcome = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}.get(reason, "fault")
-        explanation = EXPLANATIONS[reason]
+    def _end(self, board: Board, aborted: str = "") -> Conclusion:
+        reason, error, detail = self._pipeline.reason, self._pipeline.error, ""
         if error is not None:
-            explanation += f": {_in_words(error)}"
+            detail = in_words(error)
         elif reason is Reason.MISSED_EXCHANGES and board.last_error is not None:
-            explanation += f": {board.last_error}"
-        card = self._card(outcome, recorder, board)
-        recorder.finish(outcome, explanation, card)
-        return Stop(outcome, reason, explanation, card)
+            detail = str(board.last_error)
+        return Conclusion(reason, self._ring.written, board.link_errors, detail, aborted)
 
-    def _give_up(self, recorder: Recorder, board: Board, error: BaseException) -> None:
-        if not self._ring.written:
+    def _give_up(self, recorder: Recorder, scribe: Scribe | None, board: Board, error: BaseException) -> None:
+        if scribe is None or not self._ring.written:
             recorder.discard()
             return
-        recorder.finish("aborted", _in_words(error), self._card("aborted", recorder, board))
-
-    def _card(self, outcome: str, recorder: Recorder, board: Board) -> dict[str, Any]:
-        metrics = result_card(
-            self._config, TICK.array(bytes(self._ticks)), np.frombuffer(bytes(self._truth_rows), TRUTH.dtype)
-        )
-        return {
-            "schema_version": 1,
-            "session": str(self._plan.out),
-            "outcome": outcome,
-            "reason": self._pipeline.reason.name,
-            "board": self._plan.board,
-            **metrics,
-            "lost_ticks": self._ring.written - metrics["ticks"],
-            "link_errors": board.link_errors,
-            "payload_sha256": recorder.payload_sha256,
-        }
+        scribe.conclude(self._end(board, aborted=in_words(error)))
 
 
-def _longest_run(config: RigConfig) -> int:
-    """Ticks that the longest possible experiment can have."""
+def _facts(plan: Plan) -> dict[str, dict[str, str]]:
+    return {"software": {**software_facts(), "seed": str(plan.seed)}, "host": host_facts()}
+
+
+def _ring_ticks(config: RigConfig) -> int:
+    """Ticks that the ring is to hold: all of the longest possible experiment, if nothing else is asked for."""
     plan = config.experiment
-    longest_s = 2.0 * plan.idle_s + plan.spin_up_timeout_s + plan.braking_timeout_s + plan.hold_s + _SPARE_S
-    return round(longest_s * config.loop.rate_hz)
-
-
-def _refusal(board: Board) -> str:
-    because = board.identity.read_only_because if board.identity else "it was not identified"
-    return (
-        f"the board ({board.identity}) opens for reading only: {because}. "
-        "Copy the profile, complete it on your rig, sign it with board.verified_by and name it in rig.toml"
-    )
-
-
-def _in_words(error: BaseException) -> str:
-    """Type, text and place of an error, for people who wrote the code that raised it."""
-    frames = traceback.extract_tb(error.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {error}{place}"
+    longest_s = 2.0 * plan.idle_s + plan.spin_up_timeout_s + plan.braking_timeout_s + plan.hold_s
+    seconds = max(config.loop.ring_s, _SHORTEST_RING_S) if config.loop.ring_s else plan.stops * longest_s + _SPARE_S
+    return round(seconds * config.loop.rate_hz)
 
 
 class _Interrupts:
@@ -246,7 +224,7 @@ class _Interrupts:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():  # Python delivers signals to no other
-            wanted = [getattr(signal, name) for name in _ENDING if hasattr(signal, name)]
+            wanted = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
             self._before = {number: signal.signal(number, self._handle) for number in wanted}
         return self
 

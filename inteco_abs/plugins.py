@@ -13,12 +13,15 @@ from inteco_abs.errors import ConfigError, Mistake, near_match
 _MOST_INTERNALS: Final = 4
 
 
-def load_controller(name: str) -> tuple[type[Controller], bytes]:
-    """Class and source of `file.py:Class`. Runs the file; raises ConfigError if that gives no controller."""
+def load_controller(name: str, source: bytes | None = None) -> tuple[type[Controller], bytes]:
+    """Class and source of `file.py:Class`. Runs the file; raises ConfigError if that gives no controller.
+
+    `source` stands in for what is in the file: another process has read it already.
+    """
     file, _, class_name = name.rpartition(":")
     path = Path(file)
     try:
-        source = path.read_bytes()
+        source = path.read_bytes() if source is None else source
     except OSError as error:
         raise _mistake(f"{file}: cannot be read: {error.strerror}") from error
     module = ModuleType(f"inteco_abs_user_{path.stem}")

@@ -52,6 +52,9 @@ class Reason(IntEnum):
     ROAD_BACKWARDS = 10
     MISSED_EXCHANGES = 11
     CONTROLLER_ERROR = 12
+    GUARDIAN_LOST = 13
+    SUPERVISOR_LOST = 14
+    RECORDER_LOST = 15
 
 
 EXPLANATIONS: Final[dict[Reason, str]] = {
@@ -70,6 +73,9 @@ EXPLANATIONS: Final[dict[Reason, str]] = {
     Reason.ROAD_BACKWARDS: "the road wheel counts backwards: check the encoder's sign in the profile and the wiring",
     Reason.MISSED_EXCHANGES: "too many exchanges with the board were late, slow or failed",
     Reason.CONTROLLER_ERROR: "the controller or estimator raised an error",
+    Reason.GUARDIAN_LOST: "the guardian process died or hung, so nobody would have stopped the motors in its place",
+    Reason.SUPERVISOR_LOST: "the program that was started died or hung, so nobody could have stopped the run",
+    Reason.RECORDER_LOST: "the recorder process died or hung, or could not write the session",
 }
 """What each reason means to the person at the rig, and what to check."""
 
@@ -156,7 +162,7 @@ class Tick(NamedTuple):
     wheel_count: int
     road_count: int
     board_flags: BoardFlags
-    stop_requested: bool
+    stop_request: Reason
 
     wheel_speed_rad_s: float
     road_speed_rad_s: float

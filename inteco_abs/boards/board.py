@@ -26,6 +26,14 @@ class Identity(NamedTuple):
     read_only_because: str
     """Empty if outputs may be used."""
 
+    def facts(self) -> dict[str, str]:
+        """The same as text, for the session."""
+        return {
+            "logic_version": f"0x{self.logic_version:04X}",
+            "application_name": self.application_name,
+            "synthesis_date": self.synthesis_date,
+        }
+
     def __str__(self) -> str:
         return f"logic 0x{self.logic_version:04X} {self.application_name!r} of {self.synthesis_date}"
 
@@ -73,6 +81,15 @@ class Board(ABC):
     @abstractmethod
     def _write_safe(self) -> None:
         """Write SAFE and read it back; raises LinkError if that is not what the board says it does."""
+
+    @property
+    @abstractmethod
+    def safe_image(self) -> bytes:
+        """What makes this board safe when another process writes it; to be kept once the board has been entered."""
+
+    @abstractmethod
+    def _adopt(self, image: bytes) -> None:
+        """Take the `safe_image` of the process that drove the board before, without reading anything."""
 
     @abstractmethod
     def _close(self) -> None:
@@ -147,11 +164,35 @@ class Board(ABC):
         if interruption is not None:
             raise interruption
 
+    def rescue(self, image: bytes) -> None:
+        """Make safe a board whose process is gone, with the `safe_image` that it left, and let go of it.
+
+        For a board that was not entered. The write depends on no read. Raises UnsafeError after three failures.
+        """
+        try:
+            self._adopt(image)
+            self._ready = True
+            self.make_safe()
+        finally:
+            self._ready = False
+            self._close()
+
     def _sample(self, now: int, flags: BoardFlags) -> Sample:
         tick, self._tick = self._tick, self._tick + 1
         dt_s = (now - self._newest_ns if tick else self._period_ns) / 1e9
         self._newest_ns = now
         return Sample(tick, now, dt_s, self._wheel_count, self._road_count, flags)
+
+    def insist(self) -> Identity:
+        """Identity of an entered board that may be driven; raises ReadOnlyError saying what the lab has to do."""
+        identity = self.identity
+        if identity is None or identity.read_only_because:
+            because = identity.read_only_because if identity else "it was not identified"
+            raise ReadOnlyError(
+                f"the board ({identity}) opens for reading only: {because}. Copy the profile, complete it on your "
+                "rig, sign it with board.verified_by and name it in rig.toml"
+            )
+        return identity
 
     def _refusal(self) -> BoardError:
         if self.identity is not None and self.identity.read_only_because:

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import socket
+import struct
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from typing import Final, Protocol
 
-from inteco_abs.errors import ConfigError, LinkError, Mistake
+from firmware_protocol.local_socket import GREETING
+from inteco_abs.errors import BoardError, ConfigError, LinkError, Mistake
 
 _MOST_WAITING: Final = 4
 """More late answers than this is another program reading along; the next exchange will say so."""
+
+_GREETING_S: Final = 2.0
+_TIMEOUT_S: Final = 0.010
+"""Far below the window after which a silent loop counts as hung, so that waiting for a lost answer never does."""
+_TIMEOUT: Final = struct.pack("ll", 0, round(_TIMEOUT_S * 1e6))  # a timeval
 
 
 class Link(ABC):
@@ -74,6 +82,60 @@ class InProcessLink(Link):
         if self._device is None:
             raise LinkError("the link to the board is closed")
         return self._device
+
+
+class SocketLink(Link):
+    """A board's process on this computer, by a local socket that keeps message boundaries.
+
+    One host at a time, as with a USB interface: the board's process greets the one that has it and hangs up on all
+    others. Raises BoardError if it is not there or has another host.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            self._socket.settimeout(_GREETING_S)
+            self._socket.connect(path)
+            greeting = self._socket.recv(len(GREETING))
+        except OSError as error:
+            self._socket.close()
+            raise BoardError(f"no board at {path}: {error.strerror or error}") from error
+        if greeting != GREETING:
+            self._socket.close()
+            raise BoardError(f"the board at {path} has another host: one program at a time")
+        # the kernel's own time-outs: Python's would cost a system call more at each end
+        self._socket.settimeout(None)
+        for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
+            self._socket.setsockopt(socket.SOL_SOCKET, option, _TIMEOUT)
+
+    def write(self, data: bytes | bytearray) -> None:
+        """Send one message."""
+        try:
+            self._socket.send(data)
+        except OSError as error:
+            raise LinkError(f"the board cannot be reached: {error.strerror}") from error
+
+    def read(self, length: int) -> bytes:
+        """Receive one message; LinkError after 10 ms without one."""
+        try:
+            data = self._socket.recv(length)
+        except BlockingIOError:
+            raise LinkError(f"the board did not answer within {_TIMEOUT_S * 1e3:g} ms") from None
+        except OSError as error:
+            raise LinkError(f"the board cannot be reached: {error.strerror}") from error
+        if not data:
+            raise LinkError("the board hung up")
+        return data
+
+    def discard(self, length: int) -> None:
+        """Drop what has arrived by now, without waiting."""
+        with suppress(OSError):
+            for _ in range(_MOST_WAITING):
+                self._socket.recv(length, socket.MSG_DONTWAIT)
+
+    def close(self) -> None:
+        """Hang up; the board may then have another host."""
+        self._socket.close()
 
 
 SCHEMES: Final = {"sim": "the mock RT-DAC/USB2 board with the simulated rig inside"}

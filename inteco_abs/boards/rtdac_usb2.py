@@ -87,6 +87,18 @@ class RtdacUsb2(Board):
         except ProtocolError as error:
             raise BoardError(f"the board's settings cannot be taken over: {error}") from error
 
+    @property
+    def safe_image(self) -> bytes:
+        """The SEND frame with all widths zero."""
+        image = bytearray(self._image)
+        for offset in (self._drive_out, self._brake_out):
+            _WORD.pack_into(image, offset, 0)
+        return bytes(image)
+
+    def _adopt(self, image: bytes) -> None:
+        self._image[:] = image
+        self._late = True  # what the other process asked for may still be waiting
+
     def _start(self) -> tuple[int, int]:
         frame = self._write_widths(0, 0)
         echo = READ.decode(frame)

@@ -45,12 +45,11 @@ class Pipeline:
         """Whether nothing is left but SAFE."""
         return self._sequence.phase in (Phase.DONE, Phase.FAULT)
 
-    def step(self, sample: Sample, stop_requested: bool = False, timing: Timing = UNTIMED) -> Tick:
+    def step(self, sample: Sample, stop_request: Reason = Reason.NONE, timing: Timing = UNTIMED) -> Tick:
         """Decide on one sample. The tick's `drive` and `brake` are the command for the next exchange."""
         estimate, wish = self._decide(sample)
         guard = self._guard
-        if stop_requested:
-            guard.trip(Reason.OPERATOR_STOP)
+        guard.trip(stop_request)
         guard.trip(wish.reason)
         command = guard.admit(wish.command, sample, estimate)
         if guard.reason is not Reason.NONE:
@@ -64,7 +63,7 @@ class Pipeline:
             sample.wheel_count,
             sample.road_count,
             sample.board_flags,
-            stop_requested,
+            stop_request,
             *estimate,
             phase,
             self._reference_slip if phase is Phase.BRAKING else math.nan,

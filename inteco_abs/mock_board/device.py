@@ -28,6 +28,10 @@ class Truth(NamedTuple):
     road_speed_rad_s: float
     slip: float
     brake_torque_nm: float
+    drive: float
+    """Duty at the drive's terminals from now on."""
+    brake: float
+    """Duty at the brake's terminals from now on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +75,7 @@ class Device:
 
     `now_ns` is the clock; the rig moves on to it whenever the device is looked at or written to. `seed` decides
     what differs between two power-ups: counter values and the encoders' position between two edges. `observe`
-    receives the rig's true state at every write, before the write takes effect.
+    receives the rig's true state at every write, and the duties that the write makes.
     """
 
     def __init__(
@@ -102,7 +106,7 @@ class Device:
 
     def write(self, settings: Mapping[str, int]) -> None:
         """Take over settings, named as in the SEND frame."""
-        self.observe()
+        self.catch_up()
         before = self.settings.get("timer_reset", 0)
         self.settings.update(settings)
         self._hold_counters()
@@ -110,21 +114,32 @@ class Device:
             if (before | self.settings.get("timer_reset", 0)) >> i & 1:
                 self._timer_start_ns[i] = self._time_ns
         self._duties = (self._duty(self.cable.drive_pwm), self._duty(self.cable.brake_pwm))
+        self.observe()
 
     def write_widths(self, drive: int, brake: int) -> None:
         """Take over the two PWM widths that move the rig, all other settings as they are."""
-        self.observe()
+        self.catch_up()
         cable = self.cable
         self.settings[f"pwm{cable.drive_pwm}_width"] = drive
         self.settings[f"pwm{cable.brake_pwm}_width"] = brake
         self._duties = (self._duty(cable.drive_pwm), self._duty(cable.brake_pwm))
+        self.observe()
 
     def observe(self) -> None:
         """Move on to the present and show the rig's true state to who asked for it."""
         self.catch_up()
         if self._observe is not None:
             plant = self.plant
-            self._observe(Truth(self._time_ns, plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque))
+            self._observe(
+                Truth(
+                    self._time_ns,
+                    plant.wheel_speed,
+                    plant.road_speed,
+                    plant.slip,
+                    plant.brake_torque,
+                    *self._duties,
+                )
+            )
 
     def counts(self) -> tuple[int, int]:
         """Counters of road and wheel now, as two's complement."""

@@ -1,7 +1,20 @@
-"""The 2 kHz loop, its clocks and its memory."""
+"""The 2 kHz loop: its clocks, its memory; beside it, the processes of a real-time run."""
 
 from inteco_abs.realtime.clock import Beat, Clock, PacedClock, VirtualClock
-from inteco_abs.realtime.loop import Loop, StopWord
-from inteco_abs.realtime.ring import TickRing
+from inteco_abs.realtime.histogram import Histogram
+from inteco_abs.realtime.loop import Loop, Stop, StopWord
+from inteco_abs.realtime.ring import RingReader, TickRing, ring_bytes
 
-__all__ = ["Beat", "Clock", "Loop", "PacedClock", "StopWord", "TickRing", "VirtualClock"]
+__all__ = [
+    "Beat",
+    "Clock",
+    "Histogram",
+    "Loop",
+    "PacedClock",
+    "RingReader",
+    "Stop",
+    "StopWord",
+    "TickRing",
+    "VirtualClock",
+    "ring_bytes",
+]

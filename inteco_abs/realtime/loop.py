@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import gc
 from itertools import islice
+from typing import Protocol
 
 from inteco_abs.boards import Board
 from inteco_abs.control import Pipeline
 from inteco_abs.realtime.clock import Clock
 from inteco_abs.realtime.ring import TickRing
-from inteco_abs.signals import Command, Timing
+from inteco_abs.signals import Command, Reason, Timing
+
+
+class Stop(Protocol):
+    """Asked once a tick whether the run has to end."""
+
+    def wanted(self, now_ns: int) -> Reason:
+        """Why the run must end now, or NONE."""
+        ...
 
 
 class StopWord:
-    """A request to end the run; set from a signal handler, read once a tick. Never cleared."""
+    """A request to end the run, set from a signal handler in the loop's own process. Never cleared."""
 
     __slots__ = ("requested",)
 
@@ -24,6 +33,10 @@ class StopWord:
         """Ask the loop to stop at its next tick."""
         self.requested = True
 
+    def wanted(self, _now_ns: int) -> Reason:
+        """OPERATOR_STOP once requested."""
+        return Reason.OPERATOR_STOP if self.requested else Reason.NONE
+
 
 class Loop:
     """One experiment on an entered board, until the pipeline has finished.
@@ -31,7 +44,7 @@ class Loop:
     A tick writes the command of the tick before, reads the board, decides, records: one period of delay, always.
     """
 
-    def __init__(self, board: Board, pipeline: Pipeline, clock: Clock, ring: TickRing, stop: StopWord) -> None:
+    def __init__(self, board: Board, pipeline: Pipeline, clock: Clock, ring: TickRing, stop: Stop) -> None:
         self.skipped = 0
         """Whole periods that passed without a tick."""
         self._board = board
@@ -58,14 +71,14 @@ class Loop:
 
     def _run(self, most: int | None) -> bool:
         exchange, step, append = self._board.exchange, self._pipeline.step, self._ring.append
-        now, stop, pipeline = self._clock.now_ns, self._stop, self._pipeline
+        now, wanted, pipeline = self._clock.now_ns, self._stop.wanted, self._pipeline
         command, busy_us = self._command, self._busy_us
         for deadline, skipped in islice(self._beats, most):
             start = now()
             sample = exchange(command)
             read = now()
             timing = Timing((start - deadline) * 1e-3, (read - start) * 1e-3, busy_us, skipped)
-            tick = step(sample, stop.requested, timing)
+            tick = step(sample, wanted(read), timing)
             command = pipeline.command
             append(tick)
             self.skipped += skipped

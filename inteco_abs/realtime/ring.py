@@ -1,48 +1,114 @@
-"""Preallocated memory for the records of one experiment."""
+"""Memory for the records of one experiment, shared without a lock between one writer and its readers.
+
+A slot holds the record between two copies of its number, the first written before and the second after it, so that
+a reader tells a torn or overwritten record from a whole one. The writer makes no system call and waits for nobody;
+readers poll.
+"""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
+from typing import Any, Final
 
-from inteco_abs.signals import Tick
+_WORD: Final = 8
+_HEAD_WORDS: Final = 8
+"""Counters before the slots, with a cache line of their own."""
+_WRITTEN, _TAKEN = 0, 1
 
-Pack = Callable[[bytearray, int, Tick], None]
-"""Writes one tick's record into a buffer at an offset."""
+Pack = Callable[[Any, int, Any], None]
+"""Writes one record into a buffer at an offset."""
+
+
+def ring_bytes(record_bytes: int, capacity: int) -> int:
+    """Size of the memory of a ring, a multiple of 8 bytes."""
+    return _WORD * (_HEAD_WORDS + capacity * _slot_words(record_bytes))
+
+
+def _slot_words(record_bytes: int) -> int:
+    return 2 + -(-record_bytes // _WORD)
 
 
 class TickRing:
-    """Fixed-size records, `capacity` of them, packed by the loop and read by whoever records.
+    """The writer's end: `capacity` records of `record_bytes`, packed by `pack`.
 
-    Memory is touched once here, so that the loop meets no page fault. Readers call `take` and may do so while the
-    loop is between two ticks.
+    `memory` is writable and zero, of `ring_bytes(record_bytes, capacity)`; by default the ring makes its own.
     """
 
-    def __init__(self, pack: Pack, record_bytes: int, capacity: int) -> None:
+    def __init__(
+        self, pack: Pack, record_bytes: int, capacity: int, memory: bytearray | memoryview | None = None
+    ) -> None:
+        self.memory = memoryview(bytearray(ring_bytes(record_bytes, capacity)) if memory is None else memory)
         self._pack = pack
-        self._size = record_bytes
         self._capacity = capacity
-        self._buffer = bytearray(record_bytes * capacity)
+        self._stride = _slot_words(record_bytes)
+        self._words = self.memory.cast("Q")
         self._written = 0
-        self._taken = 0
 
     @property
     def written(self) -> int:
         """Number of records appended so far."""
         return self._written
 
-    def append(self, tick: Tick) -> None:
-        """Pack one tick. Raises BufferError rather than overwrite a record that nobody has taken."""
-        if self._written - self._taken >= self._capacity:
+    def append(self, record: Any) -> None:
+        """Pack one record. Raises BufferError rather than overwrite one that was not taken."""
+        words, number = self._words, self._written
+        if number - words[_TAKEN] >= self._capacity:
             raise BufferError(f"the ring is full: {self._capacity} records and nobody takes them")
-        self._pack(self._buffer, self._written % self._capacity * self._size, tick)
-        self._written += 1
+        at = _HEAD_WORDS + number % self._capacity * self._stride
+        number += 1
+        words[at] = number
+        self._pack(self.memory, _WORD * (at + 1), record)
+        words[at + self._stride - 1] = number
+        words[_WRITTEN] = self._written = number
 
-    def take(self) -> bytes:
-        """Records that were not taken yet, oldest first, back to back."""
-        first, end = self._taken % self._capacity, self._written % self._capacity
-        if self._written == self._taken:
-            return b""
-        self._taken = self._written
-        if first < end:
-            return bytes(self._buffer[first * self._size : end * self._size])
-        return bytes(self._buffer[first * self._size :] + self._buffer[: end * self._size])
+
+class RingReader:
+    """A reader's end. The one that `take`s tells the writer so; any number may look at the `newest`."""
+
+    def __init__(self, memory: bytearray | memoryview, record_bytes: int, capacity: int) -> None:
+        self.lost = 0
+        """Records that were torn or overwritten before they were taken."""
+        self._memory = memoryview(memory)
+        self._words = self._memory.cast("Q")
+        self._size = record_bytes
+        self._capacity = capacity
+        self._stride = _slot_words(record_bytes)
+        self._slot = struct.Struct(f"<Q{record_bytes}s{(_WORD * self._stride - 2 * _WORD) - record_bytes}xQ")
+
+    @property
+    def written(self) -> int:
+        """Number of records published so far."""
+        return self._words[_WRITTEN]
+
+    @property
+    def taken(self) -> int:
+        """Number of records taken so far, lost ones included."""
+        return self._words[_TAKEN]
+
+    def rewind(self) -> int:
+        """Go back to the oldest record that the ring still holds; its number, from 0."""
+        oldest = max(0, self.written - self._capacity)
+        self._words[_TAKEN] = oldest
+        return oldest
+
+    def take(self, most: int | None = None) -> bytes:
+        """Up to `most` records that were not taken yet, oldest first, back to back."""
+        first, end = self.taken, self.written
+        if most is not None:
+            end = min(end, first + most)
+        records = [self._record(number) for number in range(first, end)]
+        whole = [record for record in records if record is not None]
+        self.lost += len(records) - len(whole)
+        self._words[_TAKEN] = end
+        return b"".join(whole)
+
+    def newest(self) -> bytes | None:
+        """The newest record: a snapshot, for a screen. None if there is none, or it was just being overwritten."""
+        written = self.written
+        return self._record(written - 1) if written else None
+
+    def _record(self, number: int) -> bytes | None:
+        at = _WORD * (_HEAD_WORDS + number % self._capacity * self._stride)
+        front, record, back = self._slot.unpack_from(self._memory, at)
+        return bytes(record) if front == back == number + 1 else None

@@ -5,14 +5,19 @@ from inteco_abs.sessions.recorder import Recorder, check_output
 from inteco_abs.sessions.replay import CONFIG_NAME, Difference, Replay, replay, session_config
 from inteco_abs.sessions.result import result_card
 from inteco_abs.sessions.schema import TICK, TRUTH, pack_tick
+from inteco_abs.sessions.scribe import Account, Conclusion, Introduction, Scribe
 
 __all__ = [
     "CONFIG_NAME",
     "TICK",
     "TRUTH",
+    "Account",
+    "Conclusion",
     "Difference",
+    "Introduction",
     "Recorder",
     "Replay",
+    "Scribe",
     "Session",
     "check_output",
     "pack_tick",

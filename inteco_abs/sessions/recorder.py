@@ -7,7 +7,7 @@ import json
 import struct
 import time
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -133,7 +133,7 @@ class Recorder:
                 "started_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
             },
         )
-        self._flush()
+        self.flush()
 
     def ticks(self, records: bytes) -> None:
         """Add tick records, back to back, and an event for every change of phase and every fault among them."""
@@ -154,14 +154,20 @@ class Recorder:
             )
             self._ticks += 1
 
-    def truths(self, truths: Iterable[Sequence[Any]]) -> None:
-        """Add states of the simulated rig, one per tick, in the order of `TRUTH`'s columns."""
-        if self._truth_channel < 0:
+    def truths(self, records: bytes) -> None:
+        """Add states of the simulated rig, back to back."""
+        if records and self._truth_channel < 0:
             self._truth_channel = self._flat(TRUTH, {})
-        for truth in truths:
-            stamp = self._epoch_ns + truth[0]
-            self._writer.add_message(self._truth_channel, stamp, TRUTH.pack(truth), stamp, self._truths)
+        for i, time_ns in enumerate(TRUTH.array(records)["time_ns"].tolist()):
+            stamp = self._epoch_ns + time_ns
+            record = records[i * TRUTH.size : (i + 1) * TRUTH.size]
+            self._writer.add_message(self._truth_channel, stamp, record, stamp, self._truths & 0xFFFFFFFF)
             self._truths += 1
+
+    def flush(self) -> None:
+        """Everything so far into the file, readable even if nothing follows."""
+        self._writer.flush()  # type: ignore[no-untyped-call]  # the library left it untyped
+        self._file.flush()
 
     def event(self, stamp_ns: int, level: int, text: str) -> None:
         """Add a line to the log at a wall clock time in ns."""
@@ -172,7 +178,7 @@ class Recorder:
 
     def finish(self, outcome: str, reason: str, result: Mapping[str, Any]) -> None:
         """Complete the file: how the run ended, its result card, the hash over its payloads, the index."""
-        self._flush()  # the last ticks come before what is said about them
+        self.flush()  # the last ticks come before what is said about them
         self.describe(
             "session",
             {
@@ -195,10 +201,6 @@ class Recorder:
         with suppress(SessionError):  # what could not be written is not wanted any more
             self._file.close()
         self.path.unlink(missing_ok=True)
-
-    def _flush(self) -> None:
-        self._writer.flush()  # type: ignore[no-untyped-call]  # the library left it untyped
-        self._file.flush()
 
     def _changed(self, stamp_ns: int, phase: int, reason: int) -> None:
         if phase != self._before[0]:

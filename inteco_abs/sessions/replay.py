@@ -12,11 +12,11 @@ from inteco_abs.control import Pipeline
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.sessions.reader import Session
 from inteco_abs.sessions.schema import TICK, Role, pack_tick
-from inteco_abs.signals import BoardFlags, Phase, Sample, Tick, Timing
+from inteco_abs.signals import BoardFlags, Phase, Reason, Sample, Tick, Timing
 
 CONFIG_NAME: Final = "config.toml"
 _TIMING_FIELDS: Final = len(Timing._fields)
-_STOP: Final = Tick._fields.index("stop_requested")
+_STOP: Final = Tick._fields.index("stop_request")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ def replay(session: Session, pipeline: Pipeline) -> Replay:
 def _decide(pipeline: Pipeline, row: tuple[Any, ...]) -> Tick:
     time_ns, tick, dt_s, wheel, road, flags = row[:_STOP]
     sample = Sample(tick, time_ns, dt_s, wheel, road, BoardFlags(flags))
-    return pipeline.step(sample, row[_STOP], Timing(*row[-_TIMING_FIELDS:]))
+    return pipeline.step(sample, Reason(row[_STOP]), Timing(*row[-_TIMING_FIELDS:]))
 
 
 def _compare(session: Session, again: bytes, braking: int) -> Replay:

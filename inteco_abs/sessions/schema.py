@@ -115,7 +115,8 @@ class Message:
 
     def descriptor(self) -> bytes:
         """FileDescriptorSet with this message and its enums, as MCAP's protobuf encoding wants it."""
-        enums = b"".join(chunk(5, _enum(c.kind.members)) for c in self.columns if c.kind.members)
+        members = dict.fromkeys(column.kind.members for column in self.columns if column.kind.members)
+        enums = b"".join(chunk(5, _enum(kind)) for kind in members)
         fields = [_field(number, column) for number, column in enumerate(self.columns, 1)]
         body = chunk(4, message(self.name.rpartition(".")[2], fields)) + enums
         return chunk(1, proto_file(f"{self.name}.proto", PACKAGE, body))
@@ -150,7 +151,7 @@ TICK: Final = Message(
             "bit set: " + ", ".join(f"{f.value} {f.name}" for f in BoardFlags),
             _IN,
         ),
-        Column("stop_requested", BOOL, "1", "the operator asked to stop", _IN),
+        Column("stop_request", REASON, "1", "why somebody outside the decision asked to stop", _IN),
         Column("wheel_speed_rad_s", _D, "rad/s", "estimated speed of the braked wheel"),
         Column("road_speed_rad_s", _D, "rad/s", "estimated speed of the road wheel"),
         Column("slip", _D, "1", "estimated slip, 0..1"),
@@ -185,9 +186,11 @@ TRUTH: Final = Message(
         Column("road_speed_rad_s", _D, "rad/s", "true speed of the road wheel", _IN),
         Column("slip", _D, "1", "true slip", _IN),
         Column("brake_torque_nm", _D, "N.m", "torque that the brake can hold", _IN),
+        Column("drive", _D, "1", "duty at the drive's terminals from now on", _IN),
+        Column("brake", _D, "1", "duty at the brake's terminals from now on", _IN),
     ),
 )
-"""State of the simulated rig at the instant of each tick; a real rig has none."""
+"""State of the simulated rig at each write of the host, and what that made of the outputs; a real rig has none."""
 
 if tuple(column.name for column in TICK.columns) != Tick._fields:
     raise TypeError("the columns of TICK must be the fields of signals.Tick")

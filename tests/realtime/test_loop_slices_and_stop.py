@@ -77,8 +77,8 @@ def test_a_stop_ends_the_run_at_the_next_tick_with_safe_recorded(new_stack, phas
         assert loop.run()
         (last,) = stack.rows()
         assert last["tick"] == rows[-1]["tick"] + 1
-        assert last["stop_requested"]
-        assert not any(row["stop_requested"] for row in rows)
+        assert last["stop_request"]
+        assert not any(row["stop_request"] for row in rows)
         assert (last["drive"], last["brake"]) == (0.0, 0.0)
         assert (last["phase"], last["reason"]) == (Phase.FAULT, Reason.OPERATOR_STOP)
     assert stack.device.duties == (0.0, 0.0)
@@ -91,7 +91,7 @@ def test_a_stop_before_the_first_tick_never_lets_an_output_on(new_stack):
         assert stack.loop().run()
         assert stack.device.duties == (0.0, 0.0)
     (row,) = stack.rows()
-    assert row["stop_requested"]
+    assert row["stop_request"]
     assert (row["tick"], row["reason"]) == (0, Reason.OPERATOR_STOP)
 
 
@@ -104,4 +104,4 @@ def test_a_stop_that_comes_during_an_exchange_is_seen_in_the_same_tick(scripted_
 def test_a_stop_that_comes_after_the_decision_is_seen_in_the_next_tick(scripted_loop):
     run = scripted_loop([Command(0.5, 0.0)] * 6, record=lambda tick: run.stop.request() if tick == 3 else None)
     run.loop.run()
-    assert [tick.stop_requested for tick in run.ticks] == [False] * 4 + [True] * 2
+    assert [tick.stop_request for tick in run.ticks] == [False] * 4 + [True] * 2

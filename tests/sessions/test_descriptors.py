@@ -19,7 +19,7 @@ TICK_FIELDS = [
     ("wheel_count", "SFIXED64"),
     ("road_count", "SFIXED64"),
     ("board_flags", "FIXED32"),
-    ("stop_requested", "BOOL"),
+    ("stop_request", "BOOL"),
     ("wheel_speed_rad_s", "DOUBLE"),
     ("road_speed_rad_s", "DOUBLE"),
     ("slip", "DOUBLE"),

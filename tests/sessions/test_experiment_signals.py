@@ -37,8 +37,8 @@ def check_interrupted(made, devices, replayed):
     last = session.ticks[-1]
     assert (last["phase"], last["reason"]) == (Phase.FAULT, Reason.OPERATOR_STOP)
     assert (last["drive"], last["brake"]) == (0.0, 0.0)
-    assert last["stop_requested"]
-    assert not session.ticks["stop_requested"][:-1].any()
+    assert last["stop_request"]
+    assert not session.ticks["stop_request"][:-1].any()
 
 
 @pytest.mark.parametrize("phase", RUNNING, ids=lambda phase: phase.name)

@@ -1,0 +1,174 @@
+"""The guardian's process: when the one that holds the board dies or hangs, it takes the board and writes SAFE.
+
+It is no help when the computer dies or the cable is pulled, or when it is killed together with the loop: no RT-DAC
+board is known to drop its outputs by itself, so then only the emergency switch stops the motor.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from inteco_abs.boards import STILL_ON, open_board
+from inteco_abs.errors import BoardError
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.machine import guardian_wishes, prepare
+from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
+from inteco_abs.signals import Reason
+
+_POLL_NS: Final = 5_000_000
+_SUPERVISOR_WINDOW_NS: Final = 2_000_000_000
+_RECORDER_WINDOW_NS: Final = 1_000_000_000
+_TRY_S: Final = 5.0
+_AGAIN_S: Final = 0.002
+
+
+class Silence:
+    """How long a count has not moved, by the time in which this process was awake to see it.
+
+    A computer that stalls makes everybody silent; what passed while this process did not run counts as two polls
+    at most, so that a healthy process gets its window again.
+    """
+
+    def __init__(self, window_ns: int) -> None:
+        self._window_ns = window_ns
+        self._count = 0
+        self._silent_ns = 0
+
+    def lasts(self, count: int, passed_ns: int) -> bool:
+        """Whether `count` has not changed for longer than the window; `passed_ns` since the call before."""
+        if count != self._count:
+            self._count, self._silent_ns = count, 0
+        else:
+            self._silent_ns += min(passed_ns, 2 * _POLL_NS)
+        return self._silent_ns > self._window_ns
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._silent_ns = 0
+
+
+class Guardian:
+    """Watches over the process that the supervisor names, until the supervisor says that all is over."""
+
+    def __init__(self, memory: RunMemory, job: Job) -> None:
+        self._memory = memory
+        self._job = job
+        self._words = memory.words
+        self._ticks = memory.tick_reader()
+        self._poller = select.poll()
+        self._guarded = 0
+        self._left = 0  # guarded before, and gone
+        self._end = -1  # file descriptor that becomes readable when the guarded process ends
+        self._loop = Silence(round(job.config.guard.silence_s * 1e9))
+        self._supervisor = Silence(_SUPERVISOR_WINDOW_NS)
+        self._recorder = Silence(_RECORDER_WINDOW_NS)
+
+    def watch(self) -> None:
+        """Watch and act until nothing is left to guard."""
+        before = time.monotonic_ns()
+        while not self._over():
+            ended = self._poller.poll(_POLL_NS / 1e6)
+            now = time.monotonic_ns()
+            self._words[Word.GUARDIAN_BEAT_NS] = now
+            if ended:
+                self._leave("died")
+            elif self._hangs(now - before):
+                self._kill()
+                self._leave("hung")
+            self._look_after_the_others(now - before)
+            self._follow()
+            before = now
+
+    def _over(self) -> bool:
+        words = self._words
+        left_alone = not alive(words[Word.SUPERVISOR_PID]) and not self._guarded
+        return bool(words[Word.OVER]) or left_alone
+
+    def _follow(self) -> None:
+        """Guard whom the supervisor names now."""
+        pid = self._words[Word.GUARDED_PID]
+        if self._guarded or pid in (0, self._left):
+            return
+        with suppress(ProcessLookupError):  # it has ended already, without having opened the board
+            self._end = os.pidfd_open(pid)
+            self._poller.register(self._end, select.POLLIN)
+            self._guarded = pid
+            self._loop.forget()
+            self._words[Word.GUARDING_PID] = pid
+
+    def _hangs(self, passed_ns: int) -> bool:
+        """Whether the guarded process drives and has not completed a tick for too long."""
+        if not self._guarded or self._words[Word.HOLDER_PID] != self._guarded or not self._ticks.written:
+            self._loop.forget()
+            return False
+        return self._loop.lasts(self._ticks.written, passed_ns)
+
+    def _kill(self) -> None:
+        """End the guarded process for certain: two hosts must not write to the board."""
+        with suppress(ProcessLookupError):
+            os.kill(self._guarded, signal.SIGKILL)
+        while not self._poller.poll(_POLL_NS / 1e6):
+            self._words[Word.GUARDIAN_BEAT_NS] = time.monotonic_ns()
+
+    def _leave(self, cause: str) -> None:
+        """The guarded process is gone: take its board if it had not let go of it."""
+        seen_ns = time.monotonic_ns()
+        pid, self._guarded = self._guarded, 0
+        self._poller.unregister(self._end)
+        os.close(self._end)
+        if self._words[Word.HOLDER_PID] == pid:
+            failure = self._make_safe()
+            report = {"cause": cause, "seen_ns": seen_ns, "done_ns": time.monotonic_ns(), "failure": failure}
+            self._memory.post(Note.RESCUE, report)
+            self._words[Word.RESCUED_PID] = pid
+        self._left = pid
+
+    def _make_safe(self) -> str:
+        """Write SAFE and read it back, trying again for a while; empty, or why it did not succeed."""
+        end = time.monotonic() + _TRY_S
+        while True:
+            self._words[Word.GUARDIAN_BEAT_NS] = time.monotonic_ns()
+            try:
+                rescue(self._memory, self._job)
+            except BoardError as error:  # the kernel may not have let go of the board yet
+                if time.monotonic() > end:
+                    return f"{error}. {STILL_ON}"
+                time.sleep(_AGAIN_S)
+            else:
+                return ""
+
+    def _look_after_the_others(self, passed_ns: int) -> None:
+        """End the run when nobody could stop it, or nobody records it, any more."""
+        words = self._words
+        if words[Word.GUARDIAN_STOP] or not words[Word.GO]:
+            return
+        if self._gone(Word.SUPERVISOR_PID) or self._supervisor.lasts(words[Word.SUPERVISOR_BEAT_NS], passed_ns):
+            words[Word.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST
+        elif self._gone(Word.RECORDER_PID) or self._recorder.lasts(words[Word.RECORDER_BEAT_NS], passed_ns):
+            words[Word.GUARDIAN_STOP] = Reason.RECORDER_LOST
+
+    def _gone(self, word: Word) -> bool:
+        return not alive(self._words[word])
+
+
+def rescue(memory: RunMemory, job: Job) -> None:
+    """Take the board of a process that is gone and write the SAFE image that it left; raises BoardError."""
+    image = memory.image(Note.SAFE_IMAGE)
+    if image is None:
+        return  # it had not finished opening the board, and nothing but zero duties was ever written
+    open_board(job.address, job.config, time.monotonic_ns).rescue(image)
+
+
+def main(path: str) -> int:
+    """Guard the run in the memory at `path`."""
+    memory = RunMemory.open(Path(path))
+    guardian = Guardian(memory, Job.of(memory))
+    prepare(guardian_wishes())
+    guardian.watch()
+    return 0

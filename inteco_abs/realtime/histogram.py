@@ -1,0 +1,58 @@
+"""How punctual a run is so far: counts per microsecond, in memory that a screen may read while they grow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import ClassVar, Final
+
+_BINS: Final = 2048
+_WORD: Final = 8
+
+
+class Histogram:
+    """Lateness in bins of 1 us up to 2047 us, with everything later in the last one, and the greatest value.
+
+    Adding takes the same time whatever was added before. `memory` has `BYTES` bytes, zero at first; one process adds.
+    """
+
+    BYTES: ClassVar[int] = _WORD * (_BINS + 2)
+
+    def __init__(self, memory: bytearray | memoryview | None = None) -> None:
+        view = memoryview(bytearray(self.BYTES) if memory is None else memory)
+        self._counts = view[: _WORD * _BINS].cast("q")
+        self._greatest = view[_WORD * _BINS : _WORD * (_BINS + 1)].cast("d")
+        self._skipped = view[_WORD * (_BINS + 1) : self.BYTES].cast("q")
+
+    def add(self, values_us: Iterable[float], skipped: int = 0) -> None:
+        """Count values in us, and periods that were left out between them."""
+        self._skipped[0] += skipped
+        counts, greatest = self._counts, self._greatest[0]
+        for value in values_us:
+            counts[min(max(int(value), 0), _BINS - 1)] += 1
+            greatest = max(greatest, value)
+        self._greatest[0] = greatest
+
+    @property
+    def skipped(self) -> int:
+        """Periods left out so far."""
+        return self._skipped[0]
+
+    @property
+    def greatest_us(self) -> float:
+        """Greatest value so far, us."""
+        return self._greatest[0]
+
+    def quantiles_us(self, shares: Iterable[float]) -> list[float | None]:
+        """Upper edge of the bin below which each share, ascending in 0..1, of the values lies; None without values."""
+        counts = self._counts.tolist()
+        total, seen, at, found = sum(counts), 0, -1, list[float | None]()
+        for share in shares:
+            while total and seen < share * total and at < _BINS - 1:
+                at += 1
+                seen += counts[at]
+            found.append(min(at + 1.0, self.greatest_us) if total else None)
+        return found
+
+    def sparse(self) -> dict[str, int]:
+        """Counts by lower edge of the bin in us, empty bins left out."""
+        return {str(at): count for at, count in enumerate(self._counts.tolist()) if count}

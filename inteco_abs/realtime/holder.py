@@ -1,0 +1,45 @@
+"""What a process does that holds the board: be watched first, let go last, and say what went wrong."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from inteco_abs.errors import AbsError, BoardError, UnsafeError
+from inteco_abs.realtime.memory import Note, RunMemory, Word
+
+PATIENCE_S: Final = 60.0
+
+
+@contextmanager
+def holding(memory: RunMemory) -> Iterator[None]:
+    """Around opening, using and leaving the board, and watched by the guardian before that.
+
+    A board that could not be made safe stays held, so that the guardian takes it when this process ends.
+    """
+    words, pid = memory.words, os.getpid()
+    memory.wait(lambda: words[Word.GUARDING_PID] == pid or stopped(memory), PATIENCE_S)
+    if words[Word.GUARDING_PID] != pid:
+        raise BoardError("the guardian does not watch, so the board was not opened")
+    words[Word.HOLDER_PID] = pid
+    try:
+        yield
+    except UnsafeError:
+        raise
+    except BaseException:
+        words[Word.HOLDER_PID] = 0
+        raise
+    words[Word.HOLDER_PID] = 0
+
+
+def stopped(memory: RunMemory) -> bool:
+    """Whether anybody wants the run to end."""
+    return bool(memory.words[Word.STOP] or memory.words[Word.GUARDIAN_STOP])
+
+
+def tell_failure(memory: RunMemory, note: Note, error: BaseException) -> None:
+    """Leave what went wrong for the supervisor, who raises it again."""
+    text = str(error) if isinstance(error, AbsError) else f"{type(error).__name__}: {error}"
+    memory.post(note, {"kind": type(error).__name__, "text": text, "notes": getattr(error, "__notes__", [])})

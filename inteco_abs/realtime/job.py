@@ -1,0 +1,60 @@
+"""What the processes of a real-time run are told to do."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from inteco_abs.config import RigConfig, parse_config
+from inteco_abs.control import CONTROLLERS, Controller
+from inteco_abs.plugins import load_controller
+from inteco_abs.realtime.memory import Note, RunMemory
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run, as told by the supervisor to everybody else."""
+
+    out: str
+    """Session file to write."""
+    board: str
+    """Address as the user gave it."""
+    address: str
+    """Where the processes find that board."""
+    seed: int
+    config: RigConfig
+    controller_source: bytes
+    """Of a controller that does not ship, which the configuration then names as file.py:Class."""
+    facts: Mapping[str, Mapping[str, str]]
+    """Metadata: software and host."""
+
+    def post(self, memory: RunMemory) -> None:
+        """Leave it for the others."""
+        told = asdict(self) | {
+            "config": self.config.to_toml(),
+            "controller_source": base64.b64encode(self.controller_source).decode(),
+        }
+        memory.post(Note.JOB, told)
+
+    @classmethod
+    def of(cls, memory: RunMemory) -> Self:
+        """The job of a run."""
+        told: dict[str, Any] = memory.note(Note.JOB)
+        told["config"] = parse_config(told["config"])
+        told["controller_source"] = base64.b64decode(told["controller_source"])
+        return cls(**told)
+
+    @property
+    def path(self) -> Path:
+        """Session file to write."""
+        return Path(self.out)
+
+    def controllers(self) -> Mapping[str, type[Controller]]:
+        """Controllers to choose from; runs the user's own source. Raises ConfigError."""
+        if not self.controller_source:
+            return CONTROLLERS
+        name = self.config.controller.name
+        return {**CONTROLLERS, name: load_controller(name, self.controller_source)[0]}

@@ -1,0 +1,231 @@
+"""What the processes of one run share: words, notes, two rings. One file in memory, which outlives any of them.
+
+Nobody takes a lock. Every word and every note has one writer; readers poll.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import select
+import struct
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from enum import IntEnum, auto
+from pathlib import Path
+from typing import Any, Final, Self
+
+from inteco_abs.errors import SessionError
+from inteco_abs.realtime.histogram import Histogram
+from inteco_abs.realtime.ring import Pack, RingReader, TickRing, ring_bytes
+
+FOLDER: Final = Path("/dev/shm")  # noqa: S108  memory, not a place for temporary files; the name is unique
+SUFFIX: Final = ".ring"
+_PREFIX: Final = "inteco-abs-"
+_MAGIC: Final = b"inteco-abs ring 1\n"
+_HEADER: Final = struct.Struct("<32s4Q")
+_POLL_S: Final = 0.001
+
+
+class Word(IntEnum):
+    """Eight-byte words, by their writer."""
+
+    # the supervisor
+    SUPERVISOR_PID = 0
+    SUPERVISOR_BEAT_NS = auto()
+    GUARDED_PID = auto()
+    """Process that the guardian is to watch."""
+    LOOP_PID = auto()
+    RECORDER_PID = auto()
+    STOP = auto()
+    """Reason for which the operator's side wants the run to end."""
+    GO = auto()
+    """Everything is ready: the loop may begin."""
+    OVER = auto()
+    """Nothing is left to guard."""
+    # the process that holds the board: first the one of the drill, then the loop
+    HOLDER_PID = auto()
+    """Set before the board is opened, 0 again once SAFE has been read back."""
+    READY = auto()
+    """Pid of the holder once its board is open and safe."""
+    # the guardian
+    GUARDIAN_BEAT_NS = auto()
+    GUARDING_PID = auto()
+    """What the guardian watches by now."""
+    GUARDIAN_STOP = auto()
+    """Reason for which the guardian wants the run to end."""
+    RESCUED_PID = auto()
+    """Whose board the guardian has taken over last and made safe, or tried to: see the note RESCUE."""
+    # the recorder
+    RECORDER_BEAT_NS = auto()
+    RECORDING = auto()
+    """1 once everything that explains the run is on the disk."""
+    FLUSHED = auto()
+    """Ticks that are in the file for sure."""
+
+
+class Note(IntEnum):
+    """Texts and images that one process leaves for the others."""
+
+    JOB = 0
+    INTRODUCTION = auto()
+    SAFE_IMAGE = auto()
+    DRILL = auto()
+    """What the guardian's drill showed."""
+    CONCLUSION = auto()
+    FAILURE = auto()
+    """Of the loop: why it ended before or after the run."""
+    RECORDER_FAILURE = auto()
+    RESCUE = auto()
+    RESULT = auto()
+
+
+_NOTE_BYTES: Final = {Note.JOB: 2 << 20}
+_OTHER_NOTE_BYTES: Final = 64 << 10
+_WORDS_AT: Final = 4096
+_NOTES_AT: Final = 8192
+
+
+def _note_places() -> tuple[dict[Note, tuple[int, int]], int]:
+    places, at = {}, _NOTES_AT
+    for note in Note:
+        size = _NOTE_BYTES.get(note, _OTHER_NOTE_BYTES)
+        places[note] = at, size
+        at += size
+    return places, at
+
+
+_NOTES, _HISTOGRAM_AT = _note_places()
+_RINGS_AT: Final = -(-(_HISTOGRAM_AT + Histogram.BYTES) // 4096) * 4096
+
+
+class RunMemory:
+    """Shared memory of one run; `create` it once, `open` it in every other process. A context manager."""
+
+    def __init__(self, path: Path, mapping: mmap.mmap) -> None:
+        self.path = path
+        self._mapping = mapping
+        self._memory = memoryview(mapping)
+        self.words = self._memory[_WORDS_AT:_NOTES_AT].cast("q")
+        _, self._tick_bytes, self.tick_capacity, self._truth_bytes, self._truth_capacity = _HEADER.unpack_from(mapping)
+        ticks = ring_bytes(self._tick_bytes, self.tick_capacity)
+        truths = ring_bytes(self._truth_bytes, self._truth_capacity)
+        self._ticks = self._memory[_RINGS_AT : _RINGS_AT + ticks]
+        self._truths = self._memory[_RINGS_AT + ticks : _RINGS_AT + ticks + truths]
+        self.histogram = Histogram(self._memory[_HISTOGRAM_AT : _HISTOGRAM_AT + Histogram.BYTES])
+
+    @classmethod
+    def create(cls, tick_bytes: int, tick_capacity: int, truth_bytes: int, truth_capacity: int) -> Self:
+        """New memory for so many records of such sizes. Raises SessionError if there is not enough."""
+        size = _RINGS_AT + ring_bytes(tick_bytes, tick_capacity) + ring_bytes(truth_bytes, truth_capacity)
+        path = FOLDER / f"{_PREFIX}{uuid.uuid4()}{SUFFIX}"
+        try:
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+            try:
+                os.posix_fallocate(file, 0, size)  # now, rather than a bus error in mid-run
+                os.pwrite(file, _HEADER.pack(_MAGIC, tick_bytes, tick_capacity, truth_bytes, truth_capacity), 0)
+            finally:
+                os.close(file)
+        except OSError as error:
+            path.unlink(missing_ok=True)
+            raise SessionError(
+                f"the run needs {size / 1e6:.0f} MB of shared memory in {FOLDER}: {error.strerror}; "
+                "free some, or lower loop.ring_s"
+            ) from error
+        return cls.open(path)
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Memory of a run that exists; raises SessionError if it is none."""
+        try:
+            file = os.open(path, os.O_RDWR)
+        except OSError as error:
+            raise SessionError(f"{path}: {error.strerror}") from error
+        try:
+            size = os.fstat(file).st_size
+            if size < _RINGS_AT or os.pread(file, len(_MAGIC), 0) != _MAGIC:
+                raise SessionError(f"{path}: is no tick ring of this version")
+            # every page now: the loop must not meet a page fault
+            mapping = mmap.mmap(file, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
+        finally:
+            os.close(file)
+        _, tick_bytes, ticks, truth_bytes, truths = _HEADER.unpack_from(mapping)
+        if size != _RINGS_AT + ring_bytes(tick_bytes, ticks) + ring_bytes(truth_bytes, truths):
+            raise SessionError(f"{path}: has {size} bytes, which is not what its header says: it was cut")
+        return cls(path, mapping)
+
+    def remove(self) -> None:
+        """Give the memory back once everybody has left it; what it holds is in the file by now."""
+        self.path.unlink(missing_ok=True)
+
+    def post(self, note: Note, content: Any) -> None:
+        """Leave a note: bytes, or anything that JSON can say."""
+        data = content if isinstance(content, bytes) else json.dumps(content).encode()
+        at, size = _NOTES[note]
+        if len(data) > size - 8:
+            raise SessionError(f"{note.name.lower()} of {len(data)} bytes is too long: at most {size - 8}")
+        self._memory[at + 8 : at + 8 + len(data)] = data
+        struct.pack_into("<Q", self._memory, at, len(data) + 1)  # last: a note is there as a whole or not at all
+
+    def image(self, note: Note) -> bytes | None:
+        """A note's bytes; None if it was not left yet."""
+        at, _ = _NOTES[note]
+        (length,) = struct.unpack_from("<Q", self._memory, at)
+        return bytes(self._memory[at + 8 : at + 7 + length]) if length else None
+
+    def note(self, note: Note) -> Any:
+        """A note; None if it was not left yet."""
+        data = self.image(note)
+        return None if data is None else json.loads(data)
+
+    def tick_ring(self, pack: Pack) -> TickRing:
+        """The loop's end of the ticks."""
+        return TickRing(pack, self._tick_bytes, self.tick_capacity, self._ticks)
+
+    def tick_reader(self) -> RingReader:
+        """A reader's end of the ticks."""
+        return RingReader(self._ticks, self._tick_bytes, self.tick_capacity)
+
+    def truth_ring(self, pack: Pack) -> TickRing:
+        """The mock board's end of its own record."""
+        return TickRing(pack, self._truth_bytes, self._truth_capacity, self._truths)
+
+    def truth_reader(self) -> RingReader:
+        """A reader's end of the mock board's record."""
+        return RingReader(self._truths, self._truth_bytes, self._truth_capacity)
+
+    def wait(self, condition: Callable[[], object], most_s: float) -> bool:
+        """Poll until `condition()` is true; False after `most_s`."""
+        end = time.monotonic() + most_s
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            time.sleep(_POLL_S)
+        return True
+
+
+def left_rings(folder: Path = FOLDER) -> Iterator[Path]:
+    """Memories of this user's runs whose every process is gone: they crashed before their file was complete."""
+    for path in sorted(folder.glob(f"{_PREFIX}*{SUFFIX}")):
+        try:
+            memory = RunMemory.open(path)
+        except (SessionError, OSError, ValueError):
+            continue  # somebody else's, or just being made
+        if not any(alive(memory.words[word]) for word in (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID)):
+            yield path
+
+
+def alive(pid: int) -> bool:
+    """Whether there is a process of that number that has not ended."""
+    if pid <= 0:
+        return False
+    try:
+        end = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return False
+    try:
+        return not select.select([end], [], [], 0.0)[0]  # readable once it has ended, even if nobody has asked how
+    finally:
+        os.close(end)

@@ -1,0 +1,203 @@
+"""The recorder's process: drains the rings into the session file, and completes it however the run ends.
+
+The rings hold what is not in the file yet, so its own death loses nothing either: `rebuild` makes the file anew.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import traceback
+from pathlib import Path
+from typing import Any, Final
+
+from inteco_abs.errors import AbsError, SessionError
+from inteco_abs.realtime.holder import tell_failure
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.machine import prepare, recorder_wishes
+from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
+from inteco_abs.sessions import (
+    TICK,
+    Account,
+    Conclusion,
+    Introduction,
+    Recorder,
+    Scribe,
+    read_session,
+)
+from inteco_abs.signals import Reason
+
+_DRAIN_S: Final = 0.005
+_FLUSH_S: Final = 0.1
+_RESCUE_S: Final = 8.0
+"""The guardian tries for 5 s."""
+_PART: Final = ".part"
+
+
+def main(path: str) -> int:
+    """Record the run in the memory at `path`."""
+    memory = RunMemory.open(Path(path))
+    memory.words[Word.RECORDER_PID] = os.getpid()
+    prepare(recorder_wishes())
+    job = Job.of(memory)
+    try:
+        _record(memory, job)
+    except AbsError as error:
+        tell_failure(memory, Note.RECORDER_FAILURE, error)
+        return error.exit_code
+    except Exception as error:  # noqa: BLE001  the top of a process: its end must explain itself
+        traceback.print_exc()
+        tell_failure(memory, Note.RECORDER_FAILURE, error)
+        return 1
+    return 0
+
+
+def _record(memory: RunMemory, job: Job) -> None:
+    words = memory.words
+    memory.wait(lambda: words[Word.READY] == words[Word.LOOP_PID] != 0 or _loop_ended(memory), _LONGEST_START_S)
+    introduction = _introduction(memory, job)
+    if introduction is None:
+        return  # there was no run
+    with Recorder(job.path, time.monotonic_ns(), introduction.internals) as recorder:
+        scribe = Scribe(recorder, job.config, introduction)
+        scribe.introduce()
+        memory.truth_reader().take()  # what the board did while it was opened belongs to no tick
+        words[Word.RECORDER_BEAT_NS] = time.monotonic_ns()
+        words[Word.RECORDING] = 1
+        _drain_until_the_end(memory, recorder, scribe)
+        if not scribe.ticks:
+            recorder.discard()
+            return
+        account = scribe.conclude(conclusion(memory))
+    tell_result(memory, account)
+
+
+_LONGEST_START_S: Final = 120.0
+
+
+def _drain_until_the_end(memory: RunMemory, recorder: Recorder, scribe: Scribe) -> None:
+    words, ticks, truths = memory.words, memory.tick_reader(), memory.truth_reader()
+    flushed = time.monotonic()
+    over = False
+    while not over:
+        over = _loop_ended(memory)
+        if over:
+            _wait_for_the_rescue(memory)
+        records = ticks.take()
+        scribe.add(records, truths.take())
+        columns = TICK.array(records)
+        memory.histogram.add(columns["late_us"].tolist(), int(columns["skipped"].sum()))
+        now = time.monotonic()
+        words[Word.RECORDER_BEAT_NS] = time.monotonic_ns()
+        if now - flushed >= _FLUSH_S:
+            recorder.flush()
+            words[Word.FLUSHED] = scribe.ticks
+            flushed = now
+        if not over:
+            time.sleep(_DRAIN_S)
+
+
+def _loop_ended(memory: RunMemory) -> bool:
+    pid = memory.words[Word.LOOP_PID]
+    return pid != 0 and not alive(pid)
+
+
+def _wait_for_the_rescue(memory: RunMemory) -> None:
+    """After a loop that died holding the board: until the guardian has done what it can."""
+    words = memory.words
+    pid = words[Word.LOOP_PID]
+    if words[Word.HOLDER_PID] == pid:
+        memory.wait(lambda: words[Word.RESCUED_PID] == pid, _RESCUE_S)
+
+
+def _introduction(memory: RunMemory, job: Job) -> Introduction | None:
+    told = memory.note(Note.INTRODUCTION)
+    if told is None:
+        return None
+    settings = {
+        each["name"]: f"refused: {each['refused']}" if each["refused"] else each["value"] for each in told["settings"]
+    }
+    return Introduction(
+        board=job.board,
+        identity=told["identity"],
+        virtual=False,
+        gains=told["gains"],
+        internals=told["internals"],
+        controller_source=job.controller_source,
+        facts={**job.facts, "realtime": settings | (memory.note(Note.DRILL) or {})},
+    )
+
+
+def conclusion(memory: RunMemory) -> Conclusion:
+    """How the run ended, as far as its memory tells."""
+    written = memory.tick_reader().written
+    timing = {"timing": {"late_us.histogram": json.dumps(memory.histogram.sparse())}}
+    told = memory.note(Note.CONCLUSION)
+    if told is None:
+        return Conclusion(_last_reason(memory), written, aborted=_how_it_died(memory), facts=timing)
+    timing["timing"] |= told["cost"]
+    return Conclusion(Reason(told["reason"]), written, told["link_errors"], told["detail"], facts=timing)
+
+
+def _last_reason(memory: RunMemory) -> Reason:
+    newest = memory.tick_reader().newest()
+    return Reason(int(TICK.array(newest)["reason"][0])) if newest else Reason.NONE
+
+
+def _how_it_died(memory: RunMemory) -> str:
+    """For a loop that left no conclusion."""
+    words = memory.words
+    failure = memory.note(Note.FAILURE)
+    how = f"the loop's process gave up: {failure['text']}" if failure else "the loop's process died"
+    report = memory.note(Note.RESCUE) if words[Word.RESCUED_PID] == words[Word.LOOP_PID] else None
+    if report is not None and report["cause"] == "hung":
+        how = "the loop's process hung and was killed"
+    newest = memory.tick_reader().newest()
+    if newest:
+        how += f" after tick {int(TICK.array(newest)['tick'][0])}"
+    if words[Word.HOLDER_PID] != words[Word.LOOP_PID]:
+        return how
+    return f"{how}; {rescue_in_words(report)}"
+
+
+def rescue_in_words(report: Any) -> str:
+    """What became of the board of a process that died."""
+    if report is None:
+        return "nobody took over its board"
+    if report["failure"]:
+        return f"its board could not be made safe: {report['failure']}"
+    return f"the guardian made its board safe in {(report['done_ns'] - report['seen_ns']) * 1e-6:.1f} ms"
+
+
+def tell_result(memory: RunMemory, account: Account) -> None:
+    """Leave the account for the supervisor."""
+    told = {"outcome": account.outcome, "reason": int(account.reason), "explanation": account.explanation}
+    memory.post(Note.RESULT, {**told, "card": account.card})
+
+
+def rebuild(memory: RunMemory, job: Job, out: Path) -> Account | None:
+    """Make the session file from the rings, and from what a dead recorder has left at `job.out`, as `out`.
+
+    None if there was no tick. Raises SessionError.
+    """
+    introduction = _introduction(memory, job)
+    ticks, truths = memory.tick_reader(), memory.truth_reader()
+    if introduction is None or not ticks.written:
+        return None
+    held_from = ticks.rewind()
+    truths.rewind()
+    before = read_session(job.path).payload[: held_from * TICK.size] if held_from else b""
+    part = out.with_name(out.name + _PART)
+    part.unlink(missing_ok=True)
+    with Recorder(part, time.monotonic_ns(), introduction.internals) as recorder:
+        scribe = Scribe(recorder, job.config, introduction, out)
+        scribe.introduce()
+        scribe.add(before, b"")
+        scribe.add(ticks.take(), truths.take())
+        account = scribe.conclude(conclusion(memory))
+    try:
+        part.replace(out)
+    except OSError as error:
+        raise SessionError(f"{part} is complete but cannot be renamed to {out}: {error.strerror}") from error
+    return account

@@ -1,0 +1,109 @@
+"""The loop's process: owns the board, decides, fills the ring, and does nothing else."""
+
+from __future__ import annotations
+
+import os
+import resource
+import time
+import traceback
+from pathlib import Path
+from typing import Any, Final
+
+from inteco_abs.boards import Board, open_board
+from inteco_abs.control import Pipeline, build_pipeline, gains_in_force
+from inteco_abs.errors import AbsError, in_words
+from inteco_abs.realtime.clock import PacedClock
+from inteco_abs.realtime.holder import PATIENCE_S, holding, stopped, tell_failure
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.loop import Loop
+from inteco_abs.realtime.machine import loop_wishes, prepare
+from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.sessions import pack_tick
+from inteco_abs.signals import Reason
+
+_GUARDIAN_WINDOW_NS: Final = 250_000_000
+_STOP, _GUARDIAN_STOP, _GUARDIAN_BEAT = int(Word.STOP), int(Word.GUARDIAN_STOP), int(Word.GUARDIAN_BEAT_NS)
+_REASONS: Final = {int(reason): reason for reason in Reason}
+
+
+class SharedStop:
+    """What the other processes want of the loop: the supervisor's word, the guardian's, and a guardian alive."""
+
+    def __init__(self, memory: RunMemory) -> None:
+        self._words = memory.words
+
+    def wanted(self, now_ns: int) -> Reason:
+        """Why the run must end now, or NONE."""
+        words = self._words
+        word = words[_STOP] or words[_GUARDIAN_STOP]
+        if word:
+            return _REASONS[word]
+        return Reason.GUARDIAN_LOST if now_ns - words[_GUARDIAN_BEAT] > _GUARDIAN_WINDOW_NS else Reason.NONE
+
+
+def main(path: str) -> int:
+    """Run the job in the memory at `path`; exit code 0 if it came to an end, whatever the end."""
+    memory = RunMemory.open(Path(path))
+    try:
+        _run(memory, Job.of(memory))
+    except AbsError as error:
+        tell_failure(memory, Note.FAILURE, error)
+        return error.exit_code
+    except Exception as error:  # noqa: BLE001  the top of a process: its end must explain itself
+        traceback.print_exc()
+        tell_failure(memory, Note.FAILURE, error)
+        return 1
+    return 0
+
+
+def _run(memory: RunMemory, job: Job) -> None:
+    config, words = job.config, memory.words
+    controllers = job.controllers()
+    pipeline = build_pipeline(config, controllers)
+    ring = memory.tick_ring(pack_tick)
+    clock = PacedClock(config.period_ns)
+    cost: dict[str, str] = {}
+    with holding(memory), open_board(job.address, config, clock.now_ns) as board:
+        identity = board.insist()
+        memory.post(Note.SAFE_IMAGE, board.safe_image)
+        loop = Loop(board, pipeline, clock, ring, SharedStop(memory))
+        settings = prepare(loop_wishes())
+        memory.post(
+            Note.INTRODUCTION,
+            {
+                "identity": identity.facts(),
+                "gains": gains_in_force(config, controllers),
+                "internals": list(controllers[config.controller.name].internals),
+                "settings": [setting._asdict() for setting in settings],
+            },
+        )
+        words[Word.READY] = os.getpid()
+        memory.wait(lambda: words[Word.GO] or stopped(memory), PATIENCE_S)
+        if words[Word.GO]:
+            cost = _drive(loop, clock)
+    if cost:
+        memory.post(Note.CONCLUSION, {**_end(pipeline, board, ring.written), "cost": cost})
+
+
+def _drive(loop: Loop, clock: PacedClock) -> dict[str, str]:
+    """Run the loop; what it cost this process."""
+    before, start = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
+    loop.run()
+    after = resource.getrusage(resource.RUSAGE_SELF)
+    seconds = max(time.monotonic() - start, 1e-9)
+    busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {
+        "minor_page_faults": str(after.ru_minflt - before.ru_minflt),
+        "major_page_faults": str(after.ru_majflt - before.ru_majflt),
+        "cpu_share": f"{busy / seconds:.3f}",
+        "spin_us": f"{clock.spin_ns * 1e-3:.0f}",
+    }
+
+
+def _end(pipeline: Pipeline, board: Board, written: int) -> dict[str, Any]:
+    detail = ""
+    if pipeline.error is not None:
+        detail = in_words(pipeline.error)
+    elif pipeline.reason is Reason.MISSED_EXCHANGES and board.last_error is not None:
+        detail = str(board.last_error)
+    return {"reason": int(pipeline.reason), "written": written, "link_errors": board.link_errors, "detail": detail}

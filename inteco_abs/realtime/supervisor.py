@@ -1,0 +1,301 @@
+"""The supervisor: starts the processes of a run, proves the guardian, lets the loop go, watches, tells how it ended.
+
+It is the process that the user started, and the only one that hears the user's signals.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Final, NamedTuple, Self
+
+from inteco_abs import errors
+from inteco_abs.boards import STILL_ON
+from inteco_abs.errors import AbsError, BoardError, SessionError, UnsafeError
+from inteco_abs.realtime.guardian import rescue
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.realtime.recorder import rebuild
+from inteco_abs.sessions import TICK, Account
+from inteco_abs.signals import Phase, Reason
+
+_POLL_S: Final = 0.01
+_SCREEN_S: Final = 0.1
+_START_S: Final = 60.0
+_DRILL_S: Final = 2.0
+_RESCUE_S: Final = 8.0
+_FINISH_S: Final = 30.0
+_END_S: Final = 3.0
+_UNGUARDED_S: Final = 0.5
+SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGXCPU")
+"""Signals that would otherwise end or stop the program with its outputs on."""
+
+
+class Snapshot(NamedTuple):
+    """What a screen shows of a run; read from the rings, at no cost to the loop."""
+
+    phase: Phase
+    ticks: int
+    time_s: float
+    """Since the first tick."""
+    wheel_speed_rad_s: float
+    road_speed_rad_s: float
+    slip: float
+    drive: float
+    brake: float
+    overruns: int
+    late_us: tuple[float | None, ...]
+    """Lateness so far: p50, p99, p99.9 and the greatest."""
+
+
+Watch = Callable[[Snapshot], None]
+
+
+class Supervisor:
+    """One real-time run in `memory`, whose job has been posted; a context manager around `run`."""
+
+    def __init__(self, memory: RunMemory, job: Job) -> None:
+        self._memory = memory
+        self._job = job
+        self._words = memory.words
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._words[Word.SUPERVISOR_PID] = os.getpid()
+        self._ticks = memory.tick_reader()
+        self._first_ns = 0
+
+    def run(self, watch: Watch | None = None) -> Account:
+        """Do the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
+        with _Signals(self._words):
+            try:
+                self._start()
+                self._drill()
+                self._let_go()
+                self._watch(watch)
+                return self._account()
+            finally:
+                self._end()
+
+    def spawn(self, name: str, module: str, *arguments: str) -> None:
+        """Start a process of the run."""
+        self._children[name] = subprocess.Popen(  # noqa: S603  our own modules
+            [sys.executable, "-m", module, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=sys.stderr.fileno(),  # what a controller prints must not mix with the result card
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            start_new_session=True,  # Ctrl-C and a closed terminal reach the supervisor only
+        )
+
+    def _start(self) -> None:
+        for role in ("guardian", "recorder", "drill", "loop"):
+            self.spawn(role, "inteco_abs.realtime", role, str(self._memory.path))
+        self._words[Word.LOOP_PID] = self._children["loop"].pid
+
+    def _drill(self) -> None:
+        """Before the loop may touch the board, kill a process that holds it: the guardian must be seen to take over."""
+        words, drill = self._words, self._children["drill"]
+        words[Word.GUARDED_PID] = drill.pid
+        self._wait_for(lambda: words[Word.READY] == drill.pid, "the board opens", "drill", _START_S)
+        drill.kill()
+        killed_ns = time.monotonic_ns()
+        self._children.pop("drill").wait()
+        self._wait_for(lambda: words[Word.RESCUED_PID] == drill.pid, "the guardian takes over", "guardian", _DRILL_S)
+        report = self._memory.note(Note.RESCUE)
+        if report["failure"]:
+            raise UnsafeError(f"the guardian failed its drill, so nothing was started: {report['failure']}")
+        took_ms = (report["done_ns"] - killed_ns) * 1e-6
+        self._memory.post(Note.DRILL, {"guardian drill": f"SAFE {took_ms:.1f} ms after the kill"})
+
+    def _let_go(self) -> None:
+        words, loop = self._words, self._children["loop"]
+        words[Word.GUARDED_PID] = loop.pid
+        self._wait_for(lambda: words[Word.READY] == loop.pid, "the loop is ready", "loop", _START_S)
+        self._wait_for(lambda: words[Word.RECORDING], "the recorder is ready", "recorder", _START_S)
+        words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
+        words[Word.GO] = 1
+
+    def _wait_for(self, condition: Callable[[], object], what: str, who: str, most_s: float) -> None:
+        end = time.monotonic() + most_s
+        while not condition():
+            self._words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
+            if self._words[Word.STOP]:
+                raise KeyboardInterrupt
+            for name, child in self._children.items():
+                if child.poll() is not None:
+                    raise self._failure_of(name)
+            if time.monotonic() > end:
+                raise BoardError(f"{what}: not within {most_s:g} s, waiting for the {who} process; nothing was started")
+            time.sleep(_POLL_S / 10)
+
+    def _failure_of(self, name: str) -> AbsError:
+        """What a process said before it ended, as the error that it was."""
+        note = Note.RECORDER_FAILURE if name == "recorder" else Note.FAILURE
+        told = self._memory.note(note)
+        if told is None:
+            code = self._children[name].returncode
+            return BoardError(f"the {name} process ended before the run began (exit code {code}); nothing was started")
+        return raised_again(told)
+
+    def _watch(self, watch: Watch | None) -> None:
+        words, loop = self._words, self._children["loop"]
+        shown = 0.0
+        while loop.poll() is None:
+            words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
+            self._look_after("guardian", Reason.GUARDIAN_LOST)
+            self._look_after("recorder", Reason.RECORDER_LOST)
+            self._end_what_nobody_guards()
+            if watch is not None and time.monotonic() - shown >= _SCREEN_S:
+                snapshot = self.snapshot()
+                if snapshot is not None:
+                    watch(snapshot)
+                shown = time.monotonic()
+            time.sleep(_POLL_S)
+
+    def _end_what_nobody_guards(self) -> None:
+        """A loop that goes on without a guardian, though it was told to stop, hangs."""
+        if self._children["guardian"].poll() is None:
+            return
+        if not _gone_within(self._children["loop"], _UNGUARDED_S):
+            self._children["loop"].kill()
+
+    def _look_after(self, name: str, reason: Reason) -> None:
+        if self._children[name].poll() is not None and not self._words[Word.STOP]:
+            self._words[Word.STOP] = reason
+
+    def snapshot(self) -> Snapshot | None:
+        """The newest tick, and the timing so far; None before the first."""
+        record = self._ticks.newest()
+        if record is None:
+            return None
+        tick = TICK.array(record)[0]
+        now_ns = int(tick["time_ns"])
+        wheel, road, slip, drive, brake = (
+            float(tick[name]) for name in ("wheel_speed_rad_s", "road_speed_rad_s", "slip", "drive", "brake")
+        )
+        self._first_ns = self._first_ns or now_ns
+        histogram = self._memory.histogram
+        return Snapshot(
+            Phase(int(tick["phase"])),
+            self._ticks.written,
+            (now_ns - self._first_ns) * 1e-9,
+            wheel,
+            road,
+            slip,
+            drive,
+            brake,
+            histogram.skipped,
+            (*histogram.quantiles_us((0.5, 0.99, 0.999)), histogram.greatest_us),
+        )
+
+    def _account(self) -> Account:
+        """How the run ended, from the recorder or, if that is gone, from the memory that it would have written."""
+        self._rescue_if_nobody_did()
+        recorder, memory = self._children["recorder"], self._memory
+        with suppress(subprocess.TimeoutExpired):
+            recorder.wait(_FINISH_S)
+        told = memory.note(Note.RESULT)
+        if told is not None:
+            return Account(told["outcome"], Reason(told["reason"]), told["explanation"], told["card"])
+        failure = memory.note(Note.RECORDER_FAILURE)
+        if recorder.poll() is None:
+            recorder.kill()
+            recorder.wait()
+        try:
+            account = rebuild(memory, self._job, self._job.path)
+        except AbsError as error:
+            why = failure["text"] if failure else "the recorder process died"
+            raise SessionError(
+                f"{why}; the file could not be made anew either ({error}). Every tick is still in {memory.path}: "
+                f"inteco-abs recover {memory.path} --out FILE"
+            ) from error
+        if account is None:
+            told = failure or memory.note(Note.FAILURE)
+            raise raised_again(told) if told else SessionError("the run ended before its first tick")
+        return account
+
+    def _rescue_if_nobody_did(self) -> None:
+        """The last resort of software: loop and guardian are both gone, and the board was held."""
+        words, memory = self._words, self._memory
+        pid, guardian = words[Word.LOOP_PID], self._children["guardian"]
+        end = time.monotonic() + _RESCUE_S
+        while words[Word.HOLDER_PID] == pid != words[Word.RESCUED_PID] and guardian.poll() is None:
+            if time.monotonic() > end:
+                guardian.kill()
+            time.sleep(_POLL_S / 10)
+        if words[Word.HOLDER_PID] != pid or words[Word.RESCUED_PID] == pid:
+            return
+        report = {"cause": "died", "seen_ns": time.monotonic_ns(), "failure": ""}
+        try:
+            rescue(memory, self._job)
+        except BoardError as error:
+            report["failure"] = f"{error}. {STILL_ON}"
+        memory.post(Note.RESCUE, {**report, "done_ns": time.monotonic_ns()})
+        words[Word.RESCUED_PID] = pid
+
+    def _end(self) -> None:
+        """Leave nothing behind: neither a process nor a held board."""
+        words = self._words
+        loop = self._children.get("loop")
+        if loop is not None and loop.poll() is None:
+            words[Word.STOP] = words[Word.STOP] or Reason.OPERATOR_STOP
+            if not _gone_within(loop, _END_S):
+                loop.kill()  # the guardian sees to the board
+                loop.wait()
+            self._rescue_if_nobody_did()
+        for name in ("drill", "recorder"):
+            child = self._children.get(name)
+            if child is not None and not _gone_within(child, _END_S):
+                child.kill()
+        words[Word.OVER] = 1
+        for child in self._children.values():
+            if not _gone_within(child, _END_S):
+                child.kill()
+            child.wait()
+
+
+class _Signals:
+    """While inside, the signals that would end the program set the stop word, and do nothing else."""
+
+    def __init__(self, words: Any) -> None:
+        self._words = words
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():  # Python delivers signals to no other
+            wanted = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
+            self._before = {number: signal.signal(number, self._handle) for number in wanted}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _handle(self, *_: object) -> None:
+        if not self._words[Word.STOP]:
+            self._words[Word.STOP] = Reason.OPERATOR_STOP
+
+
+def raised_again(told: Mapping[str, Any]) -> AbsError:
+    """Another process's error, of its own class."""
+    kind = getattr(errors, told["kind"], None)
+    if isinstance(kind, type) and issubclass(kind, AbsError) and kind is not errors.ConfigError:
+        error: AbsError = kind(told["text"])
+    else:
+        error = BoardError(told["text"])
+    for note in told["notes"]:
+        error.add_note(note)
+    return error
+
+
+def _gone_within(child: subprocess.Popen[bytes], most_s: float) -> bool:
+    with suppress(subprocess.TimeoutExpired):
+        child.wait(most_s)
+    return child.returncode is not None

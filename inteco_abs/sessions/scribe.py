@@ -1,0 +1,153 @@
+"""Tells a run from its first line to its last: who ran what on which board, every tick, how it ended."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from inteco_abs.config import RigConfig
+from inteco_abs.rig import RigParameters
+from inteco_abs.sessions.provenance import controller_facts
+from inteco_abs.sessions.recorder import Recorder
+from inteco_abs.sessions.replay import CONFIG_NAME
+from inteco_abs.sessions.result import result_card
+from inteco_abs.sessions.schema import TICK, TRUTH
+from inteco_abs.signals import EXPLANATIONS, Reason
+
+_OUTCOMES = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}
+
+
+@dataclass(frozen=True, slots=True)
+class Introduction:
+    """Everything that explains a run before it begins."""
+
+    board: str
+    """Address as the user gave it."""
+    identity: Mapping[str, str]
+    """What the board says of itself."""
+    virtual: bool
+    gains: Mapping[str, float]
+    internals: Sequence[str]
+    """Names of what the controller logs in c0..c3."""
+    controller_source: bytes
+    """Empty for a controller that ships."""
+    facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """More metadata: software, host, real-time settings."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conclusion:
+    """How a run ended, as told by who drove it."""
+
+    reason: Reason
+    written: int
+    """Ticks that were decided."""
+    link_errors: int = 0
+    detail: str = ""
+    """What the controller raised, or the link's last error, where the reason is one of these."""
+    aborted: str = ""
+    """Why there was no proper end; empty if there was one."""
+    facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """More metadata."""
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """How a run ended, as told to the user."""
+
+    outcome: str
+    """`completed`, `interrupted`, `fault` or `aborted`."""
+    reason: Reason
+    explanation: str
+    card: dict[str, Any]
+
+    @property
+    def exit_code(self) -> int:
+        """5 safety stop, 130 interrupted, 3 done with overruns or losses, 0 done."""
+        codes = {"fault": 5, "aborted": 5, "interrupted": 130}
+        losses = any(self.card[name] for name in ("overruns", "link_errors", "lost_ticks"))
+        return codes.get(self.outcome, 3 if losses else 0)
+
+
+class Scribe:
+    """Writes one run through a `recorder` that was just opened."""
+
+    def __init__(
+        self, recorder: Recorder, config: RigConfig, introduction: Introduction, session: Path | None = None
+    ) -> None:
+        self._recorder = recorder
+        self._session = session or recorder.path  # what the file will be called
+        self._config = config
+        self._introduction = introduction
+        self._ticks = bytearray()
+        self._truths = bytearray()
+
+    @property
+    def ticks(self) -> int:
+        """Ticks written so far."""
+        return len(self._ticks) // TICK.size
+
+    def introduce(self) -> None:
+        """Everything that explains the run, on the disk before the first tick."""
+        told, config, recorder = self._introduction, self._config, self._recorder
+        parameters = RigParameters.named(config.model.parameters)
+        for name, facts in told.facts.items():
+            recorder.describe(name, facts)
+        recorder.describe(
+            "rig",
+            {
+                "board": told.board,
+                **told.identity,
+                "profile": config.profile,
+                "counts_per_turn": str(config.encoders.counts_per_turn),
+                "r1_m": repr(parameters.r1),
+                "r2_m": repr(parameters.r2),
+                "parameters": config.model.parameters,
+                "simulated": str(told.board.startswith("sim:")).lower(),
+                "virtual_time": str(told.virtual).lower(),
+            },
+        )
+        source = told.controller_source
+        digest = hashlib.sha256(source).hexdigest() if source else ""
+        recorder.describe("controller", controller_facts(config, told.gains, digest))
+        recorder.attach(CONFIG_NAME, "application/toml", config.to_toml().encode())
+        if source:
+            recorder.attach("controller.py", "text/x-python", source)
+        recorder.begin({"reference_slip": config.controller.reference_slip, **told.gains})
+
+    def add(self, ticks: bytes, truths: bytes) -> None:
+        """More of the run: tick records and states of the simulated rig, each back to back."""
+        self._recorder.ticks(ticks)
+        self._recorder.truths(truths)
+        self._ticks += ticks
+        self._truths += truths
+
+    def conclude(self, end: Conclusion) -> Account:
+        """Complete the file with the result card and everything that is known about the end."""
+        outcome = "aborted" if end.aborted else _OUTCOMES.get(end.reason, "fault")
+        parts = [EXPLANATIONS[end.reason]] if end.reason is not Reason.NONE or not end.aborted else []
+        explanation = "; ".join([*parts, end.aborted] if end.aborted else parts)
+        if end.detail:
+            explanation += f": {end.detail}"
+        card = self._card(outcome, end)
+        for name, facts in end.facts.items():
+            self._recorder.describe(name, facts)
+        self._recorder.finish(outcome, explanation, card)
+        return Account(outcome, end.reason, explanation, card)
+
+    def _card(self, outcome: str, end: Conclusion) -> dict[str, Any]:
+        metrics = result_card(self._config, TICK.array(bytes(self._ticks)), TRUTH.array(bytes(self._truths)))
+        return {
+            "schema_version": 1,
+            "session": str(self._session),
+            "outcome": outcome,
+            "reason": end.reason.name,
+            "board": self._introduction.board,
+            **metrics,
+            "lost_ticks": end.written - metrics["ticks"],
+            "link_errors": end.link_errors,
+            "payload_sha256": self._recorder.payload_sha256,
+        }

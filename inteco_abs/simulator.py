@@ -1,0 +1,56 @@
+"""The mock board as a process of its own, for real-time runs: `python -m inteco_abs.simulator MEMORY SOCKET`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from inteco_abs.mock_board import Device, SocketServer, Truth, Usb2Face
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.machine import BOARD_PRIORITY, guardian_wishes, prepare
+from inteco_abs.realtime.memory import RunMemory, Word, alive
+from inteco_abs.sessions import TRUTH
+
+_LOOK_S: Final = 0.1
+_LINGER_S: Final = 10.0
+"""How long the board stays on after a supervisor that has died: the guardian may need it."""
+
+
+def main(path: str, socket: str) -> int:
+    """Be the board of the run in the memory at `path`, at `socket`, until the run is over."""
+    memory = RunMemory.open(Path(path))
+    job = Job.of(memory)
+    ring = memory.truth_ring(TRUTH.pack_into)
+
+    def observe(truth: Truth) -> None:
+        with suppress(BufferError):  # nobody records: a board does not stop for that
+            ring.append(truth)
+
+    face = Usb2Face(Device(job.config, time.monotonic_ns, job.seed, observe))
+    server = SocketServer(face, socket)
+    prepare(guardian_wishes(BOARD_PRIORITY))
+    _serve(server, memory)
+    server.close()
+    return 0
+
+
+def _serve(server: SocketServer, memory: RunMemory) -> None:
+    words = memory.words
+    looked = alone_since = time.monotonic()
+    while not words[Word.OVER]:
+        server.step()
+        now = time.monotonic()
+        if now - looked < _LOOK_S:
+            continue
+        looked = now
+        if alive(words[Word.SUPERVISOR_PID]):
+            alone_since = now
+        elif now - alone_since > _LINGER_S:
+            return
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
