@@ -12,7 +12,7 @@ from inteco_abs.mock_board import Device, SocketServer, Truth, Usb2Face
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import BOARD_PRIORITY, guardian_wishes, prepare
 from inteco_abs.realtime.memory import RunMemory, Word, alive
-from inteco_abs.sessions import TRUTH
+from inteco_abs.records import TRUTH
 
 _LOOK_S: Final = 0.1
 _LINGER_S: Final = 10.0

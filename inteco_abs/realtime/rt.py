@@ -18,7 +18,7 @@ from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.loop import Loop
 from inteco_abs.realtime.machine import loop_wishes, prepare
 from inteco_abs.realtime.memory import Note, RunMemory, Word
-from inteco_abs.sessions import pack_tick
+from inteco_abs.records import pack_tick
 from inteco_abs.signals import Reason
 
 _GUARDIAN_WINDOW_NS: Final = 250_000_000

@@ -1,10 +1,10 @@
 """The memory: what a session holds, how it is written, read, judged and replayed."""
 
+from inteco_abs.records import TICK, TRUTH, pack_tick
 from inteco_abs.sessions.reader import Session, read_session
 from inteco_abs.sessions.recorder import Recorder, check_output
 from inteco_abs.sessions.replay import CONFIG_NAME, Difference, Replay, replay, session_config
 from inteco_abs.sessions.result import result_card
-from inteco_abs.sessions.schema import TICK, TRUTH, pack_tick
 from inteco_abs.sessions.scribe import Account, Conclusion, Introduction, Scribe
 
 __all__ = [

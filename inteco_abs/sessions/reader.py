@@ -15,7 +15,7 @@ import numpy.typing as npt
 import zstandard
 
 from inteco_abs.errors import SessionError
-from inteco_abs.sessions.schema import LOG_TOPIC, TICK, TRUTH, Message
+from inteco_abs.records.schema import LOG_TOPIC, TICK, TRUTH, Message
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _LIBRARY: Final = "inteco-abs/"

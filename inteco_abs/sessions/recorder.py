@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any, Final, Self
 from mcap.writer import CompressionType, Writer
 
 from inteco_abs.errors import ConfigError, Mistake, SessionError
-from inteco_abs.sessions import schema
-from inteco_abs.sessions.schema import TICK, TRUTH, Message
-from inteco_abs.sessions.wire import chunk, double, integer, tag
+from inteco_abs.records import schema
+from inteco_abs.records.schema import TICK, TRUTH, Message
+from inteco_abs.records.wire import chunk, double, integer, tag
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 if TYPE_CHECKING:

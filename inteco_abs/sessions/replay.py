@@ -10,8 +10,8 @@ import numpy as np
 from inteco_abs.config import Check, RigConfig, parse_config
 from inteco_abs.control import Pipeline
 from inteco_abs.errors import ConfigError, SessionError
+from inteco_abs.records.schema import TICK, Role, pack_tick
 from inteco_abs.sessions.reader import Session
-from inteco_abs.sessions.schema import TICK, Role, pack_tick
 from inteco_abs.signals import BoardFlags, Phase, Reason, Sample, Tick, Timing
 
 CONFIG_NAME: Final = "config.toml"

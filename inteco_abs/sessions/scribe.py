@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from inteco_abs.config import RigConfig
+from inteco_abs.records.schema import TICK, TRUTH
 from inteco_abs.rig import RigParameters
 from inteco_abs.sessions.provenance import controller_facts
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.replay import CONFIG_NAME
 from inteco_abs.sessions.result import result_card
-from inteco_abs.sessions.schema import TICK, TRUTH
 from inteco_abs.signals import EXPLANATIONS, Reason
 
 _OUTCOMES = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}

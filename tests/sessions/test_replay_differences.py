@@ -8,8 +8,8 @@ import pytest
 import tomli_w
 
 from inteco_abs.errors import SessionError
+from inteco_abs.records.schema import Role
 from inteco_abs.sessions import TICK, Difference, Recorder, read_session
-from inteco_abs.sessions.schema import Role
 from inteco_abs.signals import Phase, Reason
 
 OUTPUTS = [column for column in TICK.columns if column.role is Role.OUTPUT]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from inteco_abs.sessions.wire import chunk, integer
+from inteco_abs.records.wire import chunk, integer
 
 INT64: Final = 3
 INT32: Final = 5

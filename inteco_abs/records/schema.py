@@ -10,14 +10,17 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from typing import Any, Final, NamedTuple
+from functools import cached_property
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-from inteco_abs.sessions.descriptors import ENUM, INT32, INT64, MESSAGE, TEXT, enum, field, message, proto_file
-from inteco_abs.sessions.wire import chunk, integer, tag
+from inteco_abs.records.descriptors import ENUM, INT32, INT64, MESSAGE, TEXT, enum, field, message, proto_file
+from inteco_abs.records.wire import chunk, integer, tag
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
 
 PACKAGE: Final = "inteco_abs.v1"
 
@@ -79,14 +82,7 @@ class Message:
         self._struct = struct.Struct(form)
         self._arguments: list[Any] = [part for key in keys for part in (key, 0)]
         self.size = self._struct.size
-        self.dtype = np.dtype(
-            {
-                "names": [column.name for column in self.columns],
-                "formats": [column.kind.dtype for column in self.columns],
-                "offsets": offsets,
-                "itemsize": self.size,
-            }
-        )
+        self._offsets = offsets
         self._keys = [(offset, len(key)) for offset, key in zip(offsets, keys, strict=True)]
 
     def pack_into(self, buffer: bytearray, offset: int, values: Sequence[Any]) -> None:
@@ -101,16 +97,31 @@ class Message:
         self.pack_into(buffer, 0, values)
         return bytes(buffer)
 
+    @cached_property
+    def dtype(self) -> np.dtype[np.void]:
+        """Layout for numpy."""
+        layout: np.dtype[np.void] = _numpy().dtype(
+            {
+                "names": [column.name for column in self.columns],
+                "formats": [column.kind.dtype for column in self.columns],
+                "offsets": self._offsets,
+                "itemsize": self.size,
+            }
+        )
+        return layout
+
     def array(self, data: bytes) -> npt.NDArray[np.void]:
         """Structured array over the messages in `data`, back to back; no copy."""
-        return np.frombuffer(data, self.dtype)
+        view: npt.NDArray[np.void] = _numpy().frombuffer(data, self.dtype)
+        return view
 
     def well_formed(self, data: bytes) -> bool:
         """Whether every message in `data` has this layout: length and all keys."""
         if len(data) % self.size:
             return False
-        raw = np.frombuffer(data, np.uint8).reshape(-1, self.size)
-        template = np.frombuffer(self.pack([0] * len(self.columns)), np.uint8)
+        numpy = _numpy()
+        raw = numpy.frombuffer(data, numpy.uint8).reshape(-1, self.size)
+        template = numpy.frombuffer(self.pack([0] * len(self.columns)), numpy.uint8)
         return all(bool((raw[:, at - length : at] == template[at - length : at]).all()) for at, length in self._keys)
 
     def descriptor(self) -> bytes:
@@ -120,6 +131,11 @@ class Message:
         fields = [_field(number, column) for number, column in enumerate(self.columns, 1)]
         body = chunk(4, message(self.name.rpartition(".")[2], fields)) + enums
         return chunk(1, proto_file(f"{self.name}.proto", PACKAGE, body))
+
+
+def _numpy() -> Any:
+    """Loaded by who reads. The loop's process only packs, and lets go of the board sooner if it dies without 80 MB more."""
+    return import_module("numpy")
 
 
 def _field(number: int, column: Column) -> bytes:

@@ -7,7 +7,7 @@ from google.protobuf.wrappers_pb2 import BytesValue, DoubleValue, StringValue, U
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from inteco_abs.sessions import wire
+from inteco_abs.records import wire
 
 NUMBERS = st.integers(1, (1 << 29) - 1)
 UNSIGNED = st.integers(0, (1 << 64) - 1)

@@ -1,0 +1,125 @@
+"""A real-time run seen from outside: its processes by name, its shared memory, its end."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+from inteco_abs.realtime.memory import FOLDER, RunMemory, Word
+from inteco_abs.sessions import read_session
+
+QUICK = (
+    "experiment.start_speed_rad_s=40.0",
+    "experiment.idle_s=0.02",
+    "experiment.hold_s=0.1",
+    "guard.silence_s=0.05",
+)
+"""About two seconds of turning wheels, and the guardian's window as on a real board."""
+
+
+class LiveRun:
+    """`inteco-abs run` in real time, from the moment at which its loop may begin."""
+
+    def __init__(self, command, folder, environment, *arguments, settings=QUICK, wrapper=()):
+        self.out = folder / "stop.mcap"
+        sets = [word for setting in settings for word in ("--set", setting)]
+        before = set(FOLDER.glob("*.ring"))
+        self.process = subprocess.Popen(
+            [*wrapper, command, "run", "--board", "sim:", "--out", self.out, "--json", *sets, *arguments],
+            cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            start_new_session=True,
+        )  # fmt: skip
+        self.memory = self._find(before)
+        self.words = self.memory.words
+        self.ticks = self.memory.tick_reader()
+        self.until(lambda: self.words[Word.GO])
+
+    def _find(self, before):
+        end = time.monotonic() + 60.0
+        while time.monotonic() < end and self.process.poll() is None:
+            for path in set(FOLDER.glob("*.ring")) - before:
+                try:
+                    memory = RunMemory.open(path)
+                except Exception:  # noqa: BLE001, S112  just being made; the loop ends in time
+                    continue
+                if ancestor(memory.words[Word.SUPERVISOR_PID], self.process.pid):
+                    return memory
+            time.sleep(0.002)
+        raise AssertionError(f"no run began: {self.process.communicate()}")
+
+    def until(self, condition, most_s=60.0):
+        end = time.monotonic() + most_s
+        while not condition():
+            if self.process.poll() is not None or time.monotonic() > end:
+                raise AssertionError(f"it never came to that: {self.process.communicate()}")
+            time.sleep(0.001)
+
+    def until_tick(self, number):
+        self.until(lambda: self.ticks.written >= number)
+
+    def pid(self, role):
+        """Of `supervisor`, `loop`, `recorder`, `guardian` or `board`."""
+        known = {"supervisor": Word.SUPERVISOR_PID, "loop": Word.LOOP_PID, "recorder": Word.RECORDER_PID}
+        if role in known:
+            return self.words[known[role]]
+        wanted = {"guardian": b"guardian", "board": b"inteco_abs.simulator"}[role]
+        for entry in Path("/proc").iterdir():
+            try:
+                words = (entry / "cmdline").read_bytes().split(b"\0")
+            except OSError:
+                continue
+            if wanted in words and str(self.memory.path).encode() in words:
+                return int(entry.name)
+        raise AssertionError(f"no {role}")
+
+    def strike(self, role, number=signal.SIGKILL):
+        """Send a signal; the time, in ns of the monotonic clock, just before."""
+        pid = self.pid(role)
+        now_ns = time.monotonic_ns()
+        os.kill(pid, number)
+        return now_ns
+
+    def end(self, most_s=60.0):
+        """Waits for the command; its exit code, card (None if it printed none) and messages."""
+        stdout, stderr = self.process.communicate(timeout=most_s)
+        assert "Traceback" not in stderr, stderr
+        return self.process.returncode, json.loads(stdout) if stdout else None, stderr
+
+    def session(self):
+        return read_session(self.out)
+
+    def processes(self):
+        """Everything that still runs for this run."""
+        path = str(self.memory.path).encode()
+        found = []
+        for entry in Path("/proc").iterdir():
+            try:
+                if path in (entry / "cmdline").read_bytes().split(b"\0"):
+                    found.append(int(entry.name))
+            except OSError:
+                continue
+        return found
+
+
+def ancestor(pid, wanted):
+    """Whether `wanted` is `pid` or one of those that started it."""
+    while pid > 1:
+        if pid == wanted:
+            return True
+        try:
+            pid = int((Path("/proc") / str(pid) / "stat").read_text().rpartition(")")[2].split()[1])
+        except OSError:
+            return False
+    return False
+
+
+def safe_after_ns(session, then_ns):
+    """Time from `then_ns` until the board's own record shows both outputs off for good, in ns."""
+    truth = session.truth
+    on = (truth["drive"] > 0.0) | (truth["brake"] > 0.0)
+    last_on = int(truth["time_ns"][on][-1]) if on.any() else 0
+    off = truth["time_ns"][truth["time_ns"] > last_on]
+    assert len(off), "the board was left with an output on"
+    return max(0, int(off[0]) - then_ns)
