@@ -21,6 +21,7 @@ from inteco_abs.errors import AbsError, ConfigError, Mistake, near_match
 if TYPE_CHECKING:
     from inteco_abs.control import Controller
     from inteco_abs.experiment import Progress
+    from inteco_abs.realtime.supervisor import Screen, Snapshot
     from inteco_abs.sessions import Replay, Session
 
 _LOSSES: Final = 3
@@ -103,8 +104,14 @@ def run(
         check_figure(figure)
         if figure.resolve() == out.resolve():
             raise ConfigError([Mistake("--figure", f"{figure}: is the session's own file; choose another name")])
-    with _progress(virtual=virtual) as progress:
-        stop = run_stop(rig, Plan(out, board, virtual, seed, controllers, source), progress)
+    plan = Plan(out, board, virtual, seed, controllers, source)
+    if virtual:
+        with _progress() as progress:
+            stop = run_stop(rig, plan, progress)
+    else:
+        _tell_of_left_rings()
+        with _screen(rig.experiment.start_speed_rad_s) as screen:
+            stop = run_stop(rig, plan, screen=screen)
     if as_json:
         _print_json(stop.card)
     else:
@@ -172,6 +179,22 @@ def info(file: Path, as_json: bool) -> int:
     else:
         _print_summary(summary)
     return _LOSSES if session.incomplete else 0
+
+
+@cli.command()
+@click.argument("ring", type=_FILE)
+@click.option("--out", "-o", type=_FILE, required=True, help="Session file to write.")
+@_json_option
+def recover(ring: Path, out: Path, as_json: bool) -> int:
+    """Write the session of a run whose processes all crashed, from the memory that it left in RING."""
+    from inteco_abs.realtime.recorder import recover_run
+
+    account = recover_run(ring, out)
+    if as_json:
+        _print_json(account.card)
+    else:
+        _print_card(account.card, account.explanation)
+    return _LOSSES if account.card["lost_ticks"] else 0
 
 
 @cli.command()
@@ -257,12 +280,47 @@ def _default_out() -> Path:
     return folder / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"
 
 
+class _Lines:
+    """Shows a run where there is no terminal: what cannot wait, and nothing else."""
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Nothing: a log is no place for ten lines a second."""
+
+    def warn(self, text: str) -> None:
+        """One line."""
+        click.echo(f"inteco-abs: {text}", err=True)
+
+
 @contextmanager
-def _progress(*, virtual: bool) -> Iterator[Progress | None]:
-    """Phase and ticks so far on a terminal's stderr; in real time one line before, as drawing would cost ticks."""
-    if not (virtual and sys.stderr.isatty()):
-        if not virtual:
-            click.echo("running in real time; Ctrl-C stops safely", err=True)
+def _screen(full_speed_rad_s: float) -> Iterator[Screen]:
+    """Live picture of a real-time run on a terminal's stderr, else one line before it."""
+    if not sys.stderr.isatty():
+        click.echo("running in real time; Ctrl-C stops safely", err=True)
+        yield _Lines()
+        return
+    from rich.console import Console
+
+    from inteco_abs.views.dashboard import Dashboard
+
+    with Dashboard(Console(stderr=True), full_speed_rad_s) as dashboard:
+        yield dashboard
+
+
+def _tell_of_left_rings() -> None:
+    """A run that crashed altogether has left its ticks in memory; the next one must not let them be forgotten."""
+    from inteco_abs.realtime.memory import left_rings
+
+    for ring in left_rings():
+        click.echo(
+            f"inteco-abs: a run that crashed has left its ticks in {ring}: inteco-abs recover {ring} --out FILE",
+            err=True,
+        )
+
+
+@contextmanager
+def _progress() -> Iterator[Progress | None]:
+    """Phase and ticks so far of a virtual run, on a terminal's stderr."""
+    if not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console

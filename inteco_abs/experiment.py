@@ -20,7 +20,7 @@ from inteco_abs.mock_board import Device, Truth, Usb2Face
 from inteco_abs.realtime import Loop, RingReader, StopWord, TickRing, VirtualClock
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import RunMemory
-from inteco_abs.realtime.supervisor import SIGNALS, Supervisor, Watch
+from inteco_abs.realtime.supervisor import SIGNALS, NoScreen, Screen, Supervisor
 from inteco_abs.sessions import (
     TICK,
     TRUTH,
@@ -59,8 +59,8 @@ class Plan:
     """Source of a controller that does not ship, kept in the session; in real time it runs in another process."""
 
 
-def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, watch: Watch | None = None) -> Account:
-    """Run one experiment and record it at `plan.out`; `watch` sees a real-time run ten times a second.
+def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, screen: Screen | None = None) -> Account:
+    """Run one experiment and record it at `plan.out`; `screen` shows a real-time run ten times a second.
 
     SIGINT, SIGTERM and their like end it at the next tick, with SAFE and a complete file. Raises ConfigError or
     BoardError if it cannot start, and then leaves no file; BoardError also if SAFE could not be confirmed.
@@ -71,23 +71,22 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, wa
     with redirect_stdout(sys.stderr):
         pipeline = build_pipeline(config, plan.controllers)
         if not plan.virtual:
-            return _run_in_real_time(config, plan, watch)
+            return _run_in_real_time(config, plan, screen or NoScreen())
         with _Interrupts() as interrupts:
             return _VirtualRun(config, plan, pipeline, interrupts).run(progress)
 
 
-def _run_in_real_time(config: RigConfig, plan: Plan, watch: Watch | None) -> Account:
+def _run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> Account:
     if not sys.platform.startswith("linux"):
         raise BoardError(f"real time needs Linux, and this is {sys.platform}; use --virtual")
     if config.controller.name not in CONTROLLERS and not plan.controller_source:
         problem = f"{config.controller.name!r}: in real time a controller must come from a file, as file.py:Class"
         raise ConfigError([Mistake("controller.name", problem)])
     memory = RunMemory.create(TICK.size, _ring_ticks(config), TRUTH.size, _ring_ticks(config))
-    socket = memory.path.with_suffix(".board")
     job = Job(
         out=str(plan.out.absolute()),
         board=plan.board,
-        address=f"{plan.board}{socket}",
+        address=f"{plan.board}{memory.socket}",
         seed=plan.seed,
         config=config,
         controller_source=plan.controller_source,
@@ -96,9 +95,9 @@ def _run_in_real_time(config: RigConfig, plan: Plan, watch: Watch | None) -> Acc
     try:
         job.post(memory)
         supervisor = Supervisor(memory, job)
-        supervisor.spawn("board", "inteco_abs.simulator", str(memory.path), str(socket))
-        memory.wait(socket.exists, _BOARD_START_S)
-        account = supervisor.run(watch)
+        supervisor.spawn("board", "inteco_abs.simulator", str(memory.path))
+        memory.wait(memory.socket.exists, _BOARD_START_S)
+        account = supervisor.run(screen)
     except SessionError:
         if not memory.tick_reader().written:
             memory.remove()
@@ -106,8 +105,6 @@ def _run_in_real_time(config: RigConfig, plan: Plan, watch: Watch | None) -> Acc
     except BaseException:
         memory.remove()
         raise
-    finally:
-        socket.unlink(missing_ok=True)
     memory.remove()
     return account
 
@@ -188,7 +185,7 @@ class _VirtualRun:
             detail = in_words(error)
         elif reason is Reason.MISSED_EXCHANGES and board.last_error is not None:
             detail = str(board.last_error)
-        return Conclusion(reason, self._ring.written, board.link_errors, detail, aborted)
+        return Conclusion(reason, self._ring.written, detail, aborted)
 
     def _give_up(self, recorder: Recorder, scribe: Scribe | None, board: Board, error: BaseException) -> None:
         if scribe is None or not self._ring.written:

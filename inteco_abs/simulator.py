@@ -1,4 +1,4 @@
-"""The mock board as a process of its own, for real-time runs: `python -m inteco_abs.simulator MEMORY SOCKET`."""
+"""The mock board as a process of its own, for real-time runs: `python -m inteco_abs.simulator MEMORY`."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from inteco_abs.realtime.memory import RunMemory, Word, alive
 from inteco_abs.records import TRUTH
 
 _LOOK_S: Final = 0.1
-_LINGER_S: Final = 10.0
-"""How long the board stays on after a supervisor that has died: the guardian may need it."""
+_LINGER_S: Final = 1.0
+"""How long the board stays without supervisor and host: the guardian may be about to come."""
 
 
-def main(path: str, socket: str) -> int:
-    """Be the board of the run in the memory at `path`, at `socket`, until the run is over."""
+def main(path: str) -> int:
+    """Be the board of the run in the memory at `path`, at its socket, until the run is over."""
     memory = RunMemory.open(Path(path))
     job = Job.of(memory)
     ring = memory.truth_ring(TRUTH.pack_into)
@@ -30,7 +30,7 @@ def main(path: str, socket: str) -> int:
             ring.append(truth)
 
     face = Usb2Face(Device(job.config, time.monotonic_ns, job.seed, observe))
-    server = SocketServer(face, socket)
+    server = SocketServer(face, str(memory.socket))
     prepare(guardian_wishes(BOARD_PRIORITY))
     _serve(server, memory)
     server.close()
@@ -46,7 +46,7 @@ def _serve(server: SocketServer, memory: RunMemory) -> None:
         if now - looked < _LOOK_S:
             continue
         looked = now
-        if alive(words[Word.SUPERVISOR_PID]):
+        if server.busy or alive(words[Word.SUPERVISOR_PID]):
             alone_since = now
         elif now - alone_since > _LINGER_S:
             return

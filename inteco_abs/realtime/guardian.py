@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.boards import STILL_ON, open_board
+from inteco_abs.boards import open_board
 from inteco_abs.errors import BoardError
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import guardian_wishes, prepare
@@ -138,7 +138,7 @@ class Guardian:
                 rescue(self._memory, self._job)
             except BoardError as error:  # the kernel may not have let go of the board yet
                 if time.monotonic() > end:
-                    return f"{error}. {STILL_ON}"
+                    return str(error)
                 time.sleep(_AGAIN_S)
             else:
                 return ""
@@ -146,10 +146,12 @@ class Guardian:
     def _look_after_the_others(self, passed_ns: int) -> None:
         """End the run when nobody could stop it, or nobody records it, any more."""
         words = self._words
-        if words[Word.GUARDIAN_STOP] or not words[Word.GO]:
+        if words[Word.GUARDIAN_STOP]:
             return
         if self._gone(Word.SUPERVISOR_PID) or self._supervisor.lasts(words[Word.SUPERVISOR_BEAT_NS], passed_ns):
             words[Word.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST
+        elif not words[Word.GO]:
+            return
         elif self._gone(Word.RECORDER_PID) or self._recorder.lasts(words[Word.RECORDER_BEAT_NS], passed_ns):
             words[Word.GUARDIAN_STOP] = Reason.RECORDER_LOST
 

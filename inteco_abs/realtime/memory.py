@@ -159,6 +159,16 @@ class RunMemory:
     def remove(self) -> None:
         """Give the memory back once everybody has left it; what it holds is in the file by now."""
         self.path.unlink(missing_ok=True)
+        self.socket.unlink(missing_ok=True)
+
+    @property
+    def socket(self) -> Path:
+        """Where the mock board of this run listens, if it has one."""
+        return self.path.with_suffix(".board")
+
+    def in_use(self) -> bool:
+        """Whether any process of the run is still there."""
+        return any(alive(self.words[word]) for word in (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID))
 
     def post(self, note: Note, content: Any) -> None:
         """Leave a note: bytes, or anything that JSON can say."""
@@ -213,7 +223,7 @@ def left_rings(folder: Path = FOLDER) -> Iterator[Path]:
             memory = RunMemory.open(path)
         except (SessionError, OSError, ValueError):
             continue  # somebody else's, or just being made
-        if not any(alive(memory.words[word]) for word in (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID)):
+        if not memory.in_use():
             yield path
 
 

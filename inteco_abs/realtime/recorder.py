@@ -9,9 +9,11 @@ import json
 import os
 import time
 import traceback
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from inteco_abs.boards import STILL_ON
 from inteco_abs.errors import AbsError, SessionError
 from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.job import Job
@@ -24,6 +26,7 @@ from inteco_abs.sessions import (
     Introduction,
     Recorder,
     Scribe,
+    check_output,
     read_session,
 )
 from inteco_abs.signals import Reason
@@ -55,7 +58,7 @@ def main(path: str) -> int:
 
 def _record(memory: RunMemory, job: Job) -> None:
     words = memory.words
-    memory.wait(lambda: words[Word.READY] == words[Word.LOOP_PID] != 0 or _loop_ended(memory), _LONGEST_START_S)
+    memory.wait(lambda: words[Word.READY] == words[Word.LOOP_PID] != 0 or _nobody_drives(memory), _LONGEST_START_S)
     introduction = _introduction(memory, job)
     if introduction is None:
         return  # there was no run
@@ -71,6 +74,8 @@ def _record(memory: RunMemory, job: Job) -> None:
             return
         account = scribe.conclude(conclusion(memory))
     tell_result(memory, account)
+    if not alive(words[Word.SUPERVISOR_PID]):
+        memory.remove()  # in its place: the file holds everything
 
 
 _LONGEST_START_S: Final = 120.0
@@ -96,6 +101,10 @@ def _drain_until_the_end(memory: RunMemory, recorder: Recorder, scribe: Scribe) 
             flushed = now
         if not over:
             time.sleep(_DRAIN_S)
+
+
+def _nobody_drives(memory: RunMemory) -> bool:
+    return _loop_ended(memory) or not alive(memory.words[Word.SUPERVISOR_PID])
 
 
 def _loop_ended(memory: RunMemory) -> bool:
@@ -137,7 +146,7 @@ def conclusion(memory: RunMemory) -> Conclusion:
     if told is None:
         return Conclusion(_last_reason(memory), written, aborted=_how_it_died(memory), facts=timing)
     timing["timing"] |= told["cost"]
-    return Conclusion(Reason(told["reason"]), written, told["link_errors"], told["detail"], facts=timing)
+    return Conclusion(Reason(told["reason"]), written, told["detail"], facts=timing)
 
 
 def _last_reason(memory: RunMemory) -> Reason:
@@ -149,13 +158,15 @@ def _how_it_died(memory: RunMemory) -> str:
     """For a loop that left no conclusion."""
     words = memory.words
     failure = memory.note(Note.FAILURE)
-    how = f"the loop's process gave up: {failure['text']}" if failure else "the loop's process died"
+    how = "the loop's process gave up" if failure else "the loop's process died"
     report = memory.note(Note.RESCUE) if words[Word.RESCUED_PID] == words[Word.LOOP_PID] else None
     if report is not None and report["cause"] == "hung":
         how = "the loop's process hung and was killed"
     newest = memory.tick_reader().newest()
     if newest:
         how += f" after tick {int(TICK.array(newest)['tick'][0])}"
+    if failure:
+        how += f" ({failure['text'].removesuffix(f'. {STILL_ON}')})"
     if words[Word.HOLDER_PID] != words[Word.LOOP_PID]:
         return how
     return f"{how}; {rescue_in_words(report)}"
@@ -164,9 +175,9 @@ def _how_it_died(memory: RunMemory) -> str:
 def rescue_in_words(report: Any) -> str:
     """What became of the board of a process that died."""
     if report is None:
-        return "nobody took over its board"
+        return f"nobody took over its board. {STILL_ON}"
     if report["failure"]:
-        return f"its board could not be made safe: {report['failure']}"
+        return f"the guardian could not make its board safe ({report['failure']}). {STILL_ON}"
     return f"the guardian made its board safe in {(report['done_ns'] - report['seen_ns']) * 1e-6:.1f} ms"
 
 
@@ -174,6 +185,23 @@ def tell_result(memory: RunMemory, account: Account) -> None:
     """Leave the account for the supervisor."""
     told = {"outcome": account.outcome, "reason": int(account.reason), "explanation": account.explanation}
     memory.post(Note.RESULT, {**told, "card": account.card})
+
+
+def recover_run(ring: Path, out: Path) -> Account:
+    """Session file of a run whose every process is gone, from its memory `ring`, which is then removed.
+
+    Raises SessionError if the run still goes on, if there is nothing in it, or if the file cannot be written.
+    """
+    check_output(out)
+    memory = RunMemory.open(ring)
+    if memory.in_use():
+        raise SessionError(f"{ring}: the run still goes on; stop it first")
+    job = Job.of(memory)
+    account = rebuild(memory, job, out)
+    if account is None:
+        raise SessionError(f"{ring}: holds no ticks; remove it")
+    memory.remove()
+    return account
 
 
 def rebuild(memory: RunMemory, job: Job, out: Path) -> Account | None:
@@ -195,7 +223,9 @@ def rebuild(memory: RunMemory, job: Job, out: Path) -> Account | None:
         scribe.introduce()
         scribe.add(before, b"")
         scribe.add(ticks.take(), truths.take())
-        account = scribe.conclude(conclusion(memory))
+        end = conclusion(memory)
+        anew = f"the session was made from what the run left in memory, {scribe.ticks} ticks"
+        account = scribe.conclude(replace(end, detail=f"{end.detail}; {anew}" if end.detail else anew))
     try:
         part.replace(out)
     except OSError as error:

@@ -106,4 +106,4 @@ def _end(pipeline: Pipeline, board: Board, written: int) -> dict[str, Any]:
         detail = in_words(pipeline.error)
     elif pipeline.reason is Reason.MISSED_EXCHANGES and board.last_error is not None:
         detail = str(board.last_error)
-    return {"reason": int(pipeline.reason), "written": written, "link_errors": board.link_errors, "detail": detail}
+    return {"reason": int(pipeline.reason), "written": written, "detail": detail}

@@ -14,10 +14,9 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from types import TracebackType
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Protocol, Self
 
 from inteco_abs import errors
-from inteco_abs.boards import STILL_ON
 from inteco_abs.errors import AbsError, BoardError, SessionError, UnsafeError
 from inteco_abs.realtime.guardian import rescue
 from inteco_abs.realtime.job import Job
@@ -55,7 +54,26 @@ class Snapshot(NamedTuple):
     """Lateness so far: p50, p99, p99.9 and the greatest."""
 
 
-Watch = Callable[[Snapshot], None]
+class Screen(Protocol):
+    """Who shows a run to the user; called from the supervisor's process, never from the loop's."""
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Ten times a second."""
+        ...
+
+    def warn(self, text: str) -> None:
+        """What cannot wait until the run is over."""
+        ...
+
+
+class NoScreen:
+    """For runs that nobody looks at."""
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Nothing."""
+
+    def warn(self, text: str) -> None:
+        """Nothing: the account says it too."""
 
 
 class Supervisor:
@@ -70,14 +88,14 @@ class Supervisor:
         self._ticks = memory.tick_reader()
         self._first_ns = 0
 
-    def run(self, watch: Watch | None = None) -> Account:
+    def run(self, screen: Screen) -> Account:
         """Do the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
         with _Signals(self._words):
             try:
                 self._start()
                 self._drill()
                 self._let_go()
-                self._watch(watch)
+                self._watch(screen)
                 return self._account()
             finally:
                 self._end()
@@ -142,7 +160,7 @@ class Supervisor:
             return BoardError(f"the {name} process ended before the run began (exit code {code}); nothing was started")
         return raised_again(told)
 
-    def _watch(self, watch: Watch | None) -> None:
+    def _watch(self, screen: Screen) -> None:
         words, loop = self._words, self._children["loop"]
         shown = 0.0
         while loop.poll() is None:
@@ -150,12 +168,15 @@ class Supervisor:
             self._look_after("guardian", Reason.GUARDIAN_LOST)
             self._look_after("recorder", Reason.RECORDER_LOST)
             self._end_what_nobody_guards()
-            if watch is not None and time.monotonic() - shown >= _SCREEN_S:
+            if time.monotonic() - shown >= _SCREEN_S:
                 snapshot = self.snapshot()
                 if snapshot is not None:
-                    watch(snapshot)
+                    screen.show(snapshot)
                 shown = time.monotonic()
             time.sleep(_POLL_S)
+        told = self._memory.note(Note.FAILURE)
+        if told is not None and told["kind"] == UnsafeError.__name__:
+            screen.warn(told["text"])  # now: the guardian may try for seconds yet
 
     def _end_what_nobody_guards(self) -> None:
         """A loop that goes on without a guardian, though it was told to stop, hangs."""
@@ -197,8 +218,8 @@ class Supervisor:
         """How the run ended, from the recorder or, if that is gone, from the memory that it would have written."""
         self._rescue_if_nobody_did()
         recorder, memory = self._children["recorder"], self._memory
-        with suppress(subprocess.TimeoutExpired):
-            recorder.wait(_FINISH_S)
+        silent = self._words[Word.GUARDIAN_STOP] == Reason.RECORDER_LOST
+        _gone_within(recorder, _END_S if silent else _FINISH_S)
         told = memory.note(Note.RESULT)
         if told is not None:
             return Account(told["outcome"], Reason(told["reason"]), told["explanation"], told["card"])
@@ -234,7 +255,7 @@ class Supervisor:
         try:
             rescue(memory, self._job)
         except BoardError as error:
-            report["failure"] = f"{error}. {STILL_ON}"
+            report["failure"] = str(error)
         memory.post(Note.RESCUE, {**report, "done_ns": time.monotonic_ns()})
         words[Word.RESCUED_PID] = pid
 

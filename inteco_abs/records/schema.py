@@ -134,7 +134,7 @@ class Message:
 
 
 def _numpy() -> Any:
-    """Loaded by who reads. The loop's process only packs, and lets go of the board sooner if it dies without 80 MB more."""
+    """Loaded by who reads. The loop's process only packs, and dies faster without 80 MB more."""
     return import_module("numpy")
 
 

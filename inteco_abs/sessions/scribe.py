@@ -15,7 +15,7 @@ from inteco_abs.sessions.provenance import controller_facts
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.replay import CONFIG_NAME
 from inteco_abs.sessions.result import result_card
-from inteco_abs.signals import EXPLANATIONS, Reason
+from inteco_abs.signals import EXPLANATIONS, BoardFlags, Reason
 
 _OUTCOMES = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}
 
@@ -45,7 +45,6 @@ class Conclusion:
     reason: Reason
     written: int
     """Ticks that were decided."""
-    link_errors: int = 0
     detail: str = ""
     """What the controller raised, or the link's last error, where the reason is one of these."""
     aborted: str = ""
@@ -139,7 +138,8 @@ class Scribe:
         return Account(outcome, end.reason, explanation, card)
 
     def _card(self, outcome: str, end: Conclusion) -> dict[str, Any]:
-        metrics = result_card(self._config, TICK.array(bytes(self._ticks)), TRUTH.array(bytes(self._truths)))
+        ticks = TICK.array(bytes(self._ticks))
+        metrics = result_card(self._config, ticks, TRUTH.array(bytes(self._truths)))
         return {
             "schema_version": 1,
             "session": str(self._session),
@@ -148,6 +148,6 @@ class Scribe:
             "board": self._introduction.board,
             **metrics,
             "lost_ticks": end.written - metrics["ticks"],
-            "link_errors": end.link_errors,
+            "link_errors": int(((ticks["board_flags"] & BoardFlags.STALE) != 0).sum()),
             "payload_sha256": self._recorder.payload_sha256,
         }
