@@ -1,14 +1,14 @@
 """The command `inteco-abs`. Data goes to stdout, talk to stderr.
 
-Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 done with losses or overruns, 4 replay differs,
-5 safety stop, 130 interrupted.
+Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 done with losses, overruns or red findings to look at,
+4 replay differs, 5 safety stop, 130 interrupted.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -21,6 +21,7 @@ from inteco_abs.errors import AbsError, ConfigError, Mistake, near_match
 if TYPE_CHECKING:
     from inteco_abs.control import Controller
     from inteco_abs.experiment import Progress
+    from inteco_abs.realtime.findings import Finding
     from inteco_abs.realtime.supervisor import Screen, Snapshot
     from inteco_abs.sessions import Replay, Session
 
@@ -206,6 +207,45 @@ def figure(file: Path, out: Path) -> int:
     return 0
 
 
+@cli.command()
+@click.option(
+    "--seconds", default=2.0, show_default=True, type=float, help="Length of the wake-up test; 60 tells more."
+)
+@click.option(
+    "--sessions", type=_FILE, default=Path("sessions"), show_default=True, help="Where sessions will be written."
+)
+@click.option("--rules", "printed", flag_value="rules", help="Print only the udev rules, for sudo tee.")
+@click.option("--limits", "printed", flag_value="limits", help="Print only the limits file, for sudo tee.")
+@_json_option
+def doctor(seconds: float, sessions: Path, printed: str | None, as_json: bool) -> int:
+    """Tell whether this computer is fit for the rig, and what to do about it.
+
+    Changes nothing. Not for use during a run: its test takes the loop's place. Ends with exit code 0 when all is green
+    or amber, with 3 when something is red.
+    """
+    from inteco_abs.realtime.doctor import examine, write_speed
+    from inteco_abs.realtime.findings import Computer, Verdict, worst
+    from inteco_abs.realtime.latency import LONGEST_S, SHORTEST_S, examine_wake_ups
+    from inteco_abs.realtime.permissions import limits, serial_group, udev_rules
+
+    group = serial_group(Computer())
+    files = {"rules": udev_rules(group), "limits": limits(group)}
+    if printed:
+        click.echo(files[printed], nl=False)
+        return 0
+    if not SHORTEST_S <= seconds <= LONGEST_S:
+        raise ConfigError([Mistake("--seconds", f"{seconds:g}: must be {SHORTEST_S:g}..{LONGEST_S:g} s")])
+    findings = examine(sessions)
+    click.echo(f"measuring for {seconds:g} s", err=True)
+    findings += [write_speed(sessions), *examine_wake_ups(seconds)]
+    verdict = worst(findings)
+    if as_json:
+        _print_json({"schema_version": 1, "verdict": verdict, "findings": [one._asdict() for one in findings], **files})
+    else:
+        _print_findings(findings)
+    return _LOSSES if verdict is Verdict.RED else 0
+
+
 def main() -> None:
     """Entry point of the command: maps every way to end to its exit code, without a traceback."""
     debug = "--debug" in sys.argv
@@ -356,6 +396,14 @@ def _print_card(card: Mapping[str, Any], explanation: str) -> None:
     from inteco_abs.views import render_card
 
     Console().print(render_card(card, explanation))
+
+
+def _print_findings(findings: Sequence[Finding]) -> None:
+    from rich.console import Console
+
+    from inteco_abs.views.health import render_findings
+
+    Console().print(render_findings(findings))
 
 
 def _print_replay(file: Path, outcome: Replay) -> None:

@@ -52,8 +52,11 @@ class Wish(NamedTuple):
 
 
 def loop_cpus(allowed: Collection[int], isolated: Collection[int]) -> set[int]:
-    """CPU for the loop alone: an isolated one if there is any, else the last; none on a machine with a single CPU."""
-    candidates = set(allowed) & set(isolated) or (set(allowed) if len(allowed) > 1 else set())
+    """CPU for the loop alone: an isolated one if there is any, else the last; none on a machine with a single CPU.
+
+    The kernel leaves isolated CPUs out of what a process may use by itself, and lets it move there all the same.
+    """
+    candidates = set(isolated) or (set(allowed) if len(allowed) > 1 else set())
     return {max(candidates)} if candidates else set()
 
 
