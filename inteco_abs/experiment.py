@@ -17,7 +17,7 @@ from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline, gains_in_force
 from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
 from inteco_abs.mock_board import Device, Truth, Usb2Face
-from inteco_abs.realtime import Loop, RingReader, StopWord, TickRing, VirtualClock
+from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import RunMemory
 from inteco_abs.realtime.supervisor import SIGNALS, NoScreen, Screen, Supervisor
@@ -120,7 +120,7 @@ class _VirtualRun:
         self._truths: list[Truth] = []
         self._pipeline = pipeline
         self._ring = TickRing(pack_tick, TICK.size, 2 * _SLICE_TICKS)
-        self._reader = RingReader(self._ring.memory, TICK.size, 2 * _SLICE_TICKS)
+        self._reader = self._ring.reader()
 
     def run(self, progress: Progress | None) -> Account:
         plan, config = self._plan, self._config

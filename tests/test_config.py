@@ -53,6 +53,7 @@ def test_the_defaults_that_no_profile_sets():
         "start_speed_rad_s": 178.0,
         "stop_speed_rad_s": 0.5,
         "hold_s": 0.5,
+        "stops": 1,
         "spin_up_timeout_s": 20.0,
         "braking_timeout_s": 10.0,
     }
@@ -62,6 +63,7 @@ def test_the_defaults_that_no_profile_sets():
         "over_speed_rad_s": 245.0,
         "missed_in_a_row": 4,
         "bucket_limit": 30,
+        "silence_s": 0.05,
     }
     assert (config.estimator.name, config.estimator.window_s) == ("moving-window", 0.010)
     assert (config.controller.name, config.controller.hold_below_rad_s) == ("reaching-law", 5.0)
@@ -282,7 +284,7 @@ def test_an_unknown_key_is_named_with_the_nearest_known_one(setting, path, neare
 
 
 def test_an_unknown_key_near_nothing_gets_the_known_ones():
-    assert mistakes("loop.zzz=1") == {"loop.zzz": "unknown key; known: rate_hz"}
+    assert mistakes("loop.zzz=1") == {"loop.zzz": "unknown key; known: rate_hz, ring_s"}
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from typing import Any
 
 from inteco_abs.config import Check, RigConfig
@@ -25,6 +26,8 @@ def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]
     make: Any = kind  # each controller's constructor takes its own gains
     try:
         controller: Controller = make(setup, **gains_in_force(config, controllers))
+        if config.experiment.stops > 1:
+            deepcopy(controller)  # each stop begins with a fresh one
     except (Exception, SystemExit) as error:
         problem = f"{config.controller.name} cannot be made: {type(error).__name__}: {error}"
         raise ConfigError([Mistake("controller.name", problem)]) from error

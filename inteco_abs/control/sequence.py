@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Final, NamedTuple
 
 from inteco_abs.config import RigConfig
@@ -33,13 +34,16 @@ class Sequence:
 
     Rules: drive at `drive_duty` until the road wheel's mean speed over 20 ms reaches the start speed; one tick
     with both outputs off before the brake may act; brake held until the road wheel's mean speed over 50 ms is
-    below the stop speed, and for `hold_s` longer. Start and stop do not depend on the chosen estimator.
+    below the stop speed, and for `hold_s` longer. Start and stop do not depend on the chosen estimator. Where
+    several stops are to be done, each begins from rest again, with the controller as it was made.
     """
 
     def __init__(self, config: RigConfig, controller: Controller) -> None:
         self.phase = Phase.IDLE
         self._config = config.experiment
         self._controller = controller
+        self._left = self._config.stops - 1  # stops still to be done after this one
+        self._as_made = deepcopy(controller) if self._left else controller
         counts, rate = config.encoders.counts_per_turn, config.loop.rate_hz
         self._start_speed = SpeedWindow(counts, max(1, round(_START_WINDOW_S * rate)))
         self._stop_speed = SpeedWindow(counts, max(1, round(_STOP_WINDOW_S * rate)))
@@ -66,7 +70,8 @@ class Sequence:
         if phase is Phase.STOPPED:
             if elapsed_s < self._config.hold_s:
                 return Wish(Command(0.0, self._held.brake), self._held, Reason.NONE)
-            self._enter(Phase.DONE, sample)
+            self._enter(Phase.IDLE if self._left else Phase.DONE, sample)
+            self._begin_again(sample)
         elif phase in (Phase.IDLE, Phase.ARMED):
             return self._wait(sample, elapsed_s)
         return _NOTHING
@@ -93,6 +98,16 @@ class Sequence:
             self._enter(Phase.STOPPED, sample)
         late = elapsed_s > self._config.braking_timeout_s
         return Wish(Command(0.0, demand.brake), demand, Reason.BRAKING_TIMEOUT if late else Reason.NONE)
+
+    def _begin_again(self, sample: Sample) -> None:
+        if not self._left:
+            return
+        self._left -= 1
+        self._rest = (sample.wheel_count, sample.road_count)
+        self._held = _NO_DEMAND
+        self._controller = deepcopy(self._as_made)
+        self._start_speed.clear()
+        self._stop_speed.clear()
 
     def _enter(self, phase: Phase, sample: Sample) -> None:
         self.phase = phase

@@ -18,6 +18,10 @@ class SpeedWindow:
         self._angle_ns = 2.0 * math.pi / counts_per_turn * 1e9
         self._samples: deque[tuple[int, int]] = deque(maxlen=length)
 
+    def clear(self) -> None:
+        """Forget all samples."""
+        self._samples.clear()
+
     def update(self, time_ns: int, count: int) -> float:
         """Speed in rad/s at the sample taken at `time_ns`; 0 at the first sample."""
         samples = self._samples

@@ -65,7 +65,7 @@ class Guardian:
         self._guarded = 0
         self._left = 0  # guarded before, and gone
         self._end = -1  # file descriptor that becomes readable when the guarded process ends
-        self._loop = Silence(round(job.config.guard.silence_s * 1e9))
+        self._loop = Silence(max(round(job.config.guard.silence_s * 1e9), 5 * job.config.period_ns))
         self._supervisor = Silence(_SUPERVISOR_WINDOW_NS)
         self._recorder = Silence(_RECORDER_WINDOW_NS)
 

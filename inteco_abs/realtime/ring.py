@@ -43,12 +43,17 @@ class TickRing:
         self._capacity = capacity
         self._stride = _slot_words(record_bytes)
         self._words = self.memory.cast("Q")
+        self._size = record_bytes
         self._written = 0
 
     @property
     def written(self) -> int:
         """Number of records appended so far."""
         return self._written
+
+    def reader(self) -> RingReader:
+        """A reader's end in the same process."""
+        return RingReader(self.memory, self._size, self._capacity)
 
     def append(self, record: Any) -> None:
         """Pack one record. Raises BufferError rather than overwrite one that was not taken."""

@@ -32,27 +32,40 @@ def result_card(config: RigConfig, ticks: Array, truth: Array) -> dict[str, Any]
     band entry the first slip within 0.01 of it. Slip RMS is that of slip minus reference from 20 ms after band
     entry until the road wheel is below 10 rad/s; `fixed` the same from 0.25 s after braking began, `low_speed`
     the same for 10 to 60 rad/s. The stop is the road wheel below 0.5 rad/s with the brake still held. Speed and
-    slip are the true ones where there are any, else the estimated ones.
+    slip are the true ones where there are any, else the estimated ones. Of several stops in one session, each metric
+    is the median of those that have it.
     """
-    at = np.flatnonzero((ticks["phase"] == Phase.BRAKING) | (ticks["phase"] == Phase.STOPPED))
-    stop = ticks[at]
-    true = _aligned(truth, stop["time_ns"])
-    reference = config.controller.reference_slip
+    stops = _stops(ticks)
     card: dict[str, Any] = {
         "controller": config.controller.name,
         "estimator": config.estimator.name,
         "ticks": len(ticks),
         "overruns": int(ticks["skipped"].sum()),
+        "stops": len(stops),
         "start_speed_rad_s": None,
-        "reference_slip": reference,
+        "reference_slip": config.controller.reference_slip,
         **dict.fromkeys(_STOP_METRICS),
         "lateness_us": _lateness(ticks),
     }
-    if len(stop):
-        source = stop if true is None else true
-        card["start_speed_rad_s"] = float(source["road_speed_rad_s"][0])
-        card |= _stop_metrics(config, stop, source["slip"], source["road_speed_rad_s"], true)
+    cards = [_stop_card(config, stop, truth) for stop in stops]
+    for name in ("start_speed_rad_s", *_STOP_METRICS):
+        values = [each[name] for each in cards if each.get(name) is not None]
+        card[name] = float(np.median(values)) if values else None
     return card
+
+
+def _stops(ticks: Array) -> list[Array]:
+    """The braking and stopped ticks of each stop."""
+    braking = (ticks["phase"] == Phase.BRAKING) | (ticks["phase"] == Phase.STOPPED)
+    edges = np.flatnonzero(np.diff(braking.astype(np.int8), prepend=0, append=0))
+    return [ticks[first:end] for first, end in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _stop_card(config: RigConfig, stop: Array, truth: Array) -> dict[str, Any]:
+    true = _aligned(truth, stop["time_ns"])
+    source = stop if true is None else true
+    metrics = _stop_metrics(config, stop, source["slip"], source["road_speed_rad_s"], true)
+    return {"start_speed_rad_s": float(source["road_speed_rad_s"][0]), **metrics}
 
 
 _STOP_METRICS: Final = (

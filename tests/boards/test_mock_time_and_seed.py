@@ -90,7 +90,7 @@ def test_a_clock_that_goes_back_moves_nothing(mock):
     assert mock.read() == before
 
 
-def test_the_truth_is_shown_at_every_write_before_it_acts(new_mock):
+def test_the_truth_is_shown_at_every_write_with_the_duties_that_it_makes(new_mock):
     truths = []
     mock = new_mock(observe=truths.append)
     start = mock.clock.time_ns
@@ -105,4 +105,6 @@ def test_the_truth_is_shown_at_every_write_before_it_acts(new_mock):
     assert speeds == sorted(speeds)
     plant = mock.device.plant
     mock.send(**PINS, pwm0_width=255)
-    assert truths[-1][1:] == (plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque)
+    assert truths[-1][1:5] == (plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque)
+    assert [truth.drive for truth in truths] == [1.0, 1.0, 128 / 255, 0.0, 1.0]
+    assert {truth.brake for truth in truths} == {0.0}

@@ -21,7 +21,7 @@ from inteco_abs.control import (
     reaching_law_torque,
 )
 from inteco_abs.rig import Plant, RigParameters, brake_duty, brake_torque
-from inteco_abs.signals import BoardFlags, Command, Phase, Sample, Tick
+from inteco_abs.signals import BoardFlags, Command, Phase, Reason, Sample, Tick
 
 REFERENCE = 0.2
 START_RAD_S = 180.0
@@ -241,7 +241,7 @@ class Experiment:
                 math.floor(plant.road_angle * counts_per_rad),
             )
             phase = self.pipeline.phase
-            tick = self.pipeline.step(tamper(sample, phase), stop_when(phase))
+            tick = self.pipeline.step(tamper(sample, phase), Reason.OPERATOR_STOP if stop_when(phase) else Reason.NONE)
             command = Command(tick.drive, tick.brake)
             yield Moment(tick, plant.wheel_speed, plant.road_speed, plant.slip)
             number += 1

@@ -78,7 +78,7 @@ def assert_only_safe_from_now_on(pipeline: Pipeline, last: Tick) -> None:
             wheel_count=last.wheel_count + 20 * later,
             road_count=last.road_count + 20 * later,
         )
-        tick = pipeline.step(sample, stop_request=later % 50 == 0)
+        tick = pipeline.step(sample, stop_request=Reason.OPERATOR_STOP if later % 50 == 0 else Reason.NONE)
         assert (tick.drive, tick.brake) == Command.SAFE
         assert (tick.phase, tick.reason) == (Phase.FAULT, reason)
 
@@ -114,15 +114,15 @@ def test_a_replay_with_a_stop_that_was_not_there_differs(quick_run, experiment):
     fresh = experiment(*QUICK).pipeline
     middle = len(quick_run) // 2
     for number, was in enumerate(quick_run):
-        tick = fresh.step(inputs(was), stop_request=number == middle)
+        tick = fresh.step(inputs(was), stop_request=Reason.OPERATOR_STOP if number == middle else Reason.NONE)
         assert (exact(tick) == exact(was)) == (number < middle)
 
 
 def test_every_tick_carries_its_sample_stop_word_and_timing():
     pipeline = build_pipeline(load_config())
     sample = Sample(7, 10**9, 0.0005, 3, -2, BoardFlags.STALE)
-    tick = pipeline.step(sample, stop_request=True, timing=Timing(1.0, 2.0, 3.0, 4))
-    assert tick[: len(INPUTS)] == (10**9, 7, 0.0005, 3, -2, BoardFlags.STALE, True)
+    tick = pipeline.step(sample, stop_request=Reason.SUPERVISOR_LOST, timing=Timing(1.0, 2.0, 3.0, 4))
+    assert tick[: len(INPUTS)] == (10**9, 7, 0.0005, 3, -2, BoardFlags.STALE, Reason.SUPERVISOR_LOST)
     assert (tick.late_us, tick.io_us, tick.busy_us, tick.skipped) == (1.0, 2.0, 3.0, 4)
 
 
@@ -137,7 +137,7 @@ def test_every_value_of_a_tick_has_its_plain_type(quick_run):
     kinds = dict.fromkeys(Tick._fields, float)
     kinds |= dict.fromkeys(["time_ns", "tick", "wheel_count", "road_count", "skipped"], int)
     kinds |= {"board_flags": BoardFlags, "phase": Phase, "reason": Reason}
-    kinds |= dict.fromkeys(["stop_request", "estimate_valid"], bool)
+    kinds |= {"stop_request": Reason, "estimate_valid": bool}
     for tick in quick_run:
         assert {name: type(value) for name, value in tick._asdict().items()} == kinds
 
@@ -186,7 +186,7 @@ def test_a_stop_request_takes_the_outputs_away_at_that_same_tick(experiment, pha
     run = experiment(*QUICK)
     moments = run.run(stop_when=lambda at: at is phase)
     before, last = moments[-2].tick if len(moments) > 1 else None, moments[-1].tick
-    assert last.stop_request
+    assert last.stop_request is Reason.OPERATOR_STOP
     assert (last.phase, last.reason) == (Phase.FAULT, Reason.OPERATOR_STOP)
     assert (last.drive, last.brake) == Command.SAFE
     assert before is None or (before.phase, before.reason) == (phase, Reason.NONE)
@@ -195,7 +195,7 @@ def test_a_stop_request_takes_the_outputs_away_at_that_same_tick(experiment, pha
 
 def test_a_stop_request_at_the_very_first_tick_is_obeyed():
     pipeline = build_pipeline(load_config())
-    tick = pipeline.step(rest(0), stop_request=True)
+    tick = pipeline.step(rest(0), stop_request=Reason.OPERATOR_STOP)
     assert (tick.phase, tick.reason) == (Phase.FAULT, Reason.OPERATOR_STOP)
     assert_only_safe_from_now_on(pipeline, tick)
 

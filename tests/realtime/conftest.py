@@ -68,12 +68,12 @@ def fake_time(monkeypatch):
     return fake
 
 
-def tick_of(sample: Sample, command: Command, stop_requested: bool, timing: Timing) -> Tick:
+def tick_of(sample: Sample, command: Command, stop_request: Reason, timing: Timing) -> Tick:
     inputs = (sample.time_ns, sample.tick, sample.dt_s, sample.wheel_count, sample.road_count, sample.board_flags)
     estimate = (0.0, 0.0, 0.0, True)
     demand = (Phase.SPIN_UP, math.nan, 0.0, 0.0, *command)
     return Tick(
-        *inputs, stop_requested, *estimate, *demand, *command, Reason.NONE, 0.0, 0.0, 0.0, 0.0, *map(float, timing[:3]),
+        *inputs, stop_request, *estimate, *demand, *command, Reason.NONE, 0.0, 0.0, 0.0, 0.0, *map(float, timing[:3]),
         timing.skipped,
     )  # fmt: skip
 
@@ -97,7 +97,7 @@ class ScriptedPipeline:
     """Decides what `script` says, tick by tick, and has finished at its end; an exception in it is raised."""
 
     def __init__(self, script: list[Command | BaseException], during: Callable[[int], None] = lambda _tick: None):
-        self.seen: list[tuple[Sample, bool, Timing]] = []
+        self.seen: list[tuple[Sample, Reason, Timing]] = []
         self.command = Command.SAFE
         self._script = script
         self._during = during
@@ -106,14 +106,14 @@ class ScriptedPipeline:
     def finished(self) -> bool:
         return len(self.seen) >= len(self._script)
 
-    def step(self, sample: Sample, stop_requested: bool, timing: Timing) -> Tick:
+    def step(self, sample: Sample, stop_request: Reason, timing: Timing) -> Tick:
         decision = self._script[len(self.seen)]
         self._during(len(self.seen))
-        self.seen.append((sample, stop_requested, timing))
+        self.seen.append((sample, stop_request, timing))
         if isinstance(decision, BaseException):
             raise decision
         self.command = decision
-        return tick_of(sample, decision, stop_requested, timing)
+        return tick_of(sample, decision, stop_request, timing)
 
 
 class ScriptedLoop:
@@ -197,7 +197,7 @@ class Stack:
 
     def rows(self):
         """Records that were not taken yet, as a structured array."""
-        return TICK.array(self.ring.take())
+        return TICK.array(self.ring.reader().take())
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ def whole_run(new_stack):
     stack = new_stack()
     with stack.board:
         assert stack.loop().run()
-    return stack.ring.take()
+    return stack.ring.reader().take()
 
 
 def test_the_run_goes_through_all_phases(new_stack, whole_run):
@@ -38,7 +38,7 @@ def test_slices_give_the_same_records_as_one_run(new_stack, whole_run, lengths):
                 over = loop.run(most)
                 assert stack.ring.written - before <= most
                 assert over or stack.ring.written - before == most
-                records += stack.ring.take()
+                records += stack.ring.reader().take()
                 if over:
                     break
     assert records == whole_run
@@ -104,4 +104,4 @@ def test_a_stop_that_comes_during_an_exchange_is_seen_in_the_same_tick(scripted_
 def test_a_stop_that_comes_after_the_decision_is_seen_in_the_next_tick(scripted_loop):
     run = scripted_loop([Command(0.5, 0.0)] * 6, record=lambda tick: run.stop.request() if tick == 3 else None)
     run.loop.run()
-    assert [tick.stop_request for tick in run.ticks] == [False] * 4 + [True] * 2
+    assert [tick.stop_request for tick in run.ticks] == [Reason.NONE] * 4 + [Reason.OPERATOR_STOP] * 2

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.realtime import TickRing
+from inteco_abs.realtime import RingReader, TickRing, ring_bytes
 from inteco_abs.sessions import TICK, pack_tick
 
 SIZE = 5
@@ -18,8 +18,23 @@ def record(number):
     return struct.pack("<IB", number, number % 251)
 
 
+class Ring:
+    """Both ends of a ring in private memory."""
+
+    def __init__(self, capacity):
+        self._ring = TickRing(pack, SIZE, capacity)
+        self._reader = self._ring.reader()
+        self.append = self._ring.append
+        self.take = self._reader.take
+
+    @property
+    def written(self):
+        assert self._ring.written == self._reader.written
+        return self._ring.written
+
+
 def ring_of(capacity):
-    return TickRing(pack, SIZE, capacity)
+    return Ring(capacity)
 
 
 def test_records_come_out_in_the_order_they_went_in():
@@ -117,7 +132,80 @@ def test_ticks_come_back_as_the_session_stores_them(scripted_loop):
     run = scripted_loop([Command(0.25, 0.5)] * 5)
     run.loop.run()
     ring = TickRing(pack_tick, TICK.size, 3)
+    reader = ring.reader()
     for tick in run.ticks:
         ring.append(tick)
-        (row,) = TICK.array(ring.take())
+        (row,) = TICK.array(reader.take())
         assert (row["tick"], row["time_ns"], row["drive"], row["brake"]) == (tick.tick, tick.time_ns, 0.25, 0.5)
+
+
+def words_of(ring):
+    return ring.memory.cast("Q")
+
+
+@pytest.mark.parametrize("torn", ["front", "back"])
+def test_a_torn_record_is_counted_and_left_out(torn):
+    ring = TickRing(pack, SIZE, 5)
+    for number in range(3):
+        ring.append(number)
+    words = words_of(ring)
+    places = [at for at in range(8, len(words)) if words[at] == 2]  # the second record's number, at both its ends
+    assert len(places) == 2
+    words[places[0 if torn == "front" else 1]] = 7
+    reader = ring.reader()
+    assert reader.take() == record(0) + record(2)
+    assert reader.lost == 1
+
+
+def test_a_reader_that_was_overtaken_counts_what_it_missed():
+    memory = bytearray(ring_bytes(SIZE, 4))
+    ring, reader = TickRing(pack, SIZE, 4, memory), RingReader(memory, SIZE, 4)
+    for number in range(4):
+        ring.append(number)
+    words_of(ring)[1] = 4  # as if somebody else had taken them, so that the writer goes on
+    for number in range(4, 6):
+        ring.append(number)
+    words_of(ring)[1] = 0
+    assert reader.take() == b"".join(map(record, (2, 3, 4, 5)))
+    assert reader.lost == 2
+
+
+def test_the_newest_record_is_seen_without_taking_it():
+    ring = TickRing(pack, SIZE, 3)
+    reader, screen = ring.reader(), ring.reader()
+    assert screen.newest() is None
+    ring.append(1)
+    ring.append(2)
+    assert screen.newest() == record(2)
+    assert reader.take() == record(1) + record(2)
+    assert screen.newest() == record(2)
+
+
+def test_a_record_that_is_packed_but_not_published_does_not_count():
+    ring = TickRing(pack, SIZE, 3)
+    ring.append(1)
+    words_of(ring)[0] = 0  # as after a death between packing and publishing
+    assert ring.reader().take() == b""
+
+
+@pytest.mark.parametrize("written", [0, 1, 3, 4, 7])
+def test_rewinding_gives_all_that_the_ring_still_holds(written):
+    ring = TickRing(pack, SIZE, 3)
+    reader = ring.reader()
+    for number in range(written):
+        ring.append(number)
+        reader.take()
+    again = ring.reader()
+    assert again.rewind() == max(0, written - 3)
+    assert again.take() == b"".join(map(record, range(max(0, written - 3), written)))
+    assert again.lost == 0
+
+
+def test_at_most_so_many_records_are_taken_at_once():
+    ring = TickRing(pack, SIZE, 5)
+    for number in range(5):
+        ring.append(number)
+    reader = ring.reader()
+    assert reader.take(2) == record(0) + record(1)
+    assert reader.take(2) == record(2) + record(3)
+    assert reader.taken == 4

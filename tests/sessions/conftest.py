@@ -21,9 +21,9 @@ from mcap_protobuf.decoder import DecoderFactory
 import inteco_abs.experiment
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
-from inteco_abs.experiment import Plan, Stop, run_stop
+from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.mock_board import Device
-from inteco_abs.sessions import TICK, Session, read_session, replay, session_config
+from inteco_abs.sessions import TICK, Account, Session, read_session, replay, session_config
 from inteco_abs.signals import Phase
 
 QUICK = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
@@ -37,7 +37,7 @@ HEAD = struct.Struct("<BQ")
 
 class Run(NamedTuple):
     path: Path
-    stop: Stop
+    stop: Account
     config: RigConfig
 
     @property

@@ -3,7 +3,7 @@ import threading
 
 import pytest
 
-from inteco_abs.experiment import Stop
+from inteco_abs.sessions import Account
 from inteco_abs.signals import Phase, Reason
 
 PACED = ("loop.rate_hz=200.0", "experiment.start_speed_rad_s=10.0", "experiment.idle_s=0.01", "experiment.hold_s=0.0")
@@ -81,17 +81,19 @@ def test_a_run_in_real_time_replays_bit_for_bit(tmp_path, run_at, replayed):
 
 
 @pytest.mark.parametrize(
-    ("outcome", "overruns", "link_errors", "code"),
+    ("outcome", "overruns", "link_errors", "lost_ticks", "code"),
     [
-        ("completed", 0, 0, 0),
-        ("completed", 1, 0, 3),
-        ("completed", 0, 1, 3),
-        ("fault", 1, 1, 5),
-        ("fault", 0, 0, 5),
-        ("interrupted", 0, 0, 130),
-        ("interrupted", 7, 0, 130),
+        ("completed", 0, 0, 0, 0),
+        ("completed", 1, 0, 0, 3),
+        ("completed", 0, 1, 0, 3),
+        ("completed", 0, 0, 1, 3),
+        ("fault", 1, 1, 1, 5),
+        ("fault", 0, 0, 0, 5),
+        ("aborted", 0, 0, 0, 5),
+        ("interrupted", 0, 0, 0, 130),
+        ("interrupted", 7, 0, 0, 130),
     ],
 )
-def test_exit_code(outcome, overruns, link_errors, code):
-    card = {"overruns": overruns, "link_errors": link_errors}
-    assert Stop(outcome, Reason.NONE, "", card).exit_code == code
+def test_exit_code(outcome, overruns, link_errors, lost_ticks, code):
+    card = {"overruns": overruns, "link_errors": link_errors, "lost_ticks": lost_ticks}
+    assert Account(outcome, Reason.NONE, "", card).exit_code == code

@@ -6,6 +6,7 @@ import pytest
 
 import inteco_abs.experiment
 from inteco_abs.control import CONTROLLERS
+from inteco_abs.errors import ReadOnlyError
 from inteco_abs.sessions import Recorder, read_session
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
@@ -37,7 +38,7 @@ def check_interrupted(made, devices, replayed):
     last = session.ticks[-1]
     assert (last["phase"], last["reason"]) == (Phase.FAULT, Reason.OPERATOR_STOP)
     assert (last["drive"], last["brake"]) == (0.0, 0.0)
-    assert last["stop_request"]
+    assert last["stop_request"] == Reason.OPERATOR_STOP
     assert not session.ticks["stop_request"][:-1].any()
 
 
@@ -179,7 +180,7 @@ def test_before_and_after_a_run_signals_go_where_they_went_before(run, outer_sig
 
 
 def test_handlers_are_restored_after_a_run_that_could_not_start(run, outer_signals):
-    with pytest.raises(inteco_abs.experiment.ReadOnlyError):
+    with pytest.raises(ReadOnlyError):
         run("board.verified_by=''")
     sender(signal.SIGINT)()
     assert outer_signals == [signal.SIGINT]

@@ -15,14 +15,14 @@ def written(tmp_path_factory, quick):
         first._replace(tick=number, time_ns=number * 500_000, phase=phase, slip=number / 7.0, wheel_count=-number)
         for number, phase in enumerate([Phase.IDLE, Phase.IDLE, Phase.BRAKING, Phase.DONE])
     ]
-    truths = [(tick.time_ns, 1.0, 2.0, tick.slip, 3.0) for tick in ticks]
+    truths = [(tick.time_ns, 1.0, 2.0, tick.slip, 3.0, 0.5, 0.25) for tick in ticks]
     with Recorder(path, 0, ("f",)) as recorder:
         recorder.describe("rig", {"note": NOTE, "": "empty key", "empty value": ""})
         recorder.attach("config.toml", "application/toml", NOTE.encode())
         recorder.attach("empty", "application/octet-stream", b"")
         recorder.begin({"Mk": 2.0})
         recorder.ticks(b"".join(map(TICK.pack, ticks)))
-        recorder.truths(truths)
+        recorder.truths(b"".join(map(TRUTH.pack, truths)))
         recorder.finish("completed", "no fault", quick.stop.card)
     return path, ticks, truths
 
@@ -65,7 +65,7 @@ def test_ticks_and_truths_of_several_chunks_are_in_order(chunked):
     session = chunked.session
     count = chunked.stop.card["ticks"]
     assert session.ticks["tick"].tolist() == list(range(count))
-    assert session.truth["time_ns"].tolist() == session.ticks["time_ns"].tolist()
+    assert session.truth["time_ns"][:count].tolist() == session.ticks["time_ns"].tolist()
     assert (session.ticks.dtype, session.truth.dtype) == (TICK.dtype, TRUTH.dtype)
 
 

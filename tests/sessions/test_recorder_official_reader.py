@@ -55,7 +55,7 @@ def test_schemas_are_descriptor_sets_of_their_message(seen):
 def test_counts(seen, quick):
     ticks = quick.stop.card["ticks"]
     counts = {topic: len(seen.of(topic)) for topic in TOPICS}
-    assert counts == {"/abs/tick": ticks, "/sim/truth": ticks, "/abs/params": 1, "/abs/event": 6}
+    assert counts == {"/abs/tick": ticks, "/sim/truth": ticks + 1, "/abs/params": 1, "/abs/event": 6}
     statistics = seen.summary.statistics
     by_topic = {seen.summary.channels[n].topic: count for n, count in statistics.channel_message_counts.items()}
     assert by_topic == counts
@@ -76,9 +76,10 @@ def test_every_field_of_every_truth_equals_our_readers(seen, quick):
     assert theirs == our_rows(quick.session.truth, TRUTH.columns)
 
 
-def test_there_is_one_truth_for_every_tick_of_the_same_instant(quick):
+def test_there_is_one_truth_for_every_tick_of_the_same_instant_and_one_for_the_last_write(quick):
     session = quick.session
-    assert session.truth["time_ns"].tolist() == session.ticks["time_ns"].tolist()
+    assert session.truth["time_ns"][:-1].tolist() == session.ticks["time_ns"].tolist()
+    assert (session.truth["drive"][-1], session.truth["brake"][-1]) == (0.0, 0.0)
 
 
 def test_log_time_is_publish_time(seen):
@@ -184,7 +185,7 @@ def test_header_names_the_program_and_no_profile(seen):
 def test_all_checksums_hold_in_a_sequential_reading_too(quick):
     with quick.path.open("rb") as file:
         messages = list(NonSeekingReader(file, validate_crcs=True).iter_messages(log_time_order=False))
-    assert len(messages) == 2 * quick.stop.card["ticks"] + 7
+    assert len(messages) == 2 * quick.stop.card["ticks"] + 8
 
 
 def test_every_checksum_is_there(quick, container):

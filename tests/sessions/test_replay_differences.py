@@ -151,7 +151,7 @@ def test_one_bit_of_a_count_in_a_file_is_found(quick, retouched, replayed, tmp_p
 def test_an_operators_stop_that_was_logged_is_taken(quick, retouched, replayed):
     session = quick.session
     row = row_in(session, Phase.SPIN_UP)
-    found = replayed(retouched(session, row, stop_request=True))
+    found = replayed(retouched(session, row, stop_request=int(Reason.OPERATOR_STOP)))
     assert (found.first.tick, found.first.field) == (row, "phase")
     assert (found.first.logged, found.first.replayed) == (str(int(Phase.SPIN_UP)), str(int(Phase.FAULT)))
     assert found.by_field["reason"] == len(session.ticks) - row

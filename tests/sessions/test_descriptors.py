@@ -19,7 +19,7 @@ TICK_FIELDS = [
     ("wheel_count", "SFIXED64"),
     ("road_count", "SFIXED64"),
     ("board_flags", "FIXED32"),
-    ("stop_request", "BOOL"),
+    ("stop_request", "ENUM"),
     ("wheel_speed_rad_s", "DOUBLE"),
     ("road_speed_rad_s", "DOUBLE"),
     ("slip", "DOUBLE"),
@@ -48,6 +48,8 @@ TRUTH_FIELDS = [
     ("road_speed_rad_s", "DOUBLE"),
     ("slip", "DOUBLE"),
     ("brake_torque_nm", "DOUBLE"),
+    ("drive", "DOUBLE"),
+    ("brake", "DOUBLE"),
 ]
 LOG_FIELDS = [
     ("timestamp", 1, "MESSAGE"),
