@@ -22,7 +22,7 @@ from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
 from inteco_abs.signals import Reason
 
 _POLL_NS: Final = 5_000_000
-_SUPERVISOR_WINDOW_NS: Final = 2_000_000_000
+_SUPERVISOR_WINDOW_NS: Final = 1_000_000_000
 _RECORDER_WINDOW_NS: Final = 1_000_000_000
 _TRY_S: Final = 5.0
 _AGAIN_S: Final = 0.002

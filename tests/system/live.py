@@ -22,14 +22,14 @@ QUICK = (
 class LiveRun:
     """`inteco-abs run` in real time, from the moment at which its loop may begin."""
 
-    def __init__(self, command, folder, environment, *arguments, settings=QUICK, wrapper=()):
+    def __init__(self, command, folder, environment, *arguments, settings=QUICK, **options):
         self.out = folder / "stop.mcap"
         sets = [word for setting in settings for word in ("--set", setting)]
         before = set(FOLDER.glob("*.ring"))
         self.process = subprocess.Popen(
-            [*wrapper, command, "run", "--board", "sim:", "--out", self.out, "--json", *sets, *arguments],
+            [command, "run", "--board", "sim:", "--out", self.out, "--json", *sets, *arguments],
             cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            start_new_session=True,
+            start_new_session=True, **options,
         )  # fmt: skip
         self.memory = self._find(before)
         self.words = self.memory.words

@@ -1,0 +1,267 @@
+"""Every process of a real-time run killed, stopped or left alone: SAFE at the board, and not a tick lost."""
+
+import fcntl
+import os
+import random
+import signal
+import termios
+import time
+
+import pytest
+from live import LiveRun, safe_after_ns
+
+from inteco_abs.realtime.memory import Word
+from inteco_abs.signals import Phase, Reason
+
+pytestmark = pytest.mark.xdist_group("real time")
+
+GENEROUS_NS = 2_000_000_000
+"""No promise: what even a machine under load must keep. Figures come from tools/bench_deaths."""
+TURNING = 400
+"""A tick by which the drive is on."""
+
+
+@pytest.fixture
+def live(command_path, tmp_path, untraced):
+    runs = []
+
+    def start(*arguments, **options):
+        runs.append(LiveRun(command_path, tmp_path, untraced, *arguments, **options))
+        return runs[-1]
+
+    yield start
+    for run in runs:
+        for number in (signal.SIGCONT, signal.SIGKILL):
+            for pid in run.processes():
+                os.kill(pid, number)
+        run.process.kill()
+        run.process.communicate()
+        run.memory.remove()
+
+
+def assert_nothing_lost(run, replayed):
+    session = run.session()
+    assert session.incomplete == ""
+    assert len(session.ticks) == run.ticks.written
+    assert session.ticks["tick"].tolist() == list(range(run.ticks.written))
+    assert replayed(run.out)["differing"] == 0
+    # what the board was last told to do by the loop is the decision of a tick that was recorded
+    told = {(0.0, 0.0), *zip(session.ticks["drive"].tolist(), session.ticks["brake"].tolist(), strict=True)}
+    assert len(told) > 1
+    return session
+
+
+@pytest.fixture
+def replayed(inteco_abs):
+    import json
+
+    return lambda path: json.loads(inteco_abs("replay", path, "--json", check=0).stdout)
+
+
+def assert_left_nothing_behind(run):
+    end = time.monotonic() + 10.0
+    while run.processes() and time.monotonic() < end:
+        time.sleep(0.05)
+    assert run.processes() == []
+    assert not run.memory.path.exists()
+    assert not run.memory.socket.exists()
+
+
+@pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(3, 200))])
+def test_a_loop_that_is_killed_at_any_moment_leaves_safe_and_every_tick(live, replayed, seed):
+    moment = random.Random(seed)
+    run = live()
+    run.until_tick(moment.randrange(1, 3300))
+    time.sleep(moment.random() * 0.0005)
+    struck_ns = run.strike("loop")
+    code, card, message = run.end()
+    assert code == 5, message
+    assert (card["outcome"], card["lost_ticks"], card["ticks"]) == ("aborted", 0, run.ticks.written)
+    session = assert_nothing_lost(run, replayed)
+    assert safe_after_ns(session, struck_ns) < GENEROUS_NS
+    reason = session.metadata["session"]["reason"]
+    assert f"died after tick {run.ticks.written - 1}; the guardian made its board safe in" in reason
+    assert reason in message
+    assert_left_nothing_behind(run)
+
+
+def test_a_loop_that_hangs_is_killed_by_the_guardian(live, replayed):
+    run = live()
+    run.until_tick(TURNING)
+    stopped_ns = run.strike("loop", signal.SIGSTOP)
+    code, card, message = run.end()
+    assert (code, card["outcome"]) == (5, "aborted")
+    assert "the loop's process hung and was killed" in message
+    session = assert_nothing_lost(run, replayed)
+    assert 0 < safe_after_ns(session, stopped_ns) < GENEROUS_NS
+    assert_left_nothing_behind(run)
+
+
+HANGING = """
+class Law:
+    gains = ()
+    internals = ()
+    def __init__(self, setup):
+        pass
+    def update(self, estimate, dt_s):
+        while True:
+            pass
+"""
+
+
+def test_a_controller_that_never_returns_is_ended_by_the_guardian(live, tmp_path):
+    (tmp_path / "law.py").write_text(HANGING)
+    run = live("--controller", "law.py:Law")
+    code, card, message = run.end()
+    assert (code, card["outcome"]) == (5, "aborted")
+    assert "hung and was killed" in message
+    session = run.session()
+    assert session.ticks["phase"][-1] == Phase.BRAKING  # its first tick; the controller never gave a second
+    assert len(session.ticks) == run.ticks.written
+    assert safe_after_ns(session, int(session.ticks["time_ns"][-1])) < GENEROUS_NS
+    assert_left_nothing_behind(run)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=lambda number: number.name)
+@pytest.mark.parametrize(("role", "reason"), [("guardian", Reason.GUARDIAN_LOST), ("recorder", Reason.RECORDER_LOST)])
+def test_without_guardian_or_recorder_the_loop_stops_safely(live, replayed, role, reason, number):
+    run = live()
+    run.until_tick(TURNING)
+    struck_ns = run.strike(role, number)
+    code, card, message = run.end()
+    assert code == 5, message
+    assert (card["outcome"], card["reason"], card["lost_ticks"]) == ("fault", reason.name, 0)
+    session = assert_nothing_lost(run, replayed)
+    assert session.ticks["stop_request"][-1] == reason
+    assert safe_after_ns(session, struck_ns) < GENEROUS_NS
+    if role == "recorder":
+        assert "made from what the run left in memory" in message
+    assert_left_nothing_behind(run)
+
+
+def test_without_supervisor_the_run_stops_safely_and_the_recorder_finishes_the_file(live, replayed):
+    run = live()
+    run.until_tick(TURNING)
+    struck_ns = run.strike("supervisor")
+    run.process.communicate(timeout=30)
+    assert_left_nothing_behind(run)
+    session = assert_nothing_lost(run, replayed)
+    assert session.metadata["session"]["outcome"] == "fault"
+    assert session.ticks["reason"][-1] == Reason.SUPERVISOR_LOST
+    assert safe_after_ns(session, struck_ns) < GENEROUS_NS
+
+
+def test_a_supervisor_that_is_stopped_counts_as_gone(live, replayed):
+    run = live("--set", "experiment.start_speed_rad_s=90")
+    run.until_tick(TURNING)
+    run.strike("supervisor", signal.SIGSTOP)
+    run.until(lambda: not run.words[Word.HOLDER_PID])
+    run.strike("supervisor", signal.SIGCONT)
+    code, card, _ = run.end()
+    assert (code, card["reason"]) == (5, "SUPERVISOR_LOST")
+    assert_nothing_lost(run, replayed)
+    assert_left_nothing_behind(run)
+
+
+def test_loop_and_guardian_killed_at_once_leave_the_supervisor(live, replayed):
+    """Nobody is promised this: with all three gone only the emergency switch is left."""
+    run = live()
+    run.until_tick(TURNING)
+    run.strike("guardian")
+    struck_ns = run.strike("loop")
+    code, card, _ = run.end()
+    assert (code, card["outcome"], card["lost_ticks"]) == (5, "aborted", 0)
+    assert safe_after_ns(assert_nothing_lost(run, replayed), struck_ns) < GENEROUS_NS
+    assert_left_nothing_behind(run)
+
+
+def test_a_board_that_is_gone_is_said_loudly(live):
+    run = live()
+    run.until_tick(TURNING)
+    run.strike("board")
+    code, card, message = run.end()
+    assert (code, card["outcome"], card["reason"]) == (5, "aborted", "MISSED_EXCHANGES")
+    assert "MOTOR POWER MAY STILL BE ON: press the emergency switch" in message
+    assert card["ticks"] == run.ticks.written
+    assert_left_nothing_behind(run)
+
+
+def test_everything_killed_at_once_leaves_every_tick_in_memory(live, inteco_abs, replayed, tmp_path):
+    run = live()
+    run.until_tick(TURNING)
+    for role in ("supervisor", "guardian", "recorder", "loop", "board"):
+        run.strike(role)
+    run.process.communicate()
+    again = tmp_path / "again.mcap"
+    lost = inteco_abs("recover", run.memory.path, "--out", again, "--json", check=0)
+    assert f'"ticks": {run.ticks.written}' in lost.stdout
+    assert replayed(again)["differing"] == 0
+    assert not run.memory.path.exists()
+
+
+def test_the_next_run_tells_of_what_a_crash_has_left(live, tmp_path):
+    run = live()
+    run.until_tick(TURNING)
+    for role in ("supervisor", "guardian", "recorder", "loop", "board"):
+        run.strike(role)
+    run.process.communicate()
+    again = live("--out", tmp_path / "next.mcap")
+    again.process.send_signal(signal.SIGINT)
+    _, _, message = again.end()
+    assert f"inteco-abs recover {run.memory.path}" in message
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP],
+                         ids=lambda number: number.name)  # fmt: skip
+def test_a_signal_ends_a_run_with_a_complete_session(live, replayed, number):
+    run = live()
+    run.until_tick(TURNING)
+    struck_ns = run.strike("supervisor", number)
+    code, card, _ = run.end()
+    assert (code, card["outcome"], card["reason"]) == (130, "interrupted", "OPERATOR_STOP")
+    assert safe_after_ns(assert_nothing_lost(run, replayed), struck_ns) < GENEROUS_NS
+    assert_left_nothing_behind(run)
+
+
+@pytest.fixture
+def terminal():
+    """A terminal that a command can be run in: the user's end, and what the command needs."""
+    ours, theirs = os.openpty()
+
+    def control():
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+    closed = []
+
+    def close():
+        if not closed:
+            closed.append(True)
+            os.close(ours)
+
+    yield ours, close, {"stdin": theirs, "preexec_fn": control}
+    close()
+    os.close(theirs)
+
+
+def test_control_c_twice_ends_in_safe_once(live, replayed, terminal):
+    keyboard, _, options = terminal
+    run = live(**options)
+    run.until_tick(TURNING)
+    os.write(keyboard, b"\x03")
+    time.sleep(0.001)
+    os.write(keyboard, b"\x03")
+    code, card, _ = run.end()
+    assert (code, card["outcome"]) == (130, "interrupted")
+    assert_nothing_lost(run, replayed)
+    assert_left_nothing_behind(run)
+
+
+def test_a_terminal_that_is_closed_ends_the_run_safely(live, replayed, terminal):
+    _, close, options = terminal
+    run = live(**options)
+    run.until_tick(TURNING)
+    close()
+    code, card, _ = run.end()
+    assert (code, card["outcome"]) == (130, "interrupted")
+    assert_nothing_lost(run, replayed)
+    assert_left_nothing_behind(run)
