@@ -18,6 +18,8 @@ from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline
 from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
 from inteco_abs.mock_board import Device, Truth, Usb2Face
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
+from inteco_abs.realtime.doctor import examine
+from inteco_abs.realtime.findings import as_facts
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import RunMemory
 from inteco_abs.realtime.supervisor import SIGNALS, NoScreen, Screen, Supervisor
@@ -76,37 +78,61 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
             return _VirtualRun(config, plan, pipeline, interrupts).run(progress)
 
 
-def _run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> Account:
+def exchange_times_us(config: RigConfig, board: str) -> list[float]:
+    """How long exchanges with the board take in a process like the loop's, us; nothing is energised.
+
+    Raises BoardError if the board cannot be opened or does not answer.
+    """
+    check_address(board)
+    _insist_on_linux()
+    with _processes(config, Plan(Path(), board, virtual=False), ring_ticks=1) as (_, supervisor):
+        times_us: list[float] = supervisor.ask("trips")
+        return times_us
+
+
+def _insist_on_linux() -> None:
     if not sys.platform.startswith("linux"):
         raise BoardError(f"real time needs Linux, and this is {sys.platform}; use --virtual")
+
+
+def _run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> Account:
+    _insist_on_linux()
     if config.controller.name not in CONTROLLERS and not plan.controller_source:
         problem = f"{config.controller.name!r}: in real time a controller must come from a file, as file.py:Class"
         raise ConfigError([Mistake("controller.name", problem)])
-    memory = RunMemory.create(TICK.size, _ring_ticks(config), TRUTH.size, _ring_ticks(config))
-    job = Job(
-        out=str(plan.out.absolute()),
-        board=plan.board,
-        address=f"{plan.board}{memory.socket}",
-        seed=plan.seed,
-        config=config,
-        controller_source=plan.controller_source,
-        facts=_facts(plan),
-    )
+    doctor = {"doctor": as_facts(examine(plan.out.absolute().parent))}
+    with _processes(config, plan, _ring_ticks(config), doctor) as (memory, supervisor):
+        try:
+            return supervisor.run(screen)
+        except SessionError:
+            if memory.tick_reader().written:
+                memory.keep()
+            raise
+
+
+@contextmanager
+def _processes(
+    config: RigConfig, plan: Plan, ring_ticks: int, facts: Mapping[str, Mapping[str, str]] | None = None
+) -> Iterator[tuple[RunMemory, Supervisor]]:
+    """Shared memory with the job in it, the mock board's process, and a supervisor for the rest."""
+    memory = RunMemory.create(TICK.size, ring_ticks, TRUTH.size, ring_ticks)
     try:
+        job = Job(
+            out=str(plan.out.absolute()),
+            board=plan.board,
+            address=f"{plan.board}{memory.socket}",
+            seed=plan.seed,
+            config=config,
+            controller_source=plan.controller_source,
+            facts={**_facts(plan), **(facts or {})},
+        )
         job.post(memory)
         supervisor = Supervisor(memory, job)
         supervisor.spawn("board", "inteco_abs.simulator", str(memory.path))
         memory.wait(memory.socket.exists, _BOARD_START_S)
-        account = supervisor.run(screen)
-    except SessionError:
-        if not memory.tick_reader().written:
-            memory.remove()
-        raise
-    except BaseException:
+        yield memory, supervisor
+    finally:
         memory.remove()
-        raise
-    memory.remove()
-    return account
 
 
 class _VirtualRun:

@@ -4,7 +4,13 @@ import sys
 from importlib import import_module
 from typing import Final
 
-ROLES: Final = {"loop": "rt", "drill": "drill", "guardian": "guardian", "recorder": "recorder"}
+ROLES: Final = {
+    "loop": "rt",
+    "drill": "drill",
+    "guardian": "guardian",
+    "recorder": "recorder",
+    "trips": "trips",
+}
 
 if __name__ == "__main__":
     role, memory = sys.argv[1:]

@@ -106,6 +106,7 @@ class RunMemory:
 
     def __init__(self, path: Path, mapping: mmap.mmap) -> None:
         self.path = path
+        self._kept = False
         self._mapping = mapping
         self._memory = memoryview(mapping)
         self.words = self._memory[_WORDS_AT:_NOTES_AT].cast("q")
@@ -156,8 +157,14 @@ class RunMemory:
             raise SessionError(f"{path}: has {size} bytes, which is not what its header says: it was cut")
         return cls(path, mapping)
 
+    def keep(self) -> None:
+        """Make `remove` leave everything where it is: what it holds is nowhere else."""
+        self._kept = True
+
     def remove(self) -> None:
         """Give the memory back once everybody has left it; what it holds is in the file by now."""
+        if self._kept:
+            return
         self.path.unlink(missing_ok=True)
         self.socket.unlink(missing_ok=True)
 
