@@ -10,6 +10,7 @@ from typing import Final, NamedTuple, Self
 from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, UnsafeError
 from inteco_abs.signals import BoardFlags, Command, Sample
 
+_GOOD, _SLOW = BoardFlags.NONE, BoardFlags.SLOW
 _COUNTER_RANGE: Final = 1 << 32
 _HALF_RANGE: Final = 1 << 31
 _SAFE_ATTEMPTS: Final = 3
@@ -138,7 +139,7 @@ class Board(ABC):
         self._raw = wheel, road
         self._wheel_count += _step(wheel, wheel_before)
         self._road_count += _step(road, road_before)
-        return self._sample(now, BoardFlags.NONE if now - start <= self._period_ns else BoardFlags.SLOW)
+        return self._sample(now, _GOOD if now - start <= self._period_ns else _SLOW)
 
     def make_safe(self) -> None:
         """De-energise both outputs and read it back.

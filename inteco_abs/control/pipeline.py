@@ -12,6 +12,9 @@ from inteco_abs.control.guard import Guard
 from inteco_abs.control.sequence import Sequence, Wish
 from inteco_abs.signals import UNTIMED, BrakeDemand, Command, Estimate, Phase, Reason, Sample, Tick, Timing
 
+_NONE: Final = Reason.NONE
+_BRAKING: Final = Phase.BRAKING
+_OVER: Final = (Phase.DONE, Phase.FAULT)
 _NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
 _GIVEN_UP: Final = Wish(Command.SAFE, BrakeDemand(0.0), Reason.CONTROLLER_ERROR)
 
@@ -43,7 +46,7 @@ class Pipeline:
     @property
     def finished(self) -> bool:
         """Whether nothing is left but SAFE."""
-        return self._sequence.phase in (Phase.DONE, Phase.FAULT)
+        return self._sequence.phase in _OVER
 
     def step(self, sample: Sample, stop_request: Reason = Reason.NONE, timing: Timing = UNTIMED) -> Tick:
         """Decide on one sample. The tick's `drive` and `brake` are the command for the next exchange."""
@@ -52,7 +55,7 @@ class Pipeline:
         guard.trip(stop_request)
         guard.trip(wish.reason)
         command = guard.admit(wish.command, sample, estimate)
-        if guard.reason is not Reason.NONE:
+        if guard.reason is not _NONE:
             self._sequence.fault()
         self.command = command
         phase, demand = self._sequence.phase, wish.demand
@@ -66,7 +69,7 @@ class Pipeline:
             stop_request,
             *estimate,
             phase,
-            self._reference_slip if phase is Phase.BRAKING else math.nan,
+            self._reference_slip if phase is _BRAKING else math.nan,
             demand.switching,
             demand.torque_nm,
             wish.command.drive,

@@ -10,6 +10,8 @@ from inteco_abs.control.controllers import Controller
 from inteco_abs.control.windows import SpeedWindow
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason, Sample
 
+_NONE: Final = Reason.NONE
+_SPIN_UP, _BRAKING, _STOPPED = Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED
 _START_WINDOW_S: Final = 0.020
 _STOP_WINDOW_S: Final = 0.050
 _REST_COUNTS: Final = 4
@@ -63,13 +65,13 @@ class Sequence:
             self._rest = (sample.wheel_count, sample.road_count)
         elapsed_s = (sample.time_ns - self._since_ns) * 1e-9
         phase = self.phase
-        if phase is Phase.SPIN_UP:
+        if phase is _SPIN_UP:
             return self._spin_up(sample, elapsed_s)
-        if phase is Phase.BRAKING:
+        if phase is _BRAKING:
             return self._brake(sample, estimate, elapsed_s)
-        if phase is Phase.STOPPED:
+        if phase is _STOPPED:
             if elapsed_s < self._config.hold_s:
-                return Wish(Command(0.0, self._held.brake), self._held, Reason.NONE)
+                return Wish(Command(0.0, self._held.brake), self._held, _NONE)
             self._enter(Phase.IDLE if self._left else Phase.DONE, sample)
             self._begin_again(sample)
         elif phase in (Phase.IDLE, Phase.ARMED):
@@ -81,7 +83,7 @@ class Sequence:
         moved = max(abs(sample.wheel_count - wheel), abs(sample.road_count - road)) > _REST_COUNTS
         if elapsed_s >= self._config.idle_s and not moved:
             self._enter(Phase.ARMED if self.phase is Phase.IDLE else Phase.SPIN_UP, sample)
-        return Wish(Command.SAFE, _NO_DEMAND, Reason.WHEELS_MOVING if moved else Reason.NONE)
+        return Wish(Command.SAFE, _NO_DEMAND, Reason.WHEELS_MOVING if moved else _NONE)
 
     def _spin_up(self, sample: Sample, elapsed_s: float) -> Wish:
         speed = self._start_speed.update(sample.time_ns, sample.road_count)
@@ -89,7 +91,7 @@ class Sequence:
             self._enter(Phase.BRAKING, sample)
             return _NOTHING
         late = elapsed_s > self._config.spin_up_timeout_s
-        return Wish(self._driving, _NO_DEMAND, Reason.SPIN_UP_TIMEOUT if late else Reason.NONE)
+        return Wish(self._driving, _NO_DEMAND, Reason.SPIN_UP_TIMEOUT if late else _NONE)
 
     def _brake(self, sample: Sample, estimate: Estimate, elapsed_s: float) -> Wish:
         speed = self._stop_speed.update(sample.time_ns, sample.road_count)
@@ -97,7 +99,7 @@ class Sequence:
         if elapsed_s >= _STOP_WINDOW_S and abs(speed) < self._config.stop_speed_rad_s:
             self._enter(Phase.STOPPED, sample)
         late = elapsed_s > self._config.braking_timeout_s
-        return Wish(Command(0.0, demand.brake), demand, Reason.BRAKING_TIMEOUT if late else Reason.NONE)
+        return Wish(Command(0.0, demand.brake), demand, Reason.BRAKING_TIMEOUT if late else _NONE)
 
     def _begin_again(self, sample: Sample) -> None:
         if not self._left:

@@ -125,6 +125,11 @@ def recorder_wishes() -> tuple[Wish, ...]:
     )
 
 
+def supervisor_wishes() -> tuple[Wish, ...]:
+    """The supervisor and its screen keep off the loop's CPU."""
+    return (_affinity(other_cpus(_allowed(), isolated_cpus()), "a second core would help"),)
+
+
 def _common(priority: int) -> tuple[Wish, ...]:
     return (
         Wish("signals", _block_signals, ""),

@@ -21,6 +21,7 @@ from inteco_abs.realtime.memory import Note, RunMemory, Word
 from inteco_abs.records import pack_tick
 from inteco_abs.signals import Reason
 
+_NONE: Final = Reason.NONE
 _GUARDIAN_WINDOW_NS: Final = 250_000_000
 _STOP, _GUARDIAN_STOP, _GUARDIAN_BEAT = int(Word.STOP), int(Word.GUARDIAN_STOP), int(Word.GUARDIAN_BEAT_NS)
 _REASONS: Final = {int(reason): reason for reason in Reason}
@@ -38,7 +39,7 @@ class SharedStop:
         word = words[_STOP] or words[_GUARDIAN_STOP]
         if word:
             return _REASONS[word]
-        return Reason.GUARDIAN_LOST if now_ns - words[_GUARDIAN_BEAT] > _GUARDIAN_WINDOW_NS else Reason.NONE
+        return Reason.GUARDIAN_LOST if now_ns - words[_GUARDIAN_BEAT] > _GUARDIAN_WINDOW_NS else _NONE
 
 
 def main(path: str) -> int:

@@ -20,6 +20,7 @@ from inteco_abs import errors
 from inteco_abs.errors import AbsError, BoardError, SessionError, UnsafeError
 from inteco_abs.realtime.guardian import rescue
 from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.machine import prepare, supervisor_wishes
 from inteco_abs.realtime.memory import Note, RunMemory, Word
 from inteco_abs.realtime.recorder import rebuild
 from inteco_abs.sessions import TICK, Account
@@ -90,6 +91,7 @@ class Supervisor:
 
     def run(self, screen: Screen) -> Account:
         """Do the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
+        allowed = os.sched_getaffinity(0)
         with _Signals(self._words):
             try:
                 self._start()
@@ -99,6 +101,7 @@ class Supervisor:
                 return self._account()
             finally:
                 self._end()
+                os.sched_setaffinity(0, allowed)
 
     def ask(self, role: str) -> Any:
         """Run the process of one role alone, without guarding it; the note RESULT that it leaves."""
@@ -144,6 +147,7 @@ class Supervisor:
         words[Word.GUARDED_PID] = loop.pid
         self._wait_for(lambda: words[Word.READY] == loop.pid, "the loop is ready", "loop", _START_S)
         self._wait_for(lambda: words[Word.RECORDING], "the recorder is ready", "recorder", _START_S)
+        prepare(supervisor_wishes())  # not before: the processes would inherit it
         words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
         words[Word.GO] = 1
 

@@ -19,6 +19,7 @@ def bench(environment, *arguments):
     return process.stdout
 
 
+@pytest.mark.xdist_group("real time")
 def test_every_row_is_printed_with_finite_numbers(untraced):
     text = bench(untraced)
     for name in ROWS if "no C compiler" not in text else ROWS[2:]:
@@ -33,6 +34,7 @@ def test_every_row_is_printed_with_finite_numbers(untraced):
     assert "nan" not in text
 
 
+@pytest.mark.xdist_group("real time")
 def test_without_a_compiler_there_are_no_ratios_to_c(untraced, tmp_path):
     told = json.loads(bench({**untraced, "PATH": str(tmp_path)}, "--json"))
     assert "no C compiler" in told["without_c"]
