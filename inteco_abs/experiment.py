@@ -119,6 +119,7 @@ def _processes(
     try:
         job = Job(
             out=str(plan.out.absolute()),
+            session=str(plan.out),
             board=plan.board,
             address=f"{plan.board}{memory.socket}",
             seed=plan.seed,

@@ -19,7 +19,9 @@ class Job:
     """One run, as told by the supervisor to everybody else."""
 
     out: str
-    """Session file to write."""
+    """Session file to write, absolute."""
+    session: str
+    """The same as the user named it."""
     board: str
     """Address as the user gave it."""
     address: str

@@ -63,7 +63,7 @@ def _record(memory: RunMemory, job: Job) -> None:
     if introduction is None:
         return  # there was no run
     with Recorder(job.path, time.monotonic_ns(), introduction.internals) as recorder:
-        scribe = Scribe(recorder, job.config, introduction)
+        scribe = Scribe(recorder, job.config, introduction, Path(job.session))
         scribe.introduce()
         memory.truth_reader().take()  # what the board did while it was opened belongs to no tick
         words[Word.RECORDER_BEAT_NS] = time.monotonic_ns()
@@ -197,17 +197,17 @@ def recover_run(ring: Path, out: Path) -> Account:
     if memory.in_use():
         raise SessionError(f"{ring}: the run still goes on; stop it first")
     job = Job.of(memory)
-    account = rebuild(memory, job, out)
+    account = rebuild(memory, job, out, out)
     if account is None:
         raise SessionError(f"{ring}: holds no ticks; remove it")
     memory.remove()
     return account
 
 
-def rebuild(memory: RunMemory, job: Job, out: Path) -> Account | None:
-    """Make the session file from the rings, and from what a dead recorder has left at `job.out`, as `out`.
+def rebuild(memory: RunMemory, job: Job, out: Path, session: Path) -> Account | None:
+    """Make the session file from the rings, and from what a dead recorder has left at `job.out`.
 
-    None if there was no tick. Raises SessionError.
+    It is written to `out`, which the user calls `session`. None if there was no tick. Raises SessionError.
     """
     introduction = _introduction(memory, job)
     ticks, truths = memory.tick_reader(), memory.truth_reader()
@@ -219,7 +219,7 @@ def rebuild(memory: RunMemory, job: Job, out: Path) -> Account | None:
     part = out.with_name(out.name + _PART)
     part.unlink(missing_ok=True)
     with Recorder(part, time.monotonic_ns(), introduction.internals) as recorder:
-        scribe = Scribe(recorder, job.config, introduction, out)
+        scribe = Scribe(recorder, job.config, introduction, session)
         scribe.introduce()
         scribe.add(before, b"")
         scribe.add(ticks.take(), truths.take())

@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, NamedTuple, Protocol, Self
 
@@ -96,7 +97,7 @@ class Supervisor:
             try:
                 self._start()
                 self._drill()
-                self._let_go()
+                self._let_go(screen)
                 self._watch(screen)
                 return self._account()
             finally:
@@ -142,11 +143,15 @@ class Supervisor:
         took_ms = (report["done_ns"] - killed_ns) * 1e-6
         self._memory.post(Note.DRILL, {"guardian drill": f"SAFE {took_ms:.1f} ms after the kill"})
 
-    def _let_go(self) -> None:
+    def _let_go(self, screen: Screen) -> None:
         words, loop = self._words, self._children["loop"]
         words[Word.GUARDED_PID] = loop.pid
         self._wait_for(lambda: words[Word.READY] == loop.pid, "the loop is ready", "loop", _START_S)
         self._wait_for(lambda: words[Word.RECORDING], "the recorder is ready", "recorder", _START_S)
+        told = self._memory.note(Note.INTRODUCTION)
+        refused = [setting["name"] for setting in told["settings"] if setting["refused"]]
+        if refused:
+            screen.warn(f"ticks will be late more often: refused were {', '.join(refused)}; see inteco-abs doctor")
         prepare(supervisor_wishes())  # not before: the processes would inherit it
         words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
         words[Word.GO] = 1
@@ -241,7 +246,7 @@ class Supervisor:
             recorder.kill()
             recorder.wait()
         try:
-            account = rebuild(memory, self._job, self._job.path)
+            account = rebuild(memory, self._job, self._job.path, Path(self._job.session))
         except AbsError as error:
             why = failure["text"] if failure else "the recorder process died"
             raise SessionError(

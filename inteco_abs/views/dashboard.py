@@ -19,6 +19,7 @@ _SHOWN: Final = (Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.ST
 _NARROW: Final = 60
 _BAR: Final = 28
 HINT: Final = "Ctrl-C stops safely"
+_STARTING: Final = Text("starting: first of all, the guardian has to prove itself", style="dim")
 
 
 class Dashboard:
@@ -28,7 +29,7 @@ class Dashboard:
         self._console = console
         self._full_speed = full_speed_rad_s
         # no thread refreshes it: what draws is what was asked to, when it was asked
-        self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._live = Live(_STARTING, console=console, auto_refresh=False, transient=True)
 
     def __enter__(self) -> Self:
         self._live.start()

@@ -1,0 +1,38 @@
+import json
+import os
+import shutil
+import subprocess
+
+import pytest
+
+pytestmark = pytest.mark.xdist_group("real time")
+
+
+@pytest.fixture
+def without_privileges():
+    """What a command is run by to have no more rights than any user."""
+    if os.geteuid() != 0:
+        return ()
+    if shutil.which("setpriv") is None:
+        pytest.fail("setpriv is needed to give up the rights of root: install util-linux")
+    return ("setpriv", "--inh-caps=-all", "--bounding-set=-all")
+
+
+def test_an_ordinary_user_runs_in_real_time_and_is_told_what_was_refused(
+    command_path, inteco_abs, untraced, tmp_path, without_privileges
+):
+    quick = ("--set", "experiment.start_speed_rad_s=30", "--set", "experiment.hold_s=0.1")
+    run = subprocess.run(
+        [*without_privileges, command_path, "run", "--out", "stop.mcap", "--json", *quick],
+        cwd=tmp_path, env=untraced, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert run.returncode in (0, 3), run.stderr  # a busy machine delays an ordinary process
+    card = json.loads(run.stdout)
+    assert (card["outcome"], card["lost_ticks"]) == ("completed", 0)
+    facts = json.loads(inteco_abs("info", "stop.mcap", "--json", check=0).stdout)["metadata"]
+    refused = {name for name, value in facts["realtime"].items() if value.startswith("refused: ")}
+    limits = facts["doctor"]["priority_limit"]
+    assert ("scheduler" in refused) == limits.startswith("red"), limits
+    if refused:
+        assert "ticks will be late more often: refused were" in run.stderr
+    assert json.loads(inteco_abs("replay", "stop.mcap", "--json", check=0).stdout)["differing"] == 0
