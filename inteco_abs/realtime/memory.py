@@ -160,6 +160,7 @@ class RunMemory:
     def keep(self) -> None:
         """Make `remove` leave everything where it is: what it holds is nowhere else."""
         self._kept = True
+        self.socket.unlink(missing_ok=True)
 
     def remove(self) -> None:
         """Give the memory back once everybody has left it; what it holds is in the file by now."""

@@ -9,6 +9,8 @@ import json
 import os
 import time
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -218,7 +220,7 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path) -> Account | 
     before = read_session(job.path).payload[: held_from * TICK.size] if held_from else b""
     part = out.with_name(out.name + _PART)
     part.unlink(missing_ok=True)
-    with Recorder(part, time.monotonic_ns(), introduction.internals) as recorder:
+    with _only_whole(part), Recorder(part, time.monotonic_ns(), introduction.internals) as recorder:
         scribe = Scribe(recorder, job.config, introduction, session)
         scribe.introduce()
         scribe.add(before, b"")
@@ -231,3 +233,13 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path) -> Account | 
     except OSError as error:
         raise SessionError(f"{part} is complete but cannot be renamed to {out}: {error.strerror}") from error
     return account
+
+
+@contextmanager
+def _only_whole(path: Path) -> Iterator[None]:
+    """What could not be written to its end is not left there: its source still exists."""
+    try:
+        yield
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise

@@ -249,10 +249,13 @@ class Supervisor:
             account = rebuild(memory, self._job, self._job.path, Path(self._job.session))
         except AbsError as error:
             why = failure["text"] if failure else "the recorder process died"
-            raise SessionError(
-                f"{why}; the file could not be made anew either ({error}). Every tick is still in {memory.path}: "
+            trouble = SessionError(
+                f"the run was stopped safely, but {why}; the file could not be made anew either ({error}). "
+                f"Every tick is still in {memory.path}: "
                 f"inteco-abs recover {memory.path} --out FILE"
-            ) from error
+            )
+            trouble.exit_code = UnsafeError.exit_code  # whatever else went wrong, the run was ended for safety
+            raise trouble from error
         if account is None:
             told = failure or memory.note(Note.FAILURE)
             raise raised_again(told) if told else SessionError("the run ended before its first tick")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import struct
 import time
 import uuid
@@ -32,7 +33,10 @@ _INFO, _ERROR = 2, 4  # levels of foxglove.Log
 
 
 def check_output(path: Path) -> None:
-    """Refuse, before anything is opened, a path where no new session can be; raises ConfigError."""
+    """Refuse, before anything is opened, a path where no new session can be.
+
+    Raises ConfigError, or SessionError where the folder cannot be written to.
+    """
     problem = ""
     try:
         if path.is_dir():
@@ -45,6 +49,8 @@ def check_output(path: Path) -> None:
         problem = error.strerror or "cannot be a file's name"
     if problem:
         raise ConfigError([Mistake("--out", f"{path}: {problem}")])
+    if not os.access(path.parent, os.W_OK):
+        raise SessionError(f"{path} cannot be created: the folder {path.parent} cannot be written to")
 
 
 class _Disk(FileIO):

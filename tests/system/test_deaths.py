@@ -3,6 +3,8 @@
 import fcntl
 import os
 import random
+import re
+import resource
 import signal
 import termios
 import time
@@ -209,6 +211,36 @@ def test_the_next_run_tells_of_what_a_crash_has_left(live, tmp_path):
     again.process.send_signal(signal.SIGINT)
     _, _, message = again.end()
     assert f"inteco-abs recover {run.memory.path}" in message
+
+
+def no_more_room(run, role):
+    resource.prlimit(run.pid(role), resource.RLIMIT_FSIZE, (10_000, 10_000))
+
+
+def test_a_disk_that_refuses_ends_the_run_safely_and_the_file_is_made_from_memory(live, replayed):
+    run = live()
+    run.until_tick(TURNING)
+    no_more_room(run, "recorder")
+    code, card, message = run.end()
+    assert (code, card["reason"], card["lost_ticks"]) == (5, "RECORDER_LOST", 0), message
+    assert_nothing_lost(run, replayed)
+    assert_left_nothing_behind(run)
+
+
+def test_a_disk_that_goes_on_refusing_leaves_the_ticks_in_memory(live, inteco_abs, replayed, tmp_path):
+    run = live()
+    run.until_tick(TURNING)
+    for role in ("supervisor", "recorder"):
+        no_more_room(run, role)
+    code, card, message = run.end()
+    assert (code, card) == (5, None), message
+    assert "stopped safely, but" in message
+    ring = re.search(r"inteco-abs recover (\S+) --out FILE", message)[1]
+    assert ring == str(run.memory.path)
+    assert not list(tmp_path.glob("*.part"))
+    again = tmp_path / "again.mcap"
+    inteco_abs("recover", ring, "--out", again, check=0)
+    assert replayed(again)["ticks"] == run.ticks.written
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP],
