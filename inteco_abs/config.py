@@ -49,6 +49,9 @@ class BoardConfig(_Section):
     """44 in 8-bit mode is 3486 Hz, the nearest to the paper's 3.5 kHz."""
     pwm_pins: list[Annotated[int, Field(ge=0, le=25)]] = [2, 5]
     """CN1 pins switched to their PWM function and to output."""
+    numbering_pwm: Annotated[int, Field(ge=-1, le=7)] = -1
+    """PWM channel that is wired to nothing: its prescaler carries the number of each frame, which the board echoes, so
+    that a late or repeated answer is recognised. -1: none is free, and such answers may go unnoticed."""
     road_encoder: Annotated[int, Field(ge=0, le=7)] = 0
     wheel_encoder: Annotated[int, Field(ge=0, le=7)] = 1
     road_sign: Literal[1, -1] = 1
@@ -269,6 +272,8 @@ _PAIRS: Final = (
     _Pair("experiment.stop_speed_rad_s", "experiment.start_speed_rad_s", operator.lt, "must be below"),
     _Pair("estimator.window_s", "loop.rate_hz", lambda s, hz: s * hz > 0.999, "must be at least one period of"),
     _Pair("board.brake_pwm", "board.drive_pwm", operator.ne, "must be another PWM channel than"),
+    _Pair("board.drive_pwm", "board.numbering_pwm", operator.ne, "must be another PWM channel than"),
+    _Pair("board.brake_pwm", "board.numbering_pwm", operator.ne, "must be another PWM channel than"),
     _Pair("board.wheel_encoder", "board.road_encoder", operator.ne, "must be another encoder than"),
 )
 

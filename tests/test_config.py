@@ -347,8 +347,8 @@ def test_a_choice_out_of_a_few_names_them(setting, path, allowed):
     ("key", "inside", "outside"),
     [
         ("board.logic_version", [0, 65535], [-1, 65536]),
-        ("board.drive_pwm", [0, 7], [-1, 8]),
-        ("board.brake_pwm", [1, 7], [-1, 8]),
+        ("board.drive_pwm", [0, 6], [-1, 8]),
+        ("board.brake_pwm", [1, 6], [-1, 8]),
         ("board.pwm_prescaler", [0, 65535], [-1, 65536]),
         ("board.road_encoder", [0, 7], [-1, 8]),
         ("board.wheel_encoder", [1, 7], [-1, 8]),

@@ -26,13 +26,19 @@ _WORD: Final = struct.Struct("<H")
 _EXACT: Final = 1e-9
 """Keeps a duty that is a whole number of widths from losing one to binary rounding."""
 _MODES: Final = ("8-bit", "12-bit")
+_NUMBERS: Final = 1 << 15
+"""A prescaler's lower 15 bits travel in one word, the same one in both directions."""
+_MOST_OLD: Final = 100
+"""More answers to older requests than this are no leftover of a pause."""
 
 
 class RtdacUsb2(Board):
     """The board behind `link`, wired as `wiring` says; see `Board` for what it promises.
 
     The output image is built once, when the board is opened: words that the wiring owns come from the wiring,
-    all other words from the first read, all PWM widths are zero. In a tick only the two widths change.
+    all other words from the first read, all PWM widths are zero. In a tick only the two widths change, and the
+    number of the frame, for which the prescaler of a PWM channel that is wired to nothing is used: the board echoes
+    it, so that an answer to an older request, late or duplicated, is told from the one to this request.
     """
 
     def __init__(self, link: Link, wiring: BoardConfig, now_ns: Callable[[], int], period_ns: int) -> None:
@@ -45,6 +51,10 @@ class RtdacUsb2(Board):
         self._widths = drive, brake
         self._drive_out, self._brake_out = SEND.place(drive).offset, SEND.place(brake).offset
         self._drive_echo, self._brake_echo = READ.place(drive).offset, READ.place(brake).offset
+        numbered = f"pwm{wiring.numbering_pwm}_prescaler"
+        self._number = 0
+        # its lower 15 bits stand in the same word both ways; in SEND, the next word has the rest
+        self._number_at = READ.place(numbered).offset if wiring.numbering_pwm >= 0 else -1
         self._wheel_at = READ.place(f"encoder{wiring.wheel_encoder}_count")
         self._road_at = READ.place(f"encoder{wiring.road_encoder}_count")
         self._image = bytearray(FRAME_BYTES)
@@ -54,6 +64,8 @@ class RtdacUsb2(Board):
 
     def identify(self) -> Identity:
         """Read the header once; nothing is written but the READ request."""
+        if not self._ready:
+            self._link.discard(FRAME_BYTES)  # what a program before this one has left
         frame = self._read()
         try:
             values = READ.decode_some(frame, ("logic_version", "application_name", "synthesis_date", *self._widths))
@@ -97,7 +109,8 @@ class RtdacUsb2(Board):
 
     def _adopt(self, image: bytes) -> None:
         self._image[:] = image
-        self._late = True  # what the other process asked for may still be waiting
+        self._number = _NUMBERS // 2  # far from what the other process may have asked for last
+        self._late = True
 
     def _start(self) -> tuple[int, int]:
         frame = self._write_widths(0, 0)
@@ -136,14 +149,15 @@ class RtdacUsb2(Board):
         """SEND both widths, READ, and check that the answer is this board's and echoes them."""
         _WORD.pack_into(self._image, self._drive_out, drive)
         _WORD.pack_into(self._image, self._brake_out, brake)
+        if self._number_at >= 0:
+            self._number = (self._number + 1) % _NUMBERS
+            _WORD.pack_into(self._image, self._number_at, self._number)
         self._link.write(self._image)
         if self._late:
             # the answer of a failed exchange must not be taken for this one's; the output has gone out before
             self._link.discard(FRAME_BYTES)
         self._late = True
-        frame = self._read()
-        if not frame.startswith(self._header):
-            raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
+        frame = self._answer()
         echo = (_WORD.unpack_from(frame, self._drive_echo)[0], _WORD.unpack_from(frame, self._brake_echo)[0])
         if echo != (drive, brake):
             raise LinkError(
@@ -152,6 +166,17 @@ class RtdacUsb2(Board):
         self._late = False
         return frame
 
+    def _answer(self) -> bytes:
+        """READ, and the answer to that very request; older ones that come first are dropped."""
+        frame = self._read()
+        for _ in range(_MOST_OLD):
+            if not frame.startswith(self._header):
+                raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
+            if self._number_at < 0 or _WORD.unpack_from(frame, self._number_at)[0] % _NUMBERS == self._number:
+                return frame
+            frame = self._receive()
+        raise LinkError("the board answers only requests of long ago: is another program reading from it?")
+
     def _counts(self, frame: bytes) -> tuple[int, int]:
         (wheel,) = self._wheel_at.codec.unpack_from(frame, self._wheel_at.offset)
         (road,) = self._road_at.codec.unpack_from(frame, self._road_at.offset)
@@ -159,6 +184,9 @@ class RtdacUsb2(Board):
 
     def _read(self) -> bytes:
         self._link.write(READ_REQUEST)
+        return self._receive()
+
+    def _receive(self) -> bytes:
         frame = self._link.read(FRAME_BYTES)
         if len(frame) != FRAME_BYTES:
             raise LinkError(f"the board's answer has {len(frame)} bytes, must be {FRAME_BYTES}")

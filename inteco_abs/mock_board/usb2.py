@@ -22,6 +22,7 @@ _HEADER: Final[dict[str, int | str]] = {
     "chronometer_channels": 8,
 }
 _WIDTH_MASK: Final = 0x0FFF
+_NUMBER_MASK: Final = 0x7FFF
 _ECHOED: Final = tuple(name for name in SEND.fields if name in READ.fields)
 
 
@@ -35,13 +36,16 @@ class Usb2Face:
         self.device = device
         self.rejected = 0
         cable = device.cable
-        self._hot = tuple(f"pwm{channel}_width" for channel in (cable.drive_pwm, cable.brake_pwm))
-        self._written = [SEND.place(name) for name in self._hot]
+        # what changes with every frame: the two widths that move the rig, and the word that hosts number frames with
+        self._hot = (f"pwm{cable.drive_pwm}_width", f"pwm{cable.brake_pwm}_width", f"pwm{PWM_CHANNELS - 1}_prescaler")
         self._echoed = [READ.place(name) for name in self._hot]
+        # of a prescaler, the first word: the same one in both directions
+        self._written = [SEND.place(name) for name in self._hot[:2]] + self._echoed[2:]
         self._road = READ.place(f"encoder{cable.road_encoder}_count")
         self._wheel = READ.place(f"encoder{cable.wheel_encoder}_count")
         self._newest = b""  # last SEND frame, and the same with its widths blanked: what need not be decoded again
         self._settled = bytearray()
+        self._number_top = 0
         self._answer = bytearray(READ.encode(_HEADER))
         self._timers: list[int] = []
         self._waiting: list[bytes] = []
@@ -64,10 +68,10 @@ class Usb2Face:
             self.device.observe()
             return
         blank = bytearray(data)
-        drive, brake = (codec.unpack_from(data, offset)[0] for offset, codec in self._written)
+        drive, brake, number = (codec.unpack_from(data, offset)[0] for offset, codec in self._written)
         for offset, codec in self._written:
             codec.pack_into(blank, offset, 0)
-        if blank == self._settled and drive <= _WIDTH_MASK and brake <= _WIDTH_MASK:
+        if blank == self._settled and drive <= _WIDTH_MASK and brake <= _WIDTH_MASK and number <= _NUMBER_MASK:
             self.device.write_widths(drive, brake)
         else:
             try:
@@ -78,8 +82,9 @@ class Usb2Face:
             self.device.write({name: value for name, value in settings.items() if isinstance(value, int)})
             self._settle(blank)
         self._newest = bytes(data)
-        for (offset, codec), width in zip(self._echoed, (drive, brake), strict=True):
-            codec.pack_into(self._answer, offset, width & _WIDTH_MASK)
+        echo = (drive & _WIDTH_MASK, brake & _WIDTH_MASK, number | self._number_top)
+        for (offset, codec), value in zip(self._echoed, echo, strict=True):
+            codec.pack_into(self._answer, offset, value)
 
     def _read(self) -> bytes:
         road, wheel = self.device.counts()
@@ -94,6 +99,7 @@ class Usb2Face:
         """Make the answer anew, with the settings echoed in their read encoding."""
         device = self.device
         self._settled = blank
+        self._number_top = device.settings[self._hot[2]] & ~_NUMBER_MASK  # sent in the word after it
         echo = {name: device.settings[name] for name in _ECHOED}
         self._answer = bytearray(READ.encode({**_HEADER, **echo, "pin_input": device.pins()}))
         self._timers = [i for i in range(2) if device.timer_runs(i)]

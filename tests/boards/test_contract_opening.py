@@ -122,8 +122,8 @@ def opens_although_the_link_fails_at(bench, moment):
     reached = bench.strike({moment: LinkError("no answer")})
     with suppress(LinkError):
         bench.board.__enter__()
-        assert not reached
-        return True
+        assert reached in ([], [0])  # 0: there was nothing left over to be read, which is no failure
+        return not reached
     assert reached
     assert bench.link.closed
     with pytest.raises(BoardError, match="not open"):

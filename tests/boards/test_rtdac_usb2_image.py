@@ -6,6 +6,7 @@ from firmware_protocol.rtdac_usb2 import READ_REQUEST, SEND
 from inteco_abs.errors import BoardError
 
 WIDTH_BYTES = {44, 45, 50, 51}
+NUMBER_BYTES = {82, 83}
 SETTINGS = {name: st.integers(*field.range(layout)) for name, (field, layout) in SEND.fields.items()}
 
 
@@ -30,9 +31,11 @@ def test_settings_that_the_wiring_does_not_own_stay_as_the_board_has_them(new_us
     with bench.board:
         bench.exchange(0.4, 0.6)
         (first, second) = bench.settings_sent
-        assert first == {**earlier, **owned_by_default(earlier)}
-        assert second == {**first, "pwm0_width": 102, "pwm1_width": 153}
-        assert bench.device.settings == second
+        number = first["pwm7_prescaler"]
+        assert number == earlier["pwm7_prescaler"] // 0x8000 * 0x8000 + 1
+        assert first == {**earlier, **owned_by_default(earlier), "pwm7_prescaler": number}
+        assert second == {**first, "pwm0_width": 102, "pwm1_width": 153, "pwm7_prescaler": number + 1}
+        assert bench.device.settings == {**second, "pwm7_prescaler": number}  # the device takes no notice of it
     assert bench.device.settings == first
 
 
@@ -48,7 +51,7 @@ def test_settings_that_the_wiring_does_not_own_stay_as_the_board_has_them(new_us
         ("pin_mode", 0x3FFFFDB),
         ("pin_direction", 0x3FFFFDB),
         ("pwm2_mode", 1),
-        ("pwm7_prescaler", 0x8001),
+        ("pwm6_prescaler", 0x8001),
         ("chronometer3_divider", 0x3FFFFFFF),
         ("timer_mode", 0b11),
     ],
@@ -90,16 +93,17 @@ def test_another_wiring_owns_other_channels(new_usb2_bench):
 
 
 @given(commands=st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)), min_size=1, max_size=20))
-def test_in_a_run_only_the_two_widths_change_and_it_ends_with_the_frame_it_began_with(new_usb2_bench, commands):
+def test_in_a_run_only_the_two_widths_and_the_number_change_and_it_ends_as_it_began(new_usb2_bench, commands):
     bench = new_usb2_bench(earlier={"pin_output": 0x155, "da1_output": 77})
     with bench.board:
         for drive, brake in commands:
             bench.exchange(drive, brake)
     frames = bench.frames_sent
     assert len(frames) == len(commands) + 2
-    assert frames[-1] == frames[0]
+    assert changed(frames[0], frames[-1]) == NUMBER_BYTES & changed(frames[0], frames[-1])
     for frame in frames:
-        assert {at for at in range(504) if frame[at] != frames[0][at]} <= WIDTH_BYTES
+        assert changed(frames[0], frame) <= WIDTH_BYTES | NUMBER_BYTES
+    assert len({frame[82:84] for frame in frames}) == len(frames)
 
 
 def test_every_exchange_is_one_frame_and_one_request(new_usb2_bench):
@@ -108,7 +112,12 @@ def test_every_exchange_is_one_frame_and_one_request(new_usb2_bench):
         opened = len(bench.link.written)
         for _ in range(5):
             bench.exchange(0.5)
-        assert bench.link.written[opened:] == [bench.frames_sent[-1], READ_REQUEST] * 5
+        assert bench.link.written[opened + 1 :: 2] == [READ_REQUEST] * 5
+        assert bench.link.written[opened::2] == bench.frames_sent[-5:]
+
+
+def changed(frame, other):
+    return {at for at in range(504) if frame[at] != other[at]}
 
 
 def set_bytes(changes):
@@ -146,6 +155,6 @@ def test_a_board_that_does_not_take_its_settings_is_not_opened(new_usb2_bench, c
     bench.link.change_answer = set_bytes(changes)
     with pytest.raises(BoardError, match=name):
         bench.board.__enter__()
-    assert len(set(bench.frames_sent)) == 1
+    assert all(changed(bench.frames_sent[0], frame) <= NUMBER_BYTES for frame in bench.frames_sent)
     assert bench.device.duties == (0.0, 0.0)
     assert bench.link.closed

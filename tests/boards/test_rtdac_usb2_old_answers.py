@@ -1,0 +1,97 @@
+"""Answers that come late, twice or not at all: none may be taken for the answer to a later request."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from inteco_abs.errors import LinkError
+from inteco_abs.signals import BoardFlags
+
+
+class OldAnswers:
+    """Between a board and its link: holds answers back, repeats or loses them."""
+
+    def __init__(self, link):
+        self._link = link
+        self._arrived = []
+        self.late = self.twice = self.lost = 0
+
+    def write(self, data):
+        self._link.write(data)
+
+    def read(self, length):
+        if not self._arrived:
+            self._arrived.append(self._link.read(length))
+            if self.lost:
+                self.lost -= 1
+                self._arrived.pop()
+            elif self.late:
+                self.late -= 1
+                raise LinkError("not yet")
+            elif self.twice:
+                self.twice -= 1
+                self._arrived *= 2
+        if not self._arrived:
+            raise LinkError("no answer")
+        return self._arrived.pop(0)
+
+    def discard(self, length):
+        """Nothing has arrived yet: what is late comes after this."""
+
+    def close(self):
+        self._link.close()
+
+
+@pytest.fixture
+def old(new_usb2_bench):
+    bench = new_usb2_bench()
+    link = bench.board._link = OldAnswers(bench.link)  # the one place where a link can be slipped in
+    return bench, link
+
+
+@pytest.mark.parametrize("fault", ["late", "twice", "lost"])
+@pytest.mark.parametrize("times", [1, 3])
+def test_the_sample_after_it_is_not_an_exchange_old(old, fault, times):
+    bench, link = old
+    with bench.board:
+        start = bench.device.counts()
+        for _ in range(50):
+            bench.exchange(1.0)
+        setattr(link, fault, times)
+        for _ in range(20):
+            sample = bench.exchange(1.0)
+        road, wheel = bench.device.counts()
+    assert getattr(link, fault) == 0
+    assert sample.board_flags is BoardFlags.NONE
+    assert (sample.road_count, sample.wheel_count) == (road - start[0], wheel - start[1])
+
+
+@given(faults=st.lists(st.sampled_from([None, "late", "twice", "lost"]), max_size=30))
+def test_every_good_sample_is_of_its_own_exchange(new_usb2_bench, faults):
+    bench = new_usb2_bench()
+    link = bench.board._link = OldAnswers(bench.link)
+    with bench.board:
+        start = bench.device.counts()
+        for fault in faults:
+            if fault:
+                setattr(link, fault, 1)
+            sample = bench.exchange(1.0)
+            road, wheel = bench.device.counts()
+            if sample.board_flags is BoardFlags.NONE:
+                assert (sample.road_count, sample.wheel_count) == (road - start[0], wheel - start[1])
+
+
+def test_without_a_number_a_repeated_answer_is_taken_for_the_next_one(new_usb2_bench):
+    """Why the number is there."""
+    bench = new_usb2_bench("board.numbering_pwm=-1")
+    link = bench.board._link = OldAnswers(bench.link)
+    with bench.board:
+        start = bench.device.counts()
+        for _ in range(400):
+            bench.exchange(1.0)
+        link.twice = 1
+        for _ in range(20):
+            sample = bench.exchange(1.0)
+        road, _ = bench.device.counts()
+    assert sample.board_flags is BoardFlags.NONE
+    assert sample.road_count < road - start[0]
