@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Final
 
 from firmware_protocol import ProtocolError
@@ -22,7 +23,9 @@ _HEADER: Final[dict[str, int | str]] = {
     "chronometer_channels": 8,
 }
 _WIDTH_MASK: Final = 0x0FFF
+_NUMBER: Final = f"pwm{PWM_CHANNELS - 1}_prescaler"
 _NUMBER_MASK: Final = 0x7FFF
+_WORD: Final = struct.Struct("<H")
 _ECHOED: Final = tuple(name for name in SEND.fields if name in READ.fields)
 
 
@@ -37,14 +40,14 @@ class Usb2Face:
         self.rejected = 0
         cable = device.cable
         # what changes with every frame: the two widths that move the rig, and the word that hosts number frames with
-        self._hot = (f"pwm{cable.drive_pwm}_width", f"pwm{cable.brake_pwm}_width", f"pwm{PWM_CHANNELS - 1}_prescaler")
-        self._echoed = [READ.place(name) for name in self._hot]
-        # of a prescaler, the first word: the same one in both directions
-        self._written = [SEND.place(name) for name in self._hot[:2]] + self._echoed[2:]
+        drive, brake, number = f"pwm{cable.drive_pwm}_width", f"pwm{cable.brake_pwm}_width", _NUMBER
+        self._drive, self._brake = SEND.place(drive).offset, SEND.place(brake).offset
+        self._drive_echo, self._brake_echo = READ.place(drive).offset, READ.place(brake).offset
+        self._number = READ.place(number).offset  # of a prescaler, the lower 15 bits: the same word both ways
         self._road = READ.place(f"encoder{cable.road_encoder}_count")
         self._wheel = READ.place(f"encoder{cable.wheel_encoder}_count")
-        self._newest = b""  # last SEND frame, and the same with its widths blanked: what need not be decoded again
-        self._settled = bytearray()
+        self._newest = bytearray(FRAME_BYTES)  # last frame that was decoded: another one like it need not be
+        self._widths = (0, 0)
         self._number_top = 0
         self._answer = bytearray(READ.encode(_HEADER))
         self._timers: list[int] = []
@@ -64,27 +67,45 @@ class Usb2Face:
         return self._waiting.pop(0)[:length] if self._waiting else b""
 
     def _send(self, data: bytes | bytearray) -> None:
-        if data == self._newest:
-            self.device.observe()
+        newest = self._newest
+        for at in (self._drive, self._brake, self._number):
+            newest[at : at + 2] = data[at : at + 2]
+        word = _WORD.unpack_from
+        drive, brake, number = word(data, self._drive)[0], word(data, self._brake)[0], word(data, self._number)[0]
+        hot = drive <= _WIDTH_MASK and brake <= _WIDTH_MASK and number <= _NUMBER_MASK
+        if not (hot and data == newest):
+            self._decode(data)
             return
-        blank = bytearray(data)
-        drive, brake, number = (codec.unpack_from(data, offset)[0] for offset, codec in self._written)
-        for offset, codec in self._written:
-            codec.pack_into(blank, offset, 0)
-        if blank == self._settled and drive <= _WIDTH_MASK and brake <= _WIDTH_MASK and number <= _NUMBER_MASK:
+        if (drive, brake) != self._widths:
             self.device.write_widths(drive, brake)
+            self._echo(drive, brake)
         else:
-            try:
-                settings = SEND.decode(data)
-            except ProtocolError:
-                self.rejected += 1
-                return
-            self.device.write({name: value for name, value in settings.items() if isinstance(value, int)})
-            self._settle(blank)
-        self._newest = bytes(data)
-        echo = (drive & _WIDTH_MASK, brake & _WIDTH_MASK, number | self._number_top)
-        for (offset, codec), value in zip(self._echoed, echo, strict=True):
-            codec.pack_into(self._answer, offset, value)
+            self.device.observe()
+        _WORD.pack_into(self._answer, self._number, number | self._number_top)
+
+    def _decode(self, data: bytes | bytearray) -> None:
+        """Take over a frame with new settings, and make the answer anew, which echoes them in its own encoding."""
+        try:
+            settings = SEND.decode(data)
+        except ProtocolError:
+            self.rejected += 1
+            return
+        device = self.device
+        device.write({name: value for name, value in settings.items() if isinstance(value, int)})
+        self._newest[:] = data
+        self._number_top = device.settings[_NUMBER] & ~_NUMBER_MASK  # sent in the word after it
+        echo = {name: device.settings[name] for name in _ECHOED}
+        self._answer = bytearray(READ.encode({**_HEADER, **echo, "pin_input": device.pins()}))
+        self._timers = [i for i in range(2) if device.timer_runs(i)]
+        self._widths = (
+            _WORD.unpack_from(data, self._drive)[0] & _WIDTH_MASK,
+            _WORD.unpack_from(data, self._brake)[0] & _WIDTH_MASK,
+        )
+
+    def _echo(self, drive: int, brake: int) -> None:
+        self._widths = (drive, brake)
+        _WORD.pack_into(self._answer, self._drive_echo, drive)
+        _WORD.pack_into(self._answer, self._brake_echo, brake)
 
     def _read(self) -> bytes:
         road, wheel = self.device.counts()
@@ -94,12 +115,3 @@ class Usb2Face:
             place = READ.place(f"timer{i}_value")
             place.codec.pack_into(self._answer, place.offset, self.device.timer(i))
         return bytes(self._answer)
-
-    def _settle(self, blank: bytearray) -> None:
-        """Make the answer anew, with the settings echoed in their read encoding."""
-        device = self.device
-        self._settled = blank
-        self._number_top = device.settings[self._hot[2]] & ~_NUMBER_MASK  # sent in the word after it
-        echo = {name: device.settings[name] for name in _ECHOED}
-        self._answer = bytearray(READ.encode({**_HEADER, **echo, "pin_input": device.pins()}))
-        self._timers = [i for i in range(2) if device.timer_runs(i)]

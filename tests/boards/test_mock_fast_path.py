@@ -1,7 +1,7 @@
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.rtdac_usb2 import READ, SEND, decode_read, decode_send
+from firmware_protocol.rtdac_usb2 import READ, SEND, decode_read, decode_send, encode_send
 from inteco_abs.mock_board import Cable, Usb2Face
 
 ECHOED = sorted(set(SEND.fields) & set(READ.fields))
@@ -15,6 +15,8 @@ change = st.one_of(
     st.fixed_dictionaries({25: widths}),
     st.fixed_dictionaries({22: widths, 25: widths}),
     st.fixed_dictionaries({37: widths, 28: widths}),
+    st.fixed_dictionaries({41: any_word, 22: widths}),
+    st.sampled_from([{41: 0x8001}, {42: 1}, {42: 2}, {42: 0}, {42: 0x8000}]),
     st.sampled_from([{}, {10: 0b100100}, {10: 0x7FFF, 11: 0x7FF, 12: 0, 13: 0}, {50: 3}, {50: 0}, {70: 3}, {70: 0}]),
     st.sampled_from([{71: 3}, {21: 2}, {21: 1}, {24: 3}, {24: 0}, {12: 4}, {12: 0}, {22: 0x8000}, {25: 0xFFFF}]),
     st.sampled_from([{22: 0x7001}, {25: 0x1000}, {9: 1}, {9: 0}, {0: 0x8FFF}, {0: 0x8F0F}]),
@@ -84,3 +86,14 @@ def test_a_buffer_that_the_host_changes_after_writing_is_not_remembered_by_refer
     buffer[28] = 1
     mock.face.bulk_out(buffer)
     assert decode_read(mock.read())["pin_output"] == 1
+
+
+def test_a_frame_that_is_dropped_does_not_change_the_number_that_is_echoed(new_mock):
+    mock = new_mock()
+    mock.send(pwm7_prescaler=5)
+    image = bytearray(encode_send({"pwm7_prescaler": 6}))
+    image[101] |= 0x80  # a data word with the command bit
+    mock.face.bulk_out(bytes(image))
+    assert decode_read(mock.read())["pwm7_prescaler"] == 5
+    mock.send(pwm7_prescaler=7)
+    assert decode_read(mock.read())["pwm7_prescaler"] == 7
