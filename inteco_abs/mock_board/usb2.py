@@ -81,7 +81,8 @@ class Usb2Face:
             self._echo(drive, brake)
         else:
             self.device.observe()
-        _WORD.pack_into(self._answer, self._number, number | self._number_top)
+        self.device.settings[_NUMBER] = number = number | self._number_top
+        _WORD.pack_into(self._answer, self._number, number)
 
     def _decode(self, data: bytes | bytearray) -> None:
         """Take over a frame with new settings, and make the answer anew, which echoes them in its own encoding."""

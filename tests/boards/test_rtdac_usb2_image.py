@@ -35,8 +35,8 @@ def test_settings_that_the_wiring_does_not_own_stay_as_the_board_has_them(new_us
         assert number == earlier["pwm7_prescaler"] // 0x8000 * 0x8000 + 1
         assert first == {**earlier, **owned_by_default(earlier), "pwm7_prescaler": number}
         assert second == {**first, "pwm0_width": 102, "pwm1_width": 153, "pwm7_prescaler": number + 1}
-        assert bench.device.settings == {**second, "pwm7_prescaler": number}  # the device takes no notice of it
-    assert bench.device.settings == first
+        assert bench.device.settings == second
+    assert bench.device.settings == {**first, "pwm7_prescaler": number + 2}
 
 
 @pytest.mark.parametrize(
