@@ -284,8 +284,8 @@ def child():
 
     yield start
     for process in started:
-        process.kill()
-        process.communicate()
+        with process:  # which waits, and closes its pipes
+            process.kill()
 
 
 @pytest.fixture
