@@ -3,6 +3,7 @@
 import gc
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
@@ -358,8 +359,7 @@ class TestTheHostGoesAway:
     def test_a_host_that_hangs_up_at_once_leaves_room_for_the_next(self, served):
         for _ in range(20):
             visitor = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            with suppress(BlockingIOError):  # too many are waiting
-                visitor.connect(served.path)
+            visitor.connect(served.path)
             visitor.close()
         link = served.link()
         assert len(answer_of(link)) == FRAME_BYTES
@@ -378,8 +378,8 @@ def test_the_rig_moves_on_while_nobody_asks(served):
     until(lambda: served.device.plant.road_speed > 0.0, "the road turns")
 
 
-def test_a_board_over_a_socket_drives_the_rig_and_leaves_it_safe(served):
-    until(lambda: not served.server.busy, "the board is free")
+def test_a_board_over_a_socket_drives_the_rig_and_leaves_it_safe(served, monkeypatch):
+    monkeypatch.setattr(links, "_TIMEOUT", struct.pack("ll", round(PATIENCE_S), 0))  # the board's thread may be late
     with open_board(f"sim:{served.path}", served.config, time.monotonic_ns) as board:
         samples = [board.exchange(Command(1.0, 0.0)) for _ in range(20)]
     assert [sample.tick for sample in samples] == list(range(20))
