@@ -1,16 +1,22 @@
 """Benches: a board, the mock device at its far end, and between them a link that fails when a test says so."""
 
+import os
+import threading
+from collections import deque
 from collections.abc import Callable
+from itertools import count
+from typing import ClassVar
 
 import pytest
 
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, SEND_COMMAND, decode_send, encode_send
-from inteco_abs.boards import InProcessLink, Link, RtdacUsb2
+from inteco_abs.boards import InProcessLink, Link, RtdacUsb2, SocketLink
 from inteco_abs.config import load_config
 from inteco_abs.errors import LinkError
-from inteco_abs.mock_board import Device, Usb2Face
+from inteco_abs.mock_board import Device, SocketServer, Usb2Face
 from inteco_abs.signals import Command, Sample
 
+_BENCHES_OF_A_TEST = 8
 COUNTER_RANGE = 1 << 32
 POWERED_PINS = {"pin_mode": 1 << 2 | 1 << 5, "pin_direction": 0}
 BOTH_ON = {**POWERED_PINS, "pwm0_width": 255, "pwm1_width": 255}
@@ -50,6 +56,7 @@ class MoodyFace:
 
     def __init__(self, face: Usb2Face) -> None:
         self.face = face
+        self.device = face.device
         self.deaf = False
         self.ignored = 0
         self.next_answer = "in time"
@@ -148,6 +155,8 @@ class Usb2Bench:
     `settings` are those of `load_config`, `earlier` the outputs as an earlier program left them.
     """
 
+    link_type = FaultyLink
+
     def __init__(self, *settings: str, earlier: dict[str, int] | None = None, seed: int = 0) -> None:
         self.config = load_config(settings=settings)
         self.clock = HandClock()
@@ -156,8 +165,19 @@ class Usb2Bench:
         if earlier is not None:
             face.bulk_out(encode_send(earlier))
         self.face = MoodyFace(face)
-        self.link = FaultyLink(InProcessLink(self.face))
+        self.plug_in()
+
+    def plug_in(self) -> None:
+        """A new host: link and board of its own; the device stays as it is."""
+        self.link = self.link_type(self._connect())
         self.board = RtdacUsb2(self.link, self.config.board, self.clock.now_ns, self.config.period_ns)
+
+    def die(self) -> None:
+        """The host is gone, without a word to the board."""
+        self.link.close()
+
+    def _connect(self) -> Link:
+        return InProcessLink(self.face)
 
     @property
     def only_read(self) -> bool:
@@ -219,10 +239,68 @@ class Usb2Bench:
         self.face.deaf = True
 
 
-@pytest.fixture(scope="session", params=[Usb2Bench], ids=["rtdac-usb2"])
+class PumpedLink(SocketLink):
+    """The host's end of a local socket. The board's process does its part at once, whenever there is one to do.
+
+    So time moves for both only when a test moves it; a thread for the board would move the rig whenever it liked.
+    """
+
+    def __init__(self, path: str, server: SocketServer) -> None:
+        self._server = server
+        visitor = threading.Thread(target=super().__init__, args=(path,))
+        visitor.start()
+        while visitor.is_alive():
+            server.step()
+        visitor.join()
+
+    def write(self, data: bytes | bytearray) -> None:
+        super().write(data)
+        self._server.step()
+
+    def close(self) -> None:
+        super().close()
+        while self._server.busy:
+            self._server.step()
+
+
+class PromptLink(FaultyLink):
+    """Drops late answers the way its inner link does, which for a socket is without waiting for them."""
+
+    def discard(self, length: int) -> None:
+        self._count()
+        self._inner.discard(length)
+
+
+class SocketBench(Usb2Bench):
+    """The same over a local socket, as the processes of a real-time run have it."""
+
+    link_type = PromptLink
+    _numbers = count()
+    _open: ClassVar[deque[tuple[SocketServer, SocketLink]]] = deque()
+
+    def _connect(self) -> Link:
+        if not hasattr(self, "server"):
+            self._path = f"\0inteco-abs-{os.getpid()}-{next(self._numbers)}"  # a name without a file
+            self.server = SocketServer(self.face, self._path)
+        link = PumpedLink(self._path, self.server)
+        self._open.append((self.server, link))
+        self.close_all_but(_BENCHES_OF_A_TEST)
+        return link
+
+    @classmethod
+    def close_all_but(cls, newest: int) -> None:
+        """Errors that tests raise again and again keep the benches that they have met: these close by number."""
+        while len(cls._open) > newest:
+            server, link = cls._open.popleft()
+            server.close()
+            SocketLink.close(link)
+
+
+@pytest.fixture(scope="session", params=[Usb2Bench, SocketBench], ids=["rtdac-usb2", "rtdac-usb2 over a socket"])
 def new_bench(request):
     """Maker of benches; the contract tests run once for every board in `params`."""
-    return request.param
+    yield request.param
+    SocketBench.close_all_but(0)
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,12 @@
-"""Stacks for the loop: scripted parts, or the real board in front of the mock device."""
+"""Stacks for the loop: scripted parts, or the real board in front of the mock device. Shared memory, processes."""
 
 import math
+import subprocess
+import sys
+import tempfile
+import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -11,7 +16,10 @@ from inteco_abs.control import build_pipeline
 from inteco_abs.errors import LinkError
 from inteco_abs.mock_board import Device, Usb2Face
 from inteco_abs.realtime import Clock, Loop, StopWord, TickRing, VirtualClock, clock
-from inteco_abs.sessions import TICK, pack_tick
+from inteco_abs.realtime import memory as shared
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.memory import RunMemory
+from inteco_abs.sessions import TICK, TRUTH, pack_tick
 from inteco_abs.signals import BoardFlags, Command, Phase, Reason, Sample, Tick, Timing
 
 PERIOD_NS = 500_000
@@ -208,3 +216,92 @@ def new_stack():
 @pytest.fixture(scope="session")
 def scripted_pipeline():
     return ScriptedPipeline
+
+
+PATIENCE_S = 30.0
+"""For what takes milliseconds on an idle machine."""
+
+
+@pytest.fixture
+def until():
+    """Waits for a condition, and fails if it does not come true."""
+
+    def wait(condition: Callable[[], object], what: str = "") -> None:
+        end = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < end, f"it never came to that: {what}"
+            time.sleep(0.001)
+
+    return wait
+
+
+@pytest.fixture
+def memory_folder(monkeypatch):
+    """Where memories are made meanwhile: a folder of its own, with a name short enough for a socket in it."""
+    with tempfile.TemporaryDirectory(prefix="abs-", dir=shared.FOLDER) as folder:
+        monkeypatch.setattr(shared, "FOLDER", Path(folder))
+        yield Path(folder)
+
+
+@pytest.fixture
+def new_memory(memory_folder):
+    """Makes the memory of a run."""
+
+    def make(ticks: int = 50, truths: int = 50) -> RunMemory:
+        memory = RunMemory.create(TICK.size, ticks, TRUTH.size, truths)
+        assert memory.path.parent == memory_folder
+        return memory
+
+    return make
+
+
+@pytest.fixture
+def memory(new_memory):
+    return new_memory()
+
+
+@pytest.fixture
+def job_of(tmp_path):
+    """The job of the run in a memory, posted there."""
+
+    def post(memory: RunMemory, *settings: str, out: str = "stop.mcap") -> Job:
+        config = load_config(settings=[*QUICK, *settings])
+        job = Job(str(tmp_path / out), "sim:", f"sim:{memory.socket}", 1, config, b"", {"software": {"seed": "1"}})
+        job.post(memory)
+        return job
+
+    return post
+
+
+@pytest.fixture
+def child():
+    """Starts processes that are gone when the test is over; by default one that sleeps."""
+    started: list[subprocess.Popen] = []
+
+    def start(*command: object, **options) -> subprocess.Popen:
+        started.append(subprocess.Popen([*map(str, command)] or ["sleep", "600"], **options))
+        return started[-1]
+
+    yield start
+    for process in started:
+        with process:  # which waits, and closes its pipes
+            process.kill()
+
+
+@pytest.fixture
+def python_child(child):
+    """Starts a Python process that runs `code`, with its standard output as text."""
+
+    def start(code: str, *arguments: object) -> subprocess.Popen:
+        return child(sys.executable, "-c", code, *arguments, stdout=subprocess.PIPE, text=True)
+
+    return start
+
+
+@pytest.fixture
+def ended(child):
+    """Pid of a process that has ended and was asked how."""
+    process = child()
+    process.kill()
+    process.wait()
+    return process.pid

@@ -1,0 +1,475 @@
+"""The guardian in a thread of the test, a mock board in another, and real processes that die."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.rtdac_usb2 import encode_send
+from inteco_abs.boards import SocketLink
+from inteco_abs.errors import BoardError, UnsafeError
+from inteco_abs.mock_board import Device, SocketServer, Usb2Face
+from inteco_abs.realtime import guardian as guardian_module
+from inteco_abs.realtime.guardian import Guardian, Silence, rescue
+from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.sessions import TICK
+from inteco_abs.signals import Reason
+
+PINS = {"pin_mode": 1 << 2 | 1 << 5, "pin_direction": 0}
+DRIVING = encode_send({**PINS, "pwm0_width": 200, "pwm1_width": 100})
+SAFE = encode_send(PINS)
+BOTH = (200 / 255, 100 / 255)
+OFF = (0.0, 0.0)
+AS_ON_A_REAL_BOARD = "guard.silence_s=0.05"
+SLOW = (AS_ON_A_REAL_BOARD, "loop.rate_hz=50.0", "estimator.window_s=0.1")
+POLL_NS = 5_000_000
+WINDOW_NS = 50_000_000
+MOST_AWAKE_NS = 2 * POLL_NS
+
+
+class TestSilence:
+    @given(st.lists(st.tuples(st.integers(1, 1000), st.integers(0, 10**12)), max_size=100))
+    def test_a_count_that_moves_is_never_silent(self, steps):
+        silence, count = Silence(WINDOW_NS), 0
+        for more, passed_ns in steps:
+            count += more
+            assert not silence.lasts(count, passed_ns)
+
+    @given(
+        polls_ns=st.lists(st.integers(1_000_000, MOST_AWAKE_NS), min_size=60, max_size=60),
+        window_ns=st.integers(0, WINDOW_NS),
+        count=st.integers(0, 2**40),
+    )
+    def test_a_count_that_stands_still_is_silent_once_the_window_has_passed(self, polls_ns, window_ns, count):
+        silence, passed_ns = Silence(window_ns), 0
+        silence.lasts(count, 0)
+        for poll_ns in polls_ns:
+            passed_ns += poll_ns
+            assert silence.lasts(count, poll_ns) == (passed_ns > window_ns)
+
+    @given(
+        stall_ns=st.integers(0, 10**13),
+        before=st.integers(0, WINDOW_NS // POLL_NS - 2),
+        again=st.booleans(),
+    )
+    def test_a_stall_of_the_whole_computer_uses_up_two_polls_at_most(self, stall_ns, before, again):
+        silence = Silence(WINDOW_NS)
+        silence.lasts(7, 0)
+        for _ in range(before):
+            assert not silence.lasts(7, POLL_NS)
+        assert not silence.lasts(7, stall_ns)
+        if again:
+            assert not silence.lasts(8, POLL_NS)
+        polls = 1
+        while not silence.lasts(7 + again, POLL_NS):
+            polls += 1
+        assert polls >= WINDOW_NS // POLL_NS - 2 - (0 if again else before)
+
+    @given(st.lists(st.one_of(st.just("moves"), st.just("forgotten"), st.integers(1, 9)), max_size=60))
+    def test_what_moves_or_is_forgotten_within_each_window_is_never_silent(self, script):
+        silence, count = Silence(WINDOW_NS), 0
+        for step in script:
+            if step == "moves":
+                count += 1
+                assert not silence.lasts(count, POLL_NS)
+            elif step == "forgotten":
+                silence.forget()
+            else:
+                silence.forget()
+                assert not any(silence.lasts(count, POLL_NS) for _ in range(step))
+
+    def test_after_it_was_silent_it_can_be_heard_again(self):
+        silence = Silence(WINDOW_NS)
+        assert [silence.lasts(1, POLL_NS) for _ in range(20)].count(True) > 0
+        assert not silence.lasts(2, POLL_NS)
+
+
+class NotedFace(Usb2Face):
+    """The mock's endpoints, and everything that the host has written to them."""
+
+    def __init__(self, device):
+        super().__init__(device)
+        self.written = []
+
+    def bulk_out(self, data):
+        self.written.append(bytes(data))
+        super().bulk_out(data)
+
+
+class Run:
+    """What a supervisor makes of a run's memory, with the test in its place; the guardian is a thread."""
+
+    def __init__(self, memory, job, until):
+        self.memory, self.job, self.words = memory, job, memory.words
+        self._until = until
+        self.device = Device(job.config, time.monotonic_ns, 1)
+        self.face = NotedFace(self.device)
+        self.server = SocketServer(self.face, str(memory.socket))
+        self.pool = ThreadPoolExecutor(2)
+        self.stopping = threading.Event()
+        self.words[Word.SUPERVISOR_PID] = os.getpid()
+        self.words[Word.SUPERVISOR_BEAT_NS] = 1
+        self.serving = self.pool.submit(self._serve)
+        self.watching = self.pool.submit(Guardian(memory, job).watch)
+
+    def _serve(self):
+        while not self.stopping.is_set():
+            self.server.step()
+
+    def close(self):
+        self.words[Word.OVER] = 1
+        try:
+            self.watching.result(30)
+        finally:
+            self.stopping.set()
+            self.serving.result(30)
+            self.server.close()
+            self.pool.shutdown()
+
+    def until(self, condition, what=""):
+        """Wait as a supervisor waits, with a beating heart."""
+
+        def beating():
+            self.words[Word.SUPERVISOR_BEAT_NS] += 1
+            return condition()
+
+        self._until(beating, what)
+
+    def leave_driving(self):
+        """What the process that holds the board has written to it."""
+        self.until(lambda: not self.server.busy, "the board is free")
+        link = SocketLink(str(self.memory.socket))
+        link.write(DRIVING)
+        self.until(lambda: self.device.duties == BOTH, "the outputs are on")
+        link.close()
+        self.until(lambda: not self.server.busy, "the board is free again")
+        self.face.written.clear()
+
+    def host(self):
+        """A connection to the board, as a socket."""
+        self.until(lambda: not self.server.busy, "the board is free")
+        host = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        host.connect(str(self.memory.socket))
+        assert host.recv(100)
+        return host
+
+    def guard(self, pid):
+        self.words[Word.GUARDED_PID] = pid
+        self.until(lambda: self.words[Word.GUARDING_PID] == pid, "it is guarded")
+
+    def hold(self, pid):
+        """The guarded process has the board and has written to it."""
+        self.leave_driving()
+        self.memory.post(Note.SAFE_IMAGE, SAFE)
+        self.words[Word.HOLDER_PID] = pid
+        self.guard(pid)
+
+    def until_rescued(self, pid):
+        self.until(lambda: self.words[Word.RESCUED_PID] == pid, "the board is taken over")
+        return self.memory.note(Note.RESCUE)
+
+    def until_polled(self, times=3):
+        """The guardian has looked around that often."""
+        for _ in range(times):
+            before = self.words[Word.GUARDIAN_BEAT_NS]
+            self.until(lambda before=before: self.words[Word.GUARDIAN_BEAT_NS] != before, "the guardian polls")
+
+
+@pytest.fixture
+def new_run(memory, job_of, until):
+    """Makes the one run of a test."""
+    with ExitStack() as stack:
+
+        def make(*settings):
+            run = Run(memory, job_of(memory, *settings), until)
+            stack.callback(run.close)
+            return run
+
+        yield make
+
+
+@pytest.fixture
+def run(new_run):
+    return new_run(AS_ON_A_REAL_BOARD)
+
+
+def tick(buffer, offset, number):
+    TICK.pack_into(buffer, offset, [number] * len(TICK.columns))
+
+
+class TestDeath:
+    @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV])
+    def test_a_holder_that_dies_has_its_board_made_safe_and_that_is_told(self, run, child, number):
+        process = child()
+        run.hold(process.pid)
+        before_ns = time.monotonic_ns()
+        process.send_signal(number)
+        report = run.until_rescued(process.pid)
+        assert run.device.duties == OFF
+        assert (report["cause"], report["failure"]) == ("died", "")
+        assert before_ns <= report["seen_ns"] <= report["done_ns"] <= time.monotonic_ns()
+
+    def test_the_first_thing_that_it_writes_is_the_image_that_was_left(self, run, child):
+        process = child()
+        run.hold(process.pid)
+        process.kill()
+        run.until_rescued(process.pid)
+        assert run.face.written[0] == SAFE
+        assert DRIVING not in run.face.written
+
+    def test_a_board_that_the_dead_process_had_open_is_taken_once_the_kernel_lets_go(self, run, child):
+        run.leave_driving()
+        host = run.host()
+        process = child("sleep", "600", pass_fds=[host.fileno()])
+        host.close()
+        run.memory.post(Note.SAFE_IMAGE, SAFE)
+        run.words[Word.HOLDER_PID] = process.pid
+        run.guard(process.pid)
+        with pytest.raises(BoardError, match="another host"):
+            SocketLink(str(run.memory.socket))
+        process.kill()
+        assert run.until_rescued(process.pid)["failure"] == ""
+        assert run.device.duties == OFF
+
+    def test_a_board_that_another_host_still_has_is_tried_again(self, run, child):
+        process = child()
+        run.hold(process.pid)
+        host = run.host()
+        process.kill()
+        time.sleep(0.1)
+        assert run.words[Word.RESCUED_PID] == 0
+        assert run.device.duties == BOTH
+        host.close()
+        assert run.until_rescued(process.pid)["failure"] == ""
+        assert run.device.duties == OFF
+
+    def test_a_board_that_cannot_be_made_safe_is_told_with_its_cause_and_the_guardian_goes_on(
+        self, run, child, monkeypatch
+    ):
+        first, second = child(), child()
+        run.hold(first.pid)
+        host = run.host()
+        with monkeypatch.context() as patch:
+            patch.setattr(guardian_module, "_TRY_S", 0.05)
+            first.kill()
+            assert "another host" in run.until_rescued(first.pid)["failure"]
+        assert run.device.duties == BOTH
+        host.close()
+        run.hold(second.pid)
+        second.kill()
+        assert run.until_rescued(second.pid)["failure"] == ""
+        assert run.device.duties == OFF
+
+    def test_its_heart_beats_while_it_tries(self, run, child):
+        process = child()
+        run.hold(process.pid)
+        with run.host():
+            process.kill()
+            process.wait()
+            run.until_polled(5)
+            assert run.words[Word.RESCUED_PID] == 0
+        run.until_rescued(process.pid)
+
+    def test_a_process_that_had_let_go_of_the_board_is_not_taken_for_one_that_held_it(self, run, child):
+        process = child()
+        run.hold(process.pid)
+        run.words[Word.HOLDER_PID] = 0
+        process.kill()
+        run.until_polled(5)
+        assert run.face.written == []
+        assert run.memory.note(Note.RESCUE) is None
+        assert run.words[Word.RESCUED_PID] == 0
+        assert run.device.duties == BOTH
+
+    def test_without_an_image_nothing_is_written_as_nothing_was_before(self, run, child):
+        process = child()
+        run.leave_driving()
+        run.words[Word.HOLDER_PID] = process.pid
+        run.guard(process.pid)
+        process.kill()
+        assert run.until_rescued(process.pid)["failure"] == ""
+        assert run.face.written == []
+
+    def test_one_that_was_dead_before_the_guardian_looked_has_its_board_made_safe_too(self, run, child):
+        process = child()
+        process.kill()
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        run.hold(process.pid)
+        run.until_rescued(process.pid)
+        assert run.device.duties == OFF
+
+    def test_a_number_that_no_process_has_any_more_does_not_end_it(self, run, child, ended):
+        run.words[Word.GUARDED_PID] = ended
+        run.until_polled(5)
+        assert run.words[Word.GUARDING_PID] == 0
+        run.guard(child().pid)
+
+    def test_after_one_rescue_it_guards_the_next_process(self, run, child):
+        for _ in range(3):
+            process = child()
+            run.hold(process.pid)
+            process.kill()
+            run.until_rescued(process.pid)
+            assert run.device.duties == OFF
+            assert run.words[Word.GUARDING_PID] == process.pid
+
+
+class TestHang:
+    @pytest.mark.parametrize(
+        ("settings", "least_s"),
+        [(("guard.silence_s=0.05",), 0.05), (("guard.silence_s=0.3",), 0.3), (SLOW, 0.1)],
+        ids=["fast loop", "longer window", "five periods of a slow loop"],
+    )
+    def test_a_holder_that_ticked_and_then_went_silent_is_killed_and_its_board_made_safe(
+        self, new_run, child, settings, least_s
+    ):
+        run, process = new_run(*settings), child()
+        run.hold(process.pid)
+        before_ns = time.monotonic_ns()
+        run.memory.tick_ring(tick).append(0)
+        report = run.until_rescued(process.pid)
+        assert report["cause"] == "hung"
+        assert report["seen_ns"] - before_ns > least_s * 1e9
+        assert process.wait(30) == -signal.SIGKILL
+        assert run.device.duties == OFF
+
+    def test_a_stopped_process_counts_as_hung(self, run, child):
+        process = child()
+        run.hold(process.pid)
+        run.memory.tick_ring(tick).append(0)
+        process.send_signal(signal.SIGSTOP)
+        assert run.until_rescued(process.pid)["cause"] == "hung"
+        assert process.wait(30) == -signal.SIGKILL
+
+    def test_one_that_has_not_ticked_yet_is_given_all_the_time_it_needs(self, run, child):
+        process = child()
+        run.hold(process.pid)
+        run.until_polled(20)
+        assert process.poll() is None
+        assert run.device.duties == BOTH
+
+    def test_one_that_does_not_hold_the_board_any_more_may_be_silent(self, run, child):
+        process = child()
+        run.hold(process.pid)
+        run.words[Word.HOLDER_PID] = 0
+        run.memory.tick_ring(tick).append(0)
+        run.until_polled(20)
+        assert process.poll() is None
+
+
+class TestTheOthers:
+    def test_a_supervisor_that_is_gone_ends_the_run(self, run, child):
+        run.guard(child().pid)
+        supervisor = child()
+        run.words[Word.SUPERVISOR_PID] = supervisor.pid
+        run.until_polled()
+        assert run.words[Word.GUARDIAN_STOP] == 0
+        supervisor.kill()
+        run.until(lambda: run.words[Word.GUARDIAN_STOP], "it asks for the end")
+        assert run.words[Word.GUARDIAN_STOP] == Reason.SUPERVISOR_LOST
+
+    def test_left_alone_it_ends_once_nothing_is_left_to_guard(self, run, child):
+        supervisor, process = child(), child()
+        run.hold(process.pid)
+        run.words[Word.SUPERVISOR_PID] = supervisor.pid
+        supervisor.kill()
+        run.until(lambda: run.words[Word.GUARDIAN_STOP], "it asks for the end")
+        run.until_polled()
+        assert not run.watching.done()
+        process.kill()
+        run.watching.result(30)
+        assert run.device.duties == OFF
+
+    def test_a_recorder_that_is_gone_ends_a_run_that_has_begun(self, run, child):
+        recorder = child()
+        run.words[Word.RECORDER_PID] = recorder.pid
+        run.words[Word.GO] = 1
+        run.until_polled()
+        assert run.words[Word.GUARDIAN_STOP] == 0
+        recorder.kill()
+        run.until(lambda: run.words[Word.GUARDIAN_STOP], "it asks for the end")
+        assert run.words[Word.GUARDIAN_STOP] == Reason.RECORDER_LOST
+
+    def test_before_the_run_begins_there_need_be_no_recorder(self, run):
+        run.until_polled(10)
+        assert run.words[Word.GUARDIAN_STOP] == 0
+
+    @pytest.mark.parametrize(
+        ("silent", "beating", "reason"),
+        [
+            (Word.RECORDER_BEAT_NS, Word.SUPERVISOR_BEAT_NS, Reason.RECORDER_LOST),
+            (Word.SUPERVISOR_BEAT_NS, Word.RECORDER_BEAT_NS, Reason.SUPERVISOR_LOST),
+        ],
+        ids=lambda value: value.name.lower(),
+    )
+    def test_a_silent_one_ends_the_run_while_it_lives(self, run, until, silent, beating, reason):
+        before = time.monotonic()
+        run.words[Word.RECORDER_PID] = os.getpid()
+        run.words[silent] = 5
+        run.words[Word.GO] = 1
+
+        def asked():
+            run.words[beating] += 1
+            return run.words[Word.GUARDIAN_STOP]
+
+        until(asked, "it asks for the end")
+        assert run.words[Word.GUARDIAN_STOP] == reason
+        assert time.monotonic() - before > 0.9
+
+    def test_the_first_reason_stays(self, run, child):
+        run.words[Word.GUARDIAN_STOP] = Reason.RECORDER_LOST
+        run.guard(child().pid)
+        supervisor = child()
+        run.words[Word.SUPERVISOR_PID] = supervisor.pid
+        supervisor.kill()
+        supervisor.wait()
+        run.until_polled(5)
+        assert run.words[Word.GUARDIAN_STOP] == Reason.RECORDER_LOST
+
+    def test_the_word_that_all_is_over_ends_it_and_touches_nothing(self, run, child):
+        process = child()
+        run.hold(process.pid)
+        run.words[Word.OVER] = 1
+        run.watching.result(30)
+        assert process.poll() is None
+        assert run.face.written == []
+
+
+class TestRescue:
+    def test_a_board_that_is_not_there_is_a_board_error(self, memory, job_of):
+        memory.post(Note.SAFE_IMAGE, SAFE)
+        with pytest.raises(BoardError, match="no board"):
+            rescue(memory, job_of(memory))
+
+    def test_the_board_is_free_afterwards(self, run):
+        run.leave_driving()
+        run.memory.post(Note.SAFE_IMAGE, SAFE)
+
+        def rescued():
+            with suppress(UnsafeError):  # on a busy computer the board's thread may be late
+                rescue(run.memory, run.job)
+                return True
+
+        run.until(rescued, "it is rescued")
+        assert run.device.duties == OFF
+        run.host().close()
+
+
+def test_the_process_guards_and_ends_when_all_is_over(memory, job_of, child, until):
+    job_of(memory)
+    memory.words[Word.SUPERVISOR_PID] = os.getpid()
+    process = child(sys.executable, "-m", "inteco_abs.realtime", "guardian", memory.path, stderr=subprocess.PIPE)
+    memory.words[Word.GUARDED_PID] = child().pid
+    until(lambda: memory.words[Word.GUARDING_PID], "it guards")
+    memory.words[Word.OVER] = 1
+    assert process.wait(30) == 0
+    assert process.communicate()[1] == b""

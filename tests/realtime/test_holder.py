@@ -1,0 +1,108 @@
+import os
+import threading
+
+import pytest
+
+from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, SessionError, UnsafeError
+from inteco_abs.realtime import holder
+from inteco_abs.realtime.holder import holding, stopped, tell_failure
+from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.signals import Reason
+
+
+@pytest.fixture
+def guarded(memory):
+    """A memory whose guardian watches this process."""
+    memory.words[Word.GUARDING_PID] = os.getpid()
+    return memory
+
+
+def hold_and_raise(memory, error):
+    with holding(memory):
+        raise error
+
+
+class TestHolding:
+    def test_it_waits_until_the_guardian_watches_this_very_process(self, memory, until):
+        steps = []
+
+        def hold():
+            with holding(memory):
+                steps.append("holds")
+
+        memory.words[Word.GUARDING_PID] = os.getppid()
+        thread = threading.Thread(target=hold)
+        thread.start()
+        thread.join(0.05)
+        steps.append("watches")
+        assert memory.words[Word.HOLDER_PID] == 0
+        memory.words[Word.GUARDING_PID] = os.getpid()
+        until(lambda: not thread.is_alive(), "it goes on")
+        assert steps == ["watches", "holds"]
+
+    @pytest.mark.parametrize("word", [Word.STOP, Word.GUARDIAN_STOP])
+    def test_a_run_that_is_to_end_does_not_wait_for_the_guardian_and_opens_nothing(self, memory, word):
+        memory.words[word] = Reason.OPERATOR_STOP
+        with pytest.raises(BoardError, match="guardian does not watch"):
+            hold_and_raise(memory, AssertionError("it must not come so far"))
+        assert memory.words[Word.HOLDER_PID] == 0
+
+    def test_without_a_guardian_nothing_is_opened(self, memory, monkeypatch):
+        monkeypatch.setattr(holder, "PATIENCE_S", 0.02)
+        with pytest.raises(BoardError, match="guardian does not watch"):
+            hold_and_raise(memory, AssertionError("it must not come so far"))
+        assert memory.words[Word.HOLDER_PID] == 0
+
+    def test_this_process_is_the_holder_inside_and_nobody_after_a_normal_end(self, guarded):
+        with holding(guarded):
+            assert guarded.words[Word.HOLDER_PID] == os.getpid()
+        assert guarded.words[Word.HOLDER_PID] == 0
+
+    @pytest.mark.parametrize(
+        "error",
+        [BoardError("busy"), LinkError("no answer"), ReadOnlyError("unknown"), ValueError("x"), KeyboardInterrupt()],
+        ids=lambda error: type(error).__name__,
+    )
+    def test_after_an_error_that_left_the_board_safe_nobody_holds_it(self, guarded, error):
+        with pytest.raises(type(error)) as caught:
+            hold_and_raise(guarded, error)
+        assert caught.value is error
+        assert guarded.words[Word.HOLDER_PID] == 0
+
+    def test_a_board_that_could_not_be_made_safe_stays_held_for_the_guardian(self, guarded):
+        with pytest.raises(UnsafeError):
+            hold_and_raise(guarded, UnsafeError("SAFE could not be confirmed"))
+        assert guarded.words[Word.HOLDER_PID] == os.getpid()
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [((), False), ((Word.STOP,), True), ((Word.GUARDIAN_STOP,), True), ((Word.GO, Word.OVER), False)],
+)
+def test_a_run_is_to_end_when_either_side_says_so(memory, words, wanted):
+    for word in words:
+        memory.words[word] = 1
+    assert stopped(memory) == wanted
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "text"),
+    [
+        (SessionError("the disk is full"), "SessionError", "the disk is full"),
+        (UnsafeError("not confirmed"), "UnsafeError", "not confirmed"),
+        (ZeroDivisionError("by zero"), "ZeroDivisionError", "ZeroDivisionError: by zero"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_what_went_wrong_is_left_with_its_kind_its_text_and_its_notes(memory, error, kind, text):
+    error.add_note("and then")
+    tell_failure(memory, Note.FAILURE, error)
+    assert memory.note(Note.FAILURE) == {"kind": kind, "text": text, "notes": ["and then"]}
+
+
+@pytest.mark.xfail(
+    raises=SessionError, strict=True, reason="a message longer than a note takes the place of the error it tells of"
+)
+def test_an_error_of_any_length_is_left(memory):
+    tell_failure(memory, Note.FAILURE, ValueError("x" * 100_000))
+    assert memory.note(Note.FAILURE)["kind"] == "ValueError"

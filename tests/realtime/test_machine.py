@@ -1,0 +1,271 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from inteco_abs.realtime.machine import (
+    GUARDIAN_PRIORITY,
+    LOOP_PRIORITY,
+    Setting,
+    Wish,
+    isolated_cpus,
+    loop_cpus,
+    other_cpus,
+    parse_cpus,
+    prepare,
+)
+
+CPUS = st.sets(st.integers(0, 40))
+
+
+def kernel_list(cpus):
+    """The kernel's way to write a set of CPUs."""
+    parts, left = [], sorted(cpus)
+    while left:
+        last = next((i for i in range(len(left)) if left[i] != left[0] + i), len(left))
+        parts.append(str(left[0]) if last == 1 else f"{left[0]}-{left[last - 1]}")
+        left = left[last:]
+    return ",".join(parts)
+
+
+class TestCpus:
+    @pytest.mark.parametrize(
+        ("text", "cpus"),
+        [
+            ("", set()),
+            ("0", {0}),
+            ("0-3", {0, 1, 2, 3}),
+            ("0,2-3", {0, 2, 3}),
+            ("2,4-5,9", {2, 4, 5, 9}),
+            ("7-7", {7}),
+            ("11,0-1,", {0, 1, 11}),
+        ],
+    )
+    def test_a_list_of_the_kernels_is_a_set_of_numbers(self, text, cpus):
+        assert parse_cpus(text) == cpus
+
+    @given(CPUS)
+    def test_any_set_that_the_kernel_may_write_is_read(self, cpus):
+        assert parse_cpus(kernel_list(cpus)) == cpus
+
+    @pytest.mark.parametrize(("content", "cpus"), [("\n", set()), ("2,4-5\n", {2, 4, 5})])
+    def test_isolated_cpus_are_those_in_the_kernels_file(self, tmp_path, content, cpus):
+        (tmp_path / "isolated").write_text(content)
+        assert isolated_cpus(tmp_path / "isolated") == cpus
+
+    def test_a_kernel_without_that_file_isolates_none(self, tmp_path):
+        assert isolated_cpus(tmp_path / "isolated") == set()
+
+    @pytest.mark.parametrize(
+        ("allowed", "isolated", "loop", "others"),
+        [
+            ({0}, set(), set(), {0}),
+            ({0, 1}, set(), {1}, {0}),
+            ({0, 1, 2, 3}, set(), {3}, {0, 1, 2}),
+            ({2, 5}, set(), {5}, {2}),
+            ({0, 1, 2}, {3}, {3}, {0, 1, 2}),
+            ({0, 1}, {2, 3}, {3}, {0, 1}),
+            ({0, 1, 2, 3}, {2}, {2}, {0, 1, 3}),
+            ({0}, {1}, {1}, {0}),
+            ({1}, {1}, {1}, {1}),
+            (set(), set(), set(), set()),
+        ],
+    )
+    def test_the_loop_gets_an_isolated_cpu_or_the_last_and_all_else_the_rest(self, allowed, isolated, loop, others):
+        assert loop_cpus(allowed, isolated) == loop
+        assert other_cpus(allowed, isolated) == others
+
+    @given(allowed=CPUS.filter(bool), isolated=CPUS)
+    def test_the_loop_never_shares_its_cpu_where_there_is_another(self, allowed, isolated):
+        loop, others = loop_cpus(allowed, isolated), other_cpus(allowed, isolated)
+        assert others
+        assert others <= allowed
+        assert len(loop) <= 1
+        assert loop <= allowed | isolated
+        if len(allowed | isolated) > 1 and allowed != loop:
+            assert not loop & others
+
+
+def refuse(error):
+    def ask():
+        raise error
+
+    return ask
+
+
+class TestPrepare:
+    @pytest.mark.parametrize(
+        ("error", "reason"),
+        [
+            (PermissionError(1, "Operation not permitted"), "Operation not permitted"),
+            (OSError(None, "there is one CPU only"), "there is one CPU only"),
+            (AttributeError("no such call"), "no such call"),
+            (ValueError("signal number out of range"), "signal number out of range"),
+        ],
+        ids=lambda value: type(value).__name__,
+    )
+    def test_a_refused_wish_is_reported_with_its_reason_and_what_to_do_and_stops_no_other(self, error, reason):
+        asked = []
+        wishes = [
+            Wish("first", lambda: asked.append(1) or "one", "never needed"),
+            Wish("second", refuse(error), "raise the limit"),
+            Wish("third", lambda: asked.append(3) or "three", "never needed"),
+        ]
+        assert prepare(wishes) == [
+            Setting("first", "one"),
+            Setting("second", "default", f"{reason}: raise the limit"),
+            Setting("third", "three"),
+        ]
+        assert asked == [1, 3]
+
+    def test_a_mistake_of_the_programs_own_is_not_taken_for_a_refusal(self):
+        with pytest.raises(ZeroDivisionError):
+            prepare([Wish("wrong", lambda: str(1 // 0), "")])
+
+
+CHILD = """
+import ctypes, gc, json, os, signal, sys
+from pathlib import Path
+from inteco_abs.realtime import machine
+garbage = [[] for _ in range(100)]
+settings = machine.prepare(getattr(machine, sys.argv[1])())
+status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+descriptors = [os.readlink(f"/proc/self/fd/{name}") for name in os.listdir("/proc/self/fd") if int(name) > 2
+               and os.path.exists(f"/proc/self/fd/{name}")]
+print(json.dumps({
+    "settings": settings,
+    "policy": os.sched_getscheduler(0),
+    "priority": os.sched_getparam(0).sched_priority,
+    "cpus": sorted(os.sched_getaffinity(0)),
+    "blocked": sorted(signal.pthread_sigmask(signal.SIG_BLOCK, [])),
+    "collecting": gc.isenabled(),
+    "frozen": gc.get_freeze_count(),
+    "slack_ns": ctypes.CDLL(None).prctl(30, 0, 0, 0, 0),
+    "locked_kb": int(status["VmLck"].split()[0]),
+    "oom": int(Path("/proc/self/oom_score_adj").read_text()),
+    "files": descriptors,
+}))
+"""
+NAMES = {
+    "loop_wishes": [
+        "affinity", "signals", "malloc", "memory", "timer slack", "scheduler", "heap", "C-states", "garbage",
+    ],
+    "guardian_wishes": [
+        "affinity", "signals", "malloc", "memory", "timer slack", "scheduler", "out of memory", "garbage",
+    ],
+    "recorder_wishes": ["affinity", "signals"],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    """What each kind of process has asked for, and what it found to be so afterwards; in a process of its own."""
+
+    def look(wishes):
+        command = [sys.executable, "-c", CHILD, wishes]
+        process = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+        found = json.loads(process.stdout)
+        return {name: (value, refused) for name, value, refused in found.pop("settings")}, found
+
+    if not sys.platform.startswith("linux"):
+        pytest.skip("settings of Linux")
+    return {wishes: look(wishes) for wishes in NAMES}
+
+
+@pytest.fixture
+def granted(prepared, wishes):
+    """Value of a wish and the state of the process; skips where the wish was refused."""
+
+    def state(name):
+        settings, found = prepared[wishes]
+        value, refused = settings[name]
+        if refused:
+            pytest.skip(f"refused here: {refused}")
+        return value, found
+
+    return state
+
+
+every_process = pytest.mark.parametrize("wishes", NAMES)
+real_time_processes = pytest.mark.parametrize("wishes", ["loop_wishes", "guardian_wishes"])
+the_loop = pytest.mark.parametrize("wishes", ["loop_wishes"])
+the_guardian = pytest.mark.parametrize("wishes", ["guardian_wishes"])
+
+
+class TestProcesses:
+    @every_process
+    def test_every_wish_is_reported_with_its_value_or_why_not(self, prepared, wishes):
+        settings, _ = prepared[wishes]
+        assert list(settings) == NAMES[wishes]
+        for value, refused in settings.values():
+            assert value
+            assert (value == "default") == bool(refused)
+
+    @every_process
+    def test_every_refusal_says_what_to_do(self, prepared, wishes):
+        settings, _ = prepared[wishes]
+        for _, refused in settings.values():
+            assert not refused or (refused.partition(": ")[0] and refused.partition(": ")[2])
+
+    @every_process
+    def test_signals_are_blocked_but_those_of_a_crash(self, granted):
+        _, found = granted("signals")
+        never = {signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE}
+        wanted = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP, signal.SIGALRM}
+        assert wanted <= set(found["blocked"])
+        assert not never & set(found["blocked"])
+
+    @real_time_processes
+    def test_the_scheduler_is_the_one_for_real_time(self, granted, wishes):
+        value, found = granted("scheduler")
+        priority = {"loop_wishes": LOOP_PRIORITY, "guardian_wishes": GUARDIAN_PRIORITY}[wishes]
+        assert found["policy"] & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+        assert (found["priority"], value) == (priority, f"SCHED_FIFO {priority}")
+
+    @every_process
+    def test_the_process_keeps_to_its_cpus(self, granted, wishes):
+        _, found = granted("affinity")
+        allowed, isolated = os.sched_getaffinity(0), isolated_cpus()
+        choose = loop_cpus if wishes == "loop_wishes" else other_cpus
+        assert set(found["cpus"]) == choose(allowed, isolated)
+
+    @real_time_processes
+    def test_garbage_is_frozen_and_not_collected(self, granted):
+        _, found = granted("garbage")
+        assert not found["collecting"]
+        assert found["frozen"] > 1000
+
+    @real_time_processes
+    def test_memory_is_locked(self, granted):
+        _, found = granted("memory")
+        assert found["locked_kb"] > 0
+
+    @real_time_processes
+    def test_timers_have_no_slack(self, granted):
+        _, found = granted("timer slack")
+        assert found["slack_ns"] <= 1  # newer kernels show none for real-time processes
+
+    @the_loop
+    def test_the_file_that_forbids_deep_sleep_stays_open(self, granted):
+        _, found = granted("C-states")
+        assert "/dev/cpu_dma_latency" in found["files"]
+
+    @the_guardian
+    def test_it_is_killed_last_when_memory_runs_out(self, granted):
+        _, found = granted("out of memory")
+        assert found["oom"] == -1000
+
+    def test_a_recorder_stays_an_ordinary_process(self, prepared):
+        _, found = prepared["recorder_wishes"]
+        assert found["policy"] == os.SCHED_OTHER
+        assert found["collecting"]
+        assert found["oom"] == prepared["loop_wishes"][1]["oom"]
+
+
+def test_the_guardian_never_comes_before_the_loop():
+    assert GUARDIAN_PRIORITY < LOOP_PRIORITY

@@ -1,0 +1,274 @@
+import errno
+import os
+import struct
+import threading
+import time
+
+import pytest
+
+from inteco_abs.errors import SessionError
+from inteco_abs.realtime.memory import Note, RunMemory, Word, alive, left_rings
+
+SIZE = 12
+CAPACITY = 3
+PIDS = (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID)
+
+
+def pack(buffer, offset, number):
+    struct.pack_into("<QI", buffer, offset, number, number % 97)
+
+
+def record(number):
+    return struct.pack("<QI", number, number % 97)
+
+
+@pytest.fixture
+def small(memory_folder):
+    """Both ends of a memory, as two processes have it."""
+    memory = RunMemory.create(SIZE, CAPACITY, SIZE, CAPACITY)
+    assert memory.path.parent == memory_folder
+    return memory, RunMemory.open(memory.path)
+
+
+class TestFile:
+    def test_a_memory_that_was_made_can_be_opened_and_is_empty(self, small):
+        memory, other = small
+        assert other.path == memory.path
+        assert other.tick_capacity == CAPACITY
+        assert not any(other.words)
+        assert [other.image(note) for note in Note] == [None] * len(Note)
+        assert (other.tick_reader().written, other.truth_reader().written) == (0, 0)
+        assert other.histogram.sparse() == {}
+
+    def test_only_its_owner_may_look_into_it(self, memory):
+        assert memory.path.stat().st_mode & 0o077 == 0
+
+    def test_two_memories_are_two_files(self, new_memory):
+        assert new_memory().path != new_memory().path
+
+    def test_removing_takes_away_the_file_and_the_boards_socket_and_may_be_done_twice(self, memory, memory_folder):
+        memory.socket.touch()
+        for _ in range(2):
+            memory.remove()
+        assert not list(memory_folder.iterdir())
+
+    def test_who_has_it_open_keeps_it_after_it_was_removed(self, small):
+        memory, other = small
+        memory.remove()
+        memory.words[Word.STOP] = 7
+        assert other.words[Word.STOP] == 7
+
+    @pytest.mark.parametrize(
+        ("content", "complaint"),
+        [
+            (lambda _whole: b"", "no tick ring"),
+            (lambda whole: bytes(len(whole)), "no tick ring"),
+            (lambda whole: b"inteco-abs ring 2\n" + whole[18:], "no tick ring of this version"),
+            (lambda whole: whole[:100], "no tick ring"),
+            (lambda whole: whole[:-1], "was cut"),
+            (lambda whole: whole[:-100], "was cut"),
+            (lambda whole: whole + b"\0", "not what its header says"),
+        ],
+        ids=["empty", "foreign", "another version", "header only", "one byte short", "short", "longer"],
+    )
+    def test_a_file_that_is_no_whole_memory_is_refused_by_name(self, memory, content, complaint):
+        memory.path.write_bytes(content(memory.path.read_bytes()))
+        with pytest.raises(SessionError, match=complaint) as refusal:
+            RunMemory.open(memory.path)
+        assert str(memory.path) in str(refusal.value)
+
+    def test_a_file_that_is_missing_is_refused_by_name(self, memory_folder):
+        with pytest.raises(SessionError, match=r"gone\.ring: No such file"):
+            RunMemory.open(memory_folder / "gone.ring")
+
+    def test_a_folder_is_refused(self, memory_folder):
+        with pytest.raises(SessionError, match="directory"):
+            RunMemory.open(memory_folder)
+
+    @pytest.mark.parametrize("number", [errno.ENOSPC, errno.ENOMEM, errno.EDQUOT])
+    def test_too_little_memory_is_said_with_what_to_change_and_leaves_no_file(self, memory_folder, monkeypatch, number):
+        def refuse(*_):
+            raise OSError(number, os.strerror(number))
+
+        monkeypatch.setattr(os, "posix_fallocate", refuse)
+        with pytest.raises(SessionError, match=r"103 MB.*loop\.ring_s") as refusal:
+            RunMemory.create(980, 100_000, 8, 1)
+        assert os.strerror(number) in str(refusal.value)
+        assert not list(memory_folder.iterdir())
+
+
+class TestNotes:
+    @pytest.mark.parametrize("note", Note)
+    def test_a_note_is_none_before_and_then_what_was_left(self, small, note):
+        memory, other = small
+        assert other.note(note) is None
+        assert other.image(note) is None
+        content = {"text": "µs \0", "numbers": [1, -2.5, None, True], "nothing": ""}
+        memory.post(note, content)
+        assert other.note(note) == content
+        assert [each for each in Note if other.image(each) is not None] == [note]
+
+    @pytest.mark.parametrize("image", [b"", b"\0", bytes(range(256)) * 2])
+    def test_bytes_come_back_as_they_are(self, small, image):
+        memory, other = small
+        memory.post(Note.SAFE_IMAGE, image)
+        assert other.image(Note.SAFE_IMAGE) == image
+
+    def test_a_later_note_takes_the_place_of_an_earlier_one(self, small):
+        memory, other = small
+        memory.post(Note.DRILL, {"a": "long one"})
+        memory.post(Note.DRILL, 1)
+        assert other.note(Note.DRILL) == 1
+
+    def test_notes_of_the_greatest_length_stand_side_by_side_and_longer_ones_are_refused(self, small):
+        memory, other = small
+        posted = {}
+        for note in Note:
+            with pytest.raises(SessionError, match=rf"{note.name.lower()} .*too long: at most \d+") as refusal:
+                memory.post(note, bytes(10 << 20))
+            most = int(str(refusal.value).rpartition(" ")[2])
+            assert most > 60_000
+            posted[note] = bytes([65 + note]) * most
+            memory.post(note, posted[note])
+            with pytest.raises(SessionError, match="too long"):
+                memory.post(note, b"x" * (most + 1))
+        assert {note: other.image(note) for note in Note} == posted
+        assert not any(other.words)
+        assert other.histogram.sparse() == {}
+
+
+class TestWords:
+    def test_every_word_is_seen_by_another_mapping(self, small):
+        memory, other = small
+        for word in Word:
+            memory.words[word] = -1 - word
+        assert [other.words[word] for word in Word] == [-1 - word for word in Word]
+
+    def test_words_and_notes_are_seen_by_another_process_and_its_own_here(self, memory, python_child):
+        memory.words[Word.GO] = 2**62
+        memory.post(Note.DRILL, "told")
+        code = """
+import sys
+from pathlib import Path
+from inteco_abs.realtime.memory import Note, RunMemory, Word
+memory = RunMemory.open(Path(sys.argv[1]))
+print(memory.words[Word.GO] == 2**62, memory.note(Note.DRILL))
+memory.words[Word.STOP] = -5
+memory.post(Note.FAILURE, ["heard"])
+"""
+        process = python_child(code, memory.path)
+        assert process.communicate(timeout=60)[0].split() == ["True", "told"]
+        assert memory.words[Word.STOP] == -5
+        assert memory.note(Note.FAILURE) == ["heard"]
+
+    def test_waiting_ends_with_the_condition(self, memory):
+        asked = []
+        assert memory.wait(lambda: asked.append(1) or len(asked) == 3, 60.0)
+        assert len(asked) == 3
+
+    def test_waiting_comes_to_an_end_without_it(self, memory):
+        before = time.monotonic()
+        assert not memory.wait(lambda: False, 0.02)
+        assert time.monotonic() - before >= 0.02
+
+
+class TestRings:
+    @pytest.mark.parametrize("kind", ["tick", "truth"])
+    def test_records_cross_from_one_mapping_to_the_other(self, small, kind):
+        memory, other = small
+        ring, reader = getattr(memory, f"{kind}_ring")(pack), getattr(other, f"{kind}_reader")()
+        for first in range(0, 5 * CAPACITY, 2):
+            ring.append(first)
+            ring.append(first + 1)
+            assert reader.newest() == record(first + 1)
+            assert reader.take() == record(first) + record(first + 1)
+        assert reader.lost == 0
+
+    @pytest.mark.parametrize("kind", ["tick", "truth"])
+    def test_what_a_reader_of_another_mapping_takes_makes_room(self, small, kind):
+        memory, other = small
+        ring, reader = getattr(memory, f"{kind}_ring")(pack), getattr(other, f"{kind}_reader")()
+        for number in range(CAPACITY):
+            ring.append(number)
+        with pytest.raises(BufferError):
+            ring.append(CAPACITY)
+        reader.take(1)
+        ring.append(CAPACITY)
+        assert reader.take() == b"".join(map(record, range(1, CAPACITY + 1)))
+
+    def test_the_two_rings_do_not_touch_each_other(self, small):
+        memory, other = small
+        ticks, truths = memory.tick_ring(pack), memory.truth_ring(pack)
+        for number in range(CAPACITY):
+            ticks.append(number)
+            truths.append(100 + number)
+        memory.histogram.add([3.0])
+        assert other.tick_reader().take() == b"".join(map(record, range(CAPACITY)))
+        assert other.truth_reader().take() == b"".join(record(100 + number) for number in range(CAPACITY))
+        assert other.histogram.sparse() == {"3": 1}
+
+    def test_a_reader_that_begins_anew_finds_what_the_ring_still_holds(self, small):
+        memory, other = small
+        ring, reader = memory.tick_ring(pack), other.tick_reader()
+        for number in range(2 * CAPACITY + 1):
+            ring.append(number)
+            reader.take()
+        late = RunMemory.open(memory.path).tick_reader()
+        assert late.rewind() == CAPACITY + 1
+        assert late.take() == b"".join(map(record, range(CAPACITY + 1, 2 * CAPACITY + 1)))
+
+
+class TestLeftRings:
+    def test_a_memory_whose_processes_are_all_gone_is_found(self, memory, memory_folder, ended):
+        for word in PIDS:
+            memory.words[word] = ended
+        assert list(left_rings(memory_folder)) == [memory.path]
+
+    @pytest.mark.parametrize("word", PIDS)
+    def test_a_memory_with_one_living_process_is_left_alone(self, memory, memory_folder, ended, word):
+        for each in PIDS:
+            memory.words[each] = ended
+        memory.words[word] = os.getpid()
+        assert memory.in_use()
+        assert not list(left_rings(memory_folder))
+
+    def test_several_are_found_in_order_and_what_is_no_memory_is_passed_over(self, new_memory, memory_folder):
+        memories = [new_memory() for _ in range(3)]
+        memories[1].path.write_bytes(b"")
+        (memory_folder / "inteco-abs-mine.ring").write_bytes(b"something else")
+        (memory_folder / "inteco-abs-folder.ring").mkdir()
+        memories[2].path.rename(memory_folder / "another-program.ring")
+        assert list(left_rings(memory_folder)) == [memories[0].path]
+
+
+class TestAlive:
+    def test_a_process_that_runs_is_alive(self, child):
+        assert alive(child().pid)
+        assert alive(os.getpid())
+
+    def test_one_that_has_ended_is_not_even_if_nobody_has_asked_how(self, child, until):
+        process = child()
+        process.kill()
+        until(lambda: not alive(process.pid), "the kernel ends it")
+        assert process.returncode is None
+        process.wait()
+        assert not alive(process.pid)
+
+    @pytest.mark.parametrize("pid", [0, -1, -(2**31), 2**31 - 1])
+    def test_a_number_that_no_process_has_is_not(self, pid):
+        assert not alive(pid)
+
+    @pytest.mark.xfail(
+        raises=OSError, strict=True, reason="after a crash, a thread of another program may have got the number"
+    )
+    def test_the_number_of_a_thread_is_no_process(self):
+        over, numbers = threading.Event(), []
+        thread = threading.Thread(target=lambda: (numbers.append(threading.get_native_id()), over.wait()))
+        thread.start()
+        try:
+            while not numbers:
+                time.sleep(0.001)
+            assert not alive(numbers[0])
+        finally:
+            over.set()
+            thread.join()

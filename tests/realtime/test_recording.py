@@ -1,0 +1,512 @@
+"""Sessions out of shared memory: by a recorder's process, and by hand after all processes died."""
+
+import hashlib
+import json
+import os
+import resource
+import struct
+import sys
+import time
+from contextlib import ExitStack
+
+import pytest
+
+from inteco_abs.boards import STILL_ON, InProcessLink, RtdacUsb2
+from inteco_abs.control import build_pipeline, gains_in_force
+from inteco_abs.errors import ConfigError, SessionError
+from inteco_abs.mock_board import Device, Usb2Face
+from inteco_abs.realtime import Loop, StopWord, VirtualClock
+from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.realtime.recorder import conclusion, rebuild, recover_run
+from inteco_abs.sessions import (
+    TICK,
+    TRUTH,
+    Introduction,
+    Recorder,
+    Scribe,
+    pack_tick,
+    read_session,
+    replay,
+    result_card,
+)
+from inteco_abs.signals import Phase, Reason
+
+EVERYTHING = 1 << 30
+CUT_RECORDS = (b"", b"\x06", b"\x06" + bytes([99]) * 7, struct.pack("<BQ", 6, 5000) + bytes(30))
+"""What a recorder may leave at the end of a file when it is killed while it writes a chunk."""
+NORMAL = {"reason": 0, "detail": "", "cost": {"cpu_share": "0.5"}}
+
+
+class Filled:
+    """A whole run of the loop, in virtual time, that leaves its ticks where a real one leaves them."""
+
+    def __init__(self, memory, job, after_slice=lambda _run: None):
+        self.memory, self.job = memory, job
+        config, clock = job.config, VirtualClock(job.config.period_ns)
+        truths = memory.truth_ring(TRUTH.pack_into)
+        device = Device(config, clock.now_ns, job.seed, truths.append)
+        board = RtdacUsb2(InProcessLink(Usb2Face(device)), config.board, clock.now_ns, config.period_ns)
+        ring = memory.tick_ring(pack_tick)
+        pipeline = build_pipeline(config)
+        self.payload = b""
+        self.reader = memory.tick_reader()
+        with board:
+            memory.truth_reader().take()
+            self.introduction = {
+                "identity": board.insist().facts(),
+                "gains": gains_in_force(config),
+                "internals": [],
+                "settings": [
+                    {"name": "scheduler", "value": "SCHED_FIFO 80", "refused": ""},
+                    {"name": "memory", "value": "default", "refused": "no right: raise memlock"},
+                ],
+            }
+            memory.post(Note.INTRODUCTION, self.introduction)
+            loop = Loop(board, pipeline, clock, ring, StopWord())
+            over = False
+            while not over:
+                over = loop.run(100)
+                after_slice(self)
+        self.ticks = ring.written
+
+    def conclude(self, reason=Reason.NONE, detail=""):
+        told = {**NORMAL, "reason": int(reason), "detail": detail}
+        self.memory.post(Note.CONCLUSION, {**told, "written": self.ticks})
+
+
+def in_ring(memory):
+    """Ticks that the ring holds, as bytes; what was taken stays taken."""
+    reader = memory.tick_reader()
+    taken = reader.taken
+    reader.rewind()
+    payload = reader.take()
+    memory.tick_reader().rewind()
+    memory.tick_reader().take(taken)
+    return payload
+
+
+@pytest.fixture
+def whole(new_memory, job_of):
+    """A run whose ring holds all of it, and of which nothing was recorded."""
+    memory = new_memory(5000, 5100)
+    return Filled(memory, job_of(memory))
+
+
+class Crash:
+    """A run whose ring has wrapped, and whose recorder died once `flushed` ticks were on the disk."""
+
+    capacity = 500
+
+    def __init__(self, memory, job, flushed, extra):
+        self.truths = b""
+        self.hash = hashlib.sha256()
+        self.known = 0
+        """Ticks in the file that the recorder has left."""
+        self._flushed = flushed
+        self._on_disk = b""
+        with ExitStack() as stack:
+            self._stack = stack
+            self._scribe = self._recorder = None
+            self.run = Filled(memory, job, self._record)
+        job.path.write_bytes(self._on_disk + extra)
+        self.held_from = self.run.ticks - self.capacity
+        """Ticks that the ring does not hold any more."""
+        assert self.held_from > self.capacity
+
+    def _record(self, run):
+        if self._scribe is None:
+            told, job = run.introduction, run.job
+            self._recorder = self._stack.enter_context(Recorder(job.path, 0, told["internals"]))
+            introduction = Introduction(job.board, told["identity"], False, told["gains"], told["internals"], b"")
+            self._scribe = Scribe(self._recorder, job.config, introduction)
+            self._scribe.introduce()
+        ticks, truths = run.reader.take(), run.memory.truth_reader().take()
+        self.hash.update(ticks)
+        self.truths += truths
+        if self._scribe.ticks < self._flushed:
+            self._scribe.add(ticks, truths)
+            self._recorder.flush()
+            self._on_disk = run.job.path.read_bytes()
+            self.known = self._scribe.ticks
+
+
+class TestRebuild:
+    def test_every_tick_of_the_ring_is_in_a_complete_session(self, whole):
+        whole.conclude()
+        expected = in_ring(whole.memory)
+        account = rebuild(whole.memory, whole.job, whole.job.path)
+        session = read_session(whole.job.path)
+        assert not session.incomplete
+        assert session.payload == expected
+        assert len(session.ticks) == whole.ticks == account.card["ticks"]
+        assert (account.outcome, account.card["lost_ticks"]) == ("completed", 0)
+        assert account.card["session"] == str(whole.job.path)
+        assert account.card["payload_sha256"] == hashlib.sha256(expected).hexdigest()
+
+    def test_the_session_replays_bit_for_bit_with_what_is_in_it(self, whole):
+        whole.conclude()
+        rebuild(whole.memory, whole.job, whole.job.path)
+        session = read_session(whole.job.path)
+        again = replay(session, build_pipeline(whole.job.config))
+        assert (again.ticks, again.differing) == (whole.ticks, 0)
+
+    def test_the_session_says_how_it_was_made_and_under_which_settings(self, whole):
+        whole.conclude()
+        whole.memory.post(Note.DRILL, {"guardian drill": "SAFE 4.0 ms after the kill"})
+        account = rebuild(whole.memory, whole.job, whole.job.path)
+        session = read_session(whole.job.path)
+        assert f"made from what the run left in memory, {whole.ticks} ticks" in account.explanation
+        assert session.metadata["realtime"] == {
+            "scheduler": "SCHED_FIFO 80",
+            "memory": "refused: no right: raise memlock",
+            "guardian drill": "SAFE 4.0 ms after the kill",
+        }
+        assert session.metadata["software"]["seed"] == "1"
+
+    def test_the_board_of_a_simulated_rig_has_its_say_too(self, whole):
+        whole.conclude()
+        card = rebuild(whole.memory, whole.job, whole.job.path).card
+        session = read_session(whole.job.path)
+        assert len(session.truth) >= whole.ticks
+        assert card["start_speed_rad_s"] == pytest.approx(15.0, rel=0.05)
+        assert card["stop_time_s"] > 0.0
+
+    def test_making_it_twice_gives_the_same_ticks(self, whole, tmp_path):
+        whole.conclude()
+        first = rebuild(whole.memory, whole.job, tmp_path / "a.mcap")
+        second = rebuild(whole.memory, whole.job, tmp_path / "b.mcap")
+        assert first.card["payload_sha256"] == second.card["payload_sha256"]
+
+    def test_what_a_recorder_had_begun_gives_way_and_nothing_else_is_left(self, whole, tmp_path):
+        whole.conclude()
+        whole.job.path.write_bytes(b"begun")
+        (tmp_path / "stop.mcap.part").write_bytes(b"from an earlier try")
+        rebuild(whole.memory, whole.job, whole.job.path)
+        assert [path.name for path in tmp_path.iterdir()] == ["stop.mcap"]
+        assert not read_session(whole.job.path).incomplete
+
+    def test_a_run_without_ticks_or_without_a_beginning_makes_no_session(self, memory, job_of, tmp_path):
+        job = job_of(memory)
+        assert rebuild(memory, job, job.path) is None
+        memory.post(Note.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
+        assert rebuild(memory, job, job.path) is None
+        assert not list(tmp_path.iterdir())
+
+    @pytest.mark.xfail(strict=True, reason="the histogram has only what the dead recorder had counted")
+    def test_the_lateness_of_every_tick_is_counted(self, whole):
+        whole.conclude()
+        rebuild(whole.memory, whole.job, whole.job.path)
+        counts = json.loads(read_session(whole.job.path).metadata["timing"]["late_us.histogram"])
+        assert sum(counts.values()) == whole.ticks
+
+
+@pytest.fixture
+def crash(new_memory, job_of):
+    """Makes a run whose ring has wrapped and whose recorder died."""
+
+    def make(flushed=EVERYTHING, extra=b""):
+        memory = new_memory(Crash.capacity, Crash.capacity + 100)
+        return Crash(memory, job_of(memory), flushed, extra)
+
+    return make
+
+
+class TestWrappedRing:
+    @pytest.mark.parametrize("extra", CUT_RECORDS, ids=len)
+    @pytest.mark.parametrize("flushed", [EVERYTHING, 1300])
+    def test_ticks_of_the_cut_file_and_of_the_ring_are_joined_without_gap_or_repeat(self, crash, flushed, extra):
+        made = crash(flushed, extra)
+        run = made.run
+        assert made.held_from <= made.known
+        run.conclude()
+        account = rebuild(run.memory, run.job, run.job.path)
+        session = read_session(run.job.path)
+        assert not session.incomplete
+        assert session.ticks["tick"].tolist() == list(range(run.ticks))
+        assert account.card["payload_sha256"] == made.hash.hexdigest()
+        assert account.card["lost_ticks"] == 0
+        assert replay(session, build_pipeline(run.job.config)).differing == 0
+
+    def test_ticks_that_are_nowhere_any_more_are_told_as_lost(self, crash):
+        made = crash(200)
+        run = made.run
+        run.conclude()
+        account = rebuild(run.memory, run.job, run.job.path)
+        assert account.card["lost_ticks"] == made.held_from - made.known > 0
+        ticks = read_session(run.job.path).ticks["tick"].tolist()
+        assert ticks == [*range(made.known), *range(made.held_from, run.ticks)]
+
+    @pytest.mark.xfail(strict=True, reason="what the file knows of the simulated rig is not taken over")
+    def test_the_card_is_the_one_that_the_run_would_have_had(self, crash):
+        made = crash()
+        run = made.run
+        run.conclude()
+        card = rebuild(run.memory, run.job, run.job.path).card
+        expected = result_card(run.job.config, read_session(run.job.path).ticks, TRUTH.array(made.truths))
+        assert {name: card[name] for name in expected} == expected
+
+    def test_a_file_that_is_gone_is_named(self, crash):
+        made = crash()
+        made.run.job.path.unlink()
+        with pytest.raises(SessionError, match=r"stop\.mcap"):
+            rebuild(made.run.memory, made.run.job, made.run.job.path)
+
+
+PID, OTHER = 4000, 4001
+RESCUED = {"cause": "died", "seen_ns": 1_000_000, "done_ns": 5_200_000, "failure": ""}
+
+
+@pytest.fixture
+def dead(memory):
+    """The memory of a run whose loop ended at tick 7, with nothing said of how."""
+    ring = memory.tick_ring(pack_tick)
+    for number in range(8):
+        ring.append([number if name == "tick" else 0 for name in (column.name for column in TICK.columns)])
+    memory.words[Word.LOOP_PID] = PID
+    return memory
+
+
+def failure(kind, text):
+    return {"kind": kind, "text": text, "notes": []}
+
+
+DIED, GAVE_UP = "the loop's process died after tick 7", "the loop's process gave up after tick 7"
+MADE_SAFE = "the guardian made its board safe in 4.2 ms"
+NOBODY = f"nobody took over its board. {STILL_ON}"
+UNCONFIRMED = "SAFE could not be confirmed (no answer)"
+UNSAFE = failure("UnsafeError", f"{UNCONFIRMED}. {STILL_ON}")
+FULL = failure("BufferError", "BufferError: the ring is full")
+HUNG = {**RESCUED, "cause": "hung"}
+IN_VAIN = {**RESCUED, "failure": "no board at x"}
+NOT_SAFE = f"the guardian could not make its board safe (no board at x). {STILL_ON}"
+ENDS = {
+    "died, rescued": (PID, PID, RESCUED, None, f"{DIED}; {MADE_SAFE}"),
+    "died, not rescued": (PID, 0, None, None, f"{DIED}; {NOBODY}"),
+    "died, only the drill was rescued": (PID, OTHER, RESCUED, None, f"{DIED}; {NOBODY}"),
+    "died, rescued in vain": (PID, PID, IN_VAIN, None, f"{DIED}; {NOT_SAFE}"),
+    "died after letting go": (0, 0, None, None, DIED),
+    "hung": (PID, PID, HUNG, None, f"the loop's process hung and was killed after tick 7; {MADE_SAFE}"),
+    "gave up": (0, 0, None, FULL, f"{GAVE_UP} (BufferError: the ring is full)"),
+    "unsafe, rescued": (PID, PID, RESCUED, UNSAFE, f"{GAVE_UP} ({UNCONFIRMED}); {MADE_SAFE}"),
+    "unsafe, not rescued": (PID, 0, None, UNSAFE, f"{GAVE_UP} ({UNCONFIRMED}); {NOBODY}"),
+}
+"""By what happened: holder, whom the guardian rescued, its report, the loop's failure, and what is made of it."""
+
+
+class TestConclusion:
+    def test_a_normal_end_is_told_as_the_loop_told_it(self, dead):
+        dead.post(Note.CONCLUSION, {**NORMAL, "reason": int(Reason.OVER_SPEED), "detail": "far too fast"})
+        dead.histogram.add([3.5, 3.6])
+        end = conclusion(dead)
+        assert (end.reason, end.detail, end.aborted, end.written) == (Reason.OVER_SPEED, "far too fast", "", 8)
+        assert end.facts == {"timing": {"late_us.histogram": '{"3": 2}', "cpu_share": "0.5"}}
+
+    @pytest.mark.parametrize("end", ENDS)
+    def test_an_end_that_nobody_told_is_put_together_from_what_is_left(self, dead, end):
+        holder, rescued, report, trouble, text = ENDS[end]
+        dead.words[Word.HOLDER_PID], dead.words[Word.RESCUED_PID] = holder, rescued
+        if report is not None:
+            dead.post(Note.RESCUE, report)
+        if trouble is not None:
+            dead.post(Note.FAILURE, trouble)
+        found = conclusion(dead)
+        assert found.aborted == text
+        assert found.written == 8
+
+    @pytest.mark.parametrize("reason", [Reason.NONE, Reason.MISSED_EXCHANGES])
+    def test_the_reason_of_the_last_tick_is_kept(self, memory, reason):
+        values = [int(reason) if column.name == "reason" else 0 for column in TICK.columns]
+        memory.tick_ring(pack_tick).append(values)
+        memory.words[Word.LOOP_PID] = PID
+        assert conclusion(memory).reason is reason
+
+    def test_a_loop_that_died_holding_the_board_makes_an_aborted_session_that_says_so(self, whole):
+        whole.memory.words[Word.LOOP_PID] = whole.memory.words[Word.HOLDER_PID] = PID
+        account = rebuild(whole.memory, whole.job, whole.job.path)
+        assert (account.outcome, account.exit_code) == ("aborted", 5)
+        assert STILL_ON in account.explanation
+        assert STILL_ON in read_session(whole.job.path).metadata["session"]["reason"]
+
+
+class TestRecover:
+    def test_the_session_is_written_and_the_memory_removed(self, whole, tmp_path, ended):
+        for word in (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID):
+            whole.memory.words[word] = ended
+        account = recover_run(whole.memory.path, tmp_path / "saved.mcap")
+        assert account.card["ticks"] == whole.ticks
+        assert len(read_session(tmp_path / "saved.mcap").ticks) == whole.ticks
+        assert not whole.memory.path.exists()
+
+    @pytest.mark.parametrize("word", [Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID])
+    def test_a_run_that_still_goes_on_is_left_alone(self, whole, tmp_path, ended, word):
+        whole.memory.words[Word.SUPERVISOR_PID] = ended
+        whole.memory.words[word] = os.getpid()
+        with pytest.raises(SessionError, match="still goes on"):
+            recover_run(whole.memory.path, tmp_path / "saved.mcap")
+        assert whole.memory.path.exists()
+        assert not (tmp_path / "saved.mcap").exists()
+
+    def test_a_session_is_never_overwritten(self, whole, tmp_path):
+        (tmp_path / "saved.mcap").write_bytes(b"another one")
+        with pytest.raises(ConfigError, match="never overwritten"):
+            recover_run(whole.memory.path, tmp_path / "saved.mcap")
+        assert (tmp_path / "saved.mcap").read_bytes() == b"another one"
+        assert whole.memory.path.exists()
+
+    def test_a_run_without_a_tick_is_said_to_be_empty(self, memory, job_of, tmp_path):
+        job_of(memory)
+        with pytest.raises(SessionError, match="holds no ticks"):
+            recover_run(memory.path, tmp_path / "saved.mcap")
+        assert memory.path.exists()
+        assert not list(tmp_path.iterdir())
+
+    def test_a_disk_that_is_full_keeps_the_memory(self, whole, tmp_path):
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+        try:
+            with pytest.raises(SessionError, match="cannot be written"):
+                recover_run(whole.memory.path, tmp_path / "saved.mcap")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert whole.memory.path.exists()
+        assert recover_run(whole.memory.path, tmp_path / "saved.mcap").card["ticks"] == whole.ticks
+
+    @pytest.mark.xfail(
+        raises=TypeError, strict=True, reason="a supervisor that died before it posted the job left a memory without"
+    )
+    def test_a_memory_without_a_job_is_said_to_be_empty(self, memory, tmp_path):
+        with pytest.raises(SessionError):
+            recover_run(memory.path, tmp_path / "saved.mcap")
+
+
+class Recording:
+    """A recorder's process, with a loop that is a sleeping process and ticks that the test writes."""
+
+    def __init__(self, memory, job, child, until):
+        self.memory, self.job, self.until, self.words = memory, job, until, memory.words
+        self.words[Word.SUPERVISOR_PID] = os.getpid()
+        self.loop = child()
+        self.words[Word.LOOP_PID] = self.loop.pid
+        self.source = in_ring_of_a_run(job)
+        self._ring = memory.tick_ring(lambda buffer, at, data: buffer.__setitem__(slice(at, at + TICK.size), data))
+        self.process = child(sys.executable, "-m", "inteco_abs.realtime", "recorder", memory.path)
+
+    def ready(self):
+        self.memory.post(Note.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
+        self.words[Word.READY] = self.loop.pid
+        self.until(lambda: self.words[Word.RECORDING], "it records")
+
+    def ticks(self, count):
+        for _ in range(count):
+            number = self._ring.written
+            self._ring.append(self.source[number * TICK.size : (number + 1) * TICK.size])
+
+    @property
+    def payload(self):
+        return self.source[: self._ring.written * TICK.size]
+
+    def end(self):
+        assert self.process.wait(30) == 0
+        return self.memory.note(Note.RESULT)
+
+    def session(self):
+        return read_session(self.job.path)
+
+
+def in_ring_of_a_run(job):
+    """Ticks of a run with that job's configuration."""
+    memory = RunMemory.create(TICK.size, 5000, TRUTH.size, 5100)
+    payload = in_ring(Filled(memory, job).memory)
+    memory.remove()
+    return payload
+
+
+@pytest.fixture
+def recording(new_memory, job_of, child, until):
+    memory = new_memory(400, 400)
+    return Recording(memory, job_of(memory), child, until)
+
+
+class TestRecorderProcess:
+    def test_everything_that_the_loop_leaves_is_in_the_file_when_it_has_ended(self, recording, until):
+        recording.ready()
+        assert recording.job.path.exists()
+        beat = recording.words[Word.RECORDER_BEAT_NS]
+        recording.ticks(300)
+        until(lambda: recording.words[Word.FLUSHED] == 300, "they are on the disk")
+        assert recording.words[Word.RECORDER_BEAT_NS] > beat
+        assert len(recording.session().ticks) == 300
+        recording.ticks(300)  # more than there is room for without a recorder that takes
+        recording.memory.post(Note.CONCLUSION, NORMAL)
+        recording.loop.kill()
+        result = recording.end()
+        assert (result["outcome"], result["card"]["ticks"], result["card"]["lost_ticks"]) == ("completed", 600, 0)
+        assert recording.session().payload == recording.payload
+        assert not recording.session().incomplete
+        assert sum(recording.memory.histogram.sparse().values()) == 600
+        assert recording.memory.path.exists()
+
+    def test_after_a_loop_that_died_it_waits_to_be_told_what_became_of_the_board(self, recording):
+        recording.ready()
+        recording.ticks(50)
+        recording.words[Word.HOLDER_PID] = recording.loop.pid
+        recording.loop.kill()
+        time.sleep(0.1)
+        assert recording.process.poll() is None
+        recording.memory.post(Note.RESCUE, RESCUED)
+        recording.words[Word.RESCUED_PID] = recording.loop.pid
+        result = recording.end()
+        assert result["outcome"] == "aborted"
+        assert "the loop's process died after tick 49" in result["explanation"]
+        assert "made its board safe in 4.2 ms" in result["explanation"]
+        assert recording.session().payload == recording.payload
+
+    def test_a_loop_that_ends_before_its_first_tick_leaves_no_file(self, recording):
+        recording.ready()
+        recording.loop.kill()
+        assert recording.end() is None
+        assert not recording.job.path.exists()
+        assert recording.memory.note(Note.RECORDER_FAILURE) is None
+
+    def test_a_loop_that_never_was_ready_leaves_no_file(self, recording):
+        recording.loop.kill()
+        assert recording.end() is None
+        assert not recording.job.path.exists()
+
+    def test_when_nobody_waits_for_the_result_it_removes_the_memory_itself(self, recording, child):
+        supervisor = child()
+        recording.words[Word.SUPERVISOR_PID] = supervisor.pid
+        recording.ready()
+        recording.ticks(20)
+        supervisor.kill()
+        recording.memory.post(Note.CONCLUSION, NORMAL)
+        recording.loop.kill()
+        assert recording.end()["card"]["ticks"] == 20
+        assert not recording.memory.path.exists()
+        assert len(recording.session().ticks) == 20
+
+    def test_a_file_that_cannot_be_made_is_told_and_ends_it(self, recording):
+        recording.job.path.mkdir()
+        recording.memory.post(Note.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
+        recording.words[Word.READY] = recording.loop.pid
+        assert recording.process.wait(30) != 0
+        assert "is a folder" in recording.memory.note(Note.RECORDER_FAILURE)["text"]
+
+    def test_a_recorder_that_is_killed_loses_nothing_that_rebuild_does_not_find(self, recording, until):
+        recording.ready()
+        for part in range(3):
+            recording.ticks(250)
+            until(lambda part=part: recording.words[Word.FLUSHED] == 250 * (part + 1), "they are on the disk")
+        recording.process.kill()
+        recording.process.wait()
+        recording.ticks(400)
+        recording.memory.post(Note.CONCLUSION, NORMAL)
+        recording.loop.kill()
+        account = rebuild(recording.memory, recording.job, recording.job.path)
+        assert (account.card["ticks"], account.card["lost_ticks"]) == (1150, 0)
+        assert recording.session().payload == recording.payload
+
+
+def test_a_filled_memory_holds_a_whole_stop(whole):
+    phases = list(dict.fromkeys(TICK.array(in_ring(whole.memory))["phase"].tolist()))
+    assert phases == [Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE]

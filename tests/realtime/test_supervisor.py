@@ -1,0 +1,114 @@
+import os
+
+import pytest
+
+from inteco_abs import errors
+from inteco_abs.errors import AbsError, BoardError, ConfigError, LinkError, Mistake, ReadOnlyError, UnsafeError
+from inteco_abs.errors import SessionError as SessionTrouble
+from inteco_abs.realtime.holder import tell_failure
+from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.realtime.supervisor import Snapshot, Supervisor, raised_again
+from inteco_abs.sessions import TICK, pack_tick
+from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
+
+KINDS = (AbsError, BoardError, LinkError, UnsafeError, ReadOnlyError, SessionTrouble)
+
+
+class TestRaisedAgain:
+    @pytest.mark.parametrize("kind", KINDS)
+    @pytest.mark.parametrize("notes", [[], ["first", "second"]])
+    def test_an_error_of_another_process_keeps_its_class_its_text_and_its_notes(self, memory, kind, notes):
+        error = kind("the board µ is gone\nfor good")
+        for note in notes:
+            error.add_note(note)
+        tell_failure(memory, Note.FAILURE, error)
+        again = raised_again(memory.note(Note.FAILURE))
+        assert type(again) is kind
+        assert str(again) == str(error)
+        assert again.exit_code == error.exit_code
+        assert getattr(again, "__notes__", []) == notes
+
+    def test_no_class_of_errors_is_forgotten_here(self):
+        ours = {value for value in vars(errors).values() if isinstance(value, type) and issubclass(value, AbsError)}
+        assert ours == {*KINDS, ConfigError}
+
+    @pytest.mark.parametrize("kind", ["ValueError", "Mistake", "near_match", "Path", "__name__", "", "no such thing"])
+    def test_what_is_no_error_of_ours_becomes_a_board_error(self, kind):
+        again = raised_again({"kind": kind, "text": "what happened", "notes": ["where"]})
+        assert type(again) is BoardError
+        assert (str(again), again.__notes__) == ("what happened", ["where"])
+
+    def test_a_mistake_in_the_configuration_keeps_its_text(self, memory):
+        error = ConfigError([Mistake("controller.name", "cannot be made"), Mistake("board", "is missing")])
+        tell_failure(memory, Note.FAILURE, error)
+        again = raised_again(memory.note(Note.FAILURE))
+        assert isinstance(again, AbsError)
+        assert str(again) == str(error)
+
+
+FIRST_NS = 7_000_000_000
+
+
+def tick(number, **values):
+    made = Tick(
+        FIRST_NS + number * 500_000, number, 0.0005, 3 * number, 2 * number, BoardFlags.NONE, Reason.NONE,
+        10.0 + number, 20.0 + number, 0.125, True, Phase.SPIN_UP, 0.2, 0.0, 0.0, 0.9, 0.1, 0.75, 0.25, Reason.NONE,
+        0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 0,
+    )  # fmt: skip
+    return made._replace(**values)
+
+
+@pytest.fixture
+def supervisor(memory, job_of):
+    return Supervisor(memory, job_of(memory))
+
+
+@pytest.fixture
+def ring(memory):
+    return memory.tick_ring(pack_tick)
+
+
+class TestSnapshot:
+    def test_a_supervisor_says_who_it_is_at_once(self, supervisor, memory):
+        assert supervisor is not None
+        assert memory.words[Word.SUPERVISOR_PID] == os.getpid()
+
+    def test_before_the_first_tick_there_is_none(self, supervisor):
+        assert supervisor.snapshot() is None
+
+    def test_it_has_the_values_of_the_newest_tick(self, supervisor, ring, memory):
+        for number in range(5):
+            ring.append(tick(number))
+        ring.append(tick(5, phase=Phase.BRAKING, slip=0.5))
+        memory.histogram.add([1.0, 2.0, 30.0], skipped=4)
+        assert supervisor.snapshot() == Snapshot(
+            Phase.BRAKING, 6, 0.0, 15.0, 25.0, 0.5, 0.75, 0.25, 4, (3.0, 30.0, 30.0, 30.0)
+        )
+
+    def test_time_counts_from_the_first_tick_that_it_saw(self, supervisor, ring):
+        ring.append(tick(0))
+        assert supervisor.snapshot().time_s == 0.0
+        ring.append(tick(1, time_ns=FIRST_NS + 1_250_000_000))
+        assert supervisor.snapshot().time_s == 1.25
+
+    def test_before_the_recorder_has_counted_nothing_is_known_of_the_lateness(self, supervisor, ring):
+        ring.append(tick(0))
+        shown = supervisor.snapshot()
+        assert shown.overruns == 0
+        assert shown.late_us[:3] == (None, None, None)
+
+    def test_looking_takes_nothing_from_the_recorder(self, supervisor, ring, memory):
+        for number in range(3):
+            ring.append(tick(number))
+            supervisor.snapshot()
+        assert TICK.array(memory.tick_reader().take())["tick"].tolist() == [0, 1, 2]
+
+    def test_what_the_recorder_has_taken_can_still_be_looked_at(self, supervisor, ring, memory):
+        ring.append(tick(0))
+        memory.tick_reader().take()
+        assert supervisor.snapshot().ticks == 1
+
+    @pytest.mark.parametrize("phase", Phase)
+    def test_every_phase_can_be_shown(self, supervisor, ring, phase):
+        ring.append(tick(0, phase=phase))
+        assert supervisor.snapshot().phase is phase
