@@ -7,6 +7,7 @@ Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 done with losses
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from inteco_abs.experiment import Progress
     from inteco_abs.realtime.findings import Finding
     from inteco_abs.realtime.supervisor import Screen, Snapshot
-    from inteco_abs.sessions import Replay, Session
+    from inteco_abs.sessions import Account, Replay, Session
 
 _LOSSES: Final = 3
 _DIFFERS: Final = 4
@@ -113,15 +114,11 @@ def run(
         _tell_of_left_rings()
         with _screen(rig.experiment.start_speed_rad_s) as screen:
             stop = run_stop(rig, plan, screen=screen)
-    if as_json:
-        _print_json(stop.card)
-    else:
-        _print_card(stop.card, stop.explanation)
-    if stop.outcome != "completed":
-        click.echo(f"inteco-abs: {stop.outcome}: {stop.explanation}", err=True)
-    elif stop.exit_code:
-        lost = f"{stop.card['overruns']} periods overrun, {stop.card['link_errors']} exchanges failed"
-        click.echo(f"inteco-abs: completed, but look at it: {lost}", err=True)
+    try:
+        _tell(stop, as_json=as_json)
+    except OSError:  # the terminal is gone: how the run ended matters more
+        sys.stdout = sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  until the process ends
+        return stop.exit_code or 1
     if figure is not None and stop.card["start_speed_rad_s"] is not None:
         try:
             _draw(out, figure)
@@ -227,6 +224,7 @@ def doctor(
     Changes nothing. Not for use during a run: its test takes the loop's place. Ends with exit code 0 when all is green
     or amber, with 3 when something is red.
     """
+    from inteco_abs.boards import check_address
     from inteco_abs.config import load_config
     from inteco_abs.experiment import exchange_times_us
     from inteco_abs.realtime.doctor import examine, write_speed
@@ -242,12 +240,16 @@ def doctor(
         return 0
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise ConfigError([Mistake("--seconds", f"{seconds:g}: must be {SHORTEST_S:g}..{LONGEST_S:g} s")])
+    if board is not None:
+        check_address(board)
+    rig = load_config(config)
+    if sessions.exists() and not sessions.is_dir():
+        raise ConfigError([Mistake("--sessions", f"{sessions}: is a file; name a folder")])
     findings = examine(sessions)
     click.echo(f"measuring for {seconds:g} s", err=True)
     findings += [write_speed(sessions), *examine_wake_ups(seconds)]
     times_us: list[float] = []
     if board is not None:
-        rig = load_config(config)
         times_us = exchange_times_us(rig, board)
         findings.append(Finding("round trips", *judge_round_trips(times_us, COUNT, rig.period_ns * 1e-3)))
     verdict = worst(findings)
@@ -334,6 +336,18 @@ def _default_out() -> Path:
     return folder / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"
 
 
+def _tell(stop: Account, *, as_json: bool) -> None:
+    if as_json:
+        _print_json(stop.card)
+    else:
+        _print_card(stop.card, stop.explanation)
+    if stop.outcome != "completed":
+        click.echo(f"inteco-abs: {stop.outcome}: {stop.explanation}", err=True)
+    elif stop.exit_code:
+        lost = f"{stop.card['overruns']} periods overrun, {stop.card['link_errors']} exchanges failed"
+        click.echo(f"inteco-abs: completed, but look at it: {lost}", err=True)
+
+
 class _Lines:
     """Shows a run where there is no terminal: what cannot wait, and nothing else."""
 
@@ -348,7 +362,7 @@ class _Lines:
 @contextmanager
 def _screen(full_speed_rad_s: float) -> Iterator[Screen]:
     """Live picture of a real-time run on a terminal's stderr, else one line before it."""
-    if not sys.stderr.isatty():
+    if not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
         click.echo("running in real time; Ctrl-C stops safely", err=True)
         yield _Lines()
         return

@@ -66,7 +66,7 @@ class EncodersConfig(_Section):
 class LoopConfig(_Section):
     rate_hz: Annotated[float, Field(ge=50.0, le=10_000.0)] = 2000.0
     ring_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.0
-    """Length of the shared memory for ticks in real time; 0: the longest that the experiment can take."""
+    """Length of the shared memory for ticks in real time; 0: the longest that the experiment can take, up to 120 s."""
 
 
 class ModelConfig(_Section):

@@ -15,7 +15,10 @@ import difflib
 import traceback
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+_LONGEST: Final = 2000
+"""Characters of a foreign error's text that are worth keeping."""
 
 
 class AbsError(Exception):
@@ -76,4 +79,5 @@ def in_words(error: BaseException) -> str:
     """Type, text and place of an error, for people who wrote the code that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {error}{place}"
+    text = str(error)
+    return f"{type(error).__name__}: {text if len(text) <= _LONGEST else text[:_LONGEST] + '...'}{place}"

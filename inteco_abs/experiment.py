@@ -6,6 +6,7 @@ import signal
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field
@@ -40,7 +41,8 @@ from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 _SLICE_TICKS: Final = 1000
 _SPARE_S: Final = 2.0
 _PATIENCE_S: Final = 1.0
-_BOARD_START_S: Final = 20.0
+_LONGEST_RING_S: Final = 120.0
+"""Memory of several stops goes round: what is older is in the file, and a run without recorder ends within a second."""
 _SHORTEST_RING_S: Final = 4.0
 """Long enough for the recorder to be found dead and the run to end before the ring is full."""
 
@@ -104,9 +106,9 @@ def _run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> Account:
     with _processes(config, plan, _ring_ticks(config), doctor) as (memory, supervisor):
         try:
             return supervisor.run(screen)
-        except SessionError:
+        except BaseException:
             if memory.tick_reader().written:
-                memory.keep()
+                memory.keep()  # the file may not have them all
             raise
 
 
@@ -123,6 +125,7 @@ def _processes(
             board=plan.board,
             address=f"{plan.board}{memory.socket}",
             seed=plan.seed,
+            session_id=str(uuid.uuid4()),
             config=config,
             controller_source=plan.controller_source,
             facts={**_facts(plan), **(facts or {})},
@@ -130,7 +133,6 @@ def _processes(
         job.post(memory)
         supervisor = Supervisor(memory, job)
         supervisor.spawn("board", "inteco_abs.simulator", str(memory.path))
-        memory.wait(memory.socket.exists, _BOARD_START_S)
         yield memory, supervisor
     finally:
         memory.remove()
@@ -226,10 +228,11 @@ def _facts(plan: Plan) -> dict[str, dict[str, str]]:
 
 
 def _ring_ticks(config: RigConfig) -> int:
-    """Ticks that the ring is to hold: all of the longest possible experiment, if nothing else is asked for."""
+    """Ticks that the ring is to hold: all of the longest possible stop, if nothing else is asked for."""
     plan = config.experiment
     longest_s = 2.0 * plan.idle_s + plan.spin_up_timeout_s + plan.braking_timeout_s + plan.hold_s
-    seconds = max(config.loop.ring_s, _SHORTEST_RING_S) if config.loop.ring_s else plan.stops * longest_s + _SPARE_S
+    whole_s = min(plan.stops * longest_s + _SPARE_S, _LONGEST_RING_S)
+    seconds = max(config.loop.ring_s, _SHORTEST_RING_S) if config.loop.ring_s else whole_s
     return round(seconds * config.loop.rate_hz)
 
 

@@ -73,8 +73,9 @@ EXPLANATIONS: Final[dict[Reason, str]] = {
     Reason.ROAD_BACKWARDS: "the road wheel counts backwards: check the encoder's sign in the profile and the wiring",
     Reason.MISSED_EXCHANGES: "too many exchanges with the board were late, slow or failed",
     Reason.CONTROLLER_ERROR: "the controller or estimator raised an error",
-    Reason.GUARDIAN_LOST: "the guardian process died or hung, so nobody would have stopped the motors in its place",
-    Reason.SUPERVISOR_LOST: "the program that was started died or hung, so nobody could have stopped the run",
+    Reason.GUARDIAN_LOST: "the guardian process died or hung, and it is what stops the motors if the loop dies",
+    Reason.SUPERVISOR_LOST: "the program that was started died, hung or was held up, perhaps by Ctrl-S, so nobody "
+    "could have stopped the run",
     Reason.RECORDER_LOST: "the recorder process died or hung, or could not write the session",
 }
 """What each reason means to the person at the rig, and what to check."""

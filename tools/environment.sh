@@ -32,6 +32,10 @@ if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ] || ! "$venv/bin/python" -c '' 
     python=$(find_python) || exit 1
     echo "setting up $venv (once; later runs start at once)" >&2
     ensure_venv_module "$python" || exit 1
+    if [ -e "$venv" ] && [ ! -O "$venv" ]; then
+        echo "$0: $PWD/$venv belongs to somebody else and needs renewal: ask them to, or make a clone of your own" >&2
+        exit 1
+    fi
     rm -rf "$venv"
     "$python" -m venv "$venv" || exit 1
     pip="$venv/bin/python -m pip install -qq --disable-pip-version-check --no-input"

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Final
 
 from inteco_abs.boards import open_board
-from inteco_abs.errors import BoardError
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import guardian_wishes, prepare
 from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
@@ -24,6 +23,7 @@ from inteco_abs.signals import Reason
 _POLL_NS: Final = 5_000_000
 _SUPERVISOR_WINDOW_NS: Final = 1_000_000_000
 _RECORDER_WINDOW_NS: Final = 1_000_000_000
+_PATIENCE_NS: Final = 3_000_000_000
 _TRY_S: Final = 5.0
 _AGAIN_S: Final = 0.002
 
@@ -66,6 +66,7 @@ class Guardian:
         self._left = 0  # guarded before, and gone
         self._end = -1  # file descriptor that becomes readable when the guarded process ends
         self._loop = Silence(max(round(job.config.guard.silence_s * 1e9), 5 * job.config.period_ns))
+        self._patience = Silence(_PATIENCE_NS)
         self._supervisor = Silence(_SUPERVISOR_WINDOW_NS)
         self._recorder = Silence(_RECORDER_WINDOW_NS)
 
@@ -78,7 +79,7 @@ class Guardian:
             self._words[Word.GUARDIAN_BEAT_NS] = now
             if ended:
                 self._leave("died")
-            elif self._hangs(now - before):
+            elif self._hangs(now - before) or self._goes_on_after_stop(now - before):
                 self._kill()
                 self._leave("hung")
             self._look_after_the_others(now - before)
@@ -109,6 +110,12 @@ class Guardian:
             return False
         return self._loop.lasts(self._ticks.written, passed_ns)
 
+    def _goes_on_after_stop(self, passed_ns: int) -> bool:
+        """Whether the guarded process is still there long after this one wanted the run to end."""
+        if not self._guarded or not self._words[Word.GUARDIAN_STOP]:
+            return False
+        return self._patience.lasts(0, passed_ns)
+
     def _kill(self) -> None:
         """End the guarded process for certain: two hosts must not write to the board."""
         with suppress(ProcessLookupError):
@@ -124,7 +131,13 @@ class Guardian:
         os.close(self._end)
         if self._words[Word.HOLDER_PID] == pid:
             failure = self._make_safe()
-            report = {"cause": cause, "seen_ns": seen_ns, "done_ns": time.monotonic_ns(), "failure": failure}
+            report = {
+                "cause": cause,
+                "seen_ns": seen_ns,
+                "done_ns": time.monotonic_ns(),
+                "failure": failure,
+                "by": "guardian",
+            }
             self._memory.post(Note.RESCUE, report)
             self._words[Word.RESCUED_PID] = pid
         self._left = pid
@@ -136,7 +149,7 @@ class Guardian:
             self._words[Word.GUARDIAN_BEAT_NS] = time.monotonic_ns()
             try:
                 rescue(self._memory, self._job)
-            except BoardError as error:  # the kernel may not have let go of the board yet
+            except Exception as error:  # noqa: BLE001  the kernel may not have let go of the board yet; nothing may end this
                 if time.monotonic() > end:
                     return str(error)
                 time.sleep(_AGAIN_S)

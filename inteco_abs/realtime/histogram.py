@@ -32,6 +32,12 @@ class Histogram:
             greatest = max(greatest, value)
         self._greatest[0] = greatest
 
+    def clear(self) -> None:
+        """Begin anew."""
+        for at in range(_BINS):
+            self._counts[at] = 0
+        self._greatest[0], self._skipped[0] = 0.0, 0
+
     @property
     def skipped(self) -> int:
         """Periods left out so far."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from inteco_abs.errors import AbsError, BoardError, UnsafeError
+from inteco_abs.errors import AbsError, BoardError, UnsafeError, in_words
 from inteco_abs.realtime.memory import Note, RunMemory, Word
 
 PATIENCE_S: Final = 60.0
@@ -41,5 +41,5 @@ def stopped(memory: RunMemory) -> bool:
 
 def tell_failure(memory: RunMemory, note: Note, error: BaseException) -> None:
     """Leave what went wrong for the supervisor, who raises it again."""
-    text = str(error) if isinstance(error, AbsError) else f"{type(error).__name__}: {error}"
+    text = str(error) if isinstance(error, AbsError) else in_words(error)
     memory.post(note, {"kind": type(error).__name__, "text": text, "notes": getattr(error, "__notes__", [])})

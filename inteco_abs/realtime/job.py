@@ -10,6 +10,7 @@ from typing import Any, Self
 
 from inteco_abs.config import RigConfig, parse_config
 from inteco_abs.control import CONTROLLERS, Controller
+from inteco_abs.errors import SessionError
 from inteco_abs.plugins import load_controller
 from inteco_abs.realtime.memory import Note, RunMemory
 
@@ -27,6 +28,7 @@ class Job:
     address: str
     """Where the processes find that board."""
     seed: int
+    session_id: str
     config: RigConfig
     controller_source: bytes
     """Of a controller that does not ship, which the configuration then names as file.py:Class."""
@@ -44,7 +46,9 @@ class Job:
     @classmethod
     def of(cls, memory: RunMemory) -> Self:
         """The job of a run."""
-        told: dict[str, Any] = memory.note(Note.JOB)
+        told: dict[str, Any] | None = memory.note(Note.JOB)
+        if told is None:
+            raise SessionError(f"{memory.path}: holds no job: the run died before it began; remove it")
         told["config"] = parse_config(told["config"])
         told["controller_source"] = base64.b64decode(told["controller_source"])
         return cls(**told)

@@ -1,6 +1,6 @@
 """What the processes of one run share: words, notes, two rings. One file in memory, which outlives any of them.
 
-Nobody takes a lock. Every word and every note has one writer; readers poll.
+Nobody takes a lock. Every word has one writer at a time; readers poll.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import struct
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from enum import IntEnum, auto
 from pathlib import Path
 from typing import Any, Final, Self
@@ -24,13 +25,17 @@ from inteco_abs.realtime.ring import Pack, RingReader, TickRing, ring_bytes
 FOLDER: Final = Path("/dev/shm")  # noqa: S108  memory, not a place for temporary files; the name is unique
 SUFFIX: Final = ".ring"
 _PREFIX: Final = "inteco-abs-"
+_SOCKET: Final = ".board"
 _MAGIC: Final = b"inteco-abs ring 1\n"
 _HEADER: Final = struct.Struct("<32s4Q")
 _POLL_S: Final = 0.001
 
 
 class Word(IntEnum):
-    """Eight-byte words, by their writer."""
+    """Eight-byte words, by their writer.
+
+    The drill comes before the loop, and the supervisor after a guardian that is gone: one takes the other's place.
+    """
 
     # the supervisor
     SUPERVISOR_PID = 0
@@ -88,6 +93,9 @@ _WORDS_AT: Final = 4096
 _NOTES_AT: Final = 8192
 
 
+_OWNERS: Final = (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID)
+
+
 def _note_places() -> tuple[dict[Note, tuple[int, int]], int]:
     places, at = {}, _NOTES_AT
     for note in Note:
@@ -130,12 +138,17 @@ class RunMemory:
             finally:
                 os.close(file)
         except OSError as error:
-            path.unlink(missing_ok=True)
+            _unlink(path)
             raise SessionError(
                 f"the run needs {size / 1e6:.0f} MB of shared memory in {FOLDER}: {error.strerror}; "
-                "free some, or lower loop.ring_s"
+                "free some, or set loop.ring_s to less"
             ) from error
-        return cls.open(path)
+        except BaseException:
+            _unlink(path)
+            raise
+        memory = cls.open(path)
+        memory.words[Word.SUPERVISOR_PID] = os.getpid()
+        return memory
 
     @classmethod
     def open(cls, path: Path) -> Self:
@@ -166,17 +179,17 @@ class RunMemory:
         """Give the memory back once everybody has left it; what it holds is in the file by now."""
         if self._kept:
             return
-        self.path.unlink(missing_ok=True)
-        self.socket.unlink(missing_ok=True)
+        _unlink(self.path)
+        _unlink(self.socket)
 
     @property
     def socket(self) -> Path:
         """Where the mock board of this run listens, if it has one."""
-        return self.path.with_suffix(".board")
+        return self.path.with_suffix(_SOCKET)
 
     def in_use(self) -> bool:
         """Whether any process of the run is still there."""
-        return any(alive(self.words[word]) for word in (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID))
+        return any(alive(self.words[word]) for word in _OWNERS)
 
     def post(self, note: Note, content: Any) -> None:
         """Leave a note: bytes, or anything that JSON can say."""
@@ -225,14 +238,32 @@ class RunMemory:
 
 
 def left_rings(folder: Path = FOLDER) -> Iterator[Path]:
-    """Memories of this user's runs whose every process is gone: they crashed before their file was complete."""
+    """Memories of this user's runs whose every process is gone before their file was complete.
+
+    Those without a tick are removed: nothing ran. Looks at a few words of each, as a memory may be large.
+    """
     for path in sorted(folder.glob(f"{_PREFIX}*{SUFFIX}")):
         try:
-            memory = RunMemory.open(path)
-        except (SessionError, OSError, ValueError):
-            continue  # somebody else's, or just being made
-        if not memory.in_use():
+            with path.open("rb") as file:
+                head = file.read(_RINGS_AT + 8)
+        except OSError:
+            continue  # somebody else's, or gone meanwhile
+        if len(head) < _RINGS_AT + 8 or not head.startswith(_MAGIC):
+            continue
+        words = memoryview(head)[_WORDS_AT:_NOTES_AT].cast("q")
+        pids = [words[word] for word in _OWNERS]
+        if not pids[0] or any(map(alive, pids)):
+            continue  # just being made, or in use
+        if struct.unpack_from("<Q", head, _RINGS_AT)[0]:
             yield path
+        else:
+            _unlink(path)
+            _unlink(path.with_suffix(_SOCKET))
+
+
+def _unlink(path: Path) -> None:
+    with suppress(OSError):  # it may be gone, or the folder be read-only by now
+        path.unlink()
 
 
 def alive(pid: int) -> bool:
@@ -241,7 +272,7 @@ def alive(pid: int) -> bool:
         return False
     try:
         end = os.pidfd_open(pid)
-    except ProcessLookupError:
+    except OSError:  # there is none, or the number is that of a mere thread by now
         return False
     try:
         return not select.select([end], [], [], 0.0)[0]  # readable once it has ended, even if nobody has asked how

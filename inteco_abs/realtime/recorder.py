@@ -20,9 +20,11 @@ from inteco_abs.errors import AbsError, SessionError
 from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import prepare, recorder_wishes
-from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
+from inteco_abs.realtime.memory import FOLDER, Note, RunMemory, Word, alive
+from inteco_abs.realtime.ring import RingReader
 from inteco_abs.sessions import (
     TICK,
+    TRUTH,
     Account,
     Conclusion,
     Introduction,
@@ -35,8 +37,8 @@ from inteco_abs.signals import Reason
 
 _DRAIN_S: Final = 0.005
 _FLUSH_S: Final = 0.1
-_RESCUE_S: Final = 8.0
-"""The guardian tries for 5 s."""
+_RESCUE_S: Final = 20.0
+"""The guardian tries for 5 s, and the supervisor in its place after that."""
 _PART: Final = ".part"
 
 
@@ -55,6 +57,8 @@ def main(path: str) -> int:
         traceback.print_exc()
         tell_failure(memory, Note.RECORDER_FAILURE, error)
         return 1
+    if not alive(memory.words[Word.SUPERVISOR_PID]):
+        memory.remove()  # in its place: the file holds everything
     return 0
 
 
@@ -64,7 +68,7 @@ def _record(memory: RunMemory, job: Job) -> None:
     introduction = _introduction(memory, job)
     if introduction is None:
         return  # there was no run
-    with Recorder(job.path, time.monotonic_ns(), introduction.internals) as recorder:
+    with Recorder(job.path, time.monotonic_ns(), introduction.internals, job.session_id) as recorder:
         scribe = Scribe(recorder, job.config, introduction, Path(job.session))
         scribe.introduce()
         memory.truth_reader().take()  # what the board did while it was opened belongs to no tick
@@ -76,8 +80,6 @@ def _record(memory: RunMemory, job: Job) -> None:
             return
         account = scribe.conclude(conclusion(memory))
     tell_result(memory, account)
-    if not alive(words[Word.SUPERVISOR_PID]):
-        memory.remove()  # in its place: the file holds everything
 
 
 _LONGEST_START_S: Final = 120.0
@@ -145,7 +147,7 @@ def conclusion(memory: RunMemory) -> Conclusion:
     written = memory.tick_reader().written
     timing = {"timing": {"late_us.histogram": json.dumps(memory.histogram.sparse())}}
     told = memory.note(Note.CONCLUSION)
-    if told is None:
+    if told is None or memory.words[Word.RESCUED_PID] == memory.words[Word.LOOP_PID]:
         return Conclusion(_last_reason(memory), written, aborted=_how_it_died(memory), facts=timing)
     timing["timing"] |= told["cost"]
     return Conclusion(Reason(told["reason"]), written, told["detail"], facts=timing)
@@ -170,7 +172,7 @@ def _how_it_died(memory: RunMemory) -> str:
     if failure:
         how += f" ({failure['text'].removesuffix(f'. {STILL_ON}')})"
     if words[Word.HOLDER_PID] != words[Word.LOOP_PID]:
-        return how
+        return f"{how}; its board was safe by then"
     return f"{how}; {rescue_in_words(report)}"
 
 
@@ -179,8 +181,8 @@ def rescue_in_words(report: Any) -> str:
     if report is None:
         return f"nobody took over its board. {STILL_ON}"
     if report["failure"]:
-        return f"the guardian could not make its board safe ({report['failure']}). {STILL_ON}"
-    return f"the guardian made its board safe in {(report['done_ns'] - report['seen_ns']) * 1e-6:.1f} ms"
+        return f"the {report['by']} could not make its board safe ({report['failure']}). {STILL_ON}"
+    return f"the {report['by']} made its board safe in {(report['done_ns'] - report['seen_ns']) * 1e-6:.1f} ms"
 
 
 def tell_result(memory: RunMemory, account: Account) -> None:
@@ -196,20 +198,22 @@ def recover_run(ring: Path, out: Path) -> Account:
     """
     check_output(out)
     memory = RunMemory.open(ring)
+    if ring.parent.resolve() != FOLDER:
+        memory.keep()  # a copy is the user's own
     if memory.in_use():
         raise SessionError(f"{ring}: the run still goes on; stop it first")
     job = Job.of(memory)
-    account = rebuild(memory, job, out, out)
+    account = rebuild(memory, job, out)
     if account is None:
         raise SessionError(f"{ring}: holds no ticks; remove it")
     memory.remove()
     return account
 
 
-def rebuild(memory: RunMemory, job: Job, out: Path, session: Path) -> Account | None:
+def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None) -> Account | None:
     """Make the session file from the rings, and from what a dead recorder has left at `job.out`.
 
-    It is written to `out`, which the user calls `session`. None if there was no tick. Raises SessionError.
+    It is written to `out`, which the user may call `session`. None if there was no tick. Raises SessionError.
     """
     introduction = _introduction(memory, job)
     ticks, truths = memory.tick_reader(), memory.truth_reader()
@@ -217,14 +221,15 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path) -> Account | 
         return None
     held_from = ticks.rewind()
     truths.rewind()
-    before = read_session(job.path).payload[: held_from * TICK.size] if held_from else b""
-    part = out.with_name(out.name + _PART)
-    part.unlink(missing_ok=True)
-    with _only_whole(part), Recorder(part, time.monotonic_ns(), introduction.internals) as recorder:
+    before, truths_before = _from_the_file(job.path, held_from, truths) if held_from else (b"", b"")
+    part = out.with_name(f"{out.name}.{os.getpid()}{_PART}")
+    with _only_whole(part), Recorder(part, time.monotonic_ns(), introduction.internals, job.session_id) as recorder:
         scribe = Scribe(recorder, job.config, introduction, session)
         scribe.introduce()
-        scribe.add(before, b"")
+        scribe.add(before, truths_before)
         scribe.add(ticks.take(), truths.take())
+        memory.histogram.clear()
+        memory.histogram.add(*scribe.lateness())
         end = conclusion(memory)
         anew = f"the session was made from what the run left in memory, {scribe.ticks} ticks"
         account = scribe.conclude(replace(end, detail=f"{end.detail}; {anew}" if end.detail else anew))
@@ -233,6 +238,15 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path) -> Account | 
     except OSError as error:
         raise SessionError(f"{part} is complete but cannot be renamed to {out}: {error.strerror}") from error
     return account
+
+
+def _from_the_file(path: Path, ticks: int, truths: RingReader) -> tuple[bytes, bytes]:
+    """What a ring that went round no longer holds: the first `ticks`, and the states before the ring's first."""
+    session = read_session(path)
+    first = truths.oldest()
+    newer_ns = int(TRUTH.array(first)["time_ns"][0]) if first else 0
+    rows = session.truth[session.truth["time_ns"] < newer_ns].tolist()
+    return session.payload[: ticks * TICK.size], b"".join(map(TRUTH.pack, rows))
 
 
 @contextmanager

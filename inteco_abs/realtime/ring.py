@@ -7,7 +7,6 @@ readers poll.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -79,7 +78,6 @@ class RingReader:
         self._size = record_bytes
         self._capacity = capacity
         self._stride = _slot_words(record_bytes)
-        self._slot = struct.Struct(f"<Q{record_bytes}s{(_WORD * self._stride - 2 * _WORD) - record_bytes}xQ")
 
     @property
     def written(self) -> int:
@@ -108,12 +106,19 @@ class RingReader:
         self._words[_TAKEN] = end
         return b"".join(whole)
 
+    def oldest(self) -> bytes | None:
+        """The next record to be taken, without taking it; None if there is none."""
+        return self._record(self.taken) if self.taken < self.written else None
+
     def newest(self) -> bytes | None:
         """The newest record: a snapshot, for a screen. None if there is none, or it was just being overwritten."""
         written = self.written
         return self._record(written - 1) if written else None
 
     def _record(self, number: int) -> bytes | None:
-        at = _WORD * (_HEAD_WORDS + number % self._capacity * self._stride)
-        front, record, back = self._slot.unpack_from(self._memory, at)
-        return bytes(record) if front == back == number + 1 else None
+        at = _HEAD_WORDS + number % self._capacity * self._stride
+        # against the writer's order, so that an overwrite that begins meanwhile is seen too
+        back = self._words[at + self._stride - 1]
+        record = bytes(self._memory[_WORD * (at + 1) : _WORD * (at + 1) + self._size])
+        front = self._words[at]
+        return record if front == back == number + 1 else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
+import sys
 import time
 import traceback
 from pathlib import Path
@@ -23,6 +24,7 @@ from inteco_abs.signals import Reason
 
 _NONE: Final = Reason.NONE
 _GUARDIAN_WINDOW_NS: Final = 250_000_000
+_STALL_NS: Final = 20_000_000
 _STOP, _GUARDIAN_STOP, _GUARDIAN_BEAT = int(Word.STOP), int(Word.GUARDIAN_STOP), int(Word.GUARDIAN_BEAT_NS)
 _REASONS: Final = {int(reason): reason for reason in Reason}
 
@@ -32,6 +34,8 @@ class SharedStop:
 
     def __init__(self, memory: RunMemory) -> None:
         self._words = memory.words
+        self._before_ns = 0
+        self._trusted_ns = 0
 
     def wanted(self, now_ns: int) -> Reason:
         """Why the run must end now, or NONE."""
@@ -39,22 +43,30 @@ class SharedStop:
         word = words[_STOP] or words[_GUARDIAN_STOP]
         if word:
             return _REASONS[word]
-        return Reason.GUARDIAN_LOST if now_ns - words[_GUARDIAN_BEAT] > _GUARDIAN_WINDOW_NS else _NONE
+        if now_ns - self._before_ns > _STALL_NS:  # the computer stood still, and the guardian with it
+            self._trusted_ns = now_ns
+        self._before_ns = now_ns
+        silent_ns = now_ns - max(words[_GUARDIAN_BEAT], self._trusted_ns)
+        return Reason.GUARDIAN_LOST if silent_ns > _GUARDIAN_WINDOW_NS else _NONE
 
 
 def main(path: str) -> int:
     """Run the job in the memory at `path`; exit code 0 if it came to an end, whatever the end."""
     memory = RunMemory.open(Path(path))
+    # a controller that forks must not make a second host of the board, nor keep it open after this one's death
+    os.register_at_fork(after_in_child=lambda: os._exit(1))
+    code = 0
     try:
         _run(memory, Job.of(memory))
     except AbsError as error:
         tell_failure(memory, Note.FAILURE, error)
-        return error.exit_code
-    except Exception as error:  # noqa: BLE001  the top of a process: its end must explain itself
+        code = error.exit_code
+    except BaseException as error:  # noqa: BLE001  the top of a process, with a user's code in it: its end must explain itself
         traceback.print_exc()
         tell_failure(memory, Note.FAILURE, error)
-        return 1
-    return 0
+        code = 1
+    sys.stderr.flush()
+    os._exit(code)  # at once: threads that a controller has left would be waited for, for ever
 
 
 def _run(memory: RunMemory, job: Job) -> None:

@@ -30,11 +30,14 @@ from inteco_abs.signals import Phase, Reason
 _POLL_S: Final = 0.01
 _SCREEN_S: Final = 0.1
 _START_S: Final = 60.0
-_DRILL_S: Final = 2.0
+_DRILL_S: Final = 8.0
+"""Longer than the guardian tries."""
 _RESCUE_S: Final = 8.0
 _FINISH_S: Final = 30.0
 _END_S: Final = 3.0
-_UNGUARDED_S: Final = 0.5
+_PATIENCE_S: Final = 2.0
+"""For a loop that has to end, or to begin."""
+_GUARDIAN_WINDOW_NS: Final = 500_000_000
 SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGXCPU")
 """Signals that would otherwise end or stop the program with its outputs on."""
 
@@ -68,6 +71,27 @@ class Screen(Protocol):
         ...
 
 
+class _Unbreakable:
+    """A screen whose trouble is not the run's: a terminal may be closed at any time."""
+
+    def __init__(self, screen: Screen) -> None:
+        self._screen = screen
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show it, or from now on nothing."""
+        try:
+            self._screen.show(snapshot)
+        except Exception:  # noqa: BLE001  whoever drew it
+            self._screen = NoScreen()
+
+    def warn(self, text: str) -> None:
+        """Say it, or from now on nothing."""
+        try:
+            self._screen.warn(text)
+        except Exception:  # noqa: BLE001  whoever said it
+            self._screen = NoScreen()
+
+
 class NoScreen:
     """For runs that nobody looks at."""
 
@@ -86,9 +110,9 @@ class Supervisor:
         self._job = job
         self._words = memory.words
         self._children: dict[str, subprocess.Popen[bytes]] = {}
-        self._words[Word.SUPERVISOR_PID] = os.getpid()
         self._ticks = memory.tick_reader()
         self._first_ns = 0
+        self._alive_s = 0.0
 
     def run(self, screen: Screen) -> Account:
         """Do the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
@@ -107,6 +131,8 @@ class Supervisor:
     def ask(self, role: str) -> Any:
         """Run the process of one role alone, without guarding it; the note RESULT that it leaves."""
         try:
+            if "board" in self._children:
+                self._wait_for(self._memory.socket.exists, "the mock board is there", "board", _START_S)
             self.spawn(role, "inteco_abs.realtime", role, str(self._memory.path))
             self._wait_for(lambda: self._memory.note(Note.RESULT) is not None, "the answer comes", role, _START_S)
             return self._memory.note(Note.RESULT)
@@ -116,14 +142,17 @@ class Supervisor:
     def spawn(self, name: str, module: str, *arguments: str) -> None:
         """Start a process of the run."""
         self._children[name] = subprocess.Popen(  # noqa: S603  our own modules
-            [sys.executable, "-m", module, *arguments],
+            # -P: a signal.py that lies in the user's folder is not the one that is meant
+            [sys.executable, "-P", "-m", module, *arguments],
             stdin=subprocess.DEVNULL,
-            stdout=sys.stderr.fileno(),  # what a controller prints must not mix with the result card
+            stdout=_stderr(),  # what a controller prints must not mix with the result card
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
             start_new_session=True,  # Ctrl-C and a closed terminal reach the supervisor only
         )
 
     def _start(self) -> None:
+        if "board" in self._children:
+            self._wait_for(self._memory.socket.exists, "the mock board is there", "board", _START_S)
         for role in ("guardian", "recorder", "drill", "loop"):
             self.spawn(role, "inteco_abs.realtime", role, str(self._memory.path))
         self._words[Word.LOOP_PID] = self._children["loop"].pid
@@ -133,6 +162,8 @@ class Supervisor:
         words, drill = self._words, self._children["drill"]
         words[Word.GUARDED_PID] = drill.pid
         self._wait_for(lambda: words[Word.READY] == drill.pid, "the board opens", "drill", _START_S)
+        if self._memory.image(Note.SAFE_IMAGE) is None:
+            raise BoardError("the drill left nothing to make the board safe with; nothing was started")
         drill.kill()
         killed_ns = time.monotonic_ns()
         self._children.pop("drill").wait()
@@ -180,12 +211,14 @@ class Supervisor:
 
     def _watch(self, screen: Screen) -> None:
         words, loop = self._words, self._children["loop"]
+        screen = _Unbreakable(screen)
         shown = 0.0
+        self._alive_s = time.monotonic()
         while loop.poll() is None:
             words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
             self._look_after("guardian", Reason.GUARDIAN_LOST)
             self._look_after("recorder", Reason.RECORDER_LOST)
-            self._end_what_nobody_guards()
+            self._end_what_goes_on()
             if time.monotonic() - shown >= _SCREEN_S:
                 snapshot = self.snapshot()
                 if snapshot is not None:
@@ -196,11 +229,15 @@ class Supervisor:
         if told is not None and told["kind"] == UnsafeError.__name__:
             screen.warn(told["text"])  # now: the guardian may try for seconds yet
 
-    def _end_what_nobody_guards(self) -> None:
-        """A loop that goes on without a guardian, though it was told to stop, hangs."""
-        if self._children["guardian"].poll() is None:
-            return
-        if not _gone_within(self._children["loop"], _UNGUARDED_S):
+    def _end_what_goes_on(self) -> None:
+        """Kill a loop that was told to stop, or never began, or let go of the board long ago, and is still there.
+
+        Its threads, its exit or a signal may hold it; the guardian makes the board safe if it still had it.
+        """
+        words = self._words
+        if words[Word.HOLDER_PID] and self._ticks.written and not (words[Word.STOP] or words[Word.GUARDIAN_STOP]):
+            self._alive_s = time.monotonic()
+        elif time.monotonic() - self._alive_s > _PATIENCE_S:
             self._children["loop"].kill()
 
     def _look_after(self, name: str, reason: Reason) -> None:
@@ -267,15 +304,16 @@ class Supervisor:
         pid, guardian = words[Word.LOOP_PID], self._children["guardian"]
         end = time.monotonic() + _RESCUE_S
         while words[Word.HOLDER_PID] == pid != words[Word.RESCUED_PID] and guardian.poll() is None:
-            if time.monotonic() > end:
+            silent_ns = time.monotonic_ns() - words[Word.GUARDIAN_BEAT_NS]
+            if time.monotonic() > end or silent_ns > _GUARDIAN_WINDOW_NS:
                 guardian.kill()
             time.sleep(_POLL_S / 10)
         if words[Word.HOLDER_PID] != pid or words[Word.RESCUED_PID] == pid:
             return
-        report = {"cause": "died", "seen_ns": time.monotonic_ns(), "failure": ""}
+        report: dict[str, Any] = {"cause": "died", "seen_ns": time.monotonic_ns(), "failure": "", "by": "supervisor"}
         try:
             rescue(memory, self._job)
-        except BoardError as error:
+        except Exception as error:  # noqa: BLE001  whatever it is, the run has to be accounted for
             report["failure"] = str(error)
         memory.post(Note.RESCUE, {**report, "done_ns": time.monotonic_ns()})
         words[Word.RESCUED_PID] = pid
@@ -299,6 +337,13 @@ class Supervisor:
             if not _gone_within(child, _END_S):
                 child.kill()
             child.wait()
+
+
+def _stderr() -> int:
+    try:
+        return sys.stderr.fileno()
+    except (OSError, ValueError, AttributeError):  # closed, or a notebook's
+        return subprocess.DEVNULL
 
 
 class _Signals:

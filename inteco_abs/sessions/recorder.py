@@ -75,14 +75,16 @@ class _Disk(FileIO):
 class Recorder:
     """A session being written at `path`; a context manager. Raises SessionError when the disk refuses.
 
-    What it is told first (`describe`, `attach`) reaches the file before the first tick. Leaving the context closes
+    `session_id` is that of a session whose file is made anew. What it is told first (`describe`, `attach`) reaches the file before the first tick. Leaving the context closes
     the file; only `finish` makes it complete.
     """
 
-    def __init__(self, path: Path, start_ns: int, controller_internals: Sequence[str] = ()) -> None:
+    def __init__(
+        self, path: Path, start_ns: int, controller_internals: Sequence[str] = (), session_id: str = ""
+    ) -> None:
         check_output(path)
         self.path = path
-        self.session_id = str(uuid.uuid4())
+        self.session_id = session_id or str(uuid.uuid4())
         self._epoch_ns = time.time_ns() - start_ns
         self._start_ns = start_ns
         self._hash = hashlib.sha256()

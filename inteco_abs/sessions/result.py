@@ -123,6 +123,9 @@ def _aligned(truth: Array, time_ns: Array) -> Array | None:
         return None
     newest = np.searchsorted(truth["time_ns"], time_ns, side="right") - 1
     aligned: Array = truth[np.maximum(newest, 0)]
+    for name in aligned.dtype.names or ():
+        if name != "time_ns":
+            aligned[name][newest < 0] = math.nan  # before the first of them nothing is known
     return aligned
 
 

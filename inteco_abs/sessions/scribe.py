@@ -89,6 +89,11 @@ class Scribe:
         """Ticks written so far."""
         return len(self._ticks) // TICK.size
 
+    def lateness(self) -> tuple[list[float], int]:
+        """Lateness of every tick in us, and the periods that were left out between them."""
+        ticks = TICK.array(bytes(self._ticks))
+        return ticks["late_us"].tolist(), int(ticks["skipped"].sum())
+
     def introduce(self) -> None:
         """Everything that explains the run, on the disk before the first tick."""
         told, config, recorder = self._introduction, self._config, self._recorder
@@ -131,13 +136,13 @@ class Scribe:
         explanation = "; ".join([*parts, end.aborted] if end.aborted else parts)
         if end.detail:
             explanation += f": {end.detail}"
-        card = self._card(outcome, end)
+        card = self._card(outcome, end, explanation)
         for name, facts in end.facts.items():
             self._recorder.describe(name, facts)
         self._recorder.finish(outcome, explanation, card)
         return Account(outcome, end.reason, explanation, card)
 
-    def _card(self, outcome: str, end: Conclusion) -> dict[str, Any]:
+    def _card(self, outcome: str, end: Conclusion, explanation: str) -> dict[str, Any]:
         ticks = TICK.array(bytes(self._ticks))
         metrics = result_card(self._config, ticks, TRUTH.array(bytes(self._truths)))
         return {
@@ -145,6 +150,7 @@ class Scribe:
             "session": str(self._session),
             "outcome": outcome,
             "reason": end.reason.name,
+            "explanation": explanation,
             "board": self._introduction.board,
             **metrics,
             "lost_ticks": end.written - metrics["ticks"],

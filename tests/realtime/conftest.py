@@ -266,7 +266,8 @@ def job_of(tmp_path):
 
     def post(memory: RunMemory, *settings: str, out: str = "stop.mcap") -> Job:
         config = load_config(settings=[*QUICK, *settings])
-        job = Job(str(tmp_path / out), "sim:", f"sim:{memory.socket}", 1, config, b"", {"software": {"seed": "1"}})
+        path = str(tmp_path / out)
+        job = Job(path, path, "sim:", f"sim:{memory.socket}", 1, "an-id", config, b"", {"software": {"seed": "1"}})
         job.post(memory)
         return job
 
