@@ -117,7 +117,7 @@ def run(
     try:
         _tell(stop, as_json=as_json)
     except OSError:  # the terminal is gone: how the run ended matters more
-        sys.stdout = sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  until the process ends
+        sys.stdout = sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115  until the process ends
         return stop.exit_code or 1
     if figure is not None and stop.card["start_speed_rad_s"] is not None:
         try:

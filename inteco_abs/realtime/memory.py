@@ -176,8 +176,11 @@ class RunMemory:
         self.socket.unlink(missing_ok=True)
 
     def remove(self) -> None:
-        """Give the memory back once everybody has left it; what it holds is in the file by now."""
-        if self._kept:
+        """Give the memory back once everybody has left it; what it holds is in the file by now.
+
+        A copy that lies elsewhere is the user's own, and stays.
+        """
+        if self._kept or FOLDER.resolve() not in self.path.resolve().parents:
             return
         _unlink(self.path)
         _unlink(self.socket)

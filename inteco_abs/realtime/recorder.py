@@ -20,7 +20,7 @@ from inteco_abs.errors import AbsError, SessionError
 from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import prepare, recorder_wishes
-from inteco_abs.realtime.memory import FOLDER, Note, RunMemory, Word, alive
+from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
 from inteco_abs.realtime.ring import RingReader
 from inteco_abs.sessions import (
     TICK,
@@ -147,7 +147,8 @@ def conclusion(memory: RunMemory) -> Conclusion:
     written = memory.tick_reader().written
     timing = {"timing": {"late_us.histogram": json.dumps(memory.histogram.sparse())}}
     told = memory.note(Note.CONCLUSION)
-    if told is None or memory.words[Word.RESCUED_PID] == memory.words[Word.LOOP_PID]:
+    # a loop that was taken for hung or dead has nothing more to say
+    if told is None or memory.words[Word.RESCUED_PID] == memory.words[Word.LOOP_PID] != 0:
         return Conclusion(_last_reason(memory), written, aborted=_how_it_died(memory), facts=timing)
     timing["timing"] |= told["cost"]
     return Conclusion(Reason(told["reason"]), written, told["detail"], facts=timing)
@@ -198,8 +199,6 @@ def recover_run(ring: Path, out: Path) -> Account:
     """
     check_output(out)
     memory = RunMemory.open(ring)
-    if ring.parent.resolve() != FOLDER:
-        memory.keep()  # a copy is the user's own
     if memory.in_use():
         raise SessionError(f"{ring}: the run still goes on; stop it first")
     job = Job.of(memory)
@@ -224,7 +223,7 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
     before, truths_before = _from_the_file(job.path, held_from, truths) if held_from else (b"", b"")
     part = out.with_name(f"{out.name}.{os.getpid()}{_PART}")
     with _only_whole(part), Recorder(part, time.monotonic_ns(), introduction.internals, job.session_id) as recorder:
-        scribe = Scribe(recorder, job.config, introduction, session)
+        scribe = Scribe(recorder, job.config, introduction, session or out)
         scribe.introduce()
         scribe.add(before, truths_before)
         scribe.add(ticks.take(), truths.take())

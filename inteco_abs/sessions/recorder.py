@@ -75,8 +75,9 @@ class _Disk(FileIO):
 class Recorder:
     """A session being written at `path`; a context manager. Raises SessionError when the disk refuses.
 
-    `session_id` is that of a session whose file is made anew. What it is told first (`describe`, `attach`) reaches the file before the first tick. Leaving the context closes
-    the file; only `finish` makes it complete.
+    `session_id` is that of a session whose
+    file is made anew. What it is told first (`describe`, `attach`) reaches the file before the first tick. Leaving the
+    context closes the file; only `finish` makes it complete.
     """
 
     def __init__(

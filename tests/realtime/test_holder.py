@@ -100,9 +100,6 @@ def test_what_went_wrong_is_left_with_its_kind_its_text_and_its_notes(memory, er
     assert memory.note(Note.FAILURE) == {"kind": kind, "text": text, "notes": ["and then"]}
 
 
-@pytest.mark.xfail(
-    raises=SessionError, strict=True, reason="a message longer than a note takes the place of the error it tells of"
-)
 def test_an_error_of_any_length_is_left(memory):
     tell_failure(memory, Note.FAILURE, ValueError("x" * 100_000))
     assert memory.note(Note.FAILURE)["kind"] == "ValueError"

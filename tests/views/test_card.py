@@ -8,6 +8,7 @@ from inteco_abs.views import render_card
 
 CARD = {
     "session": "stop.mcap",
+    "stops": 1,
     "outcome": "completed",
     "controller": "reaching-law",
     "estimator": "moving-window",
