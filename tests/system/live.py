@@ -22,7 +22,7 @@ QUICK = (
 class LiveRun:
     """`inteco-abs run` in real time, from the moment at which its loop may begin."""
 
-    def __init__(self, command, folder, environment, *arguments, settings=QUICK, **options):
+    def __init__(self, command, folder, environment, *arguments, settings=QUICK, begun=True, **options):
         self.out = folder / "stop.mcap"
         sets = [word for setting in settings for word in ("--set", setting)]
         before = set(FOLDER.glob("*.ring"))
@@ -34,7 +34,8 @@ class LiveRun:
         self.memory = self._find(before)
         self.words = self.memory.words
         self.ticks = self.memory.tick_reader()
-        self.until(lambda: self.words[Word.GO])
+        if begun:
+            self.until(lambda: self.words[Word.GO])
 
     def _find(self, before):
         end = time.monotonic() + 60.0
