@@ -148,3 +148,9 @@ def test_a_cut_value_that_does_not_fit_cannot_reach_the_command_bit(value):
 
 def test_a_cut_value_is_read_without_the_unnamed_bits_above_it():
     assert CutCodec((7, 5)).unpack_from(b"\xff\xff", 0) == (4095,)
+
+
+@pytest.mark.parametrize(("kind", "layout"), [(Kind.TEXT, words(0, 8, 4)), (Kind.HEX, words(0, 8, 2))])
+def test_text_needs_whole_characters(kind, layout):
+    with pytest.raises(TableError, match=r"torn has 1[02] bits, must be a multiple of [84]"):
+        table(("torn", layout), kinds={"torn": kind})
