@@ -1,24 +1,26 @@
 """How a field of a frame is declared, checked, encoded and decoded.
 
-A frame is a fixed number of 16-bit little-endian words. A `Field` says once what it means and, per direction,
-which bits of which words carry it; a `FrameTable` is all fields of one direction and checks itself when it is
-built. Offsets and shifts live in these declarations and nowhere else.
+A frame is a fixed number of words: 16 bits, little-endian, or single bytes. A `Field` says once what it means and,
+per direction, which bits of which words carry it; a `FrameTable` is all fields of one direction and checks itself
+when it is built. Offsets and shifts live in these declarations and nowhere else.
 """
 
 from __future__ import annotations
 
 import difflib
 import struct
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 WORD_BITS: Final = 16
-WORD_BYTES: Final = 2
+BYTE_BITS: Final = 8
 
 Value = int | str
 """A decoded field: an integer, or text for names and dates."""
+
+Buffer = bytes | bytearray | memoryview
 
 
 class ProtocolError(ValueError):
@@ -145,19 +147,63 @@ class Field:
         return int(value, 16)
 
 
+class Codec(Protocol):
+    """Writes and reads one value at an offset of a frame, as `struct.Struct` does."""
+
+    def pack_into(self, buffer: bytearray | memoryview, offset: int, /, *values: int) -> None: ...
+
+    def unpack_from(self, buffer: Buffer, /, offset: int) -> tuple[int, ...]: ...
+
+
+class CutCodec:
+    """A value cut over consecutive bytes, low part first, `widths` bits each.
+
+    A value that does not fit is refused: its overflow could reach the bit that marks a command.
+    """
+
+    def __init__(self, widths: Iterable[int]) -> None:
+        parts, shift = [], 0
+        for index, width in enumerate(widths):
+            parts.append((index, shift, (1 << width) - 1))
+            shift += width
+        self._parts = tuple(parts)
+        self._bits = shift
+
+    def pack_into(self, buffer: bytearray | memoryview, offset: int, /, *values: int) -> None:
+        (value,) = values
+        if value >> self._bits:  # negative ones too
+            raise ProtocolError(f"value {value} at byte {offset}: must be in 0..{(1 << self._bits) - 1}")
+        for index, shift, mask in self._parts:
+            buffer[offset + index] = value >> shift & mask
+
+    def unpack_from(self, buffer: Buffer, /, offset: int) -> tuple[int, ...]:
+        value = 0
+        for index, shift, mask in self._parts:
+            value |= (buffer[offset + index] & mask) << shift
+        return (value,)
+
+
 class Place(NamedTuple):
     """Byte offset of a field in its frame, and its codec there."""
 
     offset: int
-    codec: struct.Struct
+    codec: Codec
+
+
+_STRUCT_CODES: Final[Mapping[int, Mapping[tuple[int, ...], tuple[str, str]]]] = {
+    WORD_BITS: {(16, 16): ("I", "i")},
+    BYTE_BITS: {(8, 8): ("H", "h"), (8, 8, 8, 8): ("I", "i")},
+}
+"""By word size: full words that the struct module joins, and its codes for unsigned and two's complement."""
 
 
 class FrameTable:
     """All fields of one frame in one direction.
 
-    `size` is the frame's length in bytes, `payload_bits` the bits per word that data may use, `command` the
-    fixed first word (None: the first word is data). Building the table raises TableError on any overlap,
-    duplicate name, or bit outside the frame.
+    `size` is the frame's length in bytes, `word_bits` the size of its words (16 or 8), `payload_bits` the bits per
+    word that data may use, `command` the fixed first word (None: the first word is data). Layouts count words from
+    the frame's word `data_from`. `fixed` are fields that have one allowed value in every frame. Building the table
+    raises TableError on any overlap, duplicate name, or bit outside the frame.
     """
 
     def __init__(
@@ -166,20 +212,31 @@ class FrameTable:
         fields: Iterable[tuple[Field, Layout]],
         *,
         size: int,
-        payload_bits: int = WORD_BITS,
+        word_bits: int = WORD_BITS,
+        payload_bits: int | None = None,
         command: int | None = None,
+        data_from: int = 0,
+        fixed: Mapping[str, int] | None = None,
     ) -> None:
-        if size <= 0 or size % WORD_BYTES:
+        if word_bits not in _STRUCT_CODES:
+            raise TableError(f"{title}: words of {word_bits} bits, must be one of {sorted(_STRUCT_CODES)}")
+        self._word_bytes = word_bits // BYTE_BITS
+        if size <= 0 or size % self._word_bytes:
             raise TableError(f"{title}: {size} bytes are not whole words")
         self.title = title
         self.size = size
         self.command = command
-        self.payload_bits = payload_bits
+        self.word_bits = word_bits
+        self.payload_bits = word_bits if payload_bits is None else payload_bits
+        self.data_from = data_from
         self.fields: dict[str, tuple[Field, Layout]] = {}
-        self._words = struct.Struct(f"<{size // WORD_BYTES}H")
+        self._count = size // self._word_bytes
+        self._noun = "byte" if word_bits == BYTE_BITS else "word"
+        self._words = struct.Struct(f"<{self._count}{'B' if word_bits == BYTE_BITS else 'H'}")
+        self._framed: dict[str, tuple[Field, Layout]] = {}  # layouts that count from the frame's first word
         owner: dict[tuple[int, int], str] = {}
         if command is not None:
-            owner.update({(0, bit): "the command word" for bit in range(WORD_BITS)})
+            owner.update({(-data_from, bit): f"the command {self._noun}" for bit in range(word_bits)})
         for field, layout in fields:
             if field.name in self.fields or not field.name.isidentifier():
                 raise TableError(f"{title}: {field.name!r} is declared twice or is no name")
@@ -188,11 +245,16 @@ class FrameTable:
             width, unit = sum(part.width for part in layout), _WIDTH_UNITS.get(field.kind, 1)
             if not width or width % unit:
                 raise TableError(f"{title}: {field.name} has {width} bits, must be a multiple of {unit}")
+            self._framed[field.name] = (field, tuple(replace(part, word=part.word + data_from) for part in layout))
+        self.fixed = dict(fixed or {})
+        if not self.fixed.keys() <= self.fields.keys():
+            raise TableError(f"{title}: fixed fields {sorted(self.fixed)} are not all declared")
+        self._fixed = tuple((*self._framed[name], value) for name, value in self.fixed.items())
 
     def _claim(self, name: str, layout: Layout, owner: dict[tuple[int, int], str]) -> None:
         shift = 0
         for part in layout:
-            inside = 0 <= part.word < self.size // WORD_BYTES and part.low >= 0 and part.width > 0
+            inside = 0 <= part.word < self._count - self.data_from and part.low >= 0 and part.width > 0
             if not inside or part.low + part.width > self.payload_bits:
                 raise TableError(f"{self.title}: {name} leaves the frame at {part}")
             if part.shift != shift:
@@ -201,81 +263,107 @@ class FrameTable:
             for bit in range(part.low, part.low + part.width):
                 if (part.word, bit) in owner:
                     first = owner[part.word, bit]
-                    raise TableError(f"{self.title}: {name} and {first} share word {part.word} bit {bit}")
+                    raise TableError(f"{self.title}: {name} and {first} share {self._noun} {part.word} bit {bit}")
                 owner[part.word, bit] = name
 
     def encode(self, values: Mapping[str, Value]) -> bytes:
-        """Whole frame with `values`; fields not named are zero.
+        """Whole frame with `values`; fields not named are zero, or their one allowed value.
 
         Raises ProtocolError for an unknown name or a value that does not fit; no frame is made then.
         """
-        frame = [0] * (self.size // WORD_BYTES)
+        frame = [0] * self._count
         if self.command is not None:
             frame[0] = self.command
-        for name, value in values.items():
+        for name, value in {**self.fixed, **values}.items() if self.fixed else values.items():
             field, layout = self._find(name)
             raw = field.to_bits(value, layout)
             for part in layout:
                 frame[part.word] |= (raw >> part.shift & part.mask) << part.low
+        self._check_fixed(frame)
         return self._words.pack(*frame)
 
-    def decode(self, frame: bytes | bytearray | memoryview) -> dict[str, Value]:
-        """All fields of `frame`; raises ProtocolError on a wrong length or command word."""
+    def decode(self, frame: Buffer) -> dict[str, Value]:
+        """All fields of `frame`; raises ProtocolError on a wrong length, command word or fixed field."""
         return self.decode_some(frame, self.fields)
 
-    def decode_some(self, frame: bytes | bytearray | memoryview, names: Iterable[str]) -> dict[str, Value]:
+    def decode_some(self, frame: Buffer, names: Iterable[str]) -> dict[str, Value]:
         """The named fields of `frame`; the whole frame is checked all the same."""
         words = self.check(frame)
         values: dict[str, Value] = {}
         for name in names:
             field, layout = self._find(name)
-            raw = 0
-            for part in layout:
-                raw |= (words[part.word] >> part.low & part.mask) << part.shift
-            values[name] = field.from_bits(raw, layout)
+            values[name] = field.from_bits(_gather(words, layout), layout)
         return values
 
-    def check(self, frame: bytes | bytearray | memoryview) -> tuple[int, ...]:
+    def check(self, frame: Buffer) -> tuple[int, ...]:
         """Words of a well-formed frame; raises ProtocolError naming what is wrong."""
         if len(frame) != self.size:
             raise ProtocolError(f"{self.title}: {len(frame)} bytes, must be {self.size}")
         words: tuple[int, ...] = self._words.unpack(frame)
-        if self.command is None:
-            return words
-        if words[0] != self.command:
-            raise ProtocolError(f"{self.title}: command word 0x{words[0]:04X}, must be 0x{self.command:04X}")
+        if self.command is not None:
+            self._check_marks(words, self.command)
+        self._check_fixed(words)
+        return words
+
+    def _check_marks(self, words: Sequence[int], command: int) -> None:
+        noun, digits = self._noun, self.word_bits // 4
+        if words[0] != command:
+            raise ProtocolError(f"{self.title}: command {noun} 0x{words[0]:0{digits}X}, must be 0x{command:0{digits}X}")
         for index in range(1, len(words)):
             if words[index] >> self.payload_bits:
                 raise ProtocolError(
-                    f"{self.title}: word {index} = 0x{words[index]:04X}, data words must be below "
-                    f"0x{1 << self.payload_bits:04X} (the top bit marks a command)"
+                    f"{self.title}: {noun} {index - self.data_from} = 0x{words[index]:0{digits}X}, data {noun}s must "
+                    f"be below 0x{1 << self.payload_bits:0{digits}X} (the top bit marks a command)"
                 )
-        return words
+
+    def _check_fixed(self, words: Sequence[int]) -> None:
+        for field, layout, value in self._fixed:
+            found = _gather(words, layout)
+            if found != value:
+                raise ProtocolError(f"{self.title}: {field.name} = 0x{found:04X}, must be 0x{value:04X}")
 
     def place(self, name: str) -> Place:
         """Where the named field can be packed and unpacked alone and in place, for the loop.
 
-        Only for fields that have their words for themselves: part of one word from bit 0, or 32 bits over two full
-        words. Any other raises TableError. Unnamed bits above a field's width in its word are not masked.
+        Only for fields that have their words for themselves: part of one word from bit 0, or full words that make
+        16 or 32 bits; and, in frames of bytes, any value cut over consecutive bytes from bit 0. Any other raises
+        TableError. Unnamed bits above a field's width in its word are not masked.
         """
         field, layout = self._find(name)
         own = {part.word for part in layout}
-        shared = any(own & {part.word for part in other} for f, other in self.fields.values() if f is not field)
-        widths = tuple(part.width for part in layout)
-        if shared or any(part.low or part.word != layout[0].word + i for i, part in enumerate(layout)):
-            code = ""
-        elif widths == (WORD_BITS, WORD_BITS):
-            code = "i" if field.kind is Kind.SIGNED else "I"
-        else:
-            code = "H" if len(widths) == 1 and field.kind is Kind.UNSIGNED else ""
-        if not code:
-            raise TableError(f"{self.title}: {name} has no words of its own and needs decode()")
-        return Place(layout[0].word * WORD_BYTES, struct.Struct(f"<{code}"))
+        shared = any(own & {part.word for part in other} for f, other in self._framed.values() if f is not field)
+        scattered = any(part.low or part.word != layout[0].word + i for i, part in enumerate(layout))
+        codec = None if shared or scattered else self._codec(field, tuple(part.width for part in layout))
+        if codec is None:
+            raise TableError(f"{self.title}: {name} has no {self._noun}s of its own and needs decode()")
+        return Place(layout[0].word * self._word_bytes, codec)
+
+    def _codec(self, field: Field, widths: tuple[int, ...]) -> Codec | None:
+        """Codec for words that are the field's own and follow each other, None where there is none."""
+        codes = _STRUCT_CODES[self.word_bits].get(widths)
+        if codes is not None and field.kind in {Kind.UNSIGNED, Kind.SIGNED}:
+            return struct.Struct(f"<{codes[field.kind is Kind.SIGNED]}")
+        if field.kind is not Kind.UNSIGNED:
+            return None
+        if len(widths) == 1:
+            return struct.Struct("<B" if self.word_bits == BYTE_BITS else "<H")
+        return CutCodec(widths) if self.word_bits == BYTE_BITS else None
 
     def _find(self, name: str) -> tuple[Field, Layout]:
-        found = self.fields.get(name)
+        found = self._framed.get(name)
         if found is None:
-            near = difflib.get_close_matches(str(name), self.fields, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise ProtocolError(f"{self.title} has no field {name!r}{hint}")
+            raise ProtocolError(f"{self.title} has no field {name!r}{hint(name, self.fields)}")
         return found
+
+
+def _gather(words: Sequence[int], layout: Layout) -> int:
+    raw = 0
+    for part in layout:
+        raw |= (words[part.word] >> part.low & part.mask) << part.shift
+    return raw
+
+
+def hint(name: str, known: Iterable[str]) -> str:
+    """Tail of a message about the unknown `name`: the known one most like it, if any is."""
+    near = difflib.get_close_matches(str(name), known, n=1)
+    return f"; did you mean {near[0]}?" if near else ""

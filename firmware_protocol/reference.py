@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from firmware_protocol import rtdac_usb2
-from firmware_protocol.fields import Field, Layout
+from firmware_protocol import rtdac_pci, rtdac_usb, rtdac_usb2
+from firmware_protocol.fields import Field, Kind, Layout
+from firmware_protocol.registers import Register, RegisterMap
 
 PATH: Final = Path(__file__).with_name("PROTOCOL.md")
 
-_INTRODUCTION: Final = """\
+_USB2: Final = """\
 # Protocol reference
 
 Generated from the tables of this package by `python -m firmware_protocol.reference`; a check fails when it is stale.
@@ -31,36 +33,114 @@ parts of a value, low part first. Words that no field names are sent as zero.
   only; the code is the vendor's).
 """
 
+_USB: Final = """\
+## RT-DAC/USB, first generation
 
-def where(layout: Layout | None) -> str:
+One frame is {size} bytes through an FTDI chip used as a FIFO. `b21[0:7]` is bits 0 to 6 of data byte 21, which is byte
+21 of a READ frame and byte 22 of a SEND frame, behind the command. Bytes that no field names are sent as zero.
+
+* **Dummy**: OUT `{dummy}`, once after opening: leaves the mode in which the FPGA is programmed. No reply.
+* **READ**: OUT `{request}`, then IN {size} bytes. They use all 8 bits.
+* **SEND**: OUT {size} bytes, the first = 0x{send:02X}. No reply. Bit 7 of every data byte is 0.
+* **SEND and READ**: 0x{both:02X} is defined, but no known program uses it (inferred, not used here).
+* On opening, the vendor's library resets the chip, sets its latency timer to {latency} ms and enables the event
+  character 0x{event:02X}.
+* Logic version and name are in the same bytes in every logic: they tell which table holds.
+* Source S2: the vendor's C library for this board, version 1.5, as kept in antonio2uofa/BiT-AMO at 46d3cab (facts
+  only; the code is the vendor's). Inferred here means that the place is confirmed, but not all of the meaning.
+"""
+
+_PCI: Final = """\
+## RT-DAC4/PCI, ABS logic 0x{logic:04X}
+
+PCI device {vendor:04x}:{device:04x}, {size} bytes of I/O at base address register {bar}: {count} registers of 32 bits,
+always accessed whole. `0x04[12:16]` is bits 12 to 15 of the register at byte offset 0x04.
+
+* **Index, then data**: a register with an index exists once per channel. Write the channel to the index register,
+  then access the data register, and let nobody in between: the pair is not atomic.
+* **Alarm flags are advisory.** The sources disagree which of bits 0 and 2 is the temperature's and which the speed's
+  (K1), and whether 1 means tripped (K2). Nothing may rest on them.
+* **Thresholds are only read.** Whether they can be written is unknown, and no source does it.
+* At {collisions} the ABS logic has thresholds where the generic map has its A/D converter: a program
+  made for the one must not write to the other. The version is checked before anything is written.
+* Source S3: the vendor's ABS software and manuals for this board, as kept in
+  Octavian-Duma/Antilock-Braking-System-Control at 7e3a2b8 (facts only; the software is the vendor's).
+"""
+
+_PCI_GENERIC: Final = """\
+### Generic registers
+
+Named in the vendor's driver besides, without proof that the ABS logic has them. For reference, never for access.
+"""
+
+
+def where(layout: Layout | None, letter: str = "w") -> str:
     """Short notation of a layout, `-` where the direction does not carry the field."""
     if layout is None:
         return "-"
-    return " + ".join(f"w{part.word}[{part.low}:{part.low + part.width}]" for part in layout)
+    return " + ".join(f"{letter}{part.word}[{part.low}:{part.low + part.width}]" for part in layout)
 
 
-def _row(field: Field) -> str:
+def _limits(field: Field) -> str:
     layout = field.read or field.send or ()
+    if field.kind not in {Kind.UNSIGNED, Kind.SIGNED}:
+        return str(field.kind.value)
     low, high = field.range(layout)
-    limits = f"{low}..{high}" if field.kind.value in {"unsigned", "two's complement"} else field.kind.value
+    limits = f"{low}..{high}"
     if field.read and field.send and field.range(field.read) != field.range(field.send):
         limits += f" (send: ..{field.range(field.send)[1]})"
-    cells = (
-        f"`{field.name}`",
-        where(field.read),
-        where(field.send),
-        limits,
-        field.unit,
-        field.meaning,
-        field.status.value,
-        field.source,
+    return limits
+
+
+def _table(columns: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
+
+
+def _fields(fields: Iterable[Field], letter: str) -> str:
+    columns = ("field", "READ", "SEND", "range", "unit", "meaning", "status", "source")
+    return _table(
+        columns,
+        (
+            (
+                f"`{field.name}`",
+                where(field.read, letter),
+                where(field.send, letter),
+                _limits(field),
+                field.unit,
+                field.meaning,
+                field.status.value,
+                field.source,
+            )
+            for field in fields
+        ),
     )
-    return "| " + " | ".join(cells) + " |"
 
 
-def render() -> str:
-    """The whole document."""
-    head = _INTRODUCTION.format(
+def _register(register: Register) -> tuple[str, ...]:
+    conversion = register.conversion
+    return (
+        f"`{register.name}`",
+        f"0x{register.offset:02X}[{register.low}:{register.low + register.width}]",
+        register.access.value,
+        f"`{register.index.name}`" if register.index else "-",
+        "{}..{}".format(*register.range),
+        register.unit,
+        f"{conversion.unit} = {conversion.formula}" if conversion else "-",
+        register.meaning,
+        register.status.value,
+        register.source,
+    )
+
+
+def _registers(table: RegisterMap) -> str:
+    columns = ("register", "bits", "access", "index", "range", "unit", "conversion", "meaning", "status", "source")
+    ordered = sorted(table.registers.values(), key=lambda register: (register.offset, register.low))
+    return _table(columns, map(_register, ordered))
+
+
+def _usb2_section() -> str:
+    head = _USB2.format(
         logic=rtdac_usb2.LOGIC_VERSION,
         size=rtdac_usb2.FRAME_BYTES,
         request=rtdac_usb2.READ_REQUEST.hex(" ").upper(),
@@ -68,9 +148,39 @@ def render() -> str:
         out=rtdac_usb2.ENDPOINT_OUT,
         into=rtdac_usb2.ENDPOINT_IN,
     )
-    columns = ("field", "READ", "SEND", "range", "unit", "meaning", "status", "source")
-    table = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-    return head + "\n" + "\n".join([*table, *map(_row, rtdac_usb2.FIELDS)]) + "\n"
+    return f"{head}\n{_fields(rtdac_usb2.FIELDS, 'w')}"
+
+
+def _usb_section() -> str:
+    head = _USB.format(
+        size=rtdac_usb.FRAME_BYTES,
+        dummy=rtdac_usb.DUMMY.hex().upper(),
+        request=rtdac_usb.READ_REQUEST.hex().upper(),
+        send=rtdac_usb.SEND_COMMAND,
+        both=rtdac_usb.SEND_AND_READ_COMMAND,
+        latency=rtdac_usb.LATENCY_TIMER_MS,
+        event=rtdac_usb.EVENT_CHARACTER,
+    )
+    logics = (f"### Logic 0x{logic.version:04X}\n\n{_fields(logic.fields, 'b')}" for logic in rtdac_usb.LOGICS.values())
+    return "\n".join([head, *logics])
+
+
+def _pci_section() -> str:
+    head = _PCI.format(
+        logic=rtdac_pci.LOGIC_VERSION,
+        vendor=rtdac_pci.VENDOR_ID,
+        device=rtdac_pci.DEVICE_ID,
+        size=rtdac_pci.BAR_BYTES,
+        bar=rtdac_pci.BAR_INDEX,
+        count=rtdac_pci.REGISTER_COUNT,
+        collisions=", ".join(f"0x{offset:02X}" for offset in rtdac_pci.COLLISIONS),
+    )
+    return f"{head}\n{_registers(rtdac_pci.ABS)}\n{_PCI_GENERIC}\n{_registers(rtdac_pci.GENERIC)}"
+
+
+def render() -> str:
+    """The whole document."""
+    return f"{_usb2_section()}\n{_usb_section()}\n{_pci_section()}"
 
 
 def main(arguments: list[str]) -> int:

@@ -26,6 +26,7 @@ from firmware_protocol.fields import (
     bits,
     words,
 )
+from firmware_protocol.pwm import PWM_CLOCK_HZ, PWM_FULL_WIDTH, pwm_frequency_hz
 
 FRAME_BYTES: Final = 504
 HEADER_BYTES: Final = 18
@@ -40,17 +41,8 @@ ENDPOINT_OUT: Final = 0x02
 """Bulk OUT: commands and data to the FPGA. 0x06 programs the FPGA over JTAG and is never touched."""
 ENDPOINT_IN: Final = 0x84
 """Bulk IN: data from the FPGA. 0x88 is JTAG and is never touched."""
-PWM_CLOCK_HZ: Final = 40_000_000
 PWM_CHANNELS: Final = 8
 ENCODER_CHANNELS: Final = 8
-PWM_FULL_WIDTH: Final = (255, 4095)
-"""Width of a full period, by PWM mode: 0 is 8-bit, 1 is 12-bit."""
-
-
-def pwm_frequency_hz(mode: int, prescaler: int) -> float:
-    """PWM frequency in Hz of mode 0 (8-bit) or 1 (12-bit) and prescaler 0..65535 (manual section 3.1)."""
-    return PWM_CLOCK_HZ / ((prescaler + 1) * PWM_FULL_WIDTH[mode])
-
 
 _RAW: Final = "raw"
 _BITMAP: Final = "bit mask"
@@ -309,6 +301,8 @@ def decode_send(frame: bytes | bytearray | memoryview) -> dict[str, Value]:
 __all__ = [
     "FIELDS",
     "FRAME_BYTES",
+    "PWM_CLOCK_HZ",
+    "PWM_FULL_WIDTH",
     "READ",
     "READ_REQUEST",
     "SEND",

@@ -3,7 +3,7 @@ import sys
 
 import pytest
 
-from firmware_protocol import reference, rtdac_usb2
+from firmware_protocol import reference, rtdac_pci, rtdac_usb, rtdac_usb2
 from firmware_protocol.fields import Bits, bits
 
 
@@ -14,8 +14,13 @@ def written(tmp_path, monkeypatch):
     return path
 
 
-def row_of(name):
-    return next(line for line in reference.render().splitlines() if line.startswith(f"| `{name}` |"))
+def row_of(name, heading="## RT-DAC/USB2"):
+    section = reference.render().partition(f"\n{heading}")[2]
+    return next(line for line in section.splitlines() if line.startswith(f"| `{name}` |"))
+
+
+def cells_of(name, heading):
+    return [cell.strip() for cell in row_of(name, heading).strip("|").split("|")]
 
 
 def test_the_shipped_document_is_fresh():
@@ -100,3 +105,70 @@ def test_layout_notation():
     assert reference.where(None) == "-"
     assert reference.where(bits(3, 4, 2)) == "w3[4:6]"
     assert reference.where((Bits(1, 0, 16, 0), Bits(2, 0, 10, 16))) == "w1[0:16] + w2[0:10]"
+
+
+@pytest.mark.parametrize("logic", rtdac_usb.LOGICS.values(), ids=lambda logic: hex(logic.version))
+def test_every_field_of_the_first_generation_has_its_row_in_each_logic(logic):
+    for field in logic.fields:
+        cells = cells_of(field.name, f"### Logic 0x{logic.version:04X}")
+        assert cells[1:3] == [reference.where(field.read, "b"), reference.where(field.send, "b")]
+        assert cells[4:] == [field.unit, field.meaning, field.status.value, field.source]
+
+
+@pytest.mark.parametrize(
+    ("heading", "name", "read", "send"),
+    [
+        ("### Logic 0x0111", "pwm0_prescaler", "b21[0:8] + b22[0:8]", "b21[0:7] + b22[0:7] + b23[0:2]"),
+        ("### Logic 0x0111", "pwm0_mode", "b23[0:1]", "b23[6:7]"),
+        ("### Logic 0x0111", "encoder_reset", "b41[0:4]", "b41[0:4]"),
+        ("### Logic 0x0112", "encoder_reset", "b31[0:8] + b32[0:4]", "b31[0:7] + b32[0:5]"),
+        ("### Logic 0x0112", "encoder11_count", "b77[0:8] + b78[0:8] + b79[0:8] + b80[0:8]", "-"),
+    ],
+)
+def test_rows_of_frames_of_bytes(heading, name, read, send):
+    assert cells_of(name, heading)[1:3] == [read, send]
+
+
+@pytest.mark.parametrize(
+    ("heading", "table"), [("## RT-DAC4/PCI", rtdac_pci.ABS), ("### Generic registers", rtdac_pci.GENERIC)]
+)
+def test_every_register_has_its_row(heading, table):
+    for register in table.registers.values():
+        cells = cells_of(register.name, heading)
+        assert len(cells) == 10
+        assert cells[1].startswith(f"0x{register.offset:02X}[{register.low}:")
+        assert cells[7:] == [register.meaning, register.status.value, register.source]
+
+
+@pytest.mark.parametrize(
+    ("name", "cells"),
+    [
+        ("pwm_width", ["0x6C[0:12]", "read, write", "`pwm_index`", "0..4095", "1", "-"]),
+        ("counter_channels", ["0x04[12:16]", "read", "-", "0..15", "1", "-"]),
+        ("supply", ["0x38[0:32]", "read", "-", "0..4294967295", "raw", "V = 92000 / count; 0 if 0"]),
+    ],
+)
+def test_rows_of_registers(name, cells):
+    assert cells_of(name, "## RT-DAC4/PCI")[1:7] == cells
+
+
+def test_registers_are_in_the_order_of_their_offsets():
+    section = reference.render().partition("\n## RT-DAC4/PCI")[2].partition("\n### ")[0]
+    places = [line.split(" | ")[1] for line in section.splitlines() if line.startswith("| `")]
+    assert len(places) == len(rtdac_pci.ABS.registers)
+    assert places == sorted(places, key=lambda place: (place[:4], int(place[5:].partition(":")[0])))
+
+
+@pytest.mark.parametrize(
+    ("heading", "facts"),
+    [
+        ("## RT-DAC/USB, first generation", ("150", "`80`", "`82`", "0x81", "0x83", "Bit 7", "inferred")),
+        (
+            "## RT-DAC4/PCI",
+            ("0x050F", "10b5:2497", "256", "64", "register 2", "0xA0, 0xA4, 0xA8", "K1", "K2", "atomic"),
+        ),
+    ],
+)
+def test_the_introductions_name_what_a_driver_must_know(heading, facts):
+    head = reference.render().partition(f"\n{heading}")[2].partition("\n| ")[0]
+    assert [fact for fact in facts if fact not in head] == []

@@ -1,0 +1,124 @@
+from contextlib import suppress
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol import Kind, ProtocolError
+from firmware_protocol.rtdac_usb import LOGICS, decode_read, decode_send, encode_read, encode_send, logic_of
+
+whole_table = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+each_logic = pytest.mark.parametrize("logic", sorted(LOGICS), ids=hex)
+frames = st.binary(min_size=150, max_size=150)
+anything = st.none() | st.integers() | st.floats() | st.text() | st.booleans() | st.binary()
+
+
+def values_of(table):
+    def value(field, layout):
+        if field.name in table.fixed:
+            return st.just(table.fixed[field.name])
+        if field.kind is Kind.TEXT:
+            return st.text(st.characters(min_codepoint=1, max_codepoint=127), max_size=5)
+        return st.integers(*field.range(layout))
+
+    return st.fixed_dictionaries({}, optional={name: value(*place) for name, place in table.fields.items()})
+
+
+SENT = st.sampled_from(sorted(LOGICS)).flatmap(lambda v: st.tuples(st.just(v), values_of(LOGICS[v].send)))
+ANSWERED = st.sampled_from(sorted(LOGICS)).flatmap(lambda v: st.tuples(st.just(v), values_of(LOGICS[v].read)))
+
+
+@whole_table
+@given(case=SENT)
+def test_the_board_understands_every_value_the_host_sends(case):
+    logic, values = case
+    nothing = decode_send(encode_send({}, logic=logic), logic=logic)
+    assert decode_send(encode_send(values, logic=logic), logic=logic) == {**nothing, **values}
+
+
+@whole_table
+@given(case=ANSWERED)
+def test_the_host_reads_every_value_the_board_answers(case):
+    logic, values = case
+    nothing = decode_read(encode_read({}, logic=logic), logic=logic)
+    assert decode_read(encode_read(values, logic=logic), logic=logic) == {**nothing, **values}
+
+
+@each_logic
+@given(frame=frames)
+def test_any_answer_of_this_logic_encodes_back_to_the_same_declared_bits(logic, frame):
+    frame = logic.to_bytes(2, "little") + frame[2:]
+    declared = bytearray(150)
+    for _, layout in logic_of(logic).read.fields.values():
+        for part in layout:
+            declared[part.word] |= (2**part.width - 1) << part.low
+    kept = bytes(a & b for a, b in zip(frame, declared, strict=True))
+    assert encode_read(decode_read(frame, logic=logic), logic=logic) == kept
+
+
+@each_logic
+@given(frame=frames)
+def test_any_send_frame_encodes_back_to_the_same_declared_bits(logic, frame):
+    frame = b"\x81" + bytes(byte & 0x7F for byte in frame[1:])
+    declared = bytearray(b"\xff" + bytes(149))
+    for _, layout in logic_of(logic).send.fields.values():
+        for part in layout:
+            declared[part.word + 1] |= (2**part.width - 1) << part.low
+    kept = bytes(a & b for a, b in zip(frame, declared, strict=True))
+    assert encode_send(decode_send(frame, logic=logic), logic=logic) == kept
+
+
+@each_logic
+@given(frame=frames, version=st.integers(0, 0xFFFF))
+def test_an_answer_of_another_logic_is_never_taken_for_this_ones(logic, frame, version):
+    frame = version.to_bytes(2, "little") + frame[2:]
+    if version == logic:
+        assert decode_read(frame, logic=logic)["logic_version"] == logic
+    else:
+        with pytest.raises(ProtocolError, match=f"logic_version = 0x{version:04X}, must be 0x{logic:04X}"):
+            decode_read(frame, logic=logic)
+
+
+@each_logic
+@given(frame=frames, command=st.integers(0, 0xFF).filter(lambda byte: byte != 0x81))
+def test_a_frame_with_another_command_is_never_taken_as_a_send_frame(logic, frame, command):
+    with pytest.raises(ProtocolError, match=f"command byte 0x{command:02X}, must be 0x81"):
+        decode_send(bytes([command]) + frame[1:], logic=logic)
+
+
+@each_logic
+@given(frame=frames, marked=st.integers(0, 148))
+def test_a_send_frame_is_understood_exactly_when_no_data_byte_has_bit_7(logic, frame, marked):
+    cleared = bytearray(byte & 0x7F for byte in frame)
+    cleared[0] = 0x81
+    assert set(decode_send(cleared, logic=logic)) == set(logic_of(logic).send.fields)
+    cleared[marked + 1] |= 0x80
+    with pytest.raises(ProtocolError, match=f"byte {marked} "):
+        decode_send(cleared, logic=logic)
+
+
+@each_logic
+@given(junk=st.binary(max_size=400))
+def test_decoders_answer_any_bytes_with_values_or_a_protocol_error(logic, junk):
+    for decode in (decode_read, decode_send):
+        with suppress(ProtocolError):
+            assert decode(junk, logic=logic)
+            assert len(junk) == 150
+
+
+@each_logic
+@given(name=st.text(max_size=30), value=anything)
+def test_encoders_answer_any_name_and_value_with_a_frame_or_a_protocol_error(logic, name, value):
+    for encode in (encode_read, encode_send):
+        with suppress(ProtocolError):
+            assert len(encode({name: value}, logic=logic)) == 150
+
+
+@each_logic
+@given(data=st.data(), value=anything)
+def test_a_value_is_either_carried_unchanged_or_refused(logic, data, value):
+    name = data.draw(st.sampled_from(sorted(logic_of(logic).read.fields)))
+    with suppress(ProtocolError):
+        decoded = decode_read(encode_read({name: value}, logic=logic), logic=logic)[name]
+        assert decoded == value
+        assert type(decoded) is type(value)
