@@ -75,7 +75,8 @@ class UsbIpServer:
         self._visitors: dict[Connection, float] = {}  # with the time at which patience ends
         self._importer: Connection | None = None
         self._attachment: Attachment | None = None
-        self._bell, self._rope = socket.socketpair()
+        self._bell: socket.socket | None = None
+        self._rope: socket.socket | None = None
         self._lock = threading.Lock()
         self._serving = False
         self._closed = False
@@ -90,6 +91,7 @@ class UsbIpServer:
         """Listen from now on. Raises BoardError if the address is taken."""
         self._listener = self._address.listen()
         self._listener.setblocking(False)
+        self._bell, self._rope = socket.socketpair()
         if isinstance(self._address, TcpAddress):
             self._address = self._address._replace(port=self._listener.getsockname()[1])
         return self.facts
@@ -132,14 +134,15 @@ class UsbIpServer:
             self._closed = True
             serving = self._serving
         if serving:
-            with suppress(OSError):
-                self._rope.send(b"!")
+            if self._rope is not None:
+                with suppress(OSError):
+                    self._rope.send(b"!")
         else:
             self._hang_up()
 
     def step(self) -> None:
         """Wait a moment for something to do, and do it."""
-        if self._listener is None:
+        if self._listener is None or self._bell is None:
             raise BoardError("the USB/IP server must be bound to its address before it can serve")
         peers = [*self._visitors, *([self._importer] if self._importer else [])]
         reading: list[socket.socket | Connection] = [self._listener, self._bell]
