@@ -166,12 +166,12 @@ class BusBackend(IBackend):
         return dev_handle.core.driver is not None
 
     def detach_kernel_driver(self, dev_handle, intf):  # noqa: ARG002
-        if dev_handle.core.driver is None:
-            raise _error(errno.ENODATA)
-        dev_handle.core.driver = None
+        with _as_libusb():
+            dev_handle.core.detach_driver()
 
     def attach_kernel_driver(self, dev_handle, intf):  # noqa: ARG002
-        dev_handle.core.driver = self.driver
+        with _as_libusb():
+            dev_handle.core.attach_driver()
 
     @staticmethod
     def _transfer(handle, endpoint, timeout, **urb):

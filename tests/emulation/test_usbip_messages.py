@@ -376,3 +376,13 @@ def test_closing_is_an_unplug(serve, host):
     with serve(host) as (_, address):
         peer = Peer(address).take()
     peer.expect_end()
+
+
+def test_a_peer_that_does_not_read_is_cut_off(attached, server, monkeypatch):
+    monkeypatch.setattr("inteco_abs.mock_board.usbip_connection._MOST_UNSENT", 1 << 16)
+    data = bytes(1 << 20)
+    with suppress(OSError):
+        for i in range(64):
+            attached.stream.sendall(submit(2 * i, OUT, 2, len(data), data) + submit(2 * i + 1, IN, 4, len(data)))
+    eventually(lambda: not server.busy)
+    Peer(server.address).take()

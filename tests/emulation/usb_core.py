@@ -68,9 +68,11 @@ class UsbCore:
         self.bus = bus
         self.address = bus.address
         self.driver = driver
+        self._own_driver = driver
         self._wait = wait
         self._lock = threading.RLock()
         self._owner = None
+        self.on_configuration = lambda _value: None
         self.descriptors = self.control(Setup(0x80, 6, 0x0100, 0, 18))
         (total,) = struct.unpack_from("<2xH", self.control(Setup(0x80, 6, 0x0200, 0, 9)))
         self.descriptors += self.control(Setup(0x80, 6, 0x0200, 0, total))
@@ -122,6 +124,10 @@ class UsbCore:
                 raise OSError(errno.EBUSY, "the interface is claimed")
             self._owner = owner
 
+    @property
+    def claimed(self):
+        return self._owner is not None
+
     def holds(self, owner):
         return self._owner == owner
 
@@ -135,6 +141,16 @@ class UsbCore:
         with self._lock:
             if self.holds(owner):
                 self._owner = None
+
+    def detach_driver(self):
+        if self.driver is None:
+            raise OSError(errno.ENODATA, "no driver is bound")
+        self.driver = None
+
+    def attach_driver(self):
+        if self.claimed:
+            raise OSError(errno.EBUSY, "the interface is claimed")
+        self.driver = self._own_driver
 
     def set_interface(self, interface, alternate):
         if interface or alternate:
@@ -155,6 +171,7 @@ class UsbCore:
     def _set_configuration(self, value):
         self.control(Setup(0x00, 9, value, 0, 0))
         self.configuration = value
+        self.on_configuration(value)
 
     def _parse(self, data):
         self.endpoint_descriptors = []
