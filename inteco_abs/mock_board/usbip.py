@@ -77,7 +77,7 @@ class UsbIpServer:
         self._attachment: Attachment | None = None
         self._bell: socket.socket | None = None
         self._rope: socket.socket | None = None
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # `close` may be called by a signal handler in the middle of `serve`
         self._serving = False
         self._closed = False
         host.listeners.append(self._plugged)
