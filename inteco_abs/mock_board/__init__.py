@@ -3,5 +3,26 @@
 from inteco_abs.mock_board.device import Cable, Device, Truth
 from inteco_abs.mock_board.serve import SocketServer
 from inteco_abs.mock_board.usb2 import Usb2Face
+from inteco_abs.mock_board.usb_board import UsbBoard
+from inteco_abs.mock_board.usb_descriptors import Speed, UsbIdentity
+from inteco_abs.mock_board.usb_host import Urb, UsbHost
+from inteco_abs.mock_board.usbip import Facts, UsbIpServer
+from inteco_abs.mock_board.usbip_address import TcpAddress, UnixAddress, parse_address
 
-__all__ = ["Cable", "Device", "SocketServer", "Truth", "Usb2Face"]
+__all__ = [
+    "Cable",
+    "Device",
+    "Facts",
+    "SocketServer",
+    "Speed",
+    "TcpAddress",
+    "Truth",
+    "UnixAddress",
+    "Urb",
+    "Usb2Face",
+    "UsbBoard",
+    "UsbHost",
+    "UsbIdentity",
+    "UsbIpServer",
+    "parse_address",
+]

@@ -1,0 +1,130 @@
+"""What the mock board says about itself on the bus: the descriptors of USB 2.0, chapter 9.
+
+The descriptors of the real board have never been published. Ids are guesses, see `rtdac_usb2_bridge`; endpoints are
+those of the vendor's own program; class codes, release and current are made up.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
+from firmware_protocol.rtdac_usb2_bridge import (
+    ENDPOINT_JTAG_IN,
+    ENDPOINT_JTAG_OUT,
+    MANUFACTURER,
+    PRODUCT_ID,
+    VENDOR_ID,
+)
+
+PRODUCT: Final = "RT-DAC/USB2 (mock, simulated rig)"
+MOCK_SERIALS: Final = range(900_000_000, 1_000_000_000)
+"""Serial numbers of mock boards: nine digits with a leading 9, so that nobody takes their data for measurements."""
+RELEASE: Final = 0x0100
+CONFIGURATION: Final = 1
+"""The only configuration's value."""
+CONTROL_PACKET_BYTES: Final = 64
+ENDPOINTS: Final = (ENDPOINT_OUT, ENDPOINT_IN, ENDPOINT_JTAG_OUT, ENDPOINT_JTAG_IN)
+ENDPOINT_DIRECTION_IN: Final = 0x80
+
+_DEVICE, _CONFIGURATION, _STRING, _INTERFACE, _ENDPOINT = 1, 2, 3, 4, 5
+DEVICE_CLASS: Final = (0xFF, 0, 0)
+INTERFACE_CLASS: Final = (0xFF, 0, 0)
+"""Class, subclass and protocol: vendor-specific."""
+_BULK: Final = 2
+_BUS_POWERED: Final = 0x80
+_CURRENT_2MA: Final = 50
+_LANGUAGE: Final = 0x0409
+"""English (United States), the only language of the strings."""
+
+
+class Speed(Enum):
+    """Speed of the bus, by the size of a bulk packet in bytes (USB 2.0 section 5.8.3)."""
+
+    FULL = 64
+    HIGH = 512
+
+    @property
+    def packet_bytes(self) -> int:
+        """Largest bulk packet."""
+        return self.value
+
+
+@dataclass(frozen=True, slots=True)
+class UsbIdentity:
+    """Ids, serial number and speed of one mock board. Raises ValueError for what cannot be a mock's."""
+
+    serial: int = MOCK_SERIALS.start + 1
+    vendor_id: int = VENDOR_ID
+    product_id: int = PRODUCT_ID
+    speed: Speed = Speed.HIGH
+
+    def __post_init__(self) -> None:
+        """Refuse ids that do not fit their field and serial numbers that a real board may have."""
+        for name, value in (("vendor id", self.vendor_id), ("product id", self.product_id)):
+            if not 0 < value <= 0xFFFF:
+                raise ValueError(f"{name} {value:#x}: must be in 0x0001..0xffff")
+        if self.serial not in MOCK_SERIALS:
+            raise ValueError(
+                f"serial number {self.serial}: a mock board's lies in {MOCK_SERIALS[0]}..{MOCK_SERIALS[-1]}, "
+                "so that nobody takes its data for measurements"
+            )
+
+    @property
+    def strings(self) -> tuple[str, str, str]:
+        """Manufacturer, product and serial number: strings 1, 2 and 3."""
+        return MANUFACTURER, PRODUCT, str(self.serial)
+
+    def descriptor(self, kind: int, index: int) -> bytes | None:
+        """Descriptor `index` of type `kind`, whole; None if there is none."""
+        if (kind, index) == (_DEVICE, 0):
+            return self._device()
+        if (kind, index) == (_CONFIGURATION, 0):
+            return self._configuration()
+        if kind == _STRING and index <= len(self.strings):
+            return _string(index, self.strings)
+        return None
+
+    def _device(self) -> bytes:
+        return struct.pack(
+            "<BBHBBBBHHHBBBB",
+            18,
+            _DEVICE,
+            0x0200,
+            *DEVICE_CLASS,
+            CONTROL_PACKET_BYTES,
+            self.vendor_id,
+            self.product_id,
+            RELEASE,
+            1,
+            2,
+            3,
+            1,
+        )
+
+    def _configuration(self) -> bytes:
+        below = struct.pack("<BBBBBBBBB", 9, _INTERFACE, 0, 0, len(ENDPOINTS), *INTERFACE_CLASS, 0)
+        for address in ENDPOINTS:
+            below += struct.pack("<BBBBHB", 7, _ENDPOINT, address, _BULK, self.speed.packet_bytes, 0)
+        return (
+            struct.pack(
+                "<BBHBBBBB",
+                9,
+                _CONFIGURATION,
+                9 + len(below),
+                1,
+                CONFIGURATION,
+                0,
+                _BUS_POWERED,
+                _CURRENT_2MA,
+            )
+            + below
+        )
+
+
+def _string(index: int, strings: tuple[str, ...]) -> bytes:
+    text = strings[index - 1].encode("utf-16-le") if index else _LANGUAGE.to_bytes(2, "little")
+    return bytes((2 + len(text), _STRING)) + text
