@@ -67,6 +67,8 @@ class UsbConfig(_Section):
     """Any, if not given: UNKNOWN."""
     manufacturer: str = "InTeCo"
     """CONFIRMED: the string that the vendor's software looks for."""
+    engine: Literal["faster", "one-by-one", "queued"] = "faster"
+    """How a tick's three transfers are handed over; `faster` measures both when the board is opened."""
 
 
 class EncodersConfig(_Section):

@@ -37,9 +37,9 @@ def _open_socket(path: str, _: RigConfig) -> Link:
 
 
 def _open_usb(serial: str, config: RigConfig) -> Link:
-    from inteco_abs.boards.usb import UsbLink  # noqa: PLC0415  who has no such board needs no libusb
+    from inteco_abs.boards.usb_engines import open_usb  # noqa: PLC0415  who has no such board needs no libusb
 
-    return UsbLink(serial, config.usb)
+    return open_usb(serial, config.usb)
 
 
 _OPENERS: Final[dict[str, Callable[[str, RigConfig], Link]]] = {"sim": _open_socket, "usb2": _open_usb}

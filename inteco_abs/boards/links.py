@@ -34,6 +34,12 @@ class Link(ABC):
     def read(self, length: int) -> bytes:
         """Receive one message of at most `length` bytes."""
 
+    def exchange(self, first: bytes | bytearray, second: bytes, length: int) -> bytes:
+        """Send two messages and receive one; links that can hand them over together do."""
+        self.write(first)
+        self.write(second)
+        return self.read(length)
+
     @abstractmethod
     def close(self) -> None:
         """Let go of the board. Writes nothing; may be called twice."""

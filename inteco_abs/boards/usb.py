@@ -59,7 +59,7 @@ class UsbLink(Link):
     """
 
     def __init__(self, serial: str, ids: UsbConfig, backend: Any = None) -> None:
-        self._device = _only(serial, ids, backend)
+        self._device = find_one(serial, ids, backend)
         try:
             self._interface = self._device.get_active_configuration()[(0, 0)].bInterfaceNumber
             usb.util.claim_interface(self._device, self._interface)
@@ -145,7 +145,8 @@ def boards(ids: UsbConfig, backend: Any = None) -> Iterator[Seen]:
             yield seen
 
 
-def _only(serial: str, ids: UsbConfig, backend: Any) -> Any:
+def find_one(serial: str, ids: UsbConfig, backend: Any = None) -> Any:
+    """Pyusb's device of the one board with that serial number, or of the only board; raises BoardError."""
     seen = list(boards(ids, backend))
     found = [one for one in seen if not one.denied and (not serial or _same(one.serial, serial))]
     if len(found) == 1:
