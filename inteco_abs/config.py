@@ -58,6 +58,19 @@ class BoardConfig(_Section):
     wheel_sign: Literal[1, -1] = 1
 
 
+class UsbConfig(_Section):
+    """How an RT-DAC/USB2 is told from other devices. The vendor's software goes by the manufacturer's name alone."""
+
+    vendor_id: Annotated[int, Field(ge=0, le=0xFFFF)] = 0x04B4
+    """Cypress, the maker of the bridge: INFERRED, no source names the board's ids."""
+    product_id: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None
+    """Any, if not given: UNKNOWN."""
+    manufacturer: str = "InTeCo"
+    """CONFIRMED: the string that the vendor's software looks for."""
+    engine: Literal["faster", "one-by-one", "queued"] = "faster"
+    """How a tick's three transfers are handed over; `faster` measures both when the board is opened."""
+
+
 class EncodersConfig(_Section):
     counts_per_turn: Annotated[int, Field(ge=256, le=1_000_000)] = 2048
     """Quadrature counts per turn of both wheels: 2048 in the paper, 4096 on the vendor's rig."""
@@ -135,6 +148,7 @@ class RigConfig(_Section):
 
     profile: str = DEFAULT_PROFILE
     board: BoardConfig
+    usb: UsbConfig = UsbConfig()
     encoders: EncodersConfig = EncodersConfig()
     loop: LoopConfig = LoopConfig()
     model: ModelConfig = ModelConfig()
@@ -151,7 +165,7 @@ class RigConfig(_Section):
 
     def to_toml(self) -> str:
         """The effective configuration; `load_config` of it gives an equal RigConfig."""
-        return tomli_w.dumps(self.model_dump())
+        return tomli_w.dumps(self.model_dump(exclude_none=True))
 
 
 def profiles() -> list[str]:

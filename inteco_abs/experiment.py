@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
 
-from inteco_abs.boards import Board, InProcessLink, RtdacUsb2, check_address
+from inteco_abs.boards import Board, InProcessLink, RtdacUsb2, check_address, simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline, gains_in_force
 from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
@@ -70,6 +70,8 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
     BoardError if it cannot start, and then leaves no file; BoardError also if SAFE could not be confirmed.
     """
     check_address(plan.board)
+    if plan.virtual and not simulated(plan.board):
+        raise ConfigError([Mistake("--virtual", f"{plan.board} is a real board, and real boards have their own time")])
     check_output(plan.out)
     # a controller's prints must not mix with the result card
     with redirect_stdout(sys.stderr):
@@ -123,7 +125,7 @@ def _processes(
             out=str(plan.out.absolute()),
             session=str(plan.out),
             board=plan.board,
-            address=f"{plan.board}{memory.socket}",
+            address=f"{plan.board}{memory.socket}" if simulated(plan.board) else plan.board,
             seed=plan.seed,
             session_id=str(uuid.uuid4()),
             config=config,
@@ -132,7 +134,8 @@ def _processes(
         )
         job.post(memory)
         supervisor = Supervisor(memory, job)
-        supervisor.spawn("board", "inteco_abs.simulator", str(memory.path))
+        if simulated(plan.board):
+            supervisor.spawn("board", "inteco_abs.simulator", str(memory.path))
         yield memory, supervisor
     finally:
         memory.remove()

@@ -34,6 +34,12 @@ class Link(ABC):
     def read(self, length: int) -> bytes:
         """Receive one message of at most `length` bytes."""
 
+    def exchange(self, first: bytes | bytearray, second: bytes, length: int) -> bytes:
+        """Send two messages and receive one; links that can hand them over together do."""
+        self.write(first)
+        self.write(second)
+        return self.read(length)
+
     @abstractmethod
     def close(self) -> None:
         """Let go of the board. Writes nothing; may be called twice."""
@@ -138,7 +144,10 @@ class SocketLink(Link):
         self._socket.close()
 
 
-SCHEMES: Final = {"sim": "the mock RT-DAC/USB2 board with the simulated rig inside"}
+SCHEMES: Final = {
+    "sim": "the mock RT-DAC/USB2 board with the simulated rig inside",
+    "usb2": "an RT-DAC/USB2, by its decimal serial number if there are several",
+}
 """Board addresses that this version opens, by what stands before the colon."""
 
 
@@ -148,5 +157,12 @@ def check_address(uri: str) -> None:
     if not colon or scheme not in SCHEMES:
         known = "; ".join(f"{name}: is {what}" for name, what in SCHEMES.items())
         raise ConfigError([Mistake("--board", f"{uri!r} is no board address of this version; {known}")])
-    if rest:
-        raise ConfigError([Mistake("--board", f"{uri!r}: nothing may follow {scheme}:")])
+    if scheme == "sim" and rest:
+        raise ConfigError([Mistake("--board", f"{uri!r}: nothing may follow sim:")])
+    if scheme == "usb2" and rest and not (rest.isascii() and rest.isdecimal()):
+        raise ConfigError([Mistake("--board", f"{uri!r}: after usb2: comes a decimal serial number, as in usb2:123")])
+
+
+def simulated(uri: str) -> bool:
+    """Whether the board at `uri` is the mock."""
+    return uri.startswith("sim:")

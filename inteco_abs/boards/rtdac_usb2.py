@@ -152,12 +152,15 @@ class RtdacUsb2(Board):
         if self._number_at >= 0:
             self._number = (self._number + 1) % _NUMBERS
             _WORD.pack_into(self._image, self._number_at, self._number)
-        self._link.write(self._image)
         if self._late:
+            self._link.write(self._image)
             # the answer of a failed exchange must not be taken for this one's; the output has gone out before
             self._link.discard(FRAME_BYTES)
-        self._late = True
-        frame = self._answer()
+            answer = self._read()
+        else:
+            self._late = True
+            answer = _whole(self._link.exchange(self._image, READ_REQUEST, FRAME_BYTES))
+        frame = self._newest(answer)
         echo = (_WORD.unpack_from(frame, self._drive_echo)[0], _WORD.unpack_from(frame, self._brake_echo)[0])
         if echo != (drive, brake):
             raise LinkError(
@@ -166,15 +169,14 @@ class RtdacUsb2(Board):
         self._late = False
         return frame
 
-    def _answer(self) -> bytes:
-        """READ, and the answer to that very request; older ones that come first are dropped."""
-        frame = self._read()
+    def _newest(self, frame: bytes) -> bytes:
+        """The answer to the newest request, `frame` or one that follows it; older ones are dropped."""
         for _ in range(_MOST_OLD):
             if not frame.startswith(self._header):
                 raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
             if self._number_at < 0 or _WORD.unpack_from(frame, self._number_at)[0] % _NUMBERS == self._number:
                 return frame
-            frame = self._receive()
+            frame = _whole(self._link.read(FRAME_BYTES))
         raise LinkError("the board answers only requests of long ago: is another program reading from it?")
 
     def _counts(self, frame: bytes) -> tuple[int, int]:
@@ -184,13 +186,13 @@ class RtdacUsb2(Board):
 
     def _read(self) -> bytes:
         self._link.write(READ_REQUEST)
-        return self._receive()
-
-    def _receive(self) -> bytes:
-        frame = self._link.read(FRAME_BYTES)
-        if len(frame) != FRAME_BYTES:
-            raise LinkError(f"the board's answer has {len(frame)} bytes, must be {FRAME_BYTES}")
-        return frame
+        return _whole(self._link.read(FRAME_BYTES))
 
     def _close(self) -> None:
         self._link.close()
+
+
+def _whole(frame: bytes) -> bytes:
+    if len(frame) != FRAME_BYTES:
+        raise LinkError(f"the board's answer has {len(frame)} bytes, must be {FRAME_BYTES}")
+    return frame

@@ -7,6 +7,7 @@ the loop's process asks for, which changes a process for good, and prints one JS
 from __future__ import annotations
 
 import json
+import math
 import signal
 import subprocess
 import sys
@@ -34,6 +35,8 @@ _BEARABLE_MISSED: Final = 0.01
 _COMFORTABLE_SHARE: Final = 0.8
 """Of a period, for the board; the rest is for waking up and deciding."""
 _MOST_FAILURES_IN_A_ROW: Final = 4
+_RATE_TRIALS: Final = 1000
+_RATE_MARGIN: Final = 1.2
 """The guard's limit."""
 _QUIET: Final = "close other programs, follow the fixes above, and measure again with --seconds 60"
 
@@ -144,6 +147,21 @@ def round_trips(board: Board, count: int) -> list[float]:
         if failed >= _MOST_FAILURES_IN_A_ROW:
             raise BoardError(f"the board does not answer: {board.last_error}") from board.last_error
     return times_us
+
+
+def insist_on_rate(board: Board, period_ns: int) -> None:
+    """Raise BoardError, naming the rate that can be kept, if exchanges with an entered board take longer than a period.
+
+    Judged by the 99.9th percentile of a thousand, with all outputs off.
+    """
+    times_us = round_trips(board, _RATE_TRIALS)
+    p999_us, period_us = quantiles(times_us).p999, period_ns * 1e-3
+    if p999_us > period_us:
+        rate_hz = math.floor(1e6 / (_RATE_MARGIN * p999_us))
+        raise BoardError(
+            f"the board's exchanges take up to {p999_us:.0f} us (99.9 %), longer than the period of {period_us:g} us: "
+            f"set loop.rate_hz to {rate_hz} or less, or see inteco-abs doctor --board"
+        )
 
 
 def judge_round_trips(times_us: Collection[float], count: int, period_us: float) -> Judgement:

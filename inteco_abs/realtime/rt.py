@@ -10,12 +10,13 @@ import traceback
 from pathlib import Path
 from typing import Any, Final
 
-from inteco_abs.boards import Board, open_board
+from inteco_abs.boards import Board, open_board, simulated
 from inteco_abs.control import Pipeline, build_pipeline, gains_in_force
 from inteco_abs.errors import AbsError, in_words
 from inteco_abs.realtime.clock import PacedClock
 from inteco_abs.realtime.holder import PATIENCE_S, holding, stopped, tell_failure
 from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.latency import insist_on_rate
 from inteco_abs.realtime.loop import Loop
 from inteco_abs.realtime.machine import loop_wishes, prepare
 from inteco_abs.realtime.memory import Note, RunMemory, Word
@@ -81,6 +82,8 @@ def _run(memory: RunMemory, job: Job) -> None:
         memory.post(Note.SAFE_IMAGE, board.safe_image)
         loop = Loop(board, pipeline, clock, ring, SharedStop(memory))
         settings = prepare(loop_wishes())
+        if not simulated(job.board):
+            insist_on_rate(board, config.period_ns)
         memory.post(
             Note.INTRODUCTION,
             {

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from inteco_abs.boards import simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.records.schema import TICK, TRUTH
 from inteco_abs.rig import RigParameters
@@ -110,7 +111,7 @@ class Scribe:
                 "r1_m": repr(parameters.r1),
                 "r2_m": repr(parameters.r2),
                 "parameters": config.model.parameters,
-                "simulated": str(told.board.startswith("sim:")).lower(),
+                "simulated": str(simulated(told.board)).lower(),
                 "virtual_time": str(told.virtual).lower(),
             },
         )

@@ -4,11 +4,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from inteco_abs.boards import Link
 from inteco_abs.errors import LinkError
 from inteco_abs.signals import BoardFlags
 
 
-class OldAnswers:
+class OldAnswers(Link):
     """Between a board and its link: holds answers back, repeats or loses them."""
 
     def __init__(self, link):

@@ -1,0 +1,117 @@
+"""The driver's USB link over pyusb, with the mock board on the bus in process."""
+
+import pytest
+from pyusb_backend import BusBackend
+
+from inteco_abs.boards import RtdacUsb2
+from inteco_abs.boards.usb import UsbLink, boards
+from inteco_abs.config import UsbConfig, load_config
+from inteco_abs.errors import BoardError, LinkError
+from inteco_abs.mock_board import Device, Speed, Usb2Face, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.signals import BoardFlags, Command
+
+SERIAL = 900_000_123
+PERIOD_NS = 500_000
+
+
+class Clock:
+    def __init__(self):
+        self.time_ns = 0
+
+    def now_ns(self):
+        return self.time_ns
+
+
+class Bus:
+    """One mock board on a bus of its own, and what a driver needs to open it."""
+
+    def __init__(self, speed=Speed.HIGH, serial=SERIAL):
+        self.clock = Clock()
+        self.config = load_config()
+        self.device = Device(self.config, self.clock.now_ns, 1)
+        self.board = UsbBoard(Usb2Face(self.device), UsbIdentity(serial=serial, speed=speed))
+        self.host = UsbHost(self.board)
+        self.backend = BusBackend(self.host)
+
+    def link(self, serial=""):
+        return UsbLink(serial, self.config.usb, self.backend)
+
+    def driver(self):
+        return RtdacUsb2(self.link(), self.config.board, self.clock.now_ns, PERIOD_NS)
+
+
+@pytest.fixture(params=Speed, ids=lambda speed: speed.name.lower())
+def bus(request):
+    return Bus(request.param)
+
+
+def test_the_board_is_found_by_its_maker_and_serial_number(bus):
+    (seen,) = boards(bus.config.usb, bus.backend)
+    assert (seen.manufacturer, seen.serial) == ("InTeCo", str(SERIAL))
+    bus.link().close()
+    bus.link(str(SERIAL)).close()
+    bus.link(f"000{SERIAL}").close()  # compared as decimal integers
+
+
+def test_another_serial_number_or_maker_or_id_is_another_board(bus):
+    with pytest.raises(BoardError, match=f"no RT-DAC/USB2 board with serial number 7: .*{SERIAL}"):
+        bus.link("7")
+    for ids in (UsbConfig(manufacturer="Somebody"), UsbConfig(vendor_id=0x1234), UsbConfig(product_id=1)):
+        with pytest.raises(BoardError, match="is it plugged in"):
+            UsbLink("", ids, bus.backend)
+
+
+def test_a_whole_exchange_goes_over_the_bus_as_it_does_in_process(bus):
+    with bus.driver() as board:
+        for _ in range(400):
+            bus.clock.time_ns += PERIOD_NS
+            sample = board.exchange(Command(1.0, 0.0))
+        assert sample.board_flags is BoardFlags.NONE
+        assert sample.road_count > 0
+        assert bus.device.duties == (1.0, 0.0)
+    assert bus.device.duties == (0.0, 0.0)
+    assert bus.board.jtag_transfers == 0
+
+
+def test_the_same_run_gives_the_same_samples_over_usb_and_in_process(bus):
+    from inteco_abs.boards import InProcessLink
+
+    def samples(new_driver, clock):
+        with new_driver as board:
+            made = []
+            for number in range(300):
+                clock.time_ns += PERIOD_NS
+                made.append(board.exchange(Command(0.8 if number < 200 else 0.0, 0.0 if number < 200 else 0.6)))
+            return made
+
+    other = Bus()
+    plain = RtdacUsb2(InProcessLink(Usb2Face(other.device)), other.config.board, other.clock.now_ns, PERIOD_NS)
+    assert samples(bus.driver(), bus.clock) == samples(plain, other.clock)
+
+
+def test_a_board_has_one_program_at_a_time(bus):
+    first = bus.link()
+    with pytest.raises(BoardError, match="another program or a kernel driver has the board"):
+        bus.link()
+    first.close()
+    bus.link().close()
+
+
+def test_a_silent_board_is_a_link_error_that_says_so(bus):
+    link = bus.link()
+    with pytest.raises(LinkError, match="did not answer within 10 ms"):
+        link.read(504)
+    link.discard(504)
+    link.close()
+
+
+def test_an_unplugged_board_is_told_from_a_silent_one(bus):
+    board = bus.driver().__enter__()
+    bus.clock.time_ns += PERIOD_NS
+    board.exchange(Command(0.5, 0.0))
+    bus.host.unplug()
+    sample = board.exchange(Command(0.5, 0.0))
+    assert sample.board_flags is BoardFlags.STALE
+    assert "is gone" in str(board.last_error)
+    with pytest.raises(BoardError, match="MOTOR POWER MAY STILL BE ON"):
+        board.__exit__(None, None, None)
