@@ -204,6 +204,30 @@ def figure(file: Path, out: Path) -> int:
     return 0
 
 
+@cli.command("mock-board")
+@click.option(
+    "--usbip",
+    "address",
+    is_flag=False,
+    flag_value="",
+    required=True,
+    metavar="[HOST:PORT]",
+    help="Serve it as a USB device to any Linux with vhci_hcd; by default on the loopback address, port 3240.",
+)
+@click.option("--serial", default=900_000_001, show_default=True, type=int, help="Its decimal serial number.")
+@click.option(
+    "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="What differs between two power-ups."
+)
+@click.option("--config", type=_FILE, help="rig.toml; every key has a default.")
+def mock_board(address: str, serial: int, seed: int, config: Path | None) -> int:
+    """Be an RT-DAC/USB2 with the rig on it, in real time, until Ctrl-C; its data are no measurements."""
+    from inteco_abs.config import load_config
+    from inteco_abs.simulator import serve_usbip
+
+    serve_usbip(load_config(config), address, serial, seed, say=click.echo)
+    return 0
+
+
 @cli.command()
 @click.option(
     "--seconds", default=2.0, show_default=True, type=float, help="Length of the wake-up test; 60 tells more."

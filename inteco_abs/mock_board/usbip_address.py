@@ -19,6 +19,9 @@ class TcpAddress(NamedTuple):
     host: str = LOOPBACK
     port: int = USBIP_PORT
 
+    def __str__(self) -> str:
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
     def listen(self) -> socket.socket:
         """A listening socket. Raises BoardError."""
         try:
