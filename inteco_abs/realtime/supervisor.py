@@ -30,6 +30,7 @@ from inteco_abs.signals import Phase, Reason
 _POLL_S: Final = 0.01
 _SCREEN_S: Final = 0.1
 _START_S: Final = 60.0
+_WATCHES_S: Final = 15.0
 _DRILL_S: Final = 8.0
 """Longer than the guardian tries."""
 _RESCUE_S: Final = 8.0
@@ -161,6 +162,7 @@ class Supervisor:
         """Before the loop may touch the board, kill a process that holds it: the guardian must be seen to take over."""
         words, drill = self._words, self._children["drill"]
         words[Word.GUARDED_PID] = drill.pid
+        self._wait_for(lambda: words[Word.GUARDING_PID] == drill.pid, "the guardian watches", "guardian", _WATCHES_S)
         self._wait_for(lambda: words[Word.READY] == drill.pid, "the board opens", "drill", _START_S)
         if self._memory.image(Note.SAFE_IMAGE) is None:
             raise BoardError("the drill left nothing to make the board safe with; nothing was started")

@@ -66,6 +66,14 @@ class LiveRun:
         if role in known:
             return self.words[known[role]]
         wanted = {"guardian": b"guardian", "board": b"inteco_abs.simulator"}[role]
+        end = time.monotonic() + 10.0
+        while time.monotonic() < end:
+            pid = self._with_words(wanted)
+            if pid:
+                return pid
+        raise AssertionError(f"no {role}")
+
+    def _with_words(self, wanted):
         for entry in Path("/proc").iterdir():
             try:
                 words = (entry / "cmdline").read_bytes().split(b"\0")
@@ -73,7 +81,7 @@ class LiveRun:
                 continue
             if wanted in words and str(self.memory.path).encode() in words:
                 return int(entry.name)
-        raise AssertionError(f"no {role}")
+        return 0
 
     def strike(self, role, number=signal.SIGKILL):
         """Send a signal; the time, in ns of the monotonic clock, just before."""
