@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from inteco_abs.control import Controller
     from inteco_abs.experiment import Progress
     from inteco_abs.realtime.findings import Finding
-    from inteco_abs.realtime.supervisor import Screen, Snapshot
+    from inteco_abs.realtime.screen import Screen, Snapshot
     from inteco_abs.sessions import Account, Replay, Session
 
 _LOSSES: Final = 3

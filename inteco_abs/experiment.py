@@ -23,7 +23,8 @@ from inteco_abs.realtime.doctor import examine
 from inteco_abs.realtime.findings import as_facts
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import RunMemory
-from inteco_abs.realtime.supervisor import SIGNALS, NoScreen, Screen, Supervisor
+from inteco_abs.realtime.screen import NoScreen, Screen
+from inteco_abs.realtime.supervisor import SIGNALS, Supervisor
 from inteco_abs.sessions import (
     TICK,
     TRUTH,

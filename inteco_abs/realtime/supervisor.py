@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, NamedTuple, Protocol, Self
+from typing import Any, Final, Self
 
 from inteco_abs import errors
 from inteco_abs.errors import AbsError, BoardError, SessionError, UnsafeError
@@ -24,6 +24,7 @@ from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import prepare, supervisor_wishes
 from inteco_abs.realtime.memory import Note, RunMemory, Word
 from inteco_abs.realtime.recorder import rebuild
+from inteco_abs.realtime.screen import Screen, Snapshot, Unbreakable
 from inteco_abs.sessions import TICK, Account
 from inteco_abs.signals import Phase, Reason
 
@@ -43,68 +44,8 @@ SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1"
 """Signals that would otherwise end or stop the program with its outputs on."""
 
 
-class Snapshot(NamedTuple):
-    """What a screen shows of a run; read from the rings, at no cost to the loop."""
-
-    phase: Phase
-    ticks: int
-    time_s: float
-    """Since the first tick."""
-    wheel_speed_rad_s: float
-    road_speed_rad_s: float
-    slip: float
-    drive: float
-    brake: float
-    overruns: int
-    late_us: tuple[float | None, ...]
-    """Lateness so far: p50, p99, p99.9 and the greatest."""
-
-
-class Screen(Protocol):
-    """Who shows a run to the user; called from the supervisor's process, never from the loop's."""
-
-    def show(self, snapshot: Snapshot) -> None:
-        """Ten times a second."""
-        ...
-
-    def warn(self, text: str) -> None:
-        """What cannot wait until the run is over."""
-        ...
-
-
-class _Unbreakable:
-    """A screen whose trouble is not the run's: a terminal may be closed at any time."""
-
-    def __init__(self, screen: Screen) -> None:
-        self._screen = screen
-
-    def show(self, snapshot: Snapshot) -> None:
-        """Show it, or from now on nothing."""
-        try:
-            self._screen.show(snapshot)
-        except Exception:  # noqa: BLE001  whoever drew it
-            self._screen = NoScreen()
-
-    def warn(self, text: str) -> None:
-        """Say it, or from now on nothing."""
-        try:
-            self._screen.warn(text)
-        except Exception:  # noqa: BLE001  whoever said it
-            self._screen = NoScreen()
-
-
-class NoScreen:
-    """For runs that nobody looks at."""
-
-    def show(self, snapshot: Snapshot) -> None:
-        """Nothing."""
-
-    def warn(self, text: str) -> None:
-        """Nothing: the account says it too."""
-
-
 class Supervisor:
-    """One real-time run in `memory`, whose job has been posted; a context manager around `run`."""
+    """One real-time run in `memory`, whose job has been posted."""
 
     def __init__(self, memory: RunMemory, job: Job) -> None:
         self._memory = memory
@@ -117,6 +58,7 @@ class Supervisor:
 
     def run(self, screen: Screen) -> Account:
         """Do the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
+        screen = Unbreakable(screen)
         allowed = os.sched_getaffinity(0)
         with _Signals(self._words):
             try:
@@ -213,7 +155,6 @@ class Supervisor:
 
     def _watch(self, screen: Screen) -> None:
         words, loop = self._words, self._children["loop"]
-        screen = _Unbreakable(screen)
         shown = 0.0
         self._alive_s = time.monotonic()
         while loop.poll() is None:

@@ -12,7 +12,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from inteco_abs.realtime.supervisor import Snapshot
+from inteco_abs.realtime.screen import Snapshot
 from inteco_abs.signals import Phase
 
 _SHOWN: Final = (Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED)

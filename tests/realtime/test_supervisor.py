@@ -7,7 +7,8 @@ from inteco_abs.errors import AbsError, BoardError, ConfigError, LinkError, Mist
 from inteco_abs.errors import SessionError as SessionTrouble
 from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.memory import Note, Word
-from inteco_abs.realtime.supervisor import Snapshot, Supervisor, raised_again
+from inteco_abs.realtime.screen import Snapshot
+from inteco_abs.realtime.supervisor import Supervisor, raised_again
 from inteco_abs.sessions import TICK, pack_tick
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console, Group
 
-from inteco_abs.realtime.supervisor import Snapshot
+from inteco_abs.realtime.screen import Snapshot
 from inteco_abs.signals import Phase
 from inteco_abs.views.dashboard import HINT, Dashboard, in_one_line, panel
 
