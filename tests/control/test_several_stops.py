@@ -5,9 +5,9 @@ from itertools import groupby
 import pytest
 
 from inteco_abs.config import load_config
-from inteco_abs.control import CONTROLLERS, Gain, build_pipeline
+from inteco_abs.control import CONTROLLERS, Gain, Sequence, build_pipeline
 from inteco_abs.errors import ConfigError
-from inteco_abs.signals import BrakeDemand, Command, Phase, Reason
+from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason
 
 QUICK = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
 ONE_STOP = [Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED]
@@ -177,3 +177,51 @@ def test_a_controller_that_cannot_be_copied_is_refused_before_anything_begins():
 
 def test_such_a_controller_can_do_one_stop():
     assert made_with(1)
+
+
+class Unsteady:
+    """Two stops with scripted wheels, and a computer that is once late for a long time."""
+
+    def __init__(self, encoders) -> None:
+        settings = ("experiment.start_speed_rad_s=10.0", "experiment.idle_s=1.0", "experiment.hold_s=0.0")
+        self.sequence = Sequence(load_config(settings=[*settings, "experiment.stops=2"]), Even())
+        self.encoders = encoders()
+
+    def step(self, speed, **timing):
+        self.sequence.step(self.encoders.turn(speed, speed, **timing), NO_ESTIMATE)
+
+    def until(self, phase, speed):
+        for _ in range(10_000):
+            if self.sequence.phase is phase:
+                return
+            self.step(speed)
+        raise AssertionError(f"{phase.name} never came")
+
+    def second(self, phase):
+        """From the beginning of the first stop to that phase of the second."""
+        self.until(Phase.SPIN_UP, 0.0)
+        self.until(Phase.BRAKING, 12.0)
+        for _ in range(1000):
+            self.step(200.0)  # enough to lift any mean that reaches back so far
+        self.until(Phase.STOPPED, 0.0)
+        self.until(Phase.SPIN_UP, 0.0)
+        if phase is Phase.BRAKING:
+            self.until(Phase.BRAKING, 12.0)
+
+
+class Even:
+    def update(self, _estimate, _dt_s):
+        return BrakeDemand(0.5)
+
+
+NO_ESTIMATE = Estimate(0.0, 0.0, 0.0, valid=False)
+
+
+@pytest.mark.parametrize(("phase", "speed"), [(Phase.SPIN_UP, 0.0), (Phase.BRAKING, 12.0)])
+def test_a_late_tick_does_not_let_the_stop_before_decide_on_this_one(encoders, phase, speed):
+    play = Unsteady(encoders)
+    play.second(phase)
+    play.step(speed)
+    play.step(speed)
+    play.step(speed, periods=105.0)
+    assert play.sequence.phase is phase

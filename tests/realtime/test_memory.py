@@ -201,10 +201,10 @@ class TestRings:
         ticks, truths = memory.tick_ring(pack), memory.truth_ring(pack)
         for number in range(CAPACITY):
             ticks.append(number)
-            truths.append(100 + number)
         memory.histogram.add([3.0])
+        truths.append(100)  # fewer: the same number in the wrong place would not be seen
         assert other.tick_reader().take() == b"".join(map(record, range(CAPACITY)))
-        assert other.truth_reader().take() == b"".join(record(100 + number) for number in range(CAPACITY))
+        assert other.truth_reader().take() == record(100)
         assert other.histogram.sparse() == {"3": 1}
 
     def test_a_reader_that_begins_anew_finds_what_the_ring_still_holds(self, small):
