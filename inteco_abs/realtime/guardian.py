@@ -89,6 +89,8 @@ class Guardian:
     def _over(self) -> bool:
         words = self._words
         left_alone = not alive(words[Word.SUPERVISOR_PID]) and not self._guarded
+        if left_alone and not words[Word.GUARDIAN_STOP]:
+            words[Word.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST  # for whoever still waits to be guarded
         return bool(words[Word.OVER]) or left_alone
 
     def _follow(self) -> None:

@@ -200,6 +200,7 @@ class RunMemory:
         at, size = _NOTES[note]
         if len(data) > size - 8:
             raise SessionError(f"{note.name.lower()} of {len(data)} bytes is too long: at most {size - 8}")
+        struct.pack_into("<Q", self._memory, at, 0)
         self._memory[at + 8 : at + 8 + len(data)] = data
         struct.pack_into("<Q", self._memory, at, len(data) + 1)  # last: a note is there as a whole or not at all
 

@@ -451,7 +451,6 @@ class TestTheOthers:
         assert run.face.written == []
 
 
-@pytest.mark.xfail(strict=True, reason="it ends without a word, and drill and loop wait a minute for a guardian")
 def test_a_supervisor_that_was_gone_before_the_guardian_came_ends_the_run(memory, job_of, ended):
     memory.words[Word.SUPERVISOR_PID] = ended
     Guardian(memory, job_of(memory)).watch()
