@@ -25,7 +25,8 @@ from inteco_abs.signals import Reason
 
 _NONE: Final = Reason.NONE
 _GUARDIAN_WINDOW_NS: Final = 250_000_000
-_STALL_NS: Final = 20_000_000
+_STALL_NS: Final = 100_000_000
+"""A tick so late is a pause of the computer: as long as five periods of the slowest loop, well within the window."""
 _STOP, _GUARDIAN_STOP, _GUARDIAN_BEAT = int(Word.STOP), int(Word.GUARDIAN_STOP), int(Word.GUARDIAN_BEAT_NS)
 _REASONS: Final = {int(reason): reason for reason in Reason}
 

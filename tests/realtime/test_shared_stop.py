@@ -1,0 +1,43 @@
+"""When the loop believes that its guardian is gone, at any rate of the loop."""
+
+import pytest
+
+from inteco_abs.realtime.memory import Word
+from inteco_abs.realtime.rt import SharedStop
+from inteco_abs.signals import Reason
+
+START_NS = 10**12
+PERIODS_NS = [100_000, 500_000, 20_000_000]
+
+
+@pytest.fixture
+def stop(memory):
+    memory.words[Word.GUARDIAN_BEAT_NS] = START_NS
+    return SharedStop(memory)
+
+
+@pytest.mark.parametrize("period_ns", PERIODS_NS)
+def test_a_guardian_that_beats_no_more_is_noticed_at_every_rate(stop, period_ns):
+    # a little more than a period from one tick to the next, as on any computer
+    reasons = [stop.wanted(START_NS + number * (period_ns + 1000)) for number in range(400_000_000 // period_ns)]
+    assert reasons[0] is Reason.NONE
+    assert reasons[-1] is Reason.GUARDIAN_LOST
+    assert reasons.index(Reason.GUARDIAN_LOST) * (period_ns + 1000) > 250_000_000
+
+
+@pytest.mark.parametrize("period_ns", PERIODS_NS)
+def test_after_a_pause_of_the_whole_computer_the_guardian_gets_its_window_again(stop, memory, period_ns):
+    assert stop.wanted(START_NS) is Reason.NONE
+    awake_ns = START_NS + 900_000_000
+    assert stop.wanted(awake_ns) is Reason.NONE
+    assert stop.wanted(awake_ns + period_ns) is Reason.NONE
+    memory.words[Word.GUARDIAN_BEAT_NS] = awake_ns + 5_000_000
+    assert stop.wanted(awake_ns + 5_000_000 + period_ns) is Reason.NONE
+
+
+@pytest.mark.parametrize(
+    ("word", "reason"), [(Word.STOP, Reason.OPERATOR_STOP), (Word.GUARDIAN_STOP, Reason.RECORDER_LOST)]
+)
+def test_what_the_others_want_is_passed_on(stop, memory, word, reason):
+    memory.words[word] = reason
+    assert stop.wanted(START_NS) is reason
