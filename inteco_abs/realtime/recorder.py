@@ -39,6 +39,7 @@ _DRAIN_S: Final = 0.005
 _FLUSH_S: Final = 0.1
 _RESCUE_S: Final = 20.0
 """The guardian tries for 5 s, and the supervisor in its place after that."""
+_LONGEST_START_S: Final = 120.0
 _PART: Final = ".part"
 
 
@@ -80,9 +81,6 @@ def _record(memory: RunMemory, job: Job) -> None:
             return
         account = scribe.conclude(conclusion(memory))
     tell_result(memory, account)
-
-
-_LONGEST_START_S: Final = 120.0
 
 
 def _drain_until_the_end(memory: RunMemory, recorder: Recorder, scribe: Scribe) -> None:
@@ -164,7 +162,7 @@ def _how_it_died(memory: RunMemory) -> str:
     words = memory.words
     failure = memory.note(Note.FAILURE)
     how = "the loop's process gave up" if failure else "the loop's process died"
-    report = memory.note(Note.RESCUE) if words[Word.RESCUED_PID] == words[Word.LOOP_PID] else None
+    report = _rescue_of_the_loop(memory)
     if report is not None and report["cause"] == "hung":
         how = "the loop's process hung and was killed"
     newest = memory.tick_reader().newest()
@@ -175,6 +173,20 @@ def _how_it_died(memory: RunMemory) -> str:
     if words[Word.HOLDER_PID] != words[Word.LOOP_PID]:
         return f"{how}; its board was safe by then"
     return f"{how}; {rescue_in_words(report)}"
+
+
+def board_in_words(memory: RunMemory) -> str:
+    """Whether the board was left safe, by whom."""
+    words = memory.words
+    if words[Word.HOLDER_PID] != words[Word.LOOP_PID]:
+        return "the run was stopped safely"
+    return rescue_in_words(_rescue_of_the_loop(memory))
+
+
+def _rescue_of_the_loop(memory: RunMemory) -> Any:
+    """Report of who took the loop's board; None if nobody did: an older one is the drill's."""
+    words = memory.words
+    return memory.note(Note.RESCUE) if words[Word.RESCUED_PID] == words[Word.LOOP_PID] else None
 
 
 def rescue_in_words(report: Any) -> str:

@@ -23,7 +23,7 @@ from inteco_abs.realtime.guardian import rescue
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import prepare, supervisor_wishes
 from inteco_abs.realtime.memory import Note, RunMemory, Word
-from inteco_abs.realtime.recorder import rebuild
+from inteco_abs.realtime.recorder import board_in_words, rebuild
 from inteco_abs.realtime.screen import Screen, Snapshot, Unbreakable
 from inteco_abs.sessions import TICK, Account
 from inteco_abs.signals import Phase, Reason
@@ -230,9 +230,8 @@ class Supervisor:
         except AbsError as error:
             why = failure["text"] if failure else "the recorder process died"
             trouble = SessionError(
-                f"the run was stopped safely, but {why}; the file could not be made anew either ({error}). "
-                f"Every tick is still in {memory.path}: "
-                f"inteco-abs recover {memory.path} --out FILE"
+                f"{board_in_words(memory)}, but {why}; the file could not be made anew either ({error}). "
+                f"The ticks are kept in {memory.path}: inteco-abs recover {memory.path} --out FILE"
             )
             trouble.exit_code = UnsafeError.exit_code  # whatever else went wrong, the run was ended for safety
             raise trouble from error

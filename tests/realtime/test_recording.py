@@ -17,7 +17,7 @@ from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.mock_board import Device, Usb2Face
 from inteco_abs.realtime import Loop, StopWord, VirtualClock
 from inteco_abs.realtime.memory import Note, RunMemory, Word
-from inteco_abs.realtime.recorder import conclusion, rebuild, recover_run
+from inteco_abs.realtime.recorder import board_in_words, conclusion, rebuild, recover_run
 from inteco_abs.sessions import (
     TICK,
     TRUTH,
@@ -517,3 +517,16 @@ class TestRecorderProcess:
 def test_a_filled_memory_holds_a_whole_stop(whole):
     phases = list(dict.fromkeys(TICK.array(in_ring(whole.memory))["phase"].tolist()))
     assert phases == [Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE]
+
+
+class TestBoardInWords:
+    def test_a_loop_that_let_go_of_its_board_stopped_safely(self, dead):
+        assert board_in_words(dead) == "the run was stopped safely"
+
+    @pytest.mark.parametrize(
+        ("rescued", "report", "text"), [(PID, RESCUED, MADE_SAFE), (PID, IN_VAIN, NOT_SAFE), (OTHER, RESCUED, NOBODY)]
+    )
+    def test_a_board_that_was_held_is_safe_only_if_somebody_made_it_so(self, dead, rescued, report, text):
+        dead.words[Word.HOLDER_PID], dead.words[Word.RESCUED_PID] = PID, rescued
+        dead.post(Note.RESCUE, report)
+        assert board_in_words(dead) == text
