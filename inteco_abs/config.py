@@ -16,6 +16,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER, VENDOR_ID
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
 DEFAULT_PROFILE: Final = "sim_usb2"
@@ -61,11 +62,11 @@ class BoardConfig(_Section):
 class UsbConfig(_Section):
     """How an RT-DAC/USB2 is told from other devices. The vendor's software goes by the manufacturer's name alone."""
 
-    vendor_id: Annotated[int, Field(ge=0, le=0xFFFF)] = 0x04B4
+    vendor_id: Annotated[int, Field(ge=0, le=0xFFFF)] = VENDOR_ID
     """Cypress, the maker of the bridge: INFERRED, no source names the board's ids."""
     product_id: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None
     """Any, if not given: UNKNOWN."""
-    manufacturer: str = "InTeCo"
+    manufacturer: str = MANUFACTURER
     """CONFIRMED: the string that the vendor's software looks for."""
     engine: Literal["faster", "one-by-one", "queued"] = "faster"
     """How a tick's three transfers are handed over; `faster` measures both when the board is opened."""

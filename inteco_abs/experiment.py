@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Final
 
 from inteco_abs.boards import Board, InProcessLink, RtdacUsb2, check_address, simulated
 from inteco_abs.config import RigConfig
@@ -21,10 +19,12 @@ from inteco_abs.mock_board import Device, Truth, Usb2Face
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
 from inteco_abs.realtime.doctor import examine
 from inteco_abs.realtime.findings import as_facts
+from inteco_abs.realtime.hearing import hearing
 from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.loop import detail_of
 from inteco_abs.realtime.memory import RunMemory
 from inteco_abs.realtime.screen import NoScreen, Screen
-from inteco_abs.realtime.supervisor import SIGNALS, Supervisor
+from inteco_abs.realtime.supervisor import Supervisor
 from inteco_abs.sessions import (
     TICK,
     TRUTH,
@@ -79,7 +79,8 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
         pipeline = build_pipeline(config, plan.controllers)
         if not plan.virtual:
             return _run_in_real_time(config, plan, screen or NoScreen())
-        with _Interrupts() as interrupts:
+        interrupts = _Interrupts()
+        with hearing(interrupts.handle):
             return _VirtualRun(config, plan, pipeline, interrupts).run(progress)
 
 
@@ -213,12 +214,7 @@ class _VirtualRun:
         )
 
     def _end(self, board: Board, aborted: str = "") -> Conclusion:
-        reason, error, detail = self._pipeline.reason, self._pipeline.error, ""
-        if error is not None:
-            detail = in_words(error)
-        elif reason is Reason.MISSED_EXCHANGES and board.last_error is not None:
-            detail = str(board.last_error)
-        return Conclusion(reason, self._ring.written, detail, aborted)
+        return Conclusion(self._pipeline.reason, self._ring.written, detail_of(self._pipeline, board), aborted)
 
     def _give_up(self, recorder: Recorder, scribe: Scribe | None, board: Board, error: BaseException) -> None:
         if scribe is None or not self._ring.written:
@@ -241,7 +237,7 @@ def _ring_ticks(config: RigConfig) -> int:
 
 
 class _Interrupts:
-    """While inside, the signals that would end the program set the stop word, and do nothing else.
+    """Signals that would end the program set the stop word, and do nothing else.
 
     One exception, for a controller that never returns: where the run allows it (`breaking`), a signal that comes
     a second after the first unanswered one breaks into the loop. It cannot break into what makes the outputs safe.
@@ -251,17 +247,6 @@ class _Interrupts:
         self.stop = StopWord()
         self._may_break = False
         self._asked_s = 0.0
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():  # Python delivers signals to no other
-            wanted = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
-            self._before = {number: signal.signal(number, self._handle) for number in wanted}
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
 
     @contextmanager
     def breaking(self) -> Iterator[None]:
@@ -272,7 +257,8 @@ class _Interrupts:
         finally:
             self._may_break = False
 
-    def _handle(self, *_: object) -> None:
+    def handle(self) -> None:
+        """One signal has come."""
         now_s = time.monotonic()
         if not self.stop.requested:
             self._asked_s = now_s

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -22,6 +21,7 @@ from inteco_abs.mock_board import (
     UsbIpServer,
     parse_address,
 )
+from inteco_abs.realtime.hearing import hearing
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import BOARD_PRIORITY, guardian_wishes, prepare
 from inteco_abs.realtime.memory import RunMemory, Word, alive
@@ -59,25 +59,13 @@ def serve_usbip(config: RigConfig, address: str, serial: int, seed: int, say: Ca
     face = Usb2Face(Device(config, time.monotonic_ns, seed))
     server = UsbIpServer(UsbHost(UsbBoard(face, UsbIdentity(serial=serial))), place)
     facts = server.bind()
-    with _stopping(server):
+    with hearing(server.close):  # as an unplugged cable would end it
         ids = f"{facts.vendor_id:04x}:{facts.product_id:04x}"
         say(f"mock RT-DAC/USB2 {ids}, serial number {facts.serial}, at {facts.address}; Ctrl-C unplugs it")
         for what, lines in (("attach it", facts.attach), ("detach it", facts.detach)):
             if lines:
                 say(f"to {what}, as root: {' && '.join(lines)}")
         server.serve()
-
-
-@contextmanager
-def _stopping(server: UsbIpServer) -> Iterator[None]:
-    """Ctrl-C and SIGTERM end it as an unplugged cable does."""
-    wanted = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda *_: server.close()) for number in wanted]
-    try:
-        yield
-    finally:
-        for number, handler in zip(wanted, before, strict=True):
-            signal.signal(number, handler)
 
 
 def _serve(server: SocketServer, memory: RunMemory) -> None:

@@ -91,8 +91,6 @@ _NOTE_BYTES: Final = {Note.JOB: 2 << 20}
 _OTHER_NOTE_BYTES: Final = 64 << 10
 _WORDS_AT: Final = 4096
 _NOTES_AT: Final = 8192
-
-
 _OWNERS: Final = (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID)
 
 
@@ -110,7 +108,7 @@ _RINGS_AT: Final = -(-(_HISTOGRAM_AT + Histogram.BYTES) // 4096) * 4096
 
 
 class RunMemory:
-    """Shared memory of one run; `create` it once, `open` it in every other process. A context manager."""
+    """Shared memory of one run; `create` it once, `open` it in every other process."""
 
     def __init__(self, path: Path, mapping: mmap.mmap) -> None:
         self.path = path
@@ -173,7 +171,7 @@ class RunMemory:
     def keep(self) -> None:
         """Make `remove` leave everything where it is: what it holds is nowhere else."""
         self._kept = True
-        self.socket.unlink(missing_ok=True)
+        _unlink(self.socket)
 
     def remove(self) -> None:
         """Give the memory back once everybody has left it; what it holds is in the file by now.

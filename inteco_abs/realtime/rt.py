@@ -8,16 +8,16 @@ import sys
 import time
 import traceback
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from inteco_abs.boards import Board, open_board, simulated
-from inteco_abs.control import Pipeline, build_pipeline, gains_in_force
-from inteco_abs.errors import AbsError, in_words
+from inteco_abs.boards import open_board, simulated
+from inteco_abs.control import build_pipeline, gains_in_force
+from inteco_abs.errors import AbsError
 from inteco_abs.realtime.clock import PacedClock
 from inteco_abs.realtime.holder import PATIENCE_S, holding, stopped, tell_failure
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.latency import insist_on_rate
-from inteco_abs.realtime.loop import Loop
+from inteco_abs.realtime.loop import Loop, detail_of
 from inteco_abs.realtime.machine import loop_wishes, prepare
 from inteco_abs.realtime.memory import Note, RunMemory, Word
 from inteco_abs.records import pack_tick
@@ -99,7 +99,8 @@ def _run(memory: RunMemory, job: Job) -> None:
         if words[Word.GO]:
             cost = _drive(loop, clock)
     if cost:
-        memory.post(Note.CONCLUSION, {**_end(pipeline, board, ring.written), "cost": cost})
+        end = {"reason": int(pipeline.reason), "detail": detail_of(pipeline, board), "cost": cost}
+        memory.post(Note.CONCLUSION, end)
 
 
 def _drive(loop: Loop, clock: PacedClock) -> dict[str, str]:
@@ -115,12 +116,3 @@ def _drive(loop: Loop, clock: PacedClock) -> dict[str, str]:
         "cpu_share": f"{busy / seconds:.3f}",
         "spin_us": f"{clock.spin_ns * 1e-3:.0f}",
     }
-
-
-def _end(pipeline: Pipeline, board: Board, written: int) -> dict[str, Any]:
-    detail = ""
-    if pipeline.error is not None:
-        detail = in_words(pipeline.error)
-    elif pipeline.reason is Reason.MISSED_EXCHANGES and board.last_error is not None:
-        detail = str(board.last_error)
-    return {"reason": int(pipeline.reason), "written": written, "detail": detail}

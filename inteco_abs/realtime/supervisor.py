@@ -6,20 +6,18 @@ It is the process that the user started, and the only one that hears the user's 
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from inteco_abs import errors
 from inteco_abs.errors import AbsError, BoardError, SessionError, UnsafeError
 from inteco_abs.realtime.guardian import rescue
+from inteco_abs.realtime.hearing import hearing
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import prepare, supervisor_wishes
 from inteco_abs.realtime.memory import Note, RunMemory, Word
@@ -40,8 +38,6 @@ _END_S: Final = 3.0
 _PATIENCE_S: Final = 2.0
 """For a loop that has to end, or to begin."""
 _GUARDIAN_WINDOW_NS: Final = 500_000_000
-SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGXCPU")
-"""Signals that would otherwise end or stop the program with its outputs on."""
 
 
 class Supervisor:
@@ -60,7 +56,7 @@ class Supervisor:
         """Do the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
         screen = Unbreakable(screen)
         allowed = os.sched_getaffinity(0)
-        with _Signals(self._words):
+        with hearing(self._stop):
             try:
                 self._start()
                 self._drill()
@@ -74,8 +70,7 @@ class Supervisor:
     def ask(self, role: str) -> Any:
         """Run the process of one role alone, without guarding it; the note RESULT that it leaves."""
         try:
-            if "board" in self._children:
-                self._wait_for(self._memory.socket.exists, "the mock board is there", "board", _START_S)
+            self._await_the_mock()
             self.spawn(role, "inteco_abs.realtime", role, str(self._memory.path))
             self._wait_for(lambda: self._memory.note(Note.RESULT) is not None, "the answer comes", role, _START_S)
             return self._memory.note(Note.RESULT)
@@ -93,9 +88,16 @@ class Supervisor:
             start_new_session=True,  # Ctrl-C and a closed terminal reach the supervisor only
         )
 
-    def _start(self) -> None:
+    def _stop(self) -> None:
+        """The operator wants the run to end; whoever was first is the reason."""
+        self._words[Word.STOP] = self._words[Word.STOP] or Reason.OPERATOR_STOP
+
+    def _await_the_mock(self) -> None:
         if "board" in self._children:
             self._wait_for(self._memory.socket.exists, "the mock board is there", "board", _START_S)
+
+    def _start(self) -> None:
+        self._await_the_mock()
         for role in ("guardian", "recorder", "drill", "loop"):
             self.spawn(role, "inteco_abs.realtime", role, str(self._memory.path))
         self._words[Word.LOOP_PID] = self._children["loop"].pid
@@ -265,7 +267,7 @@ class Supervisor:
         words = self._words
         loop = self._children.get("loop")
         if loop is not None and loop.poll() is None:
-            words[Word.STOP] = words[Word.STOP] or Reason.OPERATOR_STOP
+            self._stop()
             if not _gone_within(loop, _END_S):
                 loop.kill()  # the guardian sees to the board
                 loop.wait()
@@ -286,30 +288,6 @@ def _stderr() -> int:
         return sys.stderr.fileno()
     except (OSError, ValueError, AttributeError):  # closed, or a notebook's
         return subprocess.DEVNULL
-
-
-class _Signals:
-    """While inside, the signals that would end the program set the stop word, and do nothing else."""
-
-    def __init__(self, words: Any) -> None:
-        self._words = words
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():  # Python delivers signals to no other
-            wanted = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
-            self._before = {number: signal.signal(number, self._handle) for number in wanted}
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _handle(self, *_: object) -> None:
-        if not self._words[Word.STOP]:
-            self._words[Word.STOP] = Reason.OPERATOR_STOP
 
 
 def raised_again(told: Mapping[str, Any]) -> AbsError:
