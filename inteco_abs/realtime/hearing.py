@@ -14,7 +14,7 @@ _ENDING: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1"
 
 @contextmanager
 def hearing(handle: Callable[[], None]) -> Iterator[None]:
-    """While inside, such a signal calls `handle` and does nothing else; nothing changes in any thread but the main one."""
+    """While inside, such a signal calls `handle` and does nothing else; only the main thread changes anything."""
     if threading.current_thread() is not threading.main_thread():  # Python delivers signals to no other
         yield
         return
