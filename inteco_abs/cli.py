@@ -91,7 +91,7 @@ def run(
     as_json: bool,
 ) -> int:
     """Drive, brake, record: one stop."""
-    from inteco_abs.boards import check_address
+    from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import load_config
     from inteco_abs.control import CONTROLLERS, control_check
     from inteco_abs.experiment import Plan, run_stop
@@ -99,8 +99,8 @@ def run(
 
     controllers, source = _controllers(controller, CONTROLLERS)
     chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
-    rig = load_config(config, [*settings, *chosen], [control_check(controllers)])
     check_address(board)
+    rig = load_config(config, [*settings, *chosen], [control_check(controllers)], default_profile(board))
     out = out or _default_out()
     if figure is not None:
         check_figure(figure)
@@ -248,7 +248,7 @@ def doctor(
     Changes nothing. Not for use during a run: its test takes the loop's place. Ends with exit code 0 when all is green
     or amber, with 3 when something is red.
     """
-    from inteco_abs.boards import check_address
+    from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import load_config
     from inteco_abs.experiment import exchange_times_us
     from inteco_abs.realtime.doctor import examine, write_speed
@@ -266,7 +266,7 @@ def doctor(
         raise ConfigError([Mistake("--seconds", f"{seconds:g}: must be {SHORTEST_S:g}..{LONGEST_S:g} s")])
     if board is not None:
         check_address(board)
-    rig = load_config(config)
+    rig = load_config(config, profile=default_profile(board or "sim:"))
     if sessions.exists() and not sessions.is_dir():
         raise ConfigError([Mistake("--sessions", f"{sessions}: is a file; name a folder")])
     findings = examine(sessions)

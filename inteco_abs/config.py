@@ -9,6 +9,7 @@ from __future__ import annotations
 import operator
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from datetime import date
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
@@ -20,6 +21,8 @@ from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER, VENDOR_ID
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
 DEFAULT_PROFILE: Final = "sim_usb2"
+_SIMULATED: Final = "sim_"
+"""Shipped profiles that begin so are simulated rigs, which may be rewired at will."""
 _LARGEST_FILE: Final = 1_000_000
 _LONGEST_VALUE: Final = 60
 _NOT_TOML: Final = (ValueError, RecursionError)
@@ -34,29 +37,80 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
+class Evidence(_Section):
+    """Why one of the profile's statements about board or wiring is believed."""
+
+    status: Literal["confirmed", "inferred", "unknown"]
+    source: str = ""
+    """Manual, driver or test that tells it, or what it is inferred from."""
+
+
+WIRING: Final = (
+    "drive_pwm",
+    "brake_pwm",
+    "pwm_mode",
+    "pwm_prescaler",
+    "pwm_pins",
+    "pwm_functions",
+    "numbering_pwm",
+    "road_encoder",
+    "wheel_encoder",
+    "road_sign",
+    "wheel_sign",
+    "counts_per_turn",
+)
+"""What outputs rest on, and a signature covers: keys of [board], and `encoders.counts_per_turn`."""
+
+
 class BoardConfig(_Section):
     """Which board is expected and how the rig is wired to it. Comes from a profile."""
 
+    kind: Literal["usb2", "usb", "pci"] = "usb2"
+    """RT-DAC/USB2, RT-DAC/USB of the first generation, or RT-DAC4/PCI."""
     logic_version: Annotated[int, Field(ge=0, le=0xFFFF)]
     """Version of the FPGA logic that this wiring was checked with."""
-    application_names: list[str]
-    """Names of the logic that may be driven; any other opens read-only."""
+    application_names: list[str] = []
+    """Names of the logic that may be driven; any other opens read-only. The PCI board tells none."""
+    read_only: str = ""
+    """Why outputs must stay off whatever the board says; empty: they may be used."""
     verified_by: str = ""
-    """Who checked this wiring on the rig; empty: the board opens read-only."""
+    """Who checked this wiring on the rig: the signature. Without it, a board whose outputs rest on anything that is
+    not confirmed opens read-only."""
+    verified_on: date | None = None
+    """When."""
+    verified_logic: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None
+    """Version of the logic that the board had then; the signature is good for no other."""
     drive_pwm: Annotated[int, Field(ge=0, le=7)] = 0
     brake_pwm: Annotated[int, Field(ge=0, le=7)] = 1
     pwm_mode: Literal["8-bit", "12-bit"] = "8-bit"
     pwm_prescaler: Annotated[int, Field(ge=0, le=65535)] = 44
     """44 in 8-bit mode is 3486 Hz, the nearest to the paper's 3.5 kHz."""
     pwm_pins: list[Annotated[int, Field(ge=0, le=25)]] = [2, 5]
-    """CN1 pins switched to their PWM function and to output."""
+    """CN1 pins switched to output; not on the PCI board."""
+    pwm_functions: list[Annotated[int, Field(ge=0, le=25)]] | None = None
+    """Bits of the pin mode that switch pins to their PWM function; as `pwm_pins` if not given."""
     numbering_pwm: Annotated[int, Field(ge=-1, le=7)] = -1
     """PWM channel that is wired to nothing: its prescaler carries the number of each frame, which the board echoes, so
     that a late or repeated answer is recognised. -1: none is free, and such answers may go unnoticed."""
-    road_encoder: Annotated[int, Field(ge=0, le=7)] = 0
-    wheel_encoder: Annotated[int, Field(ge=0, le=7)] = 1
+    road_encoder: Annotated[int, Field(ge=0, le=11)] = 0
+    wheel_encoder: Annotated[int, Field(ge=0, le=11)] = 1
     road_sign: Literal[1, -1] = 1
     wheel_sign: Literal[1, -1] = 1
+    evidence: dict[str, Evidence] = {}
+    """Status of each of `WIRING`; what is not named is unknown."""
+
+    def unconfirmed(self) -> list[str]:
+        """What outputs rest on and is not confirmed, with its status."""
+        statuses = {key: self.evidence[key].status if key in self.evidence else "unknown" for key in self._relied_on()}
+        return [f"{key} ({status})" for key, status in statuses.items() if status != "confirmed"]
+
+    def _relied_on(self) -> Iterator[str]:
+        unused = {"pwm_functions"} if self.pwm_functions is None else set()
+        if self.numbering_pwm < 0:
+            unused.add("numbering_pwm")
+        if self.kind == "pci":
+            unused |= {"pwm_pins", "pwm_functions"}
+        return (key for key in WIRING if key not in unused)
 
 
 class UsbConfig(_Section):
@@ -175,17 +229,26 @@ def profiles() -> list[str]:
     return sorted(Path(item.name).stem for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
-def load_config(file: Path | None = None, settings: Sequence[str] = (), checks: Iterable[Check] = ()) -> RigConfig:
+def load_config(
+    file: Path | None = None,
+    settings: Sequence[str] = (),
+    checks: Iterable[Check] = (),
+    profile: str = DEFAULT_PROFILE,
+) -> RigConfig:
     """Configuration from `file` (or only defaults), with `settings` such as `guard.brake_limit=0.7` over it.
 
-    Raises ConfigError with every mistake found in the file, the settings and by `checks`.
+    `profile` is the one to begin with if neither names one. Raises ConfigError with every mistake found in the file,
+    the settings and by `checks`.
     """
     mistakes: list[Mistake] = []
     table = _read(file) if file is not None else {}
     for setting in settings:
         mistakes.extend(_apply(table, setting))
-    profile = table.setdefault("profile", DEFAULT_PROFILE)
-    merged = _merge(_profile(profile, mistakes), table)
+    name = table.setdefault("profile", profile)
+    below = _profile(name, mistakes)
+    merged = _merge(below, table)
+    if not (name in profiles() and name.startswith(_SIMULATED)):
+        _void_signature(below, table, merged)
     return _validate(merged, checks, mistakes)
 
 
@@ -272,6 +335,27 @@ def _merge(below: Table, above: Table) -> Table:
     return merged
 
 
+def _void_signature(profile: Table, above: Table, merged: Table) -> None:
+    """Who signed the profile has not seen what `above` changes in its wiring, unless that is signed too."""
+    signed, changed = (_wiring(table) for table in (profile, above))
+    signer = signed.get("verified_by")
+    if not signer or "verified_by" in changed:
+        return
+    before = {key: field.default for key, field in BoardConfig.model_fields.items()} | signed
+    new = [key for key in WIRING if key in changed and changed[key] != before.get(key)]
+    if new:
+        because = f"{signer} signed the profile with another {', '.join(new)}; sign what you have changed"
+        merged["board"]["read_only"] = because
+
+
+def _wiring(table: Table) -> Table:
+    """What a configuration says of board and wiring; nothing where the model will say what is wrong with it."""
+    board, encoders = table.get("board", {}), table.get("encoders", {})
+    if not (isinstance(board, dict) and isinstance(encoders, dict)):
+        return {}
+    return {**board, **{key: encoders[key] for key in ("counts_per_turn",) if key in encoders}}
+
+
 class _Pair(NamedTuple):
     """Two values that are each in range and cannot be together."""
 
@@ -301,6 +385,18 @@ def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[Mistake]:
         default = RigConfig.model_fields[section].annotation.model_fields[key].default  # type: ignore[union-attr]  # a section
         return table.get(section, {}).get(key, default)
 
+    board = table.get("board", {})
+    evidence = board.get("evidence", {}) if isinstance(board, dict) else {}
+    for key in evidence if isinstance(evidence, dict) else ():
+        if key not in WIRING:
+            yield Mistake(f"board.evidence.{key}", f"nothing rests on {key!r}{near_match(str(key), WIRING)}")
+    if isinstance(board, dict) and board.get("verified_by"):
+        missing = [key for key in ("verified_on", "verified_logic") if board.get(key) is None]
+        if missing:
+            wanted = " and ".join(f"board.{key}" for key in missing)
+            yield Mistake(
+                "board.verified_by", f"a signature needs {wanted} too: the day, and the logic it was made for"
+            )
     for pair in _PAIRS:
         if not {pair.first, pair.second, pair.first.partition(".")[0], pair.second.partition(".")[0]} & set(wrong):
             first, second = value(pair.first), value(pair.second)

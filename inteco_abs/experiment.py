@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.boards import Board, InProcessLink, RtdacUsb2, check_address, simulated
+from inteco_abs.boards import Board, InProcessLink, board_behind, check_address, check_kind, simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline, gains_in_force
 from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
-from inteco_abs.mock_board import Device, Truth, Usb2Face
+from inteco_abs.mock_board import Device, Truth, face_of
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
 from inteco_abs.realtime.doctor import examine
 from inteco_abs.realtime.findings import as_facts
@@ -71,6 +71,7 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
     BoardError if it cannot start, and then leaves no file; BoardError also if SAFE could not be confirmed.
     """
     check_address(plan.board)
+    check_kind(plan.board, config)
     if plan.virtual and not simulated(plan.board):
         raise ConfigError([Mistake("--virtual", f"{plan.board} is a real board, and real boards have their own time")])
     check_output(plan.out)
@@ -90,6 +91,7 @@ def exchange_times_us(config: RigConfig, board: str) -> list[float]:
     Raises BoardError if the board cannot be opened or does not answer.
     """
     check_address(board)
+    check_kind(board, config)
     _insist_on_linux()
     with _processes(config, Plan(Path(), board, virtual=False), ring_ticks=1) as (_, supervisor):
         times_us: list[float] = supervisor.ask("trips")
@@ -158,8 +160,8 @@ class _VirtualRun:
 
     def run(self, progress: Progress | None) -> Account:
         plan, config = self._plan, self._config
-        face = Usb2Face(Device(config, self._clock.now_ns, plan.seed, self._truths.append))
-        board = RtdacUsb2(InProcessLink(face), config.board, self._clock.now_ns, config.period_ns)
+        face = face_of(Device(config, self._clock.now_ns, plan.seed, self._truths.append))
+        board = board_behind(InProcessLink(face), config, self._clock.now_ns)
         controller = plan.controllers[config.controller.name]
         with Recorder(plan.out, self._clock.now_ns(), controller.internals) as recorder:
             scribe: Scribe | None = None

@@ -19,6 +19,7 @@ from inteco_abs.mock_board import (
     UsbHost,
     UsbIdentity,
     UsbIpServer,
+    face_of,
     parse_address,
 )
 from inteco_abs.realtime.hearing import hearing
@@ -42,7 +43,7 @@ def main(path: str) -> int:
         with suppress(BufferError):  # nobody records: a board does not stop for that
             ring.append(truth)
 
-    face = Usb2Face(Device(job.config, time.monotonic_ns, job.seed, observe))
+    face = face_of(Device(job.config, time.monotonic_ns, job.seed, observe))
     server = SocketServer(face, str(memory.socket))
     prepare(guardian_wishes(BOARD_PRIORITY))
     _serve(server, memory)

@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Final, Protocol
 
 from firmware_protocol.local_socket import GREETING
-from inteco_abs.errors import BoardError, ConfigError, LinkError, Mistake
+from inteco_abs.errors import BoardError, LinkError
 
 _MOST_WAITING: Final = 4
 """More late answers than this is another program reading along; the next exchange will say so."""
@@ -142,27 +142,3 @@ class SocketLink(Link):
     def close(self) -> None:
         """Hang up; the board may then have another host."""
         self._socket.close()
-
-
-SCHEMES: Final = {
-    "sim": "the mock RT-DAC/USB2 board with the simulated rig inside",
-    "usb2": "an RT-DAC/USB2, by its decimal serial number if there are several",
-}
-"""Board addresses that this version opens, by what stands before the colon."""
-
-
-def check_address(uri: str) -> None:
-    """Raise ConfigError unless `uri`, such as `sim:`, is a board address."""
-    scheme, colon, rest = uri.partition(":")
-    if not colon or scheme not in SCHEMES:
-        known = "; ".join(f"{name}: is {what}" for name, what in SCHEMES.items())
-        raise ConfigError([Mistake("--board", f"{uri!r} is no board address of this version; {known}")])
-    if scheme == "sim" and rest:
-        raise ConfigError([Mistake("--board", f"{uri!r}: nothing may follow sim:")])
-    if scheme == "usb2" and rest and not (rest.isascii() and rest.isdecimal()):
-        raise ConfigError([Mistake("--board", f"{uri!r}: after usb2: comes a decimal serial number, as in usb2:123")])
-
-
-def simulated(uri: str) -> bool:
-    """Whether the board at `uri` is the mock."""
-    return uri.startswith("sim:")

@@ -1,5 +1,8 @@
 """The board's own side: answers real frames, with the physics of the rig inside."""
 
+from collections.abc import Callable
+from typing import Final
+
 from inteco_abs.mock_board.device import Cable, Device, Truth
 from inteco_abs.mock_board.serve import SocketServer
 from inteco_abs.mock_board.usb2 import Usb2Face
@@ -24,5 +27,13 @@ __all__ = [
     "UsbHost",
     "UsbIdentity",
     "UsbIpServer",
+    "face_of",
     "parse_address",
 ]
+
+_FACES: Final[dict[str, Callable[[Device], Usb2Face]]] = {"usb2": Usb2Face}
+
+
+def face_of(device: Device) -> Usb2Face:
+    """What a host sees of `device`: messages in, messages out, as its kind of board has them."""
+    return _FACES[device.kind](device)

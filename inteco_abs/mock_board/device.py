@@ -20,6 +20,25 @@ _COUNTER_RANGE: Final = 1 << 32
 _TIMER_HZ: Final = 20_000_000  # INFERRED from another rig's driver on this board; timers are not used by this project
 
 
+def _pin_of_generic_logic(settings: Mapping[str, int], channel: int) -> bool:
+    """RT-DAC/USB2: three pins a channel, of which the third is the PWM's (fact sheet on the boards, 3.3)."""
+    pin = 3 * channel + 2
+    return bool(settings.get("pin_mode", 0) >> pin & 1 and not settings.get("pin_direction", 0) >> pin & 1)
+
+
+def _function_of_first_generation(settings: Mapping[str, int], channel: int) -> bool:
+    """RT-DAC/USB: one bit a channel (INFERRED); whether the pin's direction matters is unknown."""
+    return bool(settings.get("pin_mode", 0) >> channel & 1)
+
+
+_SWITCHED: Final[dict[str, Callable[[Mapping[str, int], int], bool]]] = {
+    "usb2": _pin_of_generic_logic,
+    "usb": _function_of_first_generation,
+    "pci": lambda _settings, _channel: True,
+}
+"""Whether a PWM channel has its pin, by kind of board."""
+
+
 class Truth(NamedTuple):
     """State of the simulated rig at one instant."""
 
@@ -88,6 +107,9 @@ class Device:
     ) -> None:
         self.settings: dict[str, int] = {}
         self.cable = cable or Cable()
+        self.kind = config.board.kind
+        self.logic_version = config.board.logic_version
+        self._switched = _SWITCHED[self.kind]
         parameters = RigParameters.named(config.simulation.parameters)
         self.plant = Plant(replace(parameters, c31=config.simulation.brake_rate_per_s), 0.0, 0.0)
         generator = random.Random(seed)
@@ -175,8 +197,7 @@ class Device:
         The prescaler sets only the frequency; the motors' inertia averages any frequency in use.
         """
         get = self.settings.get
-        pin = 3 * channel + 2
-        if not get("pin_mode", 0) >> pin & 1 or get("pin_direction", 0) >> pin & 1:
+        if not self._switched(self.settings, channel):
             return 0.0
         full = PWM_FULL_WIDTH[get(f"pwm{channel}_mode", 0)]
         return (get(f"pwm{channel}_width", 0) & full) / full

@@ -1,0 +1,259 @@
+"""What the two USB boards have in common: one frame of settings out, one of everything back, in each tick."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from struct import Struct
+from typing import Final
+
+from firmware_protocol import Field, FrameTable, ProtocolError
+from inteco_abs.boards.board import STILL_ON, Board, Identity
+from inteco_abs.boards.links import Link
+from inteco_abs.boards.trust import distrust
+from inteco_abs.config import BoardConfig
+from inteco_abs.errors import BoardError, ConfigError, LinkError, Mistake
+from inteco_abs.signals import Command
+
+_EXACT: Final = 1e-9
+"""Keeps a duty that is a whole number of widths from losing one to binary rounding."""
+_MODES: Final = ("8-bit", "12-bit")
+_MOST_OLD: Final = 100
+"""More answers to older requests than this are no leftover of a pause."""
+_PINS: Final = ("pin_mode", "pin_direction", "encoder_reset")
+
+
+@dataclass(frozen=True, slots=True)
+class FrameLayout:
+    """One logic's frames, and what a driver has to know besides the tables."""
+
+    read: FrameTable
+    send: FrameTable
+    header: FrameTable
+    """What a READ frame of any logic tells of the board, in its first `header_bytes`."""
+    header_bytes: int
+    request: bytes
+    pwm_channels: int
+    pwm_full_width: tuple[int, ...]
+    """Width that stands for a duty of 1, in 8-bit and in 12-bit mode."""
+    number: Struct
+    """One word of a frame; the lower `number_bits` of a prescaler travel in the first of its words, both ways."""
+    number_bits: int
+
+
+class FrameBoard(Board):
+    """The board behind `link`, wired as `wiring` says; see `Board` for what it promises.
+
+    The output image is built once, when the board is opened: words that the wiring owns come from the wiring,
+    all other words from the first read, all PWM widths are zero. In a tick only the two widths change, and the
+    number of the frame, for which the prescaler of a PWM channel that is wired to nothing is used: the board echoes
+    it, so that an answer to an older request, late or duplicated, is told from the one to this request.
+
+    Raises ConfigError for a wiring that the logic has no channels for.
+    """
+
+    def __init__(self, link: Link, wiring: BoardConfig, now_ns: Callable[[], int], period_ns: int) -> None:
+        super().__init__(now_ns, period_ns)
+        self._link = link
+        self._wiring = wiring
+        self._layout = layout = self._layout_of(wiring)
+        self._mode = _MODES.index(wiring.pwm_mode)
+        self._full = layout.pwm_full_width[self._mode]
+        _insist_on_channels(wiring, layout)
+        self._widths = drive, brake = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
+        self._drive_out, self._brake_out = layout.send.place(drive), layout.send.place(brake)
+        self._drive_echo, self._brake_echo = layout.read.place(drive), layout.read.place(brake)
+        self._wheel = layout.read.place(f"encoder{wiring.wheel_encoder}_count")
+        self._road = layout.read.place(f"encoder{wiring.road_encoder}_count")
+        numbered = f"pwm{wiring.numbering_pwm}_prescaler" if wiring.numbering_pwm >= 0 else ""
+        self._number = 0
+        self._numbers = 1 << layout.number_bits
+        self._number_at = _first_byte(layout.send, numbered) if numbered else -1
+        self._number_echo = _first_byte(layout.read, numbered) if numbered else -1
+        self._image = bytearray(layout.send.size)
+        self._settings: dict[str, int] = {}
+        self._header = b""
+        self._late = False  # whether an exchange failed, so that its answer may still come
+
+    @abstractmethod
+    def _layout_of(self, wiring: BoardConfig) -> FrameLayout:
+        """Layout of the logic that the profile expects."""
+
+    def identify(self) -> Identity:
+        """Read the header once; nothing is written but the READ request."""
+        if not self._ready:
+            self._link.discard(self._layout.read.size)  # what a program before this one has left
+        frame = self._read()
+        try:
+            values = self._layout.header.decode_some(frame, _known(self._layout.header))
+        except ProtocolError as error:
+            raise LinkError(f"the board's answer is no READ frame: {error}") from error
+        if not self._ready:  # an open board that now calls itself something else has been reset or replaced
+            self._header = frame[: self._layout.header_bytes]
+        version, name = int(values["logic_version"]), str(values["application_name"])
+        because = distrust(self._wiring, version, name, self._relied_on())
+        if because and self._outputs_on(frame):
+            because += f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}"
+        return Identity(version, name, str(values.get("synthesis_date", "")), because)
+
+    def _relied_on(self) -> list[Field]:
+        """What outputs rest on of the frames."""
+        encoders = (f"encoder{i}_count" for i in (self._wiring.wheel_encoder, self._wiring.road_encoder))
+        names = [*self._owned(dict.fromkeys(_PINS, 0)), *encoders]
+        return [self._layout.read.fields[name][0] for name in names]
+
+    def _outputs_on(self, frame: bytes) -> bool:
+        try:
+            values = self._layout.read.decode_some(frame, self._widths)
+        except ProtocolError:
+            return False  # another logic: where its widths are is not known
+        return any(values.values())
+
+    def _take_over(self) -> None:
+        layout = self._layout
+        try:
+            found = layout.read.decode(self._read())
+            self._settings = self._owned({name: int(found[name]) for name in _PINS})
+            kept = {name: found[name] for name in layout.send.fields}
+            self._image[:] = layout.send.encode({**kept, **self._settings})
+        except ProtocolError as error:
+            raise BoardError(f"the board's settings cannot be taken over: {error}") from error
+
+    @property
+    def safe_image(self) -> bytes:
+        """The SEND frame with all widths zero."""
+        image = bytearray(self._image)
+        for place in (self._drive_out, self._brake_out):
+            place.codec.pack_into(image, place.offset, 0)
+        return bytes(image)
+
+    def _adopt(self, image: bytes) -> None:
+        self._image[:] = image
+        self._number = self._numbers // 2  # far from what the other process may have asked for last
+        self._late = True
+
+    def _start(self) -> tuple[int, int]:
+        frame = self._write_widths(0, 0)
+        echo = self._layout.read.decode(frame)
+        wrong = [f"{name} = {echo[name]}, not {value}" for name, value in self._settings.items() if echo[name] != value]
+        if wrong:
+            raise BoardError(f"the board did not take its settings: {'; '.join(wrong)}")
+        return self._counts(frame)
+
+    def _owned(self, found: dict[str, int]) -> dict[str, int]:
+        """What the wiring decides, given the pins and resets as the board has them."""
+        wiring = self._wiring
+        pins = _mask(wiring.pwm_pins)
+        functions = pins if wiring.pwm_functions is None else _mask(wiring.pwm_functions)
+        channels = (wiring.drive_pwm, wiring.brake_pwm)
+        return {
+            **{f"pwm{channel}_width": 0 for channel in range(self._layout.pwm_channels)},
+            **{f"pwm{channel}_mode": self._mode for channel in channels},
+            **{f"pwm{channel}_prescaler": wiring.pwm_prescaler for channel in channels},
+            "pin_mode": found["pin_mode"] | functions,
+            "pin_direction": found["pin_direction"] & ~pins,
+            "encoder_reset": found["encoder_reset"] & ~_mask((wiring.wheel_encoder, wiring.road_encoder)),
+        }
+
+    def _transfer(self, command: Command) -> tuple[int, int]:
+        drive, brake = widths(command, self._full)
+        return self._counts(self._write_widths(drive, brake))
+
+    def _write_safe(self) -> None:
+        self._write_widths(0, 0)
+
+    def _write_widths(self, drive: int, brake: int) -> bytes:
+        """SEND both widths, READ, and check that the answer is this board's and echoes them."""
+        image, layout, link = self._image, self._layout, self._link
+        self._drive_out.codec.pack_into(image, self._drive_out.offset, drive)
+        self._brake_out.codec.pack_into(image, self._brake_out.offset, brake)
+        if self._number_at >= 0:
+            self._number = (self._number + 1) % self._numbers
+            layout.number.pack_into(image, self._number_at, self._number)
+        if self._late:
+            link.write(image)
+            # the answer of a failed exchange must not be taken for this one's; the output has gone out before
+            link.discard(len(image))
+            answer = self._read()
+        else:
+            self._late = True
+            answer = self._whole(link.exchange(image, layout.request, layout.read.size))
+        frame = self._newest(answer)
+        echo = (
+            self._drive_echo.codec.unpack_from(frame, self._drive_echo.offset)[0],
+            self._brake_echo.codec.unpack_from(frame, self._brake_echo.offset)[0],
+        )
+        if echo != (drive, brake):
+            raise LinkError(
+                f"the board reports PWM widths {echo}, sent were {(drive, brake)}: an old frame, or another master"
+            )
+        self._late = False
+        return frame
+
+    def _newest(self, frame: bytes) -> bytes:
+        """The answer to the newest request, `frame` or one that follows it; older ones are dropped."""
+        number = self._layout.number
+        for _ in range(_MOST_OLD):
+            if not frame.startswith(self._header):
+                raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
+            if self._number_at < 0 or number.unpack_from(frame, self._number_echo)[0] % self._numbers == self._number:
+                return frame
+            frame = self._whole(self._link.read(self._layout.read.size))
+        raise LinkError("the board answers only requests of long ago: is another program reading from it?")
+
+    def _counts(self, frame: bytes) -> tuple[int, int]:
+        (wheel,) = self._wheel.codec.unpack_from(frame, self._wheel.offset)
+        (road,) = self._road.codec.unpack_from(frame, self._road.offset)
+        return self._wiring.wheel_sign * wheel, self._wiring.road_sign * road
+
+    def _read(self) -> bytes:
+        self._link.write(self._layout.request)
+        return self._whole(self._link.read(self._layout.read.size))
+
+    def _whole(self, frame: bytes) -> bytes:
+        if len(frame) != self._layout.read.size:
+            raise LinkError(f"the board's answer has {len(frame)} bytes, must be {self._layout.read.size}")
+        return frame
+
+    def _close(self) -> None:
+        self._link.close()
+
+
+def widths(command: Command, full: int) -> tuple[int, int]:
+    """PWM widths of drive and brake for duties of which 1 is `full`; raises BoardError for any other duty."""
+    if not (0.0 <= command.drive <= 1.0 and 0.0 <= command.brake <= 1.0):  # NaN fails too
+        raise BoardError(f"{command}: duties must be in 0..1")  # never masked into something else
+    # rounded down: the output is never more than what the guard has admitted
+    return int(command.drive * full + _EXACT), int(command.brake * full + _EXACT)
+
+
+def _insist_on_channels(wiring: BoardConfig, layout: FrameLayout) -> None:
+    wanted = {
+        "drive_pwm": f"pwm{wiring.drive_pwm}_width",
+        "brake_pwm": f"pwm{wiring.brake_pwm}_width",
+        "numbering_pwm": f"pwm{max(wiring.numbering_pwm, 0)}_prescaler",
+        "wheel_encoder": f"encoder{wiring.wheel_encoder}_count",
+        "road_encoder": f"encoder{wiring.road_encoder}_count",
+    }
+    mistakes = [
+        Mistake(f"board.{key}", f"{getattr(wiring, key)}: {layout.read.title} has no such channel")
+        for key, name in wanted.items()
+        if name not in layout.read.fields
+    ]
+    if mistakes:
+        raise ConfigError(mistakes)
+
+
+def _mask(bits: list[int] | tuple[int, ...]) -> int:
+    return sum(1 << bit for bit in set(bits))
+
+
+def _first_byte(table: FrameTable, name: str) -> int:
+    """Byte at which a field's first word stands in its frame."""
+    _, layout = table.fields[name]
+    return (layout[0].word + table.data_from) * table.word_bits // 8
+
+
+def _known(header: FrameTable) -> list[str]:
+    return [name for name in ("logic_version", "application_name", "synthesis_date") if name in header.fields]

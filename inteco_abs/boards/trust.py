@@ -1,0 +1,37 @@
+"""Whether a board may be driven: what it says of itself against what the profile knows, and who vouches for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from firmware_protocol import Field, Register, Status
+from inteco_abs.config import BoardConfig
+
+
+def distrust(wiring: BoardConfig, version: int, name: str | None, relied_on: Iterable[Field | Register]) -> str:
+    """Why outputs must stay off; empty if they may be used.
+
+    `version` and `name` are the board's (None: it tells no name), `relied_on` what the driver uses of
+    the wire. Outputs that rest on anything not confirmed need a signature made for this very logic.
+    """
+    if wiring.read_only:
+        return wiring.read_only
+    if version != wiring.logic_version:
+        return f"the board has logic 0x{version:04X}, the profile was made for 0x{wiring.logic_version:04X}"
+    if name is not None and name not in wiring.application_names:
+        known = ", ".join(map(repr, wiring.application_names)) or "none yet"
+        return f"the board's logic is named {name!r}, the profile knows {known}"
+    if wiring.verified_by:
+        return _signed_for_another(wiring, version)
+    questions = [
+        *wiring.unconfirmed(),
+        *(f"{one.name} ({one.status.value})" for one in relied_on if one.status is not Status.CONFIRMED),
+    ]
+    unsigned = "nobody has verified the profile's wiring on the rig (verified_by is empty); not confirmed: "
+    return unsigned + ", ".join(questions) if questions else ""
+
+
+def _signed_for_another(wiring: BoardConfig, version: int) -> str:
+    if wiring.verified_logic == version:
+        return ""
+    return f"{wiring.verified_by} signed for logic 0x{wiring.verified_logic or 0:04X}, the board has 0x{version:04X}"
