@@ -5,6 +5,7 @@ import os
 import pytest
 
 import inteco_abs.experiment
+from inteco_abs.boards import RtdacUsb2
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import AbsError, BoardError, ConfigError, ReadOnlyError, SessionError
@@ -100,7 +101,7 @@ def test_a_board_that_the_profile_does_not_know_leaves_no_file(tmp_path, devices
     assert device.settings == {}  # nothing was written
 
 
-@pytest.mark.parametrize("address", ["usb:", "sim", "", "sim:1"])
+@pytest.mark.parametrize("address", ["usb:ttyUSB0", "usb3:", "sim", "", "sim:1"])
 def test_an_unknown_address_leaves_no_file(tmp_path, devices, address):
     with pytest.raises(ConfigError, match="--board"):
         run_stop(load_config(), Plan(out=tmp_path / "stop.mcap", board=address))
@@ -140,11 +141,15 @@ def test_whatever_breaks_the_run_off_the_board_is_safe_and_the_file_whole(run, d
 def stuck(monkeypatch):
     """A board that does not confirm SAFE."""
 
-    class Stuck(inteco_abs.experiment.RtdacUsb2):
+    class Stuck(RtdacUsb2):
         def make_safe(self) -> None:
             raise BoardError("SAFE could not be confirmed")
 
-    monkeypatch.setattr(inteco_abs.experiment, "RtdacUsb2", Stuck)
+    monkeypatch.setattr(
+        inteco_abs.experiment,
+        "board_behind",
+        lambda link, config, now_ns: Stuck(link, config.board, now_ns, config.period_ns),
+    )
 
 
 @pytest.mark.usefixtures("stuck")

@@ -5,6 +5,7 @@ import time
 import pytest
 
 import inteco_abs.experiment
+from inteco_abs.boards import RtdacUsb2
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import ReadOnlyError
 from inteco_abs.sessions import Recorder, read_session
@@ -118,13 +119,17 @@ def test_a_second_signal_while_the_file_is_completed_is_harmless(
 def test_a_second_signal_while_the_outputs_are_made_safe_does_not_keep_them_on(
     run, devices, replayed, at_phase, monkeypatch, outer_signals, patience_s
 ):
-    class Interrupted(inteco_abs.experiment.RtdacUsb2):
+    class Interrupted(RtdacUsb2):
         def make_safe(self) -> None:
             time.sleep(patience_s)
             sender(signal.SIGINT, signal.SIGTERM)()
             super().make_safe()
 
-    monkeypatch.setattr(inteco_abs.experiment, "RtdacUsb2", Interrupted)
+    monkeypatch.setattr(
+        inteco_abs.experiment,
+        "board_behind",
+        lambda link, config, now_ns: Interrupted(link, config.board, now_ns, config.period_ns),
+    )
     at_phase(Phase.BRAKING, sender(signal.SIGINT))
     check_interrupted(run(), devices, replayed)
     assert outer_signals == []

@@ -1,0 +1,178 @@
+"""Shipped profiles: what they know, what they admit not to know, and whose word outputs rest on."""
+
+from datetime import date
+
+import pytest
+
+from inteco_abs.boards import SCHEMES, InProcessLink, board_behind, check_kind, default_profile
+from inteco_abs.config import WIRING, BoardConfig, load_config, parse_config, profiles
+from inteco_abs.errors import ConfigError
+from inteco_abs.mock_board import Device, face_of
+
+REAL = [name for name in profiles() if not name.startswith("sim_")]
+LAB = """
+[board]
+logic_version = 0x0103
+application_names = ["ABSSIM"]
+verified_by = "A. Lab"
+verified_on = 2026-03-04
+verified_logic = {signed_logic}
+"""
+
+
+def opened(config):
+    device = Device(load_config(), lambda: 0)
+    board = board_behind(InProcessLink(face_of(device)), config, lambda: 0)
+    with board:
+        return board.identity
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """Maker of a lab's signed profile."""
+
+    def write(*settings, signed_logic="0x0103", over=""):
+        file = tmp_path / "lab.toml"
+        file.write_text(LAB.format(signed_logic=signed_logic), encoding="utf-8")
+        rig = tmp_path / "rig.toml"
+        rig.write_text(f'profile = "{file}"\n{over}', encoding="utf-8")
+        return load_config(rig, settings)
+
+    return write
+
+
+def test_the_profiles_for_every_board_are_shipped():
+    assert set(profiles()) == {
+        "pci_abs_50f",
+        "sim_pci",
+        "sim_usb",
+        "sim_usb2",
+        "usb1_0111",
+        "usb1_0112",
+        "usb1_abs_candidate",
+        "usb2_abs_candidate",
+        "usb2_generic_0103",
+        "usb2_tras",
+    }
+
+
+@pytest.mark.parametrize("name", profiles())
+def test_a_profile_is_whole_and_survives_its_own_text(name):
+    config = load_config(settings=[f"profile={name}"])
+    assert parse_config(config.to_toml()) == config
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_no_profile_of_a_real_board_is_signed(name):
+    board = load_config(settings=[f"profile={name}"]).board
+    assert board.verified_by == ""
+    assert board.unconfirmed()
+
+
+@pytest.mark.parametrize("name", [name for name in REAL if name != "usb2_tras"])
+def test_every_key_that_outputs_rest_on_has_a_status_and_a_source(name):
+    board = load_config(settings=[f"profile={name}"]).board
+    for key, evidence in board.evidence.items():
+        assert evidence.source, key
+    relied_on = {*WIRING} - ({"numbering_pwm"} if board.numbering_pwm < 0 else set())
+    relied_on -= {"pwm_pins", "pwm_functions"} if board.kind == "pci" else set()
+    relied_on -= {"pwm_functions"} if board.pwm_functions is None else set()
+    assert set(board.evidence) == relied_on
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_every_scheme_begins_with_a_profile_of_its_own_kind(scheme):
+    check_kind(f"{scheme}:", load_config(profile=default_profile(f"{scheme}:")))
+
+
+def test_a_profile_of_another_kind_than_the_address_is_refused_with_both_names():
+    with pytest.raises(ConfigError) as refusal:
+        check_kind("pci:", load_config())
+    assert "usb2" in str(refusal.value)
+    assert "pci:" in str(refusal.value)
+
+
+class TestSignature:
+    def test_a_signed_profile_may_drive(self, lab):
+        assert opened(lab()).read_only_because == ""
+
+    def test_a_signature_for_another_logic_may_not(self, lab):
+        because = opened(lab(signed_logic="0x0102")).read_only_because
+        assert "A. Lab" in because
+        assert "0x0102" in because
+
+    @pytest.mark.parametrize("key", ["verified_on", "verified_logic"])
+    def test_a_signature_needs_day_and_logic(self, tmp_path, key):
+        file = tmp_path / "lab.toml"
+        text = LAB.format(signed_logic="0x0103")
+        file.write_text("\n".join(line for line in text.splitlines() if not line.startswith(key)), encoding="utf-8")
+        with pytest.raises(ConfigError, match=f"board.verified_by: a signature needs board.{key}"):
+            load_config(file)
+
+    @pytest.mark.parametrize(
+        ("setting", "key"),
+        [
+            ("board.road_sign=-1", "road_sign"),
+            ("board.drive_pwm=2", "drive_pwm"),
+            ("board.pwm_mode=12-bit", "pwm_mode"),
+            ("encoders.counts_per_turn=1024", "counts_per_turn"),
+        ],
+    )
+    def test_wiring_that_is_changed_over_a_signed_profile_opens_read_only(self, lab, setting, key):
+        because = opened(lab(setting)).read_only_because
+        assert key in because
+        assert "A. Lab" in because
+
+    @pytest.mark.parametrize("setting", ["board.road_sign=1", "guard.brake_limit=0.5", "loop.rate_hz=500"])
+    def test_the_same_wiring_and_other_keys_leave_the_signature_alone(self, lab, setting):
+        assert opened(lab(setting)).read_only_because == ""
+
+    def test_changed_wiring_can_be_signed_where_it_is_changed(self, lab):
+        over = '[board]\nroad_sign = -1\nverified_by = "B. Lab"\n'
+        assert opened(lab(over=over)).read_only_because == ""
+
+    def test_the_day_is_kept(self, lab):
+        assert parse_config(lab().to_toml()).board.verified_on == date(2026, 3, 4)
+
+
+class TestEvidence:
+    def test_without_a_signature_outputs_need_everything_confirmed(self):
+        confirmed = {key: {"status": "confirmed", "source": "seen"} for key in WIRING}
+        base = {"logic_version": 0x0103, "application_names": ["ABSSIM"], "pwm_functions": [2, 5], "numbering_pwm": 7}
+        board = BoardConfig.model_validate({**base, "evidence": confirmed})
+        assert board.unconfirmed() == []
+        for key in WIRING:
+            rest = {name: one for name, one in confirmed.items() if name != key}
+            assert BoardConfig.model_validate({**base, "evidence": rest}).unconfirmed() == [f"{key} (unknown)"]
+
+    def test_the_refusal_names_what_is_not_confirmed(self):
+        settings = ["profile=usb2_generic_0103", 'board.application_names=["ABSSIM"]']
+        because = opened(load_config(settings=settings)).read_only_because
+        assert "drive_pwm (inferred)" in because
+        assert "counts_per_turn (inferred)" in because
+
+    def test_evidence_for_what_does_not_exist_is_a_mistake(self):
+        with pytest.raises(ConfigError, match="did you mean drive_pwm"):
+            load_config(settings=['board.evidence.drive_pmw={status="confirmed"}'])
+
+    def test_a_status_is_one_of_three(self):
+        with pytest.raises(ConfigError, match=r"board\.evidence\.drive_pwm\.status"):
+            load_config(settings=['board.evidence.drive_pwm={status="sure"}'])
+
+    def test_a_profile_for_reading_never_drives_even_when_signed(self):
+        config = load_config(
+            settings=[
+                "profile=usb2_tras",
+                'board.application_names=["ABSSIM"]',
+                "board.verified_by=A. Lab",
+                "board.verified_on=2026-03-04",
+                "board.verified_logic=0x0103",
+            ]
+        )
+        assert "thermal" in opened(config).read_only_because
+
+
+def test_a_channel_that_the_logic_does_not_have_is_refused_with_its_key():
+    config = load_config(settings=["board.road_encoder=9"])
+    with pytest.raises(ConfigError, match=r"board\.road_encoder: 9"):
+        board_behind(InProcessLink(face_of(Device(load_config(), lambda: 0))), config, lambda: 0)
