@@ -107,7 +107,7 @@ class TestSignature:
         text = LAB.format(signed_logic="0x0103")
         file.write_text("\n".join(line for line in text.splitlines() if not line.startswith(key)), encoding="utf-8")
         with pytest.raises(ConfigError, match=f"board.verified_by: a signature needs board.{key}"):
-            load_config(file)
+            load_config(settings=[f"profile={file}"])
 
     @pytest.mark.parametrize(
         ("setting", "key"),
