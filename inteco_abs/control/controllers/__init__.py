@@ -1,0 +1,47 @@
+"""Slip controllers, one class each."""
+
+from typing import Final
+
+from inteco_abs.control.controllers.base import Controller, Gain, ModelLaw, Setup
+from inteco_abs.control.controllers.linear import ProportionalIntegral, Steps
+from inteco_abs.control.controllers.reaching import (
+    BoundaryLayer,
+    ConstantRate,
+    ExponentialRate,
+    PowerRate,
+    ReachingLaw,
+    SuperTwisting,
+)
+from inteco_abs.control.controllers.relay import Relay, SmithRelay
+
+CONTROLLERS: Final[dict[str, type[Controller]]] = {
+    "reaching-law": ReachingLaw,
+    "constant-rate": ConstantRate,
+    "power-rate": PowerRate,
+    "exponential-rate": ExponentialRate,
+    "boundary-layer": BoundaryLayer,
+    "super-twisting": SuperTwisting,
+    "relay": Relay,
+    "smith-relay": SmithRelay,
+    "pi": ProportionalIntegral,
+    "steps": Steps,
+}
+"""Controllers that ship, by the name on the command line."""
+
+__all__ = [
+    "CONTROLLERS",
+    "BoundaryLayer",
+    "ConstantRate",
+    "Controller",
+    "ExponentialRate",
+    "Gain",
+    "ModelLaw",
+    "PowerRate",
+    "ProportionalIntegral",
+    "ReachingLaw",
+    "Relay",
+    "Setup",
+    "SmithRelay",
+    "Steps",
+    "SuperTwisting",
+]
