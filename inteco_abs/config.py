@@ -163,6 +163,10 @@ class EstimatorConfig(_Section):
     name: str = "moving-window"
     window_s: Annotated[float, Field(gt=0.0, le=0.5)] = 0.010
     """Length of the moving window."""
+    natural_frequency_rad_s: Annotated[float, Field(gt=0.0, le=2000.0)] = 200.0
+    """Of the tracking loop; at most half of the loop's rate."""
+    jerk_density: Annotated[float, Field(gt=0.0, le=1e12)] = 3e5
+    """Of the Kalman filter's wheel, rad2/s5: less is smoother and slower."""
 
 
 class ControllerConfig(_Section):

@@ -2,7 +2,7 @@
 
 from inteco_abs.control.assembly import build_pipeline, control_check, gains_in_force
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, ReachingLaw, Relay, Setup
-from inteco_abs.control.estimators import ESTIMATORS, Estimator, WindowEstimator
+from inteco_abs.control.estimators import ESTIMATORS, Estimator, KalmanFilter, SpeedFilter, TrackingLoop, TwoWheels
 from inteco_abs.control.guard import Guard
 from inteco_abs.control.model import BrakingModel, reaching_law_torque, reaching_time_bound
 from inteco_abs.control.pipeline import Pipeline
@@ -17,13 +17,16 @@ __all__ = [
     "Estimator",
     "Gain",
     "Guard",
+    "KalmanFilter",
     "Pipeline",
     "ReachingLaw",
     "Relay",
     "Sequence",
     "Setup",
+    "SpeedFilter",
     "SpeedWindow",
-    "WindowEstimator",
+    "TrackingLoop",
+    "TwoWheels",
     "build_pipeline",
     "control_check",
     "gains_in_force",

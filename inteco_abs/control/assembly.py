@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from typing import Any
 
-from inteco_abs.config import Check, RigConfig
+from inteco_abs.config import Check, EstimatorConfig, LoopConfig, RigConfig
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
 from inteco_abs.control.estimators import ESTIMATORS
 from inteco_abs.control.pipeline import Pipeline
@@ -50,6 +50,8 @@ def control_check(controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> 
         name = estimator.get("name", "moving-window")
         if isinstance(name, str) and name not in ESTIMATORS:
             yield Mistake("estimator.name", f"no estimator {name!r}{near_match(name, ESTIMATORS)}")
+        if name == "tracking":
+            yield from _tracking_mistakes(estimator, _section(table, "loop"))
         name = controller.get("name", "reaching-law")
         if isinstance(name, str) and name not in controllers and ".py:" in name:
             yield Mistake("controller.name", f"{name!r} is code, which runs only if named by --controller")
@@ -59,6 +61,15 @@ def control_check(controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> 
             yield from _gain_mistakes(_section(controller, "gains"), controllers[name].gains)
 
     return check
+
+
+def _tracking_mistakes(estimator: Mapping[str, Any], loop: Mapping[str, Any]) -> Iterator[Mistake]:
+    """A tracking loop that is too quick for its samples swings, and beyond that runs away."""
+    frequency = estimator.get("natural_frequency_rad_s", EstimatorConfig().natural_frequency_rad_s)
+    rate_hz = loop.get("rate_hz", LoopConfig().rate_hz)
+    if isinstance(frequency, int | float) and isinstance(rate_hz, int | float) and frequency > 0.5 * rate_hz:
+        problem = f"{frequency!r}: must be at most half of loop.rate_hz = {rate_hz!r}"
+        yield Mistake("estimator.natural_frequency_rad_s", problem)
 
 
 def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterator[Mistake]:

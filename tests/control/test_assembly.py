@@ -3,7 +3,7 @@ import math
 import pytest
 
 from inteco_abs.config import load_config
-from inteco_abs.control import CONTROLLERS, BrakingModel, build_pipeline, control_check, gains_in_force
+from inteco_abs.control import CONTROLLERS, ESTIMATORS, BrakingModel, build_pipeline, control_check, gains_in_force
 from inteco_abs.errors import ConfigError
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import BrakeDemand, Phase
@@ -58,8 +58,8 @@ def test_an_unknown_estimator_is_named_with_the_nearest():
 
 
 def test_names_that_are_near_nothing_get_the_known_ones():
-    found = mistakes("estimator.name=kalman", "controller.name=xyz")
-    assert found["estimator.name"].endswith("; known: euler, moving-window")
+    found = mistakes("estimator.name=xyz", "controller.name=xyz")
+    assert found["estimator.name"].endswith(f"; known: {', '.join(sorted(ESTIMATORS))}")
     assert found["controller.name"].endswith(f"; known: {', '.join(sorted(CONTROLLERS))}")
 
 
@@ -114,7 +114,7 @@ def test_a_name_that_is_no_text_is_named_once(key):
 
 def test_wrong_names_wrong_gains_and_wrong_values_are_all_reported_at_once():
     found = mistakes(
-        "estimator.name=kalman",
+        "estimator.name=xyz",
         "controller.gains.Mq=-1",
         "controller.gains.Mz=1",
         "guard.brake_limit=2",

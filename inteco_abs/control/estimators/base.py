@@ -1,0 +1,70 @@
+"""What an estimator is: wheel speeds and slip from counts, with the same filter on both wheels.
+
+Equal lag on both wheels cancels in the slip; unequal lag does not.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+from inteco_abs.rig import RigParameters
+from inteco_abs.signals import Estimate, Sample
+
+
+class Estimator(Protocol):
+    """Turns samples into estimates, one at a time, in order; no clock, no randomness."""
+
+    def update(self, sample: Sample) -> Estimate:
+        """Estimate at the instant of `sample`."""
+        ...
+
+
+class SpeedFilter(Protocol):
+    """One wheel's speed from its count."""
+
+    def update(self, time_ns: int, count: int) -> float:
+        """Speed in rad/s at the sample taken at `time_ns`; 0 at the first sample."""
+        ...
+
+
+class TwoWheels:
+    """The same filter on `wheel` and `road`, and the slip of braking, equation (11).
+
+    The slip is clipped to 0..1: equation (8) is not defined outside, and a driven or resting wheel reads 0.
+    """
+
+    __slots__ = ("_ratio", "_road", "_samples", "_wheel")
+
+    def __init__(self, wheel: SpeedFilter, road: SpeedFilter, parameters: RigParameters) -> None:
+        self._wheel = wheel
+        self._road = road
+        self._ratio = parameters.r1 / parameters.r2
+        self._samples = 0
+
+    def update(self, sample: Sample) -> Estimate:
+        """Estimate at the instant of `sample`; valid from the second sample on."""
+        wheel = self._wheel.update(sample.time_ns, sample.wheel_count)
+        road = self._road.update(sample.time_ns, sample.road_count)
+        slip = 1.0 - self._ratio * wheel / road if road > 0.0 else 0.0
+        self._samples += 1
+        return Estimate(wheel, road, 0.0 if slip < 0.0 else min(slip, 1.0), self._samples > 1)
+
+
+class Angles:
+    """Angle in rad since the first sample, and the time in s since the sample before."""
+
+    __slots__ = ("_before_ns", "_origin", "_per_count")
+
+    def __init__(self, counts_per_turn: int) -> None:
+        self._per_count = 2.0 * math.pi / counts_per_turn
+        self._origin = 0
+        self._before_ns = -1
+
+    def update(self, time_ns: int, count: int) -> tuple[float, float]:
+        """Angle and time; both 0 at the first sample."""
+        if self._before_ns < 0:
+            self._origin, self._before_ns = count, time_ns
+        elapsed_s = (time_ns - self._before_ns) * 1e-9
+        self._before_ns = time_ns
+        return (count - self._origin) * self._per_count, elapsed_s
