@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.errors import AbsError, ConfigError, Mistake, near_match
-# from inteco_abs.wire_cli import wire
+from inteco_abs.wire_cli import wire
 
 if TYPE_CHECKING:
     from inteco_abs.control import Controller
@@ -287,7 +287,7 @@ def doctor(
     return _LOSSES if verdict is Verdict.RED else 0
 
 
-# cli.add_command(wire)
+cli.add_command(wire)
 
 
 def main() -> None:

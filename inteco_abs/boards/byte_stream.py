@@ -33,7 +33,6 @@ class ByteStream:
         self._in = bytearray()
         self._awaited = False
         self._records: list[Record] = []
-        self._stray = 0
 
     def messages(self, transfers: Iterable[Record]) -> list[Record]:
         """The same capture, with whole messages in place of the transfers that carry them."""

@@ -9,7 +9,7 @@ The first line says what the file is; each other line is one thing that happened
 
 `t` is in seconds since the capture began, never falling but where the bus monitor's own times fall. An error `of`
 "out" has the message that was not taken as `hex`; `of` "in" is an answer that did not come; `of` "exchange" leaves
-open which of the two messages before it has gone out. A control transfer has its eight bytes of request as `setup`;
+open which of the two messages before it have gone out. A control transfer has its eight bytes of request as `setup`;
 a warning has only a `text`.
 """
 
@@ -168,7 +168,7 @@ def _record(line: dict[str, Any], place: str) -> Record:
     kind, t_s, endpoint = line.get("dir"), line.get("t"), line.get("ep")
     if kind not in list(Kind):
         raise CaptureError(f"{place}: dir = {kind!r}, must be one of {', '.join(Kind)}")
-    if type(t_s) not in {int, float} or not math.isfinite(t_s):
+    if not isinstance(t_s, int | float) or isinstance(t_s, bool) or not math.isfinite(t_s):
         raise CaptureError(f"{place}: t = {t_s!r}, must be a number of seconds")
     if endpoint is not None and (type(endpoint) is not int or not 0 <= endpoint <= _LARGEST_ENDPOINT):
         raise CaptureError(f"{place}: ep = {endpoint!r}, must be an endpoint's address in 0..255, or null")

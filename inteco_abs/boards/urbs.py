@@ -16,6 +16,7 @@ from inteco_abs.errors import CaptureError
 IN: Final = 0x80
 """Bit of an endpoint's address that stands for towards the host."""
 _SUBMITTED, _COMPLETED, _REFUSED = b"SCE"
+
 _USBMON: Final = "QBBBBHbbqiiII8s"
 _USBMON_BYTES: Final = 48
 _MMAPPED_BYTES: Final = 64
@@ -27,7 +28,7 @@ _SHORT: Final = -121
 """A short packet where the driver has asked to be told; its data are good."""
 _USBPCAP: Final = struct.Struct("<HQIHBHHBBI")
 _TO_HOST: Final = 1
-_SETUP_STAGE, _DATA_STAGE, _STATUS_STAGE, _COMPLETE_STAGE = range(4)
+_SETUP_STAGE: Final = 0
 _SETUP_BYTES: Final = 8
 
 LINUX_USB: Final = 189
@@ -131,4 +132,4 @@ def _usbpcap(packet: bytes) -> Urb:
 
 
 def _cut(found: int, length: int) -> str:
-    return f"is cut off: {found} of its {length} bytes of data are there. Capture again without a length limit (-s 0)"
+    return f"is cut off: {found} of its {length} bytes of data are there. Capture again, without a length limit"
