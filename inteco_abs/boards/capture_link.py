@@ -62,6 +62,7 @@ class CaptureLink(Link):
                 self._lanes.setdefault(self._lane(record), deque()).append((index, record))
         self._written = 0
         self._furthest = -1
+        self._ahead = False  # whether something captured later has been used already
         self._ordered = True
         self._closed = False
 
@@ -75,8 +76,8 @@ class CaptureLink(Link):
         ours = bytes(data)
         self._written += 1
         role = self._protocol.role_out(ours)
-        captured = self._next(role, role)
-        found = [*self._order(role), *self._compare(captured.data, ours)]
+        index, captured = self._next(role, role)
+        found = [*self._order(index, role), *self._compare(captured.data, ours)]
         if self._numbering is not None and role is Role.SEND:
             self._numbering.note(ours)
         first = self.differing == 0
@@ -89,7 +90,7 @@ class CaptureLink(Link):
 
     def read(self, length: int) -> bytes:
         """The next captured answer."""
-        captured = self._next(None, "answers")
+        _, captured = self._next(None, "answers")
         if captured.kind is Kind.ERROR:
             raise LinkError(f"as captured: {captured.text}")
         if self._numbering is not None and self._protocol.role_in(captured.data) is Role.READ:
@@ -107,7 +108,7 @@ class CaptureLink(Link):
         is_answer = record.kind is Kind.IN or (record.kind is Kind.ERROR and record.of != "out")
         return None if is_answer else self._protocol.role_out(record.data)
 
-    def _next(self, lane: Role | None, wanted: str) -> Record:
+    def _next(self, lane: Role | None, wanted: str) -> tuple[int, Record]:
         if self._closed:
             raise LinkError("the capture is closed")
         waiting = self._lanes.get(lane)
@@ -116,17 +117,18 @@ class CaptureLink(Link):
                 f"{self._capture.name} has no more {wanted}: it held {self._capture.messages} messages, "
                 f"{self._written} were written in this replay"
             )
-        self._index, record = waiting.popleft()
-        self._in_turn = self._index > self._furthest
-        self._furthest = max(self._furthest, self._index)
-        return record
+        index, record = waiting.popleft()
+        self._ahead = self._furthest > index
+        self._furthest = max(self._furthest, index)
+        return index, record
 
-    def _order(self, role: Role) -> list[Difference]:
-        if self._in_turn or not self._ordered:
+    def _order(self, index: int, role: Role) -> list[Difference]:
+        if not (self._ahead and self._ordered):
             return []
         self._ordered = False
-        then = f"before line {self._furthest + 2} of the capture"
-        return [Difference(self._written, "order", 0, (), f"this {role} {then}", "after it")]
+        first_line = 2  # behind the header
+        captured, ours = f"line {index + first_line}, a {role}", f"only after line {self._furthest + first_line}"
+        return [Difference(self._written, "order", 0, (), captured, ours)]
 
     def _compare(self, captured: bytes, ours: bytes) -> list[Difference]:
         table = self._protocol.send

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from functools import reduce
+from itertools import pairwise
 from operator import or_
 from typing import Final, NamedTuple
 
@@ -127,7 +128,7 @@ def _steps(values: Sequence[int]) -> list[int]:
 
 
 def _course(values: Sequence[int], size: int) -> str:
-    steps = [(after - before) % size for before, after in zip(values, values[1:], strict=False) if after != before]
+    steps = [(after - before) % size for before, after in pairwise(values) if after != before]
     if all(step < size // 2 for step in steps):
         return "rises"
     return "falls" if all(step > size // 2 for step in steps) else "both ways"
