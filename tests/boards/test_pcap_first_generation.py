@@ -1,7 +1,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from usb_monitor import UsbPcap, Usbmon, pcap
+from usb_monitor import Usbmon, UsbPcap, pcap
 
 from inteco_abs.boards.byte_stream import ByteStream
 from inteco_abs.boards.capture import Kind, Record

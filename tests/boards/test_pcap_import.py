@@ -4,7 +4,7 @@ import io
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from usb_monitor import LINUX_USB_MMAPPED, UsbPcap, Usbmon, pcap, pcapng
+from usb_monitor import LINUX_USB_MMAPPED, Usbmon, UsbPcap, pcap, pcapng
 
 from inteco_abs.boards.capture import Kind, read_capture, write_capture
 from inteco_abs.boards.pcap import import_pcap
@@ -106,7 +106,7 @@ def test_a_named_device_that_does_not_talk_like_a_board_is_refused(imported, mon
 
 @pytest.mark.parametrize("device", ["1", "1.", ".5", "one.five", "1.5.2", "1.٥"])
 def test_a_device_that_is_no_bus_and_address_is_wrong_usage(imported, device):
-    with pytest.raises(ConfigError, match="as in 1.5"):
+    with pytest.raises(ConfigError, match=r"as in 1\.5"):
         imported(tick(Usbmon()), Usbmon(), device=device)
 
 
@@ -170,7 +170,7 @@ def test_a_network_capture_is_refused_by_its_link_type(tmp_path):
 
 def test_a_network_packet_in_a_usb_capture_is_named(imported):
     monitor = Usbmon()
-    with pytest.raises(CaptureError, match="packet 7 is none of usbmon.*several interfaces"):
+    with pytest.raises(CaptureError, match=r"packet 7 is none of usbmon.*several interfaces"):
         imported([*tick(monitor), bytes(90)], monitor)
 
 
@@ -224,11 +224,10 @@ def test_a_damaged_file_gives_records_or_one_clear_error(tmp_path, monitor, cont
     path = tmp_path / "vendor.pcap"
     path.write_bytes(image[:length])
     try:
-        capture = import_pcap(path)
+        records, problem = import_pcap(path).records, ""
     except CaptureError as error:
-        assert str(error).startswith(str(path))
-    else:
-        assert capture.records
+        records, problem = (), str(error)
+    assert records or problem.startswith(str(path))
 
 
 @pytest.mark.parametrize("container", [pcap, pcapng])
