@@ -319,6 +319,14 @@ def test_nothing_is_written_before_closing_unless_asked_for(path):
     assert read_capture(path).messages == 2
 
 
+def test_a_second_closing_writes_nothing(path):
+    link = RecordingLink(Inner(), path)
+    link.close()
+    path.unlink()
+    link.close()
+    assert not path.exists()
+
+
 def test_the_beginning_is_kept_and_the_rest_counted(path):
     link = RecordingLink(Inner(), path, most_messages=3)
     for number in range(10):

@@ -39,6 +39,7 @@ def test_an_unknown_word_moved_by_a_slider_comes_first():
     assert (second.word, second.fields) == ("w14", ("pin_output",))
     assert second.alone == pytest.approx(2 / 3)
     assert (last.word, last.restless, last.course) == ("w41", True, "rises")
+    assert last.alone == pytest.approx(87 / 99)
 
 
 def test_of_two_equal_candidates_the_unknown_one_comes_first():

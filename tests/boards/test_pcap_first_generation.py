@@ -106,6 +106,14 @@ def test_what_an_answer_has_left_is_dropped_at_the_next_request():
     ]
 
 
+def test_bytes_that_nobody_asked_for_are_no_answer():
+    assert messages(out(REQUEST), into(ANSWER), into(ANSWER)) == [
+        (Kind.OUT, REQUEST),
+        (Kind.IN, ANSWER),
+        (Kind.WARNING, "150 bytes from the board at the end of the capture are left out"),
+    ]
+
+
 def test_bytes_before_a_command_are_left_out():
     assert messages(out(b"\x01\x02\x03" + REQUEST)) == [
         (Kind.WARNING, "3 bytes to the board before a command are left out"),

@@ -132,6 +132,18 @@ def test_transfer_numbers_are_used_again(imported):
     assert len(imported([*tick(monitor), *tick(monitor)], monitor).records) == 6
 
 
+def test_a_failure_whose_message_was_not_captured_is_not_laid_on_an_earlier_one(imported):
+    monitor = Usbmon()
+    monitor.numbers = iter([7] * 10)
+    capture = imported([*tick(monitor), monitor.packet(7, "C", 0x02, status=-32)], monitor)
+    assert [record.kind for record in capture.records] == [Kind.OUT, Kind.OUT, Kind.IN]
+
+
+def test_data_that_arrived_before_a_failure_are_kept(imported, monitor):
+    capture = imported([*tick(monitor), *monitor.into(0x84, b"some", status=5)], monitor)
+    assert seen(capture)[-1] == (Kind.IN, 0x84, b"some")
+
+
 def test_programming_the_fpga_is_noted_once_and_never_kept(imported, monitor):
     jtag = [*monitor.out(0x06, b"bits"), *monitor.out(0x06, b"bits"), *monitor.into(0x88, b"bits")]
     capture = imported([*jtag, *tick(monitor)], monitor)

@@ -105,7 +105,7 @@ class UsbPcap:
         endpoint = setup[0] & TO_HOST
         there, back = (b"", data) if endpoint else (data, b"")
         return [
-            self.packet(number, 0, endpoint, setup + there, transfer=CONTROL, stage=0, **device),
+            self.packet(number, 0, 0, setup + there, transfer=CONTROL, stage=0, **device),
             self.packet(number, 1, endpoint, back, transfer=CONTROL, stage=3, **device),
         ]
 
