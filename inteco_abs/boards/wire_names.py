@@ -11,6 +11,7 @@ from typing import Final
 
 from firmware_protocol import rtdac_usb, rtdac_usb2
 from firmware_protocol.fields import BYTE_BITS, FrameTable, Layout
+from inteco_abs.config import BoardConfig
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
 UNKNOWN: Final = "unknown"
@@ -89,6 +90,12 @@ PROTOCOLS: Final[Mapping[str, Protocol]] = MappingProxyType(
     }
 )
 """By the board that a capture names."""
+
+
+def protocol_name(wiring: BoardConfig) -> str:
+    """Which of `PROTOCOLS` the board of a profile speaks; raises ConfigError if it speaks none."""
+    name = f"usb1-{wiring.logic_version:x}" if wiring.kind == "usb" else wiring.kind
+    return protocol_of(name).board
 
 
 def protocol_of(board: str) -> Protocol:

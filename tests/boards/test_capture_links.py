@@ -1,14 +1,41 @@
 import pytest
 
+from firmware_protocol import rtdac_usb
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, encode_read, encode_send
-from inteco_abs.boards import Link, RtdacUsb2
+from inteco_abs.boards import InProcessLink, Link, RtdacUsb2, board_behind
 from inteco_abs.boards.capture import Capture, Kind, Record, read_capture
 from inteco_abs.boards.capture_link import CaptureLink
 from inteco_abs.boards.recording_link import RecordingLink
+from inteco_abs.boards.wire_names import protocol_name
+from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, CaptureError, ConfigError, LinkError, UnsafeError
 from inteco_abs.signals import BoardFlags, Command
 
 NUMBERING = "pwm7_prescaler"
+
+
+class EchoBoard:
+    """A first-generation board that echoes its settings, and whose wheels turn by a few counts a tick."""
+
+    def __init__(self, wiring):
+        self.logic = rtdac_usb.LOGICS[wiring.logic_version]
+        self.name = wiring.application_names[0]
+        self.settings = {}
+        self.ticks = 0
+        self.answers = []
+
+    def bulk_out(self, data):
+        if bytes(data) == rtdac_usb.READ_REQUEST:
+            self.ticks += 1
+            header = {"logic_version": self.logic.version, "application_name": self.name}
+            counts = {f"encoder{i}_count": 1000 * i + (3 + i) * self.ticks for i in range(self.logic.encoder_channels)}
+            echo = {name: value for name, value in self.settings.items() if name in self.logic.read.fields}
+            self.answers.append(self.logic.read.encode({**echo, **header, **counts}))
+        else:
+            self.settings = self.logic.send.decode(data)
+
+    def bulk_in(self, length):
+        return self.answers.pop(0)[:length] if self.answers else b""
 
 
 @pytest.fixture
@@ -64,6 +91,29 @@ def test_a_visit_with_failures_replays_with_the_same_failures(bench, recorded, w
     link = CaptureLink(capture, strict=True)
     assert drive(bench, link, RAMP) == samples
     assert (link.differences, link.left) == ([], 0)
+
+
+def test_a_visit_to_a_first_generation_board_replays_with_no_difference(path):
+    config = load_config(settings=["profile=sim_usb"])
+    device = EchoBoard(config.board)
+    board = protocol_name(config.board)
+
+    def visit(link):
+        with board_behind(link, config, lambda: 0) as entered:
+            return [entered.exchange(command) for command in RAMP]
+
+    samples = visit(RecordingLink(InProcessLink(device), path, board=board, now_ns=lambda: 0))
+    link = CaptureLink(read_capture(path), strict=True)
+    assert visit(link) == samples
+    assert samples[-1].wheel_count != samples[-1].road_count
+    assert (link.differences, link.left) == ([], 0)
+
+
+def test_a_profile_tells_how_its_board_speaks():
+    assert protocol_name(load_config(settings=["profile=sim_usb2"]).board) == "usb2"
+    assert protocol_name(load_config(settings=["profile=usb1_0112"]).board) == "usb1-112"
+    with pytest.raises(ConfigError, match="no protocol 'pci'"):
+        protocol_name(load_config(settings=["profile=sim_pci"]).board)
 
 
 def test_other_frame_numbers_are_no_difference_when_their_field_is_named(bench, recorded):
@@ -189,6 +239,16 @@ def test_differences_beyond_the_list_are_counted():
         link.write(b"\x0f\x8f" + b"\x01\x00" * 251)
     assert len(link.differences) == 10_000
     assert link.differing == 60 * 251
+
+
+def test_a_message_that_was_not_taken_then_is_compared_and_fails_again():
+    send = encode_send({"pwm0_width": 7})
+    failed = Record(0.0, Kind.ERROR, 2, send, "the cable is unplugged", "out")
+    link = CaptureLink(capture_of(failed, out(send)))
+    with pytest.raises(LinkError, match="as captured: the cable is unplugged"):
+        link.write(send)
+    link.write(send)
+    assert (link.differences, link.left) == ([], 0)
 
 
 def test_a_closed_capture_answers_nothing():

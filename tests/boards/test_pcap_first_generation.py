@@ -128,6 +128,13 @@ def test_a_message_that_another_one_interrupts_is_left_out():
     ]
 
 
+def test_failures_and_control_transfers_stay_in_their_place():
+    reset = Record(0.0, Kind.CONTROL, 0, setup=bytes.fromhex("4000000000000000"))
+    failure = Record(0.0, Kind.ERROR, 0x81, text="transfer failed", of="in")
+    found = ByteStream().messages([reset, out(REQUEST), failure, into(ANSWER)])
+    assert [record.kind for record in found] == [Kind.CONTROL, Kind.OUT, Kind.ERROR, Kind.IN]
+
+
 def test_an_unfinished_end_is_warned_of():
     assert messages(out(REQUEST), into(ANSWER[:9]), out(SEND[:50])) == [
         (Kind.OUT, REQUEST),

@@ -93,6 +93,16 @@ def test_frame_numbers_can_be_left_out_of_a_comparison(inteco_abs, tmp_path):
     inteco_abs("wire", "diff", "one.jsonl", "other.jsonl", "--ignore", "pwm7_prescaler", check=0)
 
 
+def test_a_capture_in_which_nothing_moves_says_so_and_doubts_the_names_of_another_logic(inteco_abs, tmp_path):
+    monitor = UsbPcap()
+    packets = 3 * monitor.into(0x84, encode_read({"logic_version": 0x0205}))
+    (tmp_path / "x.pcap").write_bytes(pcap(packets, monitor.link_type))
+    inteco_abs("wire", "import", "x.pcap", "-o", "x.jsonl", check=0)
+    run = inteco_abs("wire", "moved", "x.jsonl", check=0)
+    assert "no word of any frame moved" in run.stdout
+    assert "the board has logic 0x0205" in run.stderr
+
+
 def test_a_first_generation_board_is_imported_by_its_protocol(inteco_abs, tmp_path):
     monitor = Usbmon()
     (tmp_path / "x.pcap").write_bytes(pcap(monitor.out(0x02, b"\x80\x81" + bytes(149)), monitor.link_type))
