@@ -61,7 +61,7 @@ def import_pcap(path: Path, *, board: str = _USB2, device: str = "") -> Capture:
             f"{path}: device {chosen} exchanges nothing with a host as this board does; {_seen(packets)}"
         )
     source = f"inteco-abs {inteco_abs.__version__} out of {path.name}, device {chosen}"
-    return Capture(board, source, LINK_TYPES[link_type], tuple(records), str(path))
+    return Capture(board, source, f"of the monitor, {LINK_TYPES[link_type]}", tuple(records), str(path))
 
 
 def _is_device(text: str) -> bool:
