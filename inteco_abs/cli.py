@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.errors import AbsError, ConfigError, Mistake, near_match
+from inteco_abs.wire_cli import wire
 
 if TYPE_CHECKING:
     from inteco_abs.control import Controller
@@ -284,6 +285,9 @@ def doctor(
         if times_us:
             _print_histogram(times_us, rig.period_ns * 1e-3)
     return _LOSSES if verdict is Verdict.RED else 0
+
+
+cli.add_command(wire)
 
 
 def main() -> None:

@@ -6,7 +6,8 @@ AbsError
 │   ├── LinkError      an exchange failed: no answer, short, stale or not what was sent
 │   ├── UnsafeError    SAFE could not be confirmed
 │   └── ReadOnlyError  outputs are off: the profile does not know or trust this board
-└── SessionError   a session file cannot be written or used
+├── SessionError   a session file cannot be written or used
+└── CaptureError   a capture of the wire cannot be written, imported or used
 """
 
 from __future__ import annotations
@@ -66,6 +67,10 @@ class ReadOnlyError(BoardError):
 
 class SessionError(AbsError):
     """A session file cannot be written, read or replayed."""
+
+
+class CaptureError(AbsError):
+    """A capture of the wire cannot be written, imported, read or replayed."""
 
 
 def near_match(word: str, known: Iterable[str]) -> str:

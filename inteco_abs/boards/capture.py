@@ -1,0 +1,189 @@
+"""Captures of the wire: what a link or a bus monitor has seen, as JSON lines.
+
+The first line says what the file is; each other line is one thing that happened, in the order in which it did:
+
+    {"format": "inteco-abs wire", "version": 1, "board": "usb2", "recorded_by": "...", "clock": "..."}
+    {"t": 0.0, "dir": "out", "ep": 2, "hex": "ff8f0000"}
+    {"t": 0.0002, "dir": "in", "ep": 132, "hex": "0301..."}
+    {"t": 0.0105, "dir": "error", "of": "in", "text": "the board did not answer within 10 ms"}
+
+`t` is in seconds since the capture began, never falling but where the bus monitor's own times fall. An error `of`
+"out" has the message that was not taken as `hex`; `of` "in" is an answer that did not come; `of` "exchange" leaves
+open which of the two messages before it have gone out. A control transfer has its eight bytes of request as `setup`;
+a warning has only a `text`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from inteco_abs.errors import CaptureError
+
+FORMAT: Final = "inteco-abs wire"
+VERSION: Final = 1
+_LARGEST_ENDPOINT: Final = 0xFF
+
+
+class Kind(StrEnum):
+    """What happened."""
+
+    OUT = "out"
+    IN = "in"
+    ERROR = "error"
+    CONTROL = "control"
+    WARNING = "warning"
+
+
+class Record(NamedTuple):
+    """One thing that happened on the wire."""
+
+    t_s: float
+    """Since the capture began."""
+    kind: Kind
+    endpoint: int | None = None
+    """USB address, with bit 7 for IN; None if the link has no endpoints."""
+    data: bytes = b""
+    text: str = ""
+    """What an error or a warning says."""
+    of: str = ""
+    """Of an error: what failed, "out", "in" or "exchange"."""
+    setup: bytes = b""
+    """Of a control transfer: its request."""
+
+
+class Capture(NamedTuple):
+    """A file of records; raised errors call it `name`."""
+
+    board: str
+    """How its frames are to be read: a key of `wire_names.PROTOCOLS`."""
+    recorded_by: str
+    clock: str
+    records: tuple[Record, ...]
+    name: str = "the capture"
+
+    @property
+    def messages(self) -> int:
+        """Messages in either direction, without failures and notes."""
+        return sum(record.kind in {Kind.OUT, Kind.IN} for record in self.records)
+
+
+def check_target(path: Path) -> None:
+    """Raise CaptureError unless a new capture can be made at `path`; captures are never overwritten."""
+    problem = ""
+    if path.exists():
+        problem = "exists already, and captures are never overwritten; choose another name"
+    elif not path.parent.is_dir():
+        problem = f"the folder {path.parent} does not exist; create it first"
+    if problem:
+        raise CaptureError(f"{path}: {problem}")
+
+
+def write_capture(path: Path, capture: Capture) -> None:
+    """Write the file, under another name until it is whole. Raises CaptureError."""
+    head = {
+        "format": FORMAT,
+        "version": VERSION,
+        "board": capture.board,
+        "recorded_by": capture.recorded_by,
+        "clock": capture.clock,
+    }
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with part.open("w", encoding="utf-8") as file:
+            file.write(json.dumps(head) + "\n")
+            file.writelines(_line(record) for record in capture.records)
+        part.replace(path)
+    except OSError as error:
+        raise CaptureError(f"{path}: the capture cannot be written: {error.strerror or error}") from error
+
+
+def read_capture(path: Path) -> Capture:
+    """The capture in the file. Raises CaptureError naming the first line that is wrong."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise CaptureError(f"{path}: is no text; a Wireshark capture needs inteco-abs wire import first") from error
+    lines = text.split("\n")
+    if lines.pop():
+        raise CaptureError(f"{path}: its last line has no end: the file was cut off")
+    return parse_capture(lines, str(path))
+
+
+def parse_capture(lines: Iterable[str], name: str) -> Capture:
+    """The capture in these lines. Raises CaptureError naming the first line that is wrong."""
+    numbered = enumerate(lines, 1)
+    head = _head(_object(next(numbered, (1, ""))[1], f"{name}, line 1"), name)
+    records = tuple(
+        _record(_object(line, f"{name}, line {number}"), f"{name}, line {number}") for number, line in numbered
+    )
+    return Capture(head["board"], head["recorded_by"], head["clock"], records, name)
+
+
+def _line(record: Record) -> str:
+    line: dict[str, Any] = {"t": round(record.t_s, 9), "dir": record.kind}
+    if record.of:
+        line["of"] = record.of
+    if record.kind in {Kind.OUT, Kind.IN, Kind.CONTROL}:
+        line["ep"] = record.endpoint
+    if record.kind is Kind.CONTROL:
+        line["setup"] = record.setup.hex()
+    if record.data or record.kind in {Kind.OUT, Kind.IN, Kind.CONTROL}:
+        line["hex"] = record.data.hex()
+    if record.kind in {Kind.ERROR, Kind.WARNING}:
+        line["text"] = record.text
+    return json.dumps(line) + "\n"
+
+
+def _object(line: str, place: str) -> dict[str, Any]:
+    try:
+        value = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise CaptureError(f"{place}: is no JSON object ({error}); captures are JSON lines") from error
+    if not isinstance(value, dict):
+        raise CaptureError(f"{place}: is no JSON object but {line[:40]!r}; captures are JSON lines")
+    return value
+
+
+def _head(head: dict[str, Any], name: str) -> dict[str, str]:
+    if head.get("format") != FORMAT:
+        raise CaptureError(f"{name}, line 1: format = {head.get('format')!r}, must be {FORMAT!r}: no capture of ours")
+    if head.get("version") != VERSION:
+        raise CaptureError(
+            f"{name}, line 1: version = {head.get('version')!r}, this program reads {VERSION}; update it"
+        )
+    for key in ("board", "recorded_by", "clock"):
+        if not isinstance(head.get(key), str):
+            raise CaptureError(f"{name}, line 1: {key} = {head.get(key)!r}, must be text")
+    return head
+
+
+def _record(line: dict[str, Any], place: str) -> Record:
+    kind, t_s, endpoint = line.get("dir"), line.get("t"), line.get("ep")
+    if kind not in list(Kind):
+        raise CaptureError(f"{place}: dir = {kind!r}, must be one of {', '.join(Kind)}")
+    if not isinstance(t_s, int | float) or isinstance(t_s, bool) or not math.isfinite(t_s):
+        raise CaptureError(f"{place}: t = {t_s!r}, must be a number of seconds")
+    if endpoint is not None and (type(endpoint) is not int or not 0 <= endpoint <= _LARGEST_ENDPOINT):
+        raise CaptureError(f"{place}: ep = {endpoint!r}, must be an endpoint's address in 0..255, or null")
+    text, of = line.get("text", ""), line.get("of", "")
+    if not isinstance(text, str):
+        raise CaptureError(f"{place}: text = {text!r}, must be text")
+    if kind == Kind.ERROR and of not in {"out", "in", "exchange"}:
+        raise CaptureError(f"{place}: of = {of!r}, must be out, in or exchange")
+    needed = kind in {Kind.OUT, Kind.IN}
+    data = _bytes(line.get("hex", None if needed else ""), "hex", place)
+    return Record(float(t_s), Kind(kind), endpoint, data, text, of, _bytes(line.get("setup", ""), "setup", place))
+
+
+def _bytes(digits: Any, key: str, place: str) -> bytes:
+    try:
+        return bytes.fromhex(digits)
+    except (TypeError, ValueError):
+        raise CaptureError(f"{place}: {key} = {str(digits)[:40]!r}, must be pairs of hex digits") from None

@@ -1,0 +1,133 @@
+"""A link that writes down what passes through it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import inteco_abs
+from inteco_abs.boards.capture import Capture, Kind, Record, check_target, write_capture
+from inteco_abs.boards.links import Link
+from inteco_abs.boards.wire_names import protocol_of
+from inteco_abs.errors import CaptureError
+
+_OUT, _IN, _ERROR = (kind.value for kind in (Kind.OUT, Kind.IN, Kind.ERROR))
+MOST_MESSAGES: Final = 300_000
+"""A hundred thousand ticks of three messages; about 150 MB of memory with the frames of an RT-DAC/USB2."""
+
+
+class RecordingLink(Link):
+    """Does what `inner` does, and keeps every message and failure in memory until it is closed.
+
+    Then, or when `save` is called, the capture is written to `path`. No file is touched before that. Once
+    `most_messages` are kept, newer ones are only counted, and the file says so: a replay needs the beginning.
+    Answers that `discard` drops are not seen and not kept. `endpoints` are the addresses of OUT and IN, if there are
+    any; `now_ns` is a monotonic clock. Raises CaptureError if no capture can be made at `path`, ConfigError for an
+    unknown `board`.
+    """
+
+    def __init__(
+        self,
+        inner: Link,
+        path: Path,
+        *,
+        board: str = "usb2",
+        endpoints: tuple[int | None, int | None] = (None, None),
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        most_messages: int = MOST_MESSAGES,
+    ) -> None:
+        check_target(path)
+        self.unsaved: CaptureError | None = None
+        """Why closing could not write the file; `save` may be called again."""
+        self.dropped = 0
+        """Messages that were not kept."""
+        self._inner = inner
+        self._path = path
+        self._board = protocol_of(board).board
+        self._endpoints = dict(zip((_OUT, _IN), endpoints, strict=True))
+        self._now_ns = now_ns
+        self._most = most_messages
+        # time, kind, data, text, of; all of them atoms, so that the garbage collector has nothing to go through
+        self._kept: list[tuple[int, str, bytes, str, str]] = []
+        self._closed = False
+        self._start_ns = now_ns()
+
+    def write(self, data: bytes | bytearray) -> None:
+        """Send one message."""
+        start_ns = self._now_ns()
+        try:
+            self._inner.write(data)
+        except BaseException as error:
+            self._keep(self._now_ns(), _ERROR, bytes(data), _words(error), "out")
+            raise
+        self._keep(start_ns, _OUT, bytes(data))
+
+    def read(self, length: int) -> bytes:
+        """Receive one message."""
+        try:
+            data = self._inner.read(length)
+        except BaseException as error:
+            self._keep(self._now_ns(), _ERROR, b"", _words(error), "in")
+            raise
+        self._keep(self._now_ns(), _IN, data)
+        return data
+
+    def exchange(self, first: bytes | bytearray, second: bytes, length: int) -> bytes:
+        """Send two messages and receive one, the way the inner link does it."""
+        start_ns = self._now_ns()
+        try:
+            data = self._inner.exchange(first, second, length)
+        except BaseException as error:
+            self._keep(start_ns, _OUT, bytes(first))
+            self._keep(start_ns, _OUT, bytes(second))
+            self._keep(self._now_ns(), _ERROR, b"", _words(error), "exchange")
+            raise
+        self._keep(start_ns, _OUT, bytes(first))
+        self._keep(start_ns, _OUT, bytes(second))
+        self._keep(self._now_ns(), _IN, data)
+        return data
+
+    def discard(self, length: int) -> None:
+        """Drop what has arrived."""
+        self._inner.discard(length)
+
+    def close(self) -> None:
+        """Let go of the board, then write the file; what goes wrong with the file is left in `unsaved`."""
+        try:
+            self._inner.close()
+        finally:
+            if not self._closed:
+                self._closed = True
+                try:
+                    self.save()
+                except CaptureError as error:
+                    self.unsaved = error  # raised here, it would hide why the board was closed
+
+    def save(self) -> None:
+        """Write all that was kept so far. Raises CaptureError."""
+        write_capture(self._path, self.capture())
+        self.unsaved = None
+
+    def capture(self) -> Capture:
+        """What was kept so far."""
+        records = [
+            Record((at_ns - self._start_ns) * 1e-9, Kind(kind), self._endpoints.get(kind), data, text, of)
+            for at_ns, kind, data, text, of in self._kept
+        ]
+        if self.dropped:
+            text = f"{self.dropped} more messages passed and were not kept: {self._most} are the most"
+            records.append(Record(records[-1].t_s if records else 0.0, Kind.WARNING, text=text))
+        recorded_by = f"inteco-abs {inteco_abs.__version__}"
+        return Capture(self._board, recorded_by, "monotonic, of the computer", tuple(records), str(self._path))
+
+    def _keep(self, at_ns: int, kind: str, data: bytes, text: str = "", of: str = "") -> None:
+        if len(self._kept) < self._most:
+            self._kept.append((at_ns, kind, data, text, of))
+        else:
+            self.dropped += 1
+
+
+def _words(error: BaseException) -> str:
+    return str(error) or type(error).__name__

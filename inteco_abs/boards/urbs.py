@@ -1,0 +1,135 @@
+"""Packets of a USB bus monitor: the headers that usbmon (Linux) and USBPcap (Windows) put before a transfer's data.
+
+Layouts: the kernel's documentation of usbmon, binary format of 48 bytes and of 64 ("mmapped"); USBPcap's capture
+format specification. usbmon's numbers have the byte order of the computer that captured, which is the file's;
+USBPcap's are little-endian always.
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+from inteco_abs.errors import CaptureError
+
+IN: Final = 0x80
+"""Bit of an endpoint's address that stands for towards the host."""
+_SUBMITTED, _COMPLETED, _REFUSED = b"SCE"
+
+_USBMON: Final = "QBBBBHbbqiiII8s"
+_USBMON_BYTES: Final = 48
+_MMAPPED_BYTES: Final = 64
+_DESCRIPTOR_BYTES: Final = 16
+"""Of each part of an isochronous transfer, between header and data."""
+_NDESC_AT: Final = 60
+_IN_PROGRESS: Final = -115
+_SHORT: Final = -121
+"""A short packet where the driver has asked to be told; its data are good."""
+_USBPCAP: Final = struct.Struct("<HQIHBHHBBI")
+_TO_HOST: Final = 1
+_SETUP_STAGE: Final = 0
+_SETUP_BYTES: Final = 8
+
+LINUX_USB: Final = 189
+LINUX_USB_MMAPPED: Final = 220
+USBPCAP: Final = 249
+LINK_TYPES: Final = {
+    LINUX_USB: "usbmon with 48-byte headers",
+    LINUX_USB_MMAPPED: "usbmon with 64-byte headers",
+    USBPCAP: "USBPcap",
+}
+"""Link types of the captures that can be read."""
+
+
+class Transfer(IntEnum):
+    """Type of a transfer, numbered as both monitors do."""
+
+    ISOCHRONOUS = 0
+    INTERRUPT = 1
+    CONTROL = 2
+    BULK = 3
+
+
+class Urb(NamedTuple):
+    """A transfer as it is handed to the host controller, or as it comes back."""
+
+    bus: int
+    address: int
+    endpoint: int
+    """Address, with bit 7 for IN."""
+    transfer: int
+    """A `Transfer`, or a monitor's own number for notes that are none."""
+    number: int
+    """Joins the two packets of a transfer; used again afterwards."""
+    done: bool
+    """It has come back, well or not."""
+    failure: str
+    """Why it failed; empty before it comes back, and if it did not."""
+    length: int
+    """Bytes that the data have, in this packet or not."""
+    data: bytes
+    setup: bytes = b""
+    """Request of a control transfer, in the packet that hands it over."""
+
+    @property
+    def device(self) -> str:
+        """As the command line takes it."""
+        return f"{self.bus}.{self.address}"
+
+
+def decode(packet: bytes, link_type: int, *, big_endian: bool = False) -> Urb:
+    """What the packet says. Raises CaptureError for one that is cut off or from no USB monitor."""
+    if link_type == USBPCAP:
+        return _usbpcap(packet)
+    return _usbmon(
+        packet, _MMAPPED_BYTES if link_type == LINUX_USB_MMAPPED else _USBMON_BYTES, ">" if big_endian else "<"
+    )
+
+
+def _usbmon(packet: bytes, header: int, order: str) -> Urb:
+    if len(packet) < header:
+        raise CaptureError(f"has {len(packet)} bytes, a usbmon header has {header}")
+    (number, kind, transfer, endpoint, address, bus, no_setup, no_data, _, _, status, length, captured, setup) = (
+        struct.unpack_from(f"{order}{_USBMON}", packet)
+    )
+    if kind not in {_SUBMITTED, _COMPLETED, _REFUSED} or transfer > Transfer.BULK:
+        raise CaptureError(
+            f"is none of usbmon (type {kind:#04x}, transfer {transfer}): several interfaces in one file?"
+        )
+    data = b""
+    if not no_data:
+        start = header
+        if transfer == Transfer.ISOCHRONOUS and header == _MMAPPED_BYTES:
+            start += _DESCRIPTOR_BYTES * struct.unpack_from(f"{order}I", packet, _NDESC_AT)[0]
+        elif len(packet) < header + captured:
+            raise CaptureError(_cut(len(packet) - header, captured))
+        data = packet[start : start + captured]
+    done = kind != _SUBMITTED
+    good = status in {0, _SHORT} or (status == _IN_PROGRESS and not done)
+    failure = "" if good else f"status {status}"
+    return Urb(bus, address, endpoint, transfer, number, done, failure, length, data, b"" if no_setup else setup)
+
+
+def _usbpcap(packet: bytes) -> Urb:
+    if len(packet) < _USBPCAP.size:
+        raise CaptureError(f"has {len(packet)} bytes, a USBPcap header has at least {_USBPCAP.size}")
+    header, number, status, _, info, bus, address, endpoint, transfer, length = _USBPCAP.unpack_from(packet)
+    staged = transfer == Transfer.CONTROL
+    if not _USBPCAP.size + staged <= header <= len(packet):
+        raise CaptureError(
+            f"is none of USBPcap: its header calls itself {header} bytes long, the packet has {len(packet)}"
+        )
+    data = packet[header : header + length]
+    if len(data) < length:
+        raise CaptureError(_cut(len(data), length))
+    done = bool(info & _TO_HOST)
+    setup = b""
+    if staged and packet[_USBPCAP.size] == _SETUP_STAGE:
+        setup, data = data[:_SETUP_BYTES], data[_SETUP_BYTES:]
+    failure = f"USBD status 0x{status:08X}" if done and status else ""
+    return Urb(bus, address, endpoint, transfer, number, done, failure, len(data), data, setup)
+
+
+def _cut(found: int, length: int) -> str:
+    return f"is cut off: {found} of its {length} bytes of data are there. Capture again, without a length limit"

@@ -1,0 +1,153 @@
+"""What the words of a captured frame are called, by the tables of the wire."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Final
+
+from firmware_protocol import rtdac_usb, rtdac_usb2
+from firmware_protocol.fields import BYTE_BITS, FrameTable, Layout
+from inteco_abs.config import BoardConfig
+from inteco_abs.errors import ConfigError, Mistake, near_match
+
+UNKNOWN: Final = "unknown"
+COMMAND: Final = "command"
+
+
+class Role(StrEnum):
+    """What a message is for."""
+
+    SEND = "SEND"
+    REQUEST = "READ request"
+    READ = "READ answer"
+    OTHER = "other"
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How the messages of one board are told apart, and their words named."""
+
+    board: str
+    title: str
+    logic_version: int
+    """That the tables were made for."""
+    send: FrameTable
+    read: FrameTable
+    request: bytes
+
+    def role_out(self, message: bytes) -> Role:
+        """What a message from the host is for."""
+        if message == self.request:
+            return Role.REQUEST
+        if len(message) == self.send.size and words_of(self.send, message)[0] == self.send.command:
+            return Role.SEND
+        return Role.OTHER
+
+    def role_in(self, message: bytes) -> Role:
+        """What a message from the board is."""
+        return Role.READ if len(message) == self.read.size else Role.OTHER
+
+    def fields(self, names: Iterable[str]) -> frozenset[str]:
+        """The same names; raises ConfigError for one that is in neither table."""
+        known = self.send.fields.keys() | self.read.fields.keys()
+        chosen = frozenset(names)
+        for name in sorted(chosen - known):
+            raise ConfigError([Mistake("field", f"{self.title} has no field {name!r}{near_match(name, known)}")])
+        return chosen
+
+
+def _usb1(logic: int) -> Protocol:
+    tables = rtdac_usb.logic_of(logic)
+    return Protocol(
+        f"usb1-{logic:x}",
+        f"RT-DAC/USB, logic 0x{logic:04X}",
+        logic,
+        tables.send,
+        tables.read,
+        rtdac_usb.READ_REQUEST,
+    )
+
+
+PROTOCOLS: Final[Mapping[str, Protocol]] = MappingProxyType(
+    {
+        one.board: one
+        for one in (
+            Protocol(
+                "usb2",
+                f"RT-DAC/USB2, logic 0x{rtdac_usb2.LOGIC_VERSION:04X}",
+                rtdac_usb2.LOGIC_VERSION,
+                rtdac_usb2.SEND,
+                rtdac_usb2.READ,
+                rtdac_usb2.READ_REQUEST,
+            ),
+            _usb1(0x0111),
+            _usb1(0x0112),
+        )
+    }
+)
+"""By the board that a capture names."""
+
+
+def protocol_name(wiring: BoardConfig) -> str:
+    """Which of `PROTOCOLS` the board of a profile speaks; raises ConfigError if it speaks none."""
+    name = f"usb1-{wiring.logic_version:x}" if wiring.kind == "usb" else wiring.kind
+    return protocol_of(name).board
+
+
+def protocol_of(board: str) -> Protocol:
+    """Raises ConfigError for a board that has no tables here."""
+    if board not in PROTOCOLS:
+        raise ConfigError([Mistake("board", f"no protocol {board!r}{near_match(board, PROTOCOLS)}")])
+    return PROTOCOLS[board]
+
+
+def words_of(table: FrameTable, frame: bytes) -> Sequence[int]:
+    """Words of a frame of the right size, with no other check."""
+    return frame if table.word_bits == BYTE_BITS else struct.unpack(f"<{len(frame) // 2}H", frame)
+
+
+def label(table: FrameTable, word: int) -> str:
+    """Name of a place in the notation of the protocol reference: `w22` is word 22, `b21` data byte 21."""
+    return f"{'b' if table.word_bits == BYTE_BITS else 'w'}{word - table.data_from}"
+
+
+def byte_offset(table: FrameTable, word: int) -> int:
+    """Where the word begins in its message."""
+    return word * table.word_bits // BYTE_BITS
+
+
+def names_at(table: FrameTable, word: int, mask: int) -> tuple[str, ...]:
+    """Fields that own bits of `mask` in `word`, counted from the frame's first; `unknown` for bits without owner."""
+    if table.command is not None and word == 0:
+        return (COMMAND,)
+    names, owned = [], 0
+    for name, (_, layout) in table.fields.items():
+        bits = mask_of(layout, word - table.data_from)
+        owned |= bits
+        if bits & mask:
+            names.append(name)
+    return (*names, UNKNOWN) if mask & ~owned else tuple(names)
+
+
+def mask_of(layout: Layout, word: int) -> int:
+    """Bits of data word `word` that carry the layout."""
+    mask = 0
+    for part in layout:
+        if part.word == word:
+            mask |= part.mask << part.low
+    return mask
+
+
+def masks_of(table: FrameTable, names: Iterable[str]) -> dict[int, int]:
+    """Bits that carry the named fields, by word of the frame; fields that the table has not are left out."""
+    masks: dict[int, int] = {}
+    for name in names:
+        if name in table.fields:
+            for part in table.fields[name][1]:
+                word = part.word + table.data_from
+                masks[word] = masks.get(word, 0) | part.mask << part.low
+    return masks

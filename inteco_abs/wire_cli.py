@@ -1,0 +1,182 @@
+"""The verbs of `inteco-abs wire`: captures of what passes between a host and the board."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from inteco_abs.errors import ConfigError, Mistake
+
+_DIFFERS: Final = 4
+_FILE: Final = click.Path(path_type=Path)
+_PROTOCOLS: Final = ("usb2", "usb1-111", "usb1-112")
+_SCHEMA: Final = 1
+
+
+def _json_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead.")(function)
+
+
+@click.group()
+def wire() -> None:
+    """Captures of what passes between a host and the board."""
+
+
+@wire.command("import")
+@click.argument("pcap", type=_FILE)
+@click.option("--out", "-o", type=_FILE, required=True, help="Capture to write, as JSON lines.")
+@click.option("--device", default="", metavar="BUS.ADDR", help="The board, if several devices talk like one.")
+@click.option("--protocol", type=click.Choice(_PROTOCOLS), default="usb2", show_default=True, help="How it talks.")
+def import_(pcap: Path, out: Path, device: str, protocol: str) -> int:
+    """Take the board's messages out of a Wireshark capture (usbmon or USBPcap, pcap or pcapng)."""
+    from inteco_abs.boards.capture import Kind, check_target, write_capture
+    from inteco_abs.boards.pcap import import_pcap
+
+    check_target(out)
+    capture = import_pcap(pcap, board=protocol, device=device)
+    write_capture(out, capture)
+    for record in capture.records:
+        if record.kind is Kind.WARNING:
+            click.echo(f"inteco-abs: at {record.t_s:.6f} s: {record.text}", err=True)
+    click.echo(f"{out}: {capture.messages} messages, {capture.recorded_by}", err=True)
+    return 0
+
+
+@wire.command()
+@click.argument("file", type=_FILE)
+@_json_option
+def show(file: Path, as_json: bool) -> int:
+    """What a capture holds: messages, rates, failures, and which board it was."""
+    from inteco_abs.boards.capture import read_capture
+    from inteco_abs.boards.capture_summary import summarize
+
+    summary = summarize(read_capture(file))
+    if as_json:
+        traffic = {role: one._asdict() for role, one in summary.traffic.items()}
+        _print_json({"capture": str(file), **summary._asdict(), "traffic": traffic})
+        return 0
+    board = f"{summary.board}, {_logic(summary.logic_version, summary.application_name)}"
+    facts = [("board", board), ("recorded by", summary.recorded_by), ("clock", summary.clock)]
+    facts += [("duration", f"{summary.duration_s:.6f} s"), ("control transfers", str(summary.control_transfers))]
+    facts += [("failure", f"{text} ({count} times)") for text, count in summary.errors.items()]
+    facts += [("warning", text) for text in (*summary.warnings, summary.caution) if text]
+    _print_table(("", ""), facts)
+    click.echo()
+    rows = [
+        (role, str(one.messages), _number(one.rate_hz), _number(one.median_interval_s), _number(one.longest_interval_s))
+        for role, one in summary.traffic.items()
+    ]
+    _print_table(("messages", "count", "per second", "median interval s", "longest s"), rows)
+    return 0
+
+
+@wire.command()
+@click.argument("file", type=_FILE)
+@_json_option
+def moved(file: Path, as_json: bool) -> int:
+    """Which words moved during a capture, the likeliest one first: for finding what a slider does."""
+    from inteco_abs.boards.capture import read_capture
+    from inteco_abs.boards.capture_summary import caution
+    from inteco_abs.boards.moved_words import moved_words
+
+    capture = read_capture(file)
+    words, doubt = moved_words(capture), caution(capture)
+    if as_json:
+        _print_json({"capture": str(file), "caution": doubt, "moved": [word._asdict() for word in words]})
+        return 0
+    if doubt:
+        click.echo(f"inteco-abs: {doubt}", err=True)
+    if not words:
+        click.echo(f"{file}: no word of any frame moved")
+        return 0
+    rows = [
+        (
+            word.direction,
+            word.word,
+            f"0x{word.bits:04X}",
+            f"{word.minimum}..{word.maximum}",
+            str(word.distinct),
+            "always moving" if word.restless else f"{word.changes} times, {word.alone:.0%} alone",
+            word.course,
+            f"{word.first_s:.3f}..{word.last_s:.3f}",
+            ", ".join(word.fields),
+        )
+        for word in words
+    ]
+    _print_table(("frame", "word", "bits", "range", "values", "changed", "course", "from..to s", "fields"), rows)
+    return 0
+
+
+@wire.command()
+@click.argument("first", type=_FILE)
+@click.argument("second", type=_FILE)
+@click.option(
+    "--numbering-pwm",
+    type=click.IntRange(min=0),
+    metavar="CHANNEL",
+    help="Ignore the prescaler of this PWM channel, by which our frames are numbered.",
+)
+@click.option("--ignore", multiple=True, metavar="FIELD", help="Ignore another field.")
+@_json_option
+def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str, ...], as_json: bool) -> int:
+    """Compare the SEND frames of two captures, the n-th with the n-th; ends with exit code 4 if they differ."""
+    from inteco_abs.boards.capture import read_capture
+    from inteco_abs.boards.moved_words import compare_sends
+
+    ignored = [*ignore, *([] if numbering_pwm is None else [f"pwm{numbering_pwm}_prescaler"])]
+    one, other = read_capture(first), read_capture(second)
+    if one.board != other.board:
+        raise ConfigError([Mistake("SECOND", f"{second} is of a {other.board} board, {first} of a {one.board}")])
+    outcome = compare_sends(one, other, ignored)
+    if as_json:
+        words = [word._asdict() for word in outcome.words]
+        _print_json({"first": str(first), "second": str(second), **outcome._asdict(), "words": words})
+        return 0 if outcome.same else _DIFFERS
+    click.echo(
+        f"{outcome.first_frames} and {outcome.second_frames} SEND frames, "
+        f"{outcome.differing_frames or 'none'} of the pairs differ"
+    )
+    rows = [
+        (
+            word.word,
+            f"0x{word.bits:04X}",
+            f"{word.frames} frames",
+            f"frame {word.first_frame}: 0x{word.first_value:04X} and 0x{word.second_value:04X}",
+            ", ".join(word.fields),
+        )
+        for word in outcome.words
+    ]
+    if rows:
+        _print_table(("word", "bits", "differs in", "first", "fields"), rows)
+    return 0 if outcome.same else _DIFFERS
+
+
+def _logic(version: int | None, name: str) -> str:
+    return "no READ answer" if version is None else f"logic 0x{version:04X} {name!r}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.6g}"
+
+
+def _print_json(data: dict[str, Any]) -> None:
+    click.echo(json.dumps({"schema_version": _SCHEMA, **data}, allow_nan=False))
+
+
+def _print_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    for _ in head:
+        table.add_column(overflow="fold")
+    if any(head):
+        table.add_row(*(Text(name, style="dim") for name in head))
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console(markup=False).print(table)
