@@ -1,0 +1,205 @@
+"""Each way in which a USB link may fail, over pyusb in process, over USB/IP and over real libusb with both engines."""
+
+import functools
+import json
+import logging
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+import usb.core
+from drill import new_host
+from pyusb_backend import BusBackend
+from trouble import SCENARIOS, Bench
+from usbfs import UsbfsTree, preload_is_installed
+from usbip_client import UsbIpBus
+
+from inteco_abs.boards.usb import UsbLink
+from inteco_abs.boards.usb_bridge import firmware_dates, identify_led
+from inteco_abs.config import UsbConfig
+from inteco_abs.errors import BoardError, LinkError
+from inteco_abs.mock_board import Speed
+
+HERE = Path(__file__).parent
+MISSING = "umockdev's preload library is missing: apt-get install umockdev libusb-1.0-0"
+ENGINES = ("one-by-one", "queued")
+IN_MID_EXCHANGE = "interrupted_in_mid_exchange"
+real_libusb = pytest.mark.xdist_group("real libusb")
+
+
+@pytest.fixture
+def in_process(speed):
+    bench = Bench(speed)
+    bench.backend = BusBackend(bench.host, bench.clock.wait)
+    return reached_by(bench)
+
+
+@pytest.fixture
+def over_usbip(speed, serve):
+    bench = Bench(speed)
+    with serve(bench.host) as (_, address):
+        bus = UsbIpBus(address)
+        bench.backend = BusBackend(bus)
+        yield reached_by(bench, timeout_ms=400)  # a busy computer must not make an answer late
+        bus.close()
+
+
+def reached_by(bench, **timeout):
+    bench.open_link = lambda: UsbLink("", bench.config.usb, bench.backend, **timeout)
+    bench.find = lambda: usb.core.find(backend=bench.backend)
+    return bench
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_over_pyusb_in_process(in_process, name):
+    SCENARIOS[name](in_process)
+    assert in_process.board.jtag_transfers == 0
+
+
+@pytest.mark.parametrize("speed", [Speed.HIGH], ids=["high"])
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_over_usbip(over_usbip, name):
+    SCENARIOS[name](over_usbip)
+    assert over_usbip.board.jtag_transfers == 0
+
+
+@pytest.fixture(scope="module")
+def preload():
+    if not preload_is_installed():
+        if os.environ.get("CI"):
+            pytest.fail(MISSING)
+        pytest.skip(MISSING)
+
+
+def client(engine, task, environment, prefix=()):
+    """What a process with real libusb found, by scenario, and what it said."""
+    paths = f"{HERE.parents[1]}{os.pathsep}{HERE}"
+    child = subprocess.run(
+        [*prefix, "timeout", "-k", "5", "100", sys.executable, HERE / "trouble_client.py", engine, task],
+        env={**os.environ, "PYTHONPATH": paths, **environment}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert child.returncode == 0, child.stderr
+    return json.loads(child.stdout), child.stderr
+
+
+@functools.cache
+def all_of(engine, task="all"):
+    with tempfile.TemporaryDirectory() as empty:  # until the client has a tree of its own
+        return client(engine, task, {"LD_PRELOAD": "libumockdev-preload.so.0", "UMOCKDEV_DIR": empty})
+
+
+@real_libusb
+@pytest.mark.usefixtures("preload")
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("name", [*SCENARIOS, IN_MID_EXCHANGE, "jtag"])
+def test_over_real_libusb(engine, name):
+    failure = all_of(engine)[0][name]
+    assert failure is None, failure
+
+
+@real_libusb
+@pytest.mark.usefixtures("preload")
+@pytest.mark.parametrize("engine", ENGINES)
+def test_over_real_libusb_a_kernel_driver_is_detached_and_the_user_is_told(engine):
+    _, said = all_of(engine, "bound")
+    assert "a kernel driver held the board and was detached" in said
+
+
+@real_libusb
+@pytest.mark.usefixtures("preload")
+@pytest.mark.parametrize("engine", ENGINES)
+def test_over_real_libusb_missing_permission_is_told_with_the_udev_rule(engine):
+    # root has to give up its rights to be refused anything
+    prefix = ("setpriv", "--inh-caps=-all", "--bounding-set=-all") if os.geteuid() == 0 else ()
+    tree = UsbfsTree(new_host(Speed.HIGH, drill=False), mode=0)
+    try:
+        assert client(engine, "denied", tree.environment(), prefix)[0] == {"denied": None}
+    finally:
+        tree.close()
+
+
+def test_missing_permission_is_told_with_the_udev_rule(in_process):
+    in_process.backend.permitted = False
+    with pytest.raises(BoardError, match=r"no board that may be opened.*doctor --rules prints the udev rule"):
+        in_process.open_link()
+
+
+def test_a_kernel_driver_is_detached_and_the_log_says_so_once(in_process, caplog):
+    in_process.backend.driver = "usbtest"
+    with caplog.at_level(logging.WARNING), in_process.driving():
+        assert "a kernel driver held the board and was detached" in caplog.text
+    caplog.clear()
+    in_process.open_link().close()
+    assert not caplog.text
+
+
+class StubbornBackend(BusBackend):
+    """A kernel that lets nobody detach its drivers."""
+
+    def detach_kernel_driver(self, *_):
+        raise usb.core.USBError("Access denied", -3, 13)
+
+
+def test_a_kernel_driver_that_cannot_be_detached_is_told_with_what_to_do(in_process):
+    in_process.backend = StubbornBackend(in_process.host)
+    in_process.backend.driver = "usbtest"
+    with pytest.raises(BoardError, match=r"cannot be detached \(no permission.*lsusb -t.*modprobe -r"):
+        in_process.open_link()
+
+
+class ForeignBackend(BusBackend):
+    """A system whose libusb knows no kernel drivers."""
+
+    def is_kernel_driver_active(self, *_):
+        raise NotImplementedError
+
+
+def test_a_system_without_kernel_drivers_needs_none_detached(in_process):
+    in_process.backend = ForeignBackend(in_process.host)
+    with in_process.driving():
+        in_process.works()
+
+
+def test_a_bridge_that_is_gone_is_an_error_and_not_a_date(in_process):
+    device = in_process.find()
+    in_process.host.unplug()
+    with pytest.raises(LinkError, match="the board is gone: check cable and power"):
+        firmware_dates(device)
+    with pytest.raises(LinkError, match="the board is gone: check cable and power"):
+        identify_led(device, on=True)
+
+
+def test_a_board_that_may_not_be_opened_tells_no_dates(in_process):
+    in_process.backend.permitted = False
+    with pytest.raises(LinkError, match=r"no permission: .*udev rule"):
+        firmware_dates(in_process.find())
+
+
+def test_a_transfer_that_is_taken_in_part_is_an_error(in_process, monkeypatch):
+    link = in_process.open_link()
+    monkeypatch.setattr(in_process.backend, "bulk_write", lambda *_: 64)
+    with pytest.raises(LinkError, match="the board took 64 of 504 bytes"):
+        link.write(bytes(504))
+    link.close()
+
+
+def test_an_error_without_a_text_of_its_own_is_told_in_libusbs(in_process, monkeypatch):
+    def fail(*_):
+        raise usb.core.USBError("Other error", -99, None)
+
+    link = in_process.open_link()
+    monkeypatch.setattr(in_process.backend, "bulk_read", fail)
+    with pytest.raises(LinkError, match=r"the transfer failed: .*Other error"):
+        link.read(504)
+    link.close()
+
+
+def test_ids_of_other_boards_are_left_alone(in_process):
+    in_process.backend.driver = "usbtest"
+    with pytest.raises(BoardError, match="is it plugged in"):
+        UsbLink("", UsbConfig(manufacturer="Somebody"), in_process.backend)
+    (core,) = in_process.backend.enumerate_devices()
+    assert core.driver == "usbtest"
