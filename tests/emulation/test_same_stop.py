@@ -43,7 +43,8 @@ def difference(ticks, reference):
     )
     names = TICK.array(b"").dtype.names
     values = [TICK.array(each).tolist() or [("none",) * len(names)] for each in (one, other)]
-    fields = [f"{name} {a}, not {b}" for name, a, b in zip(names, values[0][0], values[1][0], strict=True) if a != b]
+    rows = zip(names, *(row for (row,) in values), strict=True)
+    fields = [f"{name} {a}, not {b}" for name, a, b in rows if repr(a) != repr(b)]  # NaN is NaN
     return (
         f"SHA-256 {digest}, not {wanted}; tick {number} of {len(expected)} (found {len(found)}): "
         f"{one.hex()}, not {other.hex()}: {'; '.join(fields)}"
