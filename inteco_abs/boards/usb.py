@@ -17,7 +17,7 @@ import usb.util
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT, FRAME_BYTES
 from inteco_abs.boards.links import Link
-from inteco_abs.boards.usb_words import AT_ONCE_MS, RULES, TIMEOUT_MS, cut_short, in_words
+from inteco_abs.boards.usb_words import AT_ONCE_MS, RULES, TIMEOUT_MS, in_words
 from inteco_abs.config import UsbConfig
 from inteco_abs.errors import BoardError, LinkError
 
@@ -68,8 +68,8 @@ class UsbLink(Link):
             sent = self._write(ENDPOINT_OUT, data, self._timeout_ms)
         except usb.core.USBError as error:
             raise self._failed(error) from error
-        if sent != len(data):
-            raise LinkError(cut_short(sent, len(data)))
+        if sent != len(data):  # pyusb tells a time-out in the middle by the count
+            raise LinkError(f"the board took {sent} of {len(data)} bytes in {self._timeout_ms} ms: check the cable")
 
     def read(self, length: int) -> bytes:
         """Receive one message."""

@@ -16,7 +16,7 @@ import usb1
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
 from inteco_abs.boards.links import Link
 from inteco_abs.boards.usb import INTERFACE, find_one
-from inteco_abs.boards.usb_words import AT_ONCE_MS, TIMEOUT_MS, cut_short, in_words
+from inteco_abs.boards.usb_words import AT_ONCE_MS, TIMEOUT_MS, in_words
 from inteco_abs.config import UsbConfig
 from inteco_abs.errors import BoardError, LinkError
 
@@ -65,7 +65,6 @@ class QueuedUsbLink(Link):
         self._recover()
         self._first.setBulk(ENDPOINT_OUT, bytes(data), timeout=self._timeout_ms)
         self._finish(self._first)
-        self._check_sent(self._first, len(data))
 
     def read(self, length: int) -> bytes:
         """Receive one message."""
@@ -78,8 +77,6 @@ class QueuedUsbLink(Link):
         self._second.setBulk(ENDPOINT_OUT, second, timeout=self._timeout_ms)
         self._answer.setBulk(ENDPOINT_IN, length, timeout=self._timeout_ms)
         self._finish(self._first, self._second, self._answer)
-        self._check_sent(self._first, len(first))
-        self._check_sent(self._second, len(second))
         return bytes(self._answer.getBuffer()[: self._answer.getActualLength()])
 
     def close(self) -> None:
@@ -94,7 +91,7 @@ class QueuedUsbLink(Link):
         for device in self._context.getDeviceIterator(skip_on_error=True):
             if (device.getBusNumber(), device.getDeviceAddress()) == (bus, address):
                 return device.open()
-        raise BoardError("the board was unplugged while it was being opened")
+        raise usb1.USBErrorNoDevice  # unplugged meanwhile
 
     def _read_waiting(self, length: int) -> bytes:
         return self._receive(length, AT_ONCE_MS)
@@ -120,12 +117,6 @@ class QueuedUsbLink(Link):
             if status != usb1.TRANSFER_COMPLETED:
                 self._stalled = self._stalled or any(each.getStatus() == usb1.TRANSFER_STALL for each in transfers)
                 raise LinkError(in_words(_STATUS.get(status), f"status {status}", self._timeout_ms))
-
-    @staticmethod
-    def _check_sent(transfer: Any, length: int) -> None:
-        sent = transfer.getActualLength()
-        if sent != length:
-            raise LinkError(cut_short(sent, length))
 
     def _wait(self, transfers: tuple[Any, ...]) -> None:
         while any(transfer.isSubmitted() for transfer in transfers):

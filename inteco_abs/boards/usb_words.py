@@ -9,7 +9,10 @@ TIMEOUT_MS: Final = 10
 """Far below the window after which a silent loop counts as hung; libusb knows whole milliseconds only."""
 AT_ONCE_MS: Final = 1
 """The least that libusb can be asked to wait."""
-RULES: Final = "inteco-abs doctor --rules prints the udev rule that gives you access; then plug the board in again"
+RULES: Final = (
+    "inteco-abs doctor --rules prints the udev rule that opens the board to whoever sits at the computer and to the "
+    "group of serial ports (sudo usermod -aG dialout $USER, then log in again); then plug the board in again"
+)
 TAKEN: Final = "another program has the board: end it, one program at a time"
 
 _WORDS: Final = {
@@ -28,8 +31,3 @@ def in_words(number: int | None, told: object, timeout_ms: int = TIMEOUT_MS) -> 
     if number == errno.ETIMEDOUT:
         return f"the board did not answer within {timeout_ms} ms: check its cable and power"
     return _WORDS.get(number or 0, f"the transfer failed: {told}")
-
-
-def cut_short(sent: int, length: int) -> str:
-    """Text for a write of which the board took only a part."""
-    return f"the board took {sent} of {length} bytes: check the cable"

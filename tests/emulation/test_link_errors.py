@@ -13,10 +13,12 @@ import pytest
 import usb.core
 from drill import new_host
 from pyusb_backend import BusBackend
-from trouble import SCENARIOS, Bench
+from trouble import SCENARIOS, SERIAL, Bench
+from usb_core import UsbCore
 from usbfs import UsbfsTree, preload_is_installed
 from usbip_client import UsbIpBus
 
+from firmware_protocol.rtdac_usb2 import READ_REQUEST
 from inteco_abs.boards.usb import UsbLink
 from inteco_abs.boards.usb_bridge import firmware_dates, identify_led
 from inteco_abs.config import UsbConfig
@@ -26,7 +28,7 @@ from inteco_abs.mock_board import Speed
 HERE = Path(__file__).parent
 MISSING = "umockdev's preload library is missing: apt-get install umockdev libusb-1.0-0"
 ENGINES = ("one-by-one", "queued")
-IN_MID_EXCHANGE = "interrupted_in_mid_exchange"
+ONLY_THERE = ("interrupted_in_mid_exchange", "unplugged_while_it_is_opened")
 real_libusb = pytest.mark.xdist_group("real libusb")
 
 
@@ -94,7 +96,7 @@ def all_of(engine, task="all"):
 @real_libusb
 @pytest.mark.usefixtures("preload")
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("name", [*SCENARIOS, IN_MID_EXCHANGE, "jtag"])
+@pytest.mark.parametrize("name", [*SCENARIOS, *ONLY_THERE, "jtag"])
 def test_over_real_libusb(engine, name):
     failure = all_of(engine)[0][name]
     assert failure is None, failure
@@ -134,6 +136,33 @@ def test_a_kernel_driver_is_detached_and_the_log_says_so_once(in_process, caplog
     caplog.clear()
     in_process.open_link().close()
     assert not caplog.text
+
+
+class TwoBoards(BusBackend):
+    """A computer with two boards."""
+
+    def __init__(self, *benches):
+        super().__init__(benches[0].host)
+        self._cores = [UsbCore(bench.host) for bench in benches]
+
+    def enumerate_devices(self):
+        return iter(self._cores)
+
+
+def test_of_two_boards_one_must_be_named(in_process):
+    in_process.backend = TwoBoards(in_process, Bench(serial=SERIAL + 1))
+    with pytest.raises(BoardError, match=rf"2 boards: name one, as in usb2:{SERIAL}. Seen: .*{SERIAL}.*{SERIAL + 1}"):
+        in_process.open_link()
+    UsbLink(str(SERIAL + 1), UsbConfig(), in_process.backend).close()
+
+
+def test_a_computer_without_libusb_is_told_what_to_install(monkeypatch):
+    def find(**_):
+        raise usb.core.NoBackendError("No backend available")
+
+    monkeypatch.setattr(usb.core, "find", find)
+    with pytest.raises(BoardError, match=r"no libusb on this computer: install libusb-1\.0-0"):
+        UsbLink("", UsbConfig())
 
 
 class StubbornBackend(BusBackend):
@@ -183,6 +212,14 @@ def test_a_transfer_that_is_taken_in_part_is_an_error(in_process, monkeypatch):
     monkeypatch.setattr(in_process.backend, "bulk_write", lambda *_: 64)
     with pytest.raises(LinkError, match="the board took 64 of 504 bytes"):
         link.write(bytes(504))
+    link.close()
+
+
+def test_an_answer_longer_than_asked_for_is_an_error(in_process):
+    link = in_process.open_link()
+    link.write(READ_REQUEST)
+    with pytest.raises(LinkError, match="sent more than was asked for"):
+        link.read(100)
     link.close()
 
 

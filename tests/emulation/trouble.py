@@ -72,12 +72,12 @@ class Bench:
     open_link = None
     find = None
 
-    def __init__(self, speed=Speed.HIGH):
+    def __init__(self, speed=Speed.HIGH, serial=SERIAL):
         self.config = load_config()
         self.clock = HandClock()
         self.device = Device(self.config, self.clock.now_ns, 1)
         self.face = MoodyFace(self.device)
-        self.board = MoodyBoard(self.face, UsbIdentity(serial=SERIAL, speed=speed))
+        self.board = MoodyBoard(self.face, UsbIdentity(serial=serial, speed=speed))
         self.host = UsbHost(self.board)
         self.driver = None
 
@@ -189,6 +189,19 @@ def unplugged_in_mid_run(bench):
     with pytest.raises(UnsafeError, match=r"the board is gone: check cable and power.*MOTOR POWER MAY STILL BE ON"):
         unplug()
     assert bench.device.duties == (1.0, 0.6)
+
+
+@scenario
+def stalled_and_then_unplugged(bench):
+    def stall_and_unplug():
+        with bench.driving():
+            bench.halt(ENDPOINT_IN)
+            bench.fails("refused the transfer (stall)")
+            bench.host.unplug()
+            bench.fails("the board is gone")
+
+    with pytest.raises(UnsafeError, match=r"the board is gone: check cable and power.*MOTOR POWER MAY STILL BE ON"):
+        stall_and_unplug()
 
 
 @scenario

@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import sys
+from types import SimpleNamespace
 
 import pytest
 import usb.core
@@ -15,6 +16,7 @@ from trouble import SCENARIOS, Bench, run_all
 from usbfs import UsbfsTree
 
 from firmware_protocol.rtdac_usb2_bridge import VENDOR_ID
+from inteco_abs.boards import usb_queued
 from inteco_abs.boards.usb import UsbLink
 from inteco_abs.boards.usb_queued import QueuedUsbLink
 from inteco_abs.config import UsbConfig
@@ -42,6 +44,17 @@ def interrupted_in_mid_exchange(bench):
     assert bench.device.duties == (0.0, 0.0)
 
 
+def unplugged_while_it_is_opened(bench):
+    found = usb_queued.find_one
+    usb_queued.find_one = lambda *_: SimpleNamespace(bus=1, address=99)
+    try:
+        with pytest.raises(BoardError, match="cannot be opened: the board is gone: check cable and power"):
+            QueuedUsbLink("", bench.config.usb)
+    finally:
+        usb_queued.find_one = found
+    bench.open_link().close()
+
+
 def denied(link):
     with pytest.raises(BoardError, match=r"no board that may be opened.*doctor --rules prints the udev rule"):
         link("", UsbConfig())
@@ -63,7 +76,8 @@ def main(engine, task):
             bench.open_link().close()  # says so on stderr
             results = {"bound": None}
         else:
-            results = run_all(bench, {**SCENARIOS, "interrupted_in_mid_exchange": interrupted_in_mid_exchange})
+            own = {each.__name__: each for each in (interrupted_in_mid_exchange, unplugged_while_it_is_opened)}
+            results = run_all(bench, {**SCENARIOS, **own})
     finally:
         tree.close()
     json.dump({**results, "jtag": bench.board.jtag_transfers or None}, sys.stdout)
