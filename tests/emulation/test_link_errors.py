@@ -13,20 +13,25 @@ import pytest
 import usb.core
 from drill import new_host
 from pyusb_backend import BusBackend
-from trouble import SCENARIOS, SERIAL, Bench
+from trouble import SCENARIOS, SERIAL, Bench, halt_of
 from usb_core import UsbCore
-from usbfs import UsbfsTree, preload_is_installed
+from usbfs import UsbfsTree
 from usbip_client import UsbIpBus
 
-from firmware_protocol.rtdac_usb2 import READ_REQUEST
+from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, READ_REQUEST
+from inteco_abs.boards import RtdacUsb2
 from inteco_abs.boards.usb import UsbLink
 from inteco_abs.boards.usb_bridge import firmware_dates, identify_led
-from inteco_abs.config import UsbConfig
-from inteco_abs.errors import BoardError, LinkError
-from inteco_abs.mock_board import Speed
+from inteco_abs.config import UsbConfig, load_config
+from inteco_abs.control import build_pipeline
+from inteco_abs.errors import BoardError, LinkError, UnsafeError
+from inteco_abs.mock_board import Device, Speed, Usb2Face, UsbBoard, UsbHost
+from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
+from inteco_abs.realtime.loop import detail_of
+from inteco_abs.records import TICK, pack_tick
+from inteco_abs.signals import BoardFlags, Reason
 
 HERE = Path(__file__).parent
-MISSING = "umockdev's preload library is missing: apt-get install umockdev libusb-1.0-0"
 ENGINES = ("one-by-one", "queued")
 ONLY_THERE = ("interrupted_in_mid_exchange", "unplugged_while_it_is_opened")
 real_libusb = pytest.mark.xdist_group("real libusb")
@@ -66,14 +71,6 @@ def test_over_pyusb_in_process(in_process, name):
 def test_over_usbip(over_usbip, name):
     SCENARIOS[name](over_usbip)
     assert over_usbip.board.jtag_transfers == 0
-
-
-@pytest.fixture(scope="module")
-def preload():
-    if not preload_is_installed():
-        if os.environ.get("CI"):
-            pytest.fail(MISSING)
-        pytest.skip(MISSING)
 
 
 def client(engine, task, environment, prefix=()):
@@ -147,6 +144,51 @@ class TwoBoards(BusBackend):
 
     def enumerate_devices(self):
         return iter(self._cores)
+
+
+class Run:
+    """A stop in virtual time over a USB link."""
+
+    def __init__(self):
+        self.config = load_config(settings=["experiment.start_speed_rad_s=40.0", "guard.missed_in_a_row=4"])
+        self.clock = VirtualClock(self.config.period_ns)
+        self.device = Device(self.config, self.clock.now_ns)
+        self.host = UsbHost(UsbBoard(Usb2Face(self.device)))
+        link = UsbLink("", self.config.usb, BusBackend(self.host))
+        self.board = RtdacUsb2(link, self.config.board, self.clock.now_ns, self.config.period_ns)
+        self.pipeline = build_pipeline(self.config)
+        self.ring = TickRing(pack_tick, TICK.size, 10_000)
+        self.loop = Loop(self.board, self.pipeline, self.clock, self.ring, StopWord())
+
+
+def test_a_run_that_loses_its_board_ends_and_says_that_motor_power_may_be_on():
+    run = Run()
+
+    def lose_the_board():
+        with run.board:
+            assert not run.loop.run(800)
+            run.host.unplug()
+            assert run.loop.run(20)
+
+    with pytest.raises(UnsafeError, match="MOTOR POWER MAY STILL BE ON"):
+        lose_the_board()
+    assert run.pipeline.reason is Reason.MISSED_EXCHANGES
+    assert detail_of(run.pipeline, run.board) == "the board is gone: check cable and power"
+
+
+def test_a_run_with_a_stall_now_and_then_goes_through():
+    run = Run()
+    with run.board:
+        over = False
+        while not over:
+            run.host.submit(halt_of(ENDPOINT_IN))
+            over = run.loop.run(1000)
+    ticks = TICK.array(run.ring.reader().take())
+    stale = ticks["tick"][ticks["board_flags"] & BoardFlags.STALE != 0].tolist()
+    assert stale == list(range(0, len(ticks), 1000))
+    assert len(stale) > 2
+    assert run.pipeline.reason is Reason.NONE
+    assert run.device.duties == (0.0, 0.0)
 
 
 def test_of_two_boards_one_must_be_named(in_process):

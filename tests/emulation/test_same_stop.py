@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 from same_stop import stop
-from usbfs import preload_is_installed
 
 from inteco_abs.config import load_config
 from inteco_abs.experiment import Plan, run_stop
@@ -19,7 +18,6 @@ from inteco_abs.sessions import read_session
 from inteco_abs.signals import Phase
 
 HERE = Path(__file__).parent
-MISSING = "umockdev's preload library is missing: apt-get install umockdev libusb-1.0-0"
 SEED = 7
 SHORT = ("experiment.idle_s=0.02", "experiment.hold_s=0.05", "experiment.start_speed_rad_s=40.0")
 """Real libusb on an emulated device file takes milliseconds for a tick."""
@@ -74,14 +72,10 @@ def test_a_short_stop_is_the_same_over_every_link_of_this_process(link):
 
 
 @pytest.fixture
-def over_libusb(tmp_path):
+def over_libusb(tmp_path, preload):  # noqa: ARG001  its absence is told there
     """Ticks of a stop in a process with real libusb."""
-    if not preload_is_installed():
-        if os.environ.get("CI"):
-            pytest.fail(MISSING)
-        pytest.skip(MISSING)
-    preload = {"LD_PRELOAD": "libumockdev-preload.so.0", "UMOCKDEV_DIR": str(tmp_path)}
-    environment = {**os.environ, "PYTHONPATH": f"{HERE.parents[1]}{os.pathsep}{HERE}", **preload}
+    library = {"LD_PRELOAD": "libumockdev-preload.so.0", "UMOCKDEV_DIR": str(tmp_path)}
+    environment = {**os.environ, "PYTHONPATH": f"{HERE.parents[1]}{os.pathsep}{HERE}", **library}
 
     def ticks(link, *settings):
         out = tmp_path / "ticks"

@@ -105,7 +105,7 @@ class Bench:
         assert words in str(self.driver.last_error), self.driver.last_error
 
     def halt(self, endpoint):
-        self.host.submit(Urb(0, lambda _urb: None, setup=Setup(*_SET_HALT, endpoint, 0)))
+        self.host.submit(halt_of(endpoint))
 
     def change(self, change):
         self.face.change = change
@@ -114,6 +114,11 @@ class Bench:
         eventually(lambda: self.find() is None)
         self.host.plug()
         eventually(lambda: self.find() is not None)
+
+
+def halt_of(endpoint):
+    """The transfer that stalls an endpoint."""
+    return Urb(0, lambda _urb: None, setup=Setup(*_SET_HALT, endpoint, 0))
 
 
 def eventually(condition):
