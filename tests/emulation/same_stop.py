@@ -14,11 +14,11 @@ from pyusb_backend import BusBackend
 from usbfs import UsbfsTree
 from usbip_client import UsbIpBus
 
-from inteco_abs.boards import InProcessLink, RtdacUsb2
+from inteco_abs.boards import InProcessLink, board_behind
 from inteco_abs.boards.usb import UsbLink
 from inteco_abs.config import load_config
 from inteco_abs.control import build_pipeline
-from inteco_abs.mock_board import Device, TcpAddress, Usb2Face, UsbBoard, UsbHost, UsbIpServer
+from inteco_abs.mock_board import Device, TcpAddress, UsbBoard, UsbHost, UsbIpServer, face_of
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
 from inteco_abs.records import TICK, pack_tick
 
@@ -89,12 +89,9 @@ def stop(link, seed, settings=()):
     """Packed ticks of one stop."""
     config = load_config(settings=settings)
     clock = VirtualClock(config.period_ns)
-    face = Usb2Face(Device(config, clock.now_ns, seed))
+    face = face_of(Device(config, clock.now_ns, seed))
     ring = TickRing(pack_tick, TICK.size, _MOST_TICKS)
-    with (
-        LINKS[link](face, config.usb) as opened,
-        RtdacUsb2(opened, config.board, clock.now_ns, config.period_ns) as board,
-    ):
+    with LINKS[link](face, config.usb) as opened, board_behind(opened, config, clock.now_ns) as board:
         Loop(board, build_pipeline(config), clock, ring, StopWord()).run()
     return ring.reader().take()
 
