@@ -13,14 +13,13 @@ RULES: Final = (
     "inteco-abs doctor --rules prints the udev rule that opens the board to whoever sits at the computer and to the "
     "group of serial ports (sudo usermod -aG dialout $USER, then log in again); then plug the board in again"
 )
-TAKEN: Final = "another program has the board: end it, one program at a time"
 
 _WORDS: Final = {
     errno.ENODEV: "the board is gone: check cable and power",
     errno.EIO: "the bus failed: check the cable, avoid hubs",
     errno.EPIPE: "the board refused the transfer (stall): if it goes on, plug the board in again",
     errno.EACCES: f"no permission: {RULES}",
-    errno.EBUSY: TAKEN,
+    errno.EBUSY: "another program has the board: end it, one program at a time",
     errno.EOVERFLOW: "the board sent more than was asked for: does another program use it, or is it another board?",
 }
 """By errno, as pyusb gives it (fact sheet on emulated hardware, section 4)."""
