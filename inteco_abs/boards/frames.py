@@ -199,7 +199,10 @@ class FrameBoard(Board):
                 raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
             if self._number_at < 0 or number.unpack_from(frame, self._number_echo)[0] % self._numbers == self._number:
                 return frame
-            frame = self._whole(self._link.read(self._layout.read.size))
+            try:
+                frame = self._whole(self._link.read(self._layout.read.size))
+            except LinkError as error:
+                raise LinkError(f"the answer is one to an older request, and no other follows: {error}") from error
         raise LinkError("the board answers only requests of long ago: is another program reading from it?")
 
     def _counts(self, frame: bytes) -> tuple[int, int]:
@@ -212,8 +215,9 @@ class FrameBoard(Board):
         return self._whole(self._link.read(self._layout.read.size))
 
     def _whole(self, frame: bytes) -> bytes:
-        if len(frame) != self._layout.read.size:
-            raise LinkError(f"the board's answer has {len(frame)} bytes, must be {self._layout.read.size}")
+        size = self._layout.read.size
+        if len(frame) != size:
+            raise LinkError(f"the board's answer has {len(frame)} bytes, must be {size}: check the cable, avoid hubs")
         return frame
 
     def _close(self) -> None:

@@ -48,7 +48,11 @@ class Link(ABC):
         """Drop messages of at most `length` bytes that the board has sent and nobody waits for any more."""
         with suppress(LinkError):
             for _ in range(_MOST_WAITING):
-                self.read(length)
+                self._read_waiting(length)
+
+    def _read_waiting(self, length: int) -> bytes:
+        """Receive a message that has arrived by now; links that need not wait for it as long as `read` do not."""
+        return self.read(length)
 
 
 class BulkDevice(Protocol):
@@ -133,12 +137,12 @@ class SocketLink(Link):
             raise LinkError("the board hung up")
         return data
 
-    def discard(self, length: int) -> None:
-        """Drop what has arrived by now, without waiting."""
-        with suppress(OSError):
-            for _ in range(_MOST_WAITING):
-                self._socket.recv(length, socket.MSG_DONTWAIT)
-
     def close(self) -> None:
         """Hang up; the board may then have another host."""
         self._socket.close()
+
+    def _read_waiting(self, length: int) -> bytes:
+        try:
+            return self._socket.recv(length, socket.MSG_DONTWAIT)
+        except OSError as error:
+            raise LinkError(f"nothing has arrived: {error.strerror}") from error

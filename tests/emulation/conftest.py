@@ -1,5 +1,6 @@
 """Benches of the check list: the drill board on each level, at both speeds."""
 
+import os
 import threading
 from contextlib import contextmanager
 
@@ -8,6 +9,7 @@ import usb.core
 from check_list import Bench
 from drill import HandClock, new_host
 from pyusb_backend import BusBackend
+from usbfs import preload_is_installed
 from usbip_client import UsbIpBus
 
 from inteco_abs.mock_board import Speed, TcpAddress, UnixAddress, UsbIpServer
@@ -77,6 +79,16 @@ def real_board(level, speed, clock):
     host = new_host(speed, drill=False, clock=clock)
     with LEVELS[level](host, clock) as backend:
         yield usb.core.find(backend=backend), host.device
+
+
+@pytest.fixture(scope="session")
+def preload():
+    """Umockdev's preload library, without which nothing leads real libusb to an emulated device file."""
+    if not preload_is_installed():
+        missing = "umockdev's preload library is missing: apt-get install umockdev libusb-1.0-0"
+        if os.environ.get("CI"):
+            pytest.fail(missing)
+        pytest.skip(missing)
 
 
 @pytest.fixture(scope="session")

@@ -83,7 +83,10 @@ class BusBackend(IBackend):
         if not self._bus.plugged:
             return iter(())
         if self._core is None or not self._core.present:
-            self._core = UsbCore(self._bus, self._wait, self.driver)
+            try:
+                self._core = UsbCore(self._bus, self._wait, self.driver)
+            except OSError:
+                return iter(())  # it has just gone
         return iter((self._core,))
 
     def get_parent(self, dev):  # noqa: ARG002

@@ -8,23 +8,14 @@ import time
 from pathlib import Path
 
 import pytest
-from usbfs import UsbfsTree, preload_is_installed
+from usbfs import UsbfsTree
 
 from inteco_abs.config import load_config
 from inteco_abs.mock_board import Device, Usb2Face, UsbBoard, UsbHost, UsbIdentity
 
 HERE = Path(__file__).parent
-MISSING = "umockdev's preload library is missing: apt-get install umockdev libusb-1.0-0"
 
-pytestmark = pytest.mark.xdist_group("real libusb")
-
-
-@pytest.fixture(autouse=True)
-def preload():
-    if not preload_is_installed():
-        if os.environ.get("CI"):
-            pytest.fail(MISSING)
-        pytest.skip(MISSING)
+pytestmark = [pytest.mark.xdist_group("real libusb"), pytest.mark.usefixtures("preload")]
 
 
 @pytest.fixture

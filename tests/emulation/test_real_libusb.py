@@ -11,21 +11,15 @@ from pathlib import Path
 import pytest
 from check_list import CHECKS
 from drill import new_host
-from usbfs import UsbfsTree, preload_is_installed
+from usbfs import UsbfsTree
 
 from inteco_abs.mock_board import Speed
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-MISSING = "umockdev's preload library is missing: apt-get install umockdev libusb-1.0-0"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def preload():
-    if not preload_is_installed():
-        if os.environ.get("CI"):
-            pytest.fail(MISSING)
-        pytest.skip(MISSING)
+pytestmark = pytest.mark.usefixtures("preload")
 
 
 def run(task, speed, *, replugged=False, prefix=(), **tree):

@@ -91,7 +91,7 @@ def test_the_same_run_gives_the_same_samples_over_usb_and_in_process(bus):
 
 def test_a_board_has_one_program_at_a_time(bus):
     first = bus.link()
-    with pytest.raises(BoardError, match="another program or a kernel driver has the board"):
+    with pytest.raises(BoardError, match="another program has the board: end it"):
         bus.link()
     first.close()
     bus.link().close()

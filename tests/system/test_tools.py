@@ -1,3 +1,5 @@
+import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -25,6 +27,17 @@ def test_bench_stack_prints_every_stage(untraced):
     printed = run("bench_stack", "1", environment=untraced)
     for stage in ("rig", "frames", "decide", "record", "MCAP write", "MCAP read", "replay", "times real time"):
         assert stage in printed
+
+
+@pytest.mark.xdist_group("real time")
+def test_bench_links_prints_every_link_and_judges_our_layers(untraced):
+    printed = run("bench_links", "1", "20", environment=untraced).splitlines()
+    rows = {line[:20].rstrip(): line[20:] for line in printed}
+    for link in ("in process", "local socket", "pyusb", "libusb, one by one", "libusb, queued", "USB/IP"):
+        left_out = "left out" in rows[link] and "CI" not in os.environ
+        assert left_out or all(float(figure) > 0.0 for figure in rows[link].split())
+    for judged in ("our layers", "the codec in use"):
+        assert re.search(r"^ *-?[\d.]+ us, at most \d+: (PASS|FAIL)$", rows[judged])
 
 
 @pytest.mark.long
