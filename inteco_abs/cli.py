@@ -78,6 +78,9 @@ def _json_option(function: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--estimator", help="moving-window, or euler as in the paper.")
 @click.option("--out", type=_FILE, help="Session file to write; default: sessions/stop-TIME.mcap.")
 @click.option("--figure", type=_FILE, help="Also draw the stop: .png, .svg or .pdf.")
+@click.option(
+    "--record-wire", "wire", type=_FILE, help="Also write every message to and from the board, as JSON lines."
+)
 @_json_option
 def run(
     board: str,
@@ -89,6 +92,7 @@ def run(
     estimator: str | None,
     out: Path | None,
     figure: Path | None,
+    wire: Path | None,
     as_json: bool,
 ) -> int:
     """Drive, brake, record: one stop."""
@@ -107,7 +111,7 @@ def run(
         check_figure(figure)
         if figure.resolve() == out.resolve():
             raise ConfigError([Mistake("--figure", f"{figure}: is the session's own file; choose another name")])
-    plan = Plan(out, board, virtual, seed, controllers, source)
+    plan = Plan(out, board, virtual, seed, controllers, source, wire)
     if virtual:
         with _progress() as progress:
             stop = run_stop(rig, plan, progress)

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.boards import Board, InProcessLink, board_behind, check_address, check_kind, simulated
+from inteco_abs.boards import Board, InProcessLink, Wrap, board_behind, check_address, check_kind, recording, simulated
+from inteco_abs.boards.capture import check_target
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline, gains_in_force
 from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
@@ -62,6 +63,8 @@ class Plan:
     controllers: Mapping[str, type[Controller]] = field(default_factory=lambda: CONTROLLERS)
     controller_source: bytes = b""
     """Source of a controller that does not ship, kept in the session; in real time it runs in another process."""
+    wire: Path | None = None
+    """Capture to write: everything that passes between host and board."""
 
 
 def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, screen: Screen | None = None) -> Account:
@@ -75,6 +78,8 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
     if plan.virtual and not simulated(plan.board):
         raise ConfigError([Mistake("--virtual", f"{plan.board} is a real board, and real boards have their own time")])
     check_output(plan.out)
+    if plan.wire is not None:
+        check_target(plan.wire)
     # a controller's prints must not mix with the result card
     with redirect_stdout(sys.stderr):
         pipeline = build_pipeline(config, plan.controllers)
@@ -135,6 +140,7 @@ def _processes(
             config=config,
             controller_source=plan.controller_source,
             facts={**_facts(plan), **(facts or {})},
+            wire=str(plan.wire.absolute()) if plan.wire else "",
         )
         job.post(memory)
         supervisor = Supervisor(memory, job)
@@ -159,9 +165,13 @@ class _VirtualRun:
         self._reader = self._ring.reader()
 
     def run(self, progress: Progress | None) -> Account:
+        with recording(self._plan.wire, self._config, self._clock.now_ns) as around:
+            return self._run(progress, around)
+
+    def _run(self, progress: Progress | None, around: Wrap) -> Account:
         plan, config = self._plan, self._config
         face = face_of(Device(config, self._clock.now_ns, plan.seed, self._truths.append))
-        board = board_behind(InProcessLink(face), config, self._clock.now_ns)
+        board = board_behind(around(InProcessLink(face)), config, self._clock.now_ns)
         controller = plan.controllers[config.controller.name]
         with Recorder(plan.out, self._clock.now_ns(), controller.internals) as recorder:
             scribe: Scribe | None = None

@@ -7,6 +7,7 @@ from inteco_abs.boards.addresses import SCHEMES, check_address, check_kind, defa
 from inteco_abs.boards.board import STILL_ON, Board, Identity
 from inteco_abs.boards.frames import FrameBoard
 from inteco_abs.boards.links import InProcessLink, Link, SocketLink
+from inteco_abs.boards.recording_link import Wrap, recording
 from inteco_abs.boards.rtdac_usb import RtdacUsb
 from inteco_abs.boards.rtdac_usb2 import RtdacUsb2
 from inteco_abs.config import RigConfig
@@ -21,26 +22,29 @@ __all__ = [
     "RtdacUsb",
     "RtdacUsb2",
     "SocketLink",
+    "Wrap",
     "board_behind",
     "check_address",
     "check_kind",
     "default_profile",
     "open_board",
+    "recording",
     "simulated",
 ]
 
 _KINDS: Final[dict[str, type[FrameBoard]]] = {"usb2": RtdacUsb2, "usb": RtdacUsb}
 
 
-def open_board(uri: str, config: RigConfig, now_ns: Callable[[], int]) -> Board:
+def open_board(uri: str, config: RigConfig, now_ns: Callable[[], int], around: Wrap | None = None) -> Board:
     """The board at `uri`, not entered yet. `sim:PATH` is a mock board's process that listens at the socket PATH.
 
-    Raises BoardError if nothing answers there or another program has it, ConfigError if the profile is made for
-    another kind of board.
+    `around` puts something around the link, such as a recording. Raises BoardError if nothing answers there or
+    another program has it, ConfigError if the profile is made for another kind of board.
     """
     check_kind(uri, config)
     scheme, _, rest = uri.partition(":")
-    return board_behind(_OPENERS[scheme](rest, config), config, now_ns)
+    link = _OPENERS[scheme](rest, config)
+    return board_behind(around(link) if around else link, config, now_ns)
 
 
 def board_behind(link: Link, config: RigConfig, now_ns: Callable[[], int]) -> Board:

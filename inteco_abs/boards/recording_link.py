@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
 import inteco_abs
 from inteco_abs.boards.capture import Capture, Kind, Record, check_target, write_capture
 from inteco_abs.boards.links import Link
-from inteco_abs.boards.wire_names import protocol_of
+from inteco_abs.boards.wire_names import protocol_name, protocol_of
+from inteco_abs.config import RigConfig
 from inteco_abs.errors import CaptureError
 
 _OUT, _IN, _ERROR = (kind.value for kind in (Kind.OUT, Kind.IN, Kind.ERROR))
@@ -19,9 +21,9 @@ MOST_MESSAGES: Final = 300_000
 
 
 class RecordingLink(Link):
-    """Does what `inner` does, and keeps every message and failure in memory until it is closed.
+    """Does what `inner` does, and keeps every message and failure in memory until `save` writes them to `path`.
 
-    Then, or when `save` is called, the capture is written to `path`. No file is touched before that. Once
+    Saving takes a second or two for a long run, so it is apart from closing, which must not wait. Once
     `most_messages` are kept, newer ones are only counted, and the file says so: a replay needs the beginning.
     Answers that `discard` drops are not seen and not kept. `endpoints` are the addresses of OUT and IN, if there are
     any; `now_ns` is a monotonic clock. Raises CaptureError if no capture can be made at `path`, ConfigError for an
@@ -39,8 +41,6 @@ class RecordingLink(Link):
         most_messages: int = MOST_MESSAGES,
     ) -> None:
         check_target(path)
-        self.unsaved: CaptureError | None = None
-        """Why closing could not write the file; `save` may be called again."""
         self.dropped = 0
         """Messages that were not kept."""
         self._inner = inner
@@ -51,7 +51,6 @@ class RecordingLink(Link):
         self._most = most_messages
         # time, kind, data, text, of; all of them atoms, so that the garbage collector has nothing to go through
         self._kept: list[tuple[int, str, bytes, str, str]] = []
-        self._closed = False
         self._start_ns = now_ns()
 
     def write(self, data: bytes | bytearray) -> None:
@@ -94,21 +93,12 @@ class RecordingLink(Link):
         self._inner.discard(length)
 
     def close(self) -> None:
-        """Let go of the board, then write the file; what goes wrong with the file is left in `unsaved`."""
-        try:
-            self._inner.close()
-        finally:
-            if not self._closed:
-                self._closed = True
-                try:
-                    self.save()
-                except CaptureError as error:
-                    self.unsaved = error  # raised here, it would hide why the board was closed
+        """Let go of the board."""
+        self._inner.close()
 
     def save(self) -> None:
         """Write all that was kept so far. Raises CaptureError."""
         write_capture(self._path, self.capture())
-        self.unsaved = None
 
     def capture(self) -> Capture:
         """What was kept so far."""
@@ -120,13 +110,50 @@ class RecordingLink(Link):
             text = f"{self.dropped} more messages passed and were not kept: {self._most} are the most"
             records.append(Record(records[-1].t_s if records else 0.0, Kind.WARNING, text=text))
         recorded_by = f"inteco-abs {inteco_abs.__version__}"
-        return Capture(self._board, recorded_by, "monotonic, of the computer", tuple(records), str(self._path))
+        return Capture(self._board, recorded_by, "monotonic", tuple(records), str(self._path))
 
     def _keep(self, at_ns: int, kind: str, data: bytes, text: str = "", of: str = "") -> None:
         if len(self._kept) < self._most:
             self._kept.append((at_ns, kind, data, text, of))
         else:
             self.dropped += 1
+
+
+Wrap = Callable[[Link], Link]
+"""Puts something around the link to a board before the board gets it."""
+
+
+@contextmanager
+def recording(path: Path | None, config: RigConfig, now_ns: Callable[[], int] = time.monotonic_ns) -> Iterator[Wrap]:
+    """Gives what puts a recording around a link, and saves it at `path` in the end; without a path, nothing is put.
+
+    Raises CaptureError if the file cannot be written; where something else was wrong already, as a note of that.
+    """
+    kept: list[RecordingLink] = []
+
+    def around(link: Link) -> Link:
+        if path is None:
+            return link
+        kept.append(RecordingLink(link, path, board=protocol_name(config.board), now_ns=now_ns))
+        return kept[-1]
+
+    if path is not None:
+        check_target(path)
+        protocol_name(config.board)
+    try:
+        yield around
+    except BaseException as error:
+        try:
+            _save(kept)
+        except CaptureError as second:
+            error.add_note(str(second))
+        raise
+    _save(kept)
+
+
+def _save(links: list[RecordingLink]) -> None:
+    for link in links:
+        link.save()
 
 
 def _words(error: BaseException) -> str:

@@ -34,6 +34,8 @@ class Job:
     """Of a controller that does not ship, which the configuration then names as file.py:Class."""
     facts: Mapping[str, Mapping[str, str]]
     """Metadata: software and host."""
+    wire: str = ""
+    """Capture to write, absolute: everything that passes between the loop and the board."""
 
     def post(self, memory: RunMemory) -> None:
         """Leave it for the others."""

@@ -10,7 +10,7 @@ import traceback
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.boards import open_board, simulated
+from inteco_abs.boards import open_board, recording, simulated
 from inteco_abs.control import build_pipeline, gains_in_force
 from inteco_abs.errors import AbsError
 from inteco_abs.realtime.clock import PacedClock
@@ -78,7 +78,12 @@ def _run(memory: RunMemory, job: Job) -> None:
     ring = memory.tick_ring(pack_tick)
     clock = PacedClock(config.period_ns)
     cost: dict[str, str] = {}
-    with holding(memory), open_board(job.address, config, clock.now_ns) as board:
+    wire = Path(job.wire) if job.wire else None
+    with (
+        recording(wire, config) as around,
+        holding(memory),
+        open_board(job.address, config, clock.now_ns, around) as board,
+    ):
         identity = board.insist()
         memory.post(Note.SAFE_IMAGE, board.safe_image)
         loop = Loop(board, pipeline, clock, ring, SharedStop(memory))

@@ -5,7 +5,7 @@ from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, encode_read,
 from inteco_abs.boards import InProcessLink, Link, RtdacUsb2, board_behind
 from inteco_abs.boards.capture import Capture, Kind, Record, read_capture
 from inteco_abs.boards.capture_link import CaptureLink
-from inteco_abs.boards.recording_link import RecordingLink
+from inteco_abs.boards.recording_link import RecordingLink, recording
 from inteco_abs.boards.wire_names import protocol_name
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, CaptureError, ConfigError, LinkError, UnsafeError
@@ -56,6 +56,7 @@ def recorded(bench, path):
         start_ns = bench.clock.time_ns
         link = RecordingLink(bench.link, path, now_ns=bench.clock.now_ns)
         samples = drive(bench, link, commands, trouble or {})
+        link.save()
         bench.clock.time_ns = start_ns
         return samples, read_capture(path)
 
@@ -102,7 +103,9 @@ def test_a_visit_to_a_first_generation_board_replays_with_no_difference(path):
         with board_behind(link, config, lambda: 0) as entered:
             return [entered.exchange(command) for command in RAMP]
 
-    samples = visit(RecordingLink(InProcessLink(device), path, board=board, now_ns=lambda: 0))
+    link = RecordingLink(InProcessLink(device), path, board=board, now_ns=lambda: 0)
+    samples = visit(link)
+    link.save()
     link = CaptureLink(read_capture(path), strict=True)
     assert visit(link) == samples
     assert samples[-1].wheel_count != samples[-1].road_count
@@ -344,54 +347,59 @@ def test_a_message_may_be_reused_by_its_writer(path):
     assert kinds(link) == [(Kind.OUT, "", b"one")]
 
 
-def test_the_file_is_written_even_if_closing_fails(path):
-    inner = Inner()
-    link = RecordingLink(inner, path)
-    link.write(b"w")
-    inner.error = LinkError("gone")
-    with pytest.raises(LinkError, match="gone"):
-        link.close()
-    assert read_capture(path).messages == 1
-
-
-def test_a_file_that_cannot_be_written_does_not_hide_how_the_visit_ended(tmp_path):
-    (tmp_path / "folder").mkdir()
-    link = RecordingLink(Inner(), tmp_path / "folder" / "x.jsonl")
-    link.write(b"w")
-    (tmp_path / "folder").rmdir()
-    link.close()
-    assert "cannot be written" in str(link.unsaved)
-    (tmp_path / "folder").mkdir()
-    link.save()
-    assert link.unsaved is None
-    assert read_capture(tmp_path / "folder" / "x.jsonl").messages == 1
-
-
-def test_nothing_is_written_before_closing_unless_asked_for(path):
+def test_nothing_is_written_until_it_is_saved_and_closing_does_not_wait_for_that(path):
     link = RecordingLink(Inner(), path)
     link.write(b"w")
+    link.close()
     assert not path.exists()
     link.save()
     assert read_capture(path).messages == 1
     link.write(b"w")
-    link.close()
-    link.close()
+    link.save()
     assert read_capture(path).messages == 2
 
 
-def test_a_second_closing_writes_nothing(path):
-    link = RecordingLink(Inner(), path)
-    link.close()
-    path.unlink()
-    link.close()
-    assert not path.exists()
+class TestRecording:
+    def test_what_passes_is_saved_in_the_end(self, path):
+        with recording(path, load_config()) as around:
+            around(Inner()).write(b"w")
+            assert not path.exists()
+        assert read_capture(path).messages == 1
+
+    def test_without_a_path_nothing_is_put_around_the_link(self):
+        inner = Inner()
+        with recording(None, load_config()) as around:
+            assert around(inner) is inner
+
+    def fail(self, path, then=lambda: None):
+        with recording(path, load_config()) as around:
+            around(Inner()).write(b"w")
+            then()
+            raise LinkError("gone")
+
+    def test_a_visit_that_fails_is_saved_and_raises_its_own_error(self, path):
+        with pytest.raises(LinkError, match="gone"):
+            self.fail(path)
+        assert read_capture(path).messages == 1
+
+    def test_a_file_that_cannot_be_written_does_not_hide_how_the_visit_ended(self, tmp_path):
+        folder = tmp_path / "folder"
+        folder.mkdir()
+        with pytest.raises(LinkError, match="gone") as error:
+            self.fail(folder / "x.jsonl", folder.rmdir)
+        assert "cannot be written" in error.value.__notes__[0]
+
+    def test_a_target_that_exists_is_refused_before_the_board_is_opened(self, path):
+        path.write_text("precious")
+        with pytest.raises(CaptureError, match="never overwritten"), recording(path, load_config()):
+            raise AssertionError
 
 
 def test_the_beginning_is_kept_and_the_rest_counted(path):
     link = RecordingLink(Inner(), path, most_messages=3)
     for number in range(10):
         link.write(bytes([number]))
-    link.close()
+    link.save()
     capture = read_capture(path)
     assert [record.data for record in capture.records[:3]] == [b"\0", b"\1", b"\2"]
     assert [record.text for record in capture.records[3:]] == [
