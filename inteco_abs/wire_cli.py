@@ -15,6 +15,7 @@ _DIFFERS: Final = 4
 _FILE: Final = click.Path(path_type=Path)
 _PROTOCOLS: Final = ("usb2", "usb1-111", "usb1-112")
 _SCHEMA: Final = 1
+_MOST_SHOWN: Final = 20
 
 
 def _json_option(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -153,6 +154,35 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
     if rows:
         _print_table(("word", "bits", "differs in", "first", "fields"), rows)
     return 0 if outcome.same else _DIFFERS
+
+
+@wire.command()
+@click.argument("file", type=_FILE)
+@click.option("--config", type=_FILE, help="rig.toml that names the board's profile.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Over the file, as in profile=usb1_0111.")
+@_json_option
+def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: bool) -> int:
+    """Let our driver do what the capture shows, and compare every message; ends with exit code 4 if they differ."""
+    from inteco_abs.boards.capture import read_capture
+    from inteco_abs.boards.wire_replay import replay_wire
+    from inteco_abs.config import load_config
+
+    outcome = replay_wire(read_capture(file), load_config(config, settings))
+    if as_json:
+        differences = [one._asdict() for one in outcome.differences]
+        _print_json({"capture": str(file), **outcome._asdict(), "differences": differences})
+    else:
+        click.echo(
+            f"{file}: {outcome.exchanges} exchanges, {outcome.failed} of them failed, "
+            f"{outcome.differing or 'no'} words differ"
+        )
+        for difference in outcome.differences[:_MOST_SHOWN]:
+            click.echo(f"  {difference}")
+        if outcome.differing > _MOST_SHOWN:
+            click.echo(f"  and {outcome.differing - _MOST_SHOWN} more; --json has {len(outcome.differences)}")
+        if outcome.ended:
+            click.echo(f"  the capture could not be followed to its end: {outcome.ended}")
+    return _DIFFERS if outcome.differing or outcome.ended else 0
 
 
 def _logic(version: int | None, name: str) -> str:

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Final
 
 from firmware_protocol import rtdac_usb, rtdac_usb2
-from firmware_protocol.fields import BYTE_BITS, FrameTable, Layout
+from firmware_protocol.fields import BYTE_BITS, FrameTable, Layout, Value
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
@@ -50,6 +50,11 @@ class Protocol:
     def role_in(self, message: bytes) -> Role:
         """What a message from the board is."""
         return Role.READ if len(message) == self.read.size else Role.OTHER
+
+    def header(self, answer: bytes) -> dict[str, Value]:
+        """What a READ answer of any logic tells of its board. Raises ProtocolError."""
+        table = rtdac_usb2.READ if self.board == "usb2" else rtdac_usb.HEADER
+        return table.decode_some(answer, ("logic_version", "application_name"))
 
     def fields(self, names: Iterable[str]) -> frozenset[str]:
         """The same names; raises ConfigError for one that is in neither table."""

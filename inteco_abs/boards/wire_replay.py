@@ -1,0 +1,89 @@
+"""Our driver against a board that is only a capture: what it would have written where something else was written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from firmware_protocol import ProtocolError
+from firmware_protocol.pwm import PWM_FULL_WIDTH
+from inteco_abs.boards import board_behind
+from inteco_abs.boards.capture import Capture, Kind
+from inteco_abs.boards.capture_link import CaptureLink, Difference
+from inteco_abs.boards.wire_names import Role, protocol_name, protocol_of
+from inteco_abs.config import BoardConfig, RigConfig
+from inteco_abs.errors import BoardError, CaptureError, ConfigError, Mistake
+from inteco_abs.signals import BoardFlags, Command
+
+_MODES: Final = ("8-bit", "12-bit")
+
+
+class WireReplay(NamedTuple):
+    """What came of it."""
+
+    exchanges: int
+    failed: int
+    differing: int
+    """Words in which what we wrote is not what the capture holds, in all."""
+    differences: list[Difference]
+    ended: str
+    """Why it ended before the capture did; empty if it did not."""
+
+
+def replay_wire(capture: Capture, config: RigConfig) -> WireReplay:
+    """Enter the captured board, give it the captured duties, leave it, and compare every message.
+
+    No outputs are at stake, so whatever logic the capture shows is driven. Raises CaptureError for a capture without
+    frames, ConfigError if the profile is made for another kind of board.
+    """
+    if protocol_name(config.board) != capture.board:
+        problem = f"{protocol_name(config.board)}, the capture is of a {capture.board} board; name another profile"
+        raise ConfigError([Mistake("board", problem)])
+    numbering = f"pwm{config.board.numbering_pwm}_prescaler" if config.board.numbering_pwm >= 0 else ""
+    link = CaptureLink(capture, numbering=numbering)
+    trusted = config.board.model_copy(update=_as_signed(capture))
+    board = board_behind(link, config.model_copy(update={"board": trusted}), lambda: 0)
+    done = failed = 0
+    ended = ""
+    try:
+        with board:
+            for command in _commands(capture, config.board):
+                failed += BoardFlags.STALE in board.exchange(command).board_flags
+                done += 1
+    except BoardError as error:
+        ended = str(error.__cause__ or error)  # no motor is at stake: what UnsafeError warns of does not matter
+    return WireReplay(done, failed, link.differing, link.differences, ended)
+
+
+def _as_signed(capture: Capture) -> dict[str, object]:
+    """The profile's keys as if the lab had signed for the captured board."""
+    protocol = protocol_of(capture.board)
+    for record in capture.records:
+        if record.kind is Kind.IN and protocol.role_in(record.data) is Role.READ:
+            header = protocol.header(record.data)
+            break
+    else:
+        raise CaptureError(f"{capture.name} holds no READ answer, so nothing tells which board it was")
+    version = int(header["logic_version"])
+    return {
+        "logic_version": version,
+        "application_names": [str(header["application_name"])],
+        "read_only": "",
+        "verified_by": "nobody: the board is a capture",
+        "verified_logic": version,
+    }
+
+
+def _commands(capture: Capture, wiring: BoardConfig) -> Iterator[Command]:
+    """Duties of the captured SEND frames; the first and the last our driver writes when it opens and leaves."""
+    table = protocol_of(capture.board).send
+    full = PWM_FULL_WIDTH[_MODES.index(wiring.pwm_mode)]
+    names = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
+    frames = [record.data for record in capture.records if record.kind is Kind.OUT and len(record.data) == table.size]
+    for frame in frames[1:-1]:
+        try:
+            values = table.decode_some(frame, names)
+        except ProtocolError:
+            continue
+        drive, brake = (min(1.0, int(values[name]) / full) for name in names)
+        yield Command(drive, brake)
