@@ -5,12 +5,14 @@ from typing import Final
 
 from inteco_abs.boards.addresses import SCHEMES, check_address, check_kind, default_profile, simulated
 from inteco_abs.boards.board import STILL_ON, Board, Identity
-from inteco_abs.boards.frames import FrameBoard
 from inteco_abs.boards.links import InProcessLink, Link, SocketLink
 from inteco_abs.boards.recording_link import Wrap, recording
+from inteco_abs.boards.registers import LinkedRegisters, Registers
+from inteco_abs.boards.rtdac_pci import Reading, RtdacPci
 from inteco_abs.boards.rtdac_usb import RtdacUsb
 from inteco_abs.boards.rtdac_usb2 import RtdacUsb2
-from inteco_abs.config import RigConfig
+from inteco_abs.boards.sysfs import SysfsRegisters
+from inteco_abs.config import BoardConfig, RigConfig
 
 __all__ = [
     "SCHEMES",
@@ -19,9 +21,14 @@ __all__ = [
     "Identity",
     "InProcessLink",
     "Link",
+    "LinkedRegisters",
+    "Reading",
+    "Registers",
+    "RtdacPci",
     "RtdacUsb",
     "RtdacUsb2",
     "SocketLink",
+    "SysfsRegisters",
     "Wrap",
     "board_behind",
     "check_address",
@@ -32,7 +39,11 @@ __all__ = [
     "simulated",
 ]
 
-_KINDS: Final[dict[str, type[FrameBoard]]] = {"usb2": RtdacUsb2, "usb": RtdacUsb}
+_KINDS: Final[dict[str, Callable[[Link, BoardConfig, Callable[[], int], int], Board]]] = {
+    "usb2": RtdacUsb2,
+    "usb": RtdacUsb,
+    "pci": lambda link, wiring, now_ns, period_ns: RtdacPci(LinkedRegisters(link), wiring, now_ns, period_ns),
+}
 
 
 def open_board(uri: str, config: RigConfig, now_ns: Callable[[], int], around: Wrap | None = None) -> Board:
@@ -43,6 +54,8 @@ def open_board(uri: str, config: RigConfig, now_ns: Callable[[], int], around: W
     """
     check_kind(uri, config)
     scheme, _, rest = uri.partition(":")
+    if scheme == "pci":
+        return RtdacPci(SysfsRegisters(rest), config.board, now_ns, config.period_ns)
     link = _OPENERS[scheme](rest, config)
     return board_behind(around(link) if around else link, config, now_ns)
 

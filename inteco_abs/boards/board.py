@@ -22,8 +22,9 @@ class Identity(NamedTuple):
 
     logic_version: int
     application_name: str
+    """Empty if the board tells none, as the one on the PCI bus."""
     synthesis_date: str
-    """YYYYMMDD as the board tells it."""
+    """YYYYMMDD as the board tells it; empty likewise."""
     read_only_because: str
     """Empty if outputs may be used."""
 
@@ -36,7 +37,8 @@ class Identity(NamedTuple):
         }
 
     def __str__(self) -> str:
-        return f"logic 0x{self.logic_version:04X} {self.application_name!r} of {self.synthesis_date}"
+        told = f"logic 0x{self.logic_version:04X}"
+        return f"{told} {self.application_name!r} of {self.synthesis_date}" if self.application_name else told
 
 
 class Board(ABC):

@@ -18,7 +18,7 @@ from inteco_abs.signals import Command
 
 _EXACT: Final = 1e-9
 """Keeps a duty that is a whole number of widths from losing one to binary rounding."""
-_MODES: Final = ("8-bit", "12-bit")
+MODES: Final = ("8-bit", "12-bit")
 _MOST_OLD: Final = 100
 """More answers to older requests than this are no leftover of a pause."""
 _PINS: Final = ("pin_mode", "pin_direction", "encoder_reset")
@@ -58,7 +58,7 @@ class FrameBoard(Board):
         self._link = link
         self._wiring = wiring
         self._layout = layout = self._layout_of(wiring)
-        self._mode = _MODES.index(wiring.pwm_mode)
+        self._mode = MODES.index(wiring.pwm_mode)
         self._full = layout.pwm_full_width[self._mode]
         _insist_on_channels(wiring, layout)
         self._widths = drive, brake = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from typing import Final
 
 from inteco_abs.mock_board.device import Cable, Device, Truth
+from inteco_abs.mock_board.face import Face
+from inteco_abs.mock_board.pci import PciFace
 from inteco_abs.mock_board.serve import SocketServer
 from inteco_abs.mock_board.usb2 import Usb2Face
 from inteco_abs.mock_board.usb_board import UsbBoard
@@ -15,7 +17,9 @@ from inteco_abs.mock_board.usbip_address import TcpAddress, UnixAddress, parse_a
 __all__ = [
     "Cable",
     "Device",
+    "Face",
     "Facts",
+    "PciFace",
     "SocketServer",
     "Speed",
     "TcpAddress",
@@ -31,9 +35,9 @@ __all__ = [
     "parse_address",
 ]
 
-_FACES: Final[dict[str, Callable[[Device], Usb2Face]]] = {"usb2": Usb2Face}
+_FACES: Final[dict[str, Callable[[Device], Face]]] = {"usb2": Usb2Face, "pci": PciFace}
 
 
-def face_of(device: Device) -> Usb2Face:
+def face_of(device: Device) -> Face:
     """What a host sees of `device`: messages in, messages out, as its kind of board has them."""
     return _FACES[device.kind](device)

@@ -127,7 +127,12 @@ class Device:
         return self._duties
 
     def write(self, settings: Mapping[str, int]) -> None:
-        """Take over settings, named as in the SEND frame."""
+        """Take over settings, named as in the SEND frame, and show the rig."""
+        self.take(settings)
+        self.observe()
+
+    def take(self, settings: Mapping[str, int]) -> None:
+        """Take over settings, and show nothing: others that belong to the same command follow."""
         self.catch_up()
         before = self.settings.get("timer_reset", 0)
         self.settings.update(settings)
@@ -136,7 +141,6 @@ class Device:
             if (before | self.settings.get("timer_reset", 0)) >> i & 1:
                 self._timer_start_ns[i] = self._time_ns
         self._duties = (self._duty(self.cable.drive_pwm), self._duty(self.cable.brake_pwm))
-        self.observe()
 
     def write_widths(self, drive: int, brake: int) -> None:
         """Take over the two PWM widths that move the rig, all other settings as they are."""

@@ -1,0 +1,166 @@
+"""The mock board as an RT-DAC4/PCI with the ABS logic: 64 registers, most of which nobody has described."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from firmware_protocol import ProtocolError, Register
+from firmware_protocol.register_messages import decode_request, encode_answer
+from firmware_protocol.registers import REGISTER_BITS
+from firmware_protocol.rtdac_pci import (
+    ALARM_BIT0,
+    ALARM_BIT2,
+    ALARM_SUPPLY,
+    ENCODER_CHANNELS,
+    ENCODER_COUNT,
+    ENCODER_INDEX,
+    ENCODER_LINES,
+    ENCODER_RESET,
+    LOGIC,
+    LOGIC_VERSION,
+    MAXIMUM_ROAD_VELOCITY,
+    MAXIMUM_TEMPERATURE,
+    MINIMUM_SUPPLY,
+    PWM_CHANNELS,
+    PWM_INDEX,
+    PWM_MODE,
+    PWM_PRESCALER,
+    PWM_WIDTH,
+    RESISTOR1_HIGH,
+    RESISTOR1_IN_SERIES,
+    RESISTOR1_LOW,
+    RESISTOR2_HIGH,
+    RESISTOR2_IN_SERIES,
+    RESISTOR2_LOW,
+    ROAD_VELOCITY,
+    SUPPLY,
+    TEMPERATURE_HIGH,
+    TEMPERATURE_LOW,
+    VELOCITY_CLOCK_HZ,
+    VELOCITY_WINDOW,
+    WHEEL_VELOCITY,
+)
+from inteco_abs.mock_board.device import Device
+
+_WORD: Final = (1 << REGISTER_BITS) - 1
+_COUNTS: Final = 0x04
+_CHANNEL_COUNTS: Final = ENCODER_CHANNELS << 4 | PWM_CHANNELS  # which nibble is which is UNKNOWN
+_WINDOW: Final = 200_000
+"""5 ms: INFERRED, as whole counts in it are all velocities on the manual's screens (K3)."""
+_RESISTOR_LOW, _RESISTOR_HIGH = 140, 150
+"""1641 and 1758 rpm, on the manual's screens."""
+_FIXED: Final = {
+    LOGIC.offset: LOGIC_VERSION,
+    _COUNTS: _CHANNEL_COUNTS,
+    VELOCITY_WINDOW.offset: _WINDOW,
+    MAXIMUM_ROAD_VELOCITY.offset: 200,  # 2344 rpm, on the manual's screens
+    RESISTOR1_LOW.offset: _RESISTOR_LOW,
+    RESISTOR1_HIGH.offset: _RESISTOR_HIGH,
+    RESISTOR2_LOW.offset: _RESISTOR_LOW,
+    RESISTOR2_HIGH.offset: _RESISTOR_HIGH,
+    MINIMUM_SUPPLY.offset: 7480,  # 12.3 V, likewise
+    MAXIMUM_TEMPERATURE.offset: 80,  # likewise
+    SUPPLY.offset: 3833,  # 24.0 V: a guess
+    TEMPERATURE_HIGH.offset: 535,
+    TEMPERATURE_LOW.offset: 1000,  # together 21 degC, on the manual's screens
+    # all three are on in the manual's screens, while nothing is wrong and the motor turns (K2)
+    ALARM_BIT0.offset: ALARM_BIT0.mask | ALARM_SUPPLY.mask | ALARM_BIT2.mask,
+}
+_PWM: Final = {PWM_MODE.offset: PWM_MODE, PWM_PRESCALER.offset: PWM_PRESCALER, PWM_WIDTH.offset: PWM_WIDTH}
+_INDEXES: Final = {PWM_INDEX.offset: PWM_INDEX, ENCODER_INDEX.offset: ENCODER_INDEX}
+
+
+class PciFace:
+    """Registers of the board: what the host writes and reads, one by one or as messages in the place of a bus.
+
+    Offsets that nobody has described read 0. Writes there, to registers that no source writes, and of a channel that
+    is not there are dropped, as are malformed messages; `rejected` counts them. The protection of the FPGA is not
+    modelled: how its flags are to be read is unknown (K1, K2).
+    """
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.rejected = 0
+        self._selected = dict.fromkeys(_INDEXES, 0)
+        self._unseen = False  # whether a width was written that nobody who watches the rig has seen
+        self._in_series = True
+        self._waiting: list[bytes] = []
+        self._moving: dict[int, Callable[[], int]] = {
+            ENCODER_COUNT.offset: self._count,
+            ROAD_VELOCITY.offset: lambda: _lines(device.plant.road_speed),
+            WHEEL_VELOCITY.offset: lambda: _lines(device.plant.wheel_speed),
+            RESISTOR1_IN_SERIES.offset: self._resistors,
+        }
+
+    def bulk_out(self, data: bytes | bytearray) -> None:
+        """One message of the host: accesses, made in order."""
+        try:
+            number, steps = decode_request(data)
+        except ProtocolError:
+            self.rejected += 1
+            return
+        values = []
+        for step in steps:
+            if isinstance(step, int):
+                values.append(self.read(step))
+            else:
+                self.write(*step)
+        if values:
+            self._waiting.append(encode_answer(number, values))
+
+    def bulk_in(self, length: int) -> bytes:
+        """The oldest waiting answer, empty if there is none."""
+        return self._waiting.pop(0)[:length] if self._waiting else b""
+
+    def read(self, offset: int) -> int:
+        """The 32 bits that the host reads at `offset`."""
+        if self._unseen:  # one command writes two widths, and is shown to those who watch the rig once
+            self._unseen = False
+            self.device.observe()
+        if offset in _FIXED:
+            return _FIXED[offset]
+        if offset in self._moving:
+            self.device.catch_up()
+            return self._moving[offset]() & _WORD
+        if offset in self._selected:
+            return self._selected[offset]
+        settings = self.device.settings
+        if offset == ENCODER_RESET.offset:
+            return settings.get("encoder_reset", 0)
+        return settings.get(self._name(_PWM[offset]), 0) if offset in _PWM else 0
+
+    def write(self, offset: int, value: int) -> None:
+        """What the host writes at `offset`; bits beyond a register's width are lost."""
+        if offset in _INDEXES and value < _INDEXES[offset].channels:
+            self._selected[offset] = value
+        elif offset in _PWM:
+            register = _PWM[offset]
+            self._unseen = self._unseen or register is PWM_WIDTH
+            self.device.take({self._name(register): register.decode(value)})
+        elif offset == ENCODER_RESET.offset:
+            self.device.take({"encoder_reset": ENCODER_RESET.decode(value)})
+        else:
+            self.rejected += 1
+
+    def _name(self, register: Register) -> str:
+        """The device's name of a setting of the selected PWM channel."""
+        return register.name.replace("pwm", f"pwm{self._selected[PWM_INDEX.offset]}")
+
+    def _count(self) -> int:
+        """The selected counter. The balance lever's stays 0: the rig inside has none that moves."""
+        road, wheel = self.device.counts()
+        cable = self.device.cable
+        return {cable.road_encoder: road, cable.wheel_encoder: wheel}.get(self._selected[ENCODER_INDEX.offset], 0)
+
+    def _resistors(self) -> int:
+        """Both start-up resistors: in series until the road wheel is fast, and again once it is slow."""
+        velocity = _lines(self.device.plant.road_speed)
+        self._in_series = velocity < (_RESISTOR_HIGH if self._in_series else _RESISTOR_LOW)
+        return RESISTOR1_IN_SERIES.mask | RESISTOR2_IN_SERIES.mask if self._in_series else 0
+
+
+def _lines(speed_rad_s: float) -> int:
+    """What a velocity register shows: encoder lines in one window."""
+    return int(abs(speed_rad_s) / (2.0 * math.pi) * ENCODER_LINES * _WINDOW / VELOCITY_CLOCK_HZ)
