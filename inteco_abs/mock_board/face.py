@@ -1,4 +1,4 @@
-"""What every face of the mock board has, whatever the wire."""
+"""What every mock board looks like from its wire, whatever its frames."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from inteco_abs.mock_board.device import Device
 
 
 class Face(Protocol):
-    """The device as a host sees it: messages in, messages out."""
+    """A device in its kind of board's frames: messages in, messages out.
+
+    Malformed messages are dropped, as nothing is known of any complaint of a real board; `rejected` counts them.
+    """
 
     device: Device
     rejected: int
-    """Messages, or parts of them, that were dropped."""
 
     def bulk_out(self, data: bytes | bytearray) -> None:
         """What the host writes."""
         ...
 
     def bulk_in(self, length: int) -> bytes:
-        """What the host gets; empty if nothing waits for it."""
+        """What the host gets: at most `length` bytes of the oldest waiting answer, empty if there is none."""
         ...

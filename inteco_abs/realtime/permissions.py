@@ -55,9 +55,9 @@ LABEL="inteco_abs_not_usb"
 # RT-DAC/USB of the first generation: an answer waits in the FTDI chip for 1 ms, not for 16 ms
 SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{{latency_timer}}="1"
 
-# RT-DAC4/PCI: its 64 registers
+# RT-DAC4/PCI: its 64 registers, switched on, as no driver of the kernel does it
 SUBSYSTEM=="pci", ATTR{{vendor}}=="{PCI_VENDOR}", ATTR{{device}}=="{PCI_DEVICE}", \
-RUN+="/bin/chgrp {group} /sys%p/{PCI_REGISTERS}", RUN+="/bin/chmod 0660 /sys%p/{PCI_REGISTERS}"
+ATTR{{enable}}="1", RUN+="/bin/chgrp {group} /sys%p/{PCI_REGISTERS}", RUN+="/bin/chmod 0660 /sys%p/{PCI_REGISTERS}"
 
 # the loop forbids deep sleep of the CPUs for as long as it runs
 SUBSYSTEM=="misc", KERNEL=="cpu_dma_latency", GROUP="{group}", MODE="0660"

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Final
 
 from inteco_abs.realtime.findings import Computer, Finding, Judgement, amber, green, look, red, together
-from inteco_abs.realtime.permissions import PCI_DEVICE, PCI_REGISTERS, PCI_VENDOR, PLUG_AGAIN
+from inteco_abs.realtime.permissions import PCI_DEVICE, PCI_REGISTERS, PCI_VENDOR, PLUG_AGAIN, UDEV_FILE
 
 _MANUFACTURER: Final = "inteco"
 _CYPRESS: Final = "04b4"
@@ -111,6 +111,14 @@ def _pci_access(computer: Computer, folder: str) -> Judgement:
     return red(f"/{file} is not writable for this user", PLUG_AGAIN)
 
 
+def _pci_registers(computer: Computer, folder: str) -> Judgement:
+    """The kernel counts who has switched a device on; firmware may have done so uncounted, which is not relied upon."""
+    file = f"{folder}/enable"
+    if computer.text(file) != "0":
+        return green("switched on")
+    return red("switched off", f"echo 1 | sudo tee /{file}, or install the udev rules ({UDEV_FILE})")
+
+
 def _name(folder: str) -> str:
     return folder.rpartition("/")[2]
 
@@ -120,5 +128,5 @@ _KINDS: Final[
 ] = (
     (_usb_boards, {"USB speed": _usb_speed, "USB autosuspend": _usb_autosuspend, "USB access": _usb_access}),
     (_ftdi_ports, {"FTDI latency": _ftdi_latency}),
-    (_pci_boards, {"PCI access": _pci_access}),
+    (_pci_boards, {"PCI registers": _pci_registers, "PCI access": _pci_access}),
 )

@@ -76,6 +76,7 @@ GOOD = {
     f"{PCI}/vendor": "0x10b5",
     f"{PCI}/device": "0x2497",
     f"{PCI}/resource2": "",
+    f"{PCI}/enable": "1",
     "sys/bus/pci/devices/0000:00:00.0/vendor": "0x8086",
     "dev/shm/.keep": "",
 }
@@ -179,6 +180,9 @@ CASES = [
     ("FTDI latency", {}, "green", "ttyUSB0 1 ms", ""),
     ("FTDI latency", {f"{FTDI}/ttyUSB0/latency_timer": "16"}, "amber", "16 ms", f"echo 1 | sudo tee /{FTDI}/ttyUSB0"),
     ("FTDI latency", {f"{FTDI}/ttyUSB3/latency_timer": "2"}, "amber", "ttyUSB0 1 ms; ttyUSB3 2 ms", "ttyUSB3"),
+    ("PCI registers", {}, "green", "switched on", ""),
+    ("PCI registers", {f"{PCI}/enable": "0"}, "red", "switched off", f"echo 1 | sudo tee /{PCI}/enable"),
+    ("PCI registers", {f"{PCI}/enable": None}, "amber", NOT_KNOWN, "/sys"),
     ("PCI access", {}, "green", f"/{PCI}/resource2 is writable", ""),
     ("PCI access", {f"{PCI}/resource2": ReadOnly()}, "red", "not writable", UDEV_FILE),
     ("PCI access", {f"{PCI}/resource2": None}, "red", f"no /{PCI}/resource2", "slot"),
