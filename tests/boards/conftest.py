@@ -1,19 +1,25 @@
 """Benches: a board, the mock device at its far end, and between them a link that fails when a test says so."""
 
 import os
+import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable
-from itertools import count
+from itertools import count, dropwhile, takewhile
+from pathlib import Path
 from typing import ClassVar
 
 import pytest
+from pci_bus import LiveRegisters, add_board
 
+from firmware_protocol.register_messages import decode_answer, decode_request, encode_answer, encode_request
+from firmware_protocol.registers import Write
+from firmware_protocol.rtdac_pci import ENCODER_INDEX, ENCODER_RESET, LOGIC, PWM_INDEX, PWM_WIDTH
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, SEND_COMMAND, decode_send, encode_send
-from inteco_abs.boards import InProcessLink, Link, RtdacUsb2, SocketLink
+from inteco_abs.boards import InProcessLink, Link, LinkedRegisters, RtdacPci, RtdacUsb2, SocketLink, SysfsRegisters
 from inteco_abs.config import load_config
 from inteco_abs.errors import LinkError
-from inteco_abs.mock_board import Device, SocketServer, Usb2Face
+from inteco_abs.mock_board import Device, PciFace, SocketServer, Usb2Face
 from inteco_abs.signals import Command, Sample
 
 _BENCHES_OF_A_TEST = 8
@@ -156,6 +162,19 @@ class Usb2Bench:
     """
 
     link_type = FaultyLink
+    identity = (0x0103, "ABSSIM", "20260101")
+    real_profile = "usb2_generic_0103"
+    pwm_channels = 8
+    messages_of_safe = 1
+    untrusted: ClassVar = {
+        "another logic version": ("board.logic_version=0x0111", ("0x0103", "0x0111")),
+        "another application name": (
+            'board.application_names=["ABSRIG", "ABSOLD"]',
+            ("ABSSIM", "ABSRIG", "ABSOLD"),
+        ),
+        "no application name known": ("board.application_names=[]", ("ABSSIM", "none")),
+        "an unsigned profile": ('board.verified_by=""', ("verified_by",)),
+    }
 
     def __init__(self, *settings: str, earlier: dict[str, int] | None = None, seed: int = 0) -> None:
         self.config = load_config(settings=settings)
@@ -193,6 +212,36 @@ class Usb2Bench:
     def settings_sent(self) -> list[dict[str, int]]:
         """Settings written so far."""
         return [decode_send(frame) for frame in self.frames_sent]
+
+    @property
+    def read_back(self) -> bool:
+        """Whether the board was asked what it does, after the newest settings."""
+        return self.link.written[-2:] == [self.frames_sent[-1], READ_REQUEST]
+
+    @property
+    def first_written(self) -> bytes:
+        """The first that was written, in the form of a SAFE image."""
+        return self.plain(self.frames_sent[0])
+
+    @property
+    def wrote_first(self) -> bool:
+        """Whether nothing was asked before something was written."""
+        return self.link.written[0] == self.frames_sent[0]
+
+    @staticmethod
+    def plain(image: bytes) -> bytes:
+        """A SAFE image without the number that it carries."""
+        return image[:82] + b"\0\0" + image[84:]
+
+    @staticmethod
+    def widths_in(image: bytes) -> list[int]:
+        """Widths that a SAFE image sets."""
+        sent = decode_send(image)
+        return [sent[f"pwm{channel}_width"] for channel in range(8)]
+
+    def ask(self) -> None:
+        """Ask the board past this host, as another has done that did not wait for the answer."""
+        self.face.bulk_out(READ_REQUEST)
 
     def exchange(self, drive: float = 0.0, brake: float = 0.0, periods: float = 1.0) -> Sample:
         """One exchange, `periods` after the last one."""
@@ -296,11 +345,301 @@ class SocketBench(Usb2Bench):
             SocketLink.close(link)
 
 
-@pytest.fixture(scope="session", params=[Usb2Bench, SocketBench], ids=["rtdac-usb2", "rtdac-usb2 over a socket"])
+INDEXES = (PWM_INDEX.offset, ENCODER_INDEX.offset)
+ALL_ONES = 0xFFFFFFFF
+
+
+class MoodyRegisters:
+    """The mock's registers. Deaf, they take no setting; the index registers, which reading needs, go on working."""
+
+    def __init__(self, face: PciFace) -> None:
+        self.face = face
+        self.device = face.device
+        self.deaf = False
+        self._ignored_widths = 0
+
+    @property
+    def ignored(self) -> int:
+        """Commands: each is two widths."""
+        return self._ignored_widths // 2
+
+    def bulk_out(self, data: bytes | bytearray) -> None:
+        number, steps = decode_request(data)
+        if self.deaf:
+            self._ignored_widths += sum(is_width(step) for step in steps)
+            steps = [step for step in steps if not is_setting(step)]
+        self.face.bulk_out(encode_request(number, steps))
+
+    def bulk_in(self, length: int) -> bytes:
+        return self.face.bulk_in(length)
+
+
+def is_setting(step: Write | int) -> bool:
+    return isinstance(step, Write) and step.offset not in INDEXES
+
+
+def is_width(step: Write | int) -> bool:
+    return isinstance(step, Write) and step.offset == PWM_WIDTH.offset
+
+
+class RegisterLink(Link):
+    """As `FaultyLink`, for accesses to registers.
+
+    What is to go wrong with an answer goes wrong with that which has the logic's version: there is one in an exchange.
+    """
+
+    def __init__(self, inner: Link) -> None:
+        self.written: list[bytes] = []
+        self.closed = False
+        self.failed = 0
+        self.operations = 0
+        self.unplugged = False
+        self.before_operation: Callable[[int], None] = lambda _number: None
+        self.change_answer: Callable[[bytes], bytes] = bytes
+        self.change_next_answer: Callable[[bytes], bytes] | None = None
+        self.change_next_value: tuple[tuple[int, int | None], Callable[[int], int]] | None = None
+        self.refuse_next: Callable[[Write | int], bool] | None = None
+        self._inner = inner
+        self._selected: dict[int, int] = {}
+        self._asked: list[tuple[int, int | None]] = []
+
+    def write(self, data: bytes | bytearray) -> None:
+        self._count()
+        _, steps = decode_request(data)
+        if self.refuse_next is not None and any(map(self.refuse_next, steps)):
+            self.refuse_next = None
+            self._fail()
+        self.written.append(bytes(data))
+        self._asked = []
+        for step in steps:
+            if isinstance(step, Write):
+                self._selected[step.offset] = step.value
+            else:
+                index = PWM_INDEX.offset if step == PWM_WIDTH.offset else None
+                self._asked.append((step, self._selected.get(index)))
+        self._inner.write(data)
+
+    def read(self, length: int) -> bytes:
+        self._count()
+        answer = self._changed(self._inner.read(length))
+        if (LOGIC.offset, None) not in self._asked:
+            return answer
+        if self.change_next_answer is not None:
+            change, self.change_next_answer = self.change_next_answer, None
+            self.failed += 1
+            answer = change(answer)
+        return self.change_answer(answer)
+
+    def close(self) -> None:
+        self.closed = True
+        self._inner.close()
+
+    def _changed(self, answer: bytes) -> bytes:
+        which, change = self.change_next_value or (None, int)
+        if which not in self._asked:
+            return answer
+        self.change_next_value = None
+        self.failed += 1
+        number, values = decode_answer(answer)
+        at = self._asked.index(which)
+        return encode_answer(number, [*values[:at], change(values[at]), *values[at + 1 :]])
+
+    def _count(self) -> None:
+        number, self.operations = self.operations, self.operations + 1
+        if self.unplugged:
+            self._fail()
+        self.before_operation(number)
+
+    def _fail(self) -> None:
+        self.failed += 1
+        raise LinkError("the cable is unplugged")
+
+
+class PciBench:
+    """An RT-DAC4/PCI, its accesses as messages over the in-process link to the mock."""
+
+    identity = (0x050F, "", "")
+    real_profile = "pci_abs_50f"
+    pwm_channels = 2
+    messages_of_safe = 2
+    untrusted: ClassVar = {
+        "another logic version": ("board.logic_version=0x0510", ("0x050F", "0x0510")),
+        # it tells no name: the nearest are other things that a profile says of the board
+        "another application name": ("board.verified_logic=0x0510", ("0x050F", "0x0510")),
+        "no application name known": ('board.read_only="not wired yet"', ("not wired yet",)),
+        "an unsigned profile": ('board.verified_by=""', ("verified_by",)),
+    }
+
+    def __init__(self, *settings: str, earlier: dict[str, int] | None = None, seed: int = 0) -> None:
+        self.config = load_config(settings=settings, profile="sim_pci")
+        self.clock = HandClock()
+        self.device = SteeredDevice(self.config, self.clock.now_ns, seed)
+        own = {f"pwm{i}_{name}" for i in range(2) for name in ("mode", "prescaler", "width")} | {ENCODER_RESET.name}
+        self.device.write({name: value for name, value in (earlier or {}).items() if name in own})
+        self.face = MoodyRegisters(PciFace(self.device))
+        self.plug_in()
+
+    def plug_in(self) -> None:
+        """A new host: carrier and board of its own; the device stays as it is."""
+        self.link = RegisterLink(InProcessLink(self.face))
+        self.board = RtdacPci(self._carrier(), self.config.board, self.clock.now_ns, self.config.period_ns)
+
+    def die(self) -> None:
+        """The host is gone, without a word to the board."""
+        self.link.close()
+
+    def _carrier(self):
+        return LinkedRegisters(self.link)
+
+    @property
+    def steps(self) -> list[Write | int]:
+        """All accesses so far, in order."""
+        return [step for message in self.link.written for step in decode_request(message)[1]]
+
+    @property
+    def only_read(self) -> bool:
+        """Whether the board was asked something, and nothing was written but which channel is asked for."""
+        return bool(self.steps) and not any(map(is_setting, self.steps))
+
+    @property
+    def frames_sent(self) -> list[bytes]:
+        """Messages so far that write settings."""
+        return [message for message in self.link.written if any(map(is_setting, decode_request(message)[1]))]
+
+    @property
+    def settings_sent(self) -> list[dict[str, int]]:
+        """What the host had written, after each width that it wrote."""
+        known, sent, channel = {"pwm0_width": 0, "pwm1_width": 0}, [], 0
+        for step in self.steps:
+            if isinstance(step, Write) and step.offset == PWM_INDEX.offset:
+                channel = step.value
+            elif is_width(step):
+                known[f"pwm{channel}_width"] = step.value
+                sent.append(dict(known))
+        return sent
+
+    @property
+    def read_back(self) -> bool:
+        """Whether the board was asked for both widths after the newest settings."""
+        steps = self.steps
+        newest = max(i for i, step in enumerate(steps) if is_setting(step))
+        return [step for step in steps[newest:] if step == PWM_WIDTH.offset] == [PWM_WIDTH.offset] * 2
+
+    @property
+    def first_written(self) -> bytes:
+        """The first that was written, up to the next question, in the form of a SAFE image."""
+        after_questions = dropwhile(lambda step: isinstance(step, int), self.steps)
+        writes = takewhile(lambda step: isinstance(step, Write), after_questions)
+        return b"".join(number.to_bytes(4, "little") for write in writes for number in write)
+
+    @property
+    def wrote_first(self) -> bool:
+        """Whether nothing was asked before something was written."""
+        return isinstance(self.steps[0], Write)
+
+    @staticmethod
+    def plain(image: bytes) -> bytes:
+        """A SAFE image carries no number."""
+        return image
+
+    @staticmethod
+    def widths_in(image: bytes) -> list[int]:
+        """Widths that a SAFE image sets, by channel."""
+        words = [int.from_bytes(image[at : at + 4], "little") for at in range(0, len(image), 4)]
+        assert words[::4] == [PWM_INDEX.offset] * 2
+        assert words[2::4] == [PWM_WIDTH.offset] * 2
+        return [width for _, width in sorted(zip(words[1::4], words[3::4], strict=True))]
+
+    def ask(self) -> None:
+        """Ask the board past this host, as another has done that did not wait for the answer."""
+        self.face.bulk_out(encode_request(0, [LOGIC.offset]))
+
+    exchange = Usb2Bench.exchange
+    spin_up = Usb2Bench.spin_up
+    strike = Usb2Bench.strike
+    unplug = Usb2Bench.unplug
+    ignore_commands = Usb2Bench.ignore_commands
+
+    def fail_next(self, way: str) -> None:
+        """Make the next exchange fail in one of `WAYS_TO_FAIL`, or in what comes nearest to it on a bus."""
+        drive, brake, version = (PWM_WIDTH.offset, 0), (PWM_WIDTH.offset, 1), (LOGIC.offset, None)
+        answers = {"short answer": lambda answer: answer[:-1], "empty answer": lambda _answer: b""}
+        values = {
+            "wrong header": (version, lambda value: value ^ 1),
+            "no answer": (version, lambda _value: ALL_ONES),
+            "wrong echo of the drive": (drive, lambda value: value ^ 1),
+            "wrong echo of the brake": (brake, lambda value: value ^ 1),
+        }
+        refusals = {"command not delivered": is_width, "request not delivered": lambda step: step == LOGIC.offset}
+        self.link.change_next_answer = answers.get(way)
+        self.link.change_next_value = values.get(way)
+        self.link.refuse_next = refusals.get(way)
+
+
+class WatchedRegisters(SysfsRegisters):
+    """Tells the link behind the double when the host lets go of the board."""
+
+    link: RegisterLink
+
+    def close(self) -> None:
+        super().close()
+        self.link.close()
+
+
+class SysfsBench(PciBench):
+    """The same as a computer has it, by files under /sys; the double behind them answers from the mock."""
+
+    live = LiveRegisters()
+    folder: Path
+    _numbers = count()
+    _open: ClassVar[deque[SysfsRegisters]] = deque()
+
+    def _carrier(self):
+        if not hasattr(self, "root"):
+            self.root = self.folder / str(next(self._numbers))
+            self._board_folder = add_board(self.root)
+        self.live.connect(self._board_folder, self.link)
+        self.registers = WatchedRegisters(root=self.root)
+        self.registers.link = self.link
+        self._open.append(self.registers)
+        self.close_all_but(_BENCHES_OF_A_TEST)
+        return self.registers
+
+    def die(self) -> None:
+        """The kernel closes what the host had open."""
+        self.registers.close()
+
+    @classmethod
+    def close_all_but(cls, newest: int) -> None:
+        """As for `SocketBench`: tests that do not enter the board do not leave it either."""
+        while len(cls._open) > newest:
+            cls._open.popleft().close()
+
+
+BENCHES = {
+    "rtdac-usb2": Usb2Bench,
+    "rtdac-usb2 over a socket": SocketBench,
+    "rtdac4-pci": PciBench,
+    "rtdac4-pci by sysfs": SysfsBench,
+}
+
+
+@pytest.fixture(scope="session", params=BENCHES.values(), ids=BENCHES)
 def new_bench(request):
     """Maker of benches; the contract tests run once for every board in `params`."""
-    yield request.param
+    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as folder:
+        if request.param is SysfsBench:
+            SysfsBench.folder = Path(folder)
+            patch.setattr(os, "pread", SysfsBench.live.pread)
+            patch.setattr(os, "pwrite", SysfsBench.live.pwrite)
+        yield request.param
+        SysfsBench.close_all_but(0)
     SocketBench.close_all_but(0)
+
+
+@pytest.fixture(scope="session")
+def new_pci_bench():
+    return PciBench
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ from contextlib import suppress
 
 import pytest
 
-from firmware_protocol.rtdac_usb2 import READ_REQUEST, decode_send
 from inteco_abs.errors import BoardError, LinkError, UnsafeError
 from inteco_abs.signals import Command
 
@@ -34,26 +33,21 @@ def wreck(new_wreck):
     return new_wreck()
 
 
-def unnumbered(frame):
-    """A frame without the number that it carries."""
-    return frame[:82] + b"\0\0" + frame[84:]
-
-
 class TestSafeImage:
     def test_it_has_all_widths_zero_whatever_the_board_does_now(self, new_bench):
         bench, images = new_bench(), []
         with bench.board as board:
             for duties in [(0.0, 0.0), (1.0, 0.6), (0.2, 1.0)]:
                 bench.exchange(*duties)
-                images.append(unnumbered(board.safe_image))
+                images.append(bench.plain(board.safe_image))
                 assert bench.device.duties == duties
         assert len(set(images)) == 1
-        assert [decode_send(images[0])[f"pwm{channel}_width"] for channel in range(8)] == [0] * 8
+        assert bench.widths_in(images[0]) == [0] * bench.pwm_channels
 
     def test_it_is_what_the_board_itself_writes_first(self, new_bench, both_on):
         bench = new_bench(earlier={**both_on, "pin_output": 0x155, "pwm3_prescaler": 77})
         with bench.board as board:
-            assert unnumbered(board.safe_image) == unnumbered(bench.frames_sent[0])
+            assert bench.plain(board.safe_image) == bench.first_written
 
     def test_taking_it_changes_nothing(self, new_bench):
         bench = new_bench()
@@ -77,14 +71,15 @@ class TestRescue:
 
     def test_the_image_goes_out_before_anything_is_read_and_is_then_read_back(self, wreck):
         wreck.board.rescue(wreck.image)
-        assert [unnumbered(wreck.link.written[0]), wreck.link.written[1]] == [unnumbered(wreck.image), READ_REQUEST]
-        assert len(wreck.link.written) == 2
+        assert wreck.wrote_first
+        assert wreck.first_written == wreck.plain(wreck.image)
+        assert wreck.read_back
 
     def test_everything_but_the_outputs_stays_as_it_was(self, wreck):
         before = dict(wreck.device.settings)
         wreck.board.rescue(wreck.image)
-        number = wreck.device.settings["pwm7_prescaler"]
-        assert wreck.device.settings == {**before, "pwm0_width": 0, "pwm1_width": 0, "pwm7_prescaler": number}
+        number = {name: wreck.device.settings[name] for name in before if name == "pwm7_prescaler"}
+        assert wreck.device.settings == {**before, "pwm0_width": 0, "pwm1_width": 0, **number}
 
     def test_the_outputs_are_off_even_if_every_answer_is_lost(self, wreck):
         wreck.link.change_answer = lambda _answer: b""
@@ -97,7 +92,7 @@ class TestRescue:
         with pytest.raises(UnsafeError, match=r"unplugged.*emergency switch") as refusal:
             wreck.board.rescue(wreck.image)
         assert isinstance(refusal.value.__cause__, LinkError)
-        assert wreck.link.failed == 3
+        assert wreck.link.failed == 3 * wreck.messages_of_safe
         assert wreck.device.duties == BOTH
 
     def test_a_board_that_ignores_the_image_is_not_taken_for_safe(self, wreck):
@@ -115,10 +110,12 @@ class TestRescue:
 
     def test_the_answers_that_the_dead_process_had_asked_for_are_not_taken_for_the_own(self, wreck):
         for _ in range(3):
-            wreck.face.bulk_out(READ_REQUEST)
+            wreck.ask()
         wreck.board.rescue(wreck.image)
         assert wreck.device.duties == OFF
-        assert [unnumbered(wreck.link.written[0]), *wreck.link.written[1:]] == [unnumbered(wreck.image), READ_REQUEST]
+        assert wreck.wrote_first
+        assert wreck.first_written == wreck.plain(wreck.image)
+        assert wreck.link.failed == 0
 
     @pytest.mark.parametrize("trouble", ["none", "unplugged", "deaf", "interrupted"])
     def test_the_board_is_let_go_of_in_any_case(self, wreck, trouble):
