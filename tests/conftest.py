@@ -1,7 +1,19 @@
 import os
+import shutil
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("default", deadline=None)
 settings.register_profile("long", deadline=None, max_examples=5000, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+
+
+@pytest.fixture
+def without_privileges():
+    """What a command is run by to have no more rights than any user."""
+    if os.geteuid() != 0:
+        return ()
+    if shutil.which("setpriv") is None:
+        pytest.fail("setpriv is needed to give up the rights of root: install util-linux")
+    return ("setpriv", "--inh-caps=-all", "--bounding-set=-all")

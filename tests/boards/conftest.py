@@ -16,7 +16,16 @@ from firmware_protocol.register_messages import decode_answer, decode_request, e
 from firmware_protocol.registers import Write
 from firmware_protocol.rtdac_pci import ENCODER_INDEX, ENCODER_RESET, LOGIC, PWM_INDEX, PWM_WIDTH
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, SEND_COMMAND, decode_send, encode_send
-from inteco_abs.boards import InProcessLink, Link, LinkedRegisters, RtdacPci, RtdacUsb2, SocketLink, SysfsRegisters
+from inteco_abs.boards import (
+    InProcessLink,
+    Link,
+    LinkedRegisters,
+    Registers,
+    RtdacPci,
+    RtdacUsb2,
+    SocketLink,
+    SysfsRegisters,
+)
 from inteco_abs.config import load_config
 from inteco_abs.errors import LinkError
 from inteco_abs.mock_board import Device, PciFace, SocketServer, Usb2Face
@@ -576,6 +585,25 @@ class PciBench:
         self.link.refuse_next = refusals.get(way)
 
 
+class StepwiseRegisters(LinkedRegisters):
+    """One message for each access, as on a bus."""
+
+    run = Registers.run
+
+    def read(self, offset):
+        return LinkedRegisters.run(self, (offset,))[0]
+
+    def write(self, offset, value):
+        LinkedRegisters.run(self, (Write(offset, value),))
+
+
+class StepwisePciBench(PciBench):
+    """An RT-DAC4/PCI whose accesses fail one by one."""
+
+    def _carrier(self):
+        return StepwiseRegisters(self.link)
+
+
 class WatchedRegisters(SysfsRegisters):
     """Tells the link behind the double when the host lets go of the board."""
 
@@ -639,7 +667,7 @@ def new_bench(request):
 
 @pytest.fixture(scope="session")
 def new_pci_bench():
-    return PciBench
+    return StepwisePciBench
 
 
 @pytest.fixture(scope="session")

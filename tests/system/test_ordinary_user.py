@@ -1,21 +1,9 @@
 import json
-import os
-import shutil
 import subprocess
 
 import pytest
 
 pytestmark = pytest.mark.xdist_group("real time")
-
-
-@pytest.fixture
-def without_privileges():
-    """What a command is run by to have no more rights than any user."""
-    if os.geteuid() != 0:
-        return ()
-    if shutil.which("setpriv") is None:
-        pytest.fail("setpriv is needed to give up the rights of root: install util-linux")
-    return ("setpriv", "--inh-caps=-all", "--bounding-set=-all")
 
 
 def test_an_ordinary_user_runs_in_real_time_and_is_told_what_was_refused(
