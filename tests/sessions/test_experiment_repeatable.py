@@ -16,6 +16,12 @@ def test_the_same_seed_gives_the_same_payload(run, quick):
     assert again.stop.card["payload_sha256"] == quick.stop.card["payload_sha256"]
 
 
+def test_the_board_on_the_pci_bus_gives_the_payload_of_the_one_on_usb(run, quick):
+    pci = run("profile=sim_pci", name="pci.mcap", seed=1)
+    assert pci.session.payload == quick.session.payload
+    assert pci.session.truth.tobytes() == quick.session.truth.tobytes()
+
+
 def test_another_seed_gives_another_payload(run, quick):
     hashes = {run(name=f"{seed}.mcap", seed=seed).stop.card["payload_sha256"] for seed in range(4)}
     assert len(hashes) == 4
