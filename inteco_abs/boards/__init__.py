@@ -49,8 +49,8 @@ _KINDS: Final[dict[str, Callable[[Link, BoardConfig, Callable[[], int], int], Bo
 def open_board(uri: str, config: RigConfig, now_ns: Callable[[], int], around: Wrap | None = None) -> Board:
     """The board at `uri`, not entered yet. `sim:PATH` is a mock board's process that listens at the socket PATH.
 
-    `around` puts something around the link, such as a recording. Raises BoardError if nothing answers there or
-    another program has it, ConfigError if the profile is made for another kind of board.
+    `around` puts something around the link, such as a recording; a board on the PCI bus has none. Raises BoardError if
+    nothing answers there or another program has it, ConfigError if the profile is made for another kind of board.
     """
     check_kind(uri, config)
     scheme, _, rest = uri.partition(":")
