@@ -151,6 +151,13 @@ def test_velocities_are_counted_in_encoder_lines(mock, rpm, lines):
     assert mock.read(WHEEL_VELOCITY) == lines // 2
 
 
+def test_velocities_are_those_of_the_moment(mock):
+    mock.width(0, 255)
+    assert mock.read(ROAD_VELOCITY) == 0
+    mock.time_ns += 500_000_000
+    assert mock.read(ROAD_VELOCITY) > 0
+
+
 def test_the_resistors_are_in_series_until_the_wheel_is_fast_and_again_once_it_is_slow(mock):
     seen = []
     for lines in (0, 140, 149, 151, 145, 141, 139, 145, 151):

@@ -1,5 +1,6 @@
 """What the board on the PCI bus has of its own: accesses and their order, the map's version, foreign registers."""
 
+import struct
 from contextlib import suppress
 from itertools import combinations
 
@@ -175,6 +176,12 @@ class TestSafe:
         with pytest.raises(UnsafeError, match="emergency switch"):
             bench.board.make_safe()
         assert bench.device.duties == (1.0, 0.0)
+
+    def test_a_rescue_writes_what_it_was_left_as_it_is(self, new_pci_bench):
+        bench = new_pci_bench()
+        left = [BRAKE, Write(WIDTH, 0), DRIVE, Write(WIDTH, 0)]
+        bench.board.rescue(struct.pack("<8I", *(word for write in left for word in write)))
+        assert bench.steps[:5] == [*left, VERSION]
 
     def test_two_faults_at_any_two_moments_of_the_end_never_leave_an_output_on(self, new_pci_bench):
         pairs = 0
