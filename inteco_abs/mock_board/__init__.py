@@ -4,7 +4,12 @@ from collections.abc import Callable
 from typing import Final
 
 from inteco_abs.mock_board.device import Cable, Device, Truth
+from inteco_abs.mock_board.face import Face
+from inteco_abs.mock_board.ftdi import FtdiBoard, ftdi_identity
+from inteco_abs.mock_board.pty_board import PtyServer
 from inteco_abs.mock_board.serve import SocketServer
+from inteco_abs.mock_board.truth_log import TruthLog
+from inteco_abs.mock_board.usb import ByteStream, UsbFace
 from inteco_abs.mock_board.usb2 import Usb2Face
 from inteco_abs.mock_board.usb_board import UsbBoard
 from inteco_abs.mock_board.usb_descriptors import Speed, UsbIdentity
@@ -13,27 +18,34 @@ from inteco_abs.mock_board.usbip import Facts, UsbIpServer
 from inteco_abs.mock_board.usbip_address import TcpAddress, UnixAddress, parse_address
 
 __all__ = [
+    "ByteStream",
     "Cable",
     "Device",
+    "Face",
     "Facts",
+    "FtdiBoard",
+    "PtyServer",
     "SocketServer",
     "Speed",
     "TcpAddress",
     "Truth",
+    "TruthLog",
     "UnixAddress",
     "Urb",
     "Usb2Face",
     "UsbBoard",
+    "UsbFace",
     "UsbHost",
     "UsbIdentity",
     "UsbIpServer",
     "face_of",
+    "ftdi_identity",
     "parse_address",
 ]
 
-_FACES: Final[dict[str, Callable[[Device], Usb2Face]]] = {"usb2": Usb2Face}
+_FACES: Final[dict[str, Callable[[Device], Face]]] = {"usb2": Usb2Face, "usb": UsbFace}
 
 
-def face_of(device: Device) -> Usb2Face:
+def face_of(device: Device) -> Face:
     """What a host sees of `device`: messages in, messages out, as its kind of board has them."""
     return _FACES[device.kind](device)
