@@ -45,7 +45,7 @@ class PtyServer:
             try:
                 _point(link, self.name)
             except BoardError:
-                self._hang_up()
+                self.hang_up()
                 raise
         self._poll = select.poll()
         self._poll.register(self._board, select.POLLIN)
@@ -60,7 +60,7 @@ class PtyServer:
                 self.step()
                 each_step()
         finally:
-            self._hang_up()
+            self.hang_up()
 
     def close(self) -> None:
         """End `serve`, from any thread or signal handler."""
@@ -81,7 +81,8 @@ class PtyServer:
                 sent += os.write(self._board, answer[sent:])
         self.lost_bytes += len(answer) - sent
 
-    def _hang_up(self) -> None:
+    def hang_up(self) -> None:
+        """Take the port away, for who does not `serve`."""
         if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.name:
             self._link.unlink()
         os.close(self._board)

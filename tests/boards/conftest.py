@@ -1,306 +1,25 @@
-"""Benches: a board, the mock device at its far end, and between them a link that fails when a test says so."""
-
-import os
-import threading
-from collections import deque
-from collections.abc import Callable
-from itertools import count
-from typing import ClassVar
-
 import pytest
+from benches import WAYS_TO_FAIL, HandClock, PtyBench, SocketBench, Usb0111Bench, Usb0112Bench, Usb2Bench
 
-from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, SEND_COMMAND, decode_send, encode_send
-from inteco_abs.boards import InProcessLink, Link, RtdacUsb2, SocketLink
+from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, SEND_COMMAND, encode_send
 from inteco_abs.config import load_config
-from inteco_abs.errors import LinkError
-from inteco_abs.mock_board import Device, SocketServer, Usb2Face
-from inteco_abs.signals import Command, Sample
+from inteco_abs.mock_board import Device, Usb2Face
 
-_BENCHES_OF_A_TEST = 8
-COUNTER_RANGE = 1 << 32
-POWERED_PINS = {"pin_mode": 1 << 2 | 1 << 5, "pin_direction": 0}
-BOTH_ON = {**POWERED_PINS, "pwm0_width": 255, "pwm1_width": 255}
+BENCHES = {
+    "rtdac-usb2": Usb2Bench,
+    "rtdac-usb2 over a socket": SocketBench,
+    "rtdac-usb 0x0111": Usb0111Bench,
+    "rtdac-usb 0x0112": Usb0112Bench,
+    "rtdac-usb over a pty": PtyBench,
+}
 
 
-def two_complement(count: int) -> int:
-    return (count + COUNTER_RANGE // 2) % COUNTER_RANGE - COUNTER_RANGE // 2
-
-
-class HandClock:
-    """Time that moves only when a test moves it."""
-
-    def __init__(self) -> None:
-        self.time_ns = 5_000_000_321
-
-    def now_ns(self) -> int:
-        return self.time_ns
-
-    def advance(self, duration_ns: int) -> None:
-        self.time_ns += duration_ns
-
-
-class SteeredDevice(Device):
-    """The mock device, whose counters a test may set."""
-
-    shown: tuple[int, int] | None = None
-
-    def show(self, wheel: int, road: int) -> None:
-        self.shown = (two_complement(road), two_complement(wheel))
-
-    def counts(self) -> tuple[int, int]:
-        return super().counts() if self.shown is None else self.shown
-
-
-class MoodyFace:
-    """The mock's endpoints. Deaf, they ignore SEND frames; an answer can come late, even later, or twice."""
-
-    def __init__(self, face: Usb2Face) -> None:
-        self.face = face
-        self.device = face.device
-        self.deaf = False
-        self.ignored = 0
-        self.next_answer = "in time"
-        self._queue: list[bytes] = []
-        self._held: list[bytes] = []
-
-    def bulk_out(self, data: bytes | bytearray) -> None:
-        if bytes(data) == READ_REQUEST:
-            self._queue += self._held
-            self._held.clear()
-        if self.deaf and len(data) == FRAME_BYTES:
-            self.ignored += 1
-        else:
-            self.face.bulk_out(data)
-
-    def bulk_in(self, length: int) -> bytes:
-        mood, self.next_answer = self.next_answer, "in time"
-        answer = self.face.bulk_in(length)
-        if mood == "after the next request":
-            self._held.append(answer)
-        elif answer:
-            self._queue += [answer, answer] if mood == "twice" else [answer]
-        return self._queue.pop(0) if self._queue and not mood.startswith("after") else b""
-
-
-class FaultyLink(Link):
-    """Hands every message on, keeps a copy of it, and fails when told to; `failed` counts the failures."""
-
-    def __init__(self, inner: Link) -> None:
-        self.written: list[bytes] = []
-        self.closed = False
-        self.failed = 0
-        self.operations = 0
-        self.unplugged = False
-        self.before_operation: Callable[[int], None] = lambda _number: None
-        self.change_answer: Callable[[bytes], bytes] = bytes
-        self.change_next_answer: Callable[[bytes], bytes] | None = None
-        self.refuse_next: str | None = None
-        self._inner = inner
-
-    def write(self, data: bytes | bytearray) -> None:
-        self._count()
-        message = "request" if bytes(data) == READ_REQUEST else "send"
-        if self.refuse_next == message:
-            self.refuse_next = None
-            self._fail()
-        self.written.append(bytes(data))
-        self._inner.write(data)
-
-    def read(self, length: int) -> bytes:
-        self._count()
-        answer = self._inner.read(length)
-        if self.refuse_next == "answer":
-            self.refuse_next = None
-            self._fail()
-        if self.change_next_answer is not None:
-            change, self.change_next_answer = self.change_next_answer, None
-            self.failed += 1
-            answer = change(answer)
-        return self.change_answer(answer)
-
-    def close(self) -> None:
-        self.closed = True
-        self._inner.close()
-
-    def _count(self) -> None:
-        number, self.operations = self.operations, self.operations + 1
-        if self.unplugged:
-            self._fail()
-        self.before_operation(number)
-
-    def _fail(self) -> None:
-        self.failed += 1
-        raise LinkError("the cable is unplugged")
-
-
-def _flipped(offset: int) -> Callable[[bytes], bytes]:
-    return lambda answer: answer[:offset] + bytes([answer[offset] ^ 1]) + answer[offset + 1 :]
-
-
-WAYS_TO_FAIL = (
-    "short answer",
-    "empty answer",
-    "wrong header",
-    "wrong echo of the drive",
-    "wrong echo of the brake",
-    "no answer",
-    "command not delivered",
-    "request not delivered",
-)
-
-
-class Usb2Bench:
-    """An RT-DAC/USB2 over the in-process link to the mock.
-
-    `settings` are those of `load_config`, `earlier` the outputs as an earlier program left them.
-    """
-
-    link_type = FaultyLink
-
-    def __init__(self, *settings: str, earlier: dict[str, int] | None = None, seed: int = 0) -> None:
-        self.config = load_config(settings=settings)
-        self.clock = HandClock()
-        self.device = SteeredDevice(self.config, self.clock.now_ns, seed)
-        face = Usb2Face(self.device)
-        if earlier is not None:
-            face.bulk_out(encode_send(earlier))
-        self.face = MoodyFace(face)
-        self.plug_in()
-
-    def plug_in(self) -> None:
-        """A new host: link and board of its own; the device stays as it is."""
-        self.link = self.link_type(self._connect())
-        self.board = RtdacUsb2(self.link, self.config.board, self.clock.now_ns, self.config.period_ns)
-
-    def die(self) -> None:
-        """The host is gone, without a word to the board."""
-        self.link.close()
-
-    def _connect(self) -> Link:
-        return InProcessLink(self.face)
-
-    @property
-    def only_read(self) -> bool:
-        """Whether the board was asked something, and nothing was written to it but that."""
-        return set(self.link.written) == {READ_REQUEST}
-
-    @property
-    def frames_sent(self) -> list[bytes]:
-        """Settings written so far, as they went over the link."""
-        return [message for message in self.link.written if message != READ_REQUEST]
-
-    @property
-    def settings_sent(self) -> list[dict[str, int]]:
-        """Settings written so far."""
-        return [decode_send(frame) for frame in self.frames_sent]
-
-    def exchange(self, drive: float = 0.0, brake: float = 0.0, periods: float = 1.0) -> Sample:
-        """One exchange, `periods` after the last one."""
-        self.clock.advance(round(periods * self.config.period_ns))
-        return self.board.exchange(Command(drive, brake))
-
-    def spin_up(self, exchanges: int = 100) -> Sample:
-        """Newest sample after driving at full duty."""
-        for _ in range(exchanges):
-            sample = self.exchange(1.0, 0.0)
-        return sample
-
-    def fail_next(self, way: str) -> None:
-        """Make the next exchange fail in one of `WAYS_TO_FAIL`."""
-        changes = {
-            "short answer": lambda answer: answer[:-1],
-            "empty answer": lambda _answer: b"",
-            "wrong header": _flipped(2),
-            "wrong echo of the drive": _flipped(44),
-            "wrong echo of the brake": _flipped(50),
-        }
-        refusals = {"no answer": "answer", "command not delivered": "send", "request not delivered": "request"}
-        self.link.change_next_answer = changes.get(way)
-        self.link.refuse_next = refusals.get(way)
-
-    def strike(self, errors: dict[int, BaseException]) -> list[int]:
-        """Raise each error at the link's use of that number, from 0; the list is of those that it has come to."""
-        reached: list[int] = []
-
-        def before_operation(number: int) -> None:
-            if number in errors:
-                reached.append(number)
-                raise errors[number]
-
-        self.link.before_operation = before_operation
-        return reached
-
-    def unplug(self) -> None:
-        """Nothing gets through any more."""
-        self.link.unplugged = True
-
-    def ignore_commands(self) -> None:
-        """From now on the device answers and does not do what it is told."""
-        self.face.deaf = True
-
-
-class PumpedLink(SocketLink):
-    """The host's end of a local socket. The board's process does its part at once, whenever there is one to do.
-
-    So time moves for both only when a test moves it; a thread for the board would move the rig whenever it liked.
-    """
-
-    def __init__(self, path: str, server: SocketServer) -> None:
-        self._server = server
-        visitor = threading.Thread(target=super().__init__, args=(path,))
-        visitor.start()
-        while visitor.is_alive():
-            server.step()
-        visitor.join()
-
-    def write(self, data: bytes | bytearray) -> None:
-        super().write(data)
-        self._server.step()
-
-    def close(self) -> None:
-        super().close()
-        while self._server.busy:
-            self._server.step()
-
-
-class PromptLink(FaultyLink):
-    """Drops late answers the way its inner link does, which for a socket is without waiting for them."""
-
-    def discard(self, length: int) -> None:
-        self._count()
-        self._inner.discard(length)
-
-
-class SocketBench(Usb2Bench):
-    """The same over a local socket, as the processes of a real-time run have it."""
-
-    link_type = PromptLink
-    _numbers = count()
-    _open: ClassVar[deque[tuple[SocketServer, SocketLink]]] = deque()
-
-    def _connect(self) -> Link:
-        if not hasattr(self, "server"):
-            self._path = f"\0inteco-abs-{os.getpid()}-{next(self._numbers)}"  # a name without a file
-            self.server = SocketServer(self.face, self._path)
-        link = PumpedLink(self._path, self.server)
-        self._open.append((self.server, link))
-        self.close_all_but(_BENCHES_OF_A_TEST)
-        return link
-
-    @classmethod
-    def close_all_but(cls, newest: int) -> None:
-        """Errors that tests raise again and again keep the benches that they have met: these close by number."""
-        while len(cls._open) > newest:
-            server, link = cls._open.popleft()
-            server.close()
-            SocketLink.close(link)
-
-
-@pytest.fixture(scope="session", params=[Usb2Bench, SocketBench], ids=["rtdac-usb2", "rtdac-usb2 over a socket"])
+@pytest.fixture(scope="session", params=BENCHES.values(), ids=BENCHES)
 def new_bench(request):
-    """Maker of benches; the contract tests run once for every board in `params`."""
+    """Maker of benches; the contract tests run once for every board in `BENCHES`."""
     yield request.param
     SocketBench.close_all_but(0)
+    PtyBench.close_all_but(0)
 
 
 @pytest.fixture(scope="session")
@@ -308,10 +27,15 @@ def new_usb2_bench():
     return Usb2Bench
 
 
+@pytest.fixture(scope="session", params=[Usb0111Bench, Usb0112Bench], ids=["0x0111", "0x0112"])
+def new_usb_bench(request):
+    return request.param
+
+
 @pytest.fixture(scope="session")
-def both_on():
+def both_on(new_bench):
     """Outputs as an earlier program may leave them: drive and brake at full duty."""
-    return BOTH_ON
+    return new_bench.both_on
 
 
 @pytest.fixture(params=WAYS_TO_FAIL)

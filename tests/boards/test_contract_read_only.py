@@ -3,24 +3,27 @@ import pytest
 from inteco_abs.errors import BoardError, ReadOnlyError
 
 UNTRUSTED = {
-    "another logic version": ("board.logic_version=0x0111", ("0x0103", "0x0111")),
-    "another application name": ('board.application_names=["ABSRIG", "ABSOLD"]', ("ABSSIM", "ABSRIG", "ABSOLD")),
-    "no application name known": ("board.application_names=[]", ("ABSSIM", "none")),
-    "an unsigned profile": ('board.verified_by=""', ("verified_by",)),
+    "another logic version": lambda bench: (bench.another_logic, (f"0x{bench.identity[0]:04X}", "was made for 0x01")),
+    "another application name": lambda bench: (
+        ['board.application_names=["ABSRIG", "ABSOLD"]'],
+        (bench.identity[1], "ABSRIG", "ABSOLD"),
+    ),
+    "no application name known": lambda bench: (["board.application_names=[]"], (bench.identity[1], "none")),
+    "an unsigned profile": lambda _bench: (['board.verified_by=""'], ("verified_by",)),
 }
 
 
 @pytest.fixture(params=UNTRUSTED)
 def untrusted(request, new_bench, both_on):
-    setting, words = UNTRUSTED[request.param]
-    return new_bench(setting, earlier=both_on), words
+    settings, words = UNTRUSTED[request.param](new_bench)
+    return new_bench(*settings, earlier=both_on), words
 
 
 class TestReadOnly:
     def test_the_identity_says_why(self, untrusted):
         bench, words = untrusted
         with bench.board as board:
-            assert board.identity.application_name == "ABSSIM"
+            assert board.identity.application_name == bench.identity[1]
             for word in words:
                 assert word in board.identity.read_only_because
 
@@ -69,7 +72,7 @@ class TestReadOnly:
             assert "emergency switch" not in board.identity.read_only_because
 
     def test_the_shipped_profile_of_the_real_board_opens_the_mock_for_reading_only(self, new_bench):
-        bench = new_bench("profile=usb2_generic_0103")
+        bench = new_bench(f"profile={new_bench.real_profile}")
         with bench.board as board:
             assert board.identity.read_only_because
         assert bench.only_read
