@@ -105,6 +105,7 @@ def serve_usbip(mock: Mock, address: str, serial: int, say: Callable[[str], None
         for what, lines in (("attach it", facts.attach), ("detach it", facts.detach)):
             if lines:
                 say(f"to {what}, as root: {' && '.join(lines)}")
+        _be_quick()
         server.serve(mock.log(face.device))
 
 
@@ -118,7 +119,13 @@ def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
     with hearing(server.close):
         say(f"mock {NAMES['usb']} at {link or server.name}; Ctrl-C unplugs it")
         say(f"to use it: inteco-abs run --board usb:{Path(link or server.name).absolute()} --set profile=sim_usb")
+        _be_quick()
         server.serve(mock.log(face.device))
+
+
+def _be_quick() -> None:
+    """What the mock board of a run asks for, but for what would keep Ctrl-C from ending it."""
+    prepare([wish for wish in guardian_wishes(BOARD_PRIORITY) if wish.name != "signals"])
 
 
 def _serve(server: SocketServer, memory: RunMemory) -> None:

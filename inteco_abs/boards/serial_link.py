@@ -36,8 +36,9 @@ class SerialLink(Link):
     is no such port, no permission, or if another program has it.
     """
 
-    def __init__(self, path: str) -> None:
-        self._port = _open(path)
+    def __init__(self, path: str, timeout_s: float = TIMEOUT_S) -> None:
+        self._timeout_s = timeout_s
+        self._port = _open(path, timeout_s)
         self._slow = quicken(path)
         try:
             self.write(DUMMY)
@@ -57,19 +58,19 @@ class SerialLink(Link):
         try:
             self._port.write(data)
         except serial.SerialTimeoutException:
-            raise LinkError(f"the board took no data within {TIMEOUT_S * 1e3:g} ms") from None
+            raise LinkError(f"the board took no data within {self._timeout_s * 1e3:g} ms") from None
         except OSError as error:
             raise _gone(error) from error
 
     def read(self, length: int) -> bytes:
-        """Receive exactly `length` bytes; LinkError after 10 ms without them all."""
+        """Receive exactly `length` bytes; LinkError if they are not there in time."""
         try:
             data: bytes = self._port.read(length)
         except OSError as error:
             raise _gone(error) from error
         if len(data) < length:
             came = f"{len(data)} of {length} bytes of an answer came" if data else "the board did not answer"
-            raise LinkError(f"{came} within {TIMEOUT_S * 1e3:g} ms")
+            raise LinkError(f"{came} within {self._timeout_s * 1e3:g} ms")
         return data
 
     def exchange(self, first: bytes | bytearray, second: bytes, length: int) -> bytes:
@@ -93,11 +94,11 @@ class SerialLink(Link):
                 self._port.read(max(1, self._port.in_waiting))
 
 
-def _open(path: str) -> Any:
+def _open(path: str, timeout_s: float) -> Any:
     """Pyserial's port: raw, and for this program alone. Raises BoardError."""
     port = None
     try:
-        port = serial.Serial(path, timeout=TIMEOUT_S, write_timeout=TIMEOUT_S, exclusive=True)
+        port = serial.Serial(path, timeout=timeout_s, write_timeout=timeout_s, exclusive=True)
         # the lock of `exclusive` keeps out who asks for it; this keeps out all, but a pseudo-terminal would stay
         # closed for the guardian when this process has died
         if not os.path.realpath(path).startswith(_PSEUDO_TERMINALS):

@@ -400,7 +400,7 @@ class PumpedPort(SerialLink):
     def __init__(self, server: PtyServer, stream: CountingStream) -> None:
         self._server = server
         self._stream = stream
-        super().__init__(server.name)
+        super().__init__(server.name, timeout_s=10.0)  # no test here is about time
 
     def write(self, data: bytes | bytearray) -> None:
         wanted = self._stream.arrived + len(data)
