@@ -6,6 +6,7 @@ from typing import Final
 
 from firmware_protocol import ProtocolError
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, logic_of
+from inteco_abs.errors import ConfigError, Mistake
 from inteco_abs.mock_board.device import Device
 from inteco_abs.mock_board.face import Face
 
@@ -18,14 +19,17 @@ _ALONE: Final = DUMMY + READ_REQUEST
 class UsbFace:
     """The board's frames, as whole messages: DUMMY, SEND with its data, READ request and answer.
 
-    Raises ProtocolError for a device whose logic has no tables. Counters, timers and pins are made anew for each
+    Raises ConfigError for a device whose logic has no tables. Counters, timers and pins are made anew for each
     answer, settings are echoed as the last good SEND frame left them.
     """
 
     def __init__(self, device: Device) -> None:
         self.device = device
         self.rejected = 0
-        logic = logic_of(device.logic_version)
+        try:
+            logic = logic_of(device.logic_version)
+        except ProtocolError as error:
+            raise ConfigError([Mistake("board.logic_version", str(error))]) from error
         self._read_table, self._send_table = logic.read, logic.send
         self._echoed = tuple(name for name in logic.send.fields if name in logic.read.fields)
         cable = device.cable
