@@ -15,6 +15,7 @@ import serial
 
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, encode_send
 from inteco_abs.boards import board_behind, open_board, serial_link, serial_ports
+from inteco_abs.boards.recording_link import RecordingLink
 from inteco_abs.boards.serial_link import SerialLink
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, LinkError, UnsafeError
@@ -319,6 +320,13 @@ class TestLatencyTimer:
         assert device.duties == (1.0, 0.0)
         new_board(config, server).rescue(image)
         assert device.duties == (0.0, 0.0)
+
+    def test_one_that_is_recorded_is_refused_just_so(self, monkeypatch, served, tmp_path):
+        config, server = served
+        monkeypatch.setattr(serial_link, "quicken", lambda _path: "each answer waits 16 ms")
+        link = RecordingLink(SerialLink(server.name, PATIENT_S), tmp_path / "wire.jsonl", board="usb1-111")
+        with pytest.raises(BoardError, match="waits 16 ms"):
+            board_behind(link, config, time.monotonic_ns).__enter__()
 
 
 def denied(*_arguments, **_options):
