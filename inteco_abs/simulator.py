@@ -6,22 +6,30 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, TextIO
 
 from inteco_abs.config import RigConfig
+from inteco_abs.errors import ConfigError, Mistake
 from inteco_abs.mock_board import (
+    ByteStream,
     Device,
+    Face,
+    FtdiBoard,
+    PtyServer,
     SocketServer,
     Truth,
-    Usb2Face,
+    TruthLog,
     UsbBoard,
     UsbHost,
     UsbIdentity,
     UsbIpServer,
     face_of,
+    ftdi_identity,
     parse_address,
 )
+from inteco_abs.mock_board.usb_device import UsbDevice
 from inteco_abs.realtime.hearing import hearing
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import BOARD_PRIORITY, guardian_wishes, prepare
@@ -31,6 +39,14 @@ from inteco_abs.records import TRUTH
 _LOOK_S: Final = 0.1
 _LINGER_S: Final = 1.0
 """How long the board stays without supervisor and host: the guardian may be about to come."""
+
+NAMES: Final = {"usb2": "RT-DAC/USB2", "usb": "RT-DAC/USB"}
+"""Mock boards that can be plugged into a computer, by kind."""
+_BRIDGES: Final[dict[str, Callable[[Face, int], UsbDevice]]] = {
+    "usb2": lambda face, serial: UsbBoard(face, UsbIdentity(serial=serial)),
+    "usb": lambda face, serial: FtdiBoard(ByteStream(face), ftdi_identity(serial)),
+}
+"""What carries a face's messages on the bus."""
 
 
 def main(path: str) -> int:
@@ -51,22 +67,65 @@ def main(path: str) -> int:
     return 0
 
 
-def serve_usbip(config: RigConfig, address: str, serial: int, seed: int, say: Callable[[str], None]) -> None:
+@dataclass(frozen=True, slots=True)
+class Mock:
+    """A mock board to be plugged into a computer, in real time."""
+
+    config: RigConfig
+    seed: int
+    truth: TextIO | None = None
+    """Where the rig's true state goes, as JSON lines."""
+    truth_hz: float = 20.0
+
+    def face(self) -> Face:
+        """The board's own side of the wire."""
+        return face_of(Device(self.config, time.monotonic_ns, self.seed))
+
+    def log(self, device: Device) -> Callable[[], None]:
+        """What writes the true state, if anybody wants it; to be called often."""
+        return (lambda: None) if self.truth is None else TruthLog(device, self.truth, self.truth_hz).look
+
+
+def serve_usbip(mock: Mock, address: str, serial: int, say: Callable[[str], None]) -> None:
     """Be the board for any Linux that attaches it over USB/IP, until interrupted; says how to attach it.
 
     Raises ConfigError for an address or serial number that cannot be, BoardError if the address is taken.
     """
     place = parse_address(address)
-    face = Usb2Face(Device(config, time.monotonic_ns, seed))
-    server = UsbIpServer(UsbHost(UsbBoard(face, UsbIdentity(serial=serial))), place)
+    face, kind = mock.face(), mock.config.board.kind
+    try:
+        bridge = _BRIDGES[kind](face, serial)
+    except ValueError as error:
+        raise ConfigError([Mistake("--serial", str(error))]) from error
+    server = UsbIpServer(UsbHost(bridge), place)
     facts = server.bind()
     with hearing(server.close):  # as an unplugged cable would end it
         ids = f"{facts.vendor_id:04x}:{facts.product_id:04x}"
-        say(f"mock RT-DAC/USB2 {ids}, serial number {facts.serial}, at {facts.address}; Ctrl-C unplugs it")
+        say(f"mock {NAMES[kind]} {ids}, serial number {facts.serial}, at {facts.address}; Ctrl-C unplugs it")
         for what, lines in (("attach it", facts.attach), ("detach it", facts.detach)):
             if lines:
                 say(f"to {what}, as root: {' && '.join(lines)}")
-        server.serve()
+        _be_quick()
+        server.serve(mock.log(face.device))
+
+
+def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
+    """Be the first generation's board at a serial port of its own, until interrupted; says at which.
+
+    `link` is a path for a symbolic link to it, or empty. Raises BoardError if that cannot be made.
+    """
+    face = mock.face()
+    server = PtyServer(ByteStream(face), Path(link) if link else None)
+    with hearing(server.close):
+        say(f"mock {NAMES['usb']} at {link or server.name}; Ctrl-C unplugs it")
+        say(f"to use it: inteco-abs run --board usb:{Path(link or server.name).absolute()} --set profile=sim_usb")
+        _be_quick()
+        server.serve(mock.log(face.device))
+
+
+def _be_quick() -> None:
+    """What the mock board of a run asks for, but for what would keep Ctrl-C from ending it."""
+    prepare([wish for wish in guardian_wishes(BOARD_PRIORITY) if wish.name != "signals"])
 
 
 def _serve(server: SocketServer, memory: RunMemory) -> None:

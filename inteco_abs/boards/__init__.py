@@ -75,4 +75,15 @@ def _open_usb2(serial: str, config: RigConfig) -> Link:
     return open_usb(serial, config.usb)
 
 
-_OPENERS: Final[dict[str, Callable[[str, RigConfig], Link]]] = {"sim": _open_socket, "usb2": _open_usb2}
+def _open_serial(path: str, _: RigConfig) -> Link:
+    from inteco_abs.boards.serial_link import SerialLink  # noqa: PLC0415  who has no such board needs no pyserial
+    from inteco_abs.boards.serial_ports import only_port  # noqa: PLC0415  likewise
+
+    return SerialLink(path or only_port())
+
+
+_OPENERS: Final[dict[str, Callable[[str, RigConfig], Link]]] = {
+    "sim": _open_socket,
+    "usb2": _open_usb2,
+    "usb": _open_serial,
+}

@@ -83,7 +83,7 @@ class FrameBoard(Board):
     def identify(self) -> Identity:
         """Read the header once; nothing is written but the READ request."""
         if not self._ready:
-            self._link.discard(self._layout.read.size)  # what a program before this one has left
+            self._link.prepare(self._layout.read.size)
         frame = self._read()
         try:
             values = self._layout.header.decode_some(frame, _known(self._layout.header))
@@ -93,8 +93,8 @@ class FrameBoard(Board):
             self._header = frame[: self._layout.header_bytes]
         version, name = int(values["logic_version"]), str(values["application_name"])
         because = distrust(self._wiring, version, name, self._relied_on())
-        if because and self._outputs_on(frame):
-            because += f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}"
+        if because:
+            because += self._warning(frame)
         return Identity(version, name, str(values.get("synthesis_date", "")), because)
 
     def _relied_on(self) -> list[Field]:
@@ -103,12 +103,13 @@ class FrameBoard(Board):
         names = [*self._owned(dict.fromkeys(_PINS, 0)), *encoders]
         return [self._layout.read.fields[name][0] for name in names]
 
-    def _outputs_on(self, frame: bytes) -> bool:
+    def _warning(self, frame: bytes) -> str:
+        """What must be said of the outputs of a board that nothing may be written to."""
         try:
             values = self._layout.read.decode_some(frame, self._widths)
-        except ProtocolError:
-            return False  # another logic: where its widths are is not known
-        return any(values.values())
+        except ProtocolError:  # another logic: where its widths are is not known
+            return f". Whether its PWM outputs are zero cannot be told. {STILL_ON}"
+        return f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}" if any(values.values()) else ""
 
     def _take_over(self) -> None:
         layout = self._layout

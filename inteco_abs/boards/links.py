@@ -54,6 +54,13 @@ class Link(ABC):
         """Receive a message that has arrived by now; links that need not wait for it as long as `read` do not."""
         return self.read(length)
 
+    def prepare(self, length: int) -> None:
+        """Drop what a program before this one has left; called before the board is identified, not in a rescue.
+
+        Raises BoardError for a link that is of no use to a loop, with what to do about it.
+        """
+        self.discard(length)
+
 
 class BulkDevice(Protocol):
     """The board's side of a pair of bulk endpoints."""

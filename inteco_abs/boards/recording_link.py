@@ -92,6 +92,10 @@ class RecordingLink(Link):
         """Drop what has arrived."""
         self._inner.discard(length)
 
+    def prepare(self, length: int) -> None:
+        """The inner link's own preparation, and what it may refuse."""
+        self._inner.prepare(length)
+
     def close(self) -> None:
         """Let go of the board."""
         self._inner.close()

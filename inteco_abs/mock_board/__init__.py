@@ -5,8 +5,12 @@ from typing import Final
 
 from inteco_abs.mock_board.device import Cable, Device, Truth
 from inteco_abs.mock_board.face import Face
+from inteco_abs.mock_board.ftdi import FtdiBoard, ftdi_identity
 from inteco_abs.mock_board.pci import PciFace
+from inteco_abs.mock_board.pty_board import PtyServer
 from inteco_abs.mock_board.serve import SocketServer
+from inteco_abs.mock_board.truth_log import TruthLog
+from inteco_abs.mock_board.usb import ByteStream, UsbFace
 from inteco_abs.mock_board.usb2 import Usb2Face
 from inteco_abs.mock_board.usb_board import UsbBoard
 from inteco_abs.mock_board.usb_descriptors import Speed, UsbIdentity
@@ -15,27 +19,33 @@ from inteco_abs.mock_board.usbip import Facts, UsbIpServer
 from inteco_abs.mock_board.usbip_address import TcpAddress, UnixAddress, parse_address
 
 __all__ = [
+    "ByteStream",
     "Cable",
     "Device",
     "Face",
     "Facts",
+    "FtdiBoard",
     "PciFace",
+    "PtyServer",
     "SocketServer",
     "Speed",
     "TcpAddress",
     "Truth",
+    "TruthLog",
     "UnixAddress",
     "Urb",
     "Usb2Face",
     "UsbBoard",
+    "UsbFace",
     "UsbHost",
     "UsbIdentity",
     "UsbIpServer",
     "face_of",
+    "ftdi_identity",
     "parse_address",
 ]
 
-_FACES: Final[dict[str, Callable[[Device], Face]]] = {"usb2": Usb2Face, "pci": PciFace}
+_FACES: Final[dict[str, Callable[[Device], Face]]] = {"usb2": Usb2Face, "usb": UsbFace, "pci": PciFace}
 
 
 def face_of(device: Device) -> Face:

@@ -152,20 +152,15 @@ class Device:
         self.observe()
 
     def observe(self) -> None:
-        """Move on to the present and show the rig's true state to who asked for it."""
-        self.catch_up()
+        """Show the rig's true state now to who asked for it."""
         if self._observe is not None:
-            plant = self.plant
-            self._observe(
-                Truth(
-                    self._time_ns,
-                    plant.wheel_speed,
-                    plant.road_speed,
-                    plant.slip,
-                    plant.brake_torque,
-                    *self._duties,
-                )
-            )
+            self._observe(self.truth())
+
+    def truth(self) -> Truth:
+        """The rig's true state now."""
+        self.catch_up()
+        plant = self.plant
+        return Truth(self._time_ns, plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque, *self._duties)
 
     def counts(self) -> tuple[int, int]:
         """Counters of road and wheel now, as two's complement."""

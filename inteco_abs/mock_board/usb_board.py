@@ -15,7 +15,7 @@ from firmware_protocol.rtdac_usb2_bridge import (
     REQUEST_LED_OFF,
     REQUEST_LED_ON,
 )
-from inteco_abs.mock_board.usb2 import Usb2Face
+from inteco_abs.mock_board.face import Face
 from inteco_abs.mock_board.usb_descriptors import UsbIdentity
 from inteco_abs.mock_board.usb_device import Answer, Handshake, Setup, UsbDevice
 
@@ -37,7 +37,7 @@ class UsbBoard(UsbDevice):
     UNKNOWN; here the first is dropped and counted by the face, the second and third are described below.
     """
 
-    def __init__(self, face: Usb2Face, identity: UsbIdentity | None = None) -> None:
+    def __init__(self, face: Face, identity: UsbIdentity | None = None) -> None:
         super().__init__(identity or UsbIdentity())
         self.face = face
         self.led = False

@@ -1,7 +1,8 @@
-"""What the mock board says about itself on the bus: the descriptors of USB 2.0, chapter 9.
+"""What a mock board says about itself on the bus: the descriptors of USB 2.0, chapter 9.
 
-The descriptors of the real board have never been published. Ids are guesses, see `rtdac_usb2_bridge`; endpoints are
-those of the vendor's own program; class codes, release and current are made up.
+The descriptors of the real boards have never been published. For the RT-DAC/USB2, which is the default here, ids are
+guesses, see `rtdac_usb2_bridge`; endpoints are those of the vendor's own program; class codes, release and current
+are made up.
 """
 
 from __future__ import annotations
@@ -31,9 +32,8 @@ ENDPOINTS: Final = (ENDPOINT_OUT, ENDPOINT_IN, ENDPOINT_JTAG_OUT, ENDPOINT_JTAG_
 ENDPOINT_DIRECTION_IN: Final = 0x80
 
 _DEVICE, _CONFIGURATION, _STRING, _INTERFACE, _ENDPOINT = 1, 2, 3, 4, 5
-DEVICE_CLASS: Final = (0xFF, 0, 0)
-INTERFACE_CLASS: Final = (0xFF, 0, 0)
-"""Class, subclass and protocol: vendor-specific."""
+_VENDOR_SPECIFIC: Final = (0xFF, 0, 0)
+"""Class, subclass and protocol."""
 _BULK: Final = 2
 _BUS_POWERED: Final = 0x80
 _CURRENT_2MA: Final = 50
@@ -55,12 +55,20 @@ class Speed(Enum):
 
 @dataclass(frozen=True, slots=True)
 class UsbIdentity:
-    """Ids, serial number and speed of one mock board. Raises ValueError for what cannot be a mock's."""
+    """What one mock board is called and what it has. Raises ValueError for what cannot be a mock's."""
 
     serial: int = MOCK_SERIALS.start + 1
     vendor_id: int = VENDOR_ID
     product_id: int = PRODUCT_ID
     speed: Speed = Speed.HIGH
+    manufacturer: str = MANUFACTURER
+    product: str = PRODUCT
+    release: int = RELEASE
+    """Binary-coded decimal; 0x0100 is 1.00."""
+    device_class: tuple[int, int, int] = _VENDOR_SPECIFIC
+    interface_class: tuple[int, int, int] = _VENDOR_SPECIFIC
+    endpoints: tuple[int, ...] = ENDPOINTS
+    """Addresses of the bulk endpoints."""
 
     def __post_init__(self) -> None:
         """Refuse ids that do not fit their field and serial numbers that a real board may have."""
@@ -76,7 +84,7 @@ class UsbIdentity:
     @property
     def strings(self) -> tuple[str, str, str]:
         """Manufacturer, product and serial number: strings 1, 2 and 3."""
-        return MANUFACTURER, PRODUCT, str(self.serial)
+        return self.manufacturer, self.product, str(self.serial)
 
     def descriptor(self, kind: int, index: int) -> bytes | None:
         """Descriptor `index` of type `kind`, whole; None if there is none."""
@@ -94,11 +102,11 @@ class UsbIdentity:
             18,
             _DEVICE,
             0x0200,
-            *DEVICE_CLASS,
+            *self.device_class,
             CONTROL_PACKET_BYTES,
             self.vendor_id,
             self.product_id,
-            RELEASE,
+            self.release,
             1,
             2,
             3,
@@ -106,8 +114,8 @@ class UsbIdentity:
         )
 
     def _configuration(self) -> bytes:
-        below = struct.pack("<BBBBBBBBB", 9, _INTERFACE, 0, 0, len(ENDPOINTS), *INTERFACE_CLASS, 0)
-        for address in ENDPOINTS:
+        below = struct.pack("<BBBBBBBBB", 9, _INTERFACE, 0, 0, len(self.endpoints), *self.interface_class, 0)
+        for address in self.endpoints:
             below += struct.pack("<BBBBHB", 7, _ENDPOINT, address, _BULK, self.speed.packet_bytes, 0)
         return (
             struct.pack(

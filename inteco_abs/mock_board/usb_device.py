@@ -7,6 +7,7 @@ Source: USB 2.0, chapters 8 and 9.
 
 from __future__ import annotations
 
+import math
 import struct
 from abc import ABC, abstractmethod
 from collections import deque
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import ClassVar, Final
 
-from inteco_abs.mock_board.usb_descriptors import CONFIGURATION, ENDPOINT_DIRECTION_IN, ENDPOINTS, UsbIdentity
+from inteco_abs.mock_board.usb_descriptors import CONFIGURATION, ENDPOINT_DIRECTION_IN, UsbIdentity
 
 _SETUP: Final = struct.Struct("<BBHHH")
 _OUT, _IN = 0x00, 0x80
@@ -88,7 +89,7 @@ class UsbDevice(ABC):
     @property
     def endpoints(self) -> tuple[int, ...]:
         """Addresses of the bulk endpoints that exist now: none before a configuration is set."""
-        return ENDPOINTS if self.configuration else ()
+        return self.identity.endpoints if self.configuration else ()
 
     def reset(self) -> None:
         """Bus reset: as after plugging in, but for what the firmware keeps."""
@@ -118,16 +119,25 @@ class UsbDevice(ABC):
         return waiting.popleft() if waiting else Handshake.NAK
 
     def packet_out(self, endpoint: int, packet: bytes) -> Handshake:
-        """The host sends one packet to bulk endpoint `endpoint`; a packet that is not full ends a message."""
+        """The host sends one packet to bulk endpoint `endpoint`."""
         if endpoint in self._halted:
             return Handshake.STALL
+        self._arrive(packet)
+        return Handshake.ACK
+
+    @property
+    def due_s(self) -> float:
+        """Time after which a host that got a NAK should ask again, whatever happens; endless if there is none."""
+        return math.inf
+
+    def _arrive(self, packet: bytes) -> None:
+        """Put packets together: one that is not full ends a message."""
         room = self.largest_message_bytes - len(self._arriving)
         self._arriving += packet[:room]
         if len(packet) < self.identity.speed.packet_bytes:
             message = bytes(self._arriving)
             self._arriving.clear()
             self._take(message)
-        return Handshake.ACK
 
     @abstractmethod
     def catch_up(self) -> None:

@@ -137,9 +137,10 @@ class UsbHost:
         self._run()
 
     def catch_up(self) -> None:
-        """Let the device use idle time."""
+        """Let the device use idle time, and ask it again: time alone may have given it something to say."""
         with self._lock:
             self.device.catch_up()
+        self._run()
 
     def _split(self, urb: Urb) -> list[bytes]:
         size = self.device.identity.speed.packet_bytes

@@ -10,11 +10,12 @@ import select
 import socket
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, NamedTuple
 
 from inteco_abs.errors import BoardError
-from inteco_abs.mock_board.usb_descriptors import DEVICE_CLASS, INTERFACE_CLASS, RELEASE, Speed
+from inteco_abs.mock_board.usb_descriptors import Speed
 from inteco_abs.mock_board.usb_host import UsbHost
 from inteco_abs.mock_board.usbip_address import USBIP_PORT, TcpAddress, UnixAddress
 from inteco_abs.mock_board.usbip_attachment import Attachment
@@ -118,13 +119,17 @@ class UsbIpServer:
             detach,
         )
 
-    def serve(self) -> None:
-        """Serve until `close` is called or an exception such as KeyboardInterrupt ends it; then hang up on all."""
+    def serve(self, each_step: Callable[[], None] = lambda: None) -> None:
+        """Serve until `close` is called or an exception such as KeyboardInterrupt ends it; then hang up on all.
+
+        `each_step` is called some hundred times a second.
+        """
         with self._lock:
             self._serving = not self._closed
         try:
             while not self._closed:
                 self.step()
+                each_step()
         finally:
             self._hang_up()
 
@@ -148,7 +153,8 @@ class UsbIpServer:
         reading: list[socket.socket | Connection] = [self._listener, self._bell]
         reading += [peer for peer in peers if not peer.closing]
         writing = [peer for peer in peers if peer.unsent]
-        ready, writable, _ = select.select(reading, writing, [], _CATCH_UP_S if self.busy else _IDLE_S)
+        patience_s = min(_CATCH_UP_S, self._host.device.due_s) if self.busy else _IDLE_S
+        ready, writable, _ = select.select(reading, writing, [], patience_s)
         for peer in writable:
             peer.flush()
         for peer in peers:  # before the listener: a peer that has left makes room for the one that comes
@@ -188,7 +194,7 @@ class UsbIpServer:
         if request is None:
             return
         if isinstance(request, DevicesRequest):
-            found = [(self._record(), [INTERFACE_CLASS])] if self._host.plugged else []
+            found = [(self._record(), [self._host.device.identity.interface_class])] if self._host.plugged else []
             visitor.send(devices_reply(found))
             visitor.closing = True
         elif request.bus_id == BUS_ID.encode() and self._host.plugged and not self.busy:
@@ -218,8 +224,8 @@ class UsbIpServer:
             _SPEEDS[identity.speed],
             identity.vendor_id,
             identity.product_id,
-            RELEASE,
-            *DEVICE_CLASS,
+            identity.release,
+            *identity.device_class,
             device.configuration,
             1,
             1,

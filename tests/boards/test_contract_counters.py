@@ -57,7 +57,7 @@ class TestCounters:
     def test_counts_are_zero_where_the_wheels_were_when_the_opening_ended(self, new_bench):
         bench = new_bench()
         bench.device.plant.road_speed = bench.device.plant.wheel_speed = 100.0
-        bench.link.before_operation = lambda _number: bench.clock.advance(0 if bench.frames_sent else 1_000_000)
+        bench.link.before_operation = lambda _number: bench.clock.advance(0 if bench.settings_sent else 1_000_000)
         start = bench.device.counts()
         with bench.board:
             assert bench.device.counts() > start

@@ -60,7 +60,7 @@ class TestLeaving:
     def test_safe_is_read_back_before_the_board_is_let_go(self, new_bench):
         bench = new_bench()
         live(bench, None)
-        assert bench.read_back
+        assert bench.acts[-2:] == ["send", "read"]
 
     def test_safe_can_be_asked_for_at_any_time_and_the_run_can_go_on(self, new_bench):
         bench = new_bench()

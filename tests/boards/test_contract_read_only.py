@@ -7,8 +7,8 @@ UNTRUSTED = ("another logic version", "another application name", "no applicatio
 
 @pytest.fixture(params=UNTRUSTED)
 def untrusted(request, new_bench, both_on):
-    setting, words = new_bench.untrusted[request.param]
-    return new_bench(setting, earlier=both_on), words
+    settings, words = new_bench.untrusted[request.param]
+    return new_bench(*settings, earlier=both_on), words
 
 
 class TestReadOnly:

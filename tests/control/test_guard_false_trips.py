@@ -15,6 +15,7 @@ CASES = {
     "wheel locked from the start": ("controller.name=relay", "controller.gains={off_duty=1.0}"),
     "half drive": ("experiment.drive_duty=0.5", "experiment.start_speed_rad_s=100.0"),
     "500 Hz": ("loop.rate_hz=500.0",),
+    "250 Hz": ("loop.rate_hz=250.0",),
     "100 Hz": ("loop.rate_hz=100.0",),
 }
 
@@ -69,3 +70,24 @@ def test_no_false_trip_with_exchanges_that_fail_now_and_then(experiment, seed):
     moments = experiment(*STRICT, "experiment.start_speed_rad_s=180.0").run(tamper=tamper)
     assert outcome(moments) == (Phase.DONE, Reason.NONE)
     assert failed > 500
+
+
+@pytest.mark.parametrize("rate_hz", [2000.0, 500.0, 250.0, 100.0])
+def test_no_false_trip_with_answers_that_are_late_by_up_to_a_period(experiment, rate_hz):
+    """A board tells its counts before the answer's way, and the time stamp is of its arrival."""
+    rng = random.Random(round(rate_hz))
+    before_ns, late = None, 0
+
+    def tamper(sample, _phase):
+        nonlocal before_ns, late
+        now_ns = sample.time_ns
+        if rng.random() < 0.03:
+            now_ns += round(rng.uniform(0.5, 0.95) * 1e9 / rate_hz)
+            late += 1
+        dt_s = sample.dt_s if before_ns is None else (now_ns - before_ns) / 1e9
+        before_ns = now_ns
+        return sample._replace(time_ns=now_ns, dt_s=dt_s)
+
+    moments = experiment(*STRICT, f"loop.rate_hz={rate_hz}", "estimator.window_s=0.04").run(tamper=tamper)
+    assert outcome(moments) == (Phase.DONE, Reason.NONE)
+    assert late > 10

@@ -1,14 +1,19 @@
+import json
+import os
 import re
 import signal
 import subprocess
 import sysconfig
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import usb.core
 from pyusb_backend import BusBackend
 from usbip_client import UsbIpBus
 
+from firmware_protocol.rtdac_usb import FRAME_BYTES, READ_REQUEST, decode_read, encode_send
 from inteco_abs.boards import RtdacUsb2
 from inteco_abs.boards.usb import UsbLink
 from inteco_abs.config import load_config
@@ -17,16 +22,23 @@ from inteco_abs.signals import BoardFlags, Command
 COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
 
 
+@contextmanager
+def mock_board(*arguments):
+    process = subprocess.Popen(
+        [COMMAND, "mock-board", "--usbip", "127.0.0.1:0", "--serial", "900000007", *arguments],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+    try:
+        yield process, [process.stdout.readline() for _ in range(3)]
+    finally:
+        process.kill()
+        process.communicate()
+
+
 @pytest.fixture
 def served():
-    process = subprocess.Popen(
-        [COMMAND, "mock-board", "--usbip", "127.0.0.1:0", "--serial", "900000007"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={"PYTHONUNBUFFERED": "1"},
-    )  # fmt: skip
-    told = [process.stdout.readline() for _ in range(3)]
-    yield process, told
-    process.kill()
-    process.communicate()
+    with mock_board() as both:
+        yield both
 
 
 def test_it_says_what_it_is_and_how_to_attach_it_and_ends_at_control_c(served):
@@ -52,3 +64,54 @@ def test_the_driver_runs_the_rig_in_it_over_usbip(served):
         assert not sample.board_flags & BoardFlags.STALE
         assert sample.road_count > 100
     bus.close()
+
+
+def test_the_first_generation_is_served_behind_its_ftdi_bridge_and_the_truth_is_told_beside_it(tmp_path):
+    truth = tmp_path / "truth.jsonl"
+    with mock_board("--board", "usb", "--truth", truth) as (process, (what, *_)):
+        assert re.match(r"mock RT-DAC/USB 0403:6001, serial number 900000007, at 127\.0\.0\.1:\d+", what)
+        host, port = re.search(r"at (\S+):(\d+)", what).groups()
+        bus = UsbIpBus((host, int(port)))
+        device = usb.core.find(backend=BusBackend(bus))
+        device.ctrl_transfer(0x40, 9, 1, 0)  # latency timer
+        device.write(0x02, encode_send({"pin_mode": 0b11, "pwm0_width": 255}, logic=0x0111) + READ_REQUEST)
+        data = b""
+        while len(data) < FRAME_BYTES:
+            data += bytes(device.read(0x81, 64))[2:]
+        assert decode_read(data, logic=0x0111)["pwm0_width"] == 255
+        end = time.monotonic() + 30.0
+        while last_line(truth).get("road_speed_rad_s", 0.0) < 1.0:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        bus.close()
+        process.send_signal(signal.SIGINT)
+        _, stderr = process.communicate(timeout=10)
+        assert process.returncode == 0, stderr
+    assert last_line(truth)["drive"] == 1.0
+
+
+def last_line(file):
+    """The newest whole line of a file of JSON lines."""
+    lines = file.read_text().rpartition("\n")[0].splitlines() if file.exists() else []
+    return json.loads(lines[-1]) if lines else {}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ["--usbip", "--pty"]),
+        (["--usbip", "--pty"], ["--usbip", "--pty"]),
+        (["--board", "pci", "--usbip"], ["run --board sim: --set profile=sim_pci"]),
+        (["--board", "pci", "--pty"], ["run --board sim: --set profile=sim_pci"]),
+        (["--board", "usb2", "--pty"], ["--pty goes with --board usb"]),
+        (["--usbip", "--serial", "12"], ["--serial", "12", "900000000..999999999"]),
+        (["--usbip", "--board", "usb", "--config", "usb2.toml"], ["board.kind", "'usb2'", "'usb'"]),
+        (["--pty", "--truth", "missing/truth.jsonl"], ["--truth", "missing/truth.jsonl"]),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(tmp_path, arguments, words):
+    (tmp_path / "usb2.toml").write_text('profile = "sim_usb2"\n')
+    command = [COMMAND, "mock-board", *arguments]
+    process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+    assert process.returncode == 2
+    assert all(word in process.stderr for word in words), process.stderr

@@ -69,6 +69,19 @@ def test_info_tells_how_the_run_ended_and_with_what(card, inteco_abs):
     assert "session.outcome" in text
 
 
+@pytest.mark.parametrize(
+    "logic", [(), ("board.logic_version=0x0112", "board.numbering_pwm=-1")], ids=["0x0111", "0x0112"]
+)
+def test_the_first_usb_board_brakes_well_at_its_250_hz(card, inteco_abs, logic):
+    settings = ("profile=sim_usb", *logic, "board.verified_logic=0x0112" if logic else "board.verified_logic=0x0111")
+    result = card(*(word for setting in settings for word in ("--set", setting)))
+    assert result["outcome"] == "completed"
+    assert result["stop_time_s"] == pytest.approx(1.416, rel=0.02)
+    assert result["slip_rms_true"] < 0.025
+    assert result["lock_fraction"] == 0.0
+    assert json.loads(inteco_abs("replay", "stop.mcap", "--json", check=0).stdout)["differing"] == 0
+
+
 def test_without_an_output_the_session_lands_in_the_sessions_folder(inteco_abs, tmp_path):
     for _ in range(2):
         run = inteco_abs("run", "--virtual", "--set", "experiment.start_speed_rad_s=12", check=0)

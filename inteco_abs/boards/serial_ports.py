@@ -1,0 +1,61 @@
+"""Serial ports that may be an RT-DAC/USB of the first generation, and the latency timer of the chip behind one."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from serial.tools import list_ports
+
+from firmware_protocol.rtdac_usb import LATENCY_TIMER_MS
+from inteco_abs.errors import BoardError
+
+_FTDI: Final = 0x0403
+_PORTS: Final = Path("/sys/bus/usb-serial/devices")
+
+
+def only_port() -> str:
+    """Path of the only serial port of an FTDI chip; raises BoardError if there is none or more than one."""
+    seen = ftdi_ports()
+    if len(seen) == 1:
+        return next(iter(seen))
+    if seen:
+        raise BoardError(
+            f"{len(seen)} ports may be the board: name one, as in usb:{next(iter(seen))}. {in_words(seen)}"
+        )
+    raise BoardError(f"no RT-DAC/USB: {in_words(seen)}. Is it plugged in, and the kernel's module ftdi_sio loaded?")
+
+
+def ftdi_ports() -> dict[str, str]:
+    """Serial ports of FTDI chips: path, and what else is known of it."""
+    found = (port for port in list_ports.comports() if port.vid == _FTDI)
+    return {port.device: f"{port.device} ({port.description}, serial number {port.serial_number})" for port in found}
+
+
+def in_words(seen: dict[str, str]) -> str:
+    """`ftdi_ports` for a message."""
+    return f"seen: {'; '.join(seen.values())}" if seen else f"no serial port with vendor id {_FTDI:04x} is there"
+
+
+def quicken(path: str, ports: Path = _PORTS) -> str:
+    """Set the latency timer of an FTDI chip's port to 1 ms and read it back.
+
+    Empty if that is how it is, or if the port has no such timer; else what is wrong and what to do about it.
+    """
+    file = ports / Path(path).resolve().name / "latency_timer"
+    if not file.exists():
+        return ""
+    with suppress(OSError):  # who may not write it finds it set by the udev rule
+        file.write_text(f"{LATENCY_TIMER_MS}\n", encoding="ascii")
+    try:
+        latency_ms = int(file.read_text(encoding="ascii"))
+    except (OSError, ValueError) as error:
+        return f"{file} cannot be read: {error}"
+    if latency_ms <= LATENCY_TIMER_MS:
+        return ""
+    return (
+        f"each answer of {path} waits {latency_ms} ms in its chip, must be {LATENCY_TIMER_MS} ms, and this user may "
+        f"not change that: inteco-abs doctor --rules prints the udev rule that does; or echo {LATENCY_TIMER_MS} | sudo "
+        f"tee {file}"
+    )

@@ -1,0 +1,99 @@
+"""The mock RT-DAC/USB as a serial port: a pseudo-terminal, for which nobody needs root, a module or a USB bus."""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+import tty
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from inteco_abs.errors import BoardError
+from inteco_abs.mock_board.usb import ByteStream
+
+_CHUNK: Final = 4096
+_CATCH_UP_MS: Final = 1
+"""The rig moves on this often while a host is there."""
+_IDLE_MS: Final = 10
+_BUSY_S: Final = 1.0
+_TERMINALS: Final = "/dev/pts/"
+
+
+class PtyServer:
+    """Puts `stream` behind a new pseudo-terminal: `serve` until `close`; or `step` in one's own loop.
+
+    Hosts come and go; the outputs stay as they are when one leaves, as no RT-DAC board is known to do anything else.
+    The host's end is kept open here too, so that it stays in raw mode between two hosts and never looks unplugged.
+    `link`, if given, becomes a symbolic link to it. Raises BoardError if there can be none.
+    """
+
+    def __init__(self, stream: ByteStream, link: Path | None = None) -> None:
+        self.lost_bytes = 0
+        """Bytes of answers that found no room, as nobody reads them."""
+        self._stream = stream
+        self._link = link
+        self._closed = False
+        self._busy_until_s = 0.0
+        self._board, self._host = os.openpty()
+        tty.setraw(self._host)
+        os.set_blocking(self._board, False)
+        self.name = os.ttyname(self._host)
+        if link is not None:
+            try:
+                _point(link, self.name)
+            except BoardError:
+                self.hang_up()
+                raise
+        self._poll = select.poll()
+        self._poll.register(self._board, select.POLLIN)
+
+    def serve(self, each_step: Callable[[], None] = lambda: None) -> None:
+        """Serve until `close` is called or an exception ends it; then the port is gone, for its host an unplug.
+
+        `each_step` is called some hundred times a second.
+        """
+        try:
+            while not self._closed:
+                self.step()
+                each_step()
+        finally:
+            self.hang_up()
+
+    def close(self) -> None:
+        """End `serve`, from any thread or signal handler."""
+        self._closed = True
+
+    def step(self) -> None:
+        """Wait a moment for something to do, and do it."""
+        now = time.monotonic()
+        if self._poll.poll(_CATCH_UP_MS if now < self._busy_until_s else _IDLE_MS):
+            self._busy_until_s = now + _BUSY_S
+            self._answer(self._stream.feed(os.read(self._board, _CHUNK)))
+        self._stream.face.device.catch_up()
+
+    def _answer(self, answer: bytes) -> None:
+        sent = 0
+        with suppress(BlockingIOError):
+            while sent < len(answer):
+                sent += os.write(self._board, answer[sent:])
+        self.lost_bytes += len(answer) - sent
+
+    def hang_up(self) -> None:
+        """Take the port away, for who does not `serve`."""
+        if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.name:
+            self._link.unlink()
+        os.close(self._board)
+        os.close(self._host)
+
+
+def _point(link: Path, name: str) -> None:
+    """Make `link` a symbolic link to the terminal `name`; one that an earlier board has left is replaced."""
+    try:
+        if link.is_symlink() and str(link.readlink()).startswith(_TERMINALS):
+            link.unlink()
+        link.symlink_to(name)
+    except OSError as error:
+        raise BoardError(f"{link}: no symbolic link to {name} can be made there: {error.strerror}") from error

@@ -1,0 +1,452 @@
+"""Benches: a board, the mock device at its far end, and between them a link that fails when a test says so."""
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from itertools import count
+from typing import ClassVar
+
+from firmware_protocol import rtdac_usb, rtdac_usb2
+from inteco_abs.boards import InProcessLink, Link, SocketLink, board_behind
+from inteco_abs.boards.serial_link import SerialLink
+from inteco_abs.config import load_config
+from inteco_abs.errors import LinkError
+from inteco_abs.mock_board import ByteStream, Device, Face, PtyServer, SocketServer, face_of
+from inteco_abs.signals import Command, Sample
+
+BENCHES_OF_A_TEST = 8
+COUNTER_RANGE = 1 << 32
+
+
+def two_complement(count: int) -> int:
+    return (count + COUNTER_RANGE // 2) % COUNTER_RANGE - COUNTER_RANGE // 2
+
+
+class HandClock:
+    """Time that moves only when a test moves it."""
+
+    def __init__(self) -> None:
+        self.time_ns = 5_000_000_321
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+    def advance(self, duration_ns: int) -> None:
+        self.time_ns += duration_ns
+
+
+class SteeredDevice(Device):
+    """The mock device, whose counters a test may set."""
+
+    shown: tuple[int, int] | None = None
+
+    def show(self, wheel: int, road: int) -> None:
+        self.shown = (two_complement(road), two_complement(wheel))
+
+    def counts(self) -> tuple[int, int]:
+        return super().counts() if self.shown is None else self.shown
+
+
+class MoodyFace:
+    """The mock's face. Deaf, it ignores settings; an answer can come late, even later, or twice."""
+
+    def __init__(self, face: Face, request: bytes) -> None:
+        self.face = face
+        self.device = face.device
+        self.rejected = 0
+        self.deaf = False
+        self.ignored = 0
+        self.next_answer = "in time"
+        self._request = request
+        self._queue: list[bytes] = []
+        self._held: list[bytes] = []
+
+    def bulk_out(self, data: bytes | bytearray) -> None:
+        if data == self._request:
+            self._queue += self._held
+            self._held.clear()
+        if self.deaf and len(data) > len(self._request):
+            self.ignored += 1
+        else:
+            self.face.bulk_out(data)
+
+    def bulk_in(self, length: int) -> bytes:
+        mood, self.next_answer = self.next_answer, "in time"
+        answer = self.face.bulk_in(length)
+        if mood == "after the next request":
+            self._held.append(answer)
+        elif answer:
+            self._queue += [answer, answer] if mood == "twice" else [answer]
+        return self._queue.pop(0) if self._queue and not mood.startswith("after") else b""
+
+
+class FaultyLink(Link):
+    """Hands every message on, keeps a copy of it, and fails when told to; `failed` counts the failures."""
+
+    def __init__(self, inner: Link, request: bytes) -> None:
+        self.written: list[bytes] = []
+        self.closed = False
+        self.failed = 0
+        self.operations = 0
+        self.unplugged = False
+        self.before_operation: Callable[[int], None] = lambda _number: None
+        self.change_answer: Callable[[bytes], bytes] = bytes
+        self.change_next_answer: Callable[[bytes], bytes] | None = None
+        self.refuse_next: str | None = None
+        self._inner = inner
+        self._request = request
+
+    def write(self, data: bytes | bytearray) -> None:
+        self._count()
+        message = "request" if data == self._request else "send"
+        if self.refuse_next == message:
+            self.refuse_next = None
+            self._fail()
+        self.written.append(bytes(data))
+        self._inner.write(data)
+
+    def read(self, length: int) -> bytes:
+        self._count()
+        answer = self._inner.read(length)
+        if self.refuse_next == "answer":
+            self.refuse_next = None
+            self._fail()
+        if self.change_next_answer is not None:
+            change, self.change_next_answer = self.change_next_answer, None
+            self.failed += 1
+            answer = change(answer)
+        return self.change_answer(answer)
+
+    def close(self) -> None:
+        self.closed = True
+        self._inner.close()
+
+    def _count(self) -> None:
+        number, self.operations = self.operations, self.operations + 1
+        if self.unplugged:
+            self._fail()
+        self.before_operation(number)
+
+    def _fail(self) -> None:
+        self.failed += 1
+        raise LinkError("the cable is unplugged")
+
+
+def _flipped(offset: int) -> Callable[[bytes], bytes]:
+    return lambda answer: answer[:offset] + bytes([answer[offset] ^ 1]) + answer[offset + 1 :]
+
+
+WAYS_TO_FAIL = (
+    "short answer",
+    "empty answer",
+    "wrong header",
+    "wrong echo of the drive",
+    "wrong echo of the brake",
+    "no answer",
+    "command not delivered",
+    "request not delivered",
+)
+
+
+class FrameBench:
+    """A board that is written to and read in frames, over the in-process link to its mock.
+
+    `settings` are those of `load_config`, `earlier` the outputs as an earlier program left them. Which board it is,
+    and what its frames look like, say the attributes of the classes below.
+    """
+
+    link_type = FaultyLink
+    profile: ClassVar[str]
+    real_profile: ClassVar[str]
+    """Shipped for the real board, and signed by nobody."""
+    wiring: ClassVar[tuple[str, ...]] = ()
+    """Settings that make the profile this bench's."""
+    identity: ClassVar[tuple[int, str, str]]
+    """What the device says of itself: logic version, name and date."""
+    channels: ClassVar[int]
+    """PWM channels."""
+    both_on: ClassVar[dict[str, int]]
+    """Outputs as an earlier program may leave them: drive and brake at full duty."""
+    request: ClassVar[bytes]
+    messages_of_safe = 1
+    """That the link fails with, when nothing gets through any more."""
+    untrusted: ClassVar[dict[str, tuple[list[str], tuple[str, ...]]]]
+    """Settings with which the board must not be driven, and words of the reason."""
+    echoes: ClassVar[tuple[int, int]]
+    """Bytes of the answer that repeat the widths of drive and brake."""
+
+    def __init__(self, *settings: str, earlier: dict[str, int] | None = None, seed: int = 0) -> None:
+        own = load_config(settings=self.wiring, profile=self.profile).board
+        self.config = load_config(settings=[*self.wiring, *settings], profile=self.profile)
+        self.clock = HandClock()
+        board = self.config.board.model_copy(update={"logic_version": own.logic_version})
+        self.device = SteeredDevice(self.config.model_copy(update={"board": board}), self.clock.now_ns, seed)
+        face = face_of(self.device)
+        if earlier is not None:
+            face.bulk_out(self.encode(earlier))
+        self.face = MoodyFace(face, self.request)
+        self.plug_in()
+
+    @staticmethod
+    def encode(settings: dict[str, int]) -> bytes:
+        """The frame with these settings."""
+        raise NotImplementedError
+
+    @staticmethod
+    def decode(frame: bytes) -> dict[str, int]:
+        """Settings of a frame."""
+        raise NotImplementedError
+
+    def plug_in(self) -> None:
+        """A new host: link and board of its own; the device stays as it is."""
+        self.link = self.link_type(self._connect(), self.request)
+        self.board = board_behind(self.link, self.config, self.clock.now_ns)
+
+    def die(self) -> None:
+        """The host is gone, without a word to the board."""
+        self.link.close()
+
+    def _connect(self) -> Link:
+        return InProcessLink(self.face)
+
+    @property
+    def acts(self) -> list[str]:
+        """What was done to the device so far: "read" and "send", in order."""
+        return ["read" if message == self.request else "send" for message in self.link.written]
+
+    @property
+    def only_read(self) -> bool:
+        """Whether the board was asked something, and nothing was written to it but that."""
+        return set(self.acts) == {"read"}
+
+    @property
+    def frames_sent(self) -> list[bytes]:
+        """Settings written so far, as they went over the link."""
+        return [message for message in self.link.written if message != self.request]
+
+    @property
+    def settings_sent(self) -> list[dict[str, int]]:
+        """Settings written so far."""
+        return [self.decode(frame) for frame in self.frames_sent]
+
+    def settings_in(self, image: bytes) -> dict[str, int]:
+        """Settings that a safe image stands for, unnumbered."""
+        return self.unnumbered(self.decode(image))
+
+    def unnumbered(self, settings: dict[str, int]) -> dict[str, int]:
+        """Settings without the number that each frame carries."""
+        number = f"pwm{self.config.board.numbering_pwm}_prescaler"
+        return {name: value for name, value in settings.items() if name != number}
+
+    def read_along(self) -> None:
+        """Another program asks the device, and nobody fetches the answer."""
+        self.face.bulk_out(self.request)
+
+    def exchange(self, drive: float = 0.0, brake: float = 0.0, periods: float = 1.0) -> Sample:
+        """One exchange, `periods` after the last one."""
+        self.clock.advance(round(periods * self.config.period_ns))
+        return self.board.exchange(Command(drive, brake))
+
+    def spin_up(self, exchanges: int = 100) -> Sample:
+        """Newest sample after driving at full duty."""
+        for _ in range(exchanges):
+            sample = self.exchange(1.0, 0.0)
+        return sample
+
+    def fail_next(self, way: str) -> None:
+        """Make the next exchange fail in one of `WAYS_TO_FAIL`."""
+        changes = {
+            "short answer": lambda answer: answer[:-1],
+            "empty answer": lambda _answer: b"",
+            "wrong header": _flipped(2),
+            "wrong echo of the drive": _flipped(self.echoes[0]),
+            "wrong echo of the brake": _flipped(self.echoes[1]),
+        }
+        refusals = {"no answer": "answer", "command not delivered": "send", "request not delivered": "request"}
+        self.link.change_next_answer = changes.get(way)
+        self.link.refuse_next = refusals.get(way)
+
+    def strike(self, errors: dict[int, BaseException]) -> list[int]:
+        """Raise each error at the link's use of that number, from 0; the list is of those that it has come to."""
+        reached: list[int] = []
+
+        def before_operation(number: int) -> None:
+            if number in errors:
+                reached.append(number)
+                raise errors[number]
+
+        self.link.before_operation = before_operation
+        return reached
+
+    def unplug(self) -> None:
+        """Nothing gets through any more."""
+        self.link.unplugged = True
+
+    def ignore_commands(self) -> None:
+        """From now on the device answers and does not do what it is told."""
+        self.face.deaf = True
+
+
+def _untrusted(
+    identity: tuple[int, str, str], another_logic: tuple[str, ...]
+) -> dict[str, tuple[list[str], tuple[str, ...]]]:
+    version, name, _ = identity
+    return {
+        "another logic version": ([*another_logic], (f"0x{version:04X}", "was made for 0x01")),
+        "another application name": (
+            ['board.application_names=["ABSRIG", "ABSOLD"]'],
+            (name, "ABSRIG", "ABSOLD"),
+        ),
+        "no application name known": (["board.application_names=[]"], (name, "none")),
+        "an unsigned profile": (['board.verified_by=""'], ("verified_by",)),
+    }
+
+
+class Usb2Bench(FrameBench):
+    """An RT-DAC/USB2."""
+
+    profile, real_profile = "sim_usb2", "usb2_generic_0103"
+    identity = (0x0103, "ABSSIM", "20260101")
+    untrusted = _untrusted(identity, ("board.logic_version=0x0111",))
+    channels = 8
+    both_on: ClassVar = {"pin_mode": 1 << 2 | 1 << 5, "pin_direction": 0, "pwm0_width": 255, "pwm1_width": 255}
+    request = rtdac_usb2.READ_REQUEST
+    echoes = (44, 50)
+    encode = staticmethod(rtdac_usb2.encode_send)
+    decode = staticmethod(rtdac_usb2.decode_send)
+
+
+class Usb0111Bench(FrameBench):
+    """An RT-DAC/USB with logic 0x0111."""
+
+    profile, real_profile = "sim_usb", "usb1_0111"
+    identity = (0x0111, "ABSIM", "")
+    untrusted = _untrusted(identity, ("board.logic_version=0x0112", "board.numbering_pwm=-1"))
+    channels = 4
+    both_on: ClassVar = {"pin_mode": 0b11, "pwm0_width": 255, "pwm1_width": 255}
+    request = rtdac_usb.READ_REQUEST
+    echoes = (24, 29)
+    encode = staticmethod(partial(rtdac_usb.encode_send, logic=0x0111))
+    decode = staticmethod(partial(rtdac_usb.decode_send, logic=0x0111))
+
+
+class Usb0112Bench(Usb0111Bench):
+    """An RT-DAC/USB with logic 0x0112, which has no PWM channel to spare for numbers."""
+
+    real_profile = "usb1_0112"
+    wiring = ("board.logic_version=0x0112", "board.verified_logic=0x0112", "board.numbering_pwm=-1")
+    identity = (0x0112, "ABSIM", "")
+    untrusted = _untrusted(identity, ("board.logic_version=0x0111",))
+    channels = 2
+    encode = staticmethod(partial(rtdac_usb.encode_send, logic=0x0112))
+    decode = staticmethod(partial(rtdac_usb.decode_send, logic=0x0112))
+
+
+class PumpedLink(SocketLink):
+    """The host's end of a local socket. The board's process does its part at once, whenever there is one to do.
+
+    So time moves for both only when a test moves it; a thread for the board would move the rig whenever it liked.
+    """
+
+    def __init__(self, path: str, server: SocketServer) -> None:
+        self._server = server
+        visitor = threading.Thread(target=super().__init__, args=(path,))
+        visitor.start()
+        while visitor.is_alive():
+            server.step()
+        visitor.join()
+
+    def write(self, data: bytes | bytearray) -> None:
+        super().write(data)
+        self._server.step()
+
+    def close(self) -> None:
+        super().close()
+        while self._server.busy:
+            self._server.step()
+
+
+class PromptLink(FaultyLink):
+    """Drops late answers the way its inner link does, which for a socket is without waiting for them."""
+
+    def discard(self, length: int) -> None:
+        self._count()
+        self._inner.discard(length)
+
+
+class SocketBench(Usb2Bench):
+    """The same over a local socket, as the processes of a real-time run have it."""
+
+    link_type = PromptLink
+    _numbers = count()
+    _open: ClassVar[deque[tuple[SocketServer, SocketLink]]] = deque()
+
+    def _connect(self) -> Link:
+        if not hasattr(self, "server"):
+            self._path = f"\0inteco-abs-{os.getpid()}-{next(self._numbers)}"  # a name without a file
+            self.server = SocketServer(self.face, self._path)
+        link = PumpedLink(self._path, self.server)
+        self._open.append((self.server, link))
+        self.close_all_but(BENCHES_OF_A_TEST)
+        return link
+
+    @classmethod
+    def close_all_but(cls, newest: int) -> None:
+        """Errors that tests raise again and again keep the benches that they have met: these close by number."""
+        while len(cls._open) > newest:
+            server, link = cls._open.popleft()
+            server.close()
+            SocketLink.close(link)
+
+
+class CountingStream(ByteStream):
+    """Knows how much of what was written has arrived."""
+
+    arrived = 0
+
+    def feed(self, data: bytes | bytearray) -> bytes:
+        self.arrived += len(data)
+        return super().feed(data)
+
+
+class PumpedPort(SerialLink):
+    """The host's end of a pseudo-terminal; the board does its part at once, as in `PumpedLink`."""
+
+    def __init__(self, server: PtyServer, stream: CountingStream) -> None:
+        self._server = server
+        self._stream = stream
+        super().__init__(server.name, timeout_s=10.0)  # no test here is about time
+
+    def write(self, data: bytes | bytearray) -> None:
+        wanted = self._stream.arrived + len(data)
+        super().write(data)
+        while self._stream.arrived < wanted:
+            self._server.step()
+
+
+class PtyBench(Usb0111Bench):
+    """The same over pyserial and a pseudo-terminal."""
+
+    link_type = PromptLink
+    _open: ClassVar[deque[tuple[PtyServer, list[SerialLink]]]] = deque()
+
+    def _connect(self) -> Link:
+        if not hasattr(self, "server"):
+            self.stream = CountingStream(self.face)
+            self.server = PtyServer(self.stream)
+            self._links: list[SerialLink] = []
+            self._open.append((self.server, self._links))
+            self.close_all_but(BENCHES_OF_A_TEST)
+        self._links.append(PumpedPort(self.server, self.stream))
+        return self._links[-1]
+
+    @classmethod
+    def close_all_but(cls, newest: int) -> None:
+        """As for sockets: a terminal has two descriptors here, and a port five."""
+        while len(cls._open) > newest:
+            server, links = cls._open.popleft()
+            for link in links:
+                link.close()
+            server.hang_up()

@@ -1,0 +1,294 @@
+"""Benches of the RT-DAC4/PCI: as messages to the mock, and by a double of the files under /sys."""
+
+from collections import deque
+from collections.abc import Callable
+from itertools import count, groupby
+from pathlib import Path
+from typing import ClassVar
+
+from benches import BENCHES_OF_A_TEST, FrameBench, HandClock, SteeredDevice
+from pci_bus import LiveRegisters, add_board
+
+from firmware_protocol.register_messages import decode_answer, decode_request, encode_answer, encode_request
+from firmware_protocol.registers import Write
+from firmware_protocol.rtdac_pci import ENCODER_INDEX, ENCODER_RESET, LOGIC, PWM_INDEX, PWM_WIDTH
+from inteco_abs.boards import InProcessLink, Link, LinkedRegisters, Registers, RtdacPci, SysfsRegisters
+from inteco_abs.config import load_config
+from inteco_abs.errors import LinkError
+from inteco_abs.mock_board import PciFace
+
+INDEXES = (PWM_INDEX.offset, ENCODER_INDEX.offset)
+ALL_ONES = 0xFFFFFFFF
+
+
+class MoodyRegisters:
+    """The mock's registers. Deaf, they take no setting; the index registers, which reading needs, go on working."""
+
+    def __init__(self, face: PciFace) -> None:
+        self.face = face
+        self.device = face.device
+        self.deaf = False
+        self._ignored_widths = 0
+
+    @property
+    def ignored(self) -> int:
+        """Commands: each is two widths."""
+        return self._ignored_widths // 2
+
+    def bulk_out(self, data: bytes | bytearray) -> None:
+        number, steps = decode_request(data)
+        if self.deaf:
+            self._ignored_widths += sum(is_width(step) for step in steps)
+            steps = [step for step in steps if not is_setting(step)]
+        self.face.bulk_out(encode_request(number, steps))
+
+    def bulk_in(self, length: int) -> bytes:
+        return self.face.bulk_in(length)
+
+
+def is_index(step: Write | int) -> bool:
+    return isinstance(step, Write) and step.offset in INDEXES
+
+
+def is_setting(step: Write | int) -> bool:
+    return isinstance(step, Write) and step.offset not in INDEXES
+
+
+def is_width(step: Write | int) -> bool:
+    return isinstance(step, Write) and step.offset == PWM_WIDTH.offset
+
+
+class RegisterLink(Link):
+    """As `FaultyLink`, for accesses to registers.
+
+    What is to go wrong with an answer goes wrong with that which has the logic's version: there is one in an exchange.
+    """
+
+    def __init__(self, inner: Link) -> None:
+        self.written: list[bytes] = []
+        self.closed = False
+        self.failed = 0
+        self.operations = 0
+        self.unplugged = False
+        self.before_operation: Callable[[int], None] = lambda _number: None
+        self.change_answer: Callable[[bytes], bytes] = bytes
+        self.change_next_answer: Callable[[bytes], bytes] | None = None
+        self.change_next_value: tuple[tuple[int, int | None], Callable[[int], int]] | None = None
+        self.refuse_next: Callable[[Write | int], bool] | None = None
+        self._inner = inner
+        self._selected: dict[int, int] = {}
+        self._asked: list[tuple[int, int | None]] = []
+
+    def write(self, data: bytes | bytearray) -> None:
+        self._count()
+        _, steps = decode_request(data)
+        if self.refuse_next is not None and any(map(self.refuse_next, steps)):
+            self.refuse_next = None
+            self._fail()
+        self.written.append(bytes(data))
+        self._asked = []
+        for step in steps:
+            if isinstance(step, Write):
+                self._selected[step.offset] = step.value
+            else:
+                index = PWM_INDEX.offset if step == PWM_WIDTH.offset else None
+                self._asked.append((step, self._selected.get(index)))
+        self._inner.write(data)
+
+    def read(self, length: int) -> bytes:
+        self._count()
+        answer = self._changed(self._inner.read(length))
+        if (LOGIC.offset, None) not in self._asked:
+            return answer
+        if self.change_next_answer is not None:
+            change, self.change_next_answer = self.change_next_answer, None
+            self.failed += 1
+            answer = change(answer)
+        return self.change_answer(answer)
+
+    def close(self) -> None:
+        self.closed = True
+        self._inner.close()
+
+    def _changed(self, answer: bytes) -> bytes:
+        which, change = self.change_next_value or (None, int)
+        if which not in self._asked:
+            return answer
+        self.change_next_value = None
+        self.failed += 1
+        number, values = decode_answer(answer)
+        at = self._asked.index(which)
+        return encode_answer(number, [*values[:at], change(values[at]), *values[at + 1 :]])
+
+    def _count(self) -> None:
+        number, self.operations = self.operations, self.operations + 1
+        if self.unplugged:
+            self._fail()
+        self.before_operation(number)
+
+    def _fail(self) -> None:
+        self.failed += 1
+        raise LinkError("the cable is unplugged")
+
+
+class PciBench:
+    """An RT-DAC4/PCI, its accesses as messages over the in-process link to the mock."""
+
+    identity = (0x050F, "", "")
+    real_profile = "pci_abs_50f"
+    channels = 2
+    messages_of_safe = 2
+    both_on: ClassVar = {"pwm0_width": 255, "pwm1_width": 255}
+    untrusted: ClassVar = {
+        "another logic version": (["board.logic_version=0x0510"], ("0x050F", "0x0510")),
+        # it tells no name: the nearest are other things that a profile says of the board
+        "another application name": (["board.verified_logic=0x0510"], ("0x050F", "0x0510")),
+        "no application name known": (['board.read_only="not wired yet"'], ("not wired yet",)),
+        "an unsigned profile": (['board.verified_by=""'], ("verified_by",)),
+    }
+
+    def __init__(self, *settings: str, earlier: dict[str, int] | None = None, seed: int = 0) -> None:
+        self.config = load_config(settings=settings, profile="sim_pci")
+        self.clock = HandClock()
+        self.device = SteeredDevice(self.config, self.clock.now_ns, seed)
+        own = {f"pwm{i}_{name}" for i in range(2) for name in ("mode", "prescaler", "width")} | {ENCODER_RESET.name}
+        self.device.write({name: value for name, value in (earlier or {}).items() if name in own})
+        self.face = MoodyRegisters(PciFace(self.device))
+        self.plug_in()
+
+    def plug_in(self) -> None:
+        """A new host: carrier and board of its own; the device stays as it is."""
+        self.link = RegisterLink(InProcessLink(self.face))
+        self.board = RtdacPci(self._carrier(), self.config.board, self.clock.now_ns, self.config.period_ns)
+
+    def die(self) -> None:
+        """The host is gone, without a word to the board."""
+        self.link.close()
+
+    def _carrier(self):
+        return LinkedRegisters(self.link)
+
+    @property
+    def steps(self) -> list[Write | int]:
+        """All accesses so far, in order."""
+        return [step for message in self.link.written for step in decode_request(message)[1]]
+
+    @property
+    def acts(self) -> list[str]:
+        """What was done to the device so far, "read" and "send" in turn; which channel is asked for is neither."""
+        kinds = ["send" if is_setting(step) else "read" for step in self.steps if not is_index(step)]
+        return [kind for kind, _ in groupby(kinds)]
+
+    @property
+    def only_read(self) -> bool:
+        """Whether the board was asked something, and nothing was written but which channel is asked for."""
+        return self.acts == ["read"]
+
+    @property
+    def settings_sent(self) -> list[dict[str, int]]:
+        """What the host had written, after each width that it wrote."""
+        known, sent, channel = {"pwm0_width": 0, "pwm1_width": 0}, [], 0
+        for step in self.steps:
+            if isinstance(step, Write) and step.offset == PWM_INDEX.offset:
+                channel = step.value
+            elif is_width(step):
+                known[f"pwm{channel}_width"] = step.value
+                sent.append(dict(known))
+        return sent
+
+    @staticmethod
+    def settings_in(image: bytes) -> dict[str, int]:
+        """Widths that a safe image sets."""
+        words = [int.from_bytes(image[at : at + 4], "little") for at in range(0, len(image), 4)]
+        assert words[::4] == [PWM_INDEX.offset] * 2
+        assert words[2::4] == [PWM_WIDTH.offset] * 2
+        return {f"pwm{channel}_width": width for channel, width in zip(words[1::4], words[3::4], strict=True)}
+
+    @staticmethod
+    def unnumbered(settings: dict[str, int]) -> dict[str, int]:
+        """Accesses to registers carry no number that stays."""
+        return settings
+
+    def read_along(self) -> None:
+        """Another program asks the device, and nobody fetches the answer."""
+        self.face.bulk_out(encode_request(0, [LOGIC.offset]))
+
+    exchange = FrameBench.exchange
+    spin_up = FrameBench.spin_up
+    strike = FrameBench.strike
+    unplug = FrameBench.unplug
+    ignore_commands = FrameBench.ignore_commands
+
+    def fail_next(self, way: str) -> None:
+        """Make the next exchange fail in one of `WAYS_TO_FAIL`, or in what comes nearest to it on a bus."""
+        drive, brake, version = (PWM_WIDTH.offset, 0), (PWM_WIDTH.offset, 1), (LOGIC.offset, None)
+        answers = {"short answer": lambda answer: answer[:-1], "empty answer": lambda _answer: b""}
+        values = {
+            "wrong header": (version, lambda value: value ^ 1),
+            "no answer": (version, lambda _value: ALL_ONES),
+            "wrong echo of the drive": (drive, lambda value: value ^ 1),
+            "wrong echo of the brake": (brake, lambda value: value ^ 1),
+        }
+        refusals = {"command not delivered": is_width, "request not delivered": lambda step: step == LOGIC.offset}
+        self.link.change_next_answer = answers.get(way)
+        self.link.change_next_value = values.get(way)
+        self.link.refuse_next = refusals.get(way)
+
+
+class StepwiseRegisters(LinkedRegisters):
+    """One message for each access, as on a bus."""
+
+    run = Registers.run
+
+    def read(self, offset):
+        return LinkedRegisters.run(self, (offset,))[0]
+
+    def write(self, offset, value):
+        LinkedRegisters.run(self, (Write(offset, value),))
+
+
+class StepwisePciBench(PciBench):
+    """An RT-DAC4/PCI whose accesses fail one by one."""
+
+    def _carrier(self):
+        return StepwiseRegisters(self.link)
+
+
+class WatchedRegisters(SysfsRegisters):
+    """Tells the link behind the double when the host lets go of the board."""
+
+    link: RegisterLink
+
+    def close(self) -> None:
+        super().close()
+        self.link.close()
+
+
+class SysfsBench(PciBench):
+    """The same as a computer has it, by files under /sys; the double behind them answers from the mock."""
+
+    live = LiveRegisters()
+    folder: Path
+    _numbers = count()
+    _open: ClassVar[deque[SysfsRegisters]] = deque()
+
+    def _carrier(self):
+        if not hasattr(self, "root"):
+            self.root = self.folder / str(next(self._numbers))
+            self._board_folder = add_board(self.root)
+        self.live.connect(self._board_folder, self.link)
+        self.registers = WatchedRegisters(root=self.root)
+        self.registers.link = self.link
+        self._open.append(self.registers)
+        self.close_all_but(BENCHES_OF_A_TEST)
+        return self.registers
+
+    def die(self) -> None:
+        """The kernel closes what the host had open."""
+        self.registers.close()
+
+    @classmethod
+    def close_all_but(cls, newest: int) -> None:
+        """As for `SocketBench`: tests that do not enter the board do not leave it either."""
+        while len(cls._open) > newest:
+            cls._open.popleft().close()
