@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
@@ -39,6 +39,15 @@ class Identity(NamedTuple):
         return f"logic 0x{self.logic_version:04X} {self.application_name!r} of {self.synthesis_date}"
 
 
+class Survey(NamedTuple):
+    """What one reading of a board says, decoded and as it came."""
+
+    values: Mapping[str, int | str]
+    """By field name, as the board tells them: counters with no sign or wrap of the wiring's applied."""
+    raw: bytes
+    """The frame, or the registers one after the other."""
+
+
 class Board(ABC):
     """A board with the rig on it; a context manager.
 
@@ -66,6 +75,17 @@ class Board(ABC):
     @abstractmethod
     def identify(self) -> Identity:
         """Ask the board what it is; reads only. Raises LinkError if it does not answer in its protocol."""
+
+    @abstractmethod
+    def survey(self, names: Collection[str] = ()) -> Survey:
+        """Read an entered board once, outputs and trust aside: the named fields, or all; writes nothing.
+
+        Raises LinkError if the board does not answer in its protocol, BoardError if it has no field of such a name.
+        """
+
+    def link_facts(self) -> dict[str, str]:
+        """What the link tells of the board besides its frames, for the record; reads only. Raises LinkError."""
+        return {}
 
     @abstractmethod
     def _take_over(self) -> None:
