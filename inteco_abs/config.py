@@ -200,6 +200,15 @@ class SimulationConfig(_Section):
     parameters: Literal["mask", "table"] = "mask"
     brake_rate_per_s: Annotated[float, Field(ge=1.0, le=1e6)] = 20.37
     """Rate of the brake actuator's lag."""
+    drive_pwm: Annotated[int, Field(ge=0, le=7)] = 0
+    """How the simulated rig is really wired, whatever [board] believes; by default as the vendor's PCI version."""
+    brake_pwm: Annotated[int, Field(ge=0, le=7)] = 1
+    road_encoder: Annotated[int, Field(ge=0, le=7)] = 0
+    wheel_encoder: Annotated[int, Field(ge=0, le=7)] = 1
+    road_sign: Literal[1, -1] = 1
+    wheel_sign: Literal[1, -1] = 1
+    counts_per_turn: Annotated[int, Field(ge=256, le=1_000_000)] | None = None
+    """Of the simulated encoders; not given: what `encoders.counts_per_turn` believes."""
 
 
 class RigConfig(_Section):
@@ -378,6 +387,8 @@ _PAIRS: Final = (
     _Pair("board.drive_pwm", "board.numbering_pwm", operator.ne, "must be another PWM channel than"),
     _Pair("board.brake_pwm", "board.numbering_pwm", operator.ne, "must be another PWM channel than"),
     _Pair("board.wheel_encoder", "board.road_encoder", operator.ne, "must be another encoder than"),
+    _Pair("simulation.brake_pwm", "simulation.drive_pwm", operator.ne, "must be another PWM channel than"),
+    _Pair("simulation.wheel_encoder", "simulation.road_encoder", operator.ne, "must be another encoder than"),
 )
 
 
