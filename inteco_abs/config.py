@@ -256,13 +256,22 @@ def load_config(
     mistakes: list[Mistake] = []
     table = _read(file) if file is not None else {}
     for setting in settings:
-        mistakes.extend(_apply(table, setting))
+        mistakes.extend(apply_setting(table, setting))
     name = table.setdefault("profile", profile)
     below = _profile(name, mistakes)
     merged = _merge(below, table)
     if not (name in profiles() and name.startswith(_SIMULATED)):
         _void_signature(below, table, merged)
     return _validate(merged, checks, mistakes)
+
+
+def read_profile(name: str) -> Table:
+    """What a shipped profile or a .toml file says, before defaults; raises ConfigError if there is none."""
+    mistakes: list[Mistake] = []
+    table = _profile(name, mistakes)
+    if mistakes:
+        raise ConfigError(mistakes)
+    return table
 
 
 def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
@@ -305,8 +314,8 @@ def _read(file: Path) -> Table:
         raise ConfigError([Mistake(str(file), f"is not TOML: {error}")]) from error
 
 
-def _apply(table: Table, setting: str) -> list[Mistake]:
-    """Put one `key=value` into `table`; the value is TOML, or a bare word."""
+def apply_setting(table: Table, setting: str) -> list[Mistake]:
+    """Put one `key=value` into `table`; the value is TOML, or a bare word. Gives back what is wrong with it."""
     key, equals, text = setting.partition("=")
     path = key.strip().split(".")
     if not equals or not all(path) or "\n" in setting:
@@ -346,6 +355,12 @@ def _merge(below: Table, above: Table) -> Table:
         inner = merged.get(key)
         merged[key] = _merge(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
     return merged
+
+
+def wiring_of(table: Table) -> Table:
+    """What a configuration says of `WIRING` and of the logic that it is for, and nothing else."""
+    stated = _wiring(table)
+    return {key: stated[key] for key in (*WIRING, "logic_version", "application_names") if key in stated}
 
 
 def _void_signature(profile: Table, above: Table, merged: Table) -> None:
