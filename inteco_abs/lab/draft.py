@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
@@ -27,6 +28,8 @@ from inteco_abs.errors import ConfigError, Mistake
 
 _SCHEMA: Final = 1
 _SIGNATURE: Final = ("verified_by", "verified_on", "verified_logic")
+_LOGIC: Final = re.compile(r"^((?:logic_version|verified_logic) = )(\d+)$", re.MULTILINE)
+"""Known to everybody in hex."""
 _HEADING: Final = """\
 # Profile of one rig, written by `inteco-abs probe`; comments of your own are not kept when it goes on.
 # To use it: inteco-abs run --board ADDRESS --set profile={name}
@@ -137,7 +140,8 @@ class Draft:
 
     def _save_profile(self) -> None:
         parse_config(tomli_w.dumps(self._table))  # nothing that a run could not use gets into the file
-        _replace(self.file, _HEADING.format(name=self.file.name) + tomli_w.dumps(self._table))
+        text = _LOGIC.sub(lambda found: f"{found[1]}0x{int(found[2]):04X}", tomli_w.dumps(self._table))
+        _replace(self.file, _HEADING.format(name=self.file.name) + text)
 
     def _save_results(self) -> None:
         _replace(self.results_file, json.dumps(self._results, indent=2, allow_nan=False) + "\n")

@@ -15,6 +15,8 @@ BRAKE_LIMIT: Final = 0.7
 """The vendor's own, for its brake supply's sake."""
 SPEED_LIMIT_RAD_S: Final = 60.0
 """A quarter of the rig's limit."""
+_RATE_HZ: Final = 100.0
+"""Often enough for slow wheels, and no strain for a program without a real-time loop's rights."""
 
 
 def outputs_permitted(visit: Visit, request: str, phrase: str) -> RigConfig:
@@ -38,6 +40,11 @@ def outputs_permitted(visit: Visit, request: str, phrase: str) -> RigConfig:
         "brake_limit": min(BRAKE_LIMIT, guard.brake_limit),
         "over_speed_rad_s": min(SPEED_LIMIT_RAD_S, guard.over_speed_rad_s),
     }
+    slowly = {"rate_hz": min(_RATE_HZ, config.loop.rate_hz)}
     return config.model_copy(
-        update={"board": board.model_copy(update=signature), "guard": guard.model_copy(update=limits)}
+        update={
+            "board": board.model_copy(update=signature),
+            "guard": guard.model_copy(update=limits),
+            "loop": config.loop.model_copy(update=slowly),
+        }
     )

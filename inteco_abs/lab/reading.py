@@ -38,6 +38,17 @@ def insist_on_outputs_off(board: Board) -> None:
         )
 
 
+def insist_on_same_board(board: Board, config: RigConfig) -> None:
+    """Raise ProbeError if an entered board is not the one whose header is in the draft."""
+    identity, wiring = board.identity, config.board
+    if (
+        identity is None
+        or identity.logic_version != wiring.logic_version
+        or (wiring.kind != "pci" and identity.application_name not in wiring.application_names)
+    ):
+        raise ProbeError(f"this board ({identity}) is not the one that the draft was begun with: --redo header")
+
+
 def read_patiently(board: Board, names: Collection[str]) -> dict[str, int]:
     """The named numbers; a few failed readings in a row are forgiven. Raises LinkError after four."""
     failures = 0

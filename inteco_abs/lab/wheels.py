@@ -8,7 +8,7 @@ from inteco_abs.boards import Board
 from inteco_abs.errors import ProbeError
 from inteco_abs.lab.bench import TURNS, Wheel
 from inteco_abs.lab.person import agree, ask_for, wait_for
-from inteco_abs.lab.reading import insist_on_outputs_off, open_for_reading
+from inteco_abs.lab.reading import insist_on_outputs_off, insist_on_same_board, open_for_reading
 from inteco_abs.lab.step import Facts, Visit, today
 from inteco_abs.lab.turning import USUAL_COUNTS, Turned, Unclear, counts_per_turn, watch
 
@@ -34,6 +34,7 @@ def turn_wheels(visit: Visit) -> Facts:
         "other."
     )
     with open_for_reading(visit) as board:
+        insist_on_same_board(board, visit.draft.config)
         insist_on_outputs_off(board)
         wheel = _turn(visit, board, "wheel", None)
         road = _turn(visit, board, "road", wheel)
