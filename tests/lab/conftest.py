@@ -32,7 +32,7 @@ ODD = (
 )
 
 
-class Gone(Exception):
+class NoAnswerLeftError(Exception):
     """There are no more answers."""
 
 
@@ -53,7 +53,7 @@ class ScriptedPerson:
     def ask(self, question: str) -> str:
         self.asked.append(question)
         if not self.answers:
-            raise Gone(question)
+            raise NoAnswerLeftError(question)
         answer = self.answers.pop(0)
         if isinstance(answer, BaseException):
             raise answer
@@ -162,8 +162,3 @@ def whole_script():
 def odd():
     """Wiring of a rig on which nothing is as the vendor's."""
     return ODD
-
-
-@pytest.fixture(scope="session")
-def gone():
-    return Gone

@@ -6,6 +6,7 @@ import pytest
 
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError
+from inteco_abs.lab import Draft
 
 
 def test_a_new_draft_can_be_used_at_once_and_is_unsigned(lab):
@@ -58,17 +59,13 @@ def test_a_wrong_setting_is_refused_and_nothing_is_written(lab):
     assert not lab.file.exists()
 
 
-def test_the_profile_of_a_draft_cannot_be_changed_in_passing(lab, tmp_path):
-    from inteco_abs.lab import Draft
-
+def test_the_profile_of_a_draft_cannot_be_changed_in_passing(lab):
     lab.session()
     with pytest.raises(ConfigError, match="was begun from usb2_generic_0103"):
         Draft.open(lab.file, "sim:", "usb1_0111", given=True)
 
 
 def test_a_draft_belongs_to_one_kind_of_board(lab):
-    from inteco_abs.lab import Draft
-
     lab.session()
     with pytest.raises(ConfigError, match="begun with the board sim:"):
         Draft.open(lab.file, "usb2:7", "usb2_generic_0103")

@@ -30,7 +30,7 @@ def test_the_dead_zone_is_found(lab, at):
 
 
 def test_a_power_interface_that_is_on_is_noticed_at_the_first_movement(lab, at):
-    walk = at("echo", switch=lambda device: lambda on: device.turn("road", 10, 5.0))
+    walk = at("echo", switch=lambda device: lambda _on: device.turn("road", 10, 5.0))
     with pytest.raises(ProbeError, match="although the power interface should be off"):
         walk.go(only="echo")
     assert lab.bench.device.duties == (0.0, 0.0)
@@ -45,14 +45,14 @@ def test_a_board_that_does_not_take_the_mode_fails_the_echo_test(lab, at):
 
 
 def test_an_emergency_switch_that_does_not_cut_is_noticed(lab, at):
-    walk = at("motors", switch=lambda device: lambda on: device.power(on=True))
+    walk = at("motors", switch=lambda device: lambda _on: device.power(on=True))
     with pytest.raises(ProbeError, match="although the emergency switch is pressed"):
         walk.go(only="motors")
     assert lab.bench.device.duties == (0.0, 0.0)
 
 
-def test_a_drive_without_power_is_noticed(lab, at):
-    walk = at("motors", switch=lambda device: lambda on: device.power(on=False))
+def test_a_drive_without_power_is_noticed(at):
+    walk = at("motors", switch=lambda device: lambda _on: device.power(on=False))
     with pytest.raises(ProbeError, match=r"no wheel moved at up to 20% drive.*--set board.drive_pwm"):
         walk.go(only="motors")
 
@@ -87,7 +87,7 @@ def test_a_wheel_that_was_turned_the_wrong_way_round_is_found_out_by_the_drive(l
 
 
 def test_wheels_that_do_not_rest_are_not_driven(lab, at):
-    walk = at("motors", switch=lambda device: lambda on: device.turn("road", 10, 60.0))
+    walk = at("motors", switch=lambda device: lambda _on: device.turn("road", 10, 60.0))
     with pytest.raises(ProbeError, match="wait until both are at rest"):
         walk.go(only="motors")
     assert lab.bench.largest == (0.0, 0.0)

@@ -7,6 +7,7 @@ import pytest
 from inteco_abs.boards import Board
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError, ProbeError, Stopped
+from inteco_abs.lab import MockBench
 
 STEPS = ["list", "header", "reads", "wheels", "echo", "motors", "sign"]
 
@@ -151,3 +152,48 @@ def test_a_step_that_failed_says_what_to_do(lab):
     kept = json.loads(lab.draft.results_file.read_text())["steps"]["echo"]
     assert kept["outcome"] == "failed"
     assert "whatever" in kept["problem"]
+
+
+class StoppedClock:
+    """Real time, as far as the bench knows."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.slept_s: list[float] = []
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.slept_s.append(seconds)
+        self.now_s += seconds
+
+
+class TestTimeOfTheMock:
+    @pytest.fixture
+    def clock(self, monkeypatch):
+        clock = StoppedClock()
+        monkeypatch.setattr("inteco_abs.lab.mock_bench.time", clock)
+        return clock
+
+    def test_virtual_time_waits_for_nothing(self, clock):
+        bench = MockBench(load_config(), virtual=True)
+        bench.pause(5.0)
+        assert (bench.now_ns(), clock.slept_s) == (5_000_000_000, [])
+
+    def test_otherwise_it_is_never_ahead_of_real_time(self, clock):
+        bench = MockBench(load_config(), virtual=False)
+        bench.pause(0.5)
+        clock.now_s += 0.2  # something else took a while
+        bench.pause(0.5)
+        bench.pause(0.5)
+        assert clock.slept_s[-2:] == pytest.approx([0.3, 0.5])
+        assert bench.now_ns() == 1_500_000_000
+
+    def test_a_long_question_is_not_made_up_for(self, clock):
+        bench = MockBench(load_config(), virtual=False)
+        bench.pause(0.5)
+        clock.now_s += 60.0
+        bench.pause(0.5)
+        bench.pause(0.5)
+        assert clock.slept_s[-1] == pytest.approx(0.5)

@@ -106,7 +106,7 @@ def test_an_unusual_number_that_is_not_certain_is_counted_again(lab, at_wheels):
     assert lab.draft.config.encoders.counts_per_turn == 4096
 
 
-def test_two_different_numbers_are_refused(lab, at_wheels):
+def test_two_different_numbers_are_refused(at_wheels):
     with pytest.raises(ProbeError, match="4096 counts per turn on the upper wheel, 2048 on the lower"):
         at_wheels(["", "", "10"], UPPER, ("road", 5, True)).go(only="wheels")
 
