@@ -18,14 +18,19 @@ if TYPE_CHECKING:
 class _Terminal:
     """Talks on stderr and hears stdin, a terminal or a file of answers."""
 
+    def __init__(self) -> None:
+        self._showing = False
+
     def tell(self, text: str) -> None:
         """One paragraph."""
-        click.echo(text, err=True)
+        click.echo(f"\n{text}" if self._showing else text, err=True)
+        self._showing = False
 
     def show(self, text: str) -> None:
         """Over the line before, on a terminal only."""
         if sys.stderr.isatty():
             click.echo(f"\r\033[K  {text}", nl=False, err=True)
+            self._showing = True
 
     def ask(self, question: str) -> str:
         """One line; the end of the input is an interruption."""

@@ -83,10 +83,6 @@ class Board(ABC):
         Raises LinkError if the board does not answer in its protocol, BoardError if it has no field of such a name.
         """
 
-    def link_facts(self) -> dict[str, str]:
-        """What the link tells of the board besides its frames, for the record; reads only. Raises LinkError."""
-        return {}
-
     @abstractmethod
     def _take_over(self) -> None:
         """Build the output image, all outputs off; reads only. Raises BoardError or LinkError."""

@@ -112,10 +112,6 @@ class FrameBoard(Board):
             raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
         return Survey(values, frame)
 
-    def link_facts(self) -> dict[str, str]:
-        """What the link tells of the board besides its frames."""
-        return self._link.facts()
-
     def _relied_on(self) -> list[Field]:
         """What outputs rest on of the frames."""
         encoders = (f"encoder{i}_count" for i in (self._wiring.wheel_encoder, self._wiring.road_encoder))

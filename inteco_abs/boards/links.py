@@ -44,10 +44,6 @@ class Link(ABC):
     def close(self) -> None:
         """Let go of the board. Writes nothing; may be called twice."""
 
-    def facts(self) -> dict[str, str]:
-        """What the link tells of the board besides its messages, as text for the record; reads only."""
-        return {}
-
     def discard(self, length: int) -> None:
         """Drop messages of at most `length` bytes that the board has sent and nobody waits for any more."""
         with suppress(LinkError):

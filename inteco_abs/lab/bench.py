@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from inteco_abs.boards import Board, open_board
 from inteco_abs.config import RigConfig
+from inteco_abs.errors import LinkError
 from inteco_abs.lab.devices import Found, found_devices
 from inteco_abs.realtime import PacedClock
 
@@ -30,6 +31,10 @@ class Bench(ABC):
     @abstractmethod
     def devices(self, config: RigConfig) -> list[Found]:
         """Boards that are there; nothing is written to any."""
+
+    def bridge(self, config: RigConfig) -> dict[str, str]:  # noqa: ARG002  not every bus has a bridge that tells
+        """What the board's bridge tells of itself besides the frames; its outputs are not concerned."""
+        return {}
 
     @abstractmethod
     def open(self, config: RigConfig) -> Board:
@@ -61,6 +66,15 @@ class RealBench(Bench):
         """What this computer has plugged in."""
         return found_devices(self.address, config)
 
+    def bridge(self, config: RigConfig) -> dict[str, str]:
+        """Of an RT-DAC/USB2: ids, serial number and the dates of its firmware."""
+        scheme, _, serial = self.address.partition(":")
+        if scheme != "usb2":
+            return {}
+        from inteco_abs.boards.usb import find_one  # noqa: PLC0415  who has no such board needs no libusb
+
+        return bridge_facts(find_one(serial, config.usb))
+
     def open(self, config: RigConfig) -> Board:
         """The board at the address."""
         return open_board(self.address, config, self.now_ns)
@@ -76,3 +90,20 @@ class RealBench(Bench):
     def beats(self, period_ns: int) -> Iterator[object]:
         """Paced ones."""
         return iter(PacedClock(period_ns))
+
+
+def bridge_facts(device: Any) -> dict[str, str]:
+    """What pyusb's `device` tells by control requests that change nothing."""
+    from inteco_abs.boards.usb_bridge import firmware_dates  # noqa: PLC0415  as above
+
+    ids = f"{device.idVendor:04x}:{device.idProduct:04x}"
+    try:
+        compiled, released = firmware_dates(device)
+    except LinkError as error:  # a matter of interest, no reason to stop
+        compiled = released = f"not told: {error}"
+    return {
+        "ids": ids,
+        "serial": str(device.serial_number),
+        "firmware_compiled": compiled,
+        "firmware_released": released,
+    }

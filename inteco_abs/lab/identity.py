@@ -28,10 +28,11 @@ def list_boards(visit: Visit) -> Facts:
 
 def read_header(visit: Visit) -> Facts:
     """One reading: who the board is; the draft is made for it from here on."""
+    bridge = visit.bench.bridge(visit.draft.config)
     with open_for_reading(visit) as board:
         identity, (values, raw) = board.identify(), board.survey()
-        link, left_on = board.link_facts(), outputs_left_on(board)
-    visit.person.tell("\n".join([f"  {identity}", *(f"  {name}: {text}" for name, text in link.items())]))
+        left_on = outputs_left_on(board)
+    visit.person.tell("\n".join([f"  {identity}", *(f"  {name}: {text}" for name, text in bridge.items())]))
     visit.person.tell(hex_dump(raw))
     if left_on:
         visit.person.tell("  THE PWM OUTPUTS ARE NOT ZERO: press the emergency switch, switch the board off and on")
@@ -40,7 +41,7 @@ def read_header(visit: Visit) -> Facts:
         _suggest(visit, suggested)
     _write(visit, identity)
     counts = {name: value for name, value in values.items() if name.endswith("_channels")}
-    return {**identity.facts(), "link": link, "channels": counts, "suggested_profile": suggested, "raw": raw.hex()}
+    return {**identity.facts(), "bridge": bridge, "channels": counts, "suggested_profile": suggested, "raw": raw.hex()}
 
 
 def fitting_profile(kind: str, identity: Identity) -> str:

@@ -46,8 +46,3 @@ def test_a_damaged_answer_is_no_survey(new_bench, change):
         bench.link.change_answer = change
         with pytest.raises(LinkError):
             board.survey()
-
-
-def test_a_link_tells_nothing_of_itself_unless_it_knows_something(new_bench):
-    with new_bench(READ_ONLY).board as board:
-        assert board.link_facts() == {}
