@@ -107,7 +107,6 @@ def _drive(out: Outputs, config: RigConfig) -> float:
             f"released, and the drive really on PWM {config.board.drive_pwm}? If not, --set board.drive_pwm=N"
         )
     duty, motion = nudged
-    _insist_on_sense(motion, config)
     for motion in out.hold(duty, 0.0, _FOLLOW_S):
         _insist_on_sense(motion, config)
     for name, counts in (("lower", motion.road_counts), ("upper", motion.wheel_counts)):

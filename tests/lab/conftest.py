@@ -19,7 +19,7 @@ SCRIPTS = {
     "wheels": ["", "", ""],
     "echo": ["", ECHO_PHRASE],
     "motors": ["", MOTORS_PHRASE, "", ""],
-    "sign": ["", "Jo Lab", "yes"],
+    "sign": ["", "the lab", "yes"],
 }
 """Answers with which each step comes out well on a rig that is wired as the vendor's."""
 ODD = (

@@ -40,7 +40,7 @@ def test_the_whole_walk_then_a_stop_with_the_signed_draft(probe, whole_script):
     assert walk.returncode == 0, walk.stderr
     report = json.loads(walk.stdout)
     assert report["next"] is None
-    assert report["verified_by"] == "Jo Lab"
+    assert report["verified_by"] == "the lab"
     assert [one["outcome"] for one in report["steps"]] == ["done"] * 7
     stop = probe(
         "--board", "sim:", "--set", "profile=lab.toml", "--virtual", "--out", "stop.mcap", "--json", verb="run"

@@ -33,7 +33,7 @@ def test_the_draft_can_be_used_after_every_write(lab, whole_script, monkeypatch)
     monkeypatch.setattr(lab.draft, "record", look)
     walk.go()
     assert [step for step, _ in seen] == ["list", "header", "reads", "wheels", "echo", "motors", "sign"]
-    assert [by for _, by in seen] == [""] * 6 + ["Jo Lab"]
+    assert [by for _, by in seen] == [""] * 6 + ["the lab"]
 
 
 def test_a_value_that_no_run_could_use_does_not_get_into_the_file(lab):
@@ -46,7 +46,7 @@ def test_a_value_that_no_run_could_use_does_not_get_into_the_file(lab):
     assert load_config(profile=str(lab.file)).board.wheel_encoder == 2
 
 
-@pytest.mark.parametrize("setting", ["board.verified_by=Jo", "board.verified_on=2026-01-01", "board.verified_logic=1"])
+@pytest.mark.parametrize("setting", ["board.verified_by=lab", "board.verified_on=2026-01-01", "board.verified_logic=1"])
 def test_a_signature_is_not_set_from_outside(lab, setting):
     with pytest.raises(ConfigError, match="last step"):
         lab.session(settings=[setting])

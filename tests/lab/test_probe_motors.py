@@ -86,8 +86,12 @@ def test_a_wheel_that_was_turned_the_wrong_way_round_is_found_out_by_the_drive(l
     assert lab.bench.device.duties == (0.0, 0.0)
 
 
-def test_wheels_that_do_not_rest_are_not_driven(lab, at):
-    walk = at("motors", switch=lambda device: lambda _on: device.turn("road", 10, 60.0))
+@pytest.mark.parametrize("when", [False, True], ids=["before the switch is tried", "after it"])
+def test_wheels_that_do_not_rest_are_not_driven(lab, at, when):
+    def switch(device):
+        return lambda on: device.turn("road", 10, 60.0) if on is when else device.power(on=on)
+
+    walk = at("motors", switch=switch)
     with pytest.raises(ProbeError, match="wait until both are at rest"):
         walk.go(only="motors")
     assert lab.bench.largest == (0.0, 0.0)

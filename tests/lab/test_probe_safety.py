@@ -54,7 +54,8 @@ def test_a_read_only_profile_is_never_driven_nor_signed(lab, scripts, step):
     walk = lab.session(*scripts[step], settings=['board.read_only="another rig"'])
     with pytest.raises(ReadOnlyError, match="another rig"):
         walk.go(only=step)
-    assert lab.bench.frames_sent == []
+    assert lab.person.asked == ["Begin? Press Enter, or type stop."]
+    assert lab.bench.written == []
 
 
 def test_the_typed_confirmation_never_gets_into_the_draft(lab):
@@ -109,15 +110,15 @@ def test_a_signal_while_outputs_are_on_ends_in_safe(lab, scripts, step, number):
     def strike(_number):
         frames = lab.bench.settings_sent
         if frames and energised(frames[-1]) and not struck:
-            struck.append(True)
+            struck.append(len(frames))
             os.kill(os.getpid(), number)
 
     struck = []
     lab.bench.before_write = strike
     with pytest.raises(KeyboardInterrupt):
         walk.go(only=step)
-    assert struck
     assert not energised(lab.bench.settings_sent[-1])
+    assert len(lab.bench.frames_sent) <= struck[0] + 3
     assert lab.bench.device.duties == (0.0, 0.0)
     assert lab.outcomes()[step] == "open"
     assert lab.draft.config.board.verified_by == ""

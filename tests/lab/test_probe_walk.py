@@ -29,7 +29,7 @@ def test_a_vendors_rig_is_commissioned_from_end_to_end(lab, whole_script):
     lab.session(*whole_script).go()
     config = load_config(profile=str(lab.file))
     assert wiring(config) == (0, 1, 0, 1, 1, 1, 4096)
-    assert config.board.verified_by == "Jo Lab"
+    assert config.board.verified_by == "the lab"
     assert config.board.verified_logic == 0x0103
     assert config.board.application_names == ["ABSSIM"]
     assert config.board.unconfirmed() == ["numbering_pwm (inferred)"]
@@ -48,7 +48,7 @@ def test_an_odd_rig_is_found_out(lab, scripts, odd):
     ).go()
     config = load_config(profile=str(lab.file))
     assert wiring(config) == (1, 0, 5, 2, 1, -1, 2048)
-    assert config.board.verified_by == "Jo Lab"
+    assert config.board.verified_by == "the lab"
 
 
 def test_a_signed_draft_opens_the_board_for_output(lab, whole_script):
@@ -133,7 +133,7 @@ def test_a_changed_wiring_takes_the_signature_and_what_rests_on_it(lab, whole_sc
 def test_settings_that_are_no_wiring_leave_the_signature(lab, whole_script):
     lab.session(*whole_script).go()
     lab.session(settings=["experiment.start_speed_rad_s=100"])
-    assert lab.draft.config.board.verified_by == "Jo Lab"
+    assert lab.draft.config.board.verified_by == "the lab"
 
 
 def test_a_wiring_edited_by_hand_is_noticed(lab, whole_script):
@@ -197,3 +197,25 @@ class TestTimeOfTheMock:
         bench.pause(0.5)
         bench.pause(0.5)
         assert clock.slept_s[-1] == pytest.approx(0.5)
+
+
+class TestSigning:
+    @pytest.mark.parametrize("name", ["", "  ", "123", "x" * 101, "tab\tbed"])
+    def test_what_is_no_name_does_not_sign(self, lab, name):
+        lab.done_until("sign")
+        with pytest.raises(ProbeError, match="no usable answer"):
+            lab.session("", name, name, name).go()
+        assert lab.draft.config.board.verified_by == ""
+
+    def test_who_does_not_confirm_the_name_has_not_signed(self, lab):
+        lab.done_until("sign")
+        with pytest.raises(Stopped, match="not signed"):
+            lab.session("", "the lab", "no").go()
+        assert lab.draft.config.board.verified_by == ""
+        assert lab.outcomes()["sign"] == "open"
+
+    def test_what_is_not_confirmed_is_shown_before(self, lab, scripts):
+        lab.done_until("sign")
+        lab.session(*scripts["sign"]).go()
+        told = next(text for text in lab.person.told if "not confirmed" in text)
+        assert "numbering_pwm (inferred): eight channels" in told
