@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, TextIO
 import click
 
 from inteco_abs.errors import AbsError, ConfigError, Mistake, near_match
+from inteco_abs.lab_cli import probe
 from inteco_abs.wire_cli import wire
 
 if TYPE_CHECKING:
@@ -332,6 +333,7 @@ def doctor(
     return _LOSSES if verdict is Verdict.RED else 0
 
 
+cli.add_command(probe)
 cli.add_command(wire)
 
 

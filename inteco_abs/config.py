@@ -200,6 +200,15 @@ class SimulationConfig(_Section):
     parameters: Literal["mask", "table"] = "mask"
     brake_rate_per_s: Annotated[float, Field(ge=1.0, le=1e6)] = 20.37
     """Rate of the brake actuator's lag."""
+    drive_pwm: Annotated[int, Field(ge=0, le=7)] = 0
+    """How the simulated rig is really wired, whatever [board] believes; by default as the vendor's PCI version."""
+    brake_pwm: Annotated[int, Field(ge=0, le=7)] = 1
+    road_encoder: Annotated[int, Field(ge=0, le=7)] = 0
+    wheel_encoder: Annotated[int, Field(ge=0, le=7)] = 1
+    road_sign: Literal[1, -1] = 1
+    wheel_sign: Literal[1, -1] = 1
+    counts_per_turn: Annotated[int, Field(ge=256, le=1_000_000)] | None = None
+    """Of the simulated encoders; not given: what `encoders.counts_per_turn` believes."""
 
 
 class RigConfig(_Section):
@@ -247,13 +256,22 @@ def load_config(
     mistakes: list[Mistake] = []
     table = _read(file) if file is not None else {}
     for setting in settings:
-        mistakes.extend(_apply(table, setting))
+        mistakes.extend(apply_setting(table, setting))
     name = table.setdefault("profile", profile)
     below = _profile(name, mistakes)
     merged = _merge(below, table)
     if not (name in profiles() and name.startswith(_SIMULATED)):
         _void_signature(below, table, merged)
     return _validate(merged, checks, mistakes)
+
+
+def read_profile(name: str) -> Table:
+    """What a shipped profile or a .toml file says, before defaults; raises ConfigError if there is none."""
+    mistakes: list[Mistake] = []
+    table = _profile(name, mistakes)
+    if mistakes:
+        raise ConfigError(mistakes)
+    return table
 
 
 def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
@@ -296,8 +314,8 @@ def _read(file: Path) -> Table:
         raise ConfigError([Mistake(str(file), f"is not TOML: {error}")]) from error
 
 
-def _apply(table: Table, setting: str) -> list[Mistake]:
-    """Put one `key=value` into `table`; the value is TOML, or a bare word."""
+def apply_setting(table: Table, setting: str) -> list[Mistake]:
+    """Put one `key=value` into `table`; the value is TOML, or a bare word. Gives back what is wrong with it."""
     key, equals, text = setting.partition("=")
     path = key.strip().split(".")
     if not equals or not all(path) or "\n" in setting:
@@ -339,6 +357,12 @@ def _merge(below: Table, above: Table) -> Table:
     return merged
 
 
+def wiring_of(table: Table) -> Table:
+    """What a configuration says of `WIRING` and of the logic that it is for, and nothing else."""
+    stated = _wiring(table)
+    return {key: stated[key] for key in (*WIRING, "logic_version", "application_names") if key in stated}
+
+
 def _void_signature(profile: Table, above: Table, merged: Table) -> None:
     """Who signed the profile has not seen what `above` changes in its wiring, unless that is signed too."""
     signed, changed = (_wiring(table) for table in (profile, above))
@@ -378,6 +402,8 @@ _PAIRS: Final = (
     _Pair("board.drive_pwm", "board.numbering_pwm", operator.ne, "must be another PWM channel than"),
     _Pair("board.brake_pwm", "board.numbering_pwm", operator.ne, "must be another PWM channel than"),
     _Pair("board.wheel_encoder", "board.road_encoder", operator.ne, "must be another encoder than"),
+    _Pair("simulation.brake_pwm", "simulation.drive_pwm", operator.ne, "must be another PWM channel than"),
+    _Pair("simulation.wheel_encoder", "simulation.road_encoder", operator.ne, "must be another encoder than"),
 )
 
 

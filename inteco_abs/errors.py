@@ -7,7 +7,9 @@ AbsError
 │   ├── UnsafeError    SAFE could not be confirmed
 │   └── ReadOnlyError  outputs are off: the profile does not know or trust this board
 ├── SessionError   a session file cannot be written or used
-└── CaptureError   a capture of the wire cannot be written, imported or used
+├── CaptureError   a capture of the wire cannot be written, imported or used
+└── ProbeError     a step of the commissioning walk has not come out well
+    └── Stopped        the person has left the walk
 """
 
 from __future__ import annotations
@@ -71,6 +73,16 @@ class SessionError(AbsError):
 
 class CaptureError(AbsError):
     """A capture of the wire cannot be written, imported, read or replayed."""
+
+
+class ProbeError(AbsError):
+    """A step of the commissioning walk has not come out well; the draft stays as it was before the step."""
+
+
+class Stopped(ProbeError):  # noqa: N818  leaving is nothing wrong
+    """The person has left the walk, which can go on later."""
+
+    exit_code = 130
 
 
 def near_match(word: str, known: Iterable[str]) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Final
 
 from inteco_abs.boards.addresses import SCHEMES, check_address, check_kind, default_profile, simulated
-from inteco_abs.boards.board import STILL_ON, Board, Identity
+from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
 from inteco_abs.boards.links import InProcessLink, Link, SocketLink
 from inteco_abs.boards.recording_link import Wrap, recording
 from inteco_abs.boards.registers import LinkedRegisters, Registers
@@ -28,6 +28,7 @@ __all__ = [
     "RtdacUsb",
     "RtdacUsb2",
     "SocketLink",
+    "Survey",
     "SysfsRegisters",
     "Wrap",
     "board_behind",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
@@ -41,6 +41,15 @@ class Identity(NamedTuple):
         return f"{told} {self.application_name!r} of {self.synthesis_date}" if self.application_name else told
 
 
+class Survey(NamedTuple):
+    """What one reading of a board says, decoded and as it came."""
+
+    values: Mapping[str, int | str]
+    """By field name, as the board tells them: counters with no sign or wrap of the wiring's applied."""
+    raw: bytes
+    """The frame, or the registers one after the other."""
+
+
 class Board(ABC):
     """A board with the rig on it; a context manager.
 
@@ -68,6 +77,13 @@ class Board(ABC):
     @abstractmethod
     def identify(self) -> Identity:
         """Ask the board what it is; reads only. Raises LinkError if it does not answer in its protocol."""
+
+    @abstractmethod
+    def survey(self, names: Collection[str] = ()) -> Survey:
+        """Read an entered board once, outputs and trust aside: the named fields, or all; writes nothing.
+
+        Raises LinkError if the board does not answer in its protocol, BoardError if it has no field of such a name.
+        """
 
     @abstractmethod
     def _take_over(self) -> None:

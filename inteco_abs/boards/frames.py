@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from struct import Struct
 from typing import Final
 
 from firmware_protocol import Field, FrameTable, ProtocolError
-from inteco_abs.boards.board import STILL_ON, Board, Identity
+from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
 from inteco_abs.boards.links import Link
 from inteco_abs.boards.trust import distrust
 from inteco_abs.config import BoardConfig
@@ -96,6 +96,21 @@ class FrameBoard(Board):
         if because:
             because += self._warning(frame)
         return Identity(version, name, str(values.get("synthesis_date", "")), because)
+
+    def survey(self, names: Collection[str] = ()) -> Survey:
+        """Read the board once: the named fields, or all."""
+        table = self._layout.read
+        unknown = [name for name in names if name not in table.fields]
+        if unknown:
+            raise BoardError(f"{table.title} has no field {', '.join(unknown)}")
+        frame = self._read()
+        try:
+            values = table.decode_some(frame, names or table.fields)
+        except ProtocolError as error:
+            raise LinkError(f"the board's answer is no READ frame: {error}") from error
+        if not frame.startswith(self._header):
+            raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
+        return Survey(values, frame)
 
     def _relied_on(self) -> list[Field]:
         """What outputs rest on of the frames."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Final, NamedTuple
 
 from firmware_protocol import ProtocolError, Register, Status
@@ -41,7 +41,7 @@ from firmware_protocol.rtdac_pci import (
     VELOCITY_WINDOW,
     WHEEL_VELOCITY,
 )
-from inteco_abs.boards.board import STILL_ON, Board, Identity
+from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
 from inteco_abs.boards.frames import MODES, widths
 from inteco_abs.boards.registers import Registers
 from inteco_abs.boards.trust import distrust
@@ -123,6 +123,19 @@ class RtdacPci(Board):
         elif because and self._outputs_on():
             because += f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}"
         return Identity(version, "", "", because)
+
+    def survey(self, names: Collection[str] = ()) -> Survey:
+        """Read the board once: the named fields, or all; writes nothing but which channel is asked for."""
+        unknown = [name for name in names if name not in _FIELDS]
+        if unknown:
+            raise BoardError(f"{ABS.title} has no field {', '.join(unknown)}")
+        chosen = {name: _FIELDS[name] for name in names or _FIELDS}
+        steps = [step for register, channel in chosen.values() for step in _read(register, channel)]
+        logic, *raw = self._registers.run((LOGIC.offset, *steps))
+        if self._own_version(logic) != self._wiring.logic_version and self._ready:
+            raise LinkError(f"the board's logic is 0x{LOGIC.decode(logic):04X} now: it was reset or replaced")
+        values = {name: register.decode(bits) for (name, (register, _)), bits in zip(chosen.items(), raw, strict=True)}
+        return Survey(values, b"".join(bits.to_bytes(4, "little") for bits in raw))
 
     def readings(self) -> list[Reading]:
         """What the board measures and its limits, in shop units; some twenty accesses, so not for use in a tick.
@@ -224,11 +237,25 @@ class RtdacPci(Board):
         self._registers.close()
 
 
+def _fields() -> dict[str, tuple[Register, int | None]]:
+    """What a survey may ask for, by the names that the fields have on every board."""
+    pwm = ((PWM_MODE, "mode"), (PWM_PRESCALER, "prescaler"), (PWM_WIDTH, "width"))
+    return {
+        LOGIC.name: (LOGIC, None),
+        **{f"pwm{i}_{name}": (register, i) for i in range(PWM_CHANNELS) for register, name in pwm},
+        ENCODER_RESET.name: (ENCODER_RESET, None),
+        **{f"encoder{i}_count": (ENCODER_COUNT, i) for i in range(ENCODER_CHANNELS)},
+    }
+
+
+_FIELDS: Final = _fields()
+
+
 def _width(channel: int, width: int) -> tuple[Write, Write]:
     return Write(PWM_INDEX.offset, channel), Write(PWM_WIDTH.offset, width)
 
 
-def _read(register: Register, channel: int) -> tuple[Step, ...]:
+def _read(register: Register, channel: int | None) -> tuple[Step, ...]:
     return (*ABS.select(register, channel), register.offset)
 
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import Final, Literal, NamedTuple
 
 from firmware_protocol.rtdac_usb2 import PWM_FULL_WIDTH
-from inteco_abs.config import RigConfig
+from inteco_abs.config import RigConfig, SimulationConfig
 from inteco_abs.rig import Plant, RigParameters
 
 _COUNTER_RANGE: Final = 1 << 32
@@ -55,16 +55,35 @@ class Truth(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Cable:
-    """Which terminals of the board the rig is plugged into; as on the vendor's PCI version."""
+    """Which terminals of the board the rig is plugged into, and which way round; as on the vendor's PCI version."""
 
     drive_pwm: int = 0
     brake_pwm: int = 1
     road_encoder: int = 0
     wheel_encoder: int = 1
+    road_sign: int = 1
+    """-1: the encoder counts down when driving."""
+    wheel_sign: int = 1
+
+    @classmethod
+    def of(cls, simulation: SimulationConfig) -> Cable:
+        """As the configuration wires the simulated rig."""
+        return cls(**{each.name: getattr(simulation, each.name) for each in fields(cls)})
+
+
+class _Hand(NamedTuple):
+    """Somebody turns wheels by hand."""
+
+    wheel_rad_per_ns: float
+    road_rad_per_ns: float
+    end_ns: int
 
 
 class Counter:
-    """32-bit quadrature counter that wraps; a reset bit holds it at zero as long as it is set."""
+    """32-bit quadrature counter that wraps; a reset bit holds it at zero as long as it is set.
+
+    A negative number of counts per turn is one that counts down when driving.
+    """
 
     def __init__(self, counts_per_turn: int, generator: random.Random) -> None:
         self._per_rad = counts_per_turn / (2.0 * math.pi)
@@ -106,25 +125,47 @@ class Device:
         cable: Cable | None = None,
     ) -> None:
         self.settings: dict[str, int] = {}
-        self.cable = cable or Cable()
+        self.cable = cable or Cable.of(config.simulation)
         self.kind = config.board.kind
         self.logic_version = config.board.logic_version
         self._switched = _SWITCHED[self.kind]
         parameters = RigParameters.named(config.simulation.parameters)
         self.plant = Plant(replace(parameters, c31=config.simulation.brake_rate_per_s), 0.0, 0.0)
         generator = random.Random(seed)
-        self._road = Counter(config.encoders.counts_per_turn, generator)
-        self._wheel = Counter(config.encoders.counts_per_turn, generator)
+        counts_per_turn = config.simulation.counts_per_turn or config.encoders.counts_per_turn
+        self._road = Counter(self.cable.road_sign * counts_per_turn, generator)
+        self._wheel = Counter(self.cable.wheel_sign * counts_per_turn, generator)
         self._now_ns = now_ns
         self._time_ns = now_ns()
         self._timer_start_ns = [self._time_ns, self._time_ns]
         self._observe = observe
         self._duties = (0.0, 0.0)
+        self._powered = True
+        self._hand: _Hand | None = None
 
     @property
     def duties(self) -> tuple[float, float]:
         """Duties of drive and brake at the motors' terminals, as the PWM makes them."""
         return self._duties
+
+    def power(self, *, on: bool) -> None:
+        """Switch the power interface between board and motors; it is on at first. Off, no width moves the rig."""
+        self.catch_up()
+        self._powered = on
+        self._update_duties()
+        self.observe()
+
+    def turn(self, which: Literal["wheel", "road"], turns: float, seconds: float, *, lifted: bool = True) -> None:
+        """Begin to turn one wheel by hand, evenly: `turns` of it, forwards when positive, within `seconds` > 0.
+
+        With the lever lifted the other wheel stays; else it rolls along. What drive and brake do goes on beside it.
+        """
+        self.catch_up()
+        rate = 2.0 * math.pi * turns / (seconds * 1e9)
+        k = self.plant.parameters
+        along = 0.0 if lifted else rate
+        wheel, road = (rate, along * k.r1 / k.r2) if which == "wheel" else (along * k.r2 / k.r1, rate)
+        self._hand = _Hand(wheel, road, self._time_ns + round(seconds * 1e9))
 
     def write(self, settings: Mapping[str, int]) -> None:
         """Take over settings, named as in the SEND frame, and show the rig."""
@@ -140,7 +181,7 @@ class Device:
         for i in range(2):
             if (before | self.settings.get("timer_reset", 0)) >> i & 1:
                 self._timer_start_ns[i] = self._time_ns
-        self._duties = (self._duty(self.cable.drive_pwm), self._duty(self.cable.brake_pwm))
+        self._update_duties()
 
     def write_widths(self, drive: int, brake: int) -> None:
         """Take over the two PWM widths that move the rig, all other settings as they are."""
@@ -148,7 +189,7 @@ class Device:
         cable = self.cable
         self.settings[f"pwm{cable.drive_pwm}_width"] = drive
         self.settings[f"pwm{cable.brake_pwm}_width"] = brake
-        self._duties = (self._duty(cable.drive_pwm), self._duty(cable.brake_pwm))
+        self._update_duties()
         self.observe()
 
     def observe(self) -> None:
@@ -188,7 +229,22 @@ class Device:
         if now > self._time_ns:
             drive, brake = self._duties
             self.plant.advance(drive, brake, (now - self._time_ns) / 1e9)
+            if self._hand is not None:
+                self._turn_on(self._hand, now)
             self._time_ns = now
+
+    def _turn_on(self, hand: _Hand, now: int) -> None:
+        moved_ns = min(now, hand.end_ns) - self._time_ns
+        self.plant.wheel_angle += hand.wheel_rad_per_ns * moved_ns
+        self.plant.road_angle += hand.road_rad_per_ns * moved_ns
+        if now >= hand.end_ns:
+            self._hand = None
+
+    def _update_duties(self) -> None:
+        if self._powered:
+            self._duties = (self._duty(self.cable.drive_pwm), self._duty(self.cable.brake_pwm))
+        else:
+            self._duties = (0.0, 0.0)
 
     def _duty(self, channel: int) -> float:
         """Share of the period that the pin is high: the width, if the pin is switched to its PWM and to output.

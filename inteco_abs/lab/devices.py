@@ -1,0 +1,75 @@
+"""Boards that this computer has, as its kernel lists them: no board is opened, asked or written to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+from inteco_abs.config import RigConfig
+from inteco_abs.realtime.findings import Computer
+from inteco_abs.realtime.permissions import PCI_DEVICE, PCI_VENDOR
+
+_USB: Final = "sys/bus/usb/devices/*"
+_PORTS: Final = "sys/bus/usb-serial/devices/*"
+_PCI: Final = "sys/bus/pci/devices/*"
+_TOLD: Final = ("manufacturer", "product", "serial", "speed")
+
+
+class Found(NamedTuple):
+    """A device that may be the board."""
+
+    address: str
+    """What to name after --board."""
+    description: str
+    """Ids, strings and place."""
+
+
+def found_devices(address: str, config: RigConfig, computer: Computer | None = None) -> list[Found]:
+    """Devices of the kind that `address` names, in the order of their places."""
+    return _KINDS[address.partition(":")[0]](computer or Computer(), config)
+
+
+def _usb2(computer: Computer, config: RigConfig) -> list[Found]:
+    vendor = f"{config.usb.vendor_id:04x}"
+    wanted = config.usb.manufacturer
+    found = []
+    for folder in computer.matching(_USB):
+        made_by = computer.text_or(f"{folder}/manufacturer", "")
+        if made_by == wanted or (not made_by and computer.text_or(f"{folder}/idVendor", "") == vendor):
+            serial = computer.text_or(f"{folder}/serial", "")
+            found.append(Found(f"usb2:{serial if serial.isdecimal() else ''}", _usb_words(computer, folder)))
+    return found
+
+
+def _usb(computer: Computer, _: RigConfig) -> list[Found]:
+    """Serial ports behind USB chips: the first RT-DAC/USB looks like any of them."""
+    found = []
+    for port in computer.matching(_PORTS):
+        device = str((computer.root / port).resolve().parent.parent)  # port -> interface -> device
+        found.append(Found(f"usb:/dev/{_name(port)}", _usb_words(computer, device)))
+    return found
+
+
+def _pci(computer: Computer, _: RigConfig) -> list[Found]:
+    def is_board(folder: str) -> bool:
+        ids = (computer.text_or(f"{folder}/vendor", ""), computer.text_or(f"{folder}/device", ""))
+        return ids == (PCI_VENDOR, PCI_DEVICE)
+
+    return [
+        Found(f"pci:{_name(folder)}", f"{PCI_VENDOR}:{PCI_DEVICE} at {_name(folder)}")
+        for folder in computer.matching(_PCI)
+        if is_board(folder)
+    ]
+
+
+def _usb_words(computer: Computer, folder: str) -> str:
+    ids = ":".join(computer.text_or(f"{folder}/{name}", "????") for name in ("idVendor", "idProduct"))
+    told = [f"{name} {text!r}" for name in _TOLD if (text := computer.text_or(f"{folder}/{name}", ""))]
+    return " ".join([ids, *told, f"at USB port {_name(folder)}"])
+
+
+def _name(folder: str) -> str:
+    return folder.rpartition("/")[2]
+
+
+_KINDS: Final[dict[str, Callable[[Computer, RigConfig], list[Found]]]] = {"usb2": _usb2, "usb": _usb, "pci": _pci}

@@ -1,0 +1,204 @@
+"""The profile that the walk writes: a TOML file that any run can use at any moment, and the walk's results beside it.
+
+The results are a file of their own, as a configuration has no place for what is no setting. Both are replaced whole,
+so that an interruption leaves the old file or the new one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Self
+
+import tomli_w
+
+from inteco_abs.config import (
+    RigConfig,
+    Table,
+    apply_setting,
+    load_config,
+    parse_config,
+    read_profile,
+    wiring_of,
+)
+from inteco_abs.errors import ConfigError, Mistake
+
+_SCHEMA: Final = 1
+_SIGNATURE: Final = ("verified_by", "verified_on", "verified_logic")
+_LOGIC: Final = re.compile(r"^((?:logic_version|verified_logic) = )(\d+)$", re.MULTILINE)
+"""Known to everybody in hex."""
+_HEADING: Final = """\
+# Profile of one rig, written by `inteco-abs probe`; comments of your own are not kept when it goes on.
+# To use it: inteco-abs run --board ADDRESS --set profile={name}
+
+"""
+
+
+class Draft:
+    """A profile draft at `file`, which ends in .toml, with the results at `results_file`."""
+
+    def __init__(self, file: Path, table: Table, results: dict[str, Any]) -> None:
+        self.file = file
+        self.results_file = results_of(file)
+        self._table = table
+        self._results = results
+
+    @classmethod
+    def open(cls, file: Path, board: str, profile: str, settings: Sequence[str] = (), *, given: bool = False) -> Self:
+        """The draft at `file`, or a new one from `profile`, with `settings` such as `board.drive_pwm=1` in it.
+
+        `given`: the profile was asked for, so that a draft made from another is a mistake. Nothing is written yet
+        unless something is new. Raises ConfigError.
+        """
+        if file.suffix != ".toml":
+            raise ConfigError([Mistake("--draft", f"{file}: a profile's name must end in .toml")])
+        if file.exists():
+            draft = cls(file, read_profile(str(file)), _read_results(results_of(file)))
+            parse_config(tomli_w.dumps(draft._table))
+            draft._insist_on_same(board, profile if given else "")
+        else:
+            draft = cls(file, _unsigned(read_profile(profile)), _no_results(board, profile))
+        before = draft._table
+        draft._table = _with_settings(before, settings)
+        if draft._table != before or not file.exists():
+            draft._void_signature(before)
+            draft._save_profile()
+            draft._save_results()
+        return draft
+
+    @property
+    def config(self) -> RigConfig:
+        """What the draft amounts to now; raises ConfigError for a file that was edited into something wrong."""
+        return load_config(profile=str(self.file))
+
+    @property
+    def profile(self) -> str:
+        """The profile that it was begun from."""
+        return str(self._results["profile"])
+
+    @property
+    def results(self) -> Mapping[str, Mapping[str, Any]]:
+        """What each step has found, by its name."""
+        steps: dict[str, dict[str, Any]] = self._results["steps"]
+        return steps
+
+    def begin_from(self, profile: str) -> None:
+        """Take another profile for the base; how links and simulation are set stays."""
+        kept: Table = {key: self._table[key] for key in ("usb", "simulation") if key in self._table}
+        self._table = {**_unsigned(read_profile(profile)), **kept}
+        self._results["profile"] = profile
+        self._save_profile()
+        self._save_results()
+
+    def write(self, values: Mapping[str, Any]) -> None:
+        """Set keys such as `board.drive_pwm`; a signature that has not seen them goes. Raises ConfigError."""
+        before, self._table = self._table, _deep_copy(self._table)
+        for path, value in values.items():
+            *sections, key = path.split(".")
+            section = self._table
+            for part in sections:
+                section = section.setdefault(part, {})
+            section[key] = value
+        if not any(path == "board.verified_by" for path in values):
+            self._void_signature(before)
+        try:
+            self._save_profile()
+        except ConfigError:
+            self._table = before
+            raise
+
+    def confirm(self, keys: Iterable[str], source: str) -> None:
+        """Mark statements of the wiring as confirmed by `source`."""
+        evidence = {"status": "confirmed", "source": source}
+        self.write({f"board.evidence.{key}": evidence for key in keys})
+
+    def record(self, step: str, result: Mapping[str, Any]) -> None:
+        """Keep what a step has found."""
+        self._results["steps"][step] = dict(result)
+        self._save_results()
+
+    def wiring(self, keys: Iterable[str]) -> dict[str, Any]:
+        """What the draft says now of some of its wiring, for a later comparison."""
+        stated = wiring_of(self.config.model_dump(mode="json"))
+        return {key: stated.get(key) for key in keys}
+
+    def _insist_on_same(self, board: str, profile: str) -> None:
+        begun = str(self._results["board"] or board)
+        if begun.partition(":")[0] != board.partition(":")[0]:
+            problem = f"{self.file} was begun with the board {begun}, this is {board}; name another file"
+            raise ConfigError([Mistake("--draft", problem)])
+        if profile and profile != self.profile:
+            problem = f"{profile}: {self.file} was begun from {self.profile}; name another draft, or leave this out"
+            raise ConfigError([Mistake("--profile", problem)])
+
+    def _void_signature(self, before: Table) -> None:
+        if wiring_of(before) != wiring_of(self._table):
+            self._table = _unsigned(self._table)
+
+    def _save_profile(self) -> None:
+        parse_config(tomli_w.dumps(self._table))  # nothing that a run could not use gets into the file
+        text = _LOGIC.sub(lambda found: f"{found[1]}0x{int(found[2]):04X}", tomli_w.dumps(self._table))
+        _replace(self.file, _HEADING.format(name=self.file.name) + text)
+
+    def _save_results(self) -> None:
+        _replace(self.results_file, json.dumps(self._results, indent=2, allow_nan=False) + "\n")
+
+
+def results_of(file: Path) -> Path:
+    """Where the results of the draft at `file` are."""
+    return file.with_suffix(".probe.json")
+
+
+def _deep_copy(table: Table) -> Table:
+    """The same table, of which inner tables may be changed too."""
+    return {key: _deep_copy(value) if isinstance(value, dict) else value for key, value in table.items()}
+
+
+def _no_results(board: str, profile: str) -> dict[str, Any]:
+    return {"schema_version": _SCHEMA, "board": board, "profile": profile, "steps": {}}
+
+
+def _read_results(file: Path) -> dict[str, Any]:
+    problem = f"{file} is not what the walk wrote; delete it, and the walk begins anew with the draft as it is"
+    try:
+        results = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return _no_results("", "unknown")
+    except (OSError, ValueError) as error:
+        raise ConfigError([Mistake("--draft", f"{problem} ({error})")]) from error
+    whole = isinstance(results, dict) and isinstance(results.get("steps"), dict)
+    if not (whole and results.get("schema_version") == _SCHEMA and {"board", "profile"} <= results.keys()):
+        raise ConfigError([Mistake("--draft", problem)])
+    if not all(isinstance(one, dict) and "outcome" in one for one in results["steps"].values()):
+        raise ConfigError([Mistake("--draft", problem)])
+    return dict(results)
+
+
+def _with_settings(table: Table, settings: Sequence[str]) -> Table:
+    table = _deep_copy(table)
+    mistakes = [mistake for setting in settings for mistake in apply_setting(table, setting)]
+    if any(setting.partition("=")[0].strip() in {f"board.{key}" for key in _SIGNATURE} for setting in settings):
+        mistakes.append(Mistake("--set", "a draft is signed in the walk's last step"))
+    if mistakes:
+        raise ConfigError(mistakes)
+    return table
+
+
+def _unsigned(table: Table) -> Table:
+    board = {key: value for key, value in table.get("board", {}).items() if key not in _SIGNATURE}
+    return {**table, "board": board}
+
+
+def _replace(file: Path, text: str) -> None:
+    new = file.with_name(f".{file.name}.new")
+    try:
+        with new.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        new.replace(file)
+    except OSError as error:
+        raise ConfigError([Mistake("--draft", f"{file} cannot be written: {error.strerror}")]) from error

@@ -1,0 +1,50 @@
+"""The one narrow way to outputs before a profile is signed: a person at the rig types what they have made sure of."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from inteco_abs.config import RigConfig
+from inteco_abs.errors import ReadOnlyError
+from inteco_abs.lab.person import insist_on_phrase
+from inteco_abs.lab.step import Visit, today
+
+_BY: Final = "probe: typed confirmation by the person at the rig"
+DRIVE_LIMIT: Final = 0.2
+BRAKE_LIMIT: Final = 0.7
+"""The vendor's own, for its brake supply's sake."""
+SPEED_LIMIT_RAD_S: Final = 60.0
+"""A quarter of the rig's limit."""
+_RATE_HZ: Final = 100.0
+"""Often enough for slow wheels, and no strain for a program without a real-time loop's rights."""
+
+
+def outputs_permitted(visit: Visit, request: str, phrase: str) -> RigConfig:
+    """Configuration with which the board may be entered for output, once `phrase` has been typed.
+
+    It is signed in memory only, for the very logic that the header step has read, and its guard's limits are the
+    walk's. Raises ReadOnlyError for a profile whose outputs are never to be used, ProbeError for any other phrase.
+    """
+    config = visit.draft.config
+    board, guard = config.board, config.guard
+    if board.read_only:
+        raise ReadOnlyError(f"the profile's outputs are never to be used: {board.read_only}")
+    insist_on_phrase(visit.person, request, phrase)
+    signature: dict[str, Any] = {
+        "verified_by": _BY,
+        "verified_on": today(),
+        "verified_logic": visit.logic_version,
+    }
+    limits = {
+        "drive_limit": DRIVE_LIMIT,
+        "brake_limit": min(BRAKE_LIMIT, guard.brake_limit),
+        "over_speed_rad_s": min(SPEED_LIMIT_RAD_S, guard.over_speed_rad_s),
+    }
+    slowly = {"rate_hz": min(_RATE_HZ, config.loop.rate_hz)}
+    return config.model_copy(
+        update={
+            "board": board.model_copy(update=signature),
+            "guard": guard.model_copy(update=limits),
+            "loop": config.loop.model_copy(update=slowly),
+        }
+    )

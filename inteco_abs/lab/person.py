@@ -1,0 +1,63 @@
+"""The person at the rig: told what is going on, asked for what no program can know."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, Protocol, TypeVar
+
+from inteco_abs.errors import ProbeError, Stopped
+
+_MOST_TRIALS: Final = 3
+_STOP: Final = ("stop", "s", "q", "quit")
+_YES_NO: Final = {"yes": True, "y": True, "no": False, "n": False}
+
+T = TypeVar("T")
+
+
+class Person(Protocol):
+    """Whoever answers. Everything that is asked is answered by one line of text."""
+
+    def tell(self, text: str) -> None:
+        """Say something."""
+        ...
+
+    def show(self, text: str) -> None:
+        """What moves right now: each text takes the place of the one before."""
+        ...
+
+    def ask(self, question: str) -> str:
+        """One line, without the white space around it."""
+        ...
+
+
+def ask_for(person: Person, question: str, read: Callable[[str], T | None], wanted: str) -> T:
+    """Ask until `read` makes something of the answer, which is to be `wanted`.
+
+    Raises Stopped for the answer `stop`, ProbeError after three answers that are nothing of the kind.
+    """
+    for _ in range(_MOST_TRIALS):
+        answer = person.ask(question)
+        if answer.lower() in _STOP:
+            raise Stopped("stopped at your wish")
+        meant = read(answer)
+        if meant is not None:
+            return meant
+        person.tell(f"{answer!r}: must be {wanted}, or stop")
+    raise ProbeError(f"no usable answer in {_MOST_TRIALS} trials to: {question}")
+
+
+def agree(person: Person, question: str) -> bool:
+    """Yes or no; nothing is taken for either."""
+    return ask_for(person, f"{question} (yes/no)", lambda answer: _YES_NO.get(answer.lower()), "yes or no")
+
+
+def wait_for(person: Person, request: str) -> None:
+    """Ask the person to do something and to press Enter."""
+    ask_for(person, f"{request} Press Enter, or type stop.", lambda answer: True if not answer else None, "just Enter")
+
+
+def insist_on_phrase(person: Person, request: str, phrase: str) -> None:
+    """Have `phrase` typed; anything else is a refusal. Case and spacing do not matter. Raises ProbeError."""
+    answer = person.ask(f'{request}\nType "{phrase}":')
+    if answer.lower().split() != phrase.lower().split():
+        raise ProbeError(f'{answer!r} is not "{phrase}": nothing was written to the board')

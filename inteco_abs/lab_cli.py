@@ -1,0 +1,148 @@
+"""The verb `inteco-abs probe`: commissioning a real board, step by step."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from inteco_abs.errors import ConfigError, Mistake
+
+if TYPE_CHECKING:
+    from inteco_abs.lab import Bench, Draft, Walk
+
+
+class _Terminal:
+    """Talks on stderr and hears stdin, a terminal or a file of answers."""
+
+    def __init__(self) -> None:
+        self._showing = False
+
+    def tell(self, text: str) -> None:
+        """One paragraph."""
+        click.echo(f"\n{text}" if self._showing else text, err=True)
+        self._showing = False
+
+    def show(self, text: str) -> None:
+        """Over the line before, on a terminal only."""
+        if sys.stderr.isatty():
+            click.echo(f"\r\033[K  {text}", nl=False, err=True)
+            self._showing = True
+
+    def ask(self, question: str) -> str:
+        """One line; the end of the input is an interruption."""
+        answer: str = click.prompt(question, default="", show_default=False, prompt_suffix=" ", err=True)
+        return answer.strip()
+
+
+@click.command()
+@click.option("--board", default="sim:", show_default=True, help="Board address; sim: is the mock board.")
+@click.option(
+    "--draft",
+    "file",
+    default="rig-profile.toml",
+    show_default=True,
+    type=click.Path(path_type=Path),
+    help="Profile to write; what each step found is kept beside it.",
+)
+@click.option("--profile", help="Profile to begin a new draft from; by default the one for the board's kind.")
+@click.option("--step", "only", default="", metavar="N|NAME", help="Do this step alone.")
+@click.option("--redo", default="", metavar="N|NAME", help="Do this step again, then what is left.")
+@click.option("--yes-read-only", "quiet", is_flag=True, help="Do steps 1 to 3, which only read, without questions.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Put into the draft first.")
+@click.option("--virtual", is_flag=True, help="With sim:, virtual time.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object in the end.")
+def probe(
+    board: str,
+    file: Path,
+    profile: str | None,
+    only: str,
+    redo: str,
+    quiet: bool,
+    settings: tuple[str, ...],
+    virtual: bool,
+    as_json: bool,
+) -> int:
+    """Commission a board: find out how the rig is wired, in steps of rising risk, and write a profile.
+
+    Goes on where it was left. Steps 1 to 4 only read.
+    """
+    from inteco_abs.boards import check_address, check_kind
+    from inteco_abs.lab import Draft, Walk
+    from inteco_abs.lab.step import Visit
+    from inteco_abs.lab.walk import find_step
+
+    check_address(board)
+    for name in (only, redo):
+        if name:
+            find_step(name)
+    if only and redo:
+        raise ConfigError([Mistake("--redo", "goes on after its step, --step does not: name one of them")])
+    base = profile or _real_profile(board)
+    forgiving = [] if file.exists() else _forgiving(board)
+    draft = Draft.open(file, board, base, [*forgiving, *settings], given=profile is not None)
+    check_kind(board, draft.config)
+    walk = Walk(Visit(_bench(board, draft, virtual=virtual), draft, _Terminal(), quiet))
+    _print_state(walk, file)
+    try:
+        walk.go(only, redo)
+    finally:
+        click.echo(err=True)
+        _print_state(walk, file)
+        if as_json:
+            click.echo(json.dumps(_report(walk, draft, board), allow_nan=False))
+    return 0
+
+
+def _real_profile(board: str) -> str:
+    """The mock stands for a board whose wiring nobody has signed yet."""
+    from inteco_abs.boards import default_profile, simulated
+
+    return default_profile("usb2:" if simulated(board) else board)
+
+
+def _forgiving(board: str) -> list[str]:
+    """No motor is to be protected from the simulation, and shared computers pause longer than a rig's own."""
+    from inteco_abs.boards import default_profile, simulated
+    from inteco_abs.config import read_profile
+
+    if not simulated(board):
+        return []
+    guard = read_profile(default_profile(board))["guard"]
+    return [f"guard.{key}={guard[key]}" for key in ("missed_in_a_row", "bucket_limit", "silence_s")]
+
+
+def _bench(board: str, draft: Draft, *, virtual: bool) -> Bench:
+    from inteco_abs.boards import simulated
+    from inteco_abs.lab import MockBench, RealBench
+
+    if simulated(board):
+        return MockBench(draft.config, virtual=virtual)
+    if virtual:
+        problem = f"{board} is a real board, and real boards have their own time"
+        raise ConfigError([Mistake("--virtual", problem)])
+    return RealBench(board)
+
+
+def _report(walk: Walk, draft: Draft, board: str) -> dict[str, Any]:
+    config = draft.config
+    return {
+        "schema_version": 1,
+        "draft": str(draft.file),
+        "results": str(draft.results_file),
+        "board": board,
+        "profile": draft.profile,
+        "next": walk.next or None,
+        "verified_by": config.board.verified_by,
+        "unconfirmed": config.board.unconfirmed(),
+        "steps": walk.state(),
+    }
+
+
+def _print_state(walk: Walk, file: Path) -> None:
+    words = ", ".join(f"{one['step']} {one['name']}: {one['outcome']}" for one in walk.state())
+    ahead = f"next is {walk.next}" if walk.next else "all is done"
+    click.echo(f"{file}: {words}; {ahead}", err=True)

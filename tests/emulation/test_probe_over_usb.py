@@ -1,0 +1,65 @@
+"""The walk's reading steps on a real board's way: kernel's list, libusb, vendor requests; the mock at the far end."""
+
+import json
+import os
+import subprocess
+import sysconfig
+from pathlib import Path
+
+import pytest
+from drill import new_host
+from usbfs import UsbfsTree
+
+from inteco_abs.errors import LinkError
+from inteco_abs.lab.bench import bridge_facts
+from inteco_abs.mock_board import Speed
+
+COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
+TOLD = {"idVendor": "04b4", "idProduct": "8613", "manufacturer": "InTeCo", "product": "RT-DAC/USB2", "serial": "77"}
+
+
+@pytest.mark.usefixtures("preload")
+@pytest.mark.xdist_group("real libusb")
+def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_it(tmp_path):
+    host = new_host(Speed.HIGH, drill=False)
+    tree = UsbfsTree(host)
+    for name, text in TOLD.items():
+        (tree.path / "sys/devices/usb1/1-1" / name).write_text(f"{text}\n")
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("COV")}
+
+    def walk(step):
+        return subprocess.run(
+            [COMMAND, "probe", "--board", "usb2:", "--yes-read-only", "--draft", "lab.toml", "--json", "--step", step],
+            cwd=tmp_path,
+            env=environment | tree.environment(),
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+
+    try:
+        first, second, third = walk("list"), walk("header"), walk("reads")
+    finally:
+        tree.close()
+    assert first.returncode == second.returncode == 0, first.stderr + second.stderr
+    listed, header, *_ = json.loads(second.stdout)["steps"]
+    assert [one["address"] for one in listed["devices"]] == ["usb2:77"]
+    assert header["application_name"] == "ABSSIM"
+    assert header["bridge"]["ids"] == "04b4:8613"
+    assert header["bridge"]["firmware_compiled"] == "2026-01-01"
+    assert header["bridge"]["firmware_released"] == "2026-01-02"
+    reads = json.loads(third.stdout)["steps"][2]
+    # a busy computer may be too slow for any rate, and then it says so
+    assert reads["outcome"] == "done" or "too slow for any rate" in reads["problem"]
+    assert host.device.face.device.settings == {}
+
+
+def test_a_bridge_in_trouble_is_no_reason_to_stop(real_board, monkeypatch):
+    device, _ = real_board
+
+    def fail(_device):
+        raise LinkError("the bus failed")
+
+    monkeypatch.setattr("inteco_abs.boards.usb_bridge.firmware_dates", fail)
+    assert bridge_facts(device)["firmware_compiled"] == "not told: the bus failed"

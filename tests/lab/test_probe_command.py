@@ -1,0 +1,162 @@
+"""The verb on the command line, driven by lines on stdin."""
+
+import json
+import os
+import signal
+import subprocess
+import sysconfig
+import time
+from pathlib import Path
+
+import pytest
+
+from inteco_abs.config import load_config
+
+COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
+
+
+@pytest.fixture
+def probe(tmp_path):
+    """Runs the installed command in an empty folder with these lines on its stdin."""
+
+    def run(*arguments, lines=(), verb="probe"):
+        process = subprocess.run(
+            [COMMAND, verb, *arguments],
+            cwd=tmp_path,
+            input="".join(f"{line}\n" for line in lines),
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        assert "Traceback" not in process.stderr
+        return process
+
+    return run
+
+
+def test_the_whole_walk_then_a_stop_with_the_signed_draft(probe, whole_script):
+    walk = probe("--board", "sim:", "--virtual", "--draft", "lab.toml", "--json", lines=whole_script)
+    assert walk.returncode == 0, walk.stderr
+    report = json.loads(walk.stdout)
+    assert report["next"] is None
+    assert report["verified_by"] == "the lab"
+    assert [one["outcome"] for one in report["steps"]] == ["done"] * 7
+    stop = probe(
+        "--board", "sim:", "--set", "profile=lab.toml", "--virtual", "--out", "stop.mcap", "--json", verb="run"
+    )
+    assert stop.returncode == 0, stop.stderr
+    assert json.loads(stop.stdout)["outcome"] == "completed"
+
+
+def test_an_odd_rig_is_commissioned_and_stopped(probe, scripts, odd):
+    settings = [part for one in (*odd, "board.drive_pwm=1", "board.brake_pwm=0") for part in ("--set", one)]
+    lines = [*[""] * 3, *["", "", "yes", "10", "", "10"], *scripts["echo"], *scripts["motors"], *scripts["sign"]]
+    walk = probe("--virtual", "--draft", "odd.toml", *settings, lines=lines)
+    assert walk.returncode == 0, walk.stderr
+    stop = probe("--set", "profile=odd.toml", "--virtual", "--out", "stop.mcap", "--json", verb="run")
+    assert stop.returncode == 0, stop.stderr
+    card = json.loads(stop.stdout)
+    assert card["outcome"] == "completed"
+    assert card["slip_rms_fixed_true"] < 0.1
+
+
+def test_a_profile_that_is_wrong_about_the_mock_does_not_stop_it(probe):
+    run = probe("--set", "simulation.road_encoder=5", "--virtual", "--out", "stop.mcap", "--json", verb="run")
+    assert run.returncode == 5
+    assert json.loads(run.stdout)["reason"] != "NONE"
+
+
+def test_an_unsigned_draft_does_not_run(probe):
+    assert probe("--virtual", "--yes-read-only", "--draft", "lab.toml").returncode == 0
+    run = probe("--set", "profile=lab.toml", "--virtual", "--out", "stop.mcap", verb="run")
+    assert run.returncode == 1
+    assert "reading only" in run.stderr
+
+
+def test_reading_steps_need_no_answers_and_the_rest_follows_later(probe, whole_script):
+    first = probe("--virtual", "--yes-read-only", "--json")
+    assert first.returncode == 0, first.stderr
+    assert json.loads(first.stdout)["next"] == "wheels"
+    second = probe("--virtual", "--json", lines=whole_script[3:])
+    assert second.returncode == 0, second.stderr
+    assert json.loads(second.stdout)["next"] is None
+
+
+def test_the_end_of_the_input_is_an_interruption(probe, tmp_path):
+    run = probe("--virtual", "--json", lines=["", ""])
+    assert run.returncode == 130
+    assert json.loads(run.stdout)["next"] == "reads"
+    assert load_config(profile=str(tmp_path / "rig-profile.toml")).board.application_names == ["ABSSIM"]
+
+
+def test_stop_leaves_with_130(probe):
+    run = probe("--virtual", lines=["stop"])
+    assert run.returncode == 130
+    assert "stopped at your wish" in run.stderr
+
+
+def test_a_wrong_phrase_fails_with_what_to_do(probe):
+    lines = [*[""] * 6, "", "it is off"]
+    run = probe("--virtual", "--json", lines=lines)
+    assert run.returncode == 1
+    assert "nothing was written to the board" in run.stderr
+    assert json.loads(run.stdout)["steps"][4]["outcome"] == "failed"
+
+
+def test_a_step_is_done_again_on_demand(probe, whole_script):
+    probe("--virtual", lines=whole_script)
+    run = probe("--virtual", "--redo", "4", lines=["", "", ""])
+    assert run.returncode == 0, run.stderr
+    assert "4 wheels: done" in run.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["--board", "usb3:"], "usb3:"),
+        (["--draft", "lab.ini"], "must end in .toml"),
+        (["--draft", "no/such/folder/lab.toml"], "cannot be written"),
+        (["--profile", "usb2_generic"], "not a shipped profile"),
+        (["--step", "moters"], "did you mean motors"),
+        (["--step", "6"], "comes after"),
+        (["--redo", "9"], "no step"),
+        (["--step", "1", "--redo", "2"], "name one of them"),
+        (["--set", "board.drive_pwm"], "must look like"),
+        (["--set", "simulation.road_encoder=1"], "another encoder"),
+        (["--board", "usb2:", "--virtual"], "own time"),
+        (["--board", "usb2:", "--profile", "usb1_0111"], "another profile"),
+    ],
+)
+def test_wrong_usage_ends_with_two(probe, arguments, word):
+    run = probe(*arguments)
+    assert run.returncode == 2, run.stderr
+    assert word in run.stderr
+
+
+def test_a_real_board_that_is_not_there_fails_the_first_step(probe):
+    run = probe("--board", "pci:", "--yes-read-only")
+    assert run.returncode == 1
+    assert "plug the board in" in run.stderr
+
+
+def test_ctrl_c_while_a_question_is_open(tmp_path):
+    process = subprocess.Popen(
+        [COMMAND, "probe", "--virtual"],
+        cwd=tmp_path,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        process.stdin.write("\n")
+        process.stdin.flush()
+        while "logic_version" not in (line := process.stderr.readline()) and line:
+            pass
+        time.sleep(0.2)
+        os.kill(process.pid, signal.SIGINT)
+        rest = process.stderr.read()
+    assert process.returncode == 130
+    assert "Traceback" not in rest
+    assert (tmp_path / "rig-profile.toml").exists()

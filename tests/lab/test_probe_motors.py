@@ -1,0 +1,105 @@
+"""Steps 5 and 6 on rigs that are not as they should be."""
+
+import pytest
+
+from inteco_abs.errors import ProbeError, ReadOnlyError
+
+
+@pytest.fixture
+def at(lab, scripts):
+    """A lab before a step, with the answers for it, whose switches do what they are told to or stay as they are."""
+
+    def prepare(step, *settings, switch=None):
+        lab.done_until(step, settings)
+        walk = lab.session(*scripts[step])
+        if switch is not None:
+            lab.bench.switch = switch(lab.bench.device)
+        return walk
+
+    return prepare
+
+
+def test_the_dead_zone_is_found(lab, at):
+    at("motors").go(only="motors")
+    found = lab.draft.results["motors"]
+    assert found["brake_from"] == pytest.approx(0.415, abs=0.03)
+    assert 0.05 < found["moving_duty"] < 0.15
+    assert found["coast_rad_s2"] == pytest.approx(3.1, abs=0.5)
+    evidence = lab.draft.config.board.evidence
+    assert evidence["drive_pwm"].status == evidence["brake_pwm"].status == "confirmed"
+
+
+def test_a_power_interface_that_is_on_is_noticed_at_the_first_movement(lab, at):
+    walk = at("echo", switch=lambda device: lambda _on: device.turn("road", 10, 5.0))
+    with pytest.raises(ProbeError, match="although the power interface should be off"):
+        walk.go(only="echo")
+    assert lab.bench.device.duties == (0.0, 0.0)
+
+
+def test_a_board_that_does_not_take_the_mode_fails_the_echo_test(lab, at):
+    walk = at("echo")
+    lab.bench.change_answer = lambda answer: answer[:42] + bytes([answer[42] & 0xFE]) + answer[43:]
+    with pytest.raises(Exception, match="pwm0_mode = 0, not 1"):
+        walk.go(only="echo")
+    assert lab.outcomes()["echo"] == "failed"
+
+
+def test_an_emergency_switch_that_does_not_cut_is_noticed(lab, at):
+    walk = at("motors", switch=lambda device: lambda _on: device.power(on=True))
+    with pytest.raises(ProbeError, match="although the emergency switch is pressed"):
+        walk.go(only="motors")
+    assert lab.bench.device.duties == (0.0, 0.0)
+
+
+def test_a_drive_without_power_is_noticed(at):
+    walk = at("motors", switch=lambda device: lambda _on: device.power(on=False))
+    with pytest.raises(ProbeError, match=r"no wheel moved at up to 20% drive.*--set board.drive_pwm"):
+        walk.go(only="motors")
+
+
+def test_swapped_pwm_channels_show_as_a_drive_that_does_nothing(lab, at):
+    walk = at("motors", "simulation.drive_pwm=1", "simulation.brake_pwm=0")
+    with pytest.raises(ProbeError, match="really on PWM 0"):
+        walk.go(only="motors")
+    assert lab.bench.device.duties == (0.0, 0.0)
+
+
+def test_a_brake_that_is_not_there_is_noticed_at_the_limit(lab, at):
+    walk = at("motors", "simulation.brake_pwm=3")
+    with pytest.raises(ProbeError, match=r"the brake did nothing up to 0\.70"):
+        walk.go(only="motors")
+    assert lab.bench.device.duties == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("key", "name"), [("road_sign", "lower"), ("wheel_sign", "upper")])
+def test_a_wheel_that_was_turned_the_wrong_way_round_is_found_out_by_the_drive(lab, scripts, key, name):
+    lab.done_until("wheels", [f"simulation.{key}=-1"])
+    lab.session(*scripts["wheels"])
+    which = "wheel" if key == "wheel_sign" else "road"
+    # the person turns this wheel backwards, so that it counts up, and all seems well
+    lab.bench.hand = lambda asked: lab.bench.device.turn(asked, -10 if asked == which else 10, 5.0)
+    lab.walk.go(only="wheels")
+    walk = lab.session(*scripts["echo"], *scripts["motors"])
+    walk.go(only="echo")
+    with pytest.raises(ProbeError, match=f"the {name} wheel counts backwards when driven: board.{key}"):
+        walk.go(only="motors")
+    assert lab.bench.device.duties == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("when", [False, True], ids=["before the switch is tried", "after it"])
+def test_wheels_that_do_not_rest_are_not_driven(lab, at, when):
+    def switch(device):
+        return lambda on: device.turn("road", 10, 60.0) if on is when else device.power(on=on)
+
+    walk = at("motors", switch=switch)
+    with pytest.raises(ProbeError, match="wait until both are at rest"):
+        walk.go(only="motors")
+    assert lab.bench.largest == (0.0, 0.0)
+
+
+def test_a_board_that_calls_itself_something_else_by_now_is_not_driven(lab, at):
+    walk = at("motors")
+    lab.bench.change_answer = lambda answer: answer[:2] + b"X" + answer[3:]
+    with pytest.raises(ReadOnlyError, match="the profile knows 'ABSSIM'"):
+        walk.go(only="motors")
+    assert lab.bench.frames_sent == []
