@@ -3,7 +3,18 @@ import os
 import pytest
 
 from inteco_abs import errors
-from inteco_abs.errors import AbsError, BoardError, ConfigError, LinkError, Mistake, ReadOnlyError, UnsafeError
+from inteco_abs.errors import (
+    AbsError,
+    BoardError,
+    CaptureError,
+    ConfigError,
+    LinkError,
+    Mistake,
+    ProbeError,
+    ReadOnlyError,
+    Stopped,
+    UnsafeError,
+)
 from inteco_abs.errors import SessionError as SessionTrouble
 from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.memory import Note, Word
@@ -12,7 +23,7 @@ from inteco_abs.realtime.supervisor import Supervisor, raised_again
 from inteco_abs.sessions import TICK, pack_tick
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
 
-KINDS = (AbsError, BoardError, LinkError, UnsafeError, ReadOnlyError, SessionTrouble)
+KINDS = (AbsError, BoardError, LinkError, UnsafeError, ReadOnlyError, SessionTrouble, CaptureError, ProbeError, Stopped)
 
 
 class TestRaisedAgain:
