@@ -1,8 +1,10 @@
 """The serial link on a pseudo-terminal: answers in pieces or in part, boards that go, ports that cannot be had."""
 
 import errno
+import fcntl
 import os
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -204,6 +206,8 @@ class TestFailures:
         link.discard(1)
 
 
+TIOCGEXCL = 0x80045440
+"""Linux: whether a terminal is closed to further opens; the termios module does not have it."""
 HOLDER = "import sys, time; from inteco_abs.boards.serial_link import SerialLink; link = SerialLink(sys.argv[1]); "
 
 
@@ -227,6 +231,15 @@ class TestPorts:
         holder.send_signal(signal.SIGKILL)
         holder.communicate()
         SerialLink(board.path).close()
+
+    @pytest.mark.parametrize(("terminals", "closed"), [("/dev/pts/", 0), ("/not/this/one/", 1)])
+    def test_a_port_is_closed_to_all_but_a_pseudo_terminal_which_would_stay_so(
+        self, monkeypatch, board, terminals, closed
+    ):
+        monkeypatch.setattr(serial_link, "_PSEUDO_TERMINALS", terminals)
+        link = SerialLink(board.path, PATIENT_S)
+        assert struct.unpack("i", fcntl.ioctl(board._host, TIOCGEXCL, bytes(4))) == (closed,)
+        link.close()
 
     def test_a_port_that_is_not_there_is_told_with_those_that_are(self, monkeypatch, tmp_path):
         plug_in(monkeypatch, "/dev/ttyUSB3")

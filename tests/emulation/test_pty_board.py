@@ -69,10 +69,17 @@ def mock(tmp_path):
 
 @pytest.fixture
 def profile(tmp_path):
-    """A profile of a lab's own, as it lies in its folder."""
+    """A profile of a lab's own, as it lies in its folder; patient, as terminals on a busy computer have long pauses."""
     text = resources.files("inteco_abs.profiles").joinpath("sim_usb.toml").read_text()
     file = tmp_path / "lab.toml"
-    file.write_text(text.replace("window_s = 0.012", "window_s = 0.040"))
+    for short, patient in (
+        ("window_s = 0.012", "window_s = 0.040"),
+        ("missed_in_a_row = 25 ", "missed_in_a_row = 250 "),
+        ("bucket_limit = 375", "bucket_limit = 3000"),
+    ):
+        assert short in text
+        text = text.replace(short, patient)
+    file.write_text(text)
     return file
 
 
