@@ -13,6 +13,8 @@ from inteco_abs.signals import BoardFlags, Command, Estimate, Reason, Sample
 
 _NONE: Final = Reason.NONE  # looked up in an enum a dozen times a tick, it would take a tenth of it
 _SPEED_WINDOW_S: Final = 0.005
+_LEAST_PERIODS: Final = 5
+"""Of a speed window, in slow loops too: a good sample's time stamp may be late by one of them."""
 _HISTORY_S: Final = 0.020
 _FASTEST_RAD_S: Final = 300.0
 """No wheel of this rig turns faster: well above the over-speed limit."""
@@ -23,7 +25,8 @@ _ROAD_STILL_NS: Final = 50_000_000
 _HARDEST_STOP_RAD_S2: Final = 400.0
 """No brake slows the road wheel so fast: the highest published deceleration is 167 rad/s2."""
 _TIMING_SHARE: Final = 0.2
-"""What late time stamps can do to the difference of two such speeds, as a share of the speed."""
+"""What late time stamps can do to the difference of two such speeds, as a share of the speed: each is late by at most
+one of ten periods. In a shorter window it is more."""
 _OWED_COUNTS: Final = 6.0
 _RUNNING_RAD_S: Final = 21.0
 """200 rpm: a road wheel this fast cannot come to rest within a few counts, whatever the brake does."""
@@ -53,12 +56,13 @@ class Guard:
         self._bucket_limit = limits.bucket_limit
         self._period_s = 1.0 / config.loop.rate_hz
         self._period_ns = config.period_ns  # how late a good sample's time stamp may be
-        length = max(1, round(_SPEED_WINDOW_S * config.loop.rate_hz))
+        length = max(_LEAST_PERIODS, round(_SPEED_WINDOW_S * config.loop.rate_hz))
         self._wheel_speed = SpeedWindow(counts, length)
         self._road_speed = SpeedWindow(counts, length)
-        history = max(1, round(_HISTORY_S * config.loop.rate_hz))
+        history = max(length, round(_HISTORY_S * config.loop.rate_hz))
         self._road_speeds: deque[tuple[int, float]] = deque(maxlen=history)
         self._counts_per_rad = counts / (2.0 * math.pi)
+        self._timing_share = max(_TIMING_SHARE, 2.0 / length)
         self._slack = 2.0 / (self._counts_per_rad * length * self._period_s)  # two counts in a window, as a speed
         parameters = RigParameters.named(config.model.parameters)
         self._rim_ratio = parameters.r1 / parameters.r2
@@ -157,7 +161,7 @@ class Guard:
         then_ns, earlier = self._road_speeds[0] if self._road_speeds else (now_ns, road)
         self._road_speeds.append((now_ns, road))
         elapsed_s = max(_HISTORY_S, (now_ns - then_ns) * 1e-9)
-        lost = _HARDEST_STOP_RAD_S2 * elapsed_s + _TIMING_SHARE * earlier + self._slack
+        lost = _HARDEST_STOP_RAD_S2 * elapsed_s + self._timing_share * earlier + self._slack
         return Reason.ROAD_ENCODER_FROZEN if earlier - road > lost else _NONE
 
     def _judge_wheel(self, now_ns: int, wheel: float, road: float) -> Reason:

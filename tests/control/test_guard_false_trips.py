@@ -69,3 +69,17 @@ def test_no_false_trip_with_exchanges_that_fail_now_and_then(experiment, seed):
     moments = experiment(*STRICT, "experiment.start_speed_rad_s=180.0").run(tamper=tamper)
     assert outcome(moments) == (Phase.DONE, Reason.NONE)
     assert failed > 500
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 250.0, 500.0, 1000.0, 2000.0])
+def test_no_false_trip_with_exchanges_that_take_most_of_a_period_now_and_then(experiment, rate_hz):
+    late_ns, before_ns = round(0.7e9 / rate_hz), 0
+
+    def tamper(sample, _phase):
+        nonlocal before_ns
+        moved_ns, before_ns = -before_ns, late_ns if sample.tick % 30 == 29 else 0
+        moved_ns += before_ns
+        return sample._replace(time_ns=sample.time_ns + before_ns, dt_s=sample.dt_s + moved_ns * 1e-9)
+
+    moments = experiment(*STRICT, f"loop.rate_hz={rate_hz}").run(tamper=tamper)
+    assert outcome(moments) == (Phase.DONE, Reason.NONE)
