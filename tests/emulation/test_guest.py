@@ -151,3 +151,35 @@ class TestUsb2:
 
     def test_the_stop_replays(self, usb2):
         assert_it_replays(usb2.report["stop"], usb2.results)
+
+
+@pytest.fixture(scope="module")
+def ftdi(scenario):
+    return scenario("ftdi")
+
+
+class TestFtdi:
+    """The first RT-DAC/USB: its chip, the kernel's `ftdi_sio`, pyserial."""
+
+    def test_the_kernels_driver_makes_a_port_of_it(self, ftdi):
+        device = ftdi.report["devices"]["mock"]
+        assert (device["idVendor"], device["idProduct"], device["driver"]) == ("0403", "6001", "ftdi_sio")
+        assert device["endpoints"] == ["02", "81"]
+        log = "\n".join(ftdi.report["log"])
+        assert "FTDI USB Serial Device converter detected" in log
+        assert "now attached to ttyUSB0" in log
+
+    def test_the_udev_rule_sets_its_latency_timer(self, ftdi):
+        assert ftdi.report["port"] == {"name": "ttyUSB0", "latency_timer": "1"}
+
+    def test_an_answer_waits_for_the_latency_timer(self, ftdi):
+        """Its last packet is not full; the times are virtual, so they may be judged."""
+        assert 16_000 < ftdi.report["reading_us"]["16"] < 18_000
+        assert 1_000 < ftdi.report["reading_us"]["1"] < 3_000
+
+    def test_a_braking_stop_is_complete(self, ftdi, kind, record_property):
+        record_property("told", told(kind, ftdi.report))
+        assert_it_stopped(ftdi.report["stop"])
+
+    def test_the_stop_replays(self, ftdi):
+        assert_it_replays(ftdi.report["stop"], ftdi.results)
