@@ -17,3 +17,17 @@ def without_privileges():
     if shutil.which("setpriv") is None:
         pytest.fail("setpriv is needed to give up the rights of root: install util-linux")
     return ("setpriv", "--inh-caps=-all", "--bounding-set=-all")
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Print what tests have recorded as `told`: figures that are worth reading when all is well, too."""
+    told = [
+        text
+        for report in terminalreporter.getreports("passed") + terminalreporter.getreports("failed")
+        for name, text in report.user_properties
+        if name == "told" and report.when == "call"
+    ]
+    if told:
+        terminalreporter.section("told by tests")
+        for text in told:
+            terminalreporter.write_line(text + "\n")

@@ -179,7 +179,9 @@ def rescue(memory: RunMemory, job: Job) -> None:
     image = memory.image(Note.SAFE_IMAGE)
     if image is None:
         return  # it had not finished opening the board, and nothing but zero duties was ever written
-    open_board(job.address, job.config, time.monotonic_ns).rescue(image)
+    # motors are on: no time to measure which engine is quicker
+    usb = job.config.usb.model_copy(update={"engine": "one-by-one"})
+    open_board(job.address, job.config.model_copy(update={"usb": usb}), time.monotonic_ns).rescue(image)
 
 
 def main(path: str) -> int:

@@ -463,6 +463,19 @@ class TestRescue:
         with pytest.raises(BoardError, match="no board"):
             rescue(memory, job_of(memory))
 
+    def test_no_time_is_spent_on_which_way_to_move_transfers_is_quicker(self, memory, job_of, monkeypatch):
+        chosen = []
+
+        def open_board(_address, config, _now_ns):
+            chosen.append(config.usb.engine)
+            raise BoardError("this is all that the test wants to know")
+
+        monkeypatch.setattr(guardian_module, "open_board", open_board)
+        memory.post(Note.SAFE_IMAGE, SAFE)
+        with pytest.raises(BoardError, match="all that"):
+            rescue(memory, job_of(memory, "usb.engine=faster"))
+        assert chosen == ["one-by-one"]
+
     def test_the_board_is_free_afterwards(self, run):
         run.leave_driving()
         run.memory.post(Note.SAFE_IMAGE, SAFE)

@@ -1,0 +1,12 @@
+"""The drill board at a Unix socket, as a process: `python -m guest.drill_server PATH high|full`."""
+
+import sys
+from pathlib import Path
+
+from drill import new_host
+
+from inteco_abs.mock_board import Speed, UnixAddress, UsbIpServer
+
+server = UsbIpServer(new_host(Speed[sys.argv[2].upper()]), UnixAddress(Path(sys.argv[1])))
+server.bind()
+server.serve()
