@@ -265,6 +265,11 @@ def load_config(
     return _validate(merged, checks, mistakes)
 
 
+def profile_text(name: str) -> str:
+    """A shipped profile as it was written, comments included."""
+    return resources.files("inteco_abs.profiles").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+
+
 def read_profile(name: str) -> Table:
     """What a shipped profile or a .toml file says, before defaults; raises ConfigError if there is none."""
     mistakes: list[Mistake] = []
@@ -337,8 +342,7 @@ def apply_setting(table: Table, setting: str) -> list[Mistake]:
 
 def _profile(name: object, mistakes: list[Mistake]) -> Table:
     if isinstance(name, str) and name in profiles():
-        text = resources.files("inteco_abs.profiles").joinpath(f"{name}.toml").read_text(encoding="utf-8")
-        return tomllib.loads(text)
+        return tomllib.loads(profile_text(name))
     if isinstance(name, str) and name.endswith(".toml"):
         return _read(Path(name))
     if not isinstance(name, str):

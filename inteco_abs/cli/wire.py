@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import click
 
+from inteco_abs.cli.shared import DIFFERS, FILE, json_option, print_json
 from inteco_abs.errors import ConfigError, Mistake
 
-_DIFFERS: Final = 4
-_FILE: Final = click.Path(path_type=Path)
 _PROTOCOLS: Final = ("usb2", "usb1-111", "usb1-112")
 _SCHEMA: Final = 1
 _MOST_SHOWN: Final = 20
-
-
-def _json_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead.")(function)
 
 
 @click.group()
@@ -28,8 +22,8 @@ def wire() -> None:
 
 
 @wire.command("import")
-@click.argument("pcap", type=_FILE)
-@click.option("--out", "-o", type=_FILE, required=True, help="Capture to write, as JSON lines.")
+@click.argument("pcap", type=FILE)
+@click.option("--out", "-o", type=FILE, required=True, help="Capture to write, as JSON lines.")
 @click.option("--device", default="", metavar="BUS.ADDR", help="The board, if several devices talk like one.")
 @click.option("--protocol", type=click.Choice(_PROTOCOLS), default="usb2", show_default=True, help="How it talks.")
 def import_(pcap: Path, out: Path, device: str, protocol: str) -> int:
@@ -48,8 +42,8 @@ def import_(pcap: Path, out: Path, device: str, protocol: str) -> int:
 
 
 @wire.command()
-@click.argument("file", type=_FILE)
-@_json_option
+@click.argument("file", type=FILE)
+@json_option
 def show(file: Path, as_json: bool) -> int:
     """What a capture holds: messages, rates, failures, and which board it was."""
     from inteco_abs.boards.capture import read_capture
@@ -76,8 +70,8 @@ def show(file: Path, as_json: bool) -> int:
 
 
 @wire.command()
-@click.argument("file", type=_FILE)
-@_json_option
+@click.argument("file", type=FILE)
+@json_option
 def moved(file: Path, as_json: bool) -> int:
     """Which words moved during a capture, the likeliest one first: for finding what a slider does."""
     from inteco_abs.boards.capture import read_capture
@@ -87,7 +81,14 @@ def moved(file: Path, as_json: bool) -> int:
     capture = read_capture(file)
     words, doubt = moved_words(capture), caution(capture)
     if as_json:
-        _print_json({"capture": str(file), "caution": doubt, "moved": [word._asdict() for word in words]})
+        print_json(
+            {
+                "schema_version": _SCHEMA,
+                "capture": str(file),
+                "caution": doubt,
+                "moved": [word._asdict() for word in words],
+            }
+        )
         return 0
     if doubt:
         click.echo(f"inteco-abs: {doubt}", err=True)
@@ -113,8 +114,8 @@ def moved(file: Path, as_json: bool) -> int:
 
 
 @wire.command()
-@click.argument("first", type=_FILE)
-@click.argument("second", type=_FILE)
+@click.argument("first", type=FILE)
+@click.argument("second", type=FILE)
 @click.option(
     "--numbering-pwm",
     type=click.IntRange(min=0),
@@ -122,7 +123,7 @@ def moved(file: Path, as_json: bool) -> int:
     help="Ignore the prescaler of this PWM channel, by which our frames are numbered.",
 )
 @click.option("--ignore", multiple=True, metavar="FIELD", help="Ignore another field.")
-@_json_option
+@json_option
 def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str, ...], as_json: bool) -> int:
     """Compare the SEND frames of two captures, the n-th with the n-th; ends with exit code 4 if they differ."""
     from inteco_abs.boards.capture import read_capture
@@ -135,8 +136,10 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
     outcome = compare_sends(one, other, ignored)
     if as_json:
         words = [word._asdict() for word in outcome.words]
-        _print_json({"first": str(first), "second": str(second), **outcome._asdict(), "words": words})
-        return 0 if outcome.same else _DIFFERS
+        print_json(
+            {"schema_version": _SCHEMA, "first": str(first), "second": str(second), **outcome._asdict(), "words": words}
+        )
+        return 0 if outcome.same else DIFFERS
     click.echo(
         f"{outcome.first_frames} and {outcome.second_frames} SEND frames, "
         f"{outcome.differing_frames or 'none'} of the pairs differ"
@@ -153,14 +156,14 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
     ]
     if rows:
         _print_table(("word", "bits", "differs in", "first", "fields"), rows)
-    return 0 if outcome.same else _DIFFERS
+    return 0 if outcome.same else DIFFERS
 
 
 @wire.command()
-@click.argument("file", type=_FILE)
-@click.option("--config", type=_FILE, help="rig.toml that names the board's profile.")
+@click.argument("file", type=FILE)
+@click.option("--config", type=FILE, help="rig.toml that names the board's profile.")
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Over the file, as in profile=usb1_0111.")
-@_json_option
+@json_option
 def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: bool) -> int:
     """Let our driver do what the capture shows, and compare every message; ends with exit code 4 if they differ."""
     from inteco_abs.boards.capture import read_capture
@@ -182,7 +185,7 @@ def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: 
             click.echo(f"  and {outcome.differing - _MOST_SHOWN} more; --json has {len(outcome.differences)}")
         if outcome.ended:
             click.echo(f"  the capture could not be followed to its end: {outcome.ended}")
-    return _DIFFERS if outcome.differing or outcome.ended else 0
+    return DIFFERS if outcome.differing or outcome.ended else 0
 
 
 def _logic(version: int | None, name: str) -> str:
@@ -194,7 +197,7 @@ def _number(value: float | None) -> str:
 
 
 def _print_json(data: dict[str, Any]) -> None:
-    click.echo(json.dumps({"schema_version": _SCHEMA, **data}, allow_nan=False))
+    print_json({"schema_version": _SCHEMA, **data})
 
 
 def _print_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

@@ -1,0 +1,67 @@
+"""Verbs that list what there is to choose from: controllers, profiles."""
+
+from __future__ import annotations
+
+import click
+
+from inteco_abs.cli.shared import json_option, print_json
+from inteco_abs.errors import ConfigError, Mistake, near_match
+
+
+@click.command()
+@json_option
+def controllers(as_json: bool) -> int:
+    """List the controllers that ship, with their gains."""
+    from inteco_abs.control import CONTROLLERS
+
+    if as_json:
+        found = {
+            name: {"summary": _summary(kind), "gains": [gain._asdict() for gain in kind.gains]}
+            for name, kind in CONTROLLERS.items()
+        }
+        print_json({"schema_version": 1, "controllers": found})
+        return 0
+    for name, kind in CONTROLLERS.items():
+        click.echo(f"{name:17} {_summary(kind)}")
+        for gain in kind.gains:
+            value = f"{gain.name} = {gain.default:g}"
+            click.echo(f"{'':17}   {value:18} {gain.low:g}..{gain.high:g} {gain.unit}: {gain.meaning}")
+    return 0
+
+
+@click.command()
+@click.argument("name", required=False)
+@json_option
+def profiles(name: str | None, as_json: bool) -> int:
+    """List the shipped profiles, or print the one called NAME: the beginning of a lab's own."""
+    from inteco_abs.config import load_config, profile_text
+    from inteco_abs.config import profiles as shipped
+
+    if name is not None:
+        if name not in shipped():
+            raise ConfigError([Mistake("profile", f"{name!r} is not a shipped profile{near_match(name, shipped())}")])
+        click.echo(profile_text(name), nl=False)
+        return 0
+    boards = {one: load_config(profile=one).board for one in shipped()}
+    if as_json:
+        found = {
+            one: {
+                "kind": board.kind,
+                "logic_version": board.logic_version,
+                "verified_by": board.verified_by,
+                "read_only": board.read_only,
+                "unconfirmed": board.unconfirmed(),
+            }
+            for one, board in boards.items()
+        }
+        print_json({"schema_version": 1, "profiles": found})
+        return 0
+    for one, board in boards.items():
+        signed = f"signed by {board.verified_by}" if board.verified_by else f"{len(board.unconfirmed())} not confirmed"
+        click.echo(f"{one:19} {board.kind:5} logic 0x{board.logic_version:04X}  {board.read_only or signed}")
+    return 0
+
+
+def _summary(kind: type) -> str:
+    """First sentence of a class's docstring."""
+    return (kind.__doc__ or "").strip().splitlines()[0].rstrip(".")

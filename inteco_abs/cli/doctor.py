@@ -1,0 +1,89 @@
+"""The verb `inteco-abs doctor`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from inteco_abs.cli.shared import FILE, LOSSES, json_option, print_json
+from inteco_abs.errors import ConfigError, Mistake
+
+if TYPE_CHECKING:
+    from inteco_abs.realtime.findings import Finding
+
+
+@click.command()
+@click.option(
+    "--seconds", default=2.0, show_default=True, type=float, help="Length of the wake-up test; 60 tells more."
+)
+@click.option(
+    "--sessions", type=FILE, default=Path("sessions"), show_default=True, help="Where sessions will be written."
+)
+@click.option("--rules", "printed", flag_value="rules", help="Print only the udev rules, for sudo tee.")
+@click.option("--limits", "printed", flag_value="limits", help="Print only the limits file, for sudo tee.")
+@click.option("--board", help="Also measure how long exchanges with this board take; its outputs stay off.")
+@click.option("--config", type=FILE, help="rig.toml that names the board's profile.")
+@json_option
+def doctor(
+    seconds: float, sessions: Path, printed: str | None, board: str | None, config: Path | None, as_json: bool
+) -> int:
+    """Tell whether this computer is fit for the rig, and what to do about it.
+
+    Changes nothing. Not for use during a run: its test takes the loop's place. Ends with exit code 0 when all is green
+    or amber, with 3 when something is red.
+    """
+    from inteco_abs.boards import check_address, default_profile
+    from inteco_abs.config import load_config
+    from inteco_abs.experiment import exchange_times_us
+    from inteco_abs.realtime.doctor import examine, write_speed
+    from inteco_abs.realtime.findings import Computer, Finding, Verdict, worst
+    from inteco_abs.realtime.latency import LONGEST_S, SHORTEST_S, examine_wake_ups, judge_round_trips
+    from inteco_abs.realtime.permissions import limits, serial_group, udev_rules
+    from inteco_abs.realtime.trips import COUNT
+
+    group = serial_group(Computer())
+    files = {"rules": udev_rules(group), "limits": limits(group)}
+    if printed:
+        click.echo(files[printed], nl=False)
+        return 0
+    if not SHORTEST_S <= seconds <= LONGEST_S:
+        raise ConfigError([Mistake("--seconds", f"{seconds:g}: must be {SHORTEST_S:g}..{LONGEST_S:g} s")])
+    if board is not None:
+        check_address(board)
+    rig = load_config(config, profile=default_profile(board or "sim:"))
+    if sessions.exists() and not sessions.is_dir():
+        raise ConfigError([Mistake("--sessions", f"{sessions}: is a file; name a folder")])
+    findings = examine(sessions)
+    click.echo(f"measuring for {seconds:g} s", err=True)
+    findings += [write_speed(sessions), *examine_wake_ups(seconds)]
+    times_us: list[float] = []
+    if board is not None:
+        times_us = exchange_times_us(rig, board)
+        findings.append(Finding("round trips", *judge_round_trips(times_us, COUNT, rig.period_ns * 1e-3)))
+    verdict = worst(findings)
+    if as_json:
+        print_json({"schema_version": 1, "verdict": verdict, "findings": [one._asdict() for one in findings], **files})
+    else:
+        _print_findings(findings)
+        if times_us:
+            _print_histogram(times_us, rig.period_ns * 1e-3)
+    return LOSSES if verdict is Verdict.RED else 0
+
+
+def _print_findings(findings: Sequence[Finding]) -> None:
+    from rich.console import Console
+
+    from inteco_abs.views.health import render_findings
+
+    Console().print(render_findings(findings))
+
+
+def _print_histogram(times_us: Sequence[float], period_us: float) -> None:
+    from rich.console import Console
+
+    from inteco_abs.views.health import render_histogram
+
+    Console().print("\nround trips:", render_histogram(times_us, period_us), sep="\n")

@@ -1,0 +1,103 @@
+"""The verb `inteco-abs mock-board`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, TextIO
+
+import click
+
+from inteco_abs.cli.shared import FILE
+from inteco_abs.errors import ConfigError, Mistake
+
+_MOCK_PROFILES: Final = {"usb2": "sim_usb2", "usb": "sim_usb"}
+
+
+@click.command("mock-board")
+@click.option(
+    "--board", "kind", type=click.Choice(["usb2", "usb", "pci"]), help="Which; default: usb2, or usb at a pty."
+)
+@click.option(
+    "--usbip",
+    "address",
+    is_flag=False,
+    flag_value="",
+    metavar="[HOST:PORT]",
+    help="Serve it as a USB device to any Linux with vhci_hcd; by default on the loopback address, port 3240.",
+)
+@click.option(
+    "--pty",
+    "link",
+    is_flag=False,
+    flag_value="",
+    metavar="[LINK]",
+    help="Be a serial port instead, and make the symbolic link LINK to it.",
+)
+@click.option("--serial", default=900_000_001, show_default=True, type=int, help="Its decimal serial number.")
+@click.option(
+    "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="What differs between two power-ups."
+)
+@click.option("--config", type=FILE, help="rig.toml; every key has a default.")
+@click.option("--truth", metavar="FILE", help="Write the rig's true state there as JSON lines; - is stdout.")
+@click.option(
+    "--truth-hz", default=20.0, show_default=True, type=click.FloatRange(0.1, 1000.0), help="How many lines a second."
+)
+def mock_board(
+    kind: str | None,
+    address: str | None,
+    link: str | None,
+    serial: int,
+    seed: int,
+    config: Path | None,
+    truth: str | None,
+    truth_hz: float,
+) -> int:
+    """Be an RT-DAC board with the rig on it, in real time, until Ctrl-C; its data are no measurements."""
+    from functools import partial
+
+    from inteco_abs.config import load_config
+    from inteco_abs.simulator import Mock, serve_pty, serve_usbip
+
+    if (address is None) == (link is None):
+        raise ConfigError([Mistake("mock-board", "name one of --usbip, a USB device, and --pty, a serial port")])
+    kind = kind or ("usb2" if link is None else "usb")
+    _insist_on_plug(kind, at_pty=link is not None)
+    rig = load_config(config, profile=_MOCK_PROFILES[kind])
+    if rig.board.kind != kind:
+        raise ConfigError(
+            [Mistake("board.kind", f"{rig.board.kind!r}: the mock is to be {kind!r}; name another profile")]
+        )
+    with _truth_file(truth) as file:
+        mock = Mock(rig, seed, file, truth_hz)
+        say = partial(click.echo, err=truth == "-")  # data go to stdout, talk to stderr
+        if link is None:
+            serve_usbip(mock, address or "", serial, say)
+        else:
+            serve_pty(mock, link, say)
+    return 0
+
+
+def _insist_on_plug(kind: str, *, at_pty: bool) -> None:
+    """Raise ConfigError unless a mock board of this kind can be plugged in that way."""
+    if kind == "pci":
+        problem = "no PCI board can be plugged in from outside; for its mock: run --board sim: --set profile=sim_pci"
+        raise ConfigError([Mistake("--board", problem)])
+    if at_pty and kind != "usb":
+        raise ConfigError([Mistake("--board", f"{kind}: is no serial port; --pty goes with --board usb")])
+
+
+@contextmanager
+def _truth_file(name: str | None) -> Iterator[TextIO | None]:
+    """Where the mock's true state goes."""
+    if name is None or name == "-":
+        yield sys.stdout if name else None
+        return
+    try:
+        file = Path(name).open("w", encoding="utf-8")  # noqa: SIM115  closed below; what is raised inside is not ours
+    except OSError as error:
+        raise ConfigError([Mistake("--truth", f"{name}: cannot be written: {error.strerror}")]) from error
+    with file:
+        yield file

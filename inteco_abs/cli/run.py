@@ -1,0 +1,168 @@
+"""The verb `inteco-abs run`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from inteco_abs.cli.shared import FILE, draw, json_option, known_controllers, print_card, print_json
+from inteco_abs.errors import AbsError, ConfigError, Mistake
+
+if TYPE_CHECKING:
+    from inteco_abs.experiment import Progress
+    from inteco_abs.realtime.screen import Screen, Snapshot
+    from inteco_abs.sessions import Account
+
+
+@click.command()
+@click.option("--board", default="sim:", show_default=True, help="Board address; sim: is the mock board.")
+@click.option("--virtual", is_flag=True, help="Virtual time: as fast as it goes, and repeatable.")
+@click.option(
+    "--seed",
+    default=0,
+    show_default=True,
+    type=click.IntRange(min=0),
+    help="What differs between two power-ups of the mock board.",
+)
+@click.option("--config", type=FILE, help="rig.toml; every key has a default.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Over the file, as in guard.brake_limit=0.7.",
+)
+@click.option("--controller", help="reaching-law, relay, or your own as file.py:Class.")
+@click.option("--estimator", help="moving-window, or euler as in the paper.")
+@click.option("--out", type=FILE, help="Session file to write; default: sessions/stop-TIME.mcap.")
+@click.option("--figure", type=FILE, help="Also draw the stop: .png, .svg or .pdf.")
+@click.option("--record-wire", "wire", type=FILE, help="Also write every message to and from the board, as JSON lines.")
+@json_option
+def run(
+    board: str,
+    virtual: bool,
+    seed: int,
+    config: Path | None,
+    settings: tuple[str, ...],
+    controller: str | None,
+    estimator: str | None,
+    out: Path | None,
+    figure: Path | None,
+    wire: Path | None,
+    as_json: bool,
+) -> int:
+    """Drive, brake, record: one stop."""
+    from inteco_abs.boards import check_address, default_profile
+    from inteco_abs.config import load_config
+    from inteco_abs.control import CONTROLLERS, control_check
+    from inteco_abs.experiment import Plan, run_stop
+    from inteco_abs.views.figure import check_figure
+
+    controllers, source = known_controllers(controller, CONTROLLERS)
+    chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
+    check_address(board)
+    rig = load_config(config, [*settings, *chosen], [control_check(controllers)], default_profile(board))
+    out = out or _default_out()
+    if figure is not None:
+        check_figure(figure)
+        if figure.resolve() == out.resolve():
+            raise ConfigError([Mistake("--figure", f"{figure}: is the session's own file; choose another name")])
+    plan = Plan(out, board, virtual, seed, controllers, source, wire)
+    if virtual:
+        with _progress() as progress:
+            stop = run_stop(rig, plan, progress)
+    else:
+        _tell_of_left_rings()
+        with _screen(rig.experiment.start_speed_rad_s) as screen:
+            stop = run_stop(rig, plan, screen=screen)
+    try:
+        _tell(stop, as_json=as_json)
+    except OSError:  # the terminal is gone: how the run ended matters more
+        sys.stdout = sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115  until the process ends
+        return stop.exit_code or 1
+    if figure is not None and stop.card["start_speed_rad_s"] is not None:
+        try:
+            draw(out, figure)
+        except AbsError as error:  # how the run ended matters more than its picture
+            click.echo(f"inteco-abs: {error}", err=True)
+            return stop.exit_code or error.exit_code
+    return stop.exit_code
+
+
+def _default_out() -> Path:
+    folder = Path("sessions")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise ConfigError(
+            [Mistake("--out", f"no folder {folder} can be made here ({error.strerror}); name a file")]
+        ) from error
+    return folder / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"
+
+
+def _tell(stop: Account, *, as_json: bool) -> None:
+    if as_json:
+        print_json(stop.card)
+    else:
+        print_card(stop.card, stop.explanation)
+    if stop.outcome != "completed":
+        click.echo(f"inteco-abs: {stop.outcome}: {stop.explanation}", err=True)
+    elif stop.exit_code:
+        lost = f"{stop.card['overruns']} periods overrun, {stop.card['link_errors']} exchanges failed"
+        click.echo(f"inteco-abs: completed, but look at it: {lost}", err=True)
+
+
+class _Lines:
+    """Shows a run where there is no terminal: what cannot wait, and nothing else."""
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Nothing: a log is no place for ten lines a second."""
+
+    def warn(self, text: str) -> None:
+        """One line."""
+        click.echo(f"inteco-abs: {text}", err=True)
+
+
+@contextmanager
+def _screen(full_speed_rad_s: float) -> Iterator[Screen]:
+    """Live picture of a real-time run on a terminal's stderr, else one line before it."""
+    if not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
+        click.echo("running in real time; Ctrl-C stops safely", err=True)
+        yield _Lines()
+        return
+    from rich.console import Console
+
+    from inteco_abs.views.dashboard import Dashboard
+
+    with Dashboard(Console(stderr=True), full_speed_rad_s) as dashboard:
+        yield dashboard
+
+
+def _tell_of_left_rings() -> None:
+    """A run that crashed altogether has left its ticks in memory; the next one must not let them be forgotten."""
+    from inteco_abs.realtime.memory import left_rings
+
+    for ring in left_rings():
+        click.echo(
+            f"inteco-abs: a run that crashed has left its ticks in {ring}: inteco-abs recover {ring} --out FILE",
+            err=True,
+        )
+
+
+@contextmanager
+def _progress() -> Iterator[Progress | None]:
+    """Phase and ticks so far of a virtual run, on a terminal's stderr."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("starting") as status:
+        yield lambda phase, ticks: status.update(f"{phase.name.lower().replace('_', '-')}, {ticks} ticks")

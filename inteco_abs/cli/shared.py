@@ -1,0 +1,69 @@
+"""What the verbs have in common: options, exit codes, and reading a session with a word about its losses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from inteco_abs.errors import ConfigError, Mistake
+
+if TYPE_CHECKING:
+    from inteco_abs.control import Controller
+    from inteco_abs.sessions import Session
+
+LOSSES: Final = 3
+DIFFERS: Final = 4
+INTERRUPTED: Final = 130
+FILE: Final = click.Path(path_type=Path)
+CUSTOM: Final = ".py:"
+"""In the name of a controller that comes from a user's file."""
+
+
+def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead.")(function)
+
+
+def print_json(data: Mapping[str, Any]) -> None:
+    click.echo(json.dumps(data, allow_nan=False))
+
+
+def print_card(card: Mapping[str, Any], explanation: str) -> None:
+    from rich.console import Console
+
+    from inteco_abs.views import render_card
+
+    Console().print(render_card(card, explanation))
+
+
+def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
+    session = reader(file)
+    if session.incomplete:
+        click.echo(f"inteco-abs: {file}: {session.incomplete}; {len(session.ticks)} ticks are whole", err=True)
+    return session
+
+
+def draw(file: Path, out: Path) -> None:
+    from inteco_abs.sessions import read_session
+    from inteco_abs.views.figure import check_figure, draw_stop
+
+    check_figure(out)
+    draw_stop(read_whole(file, read_session), out)
+    click.echo(f"figure: {out}", err=True)
+
+
+def known_controllers(
+    name: str | None, shipped: Mapping[str, type[Controller]]
+) -> tuple[Mapping[str, type[Controller]], bytes]:
+    """Controllers to choose from, with the user's own if `name` is `file.py:Class`, and its source."""
+    if name is None or CUSTOM not in name:
+        if name is not None and name.endswith(".py"):
+            raise ConfigError([Mistake("--controller", f"{name}: name the class too, as in {name}:Class")])
+        return shipped, b""
+    from inteco_abs.plugins import load_controller
+
+    kind, source = load_controller(name)
+    return {**shipped, name: kind}, source

@@ -1,0 +1,86 @@
+"""The group of all verbs, and the top of the process."""
+
+from __future__ import annotations
+
+import sys
+from typing import Final
+
+import click
+
+from inteco_abs.cli.catalogue import controllers, profiles
+from inteco_abs.cli.doctor import doctor
+from inteco_abs.cli.mock_board import mock_board
+from inteco_abs.cli.probe import probe
+from inteco_abs.cli.run import run
+from inteco_abs.cli.sessions import figure, info, recover, replay
+from inteco_abs.cli.shared import INTERRUPTED
+from inteco_abs.cli.wire import wire
+from inteco_abs.errors import AbsError, near_match
+
+
+class _Verbs(click.Group):
+    """Group that suggests the nearest verb."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in self.commands:
+            raise click.UsageError(f"no command {args[0]!r}{near_match(args[0], self.commands)}", ctx)
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="inteco-abs")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+def cli(debug: bool) -> None:
+    """Driver, controller and laboratory for the Inteco anti-lock braking rig."""
+
+
+_VERBS: Final = (
+    run,
+    replay,
+    info,
+    figure,
+    recover,
+    doctor,
+    probe,
+    wire,
+    mock_board,
+    controllers,
+    profiles,
+)
+for _verb in _VERBS:
+    cli.add_command(_verb)
+
+
+def main() -> None:
+    """Entry point of the command: maps every way to end to its exit code, without a traceback."""
+    debug = "--debug" in sys.argv
+    try:
+        code = cli.main(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except AbsError as error:
+        if debug:
+            raise
+        for line in (str(error), *getattr(error, "__notes__", ())):
+            click.echo(f"inteco-abs: {line}", err=True)
+        code = error.exit_code
+    except (KeyboardInterrupt, click.Abort):
+        click.echo("inteco-abs: interrupted", err=True)
+        code = INTERRUPTED
+    except OSError as error:  # the output went away: a closed pipe, a full disk
+        sys.stdout = sys.stderr
+        click.echo(f"inteco-abs: the output cannot be written: {error.strerror}", err=True)
+        code = 1
+    except Exception as error:  # the top of the process: a bug must not look like the user's mistake
+        if debug:
+            raise
+        click.echo(
+            f"inteco-abs: internal error, please report it: {type(error).__name__}: {error}\n"
+            "  inteco-abs --debug ... shows where",
+            err=True,
+        )
+        code = 1
+    sys.exit(code)

@@ -1,0 +1,38 @@
+import json
+import tomllib
+
+from inteco_abs.config import profiles
+from inteco_abs.control import CONTROLLERS
+
+
+def test_every_controller_is_listed_with_a_line_and_its_gains(inteco_abs):
+    text = inteco_abs("controllers", check=0).stdout
+    found = json.loads(inteco_abs("controllers", "--json", check=0).stdout)["controllers"]
+    assert found.keys() == CONTROLLERS.keys()
+    for name, one in found.items():
+        assert f"\n{name} " in f"\n{text}"
+        assert one["summary"] in text
+        assert [gain["name"] for gain in one["gains"]] == [gain.name for gain in CONTROLLERS[name].gains]
+
+
+def test_every_profile_is_listed_with_what_stands_between_it_and_outputs(inteco_abs):
+    text = inteco_abs("profiles", check=0).stdout
+    found = json.loads(inteco_abs("profiles", "--json", check=0).stdout)["profiles"]
+    assert list(found) == profiles()
+    assert found["usb2_generic_0103"]["unconfirmed"]
+    assert found["usb2_tras"]["read_only"] in text
+    assert found["sim_usb2"]["verified_by"]
+
+
+def test_a_profile_is_printed_whole_for_a_lab_to_begin_with(inteco_abs, tmp_path):
+    text = inteco_abs("profiles", "usb2_generic_0103", check=0).stdout
+    assert tomllib.loads(text)["board"]["logic_version"] == 0x0103
+    assert text.startswith("#")
+    (tmp_path / "lab.toml").write_text(text, encoding="utf-8")
+    run = inteco_abs("run", "--virtual", "--set", "profile=lab.toml", check=1)
+    assert "reading only" in run.stderr
+
+
+def test_a_profile_that_does_not_exist_is_named_with_the_nearest(inteco_abs):
+    run = inteco_abs("profiles", "usb2_generic_103", check=2)
+    assert "did you mean usb2_generic_0103" in run.stderr
