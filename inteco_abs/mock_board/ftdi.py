@@ -87,6 +87,7 @@ class FtdiBoard(UsbDevice):
 
     def catch_up(self) -> None:
         """Move the rig on, so that little is left to do when the host waits for an answer."""
+        self._awaited = False  # a host that still waits asks again at once; one that has closed the port does not
         self.stream.face.device.catch_up()
 
     def packet_in(self, endpoint: int) -> Answer:

@@ -127,6 +127,16 @@ def test_it_tells_when_to_ask_again(board, clock):
     assert board.due_s > 1e9
 
 
+def test_a_host_that_has_closed_the_port_is_not_waited_for(device, board, clock):
+    """Its read was taken back. A server that went on being patient for no time at all would never sleep again."""
+    device.ctrl_transfer(0x40, 9, 255, 0)
+    assert bytes(device.read(IN, 64)) == STATUS
+    assert fails(errno.ETIMEDOUT, device.read, IN, 64, 10)
+    clock.time_ns += 300 * MS
+    clock.host.catch_up()
+    assert board.due_s > 1e9
+
+
 @pytest.mark.parametrize(("latency_ms", "most_ms"), [(16, 17), (1, 2)])
 def test_a_reading_takes_as_long_as_the_timer_has_it(device, clock, latency_ms, most_ms):
     device.ctrl_transfer(0x40, 9, latency_ms, 0)

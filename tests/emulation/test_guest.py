@@ -80,15 +80,15 @@ def usb2(scenario):
 
 def assert_it_stopped(stop):
     assert stop["exit_code"] in {0, 3}, stop["messages"]  # 3: done, with periods overrun or exchanges failed
-    card = stop["card"]
+    card, turning = stop["card"], stop["turning"]
     assert (card["outcome"], card["stops"]) == ("completed", 1)
     assert card["start_speed_rad_s"] > 150.0
     assert 1.0 < card["stop_time_s"] < 2.0
-    assert card["ticks"] > 6 * stop["rate_hz"]
-    # where the simulated wheels begin and cease to turn they cost more than this processor has; elsewhere it keeps up
-    assert card["overruns"] < 0.1 * card["ticks"]
-    assert card["link_errors"] < 0.01 * card["ticks"]
-    assert stop["io_us"]["p99"] < 1e6 / stop["rate_hz"]
+    assert turning["ticks"] > 6 * stop["rate_hz"]
+    assert turning["overruns"] + turning["failed_or_slow"] < 0.01 * turning["ticks"]
+    assert turning["io_us"]["p99"] < 1e6 / stop["rate_hz"]
+    # where the simulated wheels begin and cease to turn they cost more than this processor has
+    assert card["overruns"] + card["link_errors"] < 0.1 * card["ticks"]
     assert (stop["realtime"]["scheduler"], stop["realtime"]["memory"]) == ("SCHED_FIFO 80", "locked")
 
 
@@ -102,14 +102,16 @@ def assert_it_replays(stop, results):
 def told(kind, report):
     """What is printed after the tests."""
     stop, card, rate_hz = report["stop"], report["stop"]["card"], report["stop"]["rate_hz"]
-    figures = ", ".join(f"{name} {us:.0f}" for name, us in stop["io_us"].items())
+    turning = stop["turning"]
+    figures = ", ".join(f"{name} {us:.0f}" for name, us in turning["io_us"].items())
     lines = [
         f"guest with the {kind} kernel: {report['kernel']}",
         *report["log"],
         *(f"{name}: {json.dumps(facts)}" for name, facts in report["devices"].items()),
         f"{card['ticks']} ticks at {rate_hz} Hz, {card['overruns']} overruns, {card['link_errors']} link errors",
         f"outcome {card['outcome']}; {stop['replay']['differing']} ticks differ when replayed",
-        f"exchange with the board in virtual time, us: {figures}",
+        f"while the wheels turn: {turning['overruns']} overruns, {turning['failed_or_slow']} exchanges failed or slow",
+        f"exchange with the board meanwhile, us of virtual time: {figures}",
         f"guardian drill: {stop['realtime']['guardian drill']}",
     ]
     return "\n".join(lines)

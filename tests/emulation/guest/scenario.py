@@ -82,11 +82,18 @@ def tell(report):
 
 
 def _timing(path):
+    """Of all ticks while the road wheel turns: there the simulated rig does not cost more than this processor has."""
     session = read_session(path)
+    turning = session.ticks[session.ticks["road_speed_rad_s"] > 10.0]
     return {
         "rate_hz": round(1.0 / float(session.metadata["controller"]["sample_time_s"])),
-        "io_us": _quantiles(session.ticks["io_us"]),
-        "late_us": _quantiles(session.ticks["late_us"]),
+        "turning": {
+            "ticks": len(turning),
+            "overruns": int(turning["skipped"].sum()),
+            "failed_or_slow": int((turning["board_flags"] != 0).sum()),
+            "io_us": _quantiles(turning["io_us"]),
+            "late_us": _quantiles(turning["late_us"]),
+        },
         "realtime": session.metadata["realtime"],
     }
 
