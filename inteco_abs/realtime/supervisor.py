@@ -24,7 +24,7 @@ from inteco_abs.realtime.memory import Note, RunMemory, Word
 from inteco_abs.realtime.recorder import board_in_words, rebuild
 from inteco_abs.realtime.screen import Screen, Snapshot, Unbreakable
 from inteco_abs.sessions import TICK, Account
-from inteco_abs.signals import Phase, Reason
+from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 _POLL_S: Final = 0.01
 _SCREEN_S: Final = 0.1
@@ -239,7 +239,8 @@ class Supervisor:
             raise trouble from error
         if account is None:
             told = failure or memory.note(Note.FAILURE)
-            raise raised_again(told) if told else SessionError("the run ended before its first tick")
+            why = EXPLANATIONS[Reason(memory.words[Word.GUARDIAN_STOP] or memory.words[Word.STOP])]
+            raise raised_again(told) if told else SessionError(f"the run ended before its first tick: {why}")
         return account
 
     def _rescue_if_nobody_did(self) -> None:
