@@ -9,6 +9,7 @@ from __future__ import annotations
 import operator
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from datetime import date
 from importlib import resources
 from pathlib import Path
@@ -21,8 +22,6 @@ from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER, VENDOR_ID
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
 DEFAULT_PROFILE: Final = "sim_usb2"
-_SIMULATED: Final = "sim_"
-"""Shipped profiles that begin so are simulated rigs, which may be rewired at will."""
 _LARGEST_FILE: Final = 1_000_000
 _LONGEST_VALUE: Final = 60
 _NOT_TOML: Final = (ValueError, RecursionError)
@@ -59,7 +58,19 @@ WIRING: Final = (
     "wheel_sign",
     "counts_per_turn",
 )
-"""What outputs rest on, and a signature covers: keys of [board], and `encoders.counts_per_turn`."""
+"""What outputs rest on: keys of [board], and `encoders.counts_per_turn`."""
+_SIGNED: Final = (
+    *WIRING,
+    "kind",
+    "logic_version",
+    "application_names",
+    "read_only",
+    "simulated",
+    "verified_on",
+    "verified_logic",
+    "evidence",
+)
+"""What a signature covers."""
 
 
 class BoardConfig(_Section):
@@ -71,6 +82,8 @@ class BoardConfig(_Section):
     """Version of the FPGA logic that this wiring was checked with."""
     application_names: list[str] = []
     """Names of the logic that may be driven; any other opens read-only. The PCI board tells none."""
+    simulated: bool = False
+    """Whether the profile was made for the mock: nothing in it was ever seen on a rig."""
     read_only: str = ""
     """Why outputs must stay off whatever the board says; empty: they may be used."""
     verified_by: str = ""
@@ -164,7 +177,7 @@ class EstimatorConfig(_Section):
     window_s: Annotated[float, Field(gt=0.0, le=0.5)] = 0.010
     """Length of the moving window."""
     natural_frequency_rad_s: Annotated[float, Field(gt=0.0, le=2000.0)] = 200.0
-    """Of the tracking loop; at most half of the loop's rate."""
+    """Of the tracking loop; at most a tenth of the loop's rate."""
     jerk_density: Annotated[float, Field(gt=0.0, le=1e12)] = 3e5
     """Of the Kalman filter's wheel, rad2/s5: less is smoother and slower."""
 
@@ -255,14 +268,27 @@ def load_config(
     """
     mistakes: list[Mistake] = []
     table = _read(file) if file is not None else {}
+    in_file, over = deepcopy(table), _settings_table(settings)
     for setting in settings:
         mistakes.extend(apply_setting(table, setting))
     name = table.setdefault("profile", profile)
     below = _profile(name, mistakes)
     merged = _merge(below, table)
-    if not (name in profiles() and name.startswith(_SIMULATED)):
-        _void_signature(below, table, merged)
+    mistakes.extend(
+        Mistake(f"board.evidence.{key}", "evidence stands in a file with its source, not on the command line")
+        for key in _section_of(_wiring(over), "evidence")
+    )
+    _void_signature(below, in_file, merged)
+    _void_signature(_merge(below, in_file), over, merged)
     return _validate(merged, checks, mistakes)
+
+
+def _settings_table(settings: Sequence[str]) -> Table:
+    """The settings by themselves; what is wrong with them is told elsewhere."""
+    table: Table = {}
+    for setting in settings:
+        apply_setting(table, setting)
+    return table
 
 
 def profile_text(name: str) -> str:
@@ -367,17 +393,26 @@ def wiring_of(table: Table) -> Table:
     return {key: stated[key] for key in (*WIRING, "logic_version", "application_names") if key in stated}
 
 
-def _void_signature(profile: Table, above: Table, merged: Table) -> None:
-    """Who signed the profile has not seen what `above` changes in its wiring, unless that is signed too."""
-    signed, changed = (_wiring(table) for table in (profile, above))
+def _void_signature(below: Table, above: Table, merged: Table) -> None:
+    """Who signed what lies `below` has not seen what `above` changes in it, unless that is signed anew.
+
+    A simulated rig may be rewired at will.
+    """
+    signed, changed = _wiring(below), _wiring(above)
     signer = signed.get("verified_by")
     if not signer or "verified_by" in changed:
         return
+    keys = ("simulated",) if signed.get("simulated") is True else _SIGNED
     before = {key: field.default for key, field in BoardConfig.model_fields.items()} | signed
-    new = [key for key in WIRING if key in changed and changed[key] != before.get(key)]
+    new = [key for key in keys if key in changed and changed[key] != before.get(key)]
     if new:
         because = f"{signer} signed the profile with another {', '.join(new)}; sign what you have changed"
         merged["board"]["read_only"] = because
+
+
+def _section_of(table: Table, key: str) -> Table:
+    section = table.get(key)
+    return section if isinstance(section, dict) else {}
 
 
 def _wiring(table: Table) -> Table:

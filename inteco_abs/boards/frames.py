@@ -138,16 +138,16 @@ class FrameBoard(Board):
 
     @property
     def safe_image(self) -> bytes:
-        """The SEND frame with all widths zero."""
+        """The header that every answer of this board begins with, and the SEND frame with all widths zero."""
         image = bytearray(self._image)
         for place in (self._drive_out, self._brake_out):
             place.codec.pack_into(image, place.offset, 0)
-        return bytes(image)
+        return self._header + bytes(image)
 
     def _adopt(self, image: bytes) -> None:
-        self._image[:] = image
-        self._number = self._numbers // 2  # far from what the other process may have asked for last
-        self._late = True
+        length = self._layout.header_bytes
+        self._header, self._image[:] = image[:length], image[length:]
+        self._late = True  # so that what the other process had asked for is dropped first, whatever its number
 
     def _start(self) -> tuple[int, int]:
         frame = self._write_widths(0, 0)

@@ -120,6 +120,7 @@ class RtdacPci(Board):
         if version != LOGIC_VERSION:
             own = f"this driver knows the registers of logic 0x{LOGIC_VERSION:04X} only"
             because = f"{because}; {own}" if because else f"the board has logic 0x{version:04X}, and {own}"
+            because += f". Whether its PWM outputs are zero cannot be told. {STILL_ON}"
         elif because and self._outputs_on():
             because += f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}"
         return Identity(version, "", "", because)
@@ -130,10 +131,8 @@ class RtdacPci(Board):
         if unknown:
             raise BoardError(f"{ABS.title} has no field {', '.join(unknown)}")
         chosen = {name: _FIELDS[name] for name in names or _FIELDS}
-        steps = [step for register, channel in chosen.values() for step in _read(register, channel)]
-        logic, *raw = self._registers.run((LOGIC.offset, *steps))
-        if self._own_version(logic) != self._wiring.logic_version and self._ready:
-            raise LinkError(f"the board's logic is 0x{LOGIC.decode(logic):04X} now: it was reset or replaced")
+        self._insist_on_logic()
+        raw = self._registers.run([step for register, channel in chosen.values() for step in _read(register, channel)])
         values = {name: register.decode(bits) for (name, (register, _)), bits in zip(chosen.items(), raw, strict=True)}
         return Survey(values, b"".join(bits.to_bytes(4, "little") for bits in raw))
 
@@ -142,15 +141,19 @@ class RtdacPci(Board):
 
         Raises BoardError on a board with another logic, whose registers mean something else.
         """
-        version = self._own_version(self._registers.read(LOGIC.offset))
-        if version != LOGIC_VERSION:
-            raise BoardError(f"the board has logic 0x{version:04X}: what its registers measure is not known")
+        self._insist_on_logic()
         registers = [*_SHOWN.values(), TEMPERATURE_LOW]
         raw = {offset: self._registers.read(offset) for offset in sorted({one.offset for one in registers})}
         values = {one.name: one.decode(raw[one.offset]) for one in registers}
         return [
             Reading(name, _quantity(one, values), _unit(one), one.status, one.meaning) for name, one in _SHOWN.items()
         ]
+
+    def _insist_on_logic(self) -> None:
+        """Nothing may be written to another logic, not even which channel is asked for."""
+        version = self._own_version(self._registers.read(LOGIC.offset))
+        if version != LOGIC_VERSION:
+            raise BoardError(f"the board has logic 0x{version:04X}: what its registers are is not known")
 
     def _own_version(self, raw: int) -> int:
         if raw == _NOBODY:

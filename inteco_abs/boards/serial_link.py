@@ -22,36 +22,44 @@ from inteco_abs.errors import BoardError, LinkError
 TIMEOUT_S: Final = 0.010
 """For a whole answer, and for a write: an exchange should take 2 or 3 ms (three full-speed packets, the last of which
 waits for a latency timer of 1 ms), and a loop that is silent for 50 ms counts as hung."""
-_QUIET_S: Final = 0.003
+QUIET_S: Final = 0.003
 """Silence after which nothing more is on its way: the latency timer, a frame of the bus, and a margin."""
+_SLOW_TIMEOUT_S: Final = 0.1
+"""With the chip's own latency timer of 16 ms."""
 _MOST_S: Final = 0.010
-"""Time for that silence to come; what goes on sending has another master, which reading will tell."""
+"""Time for that silence to come in a run; what goes on sending has another master, which reading will tell."""
+_MOST_AT_FIRST_S: Final = 0.5
+"""The same where a program before this one may have left the buffers full."""
 _PSEUDO_TERMINALS: Final = "/dev/pts/"
 
 
 class SerialLink(Link):
     """The board at the serial port `path`. Bytes have no boundaries here: an answer is as many as were asked for.
 
-    No baud rate is set, as the vendor's library sets none: the chip is a FIFO (INFERRED). Raises BoardError if there
-    is no such port, no permission, or if another program has it.
+    The port keeps pyserial's 9600 baud: the vendor's library sets none, so the chip is a FIFO that has no use for it
+    (INFERRED). The event character 0x3F that the library enables, to hurry some answers, is not set: Linux offers no
+    way. Raises BoardError if there is no such port, no permission, or if another program has it.
     """
 
-    def __init__(self, path: str, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, path: str, timeout_s: float = TIMEOUT_S, quiet_s: float = QUIET_S) -> None:
         self._timeout_s = timeout_s
+        self._quiet_s = quiet_s
         self._port = _open(path, timeout_s)
         self._slow = quicken(path)
+        if self._slow:  # of no use to a loop, but a rescue must wait for such a chip's answer
+            self._timeout_s = self._port.timeout = max(timeout_s, _SLOW_TIMEOUT_S)
         try:
             self.write(DUMMY)
         except LinkError:
             self.close()
             raise
-        self._drain()
+        self._drain(_MOST_S)
 
-    def prepare(self, length: int) -> None:
+    def prepare(self, length: int) -> None:  # noqa: ARG002  as below
         """As for any link; raises BoardError if each answer waits for a latency timer that could not be set."""
         if self._slow:
             raise BoardError(self._slow)
-        super().prepare(length)
+        self._drain(_MOST_AT_FIRST_S)
 
     def write(self, data: bytes | bytearray) -> None:
         """Send one message."""
@@ -80,17 +88,17 @@ class SerialLink(Link):
 
     def discard(self, length: int) -> None:  # noqa: ARG002  nothing tells where answers begin
         """Drop all that arrives until nothing does for 3 ms, so that the next byte is the first of an answer."""
-        self._drain()
+        self._drain(_MOST_S)
 
     def close(self) -> None:
         """Let go of the port, and of its locks."""
         with suppress(OSError):  # it may be gone
             self._port.close()
 
-    def _drain(self) -> None:
-        end = time.monotonic() + _MOST_S
+    def _drain(self, most_s: float) -> None:
+        end = time.monotonic() + most_s
         with suppress(OSError):  # the next exchange will tell
-            while time.monotonic() < end and select.select([self._port], [], [], _QUIET_S)[0]:
+            while time.monotonic() < end and select.select([self._port], [], [], self._quiet_s)[0]:
                 self._port.read(max(1, self._port.in_waiting))
 
 

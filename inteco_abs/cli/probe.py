@@ -105,14 +105,16 @@ def _real_profile(board: str) -> str:
 
 
 def _forgiving(board: str) -> list[str]:
-    """No motor is to be protected from the simulation, and shared computers pause longer than a rig's own."""
+    """A draft made on the mock says so; with no motor to protect, and shared computers, it forgives pauses."""
     from inteco_abs.boards import default_profile, simulated
     from inteco_abs.config import read_profile
 
     if not simulated(board):
         return []
     guard = read_profile(default_profile(board))["guard"]
-    return [f"guard.{key}={guard[key]}" for key in ("missed_in_a_row", "bucket_limit", "silence_s")]
+    return ["board.simulated=true"] + [
+        f"guard.{key}={guard[key]}" for key in ("missed_in_a_row", "bucket_limit", "silence_s")
+    ]
 
 
 def _bench(board: str, draft: Draft, *, virtual: bool) -> Bench:

@@ -64,11 +64,11 @@ def control_check(controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> 
 
 
 def _tracking_mistakes(estimator: Mapping[str, Any], loop: Mapping[str, Any]) -> Iterator[Mistake]:
-    """A tracking loop that is too quick for its samples swings, and beyond that runs away."""
+    """A tracking loop swings when it is too quick for the time between two samples, a few of which may be missing."""
     frequency = estimator.get("natural_frequency_rad_s", EstimatorConfig().natural_frequency_rad_s)
     rate_hz = loop.get("rate_hz", LoopConfig().rate_hz)
-    if isinstance(frequency, int | float) and isinstance(rate_hz, int | float) and frequency > 0.5 * rate_hz:
-        problem = f"{frequency!r}: must be at most half of loop.rate_hz = {rate_hz!r}"
+    if isinstance(frequency, int | float) and isinstance(rate_hz, int | float) and frequency > 0.1 * rate_hz:
+        problem = f"{frequency!r}: must be at most a tenth of loop.rate_hz = {rate_hz!r}"
         yield Mistake("estimator.natural_frequency_rad_s", problem)
 
 

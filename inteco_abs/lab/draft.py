@@ -88,7 +88,9 @@ class Draft:
     def begin_from(self, profile: str) -> None:
         """Take another profile for the base; how links and simulation are set stays."""
         kept: Table = {key: self._table[key] for key in ("usb", "simulation") if key in self._table}
+        simulated = self._table.get("board", {}).get("simulated", False)
         self._table = {**_unsigned(read_profile(profile)), **kept}
+        self._table["board"]["simulated"] = simulated
         self._results["profile"] = profile
         self._save_profile()
         self._save_results()

@@ -63,6 +63,8 @@ class Word(IntEnum):
     """Reason for which the guardian wants the run to end."""
     RESCUED_PID = auto()
     """Whose board the guardian has taken over last and made safe, or tried to: see the note RESCUE."""
+    SAVING = auto()
+    """1 while the loop's process, its board let go of, writes what was recorded of the wire."""
     # the recorder
     RECORDER_BEAT_NS = auto()
     RECORDING = auto()

@@ -37,7 +37,9 @@ def _board(computer: Computer) -> Judgement:
     boards += [f"RT-DAC4/PCI at {_name(folder)}" for folder in _pci_boards(computer)]
     if boards:
         return green(", ".join(boards))
-    return amber("no RT-DAC/USB2 board plugged in", "plug the board in; if it is, try another cable or port")
+    return amber(
+        "no RT-DAC/USB2 or RT-DAC4/PCI board plugged in", "plug the board in; if it is, try another cable or port"
+    )
 
 
 def _usb_boards(computer: Computer) -> list[str]:

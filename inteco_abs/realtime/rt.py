@@ -10,7 +10,7 @@ import traceback
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.boards import open_board, recording, simulated
+from inteco_abs.boards import Wrap, open_board, recording, simulated
 from inteco_abs.control import build_pipeline, gains_in_force
 from inteco_abs.errors import AbsError
 from inteco_abs.realtime.clock import PacedClock
@@ -72,18 +72,21 @@ def main(path: str) -> int:
 
 
 def _run(memory: RunMemory, job: Job) -> None:
+    with recording(Path(job.wire) if job.wire else None, job.config) as around:
+        try:
+            _hold(memory, job, around)
+        finally:
+            memory.words[Word.SAVING] = bool(job.wire)  # with the board let go of, and all said
+
+
+def _hold(memory: RunMemory, job: Job, around: Wrap) -> None:
     config, words = job.config, memory.words
     controllers = job.controllers()
     pipeline = build_pipeline(config, controllers)
     ring = memory.tick_ring(pack_tick)
     clock = PacedClock(config.period_ns)
     cost: dict[str, str] = {}
-    wire = Path(job.wire) if job.wire else None
-    with (
-        recording(wire, config) as around,
-        holding(memory),
-        open_board(job.address, config, clock.now_ns, around) as board,
-    ):
+    with holding(memory), open_board(job.address, config, clock.now_ns, around) as board:
         identity = board.insist()
         memory.post(Note.SAFE_IMAGE, board.safe_image)
         loop = Loop(board, pipeline, clock, ring, SharedStop(memory))

@@ -36,6 +36,8 @@ _RESCUE_S: Final = 8.0
 _FINISH_S: Final = 30.0
 _END_S: Final = 3.0
 _PATIENCE_S: Final = 2.0
+_SAVING_S: Final = 30.0
+"""For a loop's process that writes the capture of a long run; its board is safe and the session's end is told."""
 """For a loop that has to end, or to begin."""
 _GUARDIAN_WINDOW_NS: Final = 500_000_000
 
@@ -182,7 +184,7 @@ class Supervisor:
         words = self._words
         if words[Word.HOLDER_PID] and self._ticks.written and not (words[Word.STOP] or words[Word.GUARDIAN_STOP]):
             self._alive_s = time.monotonic()
-        elif time.monotonic() - self._alive_s > _PATIENCE_S:
+        elif time.monotonic() - self._alive_s > (_SAVING_S if words[Word.SAVING] else _PATIENCE_S):
             self._children["loop"].kill()
 
     def _look_after(self, name: str, reason: Reason) -> None:

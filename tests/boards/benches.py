@@ -174,6 +174,8 @@ class FrameBench:
     """That the link fails with, when nothing gets through any more."""
     untrusted: ClassVar[dict[str, tuple[list[str], tuple[str, ...]]]]
     """Settings with which the board must not be driven, and words of the reason."""
+    header_bytes = 8
+    """Of an answer: a safe image begins with them."""
     echoes: ClassVar[tuple[int, int]]
     """Bytes of the answer that repeat the widths of drive and brake."""
 
@@ -233,7 +235,7 @@ class FrameBench:
 
     def settings_in(self, image: bytes) -> dict[str, int]:
         """Settings that a safe image stands for, unnumbered."""
-        return self.unnumbered(self.decode(image))
+        return self.unnumbered(self.decode(image[self.header_bytes :]))
 
     def unnumbered(self, settings: dict[str, int]) -> dict[str, int]:
         """Settings without the number that each frame carries."""
@@ -309,6 +311,7 @@ class Usb2Bench(FrameBench):
 
     profile, real_profile = "sim_usb2", "usb2_generic_0103"
     identity = (0x0103, "ABSSIM", "20260101")
+    header_bytes = 18
     untrusted = _untrusted(identity, ("board.logic_version=0x0111",))
     channels = 8
     both_on: ClassVar = {"pin_mode": 1 << 2 | 1 << 5, "pin_direction": 0, "pwm0_width": 255, "pwm1_width": 255}
@@ -417,7 +420,7 @@ class PumpedPort(SerialLink):
     def __init__(self, server: PtyServer, stream: CountingStream) -> None:
         self._server = server
         self._stream = stream
-        super().__init__(server.name, timeout_s=10.0)  # no test here is about time
+        super().__init__(server.name, timeout_s=10.0, quiet_s=0.0)  # nothing is ever on its way
 
     def write(self, data: bytes | bytearray) -> None:
         wanted = self._stream.arrived + len(data)

@@ -94,6 +94,11 @@ class TestRescue:
         assert wreck.link.failed == 3 * wreck.messages_of_safe
         assert wreck.device.duties == BOTH
 
+    def test_zeros_that_are_no_answer_of_this_board_confirm_nothing(self, wreck):
+        wreck.link.change_answer = lambda answer: bytes(len(answer))
+        with pytest.raises(UnsafeError, match="emergency switch"):
+            wreck.board.rescue(wreck.image)
+
     def test_a_board_that_ignores_the_image_is_not_taken_for_safe(self, wreck):
         wreck.ignore_commands()
         with pytest.raises(UnsafeError, match="emergency switch"):

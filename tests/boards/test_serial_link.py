@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import pytest
 import serial
 
-from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, encode_send
+from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, encode_read, encode_send
 from inteco_abs.boards import board_behind, open_board, serial_link, serial_ports
 from inteco_abs.boards.recording_link import RecordingLink
 from inteco_abs.boards.serial_link import SerialLink
@@ -325,7 +325,8 @@ class TestLatencyTimer:
     def test_a_board_that_is_too_slow_is_not_opened_but_is_rescued(self, monkeypatch, served):
         config, server = served
         device = server._stream.face.device  # the mock's own state
-        image = encode_send({"pin_mode": 0b11}, logic=0x0111)
+        header = encode_read({"application_name": "ABSIM"}, logic=0x0111)[:8]
+        image = header + encode_send({"pin_mode": 0b11}, logic=0x0111)
         device.write({"pin_mode": 0b11, "pwm0_width": 255})
         monkeypatch.setattr(serial_link, "quicken", lambda _path: "each answer waits 16 ms")
         with pytest.raises(BoardError, match="waits 16 ms"):

@@ -95,5 +95,7 @@ def test_filters_let_less_of_the_counting_through_than_the_papers_difference(nam
 
 def test_a_tracking_loop_too_quick_for_the_loop_is_refused_with_both_values():
     settings = ["estimator.name=tracking", "estimator.natural_frequency_rad_s=200", "loop.rate_hz=250"]
-    with pytest.raises(ConfigError, match=r"natural_frequency_rad_s: 200: must be at most half of loop.rate_hz = 250"):
+    with pytest.raises(
+        ConfigError, match=r"natural_frequency_rad_s: 200: must be at most a tenth of loop.rate_hz = 250"
+    ):
         load_config(settings=settings, checks=[control_check()])

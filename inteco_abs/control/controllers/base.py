@@ -5,7 +5,7 @@ A controller of your own is a class with the same three parts: `gains`, `interna
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from typing import ClassVar, NamedTuple, Protocol
 
 from inteco_abs.control.model import BrakingModel
@@ -47,7 +47,7 @@ class Controller(Protocol):
         ...
 
 
-class ModelLaw:
+class ModelLaw(ABC):
     """A law that says how fast the slip error shall shrink, and inverts the model for the torque, equation (21).
 
     The torque becomes a duty through the brake's static map; the brake's lag is not in the law, as in the paper.
