@@ -14,8 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.rtdac_usb2 import encode_send
+from firmware_protocol.rtdac_usb2 import FRAME_BYTES, HEADER_BYTES, READ_REQUEST, encode_send
 from inteco_abs.boards import SocketLink
+from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError
 from inteco_abs.mock_board import Device, SocketServer, Usb2Face
 from inteco_abs.realtime import guardian as guardian_module
@@ -27,6 +28,16 @@ from inteco_abs.signals import Reason
 PINS = {"pin_mode": 1 << 2 | 1 << 5, "pin_direction": 0}
 DRIVING = encode_send({**PINS, "pwm0_width": 200, "pwm1_width": 100})
 SAFE = encode_send(PINS)
+
+
+def header_of_the_mock():
+    """What each of its answers begins with."""
+    face = Usb2Face(Device(load_config(), lambda: 0))
+    face.bulk_out(READ_REQUEST)
+    return face.bulk_in(FRAME_BYTES)[:HEADER_BYTES]
+
+
+IMAGE = header_of_the_mock() + SAFE
 
 
 def unnumbered(frame):
@@ -176,7 +187,7 @@ class Run:
     def hold(self, pid):
         """The guarded process has the board and has written to it."""
         self.leave_driving()
-        self.memory.post(Note.SAFE_IMAGE, SAFE)
+        self.memory.post(Note.SAFE_IMAGE, IMAGE)
         self.words[Word.HOLDER_PID] = pid
         self.guard(pid)
 
@@ -238,7 +249,7 @@ class TestDeath:
         host = run.host()
         process = child("sleep", "600", pass_fds=[host.fileno()])
         host.close()
-        run.memory.post(Note.SAFE_IMAGE, SAFE)
+        run.memory.post(Note.SAFE_IMAGE, IMAGE)
         run.words[Word.HOLDER_PID] = process.pid
         run.guard(process.pid)
         with pytest.raises(BoardError, match="another host"):
@@ -459,7 +470,7 @@ def test_a_supervisor_that_was_gone_before_the_guardian_came_ends_the_run(memory
 
 class TestRescue:
     def test_a_board_that_is_not_there_is_a_board_error(self, memory, job_of):
-        memory.post(Note.SAFE_IMAGE, SAFE)
+        memory.post(Note.SAFE_IMAGE, IMAGE)
         with pytest.raises(BoardError, match="no board"):
             rescue(memory, job_of(memory))
 
@@ -471,14 +482,14 @@ class TestRescue:
             raise BoardError("this is all that the test wants to know")
 
         monkeypatch.setattr(guardian_module, "open_board", open_board)
-        memory.post(Note.SAFE_IMAGE, SAFE)
+        memory.post(Note.SAFE_IMAGE, IMAGE)
         with pytest.raises(BoardError, match="all that"):
             rescue(memory, job_of(memory, "usb.engine=faster"))
         assert chosen == ["one-by-one"]
 
     def test_the_board_is_free_afterwards(self, run):
         run.leave_driving()
-        run.memory.post(Note.SAFE_IMAGE, SAFE)
+        run.memory.post(Note.SAFE_IMAGE, IMAGE)
 
         def rescued():
             with suppress(BoardError):  # on a busy computer the board's thread may be late
