@@ -65,7 +65,7 @@ def check_kind(uri: str, config: RigConfig) -> None:
     """Raise ConfigError unless the profile is made for the kind of board that `uri` names, and a real one for PCI."""
     name = uri.partition(":")[0]
     if name not in ("sim", config.board.kind):
-        problem = f"{config.board.kind!r}, while the address {uri} is {SCHEMES[name].what}; name another profile"
+        problem = f"{config.board.kind!r}, while the address {uri} is for boards of kind {name!r}; name another profile"
         raise ConfigError([Mistake("board.kind", problem)])
     if name == "pci" and config.board.simulated:  # the boards on USB tell a name, and the mock's is its own
         problem = f"the profile was made for the mock, and {uri} is a real board; inteco-abs probe makes one for it"

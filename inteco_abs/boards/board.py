@@ -38,7 +38,8 @@ class Identity(NamedTuple):
 
     def __str__(self) -> str:
         told = f"logic 0x{self.logic_version:04X}"
-        return f"{told} {self.application_name!r} of {self.synthesis_date}" if self.application_name else told
+        told += f" {self.application_name!r}" if self.application_name else ""
+        return f"{told} of {self.synthesis_date}" if self.synthesis_date else told
 
 
 class Survey(NamedTuple):
@@ -207,10 +208,7 @@ class Board(ABC):
         identity = self.identity
         if identity is None or identity.read_only_because:
             because = identity.read_only_because if identity else "it was not identified"
-            raise ReadOnlyError(
-                f"the board ({identity}) opens for reading only: {because}. Copy the profile, complete it on your "
-                "rig, sign it with board.verified_by and name it in rig.toml"
-            )
+            raise ReadOnlyError(f"the board ({identity}) opens for reading only: {because}")
         return identity
 
     def _refusal(self) -> BoardError:

@@ -13,7 +13,7 @@ from inteco_abs.boards.capture import Capture, Kind, Record, check_target, write
 from inteco_abs.boards.links import Link
 from inteco_abs.boards.wire_names import protocol_name, protocol_of
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import CaptureError
+from inteco_abs.errors import CaptureError, ConfigError, Mistake
 
 _OUT, _IN, _ERROR = (kind.value for kind in (Kind.OUT, Kind.IN, Kind.ERROR))
 MOST_MESSAGES: Final = 300_000
@@ -142,6 +142,8 @@ def recording(path: Path | None, config: RigConfig, now_ns: Callable[[], int] = 
         return kept[-1]
 
     if path is not None:
+        if config.board.kind == "pci":
+            raise ConfigError([Mistake("--record-wire", "a board on the PCI bus has registers, no messages to record")])
         check_target(path)
         protocol_name(config.board)
     try:

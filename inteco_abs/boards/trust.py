@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Final
 
 from firmware_protocol import Field, Register, Status
 from inteco_abs.config import BoardConfig
+
+_FIX: Final = (
+    "inteco-abs probe makes a profile for this rig, or goes on with yours, and has you sign it "
+    "(board.verified_by, verified_on, verified_logic)"
+)
 
 
 def distrust(wiring: BoardConfig, version: int, name: str | None, relied_on: Iterable[Field | Register]) -> str:
@@ -16,6 +22,11 @@ def distrust(wiring: BoardConfig, version: int, name: str | None, relied_on: Ite
     """
     if wiring.read_only:
         return wiring.read_only
+    because = _open_question(wiring, version, name, relied_on)
+    return f"{because}. {_FIX}" if because else ""
+
+
+def _open_question(wiring: BoardConfig, version: int, name: str | None, relied_on: Iterable[Field | Register]) -> str:
     if version != wiring.logic_version:
         return f"the board has logic 0x{version:04X}, the profile was made for 0x{wiring.logic_version:04X}"
     if name is not None and name not in wiring.application_names:
@@ -24,8 +35,8 @@ def distrust(wiring: BoardConfig, version: int, name: str | None, relied_on: Ite
     if wiring.verified_by:
         return _signed_for_another(wiring, version)
     questions = [
-        *wiring.unconfirmed(),
-        *(f"{one.name} ({one.status.value})" for one in relied_on if one.status is not Status.CONFIRMED),
+        *(f"board.{one}" for one in wiring.unconfirmed()),
+        *(f"the frame's {one.name} ({one.status.value})" for one in relied_on if one.status is not Status.CONFIRMED),
     ]
     unsigned = "nobody has verified the profile's wiring on the rig (verified_by is empty); not confirmed: "
     return unsigned + ", ".join(questions) if questions else ""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from inteco_abs.cli.shared import FILE, LOSSES, json_option, print_json
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import BoardError, ConfigError, Mistake
 
 if TYPE_CHECKING:
     from inteco_abs.realtime.findings import Finding
@@ -39,7 +39,7 @@ def doctor(
     from inteco_abs.config import load_config
     from inteco_abs.experiment import exchange_times_us
     from inteco_abs.realtime.doctor import examine, write_speed
-    from inteco_abs.realtime.findings import Computer, Finding, Verdict, worst
+    from inteco_abs.realtime.findings import Computer, Finding, Verdict, red, worst
     from inteco_abs.realtime.latency import LONGEST_S, SHORTEST_S, examine_wake_ups, judge_round_trips
     from inteco_abs.realtime.permissions import limits, serial_group, udev_rules
     from inteco_abs.realtime.trips import COUNT
@@ -61,8 +61,12 @@ def doctor(
     findings += [write_speed(sessions), *examine_wake_ups(seconds)]
     times_us: list[float] = []
     if board is not None:
-        times_us = exchange_times_us(rig, board)
-        findings.append(Finding("round trips", *judge_round_trips(times_us, COUNT, rig.period_ns * 1e-3)))
+        try:
+            times_us = exchange_times_us(rig, board)
+        except BoardError as error:  # the rest of the report tells why
+            findings.append(Finding("round trips", *red(str(error), "see the lines above")))
+        else:
+            findings.append(Finding("round trips", *judge_round_trips(times_us, COUNT, rig.period_ns * 1e-3)))
     verdict = worst(findings)
     if as_json:
         print_json({"schema_version": 1, "verdict": verdict, "findings": [one._asdict() for one in findings], **files})

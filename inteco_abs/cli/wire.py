@@ -14,6 +14,8 @@ from inteco_abs.errors import ConfigError, Mistake
 _PROTOCOLS: Final = ("usb2", "usb1-111", "usb1-112")
 _SCHEMA: Final = 1
 _MOST_SHOWN: Final = 20
+_PROFILES: Final = {"usb1-111": "sim_usb", "usb1-112": "usb1_0112"}
+"""To begin with, by the capture's board: the driver's part does not depend on whose rig it was."""
 
 
 @click.group()
@@ -168,9 +170,10 @@ def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: 
     """Let our driver do what the capture shows, and compare every message; ends with exit code 4 if they differ."""
     from inteco_abs.boards.capture import read_capture
     from inteco_abs.boards.wire_replay import replay_wire
-    from inteco_abs.config import load_config
+    from inteco_abs.config import DEFAULT_PROFILE, load_config
 
-    outcome = replay_wire(read_capture(file), load_config(config, settings))
+    capture = read_capture(file)
+    outcome = replay_wire(capture, load_config(config, settings, profile=_PROFILES.get(capture.board, DEFAULT_PROFILE)))
     if as_json:
         differences = [one._asdict() for one in outcome.differences]
         _print_json({"capture": str(file), **outcome._asdict(), "differences": differences})

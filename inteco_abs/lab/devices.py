@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final, NamedTuple
 
 from inteco_abs.config import RigConfig
@@ -25,8 +26,16 @@ class Found(NamedTuple):
 
 
 def found_devices(address: str, config: RigConfig, computer: Computer | None = None) -> list[Found]:
-    """Devices of the kind that `address` names, in the order of their places."""
-    return _KINDS[address.partition(":")[0]](computer or Computer(), config)
+    """Devices of the kind that `address` names, in the order of their places; one alone if it names that one."""
+    kind, _, rest = address.partition(":")
+    found = _KINDS[kind](computer or Computer(), config)
+    if kind != "usb" or not rest:
+        return found
+    named = Path(rest).resolve()
+    if not named.is_char_device():
+        return []
+    chosen = [one for one in found if Path(one.address.removeprefix("usb:")) == named]
+    return chosen or [Found(address, "a serial port that is behind no USB chip")]
 
 
 def _usb2(computer: Computer, config: RigConfig) -> list[Found]:

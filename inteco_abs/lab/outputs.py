@@ -78,10 +78,14 @@ def outputs(visit: Visit, config: RigConfig) -> Iterator[Outputs]:
     Raises ReadOnlyError for a board that the configuration does not trust, UnsafeError if SAFE was not confirmed.
     """
     stop = StopWord()
-    with hearing(stop.request), visit.bench.open(config) as board:
-        board.insist()
-        yield Outputs(board, config, visit.bench.beats(config.period_ns), stop)
+    try:
+        with hearing(stop.request), visit.bench.open(config) as board:
+            board.insist()
+            yield Outputs(board, config, visit.bench.beats(config.period_ns), stop)
+    except KeyboardInterrupt:
+        stop.request()
     if stop.requested:
+        visit.person.tell("  the board has confirmed that both outputs are off; wheels that turn coast for up to 48 s")
         raise KeyboardInterrupt
 
 

@@ -159,8 +159,9 @@ def insist_on_rate(board: Board, period_ns: int) -> None:
     if p999_us > period_us:
         rate_hz = math.floor(1e6 / (_RATE_MARGIN * p999_us))
         raise BoardError(
-            f"the board's exchanges take up to {p999_us:.0f} us (99.9 %), longer than the period of {period_us:g} us: "
-            f"set loop.rate_hz to {rate_hz} or less, or see inteco-abs doctor --board"
+            f"the board's exchanges take up to {p999_us:.0f} us (99.9 % of {_RATE_TRIALS}), longer than the period of "
+            f"{period_us:g} us. If this computer is busy, try again; else set loop.rate_hz to {rate_hz} or less, with "
+            "an estimator.window_s of at least one period. inteco-abs doctor --board tells more"
         )
 
 
