@@ -7,6 +7,7 @@ from typing import Final
 
 import click
 
+from inteco_abs.cli.blink import blink
 from inteco_abs.cli.catalogue import controllers, profiles
 from inteco_abs.cli.doctor import doctor
 from inteco_abs.cli.mock_board import mock_board
@@ -44,6 +45,7 @@ _VERBS: Final = (
     recover,
     doctor,
     probe,
+    blink,
     wire,
     mock_board,
     controllers,
