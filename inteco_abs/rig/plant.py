@@ -14,8 +14,11 @@ import math
 from typing import Final
 
 from inteco_abs.rig.actuators import DriveMotor, brake_torque
+from inteco_abs.rig.friction import Surface
 from inteco_abs.rig.model import Model, wheel_slip
 from inteco_abs.rig.parameters import RigParameters
+from inteco_abs.rig.variation import RigVariation
+from inteco_abs.rig.varied_brake import SAME_TIME_S, VariedBrake
 
 _GAMMA: Final = 1.0 - math.sqrt(0.5)
 _CONTACT_RATE: Final = 15.6e3
@@ -33,13 +36,14 @@ _CRAWL_RAD_S: Final = 0.005
 class Plant:
     """Two wheels in contact, started at given speeds in rad/s with the brake released.
 
-    Speeds, angles (rad), `brake_torque` (N m, what the brake can hold) and `time_s` may be read at any time.
-    `max_step_s` bounds the integration step; halving it is the convergence test.
+    The rig is the model with some parameters, or one of its own with a `RigVariation`. Speeds, angles (rad),
+    `brake_torque` (N m, what the brake can hold) and `time_s` may be read at any time. `max_step_s` bounds the
+    integration step; halving it is the convergence test.
     """
 
     def __init__(
         self,
-        parameters: RigParameters,
+        parameters: RigParameters | RigVariation,
         wheel_speed: float,
         road_speed: float,
         motor: DriveMotor | None = None,
@@ -50,7 +54,8 @@ class Plant:
             raise ValueError(f"speeds {wheel_speed!r}, {road_speed!r} rad/s: must be finite")
         if not 0.0 < max_step_s < math.inf:
             raise ValueError(f"max_step_s = {max_step_s!r}: must be finite and above 0 s")
-        self.parameters = parameters
+        variation = parameters if isinstance(parameters, RigVariation) else RigVariation(parameters)
+        self.parameters = variation.parameters
         self.motor = motor or DriveMotor()
         self.wheel_speed = wheel_speed
         self.road_speed = road_speed
@@ -58,8 +63,14 @@ class Plant:
         self.wheel_angle = 0.0
         self.road_angle = 0.0
         self.time_s = 0.0
-        self._model = Model(parameters)
         self._max_step_s = max_step_s
+        self._variation = variation
+        self._plain = variation.plain_plant
+        self._surface = Surface(variation.adhesion_scale, variation.adhesion_blend)
+        self._model = Model(self.parameters, None if self._plain else self._surface)
+        self._brake = VariedBrake(variation)
+        self._ripple = variation.load_ripple
+        self._braking_since_s = math.inf
         # a step in s; the share of the brake's distance to its target that is left after it, and over it in the mean
         self._lag = (math.nan, 0.0, 0.0)
 
@@ -74,8 +85,33 @@ class Plant:
             raise ValueError(f"drive {drive!r}, brake {brake!r}: duties must be in 0..1")
         if not 0.0 <= duration_s < math.inf:
             raise ValueError(f"duration_s = {duration_s!r}: must be finite and not negative")
-        target = brake_torque(brake, self.parameters)
-        self.time_s += duration_s
+        if self._plain:
+            self._move(drive, brake_torque(brake, self.parameters), duration_s)
+            self.time_s += duration_s
+        else:
+            self._move_in_parts(drive, brake, duration_s)
+
+    def _move_in_parts(self, drive: float, brake: float, duration_s: float) -> None:
+        """Move on, in parts that end where a late command arrives or the road's force steps."""
+        variation, end_s = self._variation, self.time_s + duration_s
+        self._brake.command(self.time_s, brake)
+        if drive > 0.0:
+            self._braking_since_s = math.inf
+        elif brake > 0.0:
+            self._braking_since_s = min(self._braking_since_s, self.time_s)
+        step_s = self._braking_since_s + variation.grip_step_after_s
+        while True:
+            arrival_s = self._brake.move_to(self.time_s)
+            stepped = self.time_s >= step_s - SAME_TIME_S
+            self._surface.grip = 1.0 + variation.grip_step if stepped else 1.0
+            until_s = min(end_s, arrival_s, math.inf if stepped else step_s)
+            self._move(drive, self._brake.settled_torque, until_s - self.time_s)
+            self.time_s = until_s
+            if until_s == end_s:
+                break
+
+    def _move(self, drive: float, target: float, duration_s: float) -> None:
+        """Move the wheels on with a brake that settles to `target`, in N m; the time is the caller's."""
         if self.wheel_speed == 0.0 == self.road_speed and not self._breaks_away(drive):
             self._take(duration_s, target, 0.0, 0.0)
             return
@@ -132,16 +168,20 @@ class Plant:
         self.wheel_angle += 0.5 * h * (self.wheel_speed + next1)
         self.road_angle += 0.5 * h * (self.road_speed + next2)
         if self.brake_torque != target:
-            self.brake_torque = target + (self.brake_torque - target) * self._brake_lag(h)[1]
+            lag = self._lag if h == self._lag[0] else self._brake_lag(h)
+            self.brake_torque = target + (self.brake_torque - target) * lag[1]
         self.wheel_speed, self.road_speed = next1, next2
 
     def _next_speeds(self, drive: float, target: float, h: float) -> tuple[float, float]:
+        if self._ripple:
+            self._press(h)
         rates, motor = self._model.rates, self.motor.torque
         x1, x2 = self.wheel_speed, self.road_speed
         torque = self.brake_torque
         if torque != target:
             # the exact mean over the step: the speeds follow the brake's impulse, however fast the brake is
-            torque = target + (torque - target) * self._brake_lag(h)[2]
+            lag = self._lag if h == self._lag[0] else self._brake_lag(h)
+            torque = target + (torque - target) * lag[2]
         k1, k2, normal, traction, slip = rates(x1, x2, torque, motor(drive, x2) if drive else 0.0)
         stiff = h * _CONTACT_RATE > _STIFF * (max(x2, x1))
         if stiff:
@@ -162,11 +202,15 @@ class Plant:
             a1, a2 = a1 + along * column1, a2 + along * column2
         return x1 + h * (1.5 * k1 + 0.5 * a1), x2 + h * (1.5 * k2 + 0.5 * a2)
 
+    def _press(self, h: float) -> None:
+        """Give the coming step the normal force of its middle, which keeps the order."""
+        angle = self.wheel_angle + 0.5 * h * self.wheel_speed
+        self._model.press(1.0 + self._ripple * math.sin(angle + self._variation.load_ripple_phase_rad))
+
     def _brake_lag(self, h: float) -> tuple[float, float, float]:
-        if h != self._lag[0]:
-            rate = self.parameters.c31 * h
-            left = math.exp(-rate)
-            self._lag = (h, left, (1.0 - left) / rate if rate > 0.0 else 1.0)
+        rate = self.parameters.c31 * h
+        left = math.exp(-rate)
+        self._lag = (h, left, (1.0 - left) / rate if rate > 0.0 else 1.0)
         return self._lag
 
 
