@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from inteco_abs.rig.generator import mixed, normal_number
+from inteco_abs.rig.generator import WORD, mixed, normal_pair
 from inteco_abs.rig.variation import RigVariation
 
 
@@ -14,12 +14,13 @@ class Encoder:
     The noise is reproducible: the n-th reading of the same rig has the same, whatever was read.
     """
 
-    __slots__ = ("_disc", "_per_rad", "_readings", "_seed")
+    __slots__ = ("_disc", "_noise", "_per_rad", "_readings", "_seed")
 
     def __init__(self, variation: RigVariation, *, wheel: bool) -> None:
         self._disc = variation.wheel_encoder if wheel else variation.road_encoder
         self._per_rad = self._disc.counts_per_turn / (2.0 * math.pi)
-        self._seed = noise_seed(variation.seed, wheel=wheel)
+        self._seed = noise_seed(variation)
+        self._noise = 0 if wheel else 1
         self._readings = 0
 
     def read(self, angle_rad: float) -> int:
@@ -29,11 +30,11 @@ class Encoder:
         if disc.eccentricity_counts > 0.0:
             position += disc.eccentricity_counts * math.sin(angle_rad + disc.eccentricity_phase_rad)
         if disc.jitter_counts > 0.0:
-            position += disc.jitter_counts * normal_number(self._seed, self._readings)
+            position += disc.jitter_counts * normal_pair(self._seed, self._readings)[self._noise]
         self._readings += 1
         return math.floor(position)
 
 
-def noise_seed(seed: int, *, wheel: bool) -> int:
-    """Seed of one encoder's noise: the two do not share theirs."""
-    return mixed(seed ^ (1 if wheel else 2))
+def noise_seed(variation: RigVariation) -> int:
+    """Seed of the noise of both encoders, which take one number each of every pair."""
+    return mixed(variation.seed ^ WORD)

@@ -6,17 +6,15 @@ import math
 from typing import Final
 
 WORD: Final = (1 << 64) - 1
-GOLDEN: Final = 0x9E3779B97F4A7C15
+_GOLDEN: Final = 0x9E3779B97F4A7C15
 """Odd, near 2^64 divided by the golden ratio: the step from one state to the next."""
-MULTIPLIERS: Final = 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
-SHIFTS: Final = 30, 27, 31
 
 
 def mixed(word: int) -> int:
     """`word` (64 bit) with every bit of it spread over all bits of the result, one to one."""
-    word = (word ^ word >> SHIFTS[0]) * MULTIPLIERS[0] & WORD
-    word = (word ^ word >> SHIFTS[1]) * MULTIPLIERS[1] & WORD
-    return word ^ word >> SHIFTS[2]
+    word = (word ^ word >> 30) * 0xBF58476D1CE4E5B9 & WORD
+    word = (word ^ word >> 27) * 0x94D049BB133111EB & WORD
+    return word ^ word >> 31
 
 
 class SplitMix64:
@@ -35,7 +33,7 @@ class SplitMix64:
 
     def word(self) -> int:
         """Next 64 bits."""
-        self._state = self._state + GOLDEN & WORD
+        self._state = self._state + _GOLDEN & WORD
         return mixed(self._state)
 
     def uniform(self, low: float, high: float) -> float:
@@ -43,8 +41,9 @@ class SplitMix64:
         return low + (high - low) * ((self.word() >> 11) * 2.0**-53)
 
 
-def normal_number(seed: int, index: int) -> float:
-    """Number `index` (0, 1, ...) of a standard normal sequence, by itself: Box-Muller on one word of `seed`'s."""
-    word = mixed(seed + (index + 1) * GOLDEN & WORD)
+def normal_pair(seed: int, index: int) -> tuple[float, float]:
+    """Pair number `index` (0, 1, ...) of a standard normal sequence, by itself: Box and Muller on one word."""
+    word = mixed(seed + (index + 1) * _GOLDEN & WORD)
     radius = math.sqrt(-2.0 * math.log(((word >> 32) + 1) * 2.0**-32))
-    return radius * math.cos((word & 0xFFFFFFFF) * (2.0 * math.pi * 2.0**-32))
+    angle = (word & 0xFFFFFFFF) * (2.0 * math.pi * 2.0**-32)
+    return radius * math.cos(angle), radius * math.sin(angle)

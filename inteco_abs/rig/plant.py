@@ -20,16 +20,16 @@ from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.variation import RigVariation
 from inteco_abs.rig.varied_brake import SAME_TIME_S, VariedBrake
 
-_GAMMA: Final = 1.0 - math.sqrt(0.5)
-_CONTACT_RATE: Final = 15.6e3
+GAMMA: Final = 1.0 - math.sqrt(0.5)
+CONTACT_RATE: Final = 15.6e3
 """Largest contact eigenvalue times the speed, rad/s2, of both published sets."""
-_STIFF: Final = 0.25
+STIFF: Final = 0.25
 """Step times eigenvalue from which the contact is solved implicitly."""
-_FOLLOWED: Final = 0.5
-"""Largest step times eigenvalue, as long as `_MOST_CUTS` allows."""
-_MOST_CUTS: Final = 64
-_ALMOST_AT_REST: Final = 1e-9
-_CRAWL_RAD_S: Final = 0.005
+FOLLOWED: Final = 0.5
+"""Largest step times eigenvalue, as long as `MOST_CUTS` allows."""
+MOST_CUTS: Final = 64
+ALMOST_AT_REST: Final = 1e-9
+CRAWL_RAD_S: Final = 0.005
 """Below this the slip has no meaning; static friction takes it off within 2 ms, an encoder counts once in 0.6 s."""
 
 
@@ -93,29 +93,30 @@ class Plant:
 
     def _move_in_parts(self, drive: float, brake: float, duration_s: float) -> None:
         """Move on, in parts that end where a late command arrives or the road's force steps."""
-        variation, end_s = self._variation, self.time_s + duration_s
         self._brake.command(self.time_s, brake)
         if drive > 0.0:
             self._braking_since_s = math.inf
         elif brake > 0.0:
             self._braking_since_s = min(self._braking_since_s, self.time_s)
-        step_s = self._braking_since_s + variation.grip_step_after_s
+        step_s = self._braking_since_s + self._variation.grip_step_after_s
+        left_s = duration_s
         while True:
             arrival_s = self._brake.move_to(self.time_s)
             stepped = self.time_s >= step_s - SAME_TIME_S
-            self._surface.grip = 1.0 + variation.grip_step if stepped else 1.0
-            until_s = min(end_s, arrival_s, math.inf if stepped else step_s)
-            self._move(drive, self._brake.settled_torque, until_s - self.time_s)
-            self.time_s = until_s
-            if until_s == end_s:
+            self._surface.grip = 1.0 + self._variation.grip_step if stepped else 1.0
+            part_s = min(left_s, (arrival_s if stepped else min(arrival_s, step_s)) - self.time_s)
+            self._move(drive, self._brake.settled_torque, part_s)
+            self.time_s += part_s
+            if part_s == left_s:
                 break
+            left_s -= part_s
 
     def _move(self, drive: float, target: float, duration_s: float) -> None:
         """Move the wheels on with a brake that settles to `target`, in N m; the time is the caller's."""
         if self.wheel_speed == 0.0 == self.road_speed and not self._breaks_away(drive):
             self._take(duration_s, target, 0.0, 0.0)
             return
-        if duration_s <= self._max_step_s and self.road_speed > duration_s * _CONTACT_RATE / _FOLLOWED:
+        if duration_s <= self._max_step_s and self.road_speed > duration_s * CONTACT_RATE / FOLLOWED:
             self._step(drive, target, duration_s)  # what follows would do the same: one block, one cut
             return
         blocks = math.ceil(duration_s / self._max_step_s - 1e-9)
@@ -127,8 +128,8 @@ class Plant:
 
     def _cuts(self, block_s: float) -> int:
         fastest = max(abs(self.wheel_speed), abs(self.road_speed))
-        wanted = block_s * _CONTACT_RATE / _FOLLOWED
-        return _MOST_CUTS if wanted >= _MOST_CUTS * fastest else math.ceil(wanted / fastest)
+        wanted = block_s * CONTACT_RATE / FOLLOWED
+        return MOST_CUTS if wanted >= MOST_CUTS * fastest else math.ceil(wanted / fastest)
 
     def _breaks_away(self, drive: float) -> bool:
         """Whether the drive overcomes the static friction of a road wheel at rest."""
@@ -136,7 +137,7 @@ class Plant:
 
     def _step(self, drive: float, target: float, h: float) -> None:
         x1, x2 = self.wheel_speed, self.road_speed
-        if -_CRAWL_RAD_S < x2 < _CRAWL_RAD_S and -_CRAWL_RAD_S < x1 < _CRAWL_RAD_S:
+        if -CRAWL_RAD_S < x2 < CRAWL_RAD_S and -CRAWL_RAD_S < x1 < CRAWL_RAD_S:
             self._crawl(drive, target, h)
             return
         next1, next2 = self._next_speeds(drive, target, h)
@@ -183,17 +184,17 @@ class Plant:
             lag = self._lag if h == self._lag[0] else self._brake_lag(h)
             torque = target + (torque - target) * lag[2]
         k1, k2, normal, traction, slip = rates(x1, x2, torque, motor(drive, x2) if drive else 0.0)
-        stiff = h * _CONTACT_RATE > _STIFF * (max(x2, x1))
+        stiff = h * CONTACT_RATE > STIFF * (max(x2, x1))
         if stiff:
             column1, column2, row1, row2 = self._model.contact_stiffness(x1, x2, normal, traction, slip)
             # on the falling side of the friction curve the contact is unstable but slow: damping it would be wrong
-            damping = _GAMMA * h / (1.0 - _GAMMA * h * min(0.0, row1 * column1 + row2 * column2))
+            damping = GAMMA * h / (1.0 - GAMMA * h * min(0.0, row1 * column1 + row2 * column2))
             along = damping * (row1 * k1 + row2 * k2)
             k1, k2 = k1 + along * column1, k2 + along * column2
         # friction keeps its sign within a step: a wheel that would turn back is taken as about to stop
         end1, end2 = x1 + h * k1, x2 + h * k2
-        end1 = end1 if x1 * end1 >= 0.0 else x1 * _ALMOST_AT_REST
-        end2 = end2 if x2 * end2 >= 0.0 else x2 * _ALMOST_AT_REST
+        end1 = end1 if x1 * end1 >= 0.0 else x1 * ALMOST_AT_REST
+        end2 = end2 if x2 * end2 >= 0.0 else x2 * ALMOST_AT_REST
         a1, a2, _, _, _ = rates(end1, end2, torque, motor(drive, end2) if drive else 0.0)
         a1 -= 2.0 * k1
         a2 -= 2.0 * k2

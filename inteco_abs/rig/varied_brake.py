@@ -63,20 +63,21 @@ class VariedBrake:
 
     def __init__(self, variation: RigVariation) -> None:
         self._variation = variation
-        self._newest = 0.0
         self._coming: deque[tuple[float, float]] = deque()
-        self.settled_torque = settled_torque(0.0, variation)
+        self._newest = settled_torque(0.0, variation)
+        self.settled_torque = self._newest
         """Torque in N m that the brake is on its way to."""
 
     def command(self, time_s: float, duty: float) -> None:
         """Put `duty` (0..1) at the terminals."""
-        if duty != self._newest:
-            self._newest = duty
-            self._coming.append((time_s + self._variation.brake_dead_time_s, duty))
+        settled = settled_torque(duty, self._variation)
+        if settled != self._newest:
+            self._newest = settled
+            self._coming.append((time_s + self._variation.brake_dead_time_s, settled))
 
     def move_to(self, time_s: float) -> float:
         """Act on what has arrived by `time_s`; the time in s at which the next command arrives, or infinity."""
         coming = self._coming
         while coming and coming[0][0] <= time_s + SAME_TIME_S:
-            self.settled_torque = settled_torque(coming.popleft()[1], self._variation)
+            self.settled_torque = coming.popleft()[1]
         return coming[0][0] if coming else math.inf
