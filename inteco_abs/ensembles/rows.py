@@ -80,7 +80,7 @@ FIXED: Final = np.dtype(
 def fixed_row(max_step_s: float) -> Rows:
     """The one row of type FIXED."""
     values = (*_FIXED.values(), max_step_s, friction.MEASURED_CUBICS, varied_brake.MEASURED_TORQUE)
-    return np.array([values], FIXED)
+    return np.array([values], FIXED).view(np.recarray)
 
 
 def rig_rows(variations: Sequence[RigVariation], motor: DriveMotor) -> Rows:
@@ -104,7 +104,7 @@ def rig_rows(variations: Sequence[RigVariation], motor: DriveMotor) -> Rows:
             noise_seed(rig),
         )
 
-    return np.array([row(rig) for rig in variations], RIG)
+    return np.array([row(rig) for rig in variations], RIG).view(np.recarray)
 
 
 def state_rows(
@@ -114,7 +114,7 @@ def state_rows(
     road_speed: float | NDArray[np.float64],
 ) -> Rows:
     """Rows of type STATE, at the given speeds in rad/s with the brake released."""
-    states = np.zeros(len(variations), STATE)
+    states = np.zeros(len(variations), STATE).view(np.recarray)
     states["wheel_speed"], states["road_speed"] = wheel_speed, road_speed
     states["settled_torque"] = states["newest_torque"] = [settled_torque(0.0, rig) for rig in variations]
     states["braking_since_s"] = math.inf

@@ -1,10 +1,14 @@
 """Named populations of virtual rigs, each draw reproducible from its seed.
 
-nominal  what the paper assumes: the published rig, whose brake follows at once, and ideal encoders of 2048 counts
-hard     a rig as it may come: everything within the tolerances below, late brake, noisy encoders
-rough    hard, and the normal force ripples, and in half of the draws the road's force steps during the stop
-slow     hard, with the longest dead time
-capped   hard, with the amplifier's cap of the vendor's driver, which leaves some rigs too little torque
+nominal  what the paper assumes: the published rig with a brake that follows at once, ideal encoders of 2048 counts
+hard     a rig as it may come. Within 5 %: J1, J2, Mg and the gain of the brake's measured map, which is off by up to
+         0.02 of duty; within 20 %: d1 and d2; adhesion within 15 % and anywhere between equation (8) and the measured
+         curve; brake lag 35..65 ms after a dead time of 5..15 ms; 8-bit PWM; 2048 counts that sit off centre by half
+         a count and jitter by 0.3 (standard deviation); a tick of delay
+rough    hard, and the normal force ripples by 0..3 % once per turn of the wheel; in half of the draws the adhesion
+         steps by up to 20 %, up or down, 0.3..1 s after braking began
+slow     hard, with 20 ms of dead time
+capped   hard, with the duty capped at 0.7 as by the vendor's driver, which leaves some rigs too little torque
 
 One seed is one rig: `hard`, `slow` and `capped` of a seed differ only in what is named here, and `rough` of that seed
 is the same rig on its own wheel and road. So populations can be compared draw by draw.

@@ -10,8 +10,6 @@ from typing import Final, Literal
 from inteco_abs.rig.parameters import RigParameters
 
 _ANY: Final = (-math.inf, math.inf)
-
-
 _ENCODER_RANGES: Final = {
     "counts_per_turn": (16, 1_000_000),
     "edge_counts": (0.0, 1.0),
@@ -46,7 +44,7 @@ def _insist_on_ranges(record: object, ranges: Mapping[str, tuple[float, float]])
 
 @dataclass(frozen=True, slots=True)
 class EncoderVariation:
-    """One wheel's encoder. As it comes: an ideal disc, whose counter changes exactly at each line."""
+    """One wheel's encoder. The defaults: an ideal disc, whose counter changes exactly at each line."""
 
     counts_per_turn: int = 2048
     """Quadrature counts, 16..1e6: 2048 in the paper, 4096 on the vendor's rig. The counter rounds down."""
@@ -93,7 +91,7 @@ class RigVariation:
     load_ripple_phase_rad: float = 0.0
     """Phase of that in the wheel's angle, at which the force is its mean and rises; any angle."""
     grip_step: float = 0.0
-    """Step of the road's force during a stop, as a share of the adhesion, -0.9..1."""
+    """Step of the road's adhesion during a stop, as a share of it, -0.9..1."""
     grip_step_after_s: float = 0.0
     """When the step comes, from the first command of brake without drive on, 0..60 s; it ends with the next drive."""
     wheel_encoder: EncoderVariation = EncoderVariation()
