@@ -175,7 +175,7 @@ def _drive_torque(k: Any, duty: float, road_speed: float) -> float:
 @compiled
 def _brake_lag(k: Any, s: Any, h: float) -> None:
     if h != s.lag_step_s:
-        rate = k.c31 * h
+        rate = k.c31 * h if h > 0.0 else 0.0
         s.lag_step_s = h
         s.lag_left = math.exp(-rate)
         s.lag_mean = (1.0 - s.lag_left) / rate if rate > 0.0 else 1.0

@@ -15,9 +15,9 @@ from inteco_abs.rig import (
     EncoderVariation,
     RigParameters,
     RigVariation,
-    friction,
     plant,
     settled_torque,
+    surface,
     varied_brake,
 )
 from inteco_abs.rig.encoder import noise_seed
@@ -65,13 +65,13 @@ _FIXED: Final = {
     "crawl_rad_s": plant.CRAWL_RAD_S,
     "same_time_s": varied_brake.SAME_TIME_S,
     "exact": varied_brake.EXACT,
-    "rise_end": friction.RISE_END,
-    "rise": friction.RISE,
+    "rise_end": surface.RISE_END,
+    "rise": surface.RISE,
     **{name: getattr(RigParameters.named("mask"), name) for name in _FORMULA},
 }
 FIXED: Final = np.dtype(
     [(name, np.float64) for name in (*_FIXED, "max_step_s")]
-    + [("cubics", np.float64, np.shape(friction.MEASURED_CUBICS))]
+    + [("cubics", np.float64, np.shape(surface.MEASURED_CUBICS))]
     + [("torques", np.float64, np.shape(varied_brake.MEASURED_TORQUE))]
 )
 """What is the same for all rigs: the integrator's constants and the measured curves, with the formula of the rise."""
@@ -79,7 +79,7 @@ FIXED: Final = np.dtype(
 
 def fixed_row(max_step_s: float) -> Rows:
     """The one row of type FIXED."""
-    values = (*_FIXED.values(), max_step_s, friction.MEASURED_CUBICS, varied_brake.MEASURED_TORQUE)
+    values = (*_FIXED.values(), max_step_s, surface.MEASURED_CUBICS, varied_brake.MEASURED_TORQUE)
     return np.array([values], FIXED).view(np.recarray)
 
 

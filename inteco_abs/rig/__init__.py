@@ -2,12 +2,13 @@
 
 from inteco_abs.rig.actuators import DriveMotor, brake_duty, brake_torque
 from inteco_abs.rig.encoder import Encoder
-from inteco_abs.rig.friction import adhesion, adhesion_slope, measured_adhesion, measured_adhesion_slope
+from inteco_abs.rig.friction import adhesion, adhesion_slope
 from inteco_abs.rig.holding import holding_torque, torque_to_spare
 from inteco_abs.rig.model import Motion, accelerations, kinetic_energy, wheel_slip
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.plant import Plant
 from inteco_abs.rig.population import POPULATIONS, draw
+from inteco_abs.rig.surface import measured_adhesion, measured_adhesion_slope
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
 from inteco_abs.rig.varied_brake import measured_torque, settled_torque
 

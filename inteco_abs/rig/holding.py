@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from inteco_abs.rig.friction import Surface
 from inteco_abs.rig.model import Model
+from inteco_abs.rig.surface import Surface
 from inteco_abs.rig.variation import RigVariation
 from inteco_abs.rig.varied_brake import settled_torque
 

@@ -14,9 +14,9 @@ import math
 from typing import Final
 
 from inteco_abs.rig.actuators import DriveMotor, brake_torque
-from inteco_abs.rig.friction import Surface
 from inteco_abs.rig.model import Model, wheel_slip
 from inteco_abs.rig.parameters import RigParameters
+from inteco_abs.rig.surface import Surface
 from inteco_abs.rig.variation import RigVariation
 from inteco_abs.rig.varied_brake import SAME_TIME_S, VariedBrake
 
@@ -68,6 +68,7 @@ class Plant:
         self._plain = variation.plain_plant
         self._surface = Surface(variation.adhesion_scale, variation.adhesion_blend)
         self._model = Model(self.parameters, None if self._plain else self._surface)
+        self._rates = self._model.rates
         self._brake = VariedBrake(variation)
         self._ripple = variation.load_ripple
         self._braking_since_s = math.inf
@@ -113,11 +114,11 @@ class Plant:
 
     def _move(self, drive: float, target: float, duration_s: float) -> None:
         """Move the wheels on with a brake that settles to `target`, in N m; the time is the caller's."""
-        if self.wheel_speed == 0.0 == self.road_speed and not self._breaks_away(drive):
-            self._take(duration_s, target, 0.0, 0.0)
-            return
         if duration_s <= self._max_step_s and self.road_speed > duration_s * CONTACT_RATE / FOLLOWED:
             self._step(drive, target, duration_s)  # what follows would do the same: one block, one cut
+            return
+        if self.wheel_speed == 0.0 == self.road_speed and not self._breaks_away(drive):
+            self._take(duration_s, target, 0.0, 0.0)
             return
         blocks = math.ceil(duration_s / self._max_step_s - 1e-9)
         for _ in range(blocks):
@@ -137,7 +138,7 @@ class Plant:
 
     def _step(self, drive: float, target: float, h: float) -> None:
         x1, x2 = self.wheel_speed, self.road_speed
-        if -CRAWL_RAD_S < x2 < CRAWL_RAD_S and -CRAWL_RAD_S < x1 < CRAWL_RAD_S:
+        if x2 < CRAWL_RAD_S and x1 < CRAWL_RAD_S and x2 > -CRAWL_RAD_S and x1 > -CRAWL_RAD_S:
             self._crawl(drive, target, h)
             return
         next1, next2 = self._next_speeds(drive, target, h)
@@ -176,7 +177,7 @@ class Plant:
     def _next_speeds(self, drive: float, target: float, h: float) -> tuple[float, float]:
         if self._ripple:
             self._press(h)
-        rates, motor = self._model.rates, self.motor.torque
+        rates, motor = self._rates, self.motor.torque
         x1, x2 = self.wheel_speed, self.road_speed
         torque = self.brake_torque
         if torque != target:
@@ -209,7 +210,7 @@ class Plant:
         self._model.press(1.0 + self._ripple * math.sin(angle + self._variation.load_ripple_phase_rad))
 
     def _brake_lag(self, h: float) -> tuple[float, float, float]:
-        rate = self.parameters.c31 * h
+        rate = self.parameters.c31 * h if h > 0.0 else 0.0  # c31 may be infinite
         left = math.exp(-rate)
         self._lag = (h, left, (1.0 - left) / rate if rate > 0.0 else 1.0)
         return self._lag

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.ensembles import BatchPlant
-from inteco_abs.rig import RigVariation, draw
+from inteco_abs.rig import POPULATIONS, RigVariation, draw
 
 
 @pytest.fixture
@@ -30,6 +30,15 @@ def test_starts_and_duties_may_differ_from_rig_to_rig():
     assert batch.brake_torque.tolist()[:2] == [0.0, 0.0]
     assert batch.brake_torque[2] > 0.0
     assert batch.time_s == 0.01
+
+
+@pytest.mark.parametrize("population", POPULATIONS)
+def test_advance_by_nothing_changes_nothing(population):
+    batch = BatchPlant([draw(population, 1)])
+    batch.advance(0.0, 1.0, 0.0)
+    assert (batch.road_speed[0], batch.road_angle[0], batch.brake_torque[0], batch.time_s) == (180.0, 0.0, 0.0, 0.0)
+    batch.advance(0.0, 1.0, 0.1)
+    assert 100.0 < batch.road_speed[0] < 180.0
 
 
 def test_state_arrays_move_on_with_the_rigs_and_cannot_be_written(three):
