@@ -3,15 +3,14 @@
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from one_by_one import Scalars, assert_same, compare
+from one_by_one import REGIMES, Scalars, assert_same, compare, compare_regime, rigs_of_all_kinds
 
 from inteco_abs.ensembles import BatchPlant
-from inteco_abs.rig import POPULATIONS, DriveMotor, EncoderVariation, RigParameters, RigVariation, draw
+from inteco_abs.rig import POPULATIONS, RigVariation, draw
 
 
 @pytest.mark.parametrize("every", [1, 9])
@@ -22,55 +21,14 @@ def test_whole_stops_of_random_rigs_agree_down_to_standstill(population, every):
     assert not batch.wheel_speed.any()
 
 
-def test_rigs_of_all_kinds_agree_in_one_batch(parameters_of_all_kinds):
-    compare(parameters_of_all_kinds, ticks=1500, every=5, full_from=1200)
+def test_rigs_of_all_kinds_agree_in_one_batch():
+    compare(rigs_of_all_kinds(), ticks=1500, every=5, full_from=1200)
 
 
-@pytest.fixture
-def parameters_of_all_kinds():
-    plain = RigVariation()
-    k = plain.parameters
-    disc = EncoderVariation(4096, 0.3, 2.0, 1.0, 0.0)
-    return [
-        plain,
-        RigVariation(RigParameters.named("table"), wheel_encoder=disc),
-        RigVariation(replace(k, w4=0.45, p=2.0), adhesion_blend=0.5),
-        RigVariation(replace(k, u0=0.3, c31=5.0), brake_duty_offset=-0.1, brake_gain=1.5),
-        RigVariation(brake_map="measured", brake_duty_cap=0.6, brake_pwm_steps=4095),
-        RigVariation(brake_dead_time_s=0.1, command_delay_ticks=3),
-        RigVariation(load_ripple=0.3, load_ripple_phase_rad=2.0, road_encoder=disc),
-        RigVariation(adhesion_scale=0.6, grip_step=0.8, grip_step_after_s=0.05),
-    ]
-
-
-@pytest.mark.parametrize(
-    ("wheel", "road", "drive", "brake"),
-    [
-        (0.0, 0.0, 0.0, 1.0),
-        (0.0, 0.0, 1.0, 0.0),
-        (0.0, 0.0, 0.07, 0.0),
-        (3.0, 3.0, 0.0, 0.6),
-        (-50.0, 80.0, 0.3, 1.0),
-        (80.0, -50.0, 0.0, 0.7),
-        (-80.0, -50.0, 0.0, 0.7),
-        (-50.0, -80.0, 1.0, 0.5),
-        (100.0, 0.0, 0.0, 0.0),
-        (-100.0, 0.0, 0.0, 0.0),
-        (0.0, 100.0, 0.0, 0.0),
-        (0.004, 0.004, 0.2, 0.0),
-    ],
-)
 @pytest.mark.parametrize("tick_s", [0.0005, 0.0137])
-def test_every_regime_agrees_also_with_the_drive_on(wheel, road, drive, brake, tick_s):
-    rigs = [RigVariation(), draw("hard", 1), draw("rough", 2), draw("slow", 3)]
-    motor = DriveMotor(stall_torque_nm=2.5)
-    batch = BatchPlant(rigs, road, wheel, motor)
-    scalars = Scalars(batch, rigs, motor)
-    for tick in range(100):
-        on = tick % 40 < 25
-        for each in (batch, scalars):
-            each.advance(drive if on else 0.0, brake if on else 0.45, tick_s)
-        assert_same(batch, scalars)
+@pytest.mark.parametrize("regime", REGIMES)
+def test_every_regime_agrees_also_with_the_drive_on(regime, tick_s):
+    compare_regime(*regime, tick_s, ticks=100)
 
 
 def test_a_second_stop_has_its_own_grip_step():
