@@ -1,21 +1,38 @@
-"""The physics of the rig, pure: published parameters, friction, actuators and the plant in all its regimes."""
+"""The physics of the rig, pure: parameters, friction, actuators, the plant in all its regimes, and rigs that differ."""
 
 from inteco_abs.rig.actuators import DriveMotor, brake_duty, brake_torque
+from inteco_abs.rig.encoder import Encoder
 from inteco_abs.rig.friction import adhesion, adhesion_slope
+from inteco_abs.rig.holding import holding_torque, torque_to_spare
 from inteco_abs.rig.model import Motion, accelerations, kinetic_energy, wheel_slip
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.plant import Plant
+from inteco_abs.rig.population import POPULATIONS, draw
+from inteco_abs.rig.surface import measured_adhesion, measured_adhesion_slope
+from inteco_abs.rig.variation import EncoderVariation, RigVariation
+from inteco_abs.rig.varied_brake import measured_torque, settled_torque
 
 __all__ = [
+    "POPULATIONS",
     "DriveMotor",
+    "Encoder",
+    "EncoderVariation",
     "Motion",
     "Plant",
     "RigParameters",
+    "RigVariation",
     "accelerations",
     "adhesion",
     "adhesion_slope",
     "brake_duty",
     "brake_torque",
+    "draw",
+    "holding_torque",
     "kinetic_energy",
+    "measured_adhesion",
+    "measured_adhesion_slope",
+    "measured_torque",
+    "settled_torque",
+    "torque_to_spare",
     "wheel_slip",
 ]

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from inteco_abs.rig.friction import adhesion, adhesion_slope
 from inteco_abs.rig.parameters import RigParameters
+from inteco_abs.rig.surface import Surface
 
 
 def wheel_slip(wheel_speed: float, road_speed: float, parameters: RigParameters) -> float:
@@ -42,14 +43,21 @@ class Motion(NamedTuple):
 
 
 class Model:
-    """Equations (2) to (6) for one parameter set, with its constants worked out once."""
+    """Equations (2) to (6) for one parameter set, with its constants worked out once; on `surface` instead of (8)."""
 
-    __slots__ = ("_L_cos", "_L_sin", "_k")
+    __slots__ = ("_L_cos", "_L_sin", "_adhesion", "_adhesion_slope", "_k")
 
-    def __init__(self, parameters: RigParameters) -> None:
+    def __init__(self, parameters: RigParameters, surface: Surface | None = None) -> None:
         self._k = parameters
-        self._L_sin = parameters.L * math.sin(parameters.phi_rad)
-        self._L_cos = parameters.L * math.cos(parameters.phi_rad)
+        self._adhesion = surface.adhesion if surface else adhesion
+        self._adhesion_slope = surface.adhesion_slope if surface else adhesion_slope
+        self.press(1.0)
+
+    def press(self, load: float) -> None:
+        """Multiply the normal force that the lever's torque makes, equation (5), by `load` from now on."""
+        k = self._k
+        self._L_sin = k.L * math.sin(k.phi_rad) / load
+        self._L_cos = k.L * math.cos(k.phi_rad) / load
 
     def rates(
         self, wheel_speed: float, road_speed: float, brake_torque: float, drive_torque: float
@@ -57,7 +65,7 @@ class Model:
         """The fields of `Motion` as a plain tuple: this is the inner loop of every simulation."""
         k = self._k
         slip = wheel_slip(wheel_speed, road_speed, k)
-        traction = adhesion(slip, k) if k.r2 * road_speed >= k.r1 * wheel_speed else -adhesion(slip, k)
+        traction = self._adhesion(slip, k) if k.r2 * road_speed >= k.r1 * wheel_speed else -self._adhesion(slip, k)
         lever = self._L_sin - self._L_cos * traction
         held = brake_torque + k.M10
         moves = True
@@ -93,7 +101,7 @@ class Model:
         if wheel_speed <= 0.0 or road_speed <= 0.0 or slip == 0.0:
             return 0.0, 0.0, 0.0, 0.0
         k = self._k
-        slope = adhesion_slope(slip, k)
+        slope = self._adhesion_slope(slip, k)
         force = normal * self._L_sin / (self._L_sin - self._L_cos * traction)
         slower = 1.0 - slip
         if k.r2 * road_speed > k.r1 * wheel_speed:

@@ -16,30 +16,34 @@ from typing import Final
 from inteco_abs.rig.actuators import DriveMotor, brake_torque
 from inteco_abs.rig.model import Model, wheel_slip
 from inteco_abs.rig.parameters import RigParameters
+from inteco_abs.rig.surface import Surface
+from inteco_abs.rig.variation import RigVariation
+from inteco_abs.rig.varied_brake import SAME_TIME_S, VariedBrake
 
-_GAMMA: Final = 1.0 - math.sqrt(0.5)
-_CONTACT_RATE: Final = 15.6e3
+GAMMA: Final = 1.0 - math.sqrt(0.5)
+CONTACT_RATE: Final = 15.6e3
 """Largest contact eigenvalue times the speed, rad/s2, of both published sets."""
-_STIFF: Final = 0.25
+STIFF: Final = 0.25
 """Step times eigenvalue from which the contact is solved implicitly."""
-_FOLLOWED: Final = 0.5
-"""Largest step times eigenvalue, as long as `_MOST_CUTS` allows."""
-_MOST_CUTS: Final = 64
-_ALMOST_AT_REST: Final = 1e-9
-_CRAWL_RAD_S: Final = 0.005
+FOLLOWED: Final = 0.5
+"""Largest step times eigenvalue, as long as `MOST_CUTS` allows."""
+MOST_CUTS: Final = 64
+ALMOST_AT_REST: Final = 1e-9
+CRAWL_RAD_S: Final = 0.005
 """Below this the slip has no meaning; static friction takes it off within 2 ms, an encoder counts once in 0.6 s."""
 
 
 class Plant:
     """Two wheels in contact, started at given speeds in rad/s with the brake released.
 
-    Speeds, angles (rad), `brake_torque` (N m, what the brake can hold) and `time_s` may be read at any time.
-    `max_step_s` bounds the integration step; halving it is the convergence test.
+    The rig is the model with some parameters, or one of its own with a `RigVariation`. Speeds, angles (rad),
+    `brake_torque` (N m, what the brake can hold) and `time_s` may be read at any time. `max_step_s` bounds the
+    integration step; halving it is the convergence test.
     """
 
     def __init__(
         self,
-        parameters: RigParameters,
+        parameters: RigParameters | RigVariation,
         wheel_speed: float,
         road_speed: float,
         motor: DriveMotor | None = None,
@@ -50,7 +54,8 @@ class Plant:
             raise ValueError(f"speeds {wheel_speed!r}, {road_speed!r} rad/s: must be finite")
         if not 0.0 < max_step_s < math.inf:
             raise ValueError(f"max_step_s = {max_step_s!r}: must be finite and above 0 s")
-        self.parameters = parameters
+        variation = parameters if isinstance(parameters, RigVariation) else RigVariation(parameters)
+        self.parameters = variation.parameters
         self.motor = motor or DriveMotor()
         self.wheel_speed = wheel_speed
         self.road_speed = road_speed
@@ -58,8 +63,15 @@ class Plant:
         self.wheel_angle = 0.0
         self.road_angle = 0.0
         self.time_s = 0.0
-        self._model = Model(parameters)
         self._max_step_s = max_step_s
+        self._variation = variation
+        self._plain = variation.plain_plant
+        self._surface = Surface(variation.adhesion_scale, variation.adhesion_blend)
+        self._model = Model(self.parameters, None if self._plain else self._surface)
+        self._rates = self._model.rates
+        self._brake = VariedBrake(variation)
+        self._ripple = variation.load_ripple
+        self._braking_since_s = math.inf
         # a step in s; the share of the brake's distance to its target that is left after it, and over it in the mean
         self._lag = (math.nan, 0.0, 0.0)
 
@@ -74,13 +86,39 @@ class Plant:
             raise ValueError(f"drive {drive!r}, brake {brake!r}: duties must be in 0..1")
         if not 0.0 <= duration_s < math.inf:
             raise ValueError(f"duration_s = {duration_s!r}: must be finite and not negative")
-        target = brake_torque(brake, self.parameters)
-        self.time_s += duration_s
+        if self._plain:
+            self._move(drive, brake_torque(brake, self.parameters), duration_s)
+            self.time_s += duration_s
+        else:
+            self._move_in_parts(drive, brake, duration_s)
+
+    def _move_in_parts(self, drive: float, brake: float, duration_s: float) -> None:
+        """Move on, in parts that end where a late command arrives or the road's force steps."""
+        self._brake.command(self.time_s, brake)
+        if drive > 0.0:
+            self._braking_since_s = math.inf
+        elif brake > 0.0:
+            self._braking_since_s = min(self._braking_since_s, self.time_s)
+        step_s = self._braking_since_s + self._variation.grip_step_after_s
+        left_s = duration_s
+        while True:
+            arrival_s = self._brake.move_to(self.time_s)
+            stepped = self.time_s >= step_s - SAME_TIME_S
+            self._surface.grip = 1.0 + self._variation.grip_step if stepped else 1.0
+            part_s = min(left_s, (arrival_s if stepped else min(arrival_s, step_s)) - self.time_s)
+            self._move(drive, self._brake.settled_torque, part_s)
+            self.time_s += part_s
+            if part_s == left_s:
+                break
+            left_s -= part_s
+
+    def _move(self, drive: float, target: float, duration_s: float) -> None:
+        """Move the wheels on with a brake that settles to `target`, in N m; the time is the caller's."""
+        if duration_s <= self._max_step_s and self.road_speed > duration_s * CONTACT_RATE / FOLLOWED:
+            self._step(drive, target, duration_s)  # what follows would do the same: one block, one cut
+            return
         if self.wheel_speed == 0.0 == self.road_speed and not self._breaks_away(drive):
             self._take(duration_s, target, 0.0, 0.0)
-            return
-        if duration_s <= self._max_step_s and self.road_speed > duration_s * _CONTACT_RATE / _FOLLOWED:
-            self._step(drive, target, duration_s)  # what follows would do the same: one block, one cut
             return
         blocks = math.ceil(duration_s / self._max_step_s - 1e-9)
         for _ in range(blocks):
@@ -91,8 +129,8 @@ class Plant:
 
     def _cuts(self, block_s: float) -> int:
         fastest = max(abs(self.wheel_speed), abs(self.road_speed))
-        wanted = block_s * _CONTACT_RATE / _FOLLOWED
-        return _MOST_CUTS if wanted >= _MOST_CUTS * fastest else math.ceil(wanted / fastest)
+        wanted = block_s * CONTACT_RATE / FOLLOWED
+        return MOST_CUTS if wanted >= MOST_CUTS * fastest else math.ceil(wanted / fastest)
 
     def _breaks_away(self, drive: float) -> bool:
         """Whether the drive overcomes the static friction of a road wheel at rest."""
@@ -100,7 +138,7 @@ class Plant:
 
     def _step(self, drive: float, target: float, h: float) -> None:
         x1, x2 = self.wheel_speed, self.road_speed
-        if -_CRAWL_RAD_S < x2 < _CRAWL_RAD_S and -_CRAWL_RAD_S < x1 < _CRAWL_RAD_S:
+        if x2 < CRAWL_RAD_S and x1 < CRAWL_RAD_S and x2 > -CRAWL_RAD_S and x1 > -CRAWL_RAD_S:
             self._crawl(drive, target, h)
             return
         next1, next2 = self._next_speeds(drive, target, h)
@@ -132,28 +170,32 @@ class Plant:
         self.wheel_angle += 0.5 * h * (self.wheel_speed + next1)
         self.road_angle += 0.5 * h * (self.road_speed + next2)
         if self.brake_torque != target:
-            self.brake_torque = target + (self.brake_torque - target) * self._brake_lag(h)[1]
+            lag = self._lag if h == self._lag[0] else self._brake_lag(h)
+            self.brake_torque = target + (self.brake_torque - target) * lag[1]
         self.wheel_speed, self.road_speed = next1, next2
 
     def _next_speeds(self, drive: float, target: float, h: float) -> tuple[float, float]:
-        rates, motor = self._model.rates, self.motor.torque
+        if self._ripple:
+            self._press(h)
+        rates, motor = self._rates, self.motor.torque
         x1, x2 = self.wheel_speed, self.road_speed
         torque = self.brake_torque
         if torque != target:
             # the exact mean over the step: the speeds follow the brake's impulse, however fast the brake is
-            torque = target + (torque - target) * self._brake_lag(h)[2]
+            lag = self._lag if h == self._lag[0] else self._brake_lag(h)
+            torque = target + (torque - target) * lag[2]
         k1, k2, normal, traction, slip = rates(x1, x2, torque, motor(drive, x2) if drive else 0.0)
-        stiff = h * _CONTACT_RATE > _STIFF * (max(x2, x1))
+        stiff = h * CONTACT_RATE > STIFF * (max(x2, x1))
         if stiff:
             column1, column2, row1, row2 = self._model.contact_stiffness(x1, x2, normal, traction, slip)
             # on the falling side of the friction curve the contact is unstable but slow: damping it would be wrong
-            damping = _GAMMA * h / (1.0 - _GAMMA * h * min(0.0, row1 * column1 + row2 * column2))
+            damping = GAMMA * h / (1.0 - GAMMA * h * min(0.0, row1 * column1 + row2 * column2))
             along = damping * (row1 * k1 + row2 * k2)
             k1, k2 = k1 + along * column1, k2 + along * column2
         # friction keeps its sign within a step: a wheel that would turn back is taken as about to stop
         end1, end2 = x1 + h * k1, x2 + h * k2
-        end1 = end1 if x1 * end1 >= 0.0 else x1 * _ALMOST_AT_REST
-        end2 = end2 if x2 * end2 >= 0.0 else x2 * _ALMOST_AT_REST
+        end1 = end1 if x1 * end1 >= 0.0 else x1 * ALMOST_AT_REST
+        end2 = end2 if x2 * end2 >= 0.0 else x2 * ALMOST_AT_REST
         a1, a2, _, _, _ = rates(end1, end2, torque, motor(drive, end2) if drive else 0.0)
         a1 -= 2.0 * k1
         a2 -= 2.0 * k2
@@ -162,11 +204,15 @@ class Plant:
             a1, a2 = a1 + along * column1, a2 + along * column2
         return x1 + h * (1.5 * k1 + 0.5 * a1), x2 + h * (1.5 * k2 + 0.5 * a2)
 
+    def _press(self, h: float) -> None:
+        """Give the coming step the normal force of its middle, which keeps the order."""
+        angle = self.wheel_angle + 0.5 * h * self.wheel_speed
+        self._model.press(1.0 + self._ripple * math.sin(angle + self._variation.load_ripple_phase_rad))
+
     def _brake_lag(self, h: float) -> tuple[float, float, float]:
-        if h != self._lag[0]:
-            rate = self.parameters.c31 * h
-            left = math.exp(-rate)
-            self._lag = (h, left, (1.0 - left) / rate if rate > 0.0 else 1.0)
+        rate = self.parameters.c31 * h if h > 0.0 else 0.0  # c31 may be infinite
+        left = math.exp(-rate)
+        self._lag = (h, left, (1.0 - left) / rate if rate > 0.0 else 1.0)
         return self._lag
 
 

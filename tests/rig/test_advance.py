@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -32,6 +33,12 @@ def test_a_new_plant_starts_where_it_is_told_with_the_brake_released(parameters)
 def test_advance_by_nothing_changes_nothing(parameters):
     plant = Plant(parameters, 12.0, 34.0)
     plant.advance(1.0, 1.0, 0.0)
+    assert state_of(plant) == [12.0, 34.0, 0.0, 0.0, 0.0, 0.0]
+
+
+def test_advance_by_nothing_changes_nothing_where_the_brake_follows_at_once(parameters):
+    plant = Plant(replace(parameters, c31=math.inf), 12.0, 34.0)
+    plant.advance(0.0, 1.0, 0.0)
     assert state_of(plant) == [12.0, 34.0, 0.0, 0.0, 0.0, 0.0]
 
 

@@ -48,3 +48,13 @@ def test_bench_deaths_finds_no_tick_lost(untraced):
     for row in rows:
         runs, *_, lost, whole = row[24:].split()
         assert (lost, whole) == ("0", runs)
+
+
+@pytest.mark.long
+def test_bench_ensemble_compares_a_batch_with_scipy_and_the_scalar_plant(untraced):
+    rows = run("bench_ensemble", "1", "20", environment=untraced).splitlines()
+    assert [row.split(":")[0] for row in rows if row[0] != " "] == ["controlled stops", "held stops"]
+    assert len([row for row in rows if "  batch, step" in row]) == 5
+    ratios = [int(row.split()[-1]) for row in rows if "ratio" in row]
+    assert len(ratios) == 7
+    assert min(ratios) > 1

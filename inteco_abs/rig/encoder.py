@@ -1,0 +1,40 @@
+"""Encoder of one wheel: from its angle to the count that a counter shows."""
+
+from __future__ import annotations
+
+import math
+
+from inteco_abs.rig.generator import WORD, mixed, normal_pair
+from inteco_abs.rig.variation import RigVariation
+
+
+class Encoder:
+    """The wheel's (`wheel=True`) or road's encoder of a rig, with its noise; the counter is never reset.
+
+    The noise is reproducible: the n-th reading of the same rig has the same, whatever was read.
+    """
+
+    __slots__ = ("_disc", "_noise", "_per_rad", "_readings", "_seed")
+
+    def __init__(self, variation: RigVariation, *, wheel: bool) -> None:
+        self._disc = variation.wheel_encoder if wheel else variation.road_encoder
+        self._per_rad = self._disc.counts_per_turn / (2.0 * math.pi)
+        self._seed = noise_seed(variation)
+        self._noise = 0 if wheel else 1
+        self._readings = 0
+
+    def read(self, angle_rad: float) -> int:
+        """Count with the wheel at `angle_rad`."""
+        disc = self._disc
+        position = angle_rad * self._per_rad + disc.edge_counts
+        if disc.eccentricity_counts > 0.0:
+            position += disc.eccentricity_counts * math.sin(angle_rad + disc.eccentricity_phase_rad)
+        if disc.jitter_counts > 0.0:
+            position += disc.jitter_counts * normal_pair(self._seed, self._readings)[self._noise]
+        self._readings += 1
+        return math.floor(position)
+
+
+def noise_seed(variation: RigVariation) -> int:
+    """Seed of the noise of both encoders, which take one number each of every pair."""
+    return mixed(variation.seed ^ WORD)

@@ -1,0 +1,107 @@
+"""The road that a rig has of its own: the adhesion that was measured, and its blend with equation (8)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+from inteco_abs.rig.friction import adhesion, adhesion_slope
+from inteco_abs.rig.parameters import RigParameters
+
+
+class Cubic(NamedTuple):
+    """One piece of a curve, in powers of the distance from where it starts."""
+
+    start: float
+    value: float
+    slope: float
+    square: float
+    cube: float
+
+
+MEASURED_ADHESION: Final = ((0.1, 0.384), (0.2, 0.393), (0.4, 0.402), (0.6, 0.410), (0.8, 0.414), (1.0, 0.409))
+"""Slip and adhesion read off the surface measured in the manual, figure 5.6c: no peak near 0.2, unlike (8)."""
+
+
+def monotone_cubics(points: Sequence[tuple[float, float]], first_slope: float) -> tuple[Cubic, ...]:
+    """Curve through `points` with a continuous slope and no bump of its own, of which the slope at its start is given.
+
+    Slopes by the harmonic mean of the neighbouring chords (Fritsch and Butland 1984), 0 where the points turn.
+    """
+    chords = [(y1 - y0) / (x1 - x0) for (x0, y0), (x1, y1) in pairwise(points)]
+    inner = [2.0 * a * b / (a + b) if a * b > 0.0 else 0.0 for a, b in pairwise(chords)]
+    slopes = [first_slope, *inner, chords[-1]]
+    cubics = []
+    for i, chord in enumerate(chords):
+        width = points[i + 1][0] - points[i][0]
+        square = (3.0 * chord - 2.0 * slopes[i] - slopes[i + 1]) / width
+        cube = (slopes[i] + slopes[i + 1] - 2.0 * chord) / width**2
+        cubics.append(Cubic(*points[i], slopes[i], square, cube))
+    return tuple(cubics)
+
+
+_PUBLISHED: Final = RigParameters.named("mask")
+RISE_END: Final = MEASURED_ADHESION[0][0]
+"""Slip of the first measured point; below it nothing was measured and the curve rises as equation (8) does."""
+RISE: Final = MEASURED_ADHESION[0][1] / adhesion(RISE_END, _PUBLISHED)
+"""Measured adhesion over that of (8) where the rise ends."""
+MEASURED_CUBICS: Final = monotone_cubics(MEASURED_ADHESION, RISE * adhesion_slope(RISE_END, _PUBLISHED))
+
+
+def measured_adhesion(slip: float) -> float:
+    """Adhesion at `slip` as it was measured; continuous with its slope. Raises ValueError outside 0..1."""
+    if slip < RISE_END:
+        return RISE * adhesion(slip, _PUBLISHED)
+    piece = _measured_piece(slip)
+    t = slip - piece.start
+    return ((piece.cube * t + piece.square) * t + piece.slope) * t + piece.value
+
+
+def measured_adhesion_slope(slip: float) -> float:
+    """Derivative of `measured_adhesion` by slip; raises ValueError outside 0..1."""
+    if slip < RISE_END:
+        return RISE * adhesion_slope(slip, _PUBLISHED)
+    piece = _measured_piece(slip)
+    t = slip - piece.start
+    return (3.0 * piece.cube * t + 2.0 * piece.square) * t + piece.slope
+
+
+def _measured_piece(slip: float) -> Cubic:
+    if not slip <= 1.0:
+        raise ValueError(f"slip = {slip!r}: must be in 0..1")
+    found = MEASURED_CUBICS[0]
+    for piece in MEASURED_CUBICS:
+        if slip < piece.start:
+            break
+        found = piece
+    return found
+
+
+class Surface:
+    """The contact of one rig: a scaled blend of equation (8) and the measured curve, times the present `grip`.
+
+    Takes the place of `adhesion` and `adhesion_slope` in the model.
+    """
+
+    __slots__ = ("_blend", "_scale", "grip")
+
+    def __init__(self, scale: float, blend: float) -> None:
+        self._scale = scale
+        self._blend = blend
+        self.grip = 1.0
+        """Factor on the adhesion, which the road may change during a stop."""
+
+    def adhesion(self, slip: float, parameters: RigParameters) -> float:
+        """Adhesion at `slip`; raises ValueError outside 0..1."""
+        mu, blend = adhesion(slip, parameters), self._blend
+        if blend != 0.0:
+            mu = (1.0 - blend) * mu + blend * measured_adhesion(slip)
+        return self._scale * self.grip * mu
+
+    def adhesion_slope(self, slip: float, parameters: RigParameters) -> float:
+        """Derivative of `adhesion` by slip; raises ValueError outside 0..1."""
+        slope, blend = adhesion_slope(slip, parameters), self._blend
+        if blend != 0.0:
+            slope = (1.0 - blend) * slope + blend * measured_adhesion_slope(slip)
+        return self._scale * self.grip * slope
