@@ -420,7 +420,7 @@ class PumpedPort(SerialLink):
     def __init__(self, server: PtyServer, stream: CountingStream) -> None:
         self._server = server
         self._stream = stream
-        super().__init__(server.name, timeout_s=10.0, quiet_s=0.0)  # nothing is ever on its way
+        super().__init__(server.name, timeout_s=0.3, quiet_s=0.0)  # nothing is ever on its way
 
     def write(self, data: bytes | bytearray) -> None:
         wanted = self._stream.arrived + len(data)
