@@ -92,6 +92,12 @@ def test_a_profile_of_another_kind_than_the_address_is_refused_with_both_names()
     assert "pci:" in str(refusal.value)
 
 
+def test_a_profile_made_for_the_mock_opens_no_real_pci_board():
+    with pytest.raises(ConfigError, match=r"board\.simulated: the profile was made for the mock"):
+        check_kind("pci:", load_config(profile="sim_pci"))
+    check_kind("sim:", load_config(profile="sim_pci"))
+
+
 class TestSignature:
     def test_a_signed_profile_may_drive(self, lab):
         assert opened(lab()).read_only_because == ""
@@ -131,6 +137,31 @@ class TestSignature:
         over = '[board]\nroad_sign = -1\nverified_by = "B. Lab"\n'
         assert opened(lab(over=over)).read_only_because == ""
 
+    def test_a_setting_over_a_signed_file_is_found_also_if_the_file_is_no_profile(self, tmp_path):
+        file = tmp_path / "lab.toml"
+        file.write_text(LAB.format(signed_logic="0x0103"), encoding="utf-8")
+        because = opened(load_config(file, ["board.drive_pwm=3"], profile="usb2_generic_0103")).read_only_because
+        assert "drive_pwm" in because
+        assert "A. Lab" in because
+
+    @pytest.mark.parametrize(
+        "settings",
+        [
+            ["board.logic_version=0x0222", "board.verified_logic=0x0222"],
+            ["board.application_names=['ABSSIM', 'ABS2']"],
+            ["board.verified_on=2027-01-01"],
+        ],
+    )
+    def test_who_signed_has_not_signed_for_another_logic_name_or_day(self, lab, settings):
+        assert "A. Lab" in lab(*settings).board.read_only
+
+    def test_a_reason_to_stay_off_cannot_be_taken_away_over_the_signature(self, tmp_path):
+        file = tmp_path / "lab.toml"
+        text = LAB.format(signed_logic="0x0103") + 'read_only = "the brake is dismantled"\n'
+        file.write_text(text, encoding="utf-8")
+        because = opened(load_config(settings=[f"profile={file}", 'board.read_only=""'])).read_only_because
+        assert "read_only" in because
+
     def test_the_day_is_kept(self, lab):
         assert parse_config(lab().to_toml()).board.verified_on == date(2026, 3, 4)
 
@@ -158,6 +189,10 @@ class TestEvidence:
     def test_a_status_is_one_of_three(self):
         with pytest.raises(ConfigError, match=r"board\.evidence\.drive_pwm\.status"):
             load_config(settings=['board.evidence.drive_pwm={status="sure"}'])
+
+    def test_it_cannot_be_claimed_on_the_command_line(self):
+        with pytest.raises(ConfigError, match=r"board\.evidence\.road_sign: evidence stands in a file"):
+            load_config(settings=["profile=pci_abs_50f", 'board.evidence.road_sign={status="confirmed"}'])
 
     def test_a_profile_for_reading_never_drives_even_when_signed(self):
         config = load_config(

@@ -119,6 +119,8 @@ class TestOpening:
                 bench.exchange(1.0, 1.0)
             with pytest.raises(BoardError, match="not known"):
                 board.readings()
+            with pytest.raises(BoardError, match="not known"):
+                board.survey()
         assert set(bench.steps) == {VERSION}
 
     def test_where_no_board_answers_it_is_a_link_error_and_nothing_is_written(self, new_pci_bench):
