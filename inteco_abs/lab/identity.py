@@ -13,7 +13,6 @@ from inteco_abs.lab.step import Facts, Visit
 
 _BYTES_A_LINE: Final = 16
 _CANDIDATE: Final = "_abs_candidate"
-_SIMULATED: Final = "sim_"
 
 
 def list_boards(visit: Visit) -> Facts:
@@ -49,7 +48,7 @@ def fitting_profile(kind: str, identity: Identity) -> str:
     fallback = ""
     for name in profiles():
         board = read_profile(name)["board"]
-        if name.startswith(_SIMULATED) or board.get("kind", "usb2") != kind or board.get("read_only"):
+        if board.get("simulated") or board.get("kind", "usb2") != kind or board.get("read_only"):
             continue
         if name.endswith(_CANDIDATE):
             fallback = name
