@@ -90,7 +90,7 @@ class Pipeline:
         if sample.board_flags:
             return self._decided
         try:
-            estimate = self._estimator.update(sample)
+            estimate = self._estimator.update(sample, self.command)
             self._decided = estimate, self._sequence.step(sample, estimate)
         except (Exception, SystemExit) as error:  # noqa: BLE001  a user's controller may raise anything; the rig must stop all the same
             self.error = error

@@ -254,13 +254,30 @@ def test_a_controller_that_raised_is_not_asked_again(experiment):
     assert controller.calls == 1
 
 
+def test_the_estimator_is_told_what_the_exchange_of_its_sample_wrote():
+    told = []
+
+    class Listening:
+        def update(self, _sample, command):
+            told.append(command)
+            return Estimate(0.0, 0.0, 0.0, valid=True)
+
+    pipeline = Pipeline(load_config(), Listening(), Scripted(lambda _call: BrakeDemand(0.0)))
+    written = []
+    for number in range(1500):
+        written.append(pipeline.command)
+        pipeline.step(rest(number))
+    assert told == written
+    assert len(set(told)) > 1
+
+
 @pytest.mark.parametrize("call", [1, 2, 300])
 def test_an_estimator_that_raises_ends_the_run_and_its_error_is_kept(call):
     config = load_config()
     calls = 0
 
     class Failing:
-        def update(self, _sample):
+        def update(self, _sample, _command):
             nonlocal calls
             calls += 1
             return fail() if calls == call else Estimate(0.0, 0.0, 0.0, valid=True)

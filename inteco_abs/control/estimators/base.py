@@ -9,14 +9,17 @@ import math
 from typing import Protocol
 
 from inteco_abs.rig import RigParameters
-from inteco_abs.signals import Estimate, Sample
+from inteco_abs.signals import Command, Estimate, Sample
 
 
 class Estimator(Protocol):
     """Turns samples into estimates, one at a time, in order; no clock, no randomness."""
 
-    def update(self, sample: Sample) -> Estimate:
-        """Estimate at the instant of `sample`."""
+    def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:
+        """Estimate at the instant of `sample`; `command` is what the board was told in the exchange that brought it.
+
+        It acts from that instant on. Most filters know no input; a model-based one does.
+        """
         ...
 
 
@@ -42,7 +45,7 @@ class TwoWheels:
         self._ratio = parameters.r1 / parameters.r2
         self._samples = 0
 
-    def update(self, sample: Sample) -> Estimate:
+    def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:  # noqa: ARG002  counts say it all
         """Estimate at the instant of `sample`; valid from the second sample on."""
         wheel = self._wheel.update(sample.time_ns, sample.wheel_count)
         road = self._road.update(sample.time_ns, sample.road_count)
