@@ -175,7 +175,7 @@ class ExperimentConfig(_Section):
 class EstimatorConfig(_Section):
     name: str = "moving-window"
     window_s: Annotated[float, Field(gt=0.0, le=0.5)] = 0.010
-    """Length of the moving window."""
+    """Length of the moving window, least time between the edges of edge-time, and T0 of the difference."""
     natural_frequency_rad_s: Annotated[float, Field(gt=0.0, le=2000.0)] = 200.0
     """Of the tracking loop; at most a tenth of the loop's rate."""
     jerk_density: Annotated[float, Field(gt=0.0, le=1e12)] = 3e5

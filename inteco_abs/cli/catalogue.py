@@ -1,11 +1,18 @@
-"""Verbs that list what there is to choose from: controllers, profiles."""
+"""Verbs that list what there is to choose from: controllers, estimators, profiles."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import click
 
 from inteco_abs.cli.shared import json_option, print_json
 from inteco_abs.errors import ConfigError, Mistake, near_match
+
+if TYPE_CHECKING:
+    from inteco_abs.control import Gain
+    from inteco_abs.control.estimators import Parameter
 
 
 @click.command()
@@ -23,9 +30,26 @@ def controllers(as_json: bool) -> int:
         return 0
     for name, kind in CONTROLLERS.items():
         click.echo(f"{name:17} {_summary(kind)}")
-        for gain in kind.gains:
-            value = f"{gain.name} = {gain.default:g}"
-            click.echo(f"{'':17}   {value:18} {gain.low:g}..{gain.high:g} {gain.unit}: {gain.meaning}")
+        _list(kind.gains)
+    return 0
+
+
+@click.command()
+@json_option
+def estimators(as_json: bool) -> int:
+    """List the estimators of wheel speeds and slip, with what can be set of each in the section [estimator]."""
+    from inteco_abs.control import ESTIMATORS
+
+    if as_json:
+        found = {
+            name: {"summary": kind.summary, "parameters": [each._asdict() for each in kind.parameters]}
+            for name, kind in ESTIMATORS.items()
+        }
+        print_json({"schema_version": 1, "estimators": found})
+        return 0
+    for name, kind in ESTIMATORS.items():
+        click.echo(f"{name:17} {kind.summary}")
+        _list(kind.parameters)
     return 0
 
 
@@ -60,6 +84,15 @@ def profiles(name: str | None, as_json: bool) -> int:
         signed = f"signed by {board.verified_by}" if board.verified_by else f"{len(board.unconfirmed())} not confirmed"
         click.echo(f"{one:19} {board.kind:5} logic 0x{board.logic_version:04X}  {board.read_only or signed}")
     return 0
+
+
+def _list(numbers: Sequence[Gain | Parameter]) -> None:
+    """One line each: name, default, range, unit, meaning."""
+    values = [f"{each.name} = {each.default:g}" for each in numbers]
+    width = max(map(len, ["", *values]))
+    for value, each in zip(values, numbers, strict=True):
+        unit = "" if each.unit == "1" else f" {each.unit}"
+        click.echo(f"{'':17}   {value:{width}}  {each.low:g}..{each.high:g}{unit}: {each.meaning}")
 
 
 def _summary(kind: type) -> str:

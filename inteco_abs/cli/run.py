@@ -40,7 +40,11 @@ if TYPE_CHECKING:
     help="Over the file, as in guard.brake_limit=0.7.",
 )
 @click.option("--controller", help="One of `inteco-abs controllers`, or your own as file.py:Class.")
-@click.option("--estimator", help="moving-window, tracking, kalman, or euler as in the paper.")
+@click.option(
+    "--estimator",
+    help="One of `inteco-abs estimators`: moving-window, tracking, kalman, edge-time, euler as in the paper, "
+    "difference as by the vendor.",
+)
 @click.option("--out", type=FILE, help="Session file to write; default: sessions/stop-TIME.mcap.")
 @click.option("--figure", type=FILE, help="Also draw the stop: .png, .svg or .pdf.")
 @click.option("--record-wire", "wire", type=FILE, help="Also write every message to and from the board, as JSON lines.")

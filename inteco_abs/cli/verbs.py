@@ -8,7 +8,7 @@ from typing import Final
 import click
 
 from inteco_abs.cli.blink import blink
-from inteco_abs.cli.catalogue import controllers, profiles
+from inteco_abs.cli.catalogue import controllers, estimators, profiles
 from inteco_abs.cli.doctor import doctor
 from inteco_abs.cli.mock_board import mock_board
 from inteco_abs.cli.probe import probe
@@ -49,6 +49,7 @@ _VERBS: Final = (
     wire,
     mock_board,
     controllers,
+    estimators,
     profiles,
 )
 for _verb in _VERBS:
