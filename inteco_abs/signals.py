@@ -97,6 +97,25 @@ class Sample(NamedTuple):
     board_flags: BoardFlags = BoardFlags.NONE
 
 
+class Outlook(NamedTuple):
+    """What a model-based observer expects of the instant at which the next command comes through to the brake."""
+
+    wheel_angle_rad: float
+    wheel_speed_rad_s: float
+    road_speed_rad_s: float
+    lagged_torque_nm: float
+    """What the brake's map and lag make of the commands so far."""
+    excess_torque_nm: float
+    """What the brake gives beyond that."""
+    adhesion_factor: float
+    """On the adhesion of equation (8)."""
+    ripple_cosine: float
+    """Of that factor, in the wheel's angle."""
+    ripple_sine: float
+    brake_dead_time_s: float
+    brake_lag_s: float
+
+
 class Estimate(NamedTuple):
     """What the estimator makes of the samples so far."""
 
@@ -106,6 +125,8 @@ class Estimate(NamedTuple):
     """In 0..1."""
     valid: bool
     """False until enough samples were seen."""
+    outlook: Outlook | None = None
+    """Of an observer while the rig brakes; not in the log, a replay makes it anew."""
 
 
 class _Duties(NamedTuple):

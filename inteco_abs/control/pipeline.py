@@ -67,7 +67,7 @@ class Pipeline:
             sample.road_count,
             sample.board_flags,
             stop_request,
-            *estimate,
+            *estimate[:4],
             phase,
             self._reference_slip if phase is _BRAKING else math.nan,
             demand.switching,

@@ -10,7 +10,7 @@ from inteco_abs.rig.plant import Plant
 from inteco_abs.rig.population import POPULATIONS, draw
 from inteco_abs.rig.surface import measured_adhesion, measured_adhesion_slope
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
-from inteco_abs.rig.varied_brake import measured_torque, settled_torque
+from inteco_abs.rig.varied_brake import measured_duty, measured_torque, settled_torque
 
 __all__ = [
     "POPULATIONS",
@@ -31,6 +31,7 @@ __all__ = [
     "kinetic_energy",
     "measured_adhesion",
     "measured_adhesion_slope",
+    "measured_duty",
     "measured_torque",
     "settled_torque",
     "torque_to_spare",

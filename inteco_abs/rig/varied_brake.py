@@ -45,6 +45,18 @@ def measured_torque(duty: float) -> float:
     return low
 
 
+def measured_duty(torque: float) -> float:
+    """Duty at which `torque` in N m was measured: 0 for no torque, 1 for more than there is."""
+    if torque <= 0.0:
+        return 0.0
+    left, low = MEASURED_TORQUE[0]
+    for right, high in MEASURED_TORQUE[1:]:
+        if torque < high:
+            return left + (right - left) * ((torque - low) / (high - low))
+        left, low = right, high
+    return 1.0
+
+
 def settled_torque(duty: float, variation: RigVariation) -> float:
     """Torque in N m that the brake settles to with `duty` (0..1) at its terminals: cap, PWM steps, static map."""
     duty = min(duty, variation.brake_duty_cap)

@@ -4,6 +4,7 @@ from typing import Final
 
 from inteco_abs.control.controllers.base import Controller, Gain, ModelLaw, Setup
 from inteco_abs.control.controllers.linear import ProportionalIntegral, Steps
+from inteco_abs.control.controllers.predictive import PredictiveReaching
 from inteco_abs.control.controllers.reaching import (
     BoundaryLayer,
     ConstantRate,
@@ -25,6 +26,7 @@ CONTROLLERS: Final[dict[str, type[Controller]]] = {
     "smith-relay": SmithRelay,
     "pi": ProportionalIntegral,
     "steps": Steps,
+    "predictive-reaching": PredictiveReaching,
 }
 """Controllers that ship, by the name on the command line."""
 
@@ -37,6 +39,7 @@ __all__ = [
     "Gain",
     "ModelLaw",
     "PowerRate",
+    "PredictiveReaching",
     "ProportionalIntegral",
     "ReachingLaw",
     "Relay",

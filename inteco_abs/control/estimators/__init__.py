@@ -9,6 +9,7 @@ from inteco_abs.control.estimators.difference import SLIP_OFFSET_M_S, HeldDiffer
 from inteco_abs.control.estimators.edge_time import EdgeTime
 from inteco_abs.control.estimators.kalman import KalmanFilter
 from inteco_abs.control.estimators.kind import EstimatorKind, Maker, Parameter, parameter
+from inteco_abs.control.estimators.observer import Observer
 from inteco_abs.control.estimators.tracking import TrackingLoop
 from inteco_abs.control.windows import SpeedWindow
 from inteco_abs.rig import RigParameters
@@ -39,6 +40,10 @@ def _difference(config: RigConfig, parameters: RigParameters) -> Estimator:
     wheel = HeldDifference(per_turn, parameters.r1, window_s, period_s)
     road = HeldDifference(per_turn, parameters.r2, window_s, period_s)
     return TwoWheels(wheel, road, parameters, SLIP_OFFSET_M_S)
+
+
+def _observer(config: RigConfig, parameters: RigParameters) -> Estimator:
+    return Observer(parameters, config.encoders.counts_per_turn, 1.0 / config.loop.rate_hz)
 
 
 ESTIMATORS: Final[dict[str, EstimatorKind]] = {
@@ -72,6 +77,11 @@ ESTIMATORS: Final[dict[str, EstimatorKind]] = {
         (parameter("jerk_density", "rad2/s5", "quicker and noisier if higher"),),
         _on_both_wheels(_kalman),
     ),
+    "observer": EstimatorKind(
+        "Extended Kalman filter of wheels, brake and contact, which learns the encoders' discs in the run-up",
+        (),
+        _observer,
+    ),
 }
 """What there is to choose from, by the name on the command line."""
 
@@ -82,6 +92,7 @@ __all__ = [
     "EstimatorKind",
     "HeldDifference",
     "KalmanFilter",
+    "Observer",
     "Parameter",
     "SpeedFilter",
     "TrackingLoop",

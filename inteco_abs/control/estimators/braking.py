@@ -1,0 +1,221 @@
+"""What is believed of a rig while it brakes: an extended Kalman filter of wheels, brake and contact."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+from inteco_abs.control.contact import Contact
+from inteco_abs.control.estimators.disc import DiscFilter
+from inteco_abs.rig import RigParameters, adhesion, adhesion_slope, measured_torque
+from inteco_abs.signals import Outlook
+
+_LONGEST_STEP_S: Final = 0.001
+"""Of the explicit steps; the contact at little slip would swing with longer ones."""
+_DEAD_TIME_S: Final = (0.002, 0.030)
+_LAG_S: Final = (0.025, 0.090)
+"""Within these a brake is believed."""
+Row = list[float]
+
+
+class Spread(NamedTuple):
+    """How far a rig may be from the published one, and how fast it may change, as standard deviations.
+
+    Tuned on drawn rigs (`tools/tune_predictive`), of seeds that no test uses.
+    """
+
+    dead_time_s: float = 0.010
+    """Expected of the brake."""
+    lag_s: float = 0.050
+    dead_time_sd_s: float = 0.0073
+    lag_sd_s: float = 0.0038
+    adhesion_sd: float = 0.09
+    """Of the factor on equation (8)."""
+    adhesion_walk: float = 0.047
+    """Of its change in a second."""
+    ripple_sd: float = 0.0078
+    """Of either part of its ripple over a turn of the wheel."""
+    torque_sd_nm: float = 0.62
+    """Of what the brake gives beyond its map."""
+    torque_walk_nm: float = 0.21
+    """Of its change in a second."""
+    torque_per_swing: float = 0.0056
+    """More of that while the torque swings: its change in 1 s^0.5 for each N m/s of swing."""
+    lag_torque_walk_nm: float = 0.021
+    """Of what the lag passes on, in a second."""
+    lag_torque_per_swing: float = 0.0072
+    """More of that while the torque swings."""
+    wheel_walk_rad_s: float = 0.25
+    """Of the speeds in a second, by what is not modelled."""
+    road_walk_rad_s: float = 0.078
+    count_noise: float = 0.55
+    """Of a reading, in counts."""
+
+
+class BrakingFilter:
+    """An extended Kalman filter.
+
+    Its states: both wheels' angles and speeds; brake torque behind dead time and lag; what it gives beyond that; the
+    factor on the adhesion of (8) and its ripple, cosine and sine in the wheel's angle; dead time and lag themselves.
+
+    The torque of the measured map comes a dead time late and lags: M+ = b + (M - b)*exp(-T/tau), b the map's torque
+    of the command in force then. A torque that swings, as in reaching, tells dead time and lag; the road's
+    deceleration tells the adhesion, the wheel's the torque.
+    """
+
+    __slots__ = ("_P", "_contact", "_noise", "_parameters", "_period_s", "_ratio", "_spread", "_torques", "_x")
+
+    def __init__(self, parameters: RigParameters, spread: Spread, count_rad: float, period_s: float) -> None:
+        self._parameters = parameters
+        self._contact = Contact(parameters)
+        self._ratio = parameters.r1 / parameters.r2
+        self._spread = spread
+        self._noise = (spread.count_noise * count_rad) ** 2
+        self._period_s = period_s
+        ticks = int(_DEAD_TIME_S[1] / period_s) + 4
+        self._torques = deque([0.0] * ticks, ticks)  # the newest is last, and acts from now on
+        self._x: Row = []
+        self._P: list[Row] = []
+
+    def tell(self, duty: float, ticks: int) -> None:
+        """Take note of the duty that was put out with the present sample, the first for `ticks` ticks."""
+        self._torques.extend([measured_torque(duty)] * min(ticks, len(self._torques)))
+
+    def begin(self, wheel: DiscFilter, road: DiscFilter) -> None:
+        """Begin where two wheels roll."""
+        spread = self._spread
+        self._x = [wheel.angle, wheel.speed, road.angle, road.speed, 0.0, 0.0, 1.0, 0.0, 0.0]
+        self._x += [spread.dead_time_s, spread.lag_s]
+        self._P = [[0.0] * 11 for _ in range(11)]
+        for i, disc in ((0, wheel), (2, road)):
+            angle, speed, both = disc.spread
+            self._P[i][i], self._P[i + 1][i + 1] = angle, speed + spread.road_walk_rad_s**2
+            self._P[i][i + 1] = self._P[i + 1][i] = both
+        deviations = (spread.torque_sd_nm, spread.adhesion_sd, spread.ripple_sd, spread.ripple_sd)
+        for i, deviation in enumerate((*deviations, spread.dead_time_sd_s, spread.lag_sd_s), 5):
+            self._P[i][i] = deviation**2
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Of wheel and road, rad/s."""
+        return self._x[1], self._x[3]
+
+    def update(self, wheel_angle: float, road_angle: float, dt_s: float) -> None:
+        """Move on by `dt_s` to where the wheels show these angles, in rad."""
+        steps = max(1, math.ceil(dt_s / _LONGEST_STEP_S - 1e-6))
+        for _ in range(steps):
+            self._predict(dt_s / steps)
+        self._correct(wheel_angle, road_angle)
+        x = self._x
+        x[9] = min(max(x[9], _DEAD_TIME_S[0]), _DEAD_TIME_S[1])
+        x[10] = min(max(x[10], _LAG_S[0]), _LAG_S[1])
+
+    def outlook(self) -> Outlook:
+        """What is expected of the instant at which the next command comes through to the brake."""
+        th1, x1, _, x2, M, d, factor, cosine, sine, dead_time, lag = self._x
+        T = self._period_s
+        ticks, late = self._late(dead_time)
+        left = math.exp(-T / lag)
+        mean = 0.0
+        recent = list(self._torques)[-ticks - 2 :]
+        for before, b in pairwise(recent):
+            settled = b + late * (before - b)
+            mean += settled + (M - settled) * 0.5 * (1.0 + left)
+            M = settled + (M - settled) * left
+        horizon = (ticks + 1) * T
+        angle = th1 + 0.5 * horizon * x1
+        ripple = cosine * math.cos(angle) + sine * math.sin(angle)
+        mu = (factor + ripple) * adhesion(self._slip(x1, x2), self._parameters)
+        moving = self._contact.accelerations(x1, x2, mean / (ticks + 1) + d, mu)
+        return Outlook(
+            th1 + horizon * (x1 + 0.5 * horizon * moving.wheel),
+            x1 + horizon * moving.wheel,
+            x2 + horizon * moving.road,
+            M,
+            d,
+            factor,
+            cosine,
+            sine,
+            dead_time,
+            lag,
+        )
+
+    def _slip(self, wheel_speed: float, road_speed: float) -> float:
+        return min(max(1.0 - self._ratio * wheel_speed / road_speed, 0.0), 1.0) if road_speed > 0.0 else 0.0
+
+    def _late(self, dead_time: float) -> tuple[int, float]:
+        """Whole ticks of a dead time, and the share of a tick beyond them."""
+        ticks = dead_time / self._period_s
+        return int(ticks), ticks - int(ticks)
+
+    def _predict(self, T: float) -> None:
+        th1, x1, th2, x2, M, d, factor, cosine, sine, dead_time, lag = self._x
+        k, spread = self._parameters, self._spread
+        ticks, late = self._late(dead_time)
+        newer, older = self._torques[-2 - ticks], self._torques[-3 - ticks]
+        settled = newer + late * (older - newer)
+        left = math.exp(-T / lag)
+        slip = self._slip(x1, x2)
+        turned, turned_sine = math.cos(th1), math.sin(th1)
+        mu = adhesion(slip, k)
+        scale = factor + cosine * turned + sine * turned_sine
+        moving = self._contact.accelerations(x1, x2, settled + (M - settled) * 0.5 * (1.0 + left) + d, scale * mu)
+        a1, a2, wheel_by_mu, road_by_mu, wheel_by_nm, road_by_nm = moving
+        x2_safe = max(x2, 1.0)
+        steepness = scale * adhesion_slope(slip, k) / x2_safe
+        by_x1, by_x2 = -steepness * self._ratio, steepness * (1.0 - slip)
+        by_dead_time = (1.0 - left) * (older - newer) / self._period_s
+        by_lag = (M - settled) * left * T / lag**2
+        rolling = 1.0 - T * k.d2 / k.J2
+
+        def carried(row: Sequence[float]) -> Row:
+            """The transition's Jacobian times a vector of states."""
+            e_th1, e1, e_th2, e2, e_M, e_d, e_factor, e_cosine, e_sine, e_dead, e_lag = row
+            e_mu = mu * (e_factor + turned * e_cosine + turned_sine * e_sine) + by_x1 * e1 + by_x2 * e2
+            e_torque = e_M + e_d + k.d1 * e1
+            return [
+                e_th1 + T * e1,
+                e1 + T * (wheel_by_mu * e_mu + wheel_by_nm * e_torque),
+                e_th2 + T * e2,
+                rolling * e2 + T * (road_by_mu * e_mu + road_by_nm * e_torque),
+                left * e_M + by_dead_time * e_dead + by_lag * e_lag,
+                *row[5:],
+            ]
+
+        half = 0.5 * T * T
+        self._x[:5] = [
+            th1 + T * x1 + half * a1,
+            x1 + T * a1,
+            th2 + T * x2 + half * a2,
+            x2 + T * a2,
+            settled + (M - settled) * left,
+        ]
+        rows = [carried(row) for row in self._P]
+        P = [carried(column) for column in list(zip(*rows, strict=True))[:5]] + rows[5:]
+        swing = (settled - M) / lag
+        P[1][1] += T * spread.wheel_walk_rad_s**2
+        P[3][3] += T * spread.road_walk_rad_s**2
+        P[4][4] += T * (spread.lag_torque_walk_nm**2 + (spread.lag_torque_per_swing * swing) ** 2)
+        P[5][5] += T * (spread.torque_walk_nm**2 + (spread.torque_per_swing * swing) ** 2)
+        P[6][6] += T * spread.adhesion_walk**2
+        self._P = P
+
+    def _correct(self, wheel_angle: float, road_angle: float) -> None:
+        """Both angles at once: the second one's row is that after the first one's correction."""
+        P, x = self._P, self._x
+        wheel, road = P[0], P[2]
+        wheel_scale = 1.0 / (wheel[0] + self._noise)
+        first = [w * wheel_scale for w in wheel]
+        road = [r - first[2] * w for r, w in zip(road, wheel, strict=True)]
+        road_scale = 1.0 / (road[2] + self._noise)
+        second = [r * road_scale for r in road]
+        wheel_error = wheel_angle - x[0]
+        road_error = road_angle - x[2] - first[2] * wheel_error
+        self._x = [v + a * wheel_error + b * road_error for v, a, b in zip(x, first, second, strict=True)]
+        self._P = [
+            [p - a * w - b * r for p, w, r in zip(row, wheel, road, strict=True)]
+            for row, a, b in zip(P, first, second, strict=True)
+        ]

@@ -1,0 +1,67 @@
+"""The model-based observer: it knows what the board was told, and estimates what the model does not know."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from inteco_abs.control.estimators.base import Angles
+from inteco_abs.control.estimators.braking import BrakingFilter, Spread
+from inteco_abs.control.estimators.disc import DiscFilter
+from inteco_abs.rig import RigParameters
+from inteco_abs.signals import Command, Estimate, Sample
+
+_BRAKING_FROM_RAD_S: Final = 10.0
+_BRAKING_UNTIL_RAD_S: Final = 2.0
+"""Of the road: below, the slip says nothing any more."""
+_SAMPLES: Final = 3
+"""From here on there is a speed."""
+
+
+class Observer:
+    """A filter per wheel while the wheels roll, which learns the encoders' discs; one of the whole rig while it brakes.
+
+    It brakes from when the drive is off while the road turns. Only then is there an outlook.
+    """
+
+    __slots__ = ("_angles", "_braking", "_discs", "_filter", "_period_s", "_ratio", "_samples")
+
+    def __init__(
+        self, parameters: RigParameters, counts_per_turn: int, period_s: float, spread: Spread | None = None
+    ) -> None:
+        spread = spread or Spread()
+        count_rad = 2.0 * math.pi / counts_per_turn
+        self._angles = Angles(counts_per_turn), Angles(counts_per_turn)
+        self._discs = tuple(DiscFilter(count_rad, spread.count_noise * count_rad) for _ in range(2))
+        self._filter = BrakingFilter(parameters, spread, count_rad, period_s)
+        self._ratio = parameters.r1 / parameters.r2
+        self._period_s = period_s
+        self._braking = False
+        self._samples = 0
+
+    def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:
+        """Estimate at the instant of `sample`; valid from the third sample on."""
+        wheel_angle, dt_s = self._angles[0].update(sample.time_ns, sample.wheel_count)
+        road_angle, _ = self._angles[1].update(sample.time_ns, sample.road_count)
+        self._samples += 1
+        self._filter.tell(command.brake, max(1, round(dt_s / self._period_s)))
+        wheel, road = self._discs
+        if self._braking:
+            self._filter.update(wheel.straight(wheel_angle), road.straight(road_angle), dt_s)
+            if command.drive > 0.0 or self._filter.speeds[1] < _BRAKING_UNTIL_RAD_S:
+                self._braking = False
+                wheel.restart(wheel_angle)
+                road.restart(road_angle)
+        else:
+            wheel.update(wheel_angle, dt_s)
+            road.update(road_angle, dt_s)
+            if command.drive <= 0.0 and road.speed > _BRAKING_FROM_RAD_S and self._samples >= _SAMPLES:
+                self._braking = True
+                self._filter.begin(wheel, road)
+        return self._estimate()
+
+    def _estimate(self) -> Estimate:
+        wheel_speed, road_speed = self._filter.speeds if self._braking else (disc.speed for disc in self._discs)
+        slip = 1.0 - self._ratio * wheel_speed / road_speed if road_speed > 0.0 else 0.0
+        outlook = self._filter.outlook() if self._braking else None
+        return Estimate(wheel_speed, road_speed, min(max(slip, 0.0), 1.0), self._samples >= _SAMPLES, outlook)
