@@ -8,12 +8,14 @@ from inteco_abs.signals import Command, Sample
 
 
 class Tick(NamedTuple):
-    wheel_speed: float
-    road_speed: float
+    """Named as in a trace."""
+
+    wheel_speed_rad_s: float
+    road_speed_rad_s: float
     slip: float
     slip_estimated: float
-    brake_torque: float
-    road_angle: float
+    brake_torque_nm: float
+    road_angle_rad: float
     brake: float
 
 
