@@ -39,7 +39,9 @@ def render_sweep(rows: Sequence[Row]) -> RenderableType:
 
 
 def _table(name: str, rows: Sequence[Row]) -> Table:
-    table = Table(title=f"{name}, {len(rows[0].stops)} stops each: slip RMS", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    count = len(rows[0].stops)
+    title = f"{name}: slip RMS of {count} {'stops' if count > 1 else 'stop'} each"
+    table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("controller on estimator", overflow="fold")
     for heading in _HEADINGS:
         table.add_column(heading, justify="right", no_wrap=True)
@@ -105,5 +107,6 @@ def draw_sweep(rows: Sequence[Row], path: Path) -> None:
 def _shares(panel: Axes, row: Row, **look: Any) -> None:
     values = row.stops["slip_rms_true"]
     finite = np.sort(values[np.isfinite(values)])
-    shares = np.arange(len(finite) + 1) / len(values)
-    panel.step([*finite[:1], *finite], shares, where="post", label=row.combination.name, **look)
+    corners = np.concatenate([finite[:1], finite])  # up from zero at the first
+    shares = np.arange(len(corners)) / len(values)
+    panel.step(corners, shares, where="post", label=row.combination.name, **look)
