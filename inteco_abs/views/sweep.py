@@ -26,8 +26,8 @@ MOST_LINES: Final = len(_COLOURS) * len(_STYLES)
 
 
 _NOTE: Final = (
-    "slip RMS: true slip against the reference, from 20 ms after band entry to 10 rad/s; 'never' near it is worst\n"
-    "locked, never in band: shares of stops; stop: median distance; N m/s: median variation of the torque asked for"
+    "slip RMS: of the true slip, from 20 ms after band entry down to 10 rad/s\n"
+    "locked, never in band: shares of stops; stop, N m/s: median distance, variation"
 )
 _HEADINGS: Final = ("median", "p99", "max", "worst\nseed", "locked", "never\nin band", "stop\nm", "N m/s")
 
