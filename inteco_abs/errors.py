@@ -48,6 +48,10 @@ class ConfigError(AbsError):
         count = f"{len(lines)} mistakes" if len(lines) > 1 else "a mistake"
         super().__init__("\n".join([f"the configuration has {count}; nothing was started:", *lines]))
 
+    def __reduce__(self) -> tuple[type[ConfigError], tuple[tuple[Mistake, ...]]]:
+        """Made from its mistakes again, not from its text, where another process has raised it."""
+        return type(self), (self.mistakes,)
+
 
 class BoardError(AbsError):
     """The board is missing, unknown, refuses, or cannot be made safe."""

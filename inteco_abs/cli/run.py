@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from inteco_abs.cli.shared import FILE, draw, json_option, known_controllers, print_card, print_json
+from inteco_abs.cli.shared import (
+    FILE,
+    draw,
+    insist_on_different,
+    json_option,
+    known_controllers,
+    print_card,
+    print_json,
+)
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -76,7 +84,7 @@ def run(
     out = out or _default_out()
     if figure is not None:
         check_figure(figure)
-    _insist_on_different({"--out": out, "--figure": figure, "--record-wire": wire})
+    insist_on_different({"--out": out, "--figure": figure, "--record-wire": wire})
     plan = Plan(out, board, virtual, seed, controllers, source, wire)
     if virtual:
         with _progress() as progress:
@@ -97,17 +105,6 @@ def run(
             click.echo(f"inteco-abs: {error}", err=True)
             return stop.exit_code or error.exit_code
     return stop.exit_code
-
-
-def _insist_on_different(files: dict[str, Path | None]) -> None:
-    """Each output its own file: the later would replace the earlier."""
-    seen: dict[Path, str] = {}
-    for option, file in files.items():
-        if file is None:
-            continue
-        other = seen.setdefault(file.resolve(), option)
-        if other != option:
-            raise ConfigError([Mistake(option, f"{file}: is the file of {other} already; choose another name")])
 
 
 def _default_out() -> Path:

@@ -55,6 +55,17 @@ def draw(file: Path, out: Path) -> None:
     click.echo(f"figure: {out}", err=True)
 
 
+def insist_on_different(files: dict[str, Path | None]) -> None:
+    """Each output its own file: the later would replace the earlier."""
+    seen: dict[Path, str] = {}
+    for option, file in files.items():
+        if file is None:
+            continue
+        other = seen.setdefault(file.resolve(), option)
+        if other != option:
+            raise ConfigError([Mistake(option, f"{file}: is the file of {other} already; choose another name")])
+
+
 def known_controllers(
     name: str | None, shipped: Mapping[str, type[Controller]]
 ) -> tuple[Mapping[str, type[Controller]], bytes]:

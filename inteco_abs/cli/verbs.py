@@ -15,6 +15,7 @@ from inteco_abs.cli.probe import probe
 from inteco_abs.cli.run import run
 from inteco_abs.cli.sessions import figure, info, recover, replay
 from inteco_abs.cli.shared import INTERRUPTED
+from inteco_abs.cli.sweep import sweep
 from inteco_abs.cli.wire import wire
 from inteco_abs.errors import AbsError, near_match
 
@@ -43,6 +44,7 @@ _VERBS: Final = (
     info,
     figure,
     recover,
+    sweep,
     doctor,
     probe,
     blink,

@@ -1,6 +1,12 @@
 """The decision path, pure: no clock, no I/O, no randomness, scalar floats. That is what makes replay exact."""
 
-from inteco_abs.control.assembly import build_pipeline, control_check, gains_in_force
+from inteco_abs.control.assembly import (
+    build_pipeline,
+    control_check,
+    gains_in_force,
+    make_controller,
+    make_estimator,
+)
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, ReachingLaw, Relay, Setup
 from inteco_abs.control.estimators import (
     ESTIMATORS,
@@ -41,6 +47,8 @@ __all__ = [
     "build_pipeline",
     "control_check",
     "gains_in_force",
+    "make_controller",
+    "make_estimator",
     "reaching_law_torque",
     "reaching_time_bound",
 ]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from copy import deepcopy
 from typing import Any
 
 from inteco_abs.config import Check, EstimatorConfig, LoopConfig, RigConfig
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
-from inteco_abs.control.estimators import ESTIMATORS
+from inteco_abs.control.estimators import ESTIMATORS, Estimator
 from inteco_abs.control.pipeline import Pipeline
 from inteco_abs.errors import ConfigError, Mistake, near_match
 from inteco_abs.rig import RigParameters
@@ -20,18 +21,39 @@ def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]
 
     Raises ConfigError if the controller's constructor fails.
     """
-    parameters = RigParameters.named(config.model.parameters)
-    kind = controllers[config.controller.name]
-    setup = Setup(config.controller.reference_slip, parameters, config.controller.hold_below_rad_s)
-    make: Any = kind  # each controller's constructor takes its own gains
-    try:
-        controller: Controller = make(setup, **gains_in_force(config, controllers))
-        if config.experiment.stops > 1:
+    controller = make_controller(config, controllers)
+    if config.experiment.stops > 1:
+        with _blamed_on(config):
             deepcopy(controller)  # each stop begins with a fresh one
+    return Pipeline(config, make_estimator(config), controller)
+
+
+def make_estimator(config: RigConfig) -> Estimator:
+    """Estimator of a configuration that passed `control_check`."""
+    return ESTIMATORS[config.estimator.name](config, RigParameters.named(config.model.parameters))
+
+
+def make_controller(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Controller:
+    """Controller of a configuration that passed `control_check(controllers)`.
+
+    Raises ConfigError if its constructor fails.
+    """
+    parameters = RigParameters.named(config.model.parameters)
+    setup = Setup(config.controller.reference_slip, parameters, config.controller.hold_below_rad_s)
+    make: Any = controllers[config.controller.name]  # each controller's constructor takes its own gains
+    with _blamed_on(config):
+        controller: Controller = make(setup, **gains_in_force(config, controllers))
+    return controller
+
+
+@contextmanager
+def _blamed_on(config: RigConfig) -> Iterator[None]:
+    """Say of the controller that it cannot be made, whatever its code raises."""
+    try:
+        yield
     except (Exception, SystemExit) as error:
         problem = f"{config.controller.name} cannot be made: {type(error).__name__}: {error}"
         raise ConfigError([Mistake("controller.name", problem)]) from error
-    return Pipeline(config, ESTIMATORS[config.estimator.name](config, parameters), controller)
 
 
 def gains_in_force(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> dict[str, float]:
@@ -42,14 +64,16 @@ def gains_in_force(config: RigConfig, controllers: Mapping[str, type[Controller]
     }
 
 
-def control_check(controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Check:
+def control_check(
+    controllers: Mapping[str, type[Controller]] = CONTROLLERS, estimators: Collection[str] = ESTIMATORS
+) -> Check:
     """Check of names and gains for `load_config`: unknown ones with near matches, gains out of range."""
 
     def check(table: Mapping[str, Any]) -> Iterator[Mistake]:
         estimator, controller = _section(table, "estimator"), _section(table, "controller")
         name = estimator.get("name", "moving-window")
-        if isinstance(name, str) and name not in ESTIMATORS:
-            yield Mistake("estimator.name", f"no estimator {name!r}{near_match(name, ESTIMATORS)}")
+        if isinstance(name, str) and name not in estimators:
+            yield Mistake("estimator.name", f"no estimator {name!r}{near_match(name, estimators)}")
         if name == "tracking":
             yield from _tracking_mistakes(estimator, _section(table, "loop"))
         name = controller.get("name", "reaching-law")

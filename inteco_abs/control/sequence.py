@@ -37,11 +37,12 @@ class Sequence:
     Rules: drive at `drive_duty` until the road wheel's mean speed over 20 ms reaches the start speed; one tick
     with both outputs off before the brake may act; brake held until the road wheel's mean speed over 50 ms is
     below the stop speed, and for `hold_s` longer. Start and stop do not depend on the chosen estimator. Where
-    several stops are to be done, each begins from rest again, with the controller as it was made.
+    several stops are to be done, each begins from rest again, with the controller as it was made. A simulated rig may
+    begin in a later `phase`, with its wheels turning.
     """
 
-    def __init__(self, config: RigConfig, controller: Controller) -> None:
-        self.phase = Phase.IDLE
+    def __init__(self, config: RigConfig, controller: Controller, phase: Phase = Phase.IDLE) -> None:
+        self.phase = phase
         self._config = config.experiment
         self._controller = controller
         self._left = self._config.stops - 1  # stops still to be done after this one

@@ -1,5 +1,39 @@
-"""Many virtual rigs at once: the rig's physics compiled, on arrays. Needs the extra `lab`."""
+"""Many virtual rigs at once: the rig's physics compiled, on arrays, and whole stops of them. Needs the extra `lab`."""
 
 from inteco_abs.ensembles.batch import BatchPlant
+from inteco_abs.ensembles.draws import Draws, parse_draws
+from inteco_abs.ensembles.grid import MOST_COMBINATIONS, Combination, combinations, split_list
+from inteco_abs.ensembles.minds import ESTIMATOR_NAMES, IDEAL, AsConfigured, Ideal, Maker, TrueState
+from inteco_abs.ensembles.outcome import METRICS, Spread, Stops, Summary, Trace
+from inteco_abs.ensembles.shard import LONGEST_BRAKING_S, Experiment
+from inteco_abs.ensembles.stops import SHARD, Progress, run_all, run_stops
+from inteco_abs.ensembles.sweep import Row, sweep
 
-__all__ = ["BatchPlant"]
+__all__ = [
+    "ESTIMATOR_NAMES",
+    "IDEAL",
+    "LONGEST_BRAKING_S",
+    "METRICS",
+    "MOST_COMBINATIONS",
+    "SHARD",
+    "AsConfigured",
+    "BatchPlant",
+    "Combination",
+    "Draws",
+    "Experiment",
+    "Ideal",
+    "Maker",
+    "Progress",
+    "Row",
+    "Spread",
+    "Stops",
+    "Summary",
+    "Trace",
+    "TrueState",
+    "combinations",
+    "parse_draws",
+    "run_all",
+    "run_stops",
+    "split_list",
+    "sweep",
+]

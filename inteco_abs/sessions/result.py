@@ -9,18 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.config import RigConfig
-from inteco_abs.rig import RigParameters, brake_torque
+from inteco_abs.rig import RigParameters
+from inteco_abs.sessions.metrics import Course, stop_metrics
 from inteco_abs.signals import Phase
-
-_BAND: Final = 0.01
-"""Slip error that counts as having arrived."""
-_SETTLE_S: Final = 0.020
-_FIXED_START_S: Final = 0.25
-_LOWEST_RAD_S: Final = 10.0
-_LOW_SPEED_RAD_S: Final = 60.0
-_LOCKED_SLIP: Final = 0.9
-_STANDSTILL_RAD_S: Final = 0.5
-_NEVER: Final = np.iinfo(np.int64).max
 
 Array = npt.NDArray[Any]
 
@@ -28,12 +19,9 @@ Array = npt.NDArray[Any]
 def result_card(config: RigConfig, ticks: Array, truth: Array) -> dict[str, Any]:
     """Metrics of one stop. `truth` has no rows on a real rig; what rests on it is then None.
 
-    Braking starts at the first tick of the braking phase. Reaching is the first crossing of the reference slip,
-    band entry the first slip within 0.01 of it. Slip RMS is that of slip minus reference from 20 ms after band
-    entry until the road wheel is below 10 rad/s; `fixed` the same from 0.25 s after braking began, `low_speed`
-    the same for 10 to 60 rad/s. The stop is the road wheel below 0.5 rad/s with the brake still held. Speed and
-    slip are the true ones where there are any, else the estimated ones. Of several stops in one session, each metric
-    is the median of those that have it.
+    They are those of `stop_metrics`, from the first tick of the braking phase on and with the brake still held. Speed
+    and slip are the true ones where there are any, else the estimated ones; distance is what the road wheel's encoder
+    counted. Of several stops in one session, each metric is the median of those that have it.
     """
     stops = _stops(ticks)
     card: dict[str, Any] = {
@@ -64,7 +52,18 @@ def _stops(ticks: Array) -> list[Array]:
 def _stop_card(config: RigConfig, stop: Array, truth: Array) -> dict[str, Any]:
     true = _aligned(truth, stop["time_ns"])
     source = stop if true is None else true
-    metrics = _stop_metrics(config, stop, source["slip"], source["road_speed_rad_s"], true)
+    counts = stop["road_count"].astype(np.int64) - int(stop["road_count"][0])
+    course = Course(
+        since_ns=stop["time_ns"].astype(np.int64) - int(stop["time_ns"][0]),
+        slip=source["slip"],
+        slip_estimated=stop["slip"],
+        road_speed_rad_s=source["road_speed_rad_s"],
+        road_angle_rad=counts * 2.0 * math.pi / config.encoders.counts_per_turn,
+        brake=stop["brake"],
+    )
+    metrics = stop_metrics(course, config.controller.reference_slip, RigParameters.named(config.model.parameters))
+    if true is not None:
+        metrics |= {name: metrics[name.removesuffix("_true")] for name in _STOP_METRICS if name.endswith("_true")}
     return {"start_speed_rad_s": float(source["road_speed_rad_s"][0]), **metrics}
 
 
@@ -83,40 +82,6 @@ _STOP_METRICS: Final = (
 )
 
 
-def _stop_metrics(config: RigConfig, stop: Array, slip: Array, speed: Array, true: Array | None) -> dict[str, Any]:
-    reference = config.controller.reference_slip
-    since_ns = stop["time_ns"].astype(np.int64) - int(stop["time_ns"][0])
-    time_s = since_ns * 1e-9
-    entry = _first(time_s, np.abs(slip - reference) < _BAND)
-    slow = np.flatnonzero(speed < _LOWEST_RAD_S)
-    fast = np.arange(len(stop)) < (slow[0] if len(slow) else len(stop))
-    end = float(time_s[slow[0]]) if len(slow) else None
-    settled = fast & (since_ns >= (_NEVER if entry is None else round((entry + _SETTLE_S) * 1e9)))
-    standing = np.flatnonzero(speed < _STANDSTILL_RAD_S)
-    parameters = RigParameters.named(config.model.parameters)
-    metrics: dict[str, Any] = {
-        "reaching_time_s": _first(time_s, slip >= reference),
-        "band_entry_s": entry,
-        "slip_rms_estimated": _rms(stop["slip"] - reference, settled),
-        "lock_fraction": float(np.mean(slip[fast] > _LOCKED_SLIP)) if fast.any() else None,
-    }
-    if len(standing):
-        counts = int(stop["road_count"][standing[0]]) - int(stop["road_count"][0])
-        metrics["stop_time_s"] = float(time_s[standing[0]])
-        metrics["stop_distance_m"] = counts * 2.0 * math.pi / config.encoders.counts_per_turn * parameters.r2
-    if end:
-        duties = stop["brake"][fast]
-        torques = np.array([brake_torque(duty, parameters) for duty in duties.tolist()])
-        metrics["torque_variation_nm_per_s"] = float(np.abs(np.diff(torques)).sum() / end)
-        metrics["duty_variation_per_s"] = float(np.abs(np.diff(duties)).sum() / end)
-    if true is not None:
-        error = true["slip"] - reference
-        metrics["slip_rms_true"] = _rms(error, settled)
-        metrics["slip_rms_low_speed_true"] = _rms(error, settled & (speed <= _LOW_SPEED_RAD_S))
-        metrics["slip_rms_fixed_true"] = _rms(error, fast & (since_ns >= round(_FIXED_START_S * 1e9)))
-    return metrics
-
-
 def _aligned(truth: Array, time_ns: Array) -> Array | None:
     """Newest truth at or before each tick, or None where there is none."""
     if not len(truth) or not len(time_ns):
@@ -127,15 +92,6 @@ def _aligned(truth: Array, time_ns: Array) -> Array | None:
         if name != "time_ns":
             aligned[name][newest < 0] = math.nan  # before the first of them nothing is known
     return aligned
-
-
-def _first(time_s: Array, condition: Array) -> float | None:
-    found = np.flatnonzero(condition)
-    return float(time_s[found[0]]) if len(found) else None
-
-
-def _rms(error: Array, where: Array) -> float | None:
-    return float(np.sqrt(np.mean(error[where] ** 2))) if where.any() else None
 
 
 def _lateness(ticks: Array) -> dict[str, float | None]:

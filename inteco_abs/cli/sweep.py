@@ -1,0 +1,226 @@
+"""The verb `inteco-abs sweep`."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from inteco_abs.cli.shared import CUSTOM, FILE, LOSSES, insist_on_different, json_option, known_controllers, print_json
+from inteco_abs.errors import AbsError, ConfigError, Mistake
+
+if TYPE_CHECKING:
+    from inteco_abs.control import Controller
+    from inteco_abs.ensembles import Draws, Progress, Row
+
+_SMALLEST_SHARD: Final = 5
+_SHARDS_PER_JOB: Final = 4
+"""At least, so that no process is left waiting long for the last one."""
+
+
+@click.command()
+@click.option(
+    "--rigs",
+    multiple=True,
+    default=("hard:0-99",),
+    show_default=True,
+    metavar="POPULATION:FIRST-LAST",
+    help="Virtual rigs: draws of nominal, hard, rough, slow or capped, by their seeds. May be repeated.",
+)
+@click.option("--controller", multiple=True, help="As for run; several with commas, or repeated.")
+@click.option("--estimator", multiple=True, help="Likewise; ideal, too, which knows the true slip.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="KEY=VALUE,VALUE...",
+    help="Over the file, as in controller.gains.Mk=2,5,10: all combinations. A gain is for those that have it.",
+)
+@click.option("--config", type=FILE, help="rig.toml; every key has a default.")
+@click.option("--no-run-up", is_flag=True, help="Begin at the start speed with rolling wheels, without drive.")
+@click.option("--jobs", type=click.IntRange(1, 1024), help="Processes; default: as many as there are cores.")
+@click.option("--csv", "table", type=FILE, help="Also write every stop: one line each.")
+@click.option("--figure", type=FILE, help="Also draw which share of stops has which slip RMS: .png, .svg or .pdf.")
+@json_option
+def sweep(
+    rigs: tuple[str, ...],
+    controller: tuple[str, ...],
+    estimator: tuple[str, ...],
+    settings: tuple[str, ...],
+    config: Path | None,
+    no_run_up: bool,
+    jobs: int | None,
+    table: Path | None,
+    figure: Path | None,
+    as_json: bool,
+) -> int:
+    """Compare controllers, gains and estimators on many virtual rigs.
+
+    Every combination brakes every rig once, from the start speed to standstill, with the true slip as judge. The guard
+    and its brake limit are no part of that: rigs of the population capped have such a limit of their own. Of these,
+    only those count that can hold slip 0.2 with 0.5 N m to spare.
+    """
+    from inteco_abs.ensembles import combinations, parse_draws
+    from inteco_abs.ensembles import sweep as sweep_all
+    from inteco_abs.views.figure import check_figure
+
+    draws = [parse_draws(text) for text in dict.fromkeys(rigs)]
+    with redirect_stdout(sys.stderr):  # a controller's prints must not mix with the result
+        controllers, sources = _controllers(controller)
+    chosen = [f"controller.name={name}" for name in controller] + [f"estimator.name={name}" for name in estimator]
+    grid = combinations([*settings, *chosen], controllers, config)
+    insist_on_different({"--csv": table, "--figure": figure})
+    if table is not None and not table.absolute().parent.is_dir():
+        raise ConfigError([Mistake("--csv", f"{table}: the folder {table.parent} does not exist; create it first")])
+    if figure is not None:
+        check_figure(figure)
+    _tell_of_left_out(draws)
+    stops = len(grid) * sum(len(each.rigs) for each in draws)
+    jobs = min(jobs or _cores(), -(-stops // _SMALLEST_SHARD))
+    began = time.monotonic()
+    with redirect_stdout(sys.stderr), _processes(jobs) as executor, _progress() as progress:
+        rows = sweep_all(
+            grid,
+            draws,
+            sources=sources,
+            run_up=not no_run_up,
+            executor=executor,
+            shard=_shard(stops, jobs),
+            progress=progress,
+        )
+    ticks, elapsed_s = sum(row.stops.ticks for row in rows), time.monotonic() - began
+    click.echo(
+        f"{stops} stops, {ticks} ticks in {elapsed_s:.1f} s: {ticks / elapsed_s:.0f} ticks/s on {jobs} "
+        f"{'processes' if jobs > 1 else 'process'}",
+        err=True,
+    )
+    if table is not None:
+        _write_csv(rows, table)
+    if figure is not None:
+        from inteco_abs.views.sweep import draw_sweep
+
+        draw_sweep(rows, figure)
+        click.echo(f"figure: {figure}", err=True)
+    _print(rows, as_json=as_json)
+    return _tell_of_errors(rows)
+
+
+def _controllers(names: Sequence[str]) -> tuple[dict[str, type[Controller]], dict[str, bytes]]:
+    """All there are to choose from, and the sources of the user's own."""
+    from inteco_abs.control import CONTROLLERS
+    from inteco_abs.ensembles import split_list
+
+    controllers, sources = dict(CONTROLLERS), {}
+    for name in (one.strip() for text in names for one in split_list(text)):
+        known, source = known_controllers(name, CONTROLLERS)
+        if CUSTOM in name:
+            controllers[name], sources[name] = known[name], source
+    return controllers, sources
+
+
+def _tell_of_left_out(draws: Sequence[Draws]) -> None:
+    for each in draws:
+        if each.left_out:
+            count = len(each.left_out) + len(each.seeds)
+            click.echo(
+                f"inteco-abs: {each.name}: {len(each.left_out)} of {count} rigs are left out, as they cannot hold slip "
+                f"0.2 with 0.5 N m to spare: seeds {', '.join(map(str, each.left_out))}",
+                err=True,
+            )
+
+
+def _tell_of_errors(rows: Sequence[Row]) -> int:
+    """One line for each row with stops that failed; the exit code."""
+    code = 0
+    for row in rows:
+        failed = [(seed, error) for seed, error in zip(row.draws.seeds, row.stops.errors, strict=True) if error]
+        if failed:
+            (seed, error), code = failed[0], LOSSES
+            click.echo(
+                f"inteco-abs: {row.combination.name}: {len(failed)} of {len(row.stops)} stops failed, first "
+                f"{row.draws.population}:{seed}: {error}",
+                err=True,
+            )
+    return code
+
+
+def _cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _shard(stops: int, jobs: int) -> int:
+    from inteco_abs.ensembles import SHARD
+
+    return max(_SMALLEST_SHARD, min(SHARD, stops // (_SHARDS_PER_JOB * jobs)))
+
+
+@contextmanager
+def _processes(jobs: int) -> Iterator[Executor | None]:
+    """That many, or none if this process is to do it by itself."""
+    if jobs == 1:
+        yield None
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
+    from multiprocessing import get_context
+
+    # started afresh: a copy of a process with threads, as the progress bar's, may hang
+    with ProcessPoolExecutor(jobs, get_context("spawn"), _begin_worker) as pool:
+        try:
+            yield pool
+        except BrokenProcessPool as error:
+            raise AbsError("a process of the sweep died, perhaps of too little memory; try --jobs 1") from error
+
+
+def _begin_worker() -> None:
+    """Ctrl-C is for the parent, which then gives no more work; prints are no part of the result."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.stdout = sys.stderr
+
+
+@contextmanager
+def _progress() -> Iterator[Progress | None]:
+    """A bar on a terminal's stderr."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = TextColumn("braking"), BarColumn(), MofNCompleteColumn(), TextColumn("stops"), TimeRemainingColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _print(rows: Sequence[Row], *, as_json: bool) -> None:
+    if as_json:
+        print_json({"schema_version": 1, "rows": [row.facts() for row in rows]})
+        return
+    from rich.console import Console
+
+    from inteco_abs.views.sweep import render_sweep
+
+    Console().print(render_sweep(rows))
+
+
+def _write_csv(rows: Sequence[Row], path: Path) -> None:
+    records: list[dict[str, Any]] = [record for row in rows for record in row.records()]
+    columns = dict.fromkeys(key for record in records for key in record)  # gains differ from controller to controller
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, list(columns))
+            writer.writeheader()
+            writer.writerows(records)
+    except OSError as error:
+        raise AbsError(f"{path}: the table cannot be written: {error.strerror}") from error

@@ -1,0 +1,110 @@
+"""The verb `inteco-abs sweep`, as a lab uses it."""
+
+import csv
+import json
+import subprocess
+import sys
+
+import pytest
+
+from inteco_abs.cli.verbs import cli
+from inteco_abs.errors import AbsError, ConfigError
+
+QUICK = ("--rigs", "hard:3-4", "--no-run-up", "--set", "experiment.start_speed_rad_s=30")
+
+OWN = """
+from inteco_abs.control import Gain
+from inteco_abs.signals import BrakeDemand
+print("hello")
+class Own:
+    gains = (Gain("duty", 0.6, 0.0, 1.0, "1", "of the brake"),)
+    internals = ()
+    def __init__(self, setup, duty):
+        self.duty = duty
+    def update(self, estimate, dt_s):
+        if self.duty == 0.5 and estimate.road_speed_rad_s < 20.0:
+            1 / 0
+        return BrakeDemand(self.duty)
+"""
+
+
+def test_controllers_gains_and_estimators_are_compared_on_populations(inteco_abs, tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    run = inteco_abs(
+        "sweep",
+        *QUICK,
+        *("--rigs", "capped:0-1", "--controller", "own.py:Own,pi", "--estimator", "euler", "--estimator", "ideal"),
+        *("--set", "controller.gains.duty=0.65,0.8", "--jobs", "2", "--csv", "stops.csv", "--figure", "rms.svg"),
+        "--json",
+        check=0,
+    )
+    rows = json.loads(run.stdout)["rows"]
+    assert len(rows) == 2 * 6
+    assert [(row["controller"], row["estimator"], row["settings"]) for row in rows[:3]] == [
+        ("own.py:Own", "euler", {"controller.gains.duty": "0.65"}),
+        ("own.py:Own", "euler", {"controller.gains.duty": "0.8"}),
+        ("own.py:Own", "ideal", {"controller.gains.duty": "0.65"}),
+    ]
+    assert (rows[6]["rigs"], rows[6]["stops"], rows[6]["left_out"]) == ("capped:0-1", 1, [1])
+    assert "capped:0-1: 1 of 2 rigs are left out" in run.stderr
+    assert "ticks/s on 2 processes" in run.stderr
+    assert "hello" in run.stderr
+    with (tmp_path / "stops.csv").open(newline="") as file:
+        stops = list(csv.DictReader(file))
+    assert len(stops) == sum(row["stops"] for row in rows)
+    assert (stops[0]["population"], stops[0]["seed"], stops[0]["controller.gains.duty"]) == ("hard", "3", "0.65")
+    distances = [float(stop["stop_distance_m"]) for stop in stops[:2]]
+    assert rows[0]["metrics"]["stop_distance_m"]["max"] == max(distances)
+    assert (tmp_path / "rms.svg").read_text().startswith("<?xml")
+
+
+def test_stops_that_fail_are_told_and_the_others_scored(inteco_abs, tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    run = inteco_abs("sweep", *QUICK, "--controller", "own.py:Own", "--set", "controller.gains.duty=0.5,0.8", check=3)
+    assert "Own on moving-window, duty=0.5: 2 of 2 stops failed, first hard:3: ZeroDivisionError" in run.stderr
+    assert "own.py, line 12" in run.stderr
+    assert "hard:3-4: slip RMS of 2 stops each" in run.stdout
+    assert "duty=0.8" in run.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--rigs", "hard:0", "--rigs", "hrad:0-9"], ["--rigs", "did you mean hard"]),
+        (["--rigs", "hard:9-0"], ["--rigs", "reversed", "hard:0-9"]),
+        (["--controller", "pi,reachin-law"], ["did you mean reaching-law"]),
+        (["--estimator", "kallman"], ["did you mean kalman"]),
+        (["--controller", "own.py"], ["name the class too"]),
+        (["--controller", "pi,own.py:Own"], ["own.py", "No such file"]),
+        (["--set", "controller.name=own.py:Own"], ["named by --controller"]),
+        (["--csv", "nowhere/x.csv"], ["--csv", "nowhere", "create it first"]),
+        (["--figure", "x.bmp"], ["--figure", "x.bmp"]),
+        (["--csv", "x.svg", "--figure", "x.svg"], ["--figure", "--csv"]),
+    ],
+)
+def test_wrong_input_gets_one_clear_answer(monkeypatch, tmp_path, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError) as caught:
+        cli.main(["sweep", *arguments], standalone_mode=False)
+    for word in words:
+        assert word in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_table_that_cannot_be_written_is_an_error(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x.csv").mkdir()
+    with pytest.raises(AbsError, match=r"x\.csv: the table cannot be written: Is a directory"):
+        cli.main(["sweep", *QUICK, "--jobs", "1", "--csv", "x.csv"], standalone_mode=False)
+
+
+def test_without_numba_the_extra_is_named():
+    code = "import sys; sys.modules['numba'] = None; from inteco_abs.cli import main; sys.argv[1:] = ['sweep']; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "pip install 'inteco-abs[lab]'" in done.stderr
+
+
+def test_the_command_itself_loads_no_numba():
+    code = "import sys, inteco_abs.cli; sys.exit('numba' in sys.modules or 'numpy' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
