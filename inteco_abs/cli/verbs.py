@@ -9,6 +9,7 @@ import click
 
 from inteco_abs.cli.blink import blink
 from inteco_abs.cli.catalogue import controllers, profiles
+from inteco_abs.cli.design import design
 from inteco_abs.cli.doctor import doctor
 from inteco_abs.cli.mock_board import mock_board
 from inteco_abs.cli.probe import probe
@@ -43,6 +44,7 @@ _VERBS: Final = (
     info,
     figure,
     recover,
+    design,
     doctor,
     probe,
     blink,
