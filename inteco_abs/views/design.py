@@ -12,15 +12,15 @@ from rich.text import Text
 
 _ROWS: Final = 6
 _COLUMNS: Final = (
-    ("road speed\nrad/s", "road_speed_rad_s"),
+    ("speed\nrad/s", "road_speed_rad_s"),
     ("F\n1/s", "F_per_s"),
     ("eps_f\n1/s", "eps_f_per_s"),
     ("eps_g\n", "eps_g"),
     ("Mq (25)\n1/s", "mq_25_per_s"),
     ("Mq (26)\n1/s", "mq_26_per_s"),
-    ("Mq given\n1/s", "mq_per_s"),
+    ("given\n1/s", "mq_per_s"),
     ("M1eq\nN m", "torque_eq_nm"),
-    ("of the set\nN m", "torque_eq_least_nm"),
+    ("of all\nN m", "torque_eq_least_nm"),
     ("Mq/g\nN m", "torque_swing_nm"),
 )
 
@@ -67,7 +67,7 @@ def _reaching(way: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _table(curves: Mapping[str, Any]) -> RenderableType:
-    table = Table.grid(padding=(0, 2))
+    table = Table.grid(padding=(0, 1))
     for head, _ in _COLUMNS:
         table.add_column(Text(head, style="dim"), justify="right", no_wrap=True)
     table.show_header = True

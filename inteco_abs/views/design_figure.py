@@ -38,6 +38,8 @@ def draw_design(report: Mapping[str, Any], path: Path) -> None:
         panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")
         panel.set_xlim(speeds[0], speeds[-1])
     for panel in (axes[0], axes[2]):
+        if not panel.dataLim.y1 > 0.0:
+            continue  # no uncertainty and no gain: a logarithm has nothing to show
         panel.set_yscale("log")
         panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         panel.yaxis.set_major_formatter("{x:g}")

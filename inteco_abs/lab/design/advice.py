@@ -102,6 +102,8 @@ def _existence(case: Case) -> Iterator[Advice]:
 def _enough(case: Case, bounds: Bounds) -> str:
     """The smallest gains that fulfil (25), with a little to spare."""
     constant = _TO_SPARE * float(bounds.mq_25.max())
+    if constant == 0.0:
+        return "any Mq above 0"
     product = _TO_SPARE * float((bounds.mq_25 * case.speeds).max())
     v = product / case.gains.Mq if case.gains.Mq > 0.0 else math.inf
     Mq, v = (case.gains.Mq, v) if v <= _FASTEST_V else (product / case.speeds[-1], float(case.speeds[-1]))
