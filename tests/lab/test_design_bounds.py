@@ -221,7 +221,7 @@ def test_too_many_names_are_refused():
 
 
 def test_a_lever_that_would_jam_is_refused():
-    with pytest.raises(ConfigError, match=r"adhesion of 0\.395.*tan\(phi\)"):
+    with pytest.raises(ConfigError, match=r"adhesion of 0\.395 at slip 0\.2.*tan\(phi\)"):
         AtSlip(box_of("phi_rad=80%"), 0.2)
 
 

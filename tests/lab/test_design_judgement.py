@@ -69,6 +69,8 @@ def test_reaching_from_above_is_limited_by_a_released_brake(judge):
     assert high.bound_s == pytest.approx(low.bound_s)
     assert high.lowest_torque_nm < 0.0 == high.peak_torque_nm
     assert high.time_s > 1.5 * high.bound_s
+    (advice,) = [one for one in about(judge(LARGE, from_slips=(0.4,)), "reaching") if "slip 0.4" in one.found]
+    assert advice.next_step == "smaller gains"
     assert "does not succeed" in about(judge(LARGE, "guard.brake_limit=0.6"), "reaching")[0].found
 
 
@@ -145,6 +147,19 @@ def test_the_gain_that_is_advised_against_saturation_does_not_saturate(judge):
     (capped,) = about(judge(CAPPED), "saturation")
     assert number_after(capped.next_step, "Mq up to") < 0.2
     assert not about(judge(CAPPED, "controller.gains.Mq=0.16"), "saturation")
+
+
+def test_the_largest_gain_that_never_saturates_is_among_the_curves(judge):
+    model = BrakingModel(MASK)
+    assert judge().curves["mq_unsaturated_per_s"][-1] == pytest.approx(abs(model.f(0.2, 180.0)))
+    room = 4.458 + model.f(0.2, 180.0) / model.g(0.2, 180.0)
+    assert judge(CAPPED).curves["mq_unsaturated_per_s"][-1] == pytest.approx(model.g(0.2, 180.0) * room)
+
+
+def test_a_brake_that_is_held_in_its_dead_zone_gives_nothing(judge):
+    judgement = judge("guard.brake_limit=0.3")
+    assert judgement.report()["largest_torque_nm"] == 0.0
+    assert {"holding", "saturation", "reaching"} <= {one.about for one in judgement.advice}
 
 
 def test_a_brake_that_cannot_hold_the_slip_of_some_rig_is_said_with_the_duty_that_can(judge):
