@@ -15,7 +15,7 @@ from inteco_abs.errors import AbsError, ConfigError, Mistake
 _SLOWEST_RAD_S: Final = 10.0
 _FASTEST_RAD_S: Final = 245.0
 _LEAST_SLIP: Final = 0.01
-"""Below, the model's adhesion is nearly nothing and soon negative."""
+"""Below, the model has next to no adhesion, and soon a negative one."""
 
 
 @click.command()
@@ -76,7 +76,7 @@ def design(
     rig = load_config(config, [*settings, *chosen], [control_check()])
     speeds = speeds or (_SLOWEST_RAD_S, max(rig.experiment.start_speed_rad_s, _SLOWEST_RAD_S + 1.0))
     slips = [0.0] if from_slip is None else [0.0, from_slip]
-    _insist_on_ranges(speeds, slip_band, slips)
+    _insist_on_ranges(speeds, slip_band, slips, rig.controller.reference_slip)
     if table is not None:
         _check_table(table)
     if figure is not None:
@@ -95,12 +95,17 @@ def design(
 
 
 def _insist_on_ranges(
-    speeds: tuple[float, float], slip_band: tuple[float, float] | None, from_slips: Sequence[float]
+    speeds: tuple[float, float], slip_band: tuple[float, float] | None, from_slips: Sequence[float], reference: float
 ) -> None:
     mistakes = [*_range_mistakes("--speeds", speeds, 0.1, _FASTEST_RAD_S, "rad/s")]
     if slip_band is not None:
         mistakes += _range_mistakes("--slip-band", slip_band, _LEAST_SLIP, 1.0, "of slip")
     mistakes += [Mistake("--from-slip", f"{slip:g}: must be in 0..1") for slip in from_slips if not 0.0 <= slip <= 1.0]
+    if reference < _LEAST_SLIP:
+        problem = (
+            f"{reference:g}: must be at least {_LEAST_SLIP:g} for a design; below, the model has next to no adhesion"
+        )
+        mistakes.append(Mistake("controller.reference_slip", problem))
     if mistakes:
         raise ConfigError(mistakes)
 

@@ -118,6 +118,7 @@ WRONG = [
     (["--slip-band", "0.5", "0.1"], ["--slip-band", "must rise"]),
     (["--slip-band", "0", "0.1"], ["--slip-band", "0.01..1"]),
     (["--from-slip", "2"], ["--from-slip", "2", "0..1"]),
+    (["--set", "controller.reference_slip=0.001"], ["controller.reference_slip", "0.001", "at least 0.01"]),
     (["--controller", "pi"], ["'pi' has no switching gain", "reaching-law"]),
     (["--controller", "reachin-law"], ["did you mean reaching-law"]),
     (["--set", "controller.gains.Mx=1"], ["controller.gains.Mx", "Mk, Mq"]),

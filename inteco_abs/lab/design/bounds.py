@@ -60,8 +60,8 @@ def terms(drawn: Drawn, slip: float, believed: RigParameters) -> Terms:
     rig, k = drawn.rig, drawn.rig.parameters
     mu = Surface(rig.adhesion_scale, rig.adhesion_blend).adhesion(slip, k)
     if not 0.0 < mu < math.tan(k.phi_rad):
-        problem = f"an adhesion of {mu:.3g} at slip {slip:g} and phi = {k.phi_rad:.3g} rad: must be in 0..tan(phi); state less"
-        raise ConfigError([Mistake("--uncertain", problem)])
+        where = f"an adhesion of {mu:.3g} at slip {slip:g} and phi = {k.phi_rad:.3g} rad"
+        raise ConfigError([Mistake("--uncertain", f"{where}: must be in 0..tan(phi); state less")])
     as_here = mu / adhesion(slip, k)
     model = BrakingModel(replace(k, w1=k.w1 * as_here, w2=k.w2 * as_here, w3=k.w3 * as_here, w4=k.w4 * as_here))
     f1, g1 = model.terms(slip, 1.0)
