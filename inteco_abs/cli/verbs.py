@@ -9,6 +9,7 @@ import click
 
 from inteco_abs.cli.blink import blink
 from inteco_abs.cli.catalogue import controllers, estimators, profiles
+from inteco_abs.cli.design import design
 from inteco_abs.cli.doctor import doctor
 from inteco_abs.cli.mock_board import mock_board
 from inteco_abs.cli.probe import probe
@@ -44,6 +45,7 @@ _VERBS: Final = (
     info,
     figure,
     recover,
+    design,
     sweep,
     doctor,
     probe,

@@ -14,12 +14,11 @@ from inteco_abs.signals import Phase
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-_WHEEL, _ROAD, _OTHER = (
-    "#0072b2",
-    "#d55e00",
-    "#009e73",
-)  # Okabe and Ito: distinct for every kind of colour vision
+COLOURS: Final = ("#0072b2", "#d55e00", "#009e73")
+"""Blue, red and green of Okabe and Ito: distinct for every kind of colour vision."""
+_WHEEL, _ROAD, _OTHER = COLOURS
 FORMATS: Final = ("png", "svg", "pdf")
 _BEFORE_S: Final = 0.2
 
@@ -57,6 +56,11 @@ def draw_stop(session: Session, path: Path) -> None:
     axes[2].set_xlabel("time since braking began [s]")
     controller = session.metadata.get("controller", {})
     figure.suptitle(f"{controller.get('name', '')} on {controller.get('estimator', '')}", fontsize="medium")
+    save_figure(figure, path)
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write `figure` in the format of its name; raises AbsError if that fails."""
     try:
         figure.savefig(path, dpi=150)
     except OSError as error:

@@ -1,0 +1,59 @@
+"""How a law reaches the reference slip on the rig that it believes in, with an ideal brake: no lag, no noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+from inteco_abs.config import RigConfig
+from inteco_abs.control import CONTROLLERS, Setup, gains_in_force
+from inteco_abs.rig import Plant, RigParameters
+from inteco_abs.signals import Estimate
+
+_LONGEST_S: Final = 10.0
+_STRONG_NM: Final = 10_000.0
+
+
+class Reaching(NamedTuple):
+    """From one slip to the reference, from the start of braking on."""
+
+    from_slip: float
+    bound_s: float
+    """By (20), s; infinite without a constant rate."""
+    time_s: float
+    """Seen with the brake within its limits, s; infinite if the road gets too slow before."""
+    lowest_torque_nm: float
+    """Smallest torque that the law asks for where a brake of any torque above 0 does what it says."""
+    peak_torque_nm: float
+    """Largest."""
+
+
+def reaching(config: RigConfig, from_slip: float, width: float, bound_s: float) -> Reaching:
+    """Simulate until the slip error changes its sign or is within `width`, with the brake's limit and without."""
+    believed = RigParameters.named(config.model.parameters)
+    strong = replace(believed, b1=_STRONG_NM, b2=0.0, u0=0.0)  # as a duty of 1 is never asked for, there is no limit
+    _, asked_nm = _way(config, strong, 1.0, from_slip, width)
+    time_s, _ = _way(config, believed, config.guard.brake_limit, from_slip, width)
+    return Reaching(from_slip, bound_s, time_s, min(asked_nm), max(asked_nm))
+
+
+def _way(
+    config: RigConfig, parameters: RigParameters, duty_limit: float, from_slip: float, width: float
+) -> tuple[float, list[float]]:
+    """Time to the reference in s, and the torques that the law has asked for in N m."""
+    reference, hold_below = config.controller.reference_slip, config.controller.hold_below_rad_s
+    make: Any = CONTROLLERS[config.controller.name]  # each controller's constructor takes its own gains
+    law = make(Setup(reference, parameters, hold_below), **gains_in_force(config))
+    start = config.experiment.start_speed_rad_s
+    rim_ratio = (1.0 - from_slip) * parameters.r2 / parameters.r1
+    plant = Plant(replace(parameters, c31=math.inf), rim_ratio * start, start)
+    side = math.copysign(1.0, from_slip - reference)
+    period_s, asked_nm = config.period_ns * 1e-9, [0.0]  # the brake is released before
+    while side * (plant.slip - reference) > width:
+        if plant.road_speed <= hold_below or plant.time_s > _LONGEST_S:
+            return math.inf, asked_nm
+        demand = law.update(Estimate(plant.wheel_speed, plant.road_speed, plant.slip, valid=True), period_s)
+        asked_nm.append(demand.torque_nm)
+        plant.advance(0.0, min(demand.brake, duty_limit), period_s)
+    return plant.time_s, asked_nm

@@ -1,0 +1,148 @@
+"""What a lab does not know of its rig: spreads of single numbers, and the box of rigs that they make."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import product
+from typing import Any, Final, NamedTuple
+
+from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.rig import RigParameters, RigVariation
+
+HARD: Final = (
+    "J1=5%",
+    "J2=5%",
+    "Mg=5%",
+    "d1=20%",
+    "d2=20%",
+    "mu=15%",
+    "adhesion_blend=1",
+    "brake_gain=5%",
+    "brake_duty_offset=0.02",
+)
+"""The population `hard`, but for what no number says: the shape of its measured brake map, up to 1.2 N m off the
+straight line, for which `b2=1.2` stands. Its lag, dead time and encoders do not enter the conditions of sliding."""
+_OF_THE_RIG: Final = {
+    "mu": "adhesion_scale",
+    "adhesion_blend": "adhesion_blend",
+    "brake_gain": "brake_gain",
+    "brake_duty_offset": "brake_duty_offset",
+}
+_FROM_ZERO: Final = {"adhesion_blend": 1.0, "brake_duty_offset": 0.2}
+"""Of what the published rig has nothing, the most there can be; stated as a number, as there is no percent of 0."""
+_TERMS: Final = ("f", "g")
+_WITHOUT_EFFECT: Final = {
+    "c31": "the brake's lag is not in the law, and (25) and (26) do not see it",
+    "u0": "the end of the dead zone does not matter where the brake holds a slip; use b2 for an offset of the torque",
+}
+_MOST_PERCENT: Final = 90.0
+_MOST_NAMES: Final = 12  # 4096 corners
+KNOWN: Final = (
+    *(field.name for field in fields(RigParameters) if field.name not in _WITHOUT_EFFECT),
+    *_OF_THE_RIG,
+    *_TERMS,
+)
+"""What can be uncertain: constants of the model and of the brake's line, factors on adhesion and brake, f and g."""
+
+
+class Spread(NamedTuple):
+    """From where to where one number may be, in its own unit."""
+
+    name: str
+    low: float
+    high: float
+
+
+class Drawn(NamedTuple):
+    """One rig of the box."""
+
+    rig: RigVariation
+    f_factor: float
+    """What f is multiplied by, besides all that the rig's own numbers do to it."""
+    g_factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """Every combination of the spreads around the parameters that the controller believes in."""
+
+    believed: RigParameters
+    spreads: tuple[Spread, ...]
+
+    def draw(self, values: Mapping[str, float]) -> Drawn:
+        """The rig with these numbers; those that are not named are as believed."""
+        own: dict[str, Any] = {_OF_THE_RIG[name]: value for name, value in values.items() if name in _OF_THE_RIG}
+        constants = {name: value for name, value in values.items() if name not in {*_OF_THE_RIG, *_TERMS}}
+        rig = replace(RigVariation(replace(self.believed, **constants)), **own)
+        return Drawn(rig, values.get("f", 1.0), values.get("g", 1.0))
+
+    def corners(self) -> Iterator[Drawn]:
+        """The rigs that have each number at one of its ends."""
+        names = [spread.name for spread in self.spreads]
+        for ends in product(*((spread.low, spread.high) for spread in self.spreads)):
+            yield self.draw(dict(zip(names, ends, strict=True)))
+
+
+def stated_box(statements: Sequence[str], believed: RigParameters) -> Box:
+    """Box of statements such as `J1=5%` (of what is believed) or `M10=0.002` (in its own unit), each both ways.
+
+    Raises ConfigError with everything that is wrong with them.
+    """
+    spreads: dict[str, Spread] = {}
+    mistakes = []
+    for statement in statements:
+        try:
+            spread = _spread(statement, believed)
+        except ValueError as error:
+            mistakes.append(Mistake("--uncertain", f"{statement}: {error}"))
+            continue
+        if spread.name in spreads:
+            mistakes.append(Mistake("--uncertain", f"{statement}: {spread.name} is stated twice; once is enough"))
+        spreads[spread.name] = spread
+    if len(spreads) > _MOST_NAMES:
+        mistakes.append(
+            Mistake("--uncertain", f"{len(spreads)} names: must be at most {_MOST_NAMES}; leave out what matters least")
+        )
+    if mistakes:
+        raise ConfigError(mistakes)
+    return Box(believed, tuple(spreads.values()))
+
+
+def _spread(statement: str, believed: RigParameters) -> Spread:
+    """One statement in numbers; raises ValueError with what is wrong with it."""
+    name, equals, text = (part.strip() for part in statement.partition("="))
+    if not equals or not name:
+        raise ValueError("must look like J1=5% or M10=0.002")
+    if name in _WITHOUT_EFFECT:
+        raise ValueError(f"does not count here: {_WITHOUT_EFFECT[name]}")
+    if name not in KNOWN:
+        raise ValueError(f"unknown parameter {name!r}{near_match(name, KNOWN)}")
+    try:
+        number = float(text.removesuffix("%"))
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"{text!r} must be a number, in percent of {name} or in its unit")
+    if number < 0.0:
+        raise ValueError("must not be negative: a parameter may be off by so much both ways")
+    return _from_zero(name, number, text) if name in _FROM_ZERO else _around(name, number, text, believed)
+
+
+def _from_zero(name: str, number: float, text: str) -> Spread:
+    most = _FROM_ZERO[name]
+    if text.endswith("%"):
+        raise ValueError(f"percent of nothing: {name} is 0 as believed, state it as a number up to {most:g}")
+    if number > most:
+        raise ValueError(f"must be at most {most:g}")
+    return Spread(name, 0.0 if name == "adhesion_blend" else -number, number)
+
+
+def _around(name: str, number: float, text: str, believed: RigParameters) -> Spread:
+    nominal: float = getattr(believed, name, 1.0)
+    off = abs(nominal) * number / 100.0 if text.endswith("%") else number
+    most = abs(nominal) * _MOST_PERCENT / 100.0
+    if off > most:
+        raise ValueError(f"must be at most {_MOST_PERCENT:g} % of {name} = {nominal:g}, which is {most:g}")
+    return Spread(name, nominal - off, nominal + off)

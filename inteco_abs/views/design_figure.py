@@ -1,0 +1,78 @@
+"""A design as a figure over the road speed: the gain that is asked for, the brake's budget, the uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from inteco_abs.views.figure import COLOURS, check_figure, save_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_BLUE, _RED, _GREEN = COLOURS
+
+
+def draw_design(report: Mapping[str, Any], path: Path) -> None:
+    """Draw the report of a judgement to `path` (.png, .svg or .pdf).
+
+    Every line has a dash or a place of its own, so that the figure can be read in grey too. What has no bound is not
+    drawn. Raises ConfigError for a path that cannot be drawn to, AbsError without matplotlib.
+    """
+    check_figure(path)
+    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
+    from matplotlib.ticker import LogLocator  # noqa: PLC0415  likewise
+
+    curves = {name: np.array(values, float) for name, values in report["curves"].items()}
+    figure = Figure(figsize=(8.4, 7.2), layout="constrained")
+    axes = figure.subplots(3, sharex=True)
+    _gain(axes[0], curves)
+    _torque(axes[1], curves, report["largest_torque_nm"])
+    _uncertainty(axes[2], curves)
+    speeds = curves["road_speed_rad_s"]
+    for panel in axes:
+        panel.grid(alpha=0.3)
+        panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")
+        panel.set_xlim(speeds[0], speeds[-1])
+    for panel in (axes[0], axes[2]):
+        if not panel.dataLim.y1 > 0.0:
+            continue  # no uncertainty and no gain: a logarithm has nothing to show
+        panel.set_yscale("log")
+        panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.yaxis.set_minor_formatter("")
+    axes[2].set_xlabel("road speed [rad/s]")
+    gains = ", ".join(f"{name} = {value:g}" for name, value in report["gains"].items())
+    figure.suptitle(f"{report['controller']}, {gains}", fontsize="medium")
+    save_figure(figure, path)
+
+
+def _gain(panel: Axes, curves: Mapping[str, Any]) -> None:
+    x = curves["road_speed_rad_s"]
+    panel.plot(x, curves["mq_26_per_s"], color=_BLUE, lw=1.2, ls="--", label="(26) asks for more than")
+    panel.plot(x, curves["mq_25_per_s"], color=_BLUE, lw=1.2, label="(25) asks for more than")
+    panel.plot(x, curves["mq_per_s"], color=_RED, lw=2.0, ls="-.", label="given")
+    panel.set_ylabel("Mq [1/s]")
+
+
+def _torque(panel: Axes, curves: Mapping[str, Any], limit_nm: float) -> None:
+    x, held, swing = curves["road_speed_rad_s"], curves["torque_eq_nm"], curves["torque_swing_nm"]
+    least, most = curves["torque_eq_least_nm"], curves["torque_eq_most_nm"]
+    panel.fill_between(x, least, most, color=_GREEN, alpha=0.3, lw=0.0, label="holds the slip, whole set")
+    panel.plot(x, held, color=_GREEN, lw=1.2, label="M1eq, as believed")
+    panel.plot(x, held + swing, color=_RED, lw=1.2, ls="-.", label="M1eq ± Mq/g")
+    panel.plot(x, held - swing, color=_RED, lw=1.2, ls="-.")
+    panel.axhline(limit_nm, color="black", lw=1.0, ls="--", label="brake at its duty limit")
+    panel.axhline(0.0, color="black", lw=1.0)
+    panel.set_ylabel("brake torque [N m]")
+
+
+def _uncertainty(panel: Axes, curves: Mapping[str, Any]) -> None:
+    x = curves["road_speed_rad_s"]
+    panel.plot(x, curves["F_per_s"], color=_BLUE, lw=1.2, ls="--", label="F [1/s]")
+    panel.plot(x, curves["eps_f_per_s"], color=_BLUE, lw=1.2, label="eps_f [1/s]")
+    panel.plot(x, curves["eps_g"], color=_RED, lw=1.2, ls="-.", label="eps_g [1]")
+    panel.set_ylabel("largest |f_hat|, errors")
