@@ -175,7 +175,7 @@ class ExperimentConfig(_Section):
 class EstimatorConfig(_Section):
     name: str = "moving-window"
     window_s: Annotated[float, Field(gt=0.0, le=0.5)] = 0.010
-    """Length of the moving window."""
+    """Length of the moving window, least time between the edges of edge-time, and T0 of the difference."""
     natural_frequency_rad_s: Annotated[float, Field(gt=0.0, le=2000.0)] = 200.0
     """Of the tracking loop; at most a tenth of the loop's rate."""
     jerk_density: Annotated[float, Field(gt=0.0, le=1e12)] = 3e5
@@ -184,7 +184,8 @@ class EstimatorConfig(_Section):
 
 class ControllerConfig(_Section):
     name: str = "reaching-law"
-    """A shipped controller; one of your own is named on the command line only, as it is code that will run."""
+    """A shipped controller or one of an installed package; a file of your own is named on the command line only, as it
+    is code that will run."""
     reference_slip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
     hold_below_rad_s: Annotated[float, Field(ge=0.0, le=100.0)] = 5.0
     """Below this estimated road speed the last demand is held: the model's terms grow like 1/speed."""

@@ -1,31 +1,64 @@
-"""Verbs that list what there is to choose from: controllers, profiles."""
+"""Verbs that list what there is to choose from: controllers, estimators, profiles."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import click
 
 from inteco_abs.cli.shared import json_option, print_json
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
+if TYPE_CHECKING:
+    from inteco_abs.control import Gain
+    from inteco_abs.control.estimators import Parameter
+
 
 @click.command()
 @json_option
 def controllers(as_json: bool) -> int:
-    """List the controllers that ship, with their gains."""
+    """List the controllers that ship, then those of installed packages, with their gains."""
     from inteco_abs.control import CONTROLLERS
+    from inteco_abs.plugins import packaged_controllers
+
+    usable, broken = [(name, kind, "") for name, kind in CONTROLLERS.items()], []
+    for offer in packaged_controllers().values():
+        try:
+            usable.append((offer.name, offer.load(), offer.package))
+        except ConfigError as error:
+            broken.append({"name": offer.name, "package": offer.package, "problem": error.mistakes[0].problem})
+    if as_json:
+        found = {
+            name: {"summary": _summary(kind), "package": package, "gains": [gain._asdict() for gain in kind.gains]}
+            for name, kind, package in usable
+        }
+        print_json({"schema_version": 1, "controllers": found, "broken": broken})
+        return 0
+    for name, kind, package in usable:
+        click.echo(f"{name:17} {_summary(kind)}{f' [{package}]' if package else ''}")
+        _list(kind.gains)
+    for each in broken:
+        click.echo(f"{each['name']:17} broken: {each['problem']}")
+    return 0
+
+
+@click.command()
+@json_option
+def estimators(as_json: bool) -> int:
+    """List the estimators of wheel speeds and slip, with what can be set of each in the section [estimator]."""
+    from inteco_abs.control import ESTIMATORS
 
     if as_json:
         found = {
-            name: {"summary": _summary(kind), "gains": [gain._asdict() for gain in kind.gains]}
-            for name, kind in CONTROLLERS.items()
+            name: {"summary": kind.summary, "parameters": [each._asdict() for each in kind.parameters]}
+            for name, kind in ESTIMATORS.items()
         }
-        print_json({"schema_version": 1, "controllers": found})
+        print_json({"schema_version": 1, "estimators": found})
         return 0
-    for name, kind in CONTROLLERS.items():
-        click.echo(f"{name:17} {_summary(kind)}")
-        for gain in kind.gains:
-            value = f"{gain.name} = {gain.default:g}"
-            click.echo(f"{'':17}   {value:18} {gain.low:g}..{gain.high:g} {gain.unit}: {gain.meaning}")
+    for name, kind in ESTIMATORS.items():
+        click.echo(f"{name:17} {kind.summary}")
+        _list(kind.parameters)
     return 0
 
 
@@ -62,6 +95,15 @@ def profiles(name: str | None, as_json: bool) -> int:
     return 0
 
 
+def _list(numbers: Sequence[Gain | Parameter]) -> None:
+    """One line each: name, default, range, unit, meaning."""
+    values = [f"{each.name} = {each.default:g}" for each in numbers]
+    width = max(map(len, ["", *values]))
+    for value, each in zip(values, numbers, strict=True):
+        unit = "" if each.unit == "1" else f" {each.unit}"
+        click.echo(f"{'':17}   {value:{width}}  {each.low:g}..{each.high:g}{unit}: {each.meaning}")
+
+
 def _summary(kind: type) -> str:
     """First sentence of a class's docstring."""
-    return (kind.__doc__ or "").strip().splitlines()[0].rstrip(".")
+    return (kind.__doc__ or "no description").strip().partition("\n")[0].rstrip(".")

@@ -40,7 +40,11 @@ if TYPE_CHECKING:
     help="Over the file, as in guard.brake_limit=0.7.",
 )
 @click.option("--controller", help="One of `inteco-abs controllers`, or your own as file.py:Class.")
-@click.option("--estimator", help="moving-window, tracking, kalman, or euler as in the paper.")
+@click.option(
+    "--estimator",
+    help="One of `inteco-abs estimators`: moving-window, tracking, kalman, edge-time, euler as in the paper, "
+    "difference as by the vendor.",
+)
 @click.option("--out", type=FILE, help="Session file to write; default: sessions/stop-TIME.mcap.")
 @click.option("--figure", type=FILE, help="Also draw the stop: .png, .svg or .pdf.")
 @click.option("--record-wire", "wire", type=FILE, help="Also write every message to and from the board, as JSON lines.")
@@ -61,11 +65,11 @@ def run(
     """Drive, brake, record: one stop."""
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import load_config
-    from inteco_abs.control import CONTROLLERS, control_check
+    from inteco_abs.control import control_check
     from inteco_abs.experiment import Plan, run_stop
     from inteco_abs.views.figure import check_figure
 
-    controllers, source = known_controllers(controller, CONTROLLERS)
+    controllers = known_controllers(controller)
     chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
     check_address(board)
     rig = load_config(config, [*settings, *chosen], [control_check(controllers)], default_profile(board))
@@ -73,7 +77,8 @@ def run(
     if figure is not None:
         check_figure(figure)
     _insist_on_different({"--out": out, "--figure": figure, "--record-wire": wire})
-    plan = Plan(out, board, virtual, seed, controllers, source, wire)
+    source, package = controllers.origin(rig.controller.name)
+    plan = Plan(out, board, virtual, seed, controllers, source, wire, package)
     if virtual:
         with _progress() as progress:
             stop = run_stop(rig, plan, progress)

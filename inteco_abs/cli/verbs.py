@@ -8,7 +8,7 @@ from typing import Final
 import click
 
 from inteco_abs.cli.blink import blink
-from inteco_abs.cli.catalogue import controllers, profiles
+from inteco_abs.cli.catalogue import controllers, estimators, profiles
 from inteco_abs.cli.design import design
 from inteco_abs.cli.doctor import doctor
 from inteco_abs.cli.mock_board import mock_board
@@ -51,6 +51,7 @@ _VERBS: Final = (
     wire,
     mock_board,
     controllers,
+    estimators,
     profiles,
 )
 for _verb in _VERBS:

@@ -2,7 +2,16 @@
 
 from inteco_abs.control.assembly import build_pipeline, control_check, gains_in_force
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, ReachingLaw, Relay, Setup
-from inteco_abs.control.estimators import ESTIMATORS, Estimator, KalmanFilter, SpeedFilter, TrackingLoop, TwoWheels
+from inteco_abs.control.estimators import (
+    ESTIMATORS,
+    EdgeTime,
+    Estimator,
+    HeldDifference,
+    KalmanFilter,
+    SpeedFilter,
+    TrackingLoop,
+    TwoWheels,
+)
 from inteco_abs.control.guard import Guard
 from inteco_abs.control.model import BrakingModel, reaching_law_torque, reaching_time_bound
 from inteco_abs.control.pipeline import Pipeline
@@ -14,9 +23,11 @@ __all__ = [
     "ESTIMATORS",
     "BrakingModel",
     "Controller",
+    "EdgeTime",
     "Estimator",
     "Gain",
     "Guard",
+    "HeldDifference",
     "KalmanFilter",
     "Pipeline",
     "ReachingLaw",

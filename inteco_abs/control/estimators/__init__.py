@@ -5,12 +5,13 @@ from typing import Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control.estimators.base import Estimator, SpeedFilter, TwoWheels
+from inteco_abs.control.estimators.difference import SLIP_OFFSET_M_S, HeldDifference
+from inteco_abs.control.estimators.edge_time import EdgeTime
 from inteco_abs.control.estimators.kalman import KalmanFilter
+from inteco_abs.control.estimators.kind import EstimatorKind, Maker, Parameter, parameter
 from inteco_abs.control.estimators.tracking import TrackingLoop
 from inteco_abs.control.windows import SpeedWindow
 from inteco_abs.rig import RigParameters
-
-Maker = Callable[[RigConfig, RigParameters], Estimator]
 
 
 def _on_both_wheels(make: Callable[[RigConfig], SpeedFilter]) -> Maker:
@@ -21,6 +22,10 @@ def _moving_window(config: RigConfig) -> SpeedFilter:
     return SpeedWindow(config.encoders.counts_per_turn, max(1, round(config.estimator.window_s * config.loop.rate_hz)))
 
 
+def _edge_time(config: RigConfig) -> SpeedFilter:
+    return EdgeTime(config.encoders.counts_per_turn, config.estimator.window_s)
+
+
 def _tracking(config: RigConfig) -> SpeedFilter:
     return TrackingLoop(config.encoders.counts_per_turn, config.estimator.natural_frequency_rad_s)
 
@@ -29,18 +34,55 @@ def _kalman(config: RigConfig) -> SpeedFilter:
     return KalmanFilter(config.encoders.counts_per_turn, config.estimator.jerk_density)
 
 
-ESTIMATORS: Final[dict[str, Maker]] = {
-    "euler": _on_both_wheels(lambda config: SpeedWindow(config.encoders.counts_per_turn, 1)),
-    "moving-window": _on_both_wheels(_moving_window),
-    "tracking": _on_both_wheels(_tracking),
-    "kalman": _on_both_wheels(_kalman),
+def _difference(config: RigConfig, parameters: RigParameters) -> Estimator:
+    per_turn, window_s, period_s = config.encoders.counts_per_turn, config.estimator.window_s, 1.0 / config.loop.rate_hz
+    wheel = HeldDifference(per_turn, parameters.r1, window_s, period_s)
+    road = HeldDifference(per_turn, parameters.r2, window_s, period_s)
+    return TwoWheels(wheel, road, parameters, SLIP_OFFSET_M_S)
+
+
+ESTIMATORS: Final[dict[str, EstimatorKind]] = {
+    "euler": EstimatorKind(
+        "The paper's backward difference over one period",
+        (),
+        _on_both_wheels(lambda config: SpeedWindow(config.encoders.counts_per_turn, 1)),
+    ),
+    "moving-window": EstimatorKind(
+        "Mean speed over a window of samples",
+        (parameter("window_s", "s", "length of the window; the speed lags by half of it"),),
+        _on_both_wheels(_moving_window),
+    ),
+    "difference": EstimatorKind(
+        "The vendor's demonstrations: difference over T0, held for T0, behind a dead zone of 0.05 m/s",
+        (parameter("window_s", "s", "T0; the speed lags by as much in the mean"),),
+        _difference,
+    ),
+    "edge-time": EstimatorKind(
+        "Angle between edges over the time between them, known to a sample as no board stamps edges",
+        (parameter("window_s", "s", "least time between the two edges; the speed lags by half of it"),),
+        _on_both_wheels(_edge_time),
+    ),
+    "tracking": EstimatorKind(
+        "A model wheel that follows the counted angle through a spring and a damper",
+        (parameter("natural_frequency_rad_s", "rad/s", "quicker and noisier if higher; at most rate_hz/10"),),
+        _on_both_wheels(_tracking),
+    ),
+    "kalman": EstimatorKind(
+        "Kalman filter of angle, speed and acceleration for a wheel whose jerk is white noise",
+        (parameter("jerk_density", "rad2/s5", "quicker and noisier if higher"),),
+        _on_both_wheels(_kalman),
+    ),
 }
-"""Name to maker: `euler` is the paper's backward difference over one period."""
+"""What there is to choose from, by the name on the command line."""
 
 __all__ = [
     "ESTIMATORS",
+    "EdgeTime",
     "Estimator",
+    "EstimatorKind",
+    "HeldDifference",
     "KalmanFilter",
+    "Parameter",
     "SpeedFilter",
     "TrackingLoop",
     "TwoWheels",

@@ -34,22 +34,27 @@ class SpeedFilter(Protocol):
 class TwoWheels:
     """The same filter on `wheel` and `road`, and the slip of braking, equation (11).
 
-    The slip is clipped to 0..1: equation (8) is not defined outside, and a driven or resting wheel reads 0.
+    The slip is clipped to 0..1: equation (8) is not defined outside, and a driven or resting wheel reads 0. An
+    `offset_m_s` is added to the road's rim speed in the denominator: (v2 - v1)/(v2 + offset).
     """
 
-    __slots__ = ("_ratio", "_road", "_samples", "_wheel")
+    __slots__ = ("_offset", "_ratio", "_road", "_samples", "_wheel")
 
-    def __init__(self, wheel: SpeedFilter, road: SpeedFilter, parameters: RigParameters) -> None:
+    def __init__(
+        self, wheel: SpeedFilter, road: SpeedFilter, parameters: RigParameters, offset_m_s: float = 0.0
+    ) -> None:
         self._wheel = wheel
         self._road = road
         self._ratio = parameters.r1 / parameters.r2
+        self._offset = offset_m_s / parameters.r2
         self._samples = 0
 
     def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:  # noqa: ARG002  counts say it all
         """Estimate at the instant of `sample`; valid from the second sample on."""
         wheel = self._wheel.update(sample.time_ns, sample.wheel_count)
         road = self._road.update(sample.time_ns, sample.road_count)
-        slip = 1.0 - self._ratio * wheel / road if road > 0.0 else 0.0
+        offset = self._offset
+        slip = 1.0 - (self._ratio * wheel + offset) / (road + offset) if road > 0.0 else 0.0
         self._samples += 1
         return Estimate(wheel, road, 0.0 if slip < 0.0 else min(slip, 1.0), self._samples > 1)
 

@@ -1,0 +1,56 @@
+"""Speed from the instants at which an encoder's lines passed, as far as they are known."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+
+class EdgeTime:
+    """v = angle between two edges / time between them: the newest, and the newest that is `window_s` older.
+
+    No new edge for a time t: |v| <= (2 pi/N)/t. The edge of a count is the line that was passed last, so that a wheel
+    that trembles on a line stands still. Lag: half the time between the two edges, and the age of the newest.
+
+    With stamps of a board (`edge_ns`), the noise is that of the stamp, v*25 ns/window with a 40 MHz clock, and a window
+    of 0 serves best: then it is the newest edges of two samples (fact sheet on the rig, 13.1).
+    None of the supported boards stamps edges: the PCI logic counts them in a window, and what the USB2's chronometers
+    listen to is unknown (fact sheet on the boards, 3.3 and 5.2). Without stamps, an edge is taken to be as old as the
+    first sample that shows its count, and is up to a period older: the noise is q/sqrt(6) with q = min(2 pi/N,
+    v*period)/window. So this is the moving window as long as counts come in every period, and better only below that,
+    at 6 rad/s with 2048 counts and 2 kHz.
+    """
+
+    __slots__ = ("_count", "_edges", "_line_ns", "_window_ns")
+
+    def __init__(self, counts_per_turn: int, window_s: float) -> None:
+        self._line_ns = 2.0 * math.pi / counts_per_turn * 1e9
+        self._window_ns = window_s * 1e9
+        self._edges: deque[tuple[int, int]] = deque()  # instant and line of each, at most one a sample
+        self._count: int | None = None
+
+    def update(self, time_ns: int, count: int, edge_ns: int | None = None) -> float:
+        """Speed in rad/s at `time_ns`; 0 until two edges were seen.
+
+        `edge_ns` is the instant of the newest edge, on the clock of `time_ns`; None: this sample's, if `count` is new.
+        """
+        before, self._count = self._count, count
+        if before is not None and count != before:
+            line = count if count > before else count + 1
+            self._see(time_ns if edge_ns is None else edge_ns, line)
+        edges = self._edges
+        if len(edges) < 2:
+            return 0.0
+        (first_ns, first), (last_ns, last) = edges[0], edges[-1]
+        speed = (last - first) * self._line_ns / (last_ns - first_ns)
+        quiet_ns = time_ns - last_ns
+        most = self._line_ns / quiet_ns if quiet_ns > 0 else math.inf
+        return max(-most, min(most, speed))
+
+    def _see(self, edge_ns: int, line: int) -> None:
+        edges = self._edges
+        if edges and edge_ns <= edges[-1][0]:  # time that stands still or goes back: nothing can be said about between
+            edges.clear()
+        edges.append((edge_ns, line))
+        while len(edges) > 2 and edge_ns - edges[1][0] >= self._window_ns:
+            edges.popleft()

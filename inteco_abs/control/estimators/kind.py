@@ -1,0 +1,46 @@
+"""What there is to know about an estimator before one is made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from inteco_abs.config import EstimatorConfig, RigConfig
+from inteco_abs.control.estimators.base import Estimator
+from inteco_abs.rig import RigParameters
+
+Maker = Callable[[RigConfig, RigParameters], Estimator]
+
+
+class Parameter(NamedTuple):
+    """One key of the section [estimator], with its range and unit."""
+
+    name: str
+    default: float
+    low: float
+    high: float
+    unit: str
+    meaning: str
+
+
+class EstimatorKind(NamedTuple):
+    """One way to estimate: called with configuration and parameters of the rig, it makes a fresh estimator."""
+
+    summary: str
+    """In one line."""
+    parameters: tuple[Parameter, ...]
+    make: Maker
+
+    def __call__(self, config: RigConfig, parameters: RigParameters) -> Estimator:
+        return self.make(config, parameters)
+
+
+def parameter(name: str, unit: str, meaning: str) -> Parameter:
+    """The key `name` of the section, with default and range as the configuration has them."""
+    field = EstimatorConfig.model_fields[name]
+    low, high = (_limit(field.metadata, *names) for names in (("ge", "gt"), ("le", "lt")))
+    return Parameter(name, field.default, low, high, unit, meaning)
+
+
+def _limit(rules: list[Any], *names: str) -> float:
+    return next(float(getattr(rule, name)) for rule in rules for name in names if getattr(rule, name, None) is not None)
