@@ -184,7 +184,8 @@ class EstimatorConfig(_Section):
 
 class ControllerConfig(_Section):
     name: str = "reaching-law"
-    """A shipped controller; one of your own is named on the command line only, as it is code that will run."""
+    """A shipped controller or one of an installed package; a file of your own is named on the command line only, as it
+    is code that will run."""
     reference_slip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
     hold_below_rad_s: Annotated[float, Field(ge=0.0, le=100.0)] = 5.0
     """Below this estimated road speed the last demand is held: the model's terms grow like 1/speed."""

@@ -65,6 +65,8 @@ class Plan:
     """Source of a controller that does not ship, kept in the session; in real time it runs in another process."""
     wire: Path | None = None
     """Capture to write: everything that passes between host and board."""
+    controller_package: str = ""
+    """Name and version of the installed package that the controller comes from; empty if from none."""
 
 
 def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, screen: Screen | None = None) -> Account:
@@ -110,8 +112,11 @@ def _insist_on_linux() -> None:
 
 def _run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> Account:
     _insist_on_linux()
-    if config.controller.name not in CONTROLLERS and not plan.controller_source:
-        problem = f"{config.controller.name!r}: in real time a controller must come from a file, as file.py:Class"
+    if config.controller.name not in CONTROLLERS and not (plan.controller_source or plan.controller_package):
+        problem = (
+            f"{config.controller.name!r}: in real time a controller must come from a file, as file.py:Class, "
+            "or from an installed package"
+        )
         raise ConfigError([Mistake("controller.name", problem)])
     doctor = {"doctor": as_facts(examine(plan.out.absolute().parent))}
     with _processes(config, plan, _ring_ticks(config), doctor) as (memory, supervisor):
@@ -139,6 +144,7 @@ def _processes(
             session_id=str(uuid.uuid4()),
             config=config,
             controller_source=plan.controller_source,
+            controller_package=plan.controller_package,
             facts={**_facts(plan), **(facts or {})},
             wire=str(plan.wire.absolute()) if plan.wire else "",
         )
@@ -222,6 +228,7 @@ class _VirtualRun:
             gains=gains_in_force(config, plan.controllers),
             internals=plan.controllers[config.controller.name].internals,
             controller_source=plan.controller_source,
+            controller_package=plan.controller_package,
             facts=_facts(plan),
         )
 

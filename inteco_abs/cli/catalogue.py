@@ -18,19 +18,28 @@ if TYPE_CHECKING:
 @click.command()
 @json_option
 def controllers(as_json: bool) -> int:
-    """List the controllers that ship, with their gains."""
+    """List the controllers that ship, then those of installed packages, with their gains."""
     from inteco_abs.control import CONTROLLERS
+    from inteco_abs.plugins import packaged_controllers
 
+    usable, broken = [(name, kind, "") for name, kind in CONTROLLERS.items()], []
+    for offer in packaged_controllers().values():
+        try:
+            usable.append((offer.name, offer.load(), offer.package))
+        except ConfigError as error:
+            broken.append({"name": offer.name, "package": offer.package, "problem": error.mistakes[0].problem})
     if as_json:
         found = {
-            name: {"summary": _summary(kind), "gains": [gain._asdict() for gain in kind.gains]}
-            for name, kind in CONTROLLERS.items()
+            name: {"summary": _summary(kind), "package": package, "gains": [gain._asdict() for gain in kind.gains]}
+            for name, kind, package in usable
         }
-        print_json({"schema_version": 1, "controllers": found})
+        print_json({"schema_version": 1, "controllers": found, "broken": broken})
         return 0
-    for name, kind in CONTROLLERS.items():
-        click.echo(f"{name:17} {_summary(kind)}")
+    for name, kind, package in usable:
+        click.echo(f"{name:17} {_summary(kind)}{f' [{package}]' if package else ''}")
         _list(kind.gains)
+    for each in broken:
+        click.echo(f"{each['name']:17} broken: {each['problem']}")
     return 0
 
 
@@ -97,4 +106,4 @@ def _list(numbers: Sequence[Gain | Parameter]) -> None:
 
 def _summary(kind: type) -> str:
     """First sentence of a class's docstring."""
-    return (kind.__doc__ or "").strip().splitlines()[0].rstrip(".")
+    return (kind.__doc__ or "no description").strip().partition("\n")[0].rstrip(".")

@@ -73,11 +73,11 @@ def run(
     """Drive, brake, record: one stop."""
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import load_config
-    from inteco_abs.control import CONTROLLERS, control_check
+    from inteco_abs.control import control_check
     from inteco_abs.experiment import Plan, run_stop
     from inteco_abs.views.figure import check_figure
 
-    controllers, source = known_controllers(controller, CONTROLLERS)
+    controllers = known_controllers(controller)
     chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
     check_address(board)
     rig = load_config(config, [*settings, *chosen], [control_check(controllers)], default_profile(board))
@@ -85,7 +85,8 @@ def run(
     if figure is not None:
         check_figure(figure)
     insist_on_different({"--out": out, "--figure": figure, "--record-wire": wire})
-    plan = Plan(out, board, virtual, seed, controllers, source, wire)
+    source, package = controllers.origin(rig.controller.name)
+    plan = Plan(out, board, virtual, seed, controllers, source, wire, package)
     if virtual:
         with _progress() as progress:
             stop = run_stop(rig, plan, progress)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from inteco_abs.cli.shared import (
-    CUSTOM,
     DIFFERS,
     FILE,
     LOSSES,
@@ -25,6 +24,7 @@ from inteco_abs.errors import ConfigError, Mistake, near_match
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from inteco_abs.plugins import Controllers, Origin
     from inteco_abs.sessions import Replay, Session
 
 
@@ -36,23 +36,12 @@ def replay(file: Path, controller: str | None, as_json: bool) -> int:
     """Run the decisions of a session again and compare them bit for bit."""
     from dataclasses import asdict
 
-    from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
+    from inteco_abs.control import build_pipeline, control_check
     from inteco_abs.sessions import read_session, session_config
     from inteco_abs.sessions import replay as run_again
 
     session = read_whole(file, read_session)
-    controllers, source = known_controllers(controller, CONTROLLERS)
-    name = session.metadata.get("controller", {}).get("name", "")
-    if controller is not None:
-        if controller not in controllers:
-            raise ConfigError(
-                [Mistake("--controller", f"no controller {controller!r}{near_match(controller, controllers)}")]
-            )
-        controllers = {**controllers, name: controllers[controller]}
-        if source != session.attachments.get("controller.py", source):
-            click.echo("inteco-abs: the controller's source is not the one that the session was run with", err=True)
-    elif CUSTOM in name:
-        raise ConfigError([Mistake("--controller", f"the session was run with {name!r}; name that file to replay it")])
+    controllers = _controllers_for(session, controller)
     config = session_config(session, (control_check(controllers),))
     outcome = run_again(session, build_pipeline(config, controllers))
     report = {"schema_version": 1, "session": str(file), "incomplete": session.incomplete, **asdict(outcome)}
@@ -61,6 +50,39 @@ def replay(file: Path, controller: str | None, as_json: bool) -> int:
     else:
         _print_replay(file, outcome)
     return DIFFERS if outcome.differing else LOSSES if session.incomplete else 0
+
+
+def _controllers_for(session: Session, controller: str | None) -> Controllers:
+    """Controllers with the session's among them, or `controller` in its place. Raises ConfigError if there is none."""
+    from inteco_abs.plugins import FROM_FILE, Controllers
+
+    controllers = known_controllers(controller)
+    told = session.metadata.get("controller", {})
+    name, package = told.get("name", ""), told.get("package", "")
+    if controller is not None:
+        if controller not in controllers:
+            raise ConfigError(
+                [Mistake("--controller", f"no controller {controller!r}{near_match(controller, controllers)}")]
+            )
+        controllers = Controllers({name: (controllers[controller], controllers.origin(controller))})
+    elif FROM_FILE in name:
+        raise ConfigError([Mistake("--controller", f"the session was run with {name!r}; name that file to replay it")])
+    elif package and name not in controllers:
+        problem = f"the session was run with {name!r} of the package {package}, which is not installed; install it"
+        raise ConfigError([Mistake("--controller", problem)])
+    if name in controllers:
+        _tell_of_another(controllers.origin(name), session.attachments.get("controller.py"), package)
+    return controllers
+
+
+def _tell_of_another(origin: Origin, source: bytes | None, package: str) -> None:
+    """Say so if the controller is not what the session was run with."""
+    if package not in {"", origin.package}:
+        click.echo(
+            f"inteco-abs: the session was run with {package}, and this is {origin.package or 'another'}", err=True
+        )
+    if source not in {None, origin.source}:
+        click.echo("inteco-abs: the controller's source is not the one that the session was run with", err=True)
 
 
 @click.command()

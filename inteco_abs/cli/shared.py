@@ -12,15 +12,13 @@ import click
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
-    from inteco_abs.control import Controller
+    from inteco_abs.plugins import Controllers
     from inteco_abs.sessions import Session
 
 LOSSES: Final = 3
 DIFFERS: Final = 4
 INTERRUPTED: Final = 130
 FILE: Final = click.Path(path_type=Path)
-CUSTOM: Final = ".py:"
-"""In the name of a controller that comes from a user's file."""
 
 
 def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -66,15 +64,13 @@ def insist_on_different(files: dict[str, Path | None]) -> None:
             raise ConfigError([Mistake(option, f"{file}: is the file of {other} already; choose another name")])
 
 
-def known_controllers(
-    name: str | None, shipped: Mapping[str, type[Controller]]
-) -> tuple[Mapping[str, type[Controller]], bytes]:
-    """Controllers to choose from, with the user's own if `name` is `file.py:Class`, and its source."""
-    if name is None or CUSTOM not in name:
+def known_controllers(name: str | None) -> Controllers:
+    """Controllers to choose from, with the user's own if `name` is `file.py:Class`."""
+    from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
+
+    if name is None or FROM_FILE not in name:
         if name is not None and name.endswith(".py"):
             raise ConfigError([Mistake("--controller", f"{name}: name the class too, as in {name}:Class")])
-        return shipped, b""
-    from inteco_abs.plugins import load_controller
-
+        return Controllers()
     kind, source = load_controller(name)
-    return {**shipped, name: kind}, source
+    return Controllers({name: (kind, Origin(source))})

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.shared import CUSTOM, FILE, LOSSES, insist_on_different, json_option, known_controllers, print_json
+from inteco_abs.cli.shared import FILE, LOSSES, insist_on_different, json_option, known_controllers, print_json
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 if TYPE_CHECKING:
-    from inteco_abs.control import Controller
     from inteco_abs.ensembles import Draws, Progress, Row
+    from inteco_abs.plugins import Controllers
 
 _SMALLEST_SHARD: Final = 5
 _SHARDS_PER_JOB: Final = 4
@@ -114,17 +114,18 @@ def sweep(
     return _tell_of_errors(rows)
 
 
-def _controllers(names: Sequence[str]) -> tuple[dict[str, type[Controller]], dict[str, bytes]]:
+def _controllers(names: Sequence[str]) -> tuple[Controllers, dict[str, bytes]]:
     """All there are to choose from, and the sources of the user's own."""
-    from inteco_abs.control import CONTROLLERS
     from inteco_abs.ensembles import split_list
+    from inteco_abs.plugins import FROM_FILE
+    from inteco_abs.plugins import Controllers as Known
 
-    controllers, sources = dict(CONTROLLERS), {}
+    own = {}
     for name in (one.strip() for text in names for one in split_list(text)):
-        known, source = known_controllers(name, CONTROLLERS)
-        if CUSTOM in name:
-            controllers[name], sources[name] = known[name], source
-    return controllers, sources
+        known = known_controllers(name)
+        if FROM_FILE in name:
+            own[name] = known[name], known.origin(name)
+    return Known(own), {name: origin.source for name, (_, origin) in own.items()}
 
 
 def _tell_of_left_out(draws: Sequence[Draws]) -> None:

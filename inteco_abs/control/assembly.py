@@ -82,7 +82,12 @@ def control_check(
         elif isinstance(name, str) and name not in controllers:
             yield Mistake("controller.name", f"no controller {name!r}{near_match(name, controllers)}")
         elif isinstance(name, str):
-            yield from _gain_mistakes(_section(controller, "gains"), controllers[name].gains)
+            try:
+                gains = controllers[name].gains
+            except ConfigError as error:  # a package's, which is imported only now
+                yield from error.mistakes
+            else:
+                yield from _gain_mistakes(_section(controller, "gains"), gains)
 
     return check
 
@@ -101,7 +106,7 @@ def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterat
     for name, value in values.items():
         path, gain = f"controller.gains.{name}", known.get(name)
         if gain is None:
-            yield Mistake(path, f"unknown gain{near_match(name, known)}")
+            yield Mistake(path, f"unknown gain{near_match(name, known) if known else '; the controller has none'}")
         elif isinstance(value, int | float) and abs(value) < math.inf and not gain.low <= value <= gain.high:
             yield Mistake(path, f"{value!r}: must be in {gain.low:g}..{gain.high:g} {gain.unit} ({gain.meaning})")
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from typing import Final
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control import CONTROLLERS, ESTIMATORS, Controller, Estimator, make_controller, make_estimator
+from inteco_abs.control import ESTIMATORS, Controller, Estimator, make_controller, make_estimator
 from inteco_abs.ensembles.batch import BatchPlant
-from inteco_abs.plugins import load_controller
+from inteco_abs.plugins import Controllers, load_controller
 from inteco_abs.rig import RigVariation, wheel_slip
 from inteco_abs.signals import Command, Estimate, Sample
 
@@ -76,19 +76,25 @@ Shards may run in other processes: a maker must be picklable, as a function of a
 class AsConfigured:
     """Makes what the configuration names, as a run on the rig does; its estimator may also be `ideal`.
 
-    A user's controller `file.py:Class` comes with its `source`: its class is unknown to another process.
+    Without `controllers`, all that are installed are known. A user's `file.py:Class` comes with its `source`: its class
+    is unknown to another process.
     """
 
     config: RigConfig
-    controllers: Mapping[str, type[Controller]] = field(default_factory=lambda: CONTROLLERS)
+    controllers: Mapping[str, type[Controller]] | None = None
     source: bytes = b""
 
     def __call__(self, variation: RigVariation, state: TrueState) -> tuple[Estimator, Controller]:  # noqa: ARG002  a maker
         """Estimator and controller of one rig. Raises ConfigError if the controller cannot be made."""
         name = self.config.controller.name
-        controllers = {name: _loaded(name, self.source)} if self.source else self.controllers
+        controllers = {name: _loaded(name, self.source)} if self.source else self.controllers or _installed()
         estimator = Ideal(state) if self.config.estimator.name == IDEAL else make_estimator(self.config)
         return estimator, make_controller(self.config, controllers)
+
+
+@cache
+def _installed() -> Controllers:
+    return Controllers()
 
 
 @cache

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Final
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control import CONTROLLERS, Controller
+from inteco_abs.control import Controller
 from inteco_abs.ensembles.minds import AsConfigured, Maker
 from inteco_abs.ensembles.outcome import Stops
 from inteco_abs.ensembles.shard import Experiment, run_shard
@@ -25,7 +25,7 @@ def run_stops(
     rigs: Sequence[RigVariation],
     config: RigConfig,
     *,
-    controllers: Mapping[str, type[Controller]] = CONTROLLERS,
+    controllers: Mapping[str, type[Controller]] | None = None,
     maker: Maker | None = None,
     run_up_from_rad_s: float | None = 165.0,
     traced: Collection[int] = (),

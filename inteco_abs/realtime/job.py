@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from inteco_abs.config import RigConfig, parse_config
-from inteco_abs.control import CONTROLLERS, Controller
+from inteco_abs.control import Controller
 from inteco_abs.errors import SessionError
-from inteco_abs.plugins import load_controller
+from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
 from inteco_abs.realtime.memory import Note, RunMemory
 
 
@@ -31,11 +31,13 @@ class Job:
     session_id: str
     config: RigConfig
     controller_source: bytes
-    """Of a controller that does not ship, which the configuration then names as file.py:Class."""
+    """Of a controller that does not ship: what a process runs if the configuration names it as file.py:Class."""
     facts: Mapping[str, Mapping[str, str]]
     """Metadata: software and host."""
     wire: str = ""
     """Capture to write, absolute: everything that passes between the loop and the board."""
+    controller_package: str = ""
+    """Name and version of the package that the controller comes from; empty if from none."""
 
     def post(self, memory: RunMemory) -> None:
         """Leave it for the others."""
@@ -62,7 +64,8 @@ class Job:
 
     def controllers(self) -> Mapping[str, type[Controller]]:
         """Controllers to choose from; runs the user's own source. Raises ConfigError."""
-        if not self.controller_source:
-            return CONTROLLERS
         name = self.config.controller.name
-        return {**CONTROLLERS, name: load_controller(name, self.controller_source)[0]}
+        if FROM_FILE not in name:
+            return Controllers()
+        kind, source = load_controller(name, self.controller_source)
+        return Controllers({name: (kind, Origin(source))})

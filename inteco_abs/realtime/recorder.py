@@ -136,6 +136,7 @@ def _introduction(memory: RunMemory, job: Job) -> Introduction | None:
         gains=told["gains"],
         internals=told["internals"],
         controller_source=job.controller_source,
+        controller_package=job.controller_package,
         facts={**job.facts, "realtime": settings | (memory.note(Note.DRILL) or {})},
     )
 

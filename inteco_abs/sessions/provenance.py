@@ -39,11 +39,12 @@ def host_facts() -> dict[str, str]:
     }
 
 
-def controller_facts(config: RigConfig, gains: Mapping[str, float], source_sha256: str) -> dict[str, str]:
+def controller_facts(config: RigConfig, gains: Mapping[str, float], source_sha256: str, package: str) -> dict[str, str]:
     """Controller and estimator with every gain, as decimal and as hex float: the exact bits."""
     facts = {
         "name": config.controller.name,
         "source_sha256": source_sha256,
+        "package": package,
         "estimator": config.estimator.name,
         "sample_time_s": repr(config.period_ns / 1e9),
         "reference_slip": repr(config.controller.reference_slip),

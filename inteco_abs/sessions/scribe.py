@@ -37,6 +37,8 @@ class Introduction:
     """Empty for a controller that ships."""
     facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """More metadata: software, host, real-time settings."""
+    controller_package: str = ""
+    """Name and version of the package that the controller comes from; empty if from none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +119,7 @@ class Scribe:
         )
         source = told.controller_source
         digest = hashlib.sha256(source).hexdigest() if source else ""
-        recorder.describe("controller", controller_facts(config, told.gains, digest))
+        recorder.describe("controller", controller_facts(config, told.gains, digest, told.controller_package))
         recorder.attach(CONFIG_NAME, "application/toml", config.to_toml().encode())
         if source:
             recorder.attach("controller.py", "text/x-python", source)

@@ -63,8 +63,10 @@ def test_an_interrupted_run_replays_bit_for_bit(run, replayed, at_phase, control
         ("encoders.counts_per_turn=4096", "loop.rate_hz=1000.0"),
         ("board.road_sign=-1", "guard.brake_limit=0.55"),
         ("controller.gains.Mk=0.1", "controller.gains.Mq=1e-3", "controller.reference_slip=0.1"),
+        ("estimator.name=difference", "estimator.window_s=0.005"),
+        ("estimator.name=edge-time",),
     ],
-    ids=["model", "simulation", "rates", "wiring", "gains"],
+    ids=["model", "simulation", "rates", "wiring", "gains", "difference", "edge-time"],
 )
 def test_the_configuration_in_the_file_is_all_that_a_replay_needs(run, replayed, settings):
     made = run(*settings)

@@ -1,8 +1,11 @@
 import json
 import tomllib
 
-from inteco_abs.config import profiles
-from inteco_abs.control import CONTROLLERS
+import pytest
+
+from inteco_abs.config import EstimatorConfig, load_config, profiles
+from inteco_abs.control import CONTROLLERS, ESTIMATORS
+from inteco_abs.errors import ConfigError
 
 
 def test_every_controller_is_listed_with_a_line_and_its_gains(inteco_abs):
@@ -36,3 +39,24 @@ def test_a_profile_is_printed_whole_for_a_lab_to_begin_with(inteco_abs, tmp_path
 def test_a_profile_that_does_not_exist_is_named_with_the_nearest(inteco_abs):
     run = inteco_abs("profiles", "usb2_generic_103", check=2)
     assert "did you mean usb2_generic_0103" in run.stderr
+
+
+def test_every_estimator_is_listed_with_its_parameters_as_the_configuration_has_them(inteco_abs):
+    text = inteco_abs("estimators", check=0).stdout
+    found = json.loads(inteco_abs("estimators", "--json", check=0).stdout)["estimators"]
+    assert found.keys() == ESTIMATORS.keys()
+    for name, one in found.items():
+        assert f"\n{name} " in f"\n{text}"
+        assert one["summary"] in text
+        for parameter in one["parameters"]:
+            assert parameter["default"] == getattr(EstimatorConfig(), parameter["name"])
+            assert f"{parameter['name']} = {parameter['default']:g}" in text
+            for outside in (parameter["low"] - 1e-3, parameter["high"] * 1.001):
+                with pytest.raises(ConfigError):
+                    load_config(settings=[f"estimator.{parameter['name']}={outside}"])
+
+
+def test_every_estimator_is_named_in_the_help_of_run(inteco_abs):
+    text = inteco_abs("run", "--help", check=0).stdout
+    for name in ESTIMATORS:
+        assert name in " ".join(text.split())

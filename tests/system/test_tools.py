@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from inteco_abs.control import ESTIMATORS
+
 TOOLS = Path(__file__).parent.parent.parent / "tools"
 
 
@@ -58,3 +60,14 @@ def test_bench_ensemble_compares_a_batch_with_scipy_and_the_scalar_plant(untrace
     ratios = [int(row.split()[-1]) for row in rows if "ratio" in row]
     assert len(ratios) == 7
     assert min(ratios) > 1
+
+
+@pytest.mark.long
+def test_tune_estimators_prints_every_estimator_with_its_default_starred(untraced):
+    rows = run("tune_estimators", "1", "1", environment=untraced).splitlines()[1:]
+    starred = [row.split()[0].rstrip("*") for row in rows if "*" in row]
+    assert starred == list(ESTIMATORS)
+    for row in rows:
+        bias, std, fast, slow, loop = map(float, row[44:].split())
+        assert abs(bias) < 6.0
+        assert min(std, fast, slow, loop) > 0.0

@@ -7,10 +7,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
-from inteco_abs.control import Controller, Gain
+from inteco_abs.control import Controller
 from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.plugins.shape import foreign_code, insist_on_controller
 
-_MOST_INTERNALS: Final = 4
+FROM_FILE: Final = ".py:"
+"""In the name of a controller that comes from a user's file."""
+_PATH: Final = "--controller"
 
 
 def load_controller(name: str, source: bytes | None = None) -> tuple[type[Controller], bytes]:
@@ -27,25 +30,15 @@ def load_controller(name: str, source: bytes | None = None) -> tuple[type[Contro
     module = ModuleType(f"inteco_abs_user_{path.stem}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses and pickles look their module up there
-    try:
+    with foreign_code(_PATH, file):
         # the very bytes that the session keeps, and no cached older version of them
         exec(compile(source, str(path), "exec"), vars(module))  # noqa: S102  the user named this file to be run
-    except (Exception, SystemExit) as error:  # the user's own code, which may raise anything
-        raise _mistake(f"{file}: {type(error).__name__}: {error}") from error
     kind = getattr(module, class_name, None)
     if not isinstance(kind, type):
         classes = [key for key, value in vars(module).items() if isinstance(value, type)]
         raise _mistake(f"{file} has no class {class_name!r}{near_match(class_name, classes)}")
-    if not callable(getattr(kind, "update", None)):
-        raise _mistake(f"{class_name} has no method update(estimate, dt_s)")
-    gains = getattr(kind, "gains", None)
-    if not isinstance(gains, tuple) or not all(isinstance(gain, Gain) for gain in gains):
-        raise _mistake(f"{class_name}.gains must be a tuple of inteco_abs.control.Gain; () if it has none")
-    internals = getattr(kind, "internals", None)
-    if not isinstance(internals, tuple) or len(internals) > _MOST_INTERNALS:
-        raise _mistake(f"{class_name}.internals must be a tuple of at most {_MOST_INTERNALS} names; () if it logs none")
-    return kind, source
+    return insist_on_controller(_PATH, kind, class_name), source
 
 
 def _mistake(problem: str) -> ConfigError:
-    return ConfigError([Mistake("--controller", problem)])
+    return ConfigError([Mistake(_PATH, problem)])

@@ -1,0 +1,66 @@
+"""Every controller there is, by name: those that ship, the user's own, and those of installed packages."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+from inteco_abs.control import CONTROLLERS, Controller
+from inteco_abs.plugins.packages import Packaged, packaged_controllers
+
+
+class Origin(NamedTuple):
+    """Where a controller comes from that does not ship, as a session keeps it."""
+
+    source: bytes = b""
+    """Of the file, or of the package's module if it can be read."""
+    package: str = ""
+    """Name and version of the package; empty if it comes from a file."""
+
+
+class Controllers(Mapping[str, type[Controller]]):
+    """`own` comes first, then what ships, then packages: looked for, and imported, where nothing else has the name.
+
+    Asking for a package's controller raises ConfigError if it cannot be imported or is none.
+    """
+
+    def __init__(self, own: Mapping[str, tuple[type[Controller], Origin]] | None = None) -> None:
+        self._own = own or {}
+
+    def __getitem__(self, name: str) -> type[Controller]:
+        if name in self._own:
+            return self._own[name][0]
+        return CONTROLLERS[name] if name in CONTROLLERS else self._packaged[name].load()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._own or name in CONTROLLERS or name in self._packaged
+
+    def __iter__(self) -> Iterator[str]:
+        return iter({**self._own, **CONTROLLERS, **self._packaged})
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def origin(self, name: str) -> Origin:
+        """Where `name` comes from; nothing to tell of what ships."""
+        if name in self._own:
+            return self._own[name][1]
+        if name in CONTROLLERS:
+            return Origin()
+        return Origin(_source_of(self[name]), self._packaged[name].package)
+
+    @cached_property
+    def _packaged(self) -> dict[str, Packaged]:
+        return packaged_controllers()
+
+
+def _source_of(kind: type) -> bytes:
+    """Source of the module that defines `kind`; empty if it is compiled, in an archive, or gone."""
+    try:
+        file = Path(inspect.getfile(kind))
+        return file.read_bytes() if file.suffix == ".py" else b""
+    except (OSError, TypeError):
+        return b""

@@ -1,0 +1,66 @@
+"""What code from outside must be like to be used as a controller, and how it is run."""
+
+from __future__ import annotations
+
+import keyword
+import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from typing import Any, Final
+
+from inteco_abs.control import Controller, Gain
+from inteco_abs.errors import ConfigError, Mistake
+
+_MOST_INTERNALS: Final = 4
+
+
+@contextmanager
+def foreign_code(path: str, what: str) -> Iterator[None]:
+    """Around code of others, which may raise anything: ConfigError then. Its prints go to stderr."""
+    try:
+        with redirect_stdout(sys.stderr):  # they must not mix with a result card
+            yield
+    except (Exception, SystemExit) as error:
+        raise ConfigError([Mistake(path, f"{what}: {type(error).__name__}: {error}")]) from error
+
+
+def insist_on_controller(path: str, kind: object, name: str) -> type[Controller]:
+    """`kind`, if it is a class with update, gains and internals as `Controller` has them; else raises ConfigError."""
+    problem = _problem_of(kind, name)
+    if problem:
+        raise ConfigError([Mistake(path, problem)])
+    found: Any = kind
+    checked: type[Controller] = found
+    return checked
+
+
+def _problem_of(kind: object, name: str) -> str:
+    """What keeps a class from being a controller; empty if nothing does."""
+    if not isinstance(kind, type):
+        return f"{name} is no class"
+    if not callable(getattr(kind, "update", None)):
+        return f"{name} has no method update(estimate, dt_s)"
+    gains = getattr(kind, "gains", None)
+    if not isinstance(gains, tuple) or not all(isinstance(gain, Gain) for gain in gains):
+        return f"{name}.gains must be a tuple of inteco_abs.control.Gain; () if it has none"
+    problems = [f"{name}.gains: {gain.name!r}: {problem}" for gain in gains if (problem := _problem_of_gain(gain))]
+    if problems:
+        return problems[0]
+    internals = getattr(kind, "internals", None)
+    if not isinstance(internals, tuple) or len(internals) > _MOST_INTERNALS:
+        return f"{name}.internals must be a tuple of at most {_MOST_INTERNALS} names; () if it logs none"
+    return ""
+
+
+def _problem_of_gain(gain: Gain) -> str:
+    name: object = gain.name
+    if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
+        return "must be a name that an argument of its constructor can have"
+    numbers: tuple[object, ...] = (gain.low, gain.default, gain.high)
+    if not all(isinstance(number, int | float) and math.isfinite(number) for number in numbers):
+        return f"low, default and high are {numbers}: must be finite numbers"
+    if not gain.low <= gain.default <= gain.high:
+        return f"the default {gain.default:g} must be in its range {gain.low:g}..{gain.high:g}"
+    texts: tuple[object, ...] = (gain.unit, gain.meaning)
+    return "" if all(isinstance(text, str) for text in texts) else "unit and meaning must be text"

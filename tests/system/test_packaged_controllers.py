@@ -1,0 +1,270 @@
+"""Controllers of installed packages, named by entry points: listed, run, replayed, or refused with the reason."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from live import QUICK
+
+from inteco_abs.config import load_config
+from inteco_abs.control import CONTROLLERS, control_check
+from inteco_abs.errors import ConfigError
+from inteco_abs.plugins import Controllers, packaged_controllers
+from inteco_abs.sessions import read_session
+
+LAW = '''
+from pathlib import Path
+from inteco_abs.control import Gain
+from inteco_abs.signals import BrakeDemand
+
+print("imported")
+Path(__file__).with_suffix(".imported").touch()
+
+
+class Threshold:
+    """Brake on below the reference."""
+
+    gains = (Gain("duty", 0.7, 0.0, 1.0, "1", "duty while the slip is low"),)
+    internals = ()
+
+    def __init__(self, setup, duty):
+        self.reference, self.duty = setup.reference_slip, duty
+
+    def update(self, estimate, dt_s):
+        return BrakeDemand(self.duty if estimate.slip < self.reference else 0.0)
+'''
+SETS = [word for setting in QUICK for word in ("--set", setting)]
+
+
+class Site:
+    """A folder on the path with installed packages, as pip leaves them."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])}
+
+    def install(self, name="abs-threshold", version="1.2", entries=("threshold = threshold_law:Threshold",), **modules):
+        info = self.folder / f"{name.replace('-', '_')}-{version}.dist-info"
+        info.mkdir(parents=True)
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+        (info / "entry_points.txt").write_text("\n".join(["[inteco_abs.controllers]", *entries, ""]))
+        for module, source in (modules or {"threshold_law": LAW}).items():
+            (self.folder / f"{module}.py").write_text(source)
+        return info
+
+    @property
+    def imported(self):
+        return [mark.stem for mark in self.folder.glob("*.imported")]
+
+
+@pytest.fixture
+def site(tmp_path):
+    folder = tmp_path / "site"
+    folder.mkdir()
+    return Site(folder)
+
+
+@pytest.fixture
+def here(site, monkeypatch):
+    """The same folder on the path of this very process; what it imports is forgotten afterwards."""
+    before = set(sys.modules)
+    monkeypatch.syspath_prepend(site.folder)
+    yield site
+    for name in set(sys.modules) - before:
+        del sys.modules[name]
+
+
+def problem_of(name) -> str:
+    with pytest.raises(ConfigError) as caught:
+        packaged_controllers()[name].load()
+    return caught.value.mistakes[0].problem
+
+
+def test_it_is_listed_with_its_package_and_gains(inteco_abs, site):
+    site.install()
+    text = inteco_abs("controllers", check=0, environment=site.environment).stdout
+    assert "threshold         Brake on below the reference [abs-threshold 1.2]\n" in text
+    assert "duty = 0.7  0..1: duty while the slip is low" in text
+
+
+@pytest.fixture(scope="module")
+def recorded(command_path, tmp_path_factory):
+    """Session of a run with that controller, and what the run printed."""
+    folder = tmp_path_factory.mktemp("recorded")
+    site = Site(folder)
+    site.install()
+    arguments = ["--controller", "threshold", "--set", "controller.gains.duty=0.8", *SETS, "--out", "stop.mcap"]
+    run = subprocess.run(
+        [command_path, "run", "--virtual", "--json", *arguments],
+        cwd=folder, env=site.environment, capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    return folder / "stop.mcap", run.stdout
+
+
+def test_it_runs_by_its_name_and_is_kept_with_package_gains_and_source(recorded):
+    path, printed = recorded
+    assert json.loads(printed)["controller"] == "threshold"
+    session = read_session(path)
+    assert session.metadata["controller"]["package"] == "abs-threshold 1.2"
+    assert session.metadata["controller"]["gain.duty"] == "0.8"
+    assert session.attachments["controller.py"] == LAW.encode()
+
+
+def test_a_replay_finds_it_by_the_name_in_the_session(inteco_abs, site, recorded):
+    site.install()
+    again = inteco_abs("replay", recorded[0], "--json", check=0, environment=site.environment)
+    assert json.loads(again.stdout)["differing"] == 0
+    assert again.stderr == "imported\n"
+
+
+def test_a_replay_without_the_package_is_refused_with_its_name(inteco_abs, recorded):
+    without = inteco_abs("replay", recorded[0], check=2)
+    assert "'threshold' of the package abs-threshold 1.2, which is not installed" in without.stderr
+
+
+def test_a_replay_says_that_package_and_source_are_others(inteco_abs, site, recorded):
+    site.install(version="1.3", threshold_law=LAW + "\n# changed\n")
+    again = inteco_abs("replay", recorded[0], check=0, environment=site.environment)
+    assert "was run with abs-threshold 1.2, and this is abs-threshold 1.3" in again.stderr
+    assert "the controller's source is not the one" in again.stderr
+
+
+def test_a_replay_with_a_broken_package_says_why(inteco_abs, site, recorded):
+    site.install(threshold_law="import no_such_module\n")
+    again = inteco_abs("replay", recorded[0], check=2, environment=site.environment)
+    assert "No module named 'no_such_module'" in again.stderr
+
+
+@pytest.mark.xdist_group("real time")
+def test_it_runs_in_real_time(command_path, site, untraced, tmp_path):
+    site.install()
+    run = subprocess.run(
+        [command_path, "run", "--controller", "threshold", *SETS, "--out", "stop.mcap", "--json"],
+        cwd=tmp_path,
+        env=untraced | {"PYTHONPATH": site.environment["PYTHONPATH"]},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert json.loads(run.stdout)["outcome"] == "completed", run.stderr
+    session = read_session(tmp_path / "stop.mcap")
+    assert session.metadata["controller"]["package"] == "abs-threshold 1.2"
+    assert session.attachments["controller.py"] == LAW.encode()
+
+
+def test_a_configuration_may_name_it(inteco_abs, site, tmp_path):
+    site.install()
+    (tmp_path / "rig.toml").write_text('[controller]\nname = "threshold"\ngains = { duty = 1.5 }\n')
+    run = inteco_abs("run", "--virtual", "--config", "rig.toml", check=2, environment=site.environment)
+    assert "controller.gains.duty: 1.5: must be in 0..1" in run.stderr
+
+
+@pytest.mark.parametrize("arguments", [["run", "--help"], ["profiles"]])
+def test_nothing_is_imported_by_verbs_that_need_none(inteco_abs, site, arguments):
+    site.install()
+    inteco_abs(*arguments, check=0, environment=site.environment)
+    assert site.imported == []
+
+
+def test_nothing_is_imported_but_what_was_asked_for(here):
+    here.install()
+    here.install("abs-other", "0.1", ["other = other_law:Threshold"], other_law=LAW)
+    controllers = Controllers()
+    assert {"relay", "threshold", "other"} <= set(controllers)
+    assert len(controllers) >= len(CONTROLLERS) + 2
+    assert "no-such" not in controllers
+    with pytest.raises(ConfigError, match="no controller 'treshold'; did you mean threshold"):
+        load_config(settings=["controller.name=treshold"], checks=[control_check(controllers)])
+    assert controllers["relay"] is CONTROLLERS["relay"]
+    assert here.imported == []
+    assert controllers["threshold"].__name__ == "Threshold"
+    assert here.imported == ["threshold_law"]
+
+
+def test_a_shipped_name_stays_the_shipped_controllers(inteco_abs, site):
+    site.install("abs-relay", "0.1", ["relay = relay_law:Threshold"], relay_law=LAW)
+    text = inteco_abs("controllers", check=0, environment=site.environment).stdout
+    assert "relay             Brake on while the slip is below the reference" in text
+    assert "broken: relay of the package abs-relay 0.1: a controller of this name ships" in text
+    assert site.imported == []
+
+
+def test_a_name_that_two_packages_offer_is_refused_with_both(here):
+    here.install()
+    here.install("abs-second", "0.1", ["threshold = second_law:Threshold"], second_law=LAW)
+    problem = problem_of("threshold")
+    assert "abs-threshold 1.2" in problem
+    assert "abs-second 0.1" in problem
+    assert here.imported == []
+
+
+def test_a_package_that_is_there_twice_is_no_collision(here, tmp_path, monkeypatch):
+    later = Site(tmp_path / "later")
+    later.install(version="1.1")
+    monkeypatch.syspath_prepend(later.folder)
+    monkeypatch.syspath_prepend(here.folder)
+    here.install()
+    offer = packaged_controllers()["threshold"]
+    assert (offer.package, offer.problem) == ("abs-threshold 1.2", "")
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("import no_such_module", "ModuleNotFoundError: No module named 'no_such_module'"),
+        ("raise SystemExit('leaving')", "SystemExit: leaving"),
+        ("raise ValueError", "ValueError"),
+        ("class Other: pass", "AttributeError"),
+        ("def Threshold(): pass", "is no class"),
+        ("class Threshold: pass", "has no method update"),
+        (LAW.replace("    gains =", "    others ="), "gains must be a tuple of inteco_abs.control.Gain"),
+        (LAW.replace("internals = ()", "internals = ('a',) * 5"), "internals must be a tuple of at most 4"),
+        (LAW.replace('"duty", 0.7', '"duty", 1.7'), "'duty': the default 1.7 must be in its range 0..1"),
+        (LAW.replace('"duty", 0.7', '"duty", "0.7"'), "'duty': low, default and high are (0.0, '0.7', 1.0)"),
+        (LAW.replace("0.0, 1.0,", "0.0, float('inf'),"), "must be finite numbers"),
+        (LAW.replace('Gain("duty"', 'Gain("lambda"'), "'lambda': must be a name that an argument"),
+        (LAW.replace('"1", "duty', '1, "duty'), "'duty': unit and meaning must be text"),
+    ],
+)
+def test_a_broken_one_is_refused_with_its_reason(here, source, words):
+    here.install(threshold_law=source + "\n")
+    problem = problem_of("threshold")
+    assert problem.startswith("threshold of the package abs-threshold 1.2: ")
+    assert words in problem
+
+
+def test_a_broken_one_is_listed_as_broken_and_hinders_no_other(inteco_abs, site):
+    site.install()
+    site.install("abs-broken", "0.1", ["broken = broken_law:Law", "worse = 7"], broken_law="import no_such_module\n")
+    found = json.loads(inteco_abs("controllers", "--json", check=0, environment=site.environment).stdout)
+    assert found["controllers"]["threshold"]["package"] == "abs-threshold 1.2"
+    assert found["controllers"]["threshold"]["gains"][0]["name"] == "duty"
+    assert found["controllers"]["relay"]["package"] == ""
+    assert {each["name"]: each["package"] for each in found["broken"]} == {
+        "broken": "abs-broken 0.1",
+        "worse": "abs-broken 0.1",
+    }
+    assert "no_such_module" in found["broken"][0]["problem"]
+    run = inteco_abs("run", "--virtual", "--controller", "broken", check=2, environment=site.environment)
+    assert "controller.name: broken of the package abs-broken 0.1: ModuleNotFoundError" in run.stderr
+
+
+@pytest.mark.parametrize("data", [b"[inteco_abs.controllers]\nno equals sign\n", b"\xff\xfe[inteco_abs.controllers]"])
+def test_a_package_whose_list_cannot_be_read_is_passed_over(here, data):
+    here.install()
+    (here.install("abs-odd", "0.1") / "entry_points.txt").write_bytes(data)
+    assert packaged_controllers()["threshold"].package == "abs-threshold 1.2"
+
+
+def test_the_source_is_that_of_the_module_that_defines_the_class(here):
+    here.install(
+        entries=["threshold = front_law:Threshold"], front_law="from threshold_law import *\n", threshold_law=LAW
+    )
+    controllers = Controllers()
+    assert controllers.origin("threshold") == (LAW.encode(), "abs-threshold 1.2")
+    (here.folder / "threshold_law.py").unlink()
+    assert controllers.origin("threshold") == (b"", "abs-threshold 1.2")
+    assert controllers.origin("relay") == (b"", "")
