@@ -50,8 +50,8 @@ if TYPE_CHECKING:
 @click.option("--controller", help="One of `inteco-abs controllers`, or your own as file.py:Class.")
 @click.option(
     "--estimator",
-    help="One of `inteco-abs estimators`: moving-window, tracking, kalman, edge-time, euler as in the paper, "
-    "difference as by the vendor.",
+    help="One of `inteco-abs estimators`: moving-window, tracking, kalman, edge-time, observer, euler as in the "
+    "paper, difference as by the vendor.",
 )
 @click.option("--out", type=FILE, help="Session file to write; default: sessions/stop-TIME.mcap.")
 @click.option("--figure", type=FILE, help="Also draw the stop: .png, .svg or .pdf.")

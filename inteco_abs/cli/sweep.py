@@ -34,7 +34,7 @@ _SHARDS_PER_JOB: Final = 4
     default=("hard:0-99",),
     show_default=True,
     metavar="POPULATION:FIRST-LAST",
-    help="Virtual rigs: draws of nominal, hard, rough, slow or capped, by their seeds. May be repeated.",
+    help="Virtual rigs: draws of nominal, hard, rough, late, slow or capped, by their seeds. May be repeated.",
 )
 @click.option("--controller", multiple=True, help="As for run; several with commas, or repeated.")
 @click.option("--estimator", multiple=True, help="Likewise; ideal, too, which knows the true slip.")

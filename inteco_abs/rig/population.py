@@ -5,8 +5,9 @@ hard     a rig as it may come. Within 5 %: J1, J2, Mg and the gain of the brake'
          0.02 of duty; within 20 %: d1 and d2; adhesion within 15 % and anywhere between equation (8) and the measured
          curve; brake lag 35..65 ms after a dead time of 5..15 ms; 8-bit PWM; 2048 counts that sit off centre by half
          a count and jitter by 0.3 (standard deviation); a tick of delay
-rough    hard, and the normal force ripples by 0..3 % once per turn of the wheel; in half of the draws the adhesion
-         steps by up to 20 %, up or down, 0.3..1 s after braking began
+rough    hard, and the normal force ripples by 0..3 % once per turn of the wheel; in half of the draws the road's force,
+         by its adhesion, steps by up to 20 %, up or down, 0.2..0.7 s after braking began, in the first half of a stop
+late     rough with that step in all draws and 0.7..1 s after braking began, when 1/speed has made the slip quick
 slow     hard, with 20 ms of dead time
 capped   hard, with the duty capped at 0.7 as by the vendor's driver, which leaves some rigs too little torque
 
@@ -53,16 +54,25 @@ def _hard(seed: int) -> RigVariation:
 
 
 def _rough(seed: int) -> RigVariation:
+    return _rough_road(seed, share=0.5, from_s=0.2, until_s=0.7)  # reaching is over, and a stop takes 1.3 s
+
+
+def _late(seed: int) -> RigVariation:
+    return _rough_road(seed, share=1.0, from_s=0.7, until_s=1.0)
+
+
+def _rough_road(seed: int, share: float, from_s: float, until_s: float) -> RigVariation:
+    """A hard rig with ripple, and in a `share` of the draws with a step."""
     generator = _generator(seed)
     rig = _hard_from(generator, seed)
     uniform = generator.uniform
-    steps = uniform(0.0, 1.0) < 0.5
+    steps = uniform(0.0, 1.0) < share
     return replace(
         rig,
         load_ripple=uniform(0.0, 0.03),
         load_ripple_phase_rad=uniform(0.0, _TURN),
         grip_step=uniform(-0.2, 0.2) * steps,
-        grip_step_after_s=uniform(0.3, 1.0) * steps,  # reaching is over by then, and a stop takes 1.3 s
+        grip_step_after_s=uniform(from_s, until_s) * steps,
     )
 
 
@@ -120,6 +130,7 @@ _MAKERS: Final[dict[str, Callable[[int], RigVariation]]] = {
     "nominal": _nominal,
     "hard": _hard,
     "rough": _rough,
+    "late": _late,
     "slow": _slow,
     "capped": _capped,
 }

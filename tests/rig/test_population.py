@@ -17,7 +17,7 @@ def within(value, middle, share):
     return (1.0 - share) * middle <= value <= (1.0 + share) * middle
 
 
-@given(seed=SEEDS, population=st.sampled_from(["hard", "rough", "slow", "capped"]))
+@given(seed=SEEDS, population=st.sampled_from(["hard", "rough", "late", "slow", "capped"]))
 def test_every_draw_lies_within_its_populations_ranges(mask, seed, population):
     rig = draw(population, seed)
     k = rig.parameters
@@ -38,11 +38,13 @@ def test_every_draw_lies_within_its_populations_ranges(mask, seed, population):
     for disc in (rig.wheel_encoder, rig.road_encoder):
         assert (disc.counts_per_turn, disc.eccentricity_counts, disc.jitter_counts) == (2048, 0.5, 0.3)
         assert 0.0 <= disc.eccentricity_phase_rad <= 2.0 * math.pi
-    if population == "rough":
+    if population in {"rough", "late"}:
         assert 0.0 <= rig.load_ripple <= 0.03
         assert abs(rig.grip_step) <= 0.2
         assert (rig.grip_step == 0.0) == (rig.grip_step_after_s == 0.0)
-        assert rig.grip_step_after_s <= 1.0
+        low, high = (0.2, 0.7) if population == "rough" else (0.7, 1.0)
+        assert rig.grip_step == 0.0 or low <= rig.grip_step_after_s <= high
+        assert population == "rough" or rig.grip_step != 0.0
     else:
         assert rig.load_ripple == rig.grip_step == 0.0
 
@@ -72,7 +74,7 @@ def test_a_seed_gives_the_rig_that_it_always_gave():
     )
 
 
-@pytest.mark.parametrize("population", ["hard", "rough", "slow", "capped"])
+@pytest.mark.parametrize("population", ["hard", "rough", "late", "slow", "capped"])
 def test_no_two_seeds_give_the_same_rig(population):
     seeds = [*MANY, *(1 << bit for bit in range(10, 64))]
     drawn = {replace(draw(population, seed), seed=0) for seed in seeds}
@@ -86,6 +88,7 @@ def test_one_seed_is_one_rig_in_all_populations(seed):
     assert draw("capped", seed) == replace(hard, brake_duty_cap=0.7)
     step = {"grip_step": 0.0, "grip_step_after_s": 0.0}
     assert replace(rough, load_ripple=0.0, load_ripple_phase_rad=0.0, **step) == hard
+    assert replace(draw("late", seed), **step) == replace(rough, **step)
 
 
 @pytest.mark.parametrize(
@@ -119,7 +122,7 @@ def test_the_roads_force_steps_in_half_of_the_rough_draws_up_and_down():
 
 
 def test_an_unknown_population_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match="'soft': must be one of nominal, hard, rough, slow, capped"):
+    with pytest.raises(ValueError, match="'soft': must be one of nominal, hard, rough, late, slow, capped"):
         draw("soft", 1)
 
 
