@@ -13,6 +13,7 @@ CARD = {
     "controller": "reaching-law",
     "estimator": "moving-window",
     "board": "sim:",
+    "rig": None,
     "reference_slip": 0.2,
     "ticks": 16253,
     "overruns": 3,
