@@ -45,7 +45,8 @@ def drawn_facts(config: RigConfig) -> dict[str, str]:
     if not config.simulation.rig:
         return {}
     rig, published = _flat(simulated_rig(config)), _flat(RigVariation())
-    return {name: repr(value) for name, value in rig.items() if value != published[name]}
+    own = {name: value for name, value in rig.items() if value != published[name]}
+    return {name: value if isinstance(value, str) else repr(value) for name, value in own.items()}
 
 
 def rig_check(table: Mapping[str, Any]) -> Iterator[Mistake]:
