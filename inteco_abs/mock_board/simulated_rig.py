@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from typing import Any, Final
@@ -55,13 +56,14 @@ def rig_check(table: Mapping[str, Any]) -> Iterator[Mistake]:
     name = simulation.get("rig", "")
     if not isinstance(name, str) or not name:
         return
+    shown = reprlib.repr(name)  # however long it is
     population, _, seed = name.partition(":")
     if population not in POPULATIONS:
-        problem = f"{name!r}: must be population and seed, as in hard:17; there is no population {population!r}"
-        yield Mistake("simulation.rig", f"{problem}{near_match(population, POPULATIONS)}")
+        known = f"there is no population {reprlib.repr(population)}{near_match(population, POPULATIONS)}"
+        yield Mistake("simulation.rig", f"{shown}: must be population and seed, as in hard:17; {known}")
         return
     if not _is_seed(seed):
-        problem = f"{name!r}: the seed must be a whole number in 0..2^64-1, as in {population}:17"
+        problem = f"{shown}: the seed must be a whole number in 0..2^64-1, as in {population}:17"
         yield Mistake("simulation.rig", problem)
         return
     for key in _OWN:
