@@ -1,8 +1,11 @@
 import numpy as np
 import pytest
 
+from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError
 from inteco_abs.rig import draw, settled_torque
+from inteco_abs.sessions import Conclusion, Introduction, Recorder, Scribe, read_session
+from inteco_abs.signals import Reason
 
 QUICK = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
 PACED = ("loop.rate_hz=200.0", "experiment.start_speed_rad_s=10.0", "experiment.idle_s=0.01", "experiment.hold_s=0.0")
@@ -86,3 +89,13 @@ def test_a_rig_that_is_none_leaves_no_file(tmp_path, run_at, virtual):
     with pytest.raises(ConfigError, match="did you mean hard"):
         run_at(tmp_path / "stop.mcap", (*PACED, "simulation.rig=hrd:1"), virtual=virtual)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_is_said_of_a_simulated_rig_is_not_said_of_a_real_one(tmp_path):
+    config = load_config(settings=[RIG, "profile=usb2_generic_0103", "simulation.counts_per_turn=2048"])
+    with Recorder(tmp_path / "stop.mcap", 0, []) as recorder:
+        scribe = Scribe(recorder, config, Introduction("usb2:", {}, False, {}, [], b""))
+        scribe.introduce()
+        card = scribe.conclude(Conclusion(Reason.NONE, 0)).card
+    assert card["rig"] is None
+    assert "drawn" not in read_session(tmp_path / "stop.mcap").metadata["rig"]
