@@ -211,6 +211,8 @@ class GuardConfig(_Section):
 class SimulationConfig(_Section):
     """The rig inside the mock board; not used on a real one."""
 
+    rig: str = ""
+    """A drawn virtual rig by population and seed, as "hard:17"; empty: the published one, as the next two keys say."""
     parameters: Literal["mask", "table"] = "mask"
     brake_rate_per_s: Annotated[float, Field(ge=1.0, le=1e6)] = 20.37
     """Rate of the brake actuator's lag."""

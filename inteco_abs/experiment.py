@@ -16,7 +16,7 @@ from inteco_abs.boards.capture import check_target
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline, gains_in_force
 from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
-from inteco_abs.mock_board import Device, Truth, face_of
+from inteco_abs.mock_board import Device, Truth, drawn_facts, face_of
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
 from inteco_abs.realtime.doctor import examine
 from inteco_abs.realtime.findings import as_facts
@@ -145,7 +145,7 @@ def _processes(
             config=config,
             controller_source=plan.controller_source,
             controller_package=plan.controller_package,
-            facts={**_facts(plan), **(facts or {})},
+            facts={**_facts(config, plan), **(facts or {})},
             wire=str(plan.wire.absolute()) if plan.wire else "",
         )
         job.post(memory)
@@ -229,7 +229,7 @@ class _VirtualRun:
             internals=plan.controllers[config.controller.name].internals,
             controller_source=plan.controller_source,
             controller_package=plan.controller_package,
-            facts=_facts(plan),
+            facts=_facts(config, plan),
         )
 
     def _end(self, board: Board, aborted: str = "") -> Conclusion:
@@ -242,8 +242,10 @@ class _VirtualRun:
         scribe.conclude(self._end(board, aborted=in_words(error)))
 
 
-def _facts(plan: Plan) -> dict[str, dict[str, str]]:
-    return {"software": {**software_facts(), "seed": str(plan.seed)}, "host": host_facts()}
+def _facts(config: RigConfig, plan: Plan) -> dict[str, dict[str, str]]:
+    facts = {"software": {**software_facts(), "seed": str(plan.seed)}, "host": host_facts()}
+    drawn = drawn_facts(config) if simulated(plan.board) else {}
+    return {**facts, "drawn_rig": drawn} if drawn else facts
 
 
 def _ring_ticks(config: RigConfig) -> int:

@@ -77,6 +77,12 @@ class Mock:
     """Where the rig's true state goes, as JSON lines."""
     truth_hz: float = 20.0
 
+    @property
+    def name(self) -> str:
+        """What it is, for people."""
+        drawn = self.config.simulation.rig
+        return f"mock {NAMES[self.config.board.kind]}{f' with rig {drawn}' if drawn else ''}"
+
     def face(self) -> Face:
         """The board's own side of the wire."""
         return face_of(Device(self.config, time.monotonic_ns, self.seed))
@@ -101,7 +107,7 @@ def serve_usbip(mock: Mock, address: str, serial: int, say: Callable[[str], None
     facts = server.bind()
     with hearing(server.close):  # as an unplugged cable would end it
         ids = f"{facts.vendor_id:04x}:{facts.product_id:04x}"
-        say(f"mock {NAMES[kind]} {ids}, serial number {facts.serial}, at {facts.address}; Ctrl-C unplugs it")
+        say(f"{mock.name} {ids}, serial number {facts.serial}, at {facts.address}; Ctrl-C unplugs it")
         for what, lines in (("attach it", facts.attach), ("detach it", facts.detach)):
             if lines:
                 say(f"to {what}, as root: {' && '.join(lines)}")
@@ -117,7 +123,7 @@ def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
     face = mock.face()
     server = PtyServer(ByteStream(face), Path(link) if link else None)
     with hearing(server.close):
-        say(f"mock {NAMES['usb']} at {link or server.name}; Ctrl-C unplugs it")
+        say(f"{mock.name} at {link or server.name}; Ctrl-C unplugs it")
         say(f"to use it: inteco-abs run --board usb:{Path(link or server.name).absolute()} --set profile=sim_usb")
         _be_quick()
         server.serve(mock.log(face.device))

@@ -10,7 +10,7 @@ from typing import Final, TextIO
 
 import click
 
-from inteco_abs.cli.shared import FILE
+from inteco_abs.cli.shared import FILE, drawn_setting, rig_option
 from inteco_abs.errors import ConfigError, Mistake
 
 _MOCK_PROFILES: Final = {"usb2": "sim_usb2", "usb": "sim_usb"}
@@ -40,6 +40,7 @@ _MOCK_PROFILES: Final = {"usb2": "sim_usb2", "usb": "sim_usb"}
 @click.option(
     "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="What differs between two power-ups."
 )
+@rig_option
 @click.option("--config", type=FILE, help="rig.toml; every key has a default.")
 @click.option("--truth", metavar="FILE", help="Write the rig's true state there as JSON lines; - is stdout.")
 @click.option(
@@ -51,6 +52,7 @@ def mock_board(
     link: str | None,
     serial: int,
     seed: int,
+    drawn: str | None,
     config: Path | None,
     truth: str | None,
     truth_hz: float,
@@ -59,13 +61,14 @@ def mock_board(
     from functools import partial
 
     from inteco_abs.config import load_config
+    from inteco_abs.mock_board import rig_check
     from inteco_abs.simulator import Mock, serve_pty, serve_usbip
 
     if (address is None) == (link is None):
         raise ConfigError([Mistake("mock-board", "name one of --usbip, a USB device, and --pty, a serial port")])
     kind = kind or ("usb2" if link is None else "usb")
     _insist_on_plug(kind, at_pty=link is not None)
-    rig = load_config(config, profile=_MOCK_PROFILES[kind])
+    rig = load_config(config, drawn_setting(drawn), [rig_check], _MOCK_PROFILES[kind])
     if rig.board.kind != kind:
         raise ConfigError(
             [Mistake("board.kind", f"{rig.board.kind!r}: the mock is to be {kind!r}; name another profile")]

@@ -15,11 +15,13 @@ import click
 from inteco_abs.cli.shared import (
     FILE,
     draw,
+    drawn_setting,
     insist_on_different,
     json_option,
     known_controllers,
     print_card,
     print_json,
+    rig_option,
 )
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     type=click.IntRange(min=0),
     help="What differs between two power-ups of the mock board.",
 )
+@rig_option
 @click.option("--config", type=FILE, help="rig.toml; every key has a default.")
 @click.option(
     "--set",
@@ -61,6 +64,7 @@ def run(
     board: str,
     virtual: bool,
     seed: int,
+    drawn: str | None,
     config: Path | None,
     settings: tuple[str, ...],
     controller: str | None,
@@ -71,16 +75,20 @@ def run(
     as_json: bool,
 ) -> int:
     """Drive, brake, record: one stop."""
-    from inteco_abs.boards import check_address, default_profile
+    from inteco_abs.boards import check_address, default_profile, simulated
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check
     from inteco_abs.experiment import Plan, run_stop
+    from inteco_abs.mock_board import rig_check
     from inteco_abs.views.figure import check_figure
 
     controllers = known_controllers(controller)
     chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
     check_address(board)
-    rig = load_config(config, [*settings, *chosen], [control_check(controllers)], default_profile(board))
+    if drawn is not None and not simulated(board):
+        raise ConfigError([Mistake("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")])
+    checks = [control_check(controllers), rig_check]
+    rig = load_config(config, [*settings, *drawn_setting(drawn), *chosen], checks, default_profile(board))
     out = out or _default_out()
     if figure is not None:
         check_figure(figure)

@@ -25,6 +25,20 @@ def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead.")(function)
 
 
+def rig_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option(
+        "--rig",
+        "drawn",
+        metavar="POPULATION:SEED",
+        help="A drawn virtual rig inside the mock board, as hard:17; default: the published one.",
+    )(function)
+
+
+def drawn_setting(drawn: str | None) -> list[str]:
+    """What `--rig` says, as for `--set`."""
+    return [] if drawn is None else [f"simulation.rig={json.dumps(drawn)}"]
+
+
 def print_json(data: Mapping[str, Any]) -> None:
     click.echo(json.dumps(data, allow_nan=False))
 

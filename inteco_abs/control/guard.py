@@ -59,6 +59,8 @@ class Guard:
         length = max(_LEAST_PERIODS, round(_SPEED_WINDOW_S * config.loop.rate_hz))
         self._wheel_speed = SpeedWindow(counts, length)
         self._road_speed = SpeedWindow(counts, length)
+        # until a window is full a count more or less, as of a wheel that rests on an edge, is many rad/s in it
+        self._filling = length
         history = max(length, round(_HISTORY_S * config.loop.rate_hz))
         self._road_speeds: deque[tuple[int, float]] = deque(maxlen=history)
         self._counts_per_rad = counts / (2.0 * math.pi)
@@ -125,6 +127,9 @@ class Guard:
             return Reason.COUNT_JUMP
         wheel = self._wheel_speed.update(now_ns, sample.wheel_count)
         road = self._road_speed.update(now_ns, sample.road_count)
+        if self._filling:
+            self._filling -= 1
+            wheel = road = 0.0
         if road_step or not before:
             self._road_moved_ns = now_ns
             self._road_speed_when_moved = road

@@ -9,6 +9,7 @@ from inteco_abs.mock_board.ftdi import FtdiBoard, ftdi_identity
 from inteco_abs.mock_board.pci import PciFace
 from inteco_abs.mock_board.pty_board import PtyServer
 from inteco_abs.mock_board.serve import SocketServer
+from inteco_abs.mock_board.simulated_rig import drawn_facts, rig_check, simulated_rig
 from inteco_abs.mock_board.truth_log import TruthLog
 from inteco_abs.mock_board.usb import ByteStream, UsbFace
 from inteco_abs.mock_board.usb2 import Usb2Face
@@ -40,9 +41,12 @@ __all__ = [
     "UsbHost",
     "UsbIdentity",
     "UsbIpServer",
+    "drawn_facts",
     "face_of",
     "ftdi_identity",
     "parse_address",
+    "rig_check",
+    "simulated_rig",
 ]
 
 _FACES: Final[dict[str, Callable[[Device], Face]]] = {"usb2": Usb2Face, "usb": UsbFace, "pci": PciFace}

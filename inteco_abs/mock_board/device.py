@@ -14,7 +14,9 @@ from typing import Final, Literal, NamedTuple
 
 from firmware_protocol.rtdac_usb2 import PWM_FULL_WIDTH
 from inteco_abs.config import RigConfig, SimulationConfig
-from inteco_abs.rig import Plant, RigParameters
+from inteco_abs.mock_board.simulated_rig import simulated_rig
+from inteco_abs.rig import Encoder, Plant
+from inteco_abs.rig.generator import WORD, mixed
 
 _COUNTER_RANGE: Final = 1 << 32
 _TIMER_HZ: Final = 20_000_000  # INFERRED from another rig's driver on this board; timers are not used by this project
@@ -82,13 +84,14 @@ class _Hand(NamedTuple):
 class Counter:
     """32-bit quadrature counter that wraps; a reset bit holds it at zero as long as it is set.
 
-    A negative number of counts per turn is one that counts down when driving.
+    `offset` is what it shows at power-up, `sign` -1 that it counts down when driving. What an encoder reads with noise
+    it reads anew each time.
     """
 
-    def __init__(self, counts_per_turn: int, generator: random.Random) -> None:
-        self._per_rad = counts_per_turn / (2.0 * math.pi)
-        self._phase = generator.random()  # where between two edges the wheel stands at power-up
-        self._offset = generator.getrandbits(32)
+    def __init__(self, encoder: Encoder, sign: int, offset: int) -> None:
+        self._encoder = encoder
+        self._sign = sign
+        self._offset = offset
         self._held = False
 
     def hold(self, held: bool, angle_rad: float) -> None:
@@ -105,15 +108,21 @@ class Counter:
         return raw - _COUNTER_RANGE if raw >= _COUNTER_RANGE // 2 else raw
 
     def _edges(self, angle_rad: float) -> int:
-        return math.floor(angle_rad * self._per_rad + self._phase)
+        return self._sign * self._encoder.read(angle_rad)
 
 
 class Device:
     """A board with the rig on its terminals, at rest, all settings zero, as after power-up.
 
     `now_ns` is the clock; the rig moves on to it whenever the device is looked at or written to. `seed` decides
-    what differs between two power-ups: counter values and the encoders' position between two edges. `observe`
-    receives the rig's true state at every write, and the duties that the write makes.
+    what differs between two power-ups: counter values and the encoders' position between two edges; of a drawn rig,
+    whose encoders stand where they stand, the noise of their readings, which at seed 0 is that of `Encoder`.
+    `observe` receives the rig's true state at every write, and the duties that the write makes.
+
+    The PWM's own steps come first: a drawn rig takes as many of them as it has, rounded down, from what the width
+    makes, so that an 8-bit width is what it is and a 12-bit one loses what is below a step of 255.
+
+    Raises ConfigError for a drawn rig that cannot be.
     """
 
     def __init__(
@@ -129,12 +138,15 @@ class Device:
         self.kind = config.board.kind
         self.logic_version = config.board.logic_version
         self._switched = _SWITCHED[self.kind]
-        parameters = RigParameters.named(config.simulation.parameters)
-        self.plant = Plant(replace(parameters, c31=config.simulation.brake_rate_per_s), 0.0, 0.0)
         generator = random.Random(seed)
-        counts_per_turn = config.simulation.counts_per_turn or config.encoders.counts_per_turn
-        self._road = Counter(self.cable.road_sign * counts_per_turn, generator)
-        self._wheel = Counter(self.cable.wheel_sign * counts_per_turn, generator)
+        road_edge, road_offset = generator.random(), generator.getrandbits(32)
+        wheel_edge, wheel_offset = generator.random(), generator.getrandbits(32)
+        road_sign, wheel_sign = self.cable.road_sign, self.cable.wheel_sign
+        rig = simulated_rig(config, _seen_from(wheel_sign, wheel_edge), _seen_from(road_sign, road_edge))
+        self.plant = Plant(rig, 0.0, 0.0)
+        noisy = replace(rig, seed=rig.seed ^ mixed(seed & WORD))  # mixed(0) is 0
+        self._road = Counter(Encoder(noisy, wheel=False), road_sign, road_offset)
+        self._wheel = Counter(Encoder(noisy, wheel=True), wheel_sign, wheel_offset)
         self._now_ns = now_ns
         self._time_ns = now_ns()
         self._timer_start_ns = [self._time_ns, self._time_ns]
@@ -204,7 +216,7 @@ class Device:
         return Truth(self._time_ns, plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque, *self._duties)
 
     def counts(self) -> tuple[int, int]:
-        """Counters of road and wheel now, as two's complement."""
+        """Counters of road and wheel now, as two's complement: one reading of each encoder."""
         self.catch_up()
         return self._road.value(self.plant.road_angle), self._wheel.value(self.plant.wheel_angle)
 
@@ -261,3 +273,8 @@ class Device:
         reset = self.settings.get("encoder_reset", 0)
         self._road.hold(bool(reset >> self.cable.road_encoder & 1), self.plant.road_angle)
         self._wheel.hold(bool(reset >> self.cable.wheel_encoder & 1), self.plant.wheel_angle)
+
+
+def _seen_from(sign: int, edge: float) -> float:
+    """Where between two lines a wheel stands for an encoder whose count is then taken `sign` times: at the same one."""
+    return edge if sign > 0 else 1.0 - edge

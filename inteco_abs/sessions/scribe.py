@@ -84,6 +84,7 @@ class Scribe:
         self._session = session or recorder.path  # what the file will be called
         self._config = config
         self._introduction = introduction
+        self._drawn = config.simulation.rig if simulated(introduction.board) else ""
         self._ticks = bytearray()
         self._truths = bytearray()
 
@@ -114,6 +115,7 @@ class Scribe:
                 "r2_m": repr(parameters.r2),
                 "parameters": config.model.parameters,
                 "simulated": str(simulated(told.board)).lower(),
+                **({"drawn": self._drawn} if self._drawn else {}),
                 "virtual_time": str(told.virtual).lower(),
             },
         )
@@ -155,6 +157,7 @@ class Scribe:
             "reason": end.reason.name,
             "explanation": explanation,
             "board": self._introduction.board,
+            "rig": self._drawn or None,
             **metrics,
             "lost_ticks": end.written - metrics["ticks"],
             "link_errors": int(((ticks["board_flags"] & BoardFlags.STALE) != 0).sum()),

@@ -43,6 +43,8 @@ def render_card(card: Mapping[str, Any], explanation: str) -> RenderableType:
     colour = _COLOURS.get(outcome, "red")
     head = Text.assemble((outcome.upper(), f"bold {colour}"), f"  {card['controller']} on {card['estimator']}, ")
     head.append(f"reference slip {card['reference_slip']:g}")
+    if card["rig"]:
+        head.append(f", rig {card['rig']}")
     if card["stops"] > 1:
         head.append(f", median of {card['stops']} stops")
     body: list[RenderableType] = [head, table]

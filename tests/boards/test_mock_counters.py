@@ -108,6 +108,14 @@ def test_the_cable_says_which_encoders_the_wheels_are_on(new_mock):
     assert [values[f"encoder{channel}_count"] for channel in range(8)] == [0, 0, 2048, 0, 0, 0, 4096, 0]
 
 
+@given(turns=st.floats(-3.0, 3.0))
+def test_a_wheel_that_counts_down_passes_the_edges_of_one_that_turns_the_other_way(new_mock, turns):
+    forwards, backwards = new_mock(cable=Cable()), new_mock(cable=Cable(road_sign=-1))
+    turn(forwards, road_turns=turns)
+    turn(backwards, road_turns=-turns)
+    assert counts(forwards) == counts(backwards)
+
+
 def test_both_wheels_count_up_when_driven(mock):
     before = counts(mock)
     mock.send(pin_mode=0b100, pwm0_width=255)

@@ -1,10 +1,12 @@
 import math
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from inteco_abs.config import load_config
 from inteco_abs.control import Guard
-from inteco_abs.signals import Command, Estimate, Reason
+from inteco_abs.signals import Command, Estimate, Reason, Sample
 
 SEEN = Estimate(0.0, 0.0, 0.0, valid=True)
 DRIVE, BRAKE, OFF = Command(1.0, 0.0), Command(0.0, 0.6), Command.SAFE
@@ -339,3 +341,28 @@ def test_frozen_and_fast_wheels_are_found_at_other_rates(encoders, rate_hz):
     fast.run_up(240.0)
     assert fast.keep(260.0, 260.0, DRIVE, 1.0) <= reaction_s
     assert fast.reason is Reason.OVER_SPEED
+
+
+@given(
+    rate_hz=st.sampled_from([100.0, 2000.0, 10_000.0]),
+    around=st.lists(st.tuples(st.integers(-1, 1), st.integers(-1, 1)), min_size=2, max_size=300),
+)
+@example(rate_hz=2000.0, around=[(0, 1), (0, -1)])
+@example(rate_hz=2000.0, around=[(1, 0), (-1, 0)])
+@example(rate_hz=2000.0, around=[(0, -1), *[(0, 1)] * 10, *[(0, -1)] * 60])
+@example(rate_hz=10_000.0, around=[(0, 0), (0, 0), (0, -1), (0, 1)])
+def test_wheels_that_rest_on_an_edge_are_no_fault_however_their_counts_come_and_go(encoders, rate_hz, around):
+    guard = Watched(encoders, f"estimator.window_s={10.0 / rate_hz}", rate_hz=rate_hz).guard
+    for tick, (wheel, road) in enumerate(around):
+        guard.admit(OFF, Sample(tick, round(tick * 1e9 / rate_hz), 1.0 / rate_hz, wheel, road), SEEN)
+    assert guard.reason is Reason.NONE
+
+
+def test_a_road_that_turns_backwards_from_the_start_trips_within_6_ms(watched):
+    assert watched.keep(0.0, -20.0, OFF, 1.0) <= 0.006
+    assert watched.reason is Reason.ROAD_BACKWARDS
+
+
+def test_a_wheel_above_the_limit_from_the_start_trips_within_6_ms(watched):
+    assert watched.keep(0.0, 260.0, OFF, 1.0) <= 0.006
+    assert watched.reason is Reason.OVER_SPEED

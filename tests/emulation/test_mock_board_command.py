@@ -51,6 +51,11 @@ def test_it_says_what_it_is_and_how_to_attach_it_and_ends_at_control_c(served):
     assert process.returncode == 0, stderr
 
 
+def test_it_says_which_rig_is_drawn_for_it():
+    with mock_board("--rig", "rough:3") as (_, (what, *_)):
+        assert what.startswith("mock RT-DAC/USB2 with rig rough:3 04b4:8613, serial number 900000007, at ")
+
+
 def test_the_driver_runs_the_rig_in_it_over_usbip(served):
     _, (what, *_) = served
     host, port = re.search(r"at (\S+):(\d+)", what).groups()
@@ -106,6 +111,7 @@ def last_line(file):
         (["--board", "usb2", "--pty"], ["--pty goes with --board usb"]),
         (["--usbip", "--serial", "12"], ["--serial", "12", "900000000..999999999"]),
         (["--usbip", "--board", "usb", "--config", "usb2.toml"], ["board.kind", "'usb2'", "'usb'"]),
+        (["--pty", "--rig", "slw:1"], ["simulation.rig", "did you mean slow?"]),
         (["--pty", "--truth", "missing/truth.jsonl"], ["--truth", "missing/truth.jsonl"]),
     ],
 )

@@ -13,6 +13,7 @@ CARD = {
     "controller": "reaching-law",
     "estimator": "moving-window",
     "board": "sim:",
+    "rig": None,
     "reference_slip": 0.2,
     "ticks": 16253,
     "overruns": 3,
@@ -82,6 +83,11 @@ def test_head_says_how_it_ended_and_what_was_run():
     text = text_of(CARD)
     assert "COMPLETED  reaching-law on moving-window, reference slip 0.2" in text
     assert "stop.mcap" in text
+
+
+def test_head_names_a_drawn_rig_and_no_other():
+    assert "reference slip 0.2, rig hard:17" in text_of({**CARD, "rig": "hard:17"})
+    assert "rig" not in text_of(CARD)
 
 
 def test_a_completed_run_needs_no_explanation():

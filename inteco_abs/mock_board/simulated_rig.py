@@ -1,0 +1,104 @@
+"""Which rig the mock board has on its terminals: the published one as configured, or a drawn one of its own."""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, replace
+from typing import Any, Final
+
+from inteco_abs.config import EncodersConfig, RigConfig, SimulationConfig
+from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.rig import POPULATIONS, EncoderVariation, RigParameters, RigVariation, draw
+
+_MOST_DIGITS: Final = 20
+"""Of a seed below 2^64; the check keeps absurdly long numbers from being read at all."""
+_OWN: Final = ("parameters", "brake_rate_per_s")
+"""Keys of [simulation] that describe the published rig."""
+
+
+def simulated_rig(config: RigConfig, wheel_edge: float = 0.0, road_edge: float = 0.0) -> RigVariation:
+    """The rig of [simulation]; raises ConfigError for a drawn one that cannot be.
+
+    `wheel_edge` and `road_edge`, in counts 0..1, are where the published rig's ideal encoders stand between two lines
+    at power-up. A drawn rig has its own.
+    """
+    simulation = config.simulation
+    if simulation.rig:
+        mistakes = list(rig_check(config.model_dump()))
+        if mistakes:
+            raise ConfigError(mistakes)
+        population, _, seed = simulation.rig.partition(":")
+        return draw(population, int(seed))
+    counts = simulation.counts_per_turn or config.encoders.counts_per_turn
+    return RigVariation(
+        replace(RigParameters.named(simulation.parameters), c31=simulation.brake_rate_per_s),
+        wheel_encoder=EncoderVariation(counts, wheel_edge),
+        road_encoder=EncoderVariation(counts, road_edge),
+    )
+
+
+def drawn_facts(config: RigConfig) -> dict[str, str]:
+    """Everything in which the drawn rig is not the published one, as text; empty if none is drawn.
+
+    The name alone would do as long as populations stay what they are. Raises ConfigError as `simulated_rig`.
+    """
+    if not config.simulation.rig:
+        return {}
+    rig, published = _flat(simulated_rig(config)), _flat(RigVariation())
+    own = {name: value for name, value in rig.items() if value != published[name]}
+    return {name: value if isinstance(value, str) else repr(value) for name, value in own.items()}
+
+
+def rig_check(table: Mapping[str, Any]) -> Iterator[Mistake]:
+    """Check for `load_config`: a drawn rig must exist, and the rest of the configuration must fit it."""
+    simulation = _section(table, "simulation")
+    name = simulation.get("rig", "")
+    if not isinstance(name, str) or not name:
+        return
+    shown = reprlib.repr(name)  # however long it is
+    population, _, seed = name.partition(":")
+    if population not in POPULATIONS:
+        known = f"there is no population {reprlib.repr(population)}{near_match(population, POPULATIONS)}"
+        yield Mistake("simulation.rig", f"{shown}: must be population and seed, as in hard:17; {known}")
+        return
+    if not _is_seed(seed):
+        problem = f"{shown}: the seed must be a whole number in 0..2^64-1, as in {population}:17"
+        yield Mistake("simulation.rig", problem)
+        return
+    for key in _OWN:
+        default = SimulationConfig.model_fields[key].default
+        if simulation.get(key, default) != default:
+            yield Mistake(f"simulation.{key}", f"{simulation[key]!r}: {name} has its own; leave one of them out")
+    yield from _counts_mistakes(table, name, draw(population, int(seed)).road_encoder.counts_per_turn)
+
+
+def _counts_mistakes(table: Mapping[str, Any], name: str, counts: int) -> Iterator[Mistake]:
+    """The drawn encoders are what they are; that the host believes something else must be said to be meant."""
+    stated = _section(table, "simulation").get("counts_per_turn")
+    believed = _section(table, "encoders").get("counts_per_turn", EncodersConfig().counts_per_turn)
+    if stated is not None and stated != counts:
+        yield Mistake("simulation.counts_per_turn", f"{stated!r}: {name} has {counts}; leave the key out")
+    elif stated is None and believed != counts:
+        problem = f"{believed!r}: {name} has {counts} counts per turn; set this to {counts} too"
+        yield Mistake("encoders.counts_per_turn", f"{problem}, or simulation.counts_per_turn if the mistake is meant")
+
+
+def _is_seed(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) <= _MOST_DIGITS and int(text) < 1 << 64
+
+
+def _section(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    section = table.get(key, {})
+    return section if isinstance(section, dict) else {}
+
+
+def _flat(rig: RigVariation) -> dict[str, object]:
+    """Every number of a rig by its dotted name; what is the loop's or says only where noise comes from is left out."""
+    flat: dict[str, object] = {}
+    for name, value in asdict(rig).items():
+        if isinstance(value, dict):
+            flat.update({f"{name}.{key}": each for key, each in value.items()})
+        elif name not in {"command_delay_ticks", "seed"}:
+            flat[name] = value
+    return flat
