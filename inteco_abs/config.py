@@ -263,10 +263,12 @@ def load_config(
     settings: Sequence[str] = (),
     checks: Iterable[Check] = (),
     profile: str = DEFAULT_PROFILE,
+    follows: Callable[[Table], Table] | None = None,
 ) -> RigConfig:
     """Configuration from `file` (or only defaults), with `settings` such as `guard.brake_limit=0.7` over it.
 
-    `profile` is the one to begin with if neither names one. Raises ConfigError with every mistake found in the file,
+    `profile` is the one to begin with if neither names one; `follows` gives what follows from the choices for keys
+    that are not set. Raises ConfigError with every mistake found in the file,
     the settings and by `checks`.
     """
     mistakes: list[Mistake] = []
@@ -283,7 +285,7 @@ def load_config(
     )
     _void_signature(below, in_file, merged)
     _void_signature(_merge(below, in_file), over, merged)
-    return _validate(merged, checks, mistakes)
+    return _validate(merged if follows is None else _merge(follows(merged), merged), checks, mistakes)
 
 
 def _settings_table(settings: Sequence[str]) -> Table:

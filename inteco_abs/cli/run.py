@@ -77,7 +77,7 @@ def run(
     """Drive, brake, record: one stop."""
     from inteco_abs.boards import check_address, default_profile, simulated
     from inteco_abs.config import load_config
-    from inteco_abs.control import control_check
+    from inteco_abs.control import control_check, preferred_estimator
     from inteco_abs.experiment import Plan, run_stop
     from inteco_abs.mock_board import rig_check
     from inteco_abs.views.figure import check_figure
@@ -88,7 +88,8 @@ def run(
     if drawn is not None and not simulated(board):
         raise ConfigError([Mistake("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")])
     checks = [control_check(controllers), rig_check]
-    rig = load_config(config, [*settings, *drawn_setting(drawn), *chosen], checks, default_profile(board))
+    settings = (*settings, *drawn_setting(drawn), *chosen)
+    rig = load_config(config, settings, checks, default_profile(board), preferred_estimator(controllers))
     out = out or _default_out()
     if figure is not None:
         check_figure(figure)

@@ -6,14 +6,16 @@ from inteco_abs.control.assembly import (
     gains_in_force,
     make_controller,
     make_estimator,
+    preferred_estimator,
 )
-from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, ReachingLaw, Relay, Setup
+from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, PredictiveReaching, ReachingLaw, Relay, Setup
 from inteco_abs.control.estimators import (
     ESTIMATORS,
     EdgeTime,
     Estimator,
     HeldDifference,
     KalmanFilter,
+    Observer,
     SpeedFilter,
     TrackingLoop,
     TwoWheels,
@@ -35,7 +37,9 @@ __all__ = [
     "Guard",
     "HeldDifference",
     "KalmanFilter",
+    "Observer",
     "Pipeline",
+    "PredictiveReaching",
     "ReachingLaw",
     "Relay",
     "Sequence",
@@ -49,6 +53,7 @@ __all__ = [
     "gains_in_force",
     "make_controller",
     "make_estimator",
+    "preferred_estimator",
     "reaching_law_torque",
     "reaching_time_bound",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
 from typing import Any
@@ -64,6 +64,29 @@ def gains_in_force(config: RigConfig, controllers: Mapping[str, type[Controller]
     }
 
 
+def preferred_estimator(
+    controllers: Mapping[str, type[Controller]] = CONTROLLERS,
+) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
+    """For `load_config`: a controller that says which `estimator` it needs has it, if no other was chosen."""
+
+    def follows(table: Mapping[str, Any]) -> dict[str, Any]:
+        needed = _needed_estimator(table, controllers)
+        return {"estimator": {"name": needed}} if needed else {}
+
+    return follows
+
+
+def _needed_estimator(table: Mapping[str, Any], controllers: Mapping[str, type[Controller]]) -> str:
+    name = _section(table, "controller").get("name", "")
+    if not isinstance(name, str) or name not in controllers:
+        return ""
+    try:
+        needed: str = getattr(controllers[name], "estimator", "")
+    except ConfigError:  # a package's that cannot be imported, which the check tells
+        return ""
+    return needed
+
+
 def control_check(
     controllers: Mapping[str, type[Controller]] = CONTROLLERS, estimators: Collection[str] = ESTIMATORS
 ) -> Check:
@@ -74,6 +97,12 @@ def control_check(
         name = estimator.get("name", "moving-window")
         if isinstance(name, str) and name not in estimators:
             yield Mistake("estimator.name", f"no estimator {name!r}{near_match(name, estimators)}")
+        needed = _needed_estimator(table, controllers)
+        if needed not in {"", name} and name in estimators:
+            problem = (
+                f"{name!r}: the controller {controller['name']} needs {needed!r}; choose it, or another controller"
+            )
+            yield Mistake("estimator.name", problem)
         if name == "tracking":
             yield from _tracking_mistakes(estimator, _section(table, "loop"))
         name = controller.get("name", "reaching-law")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from inteco_abs.config import RigConfig, load_config
-from inteco_abs.control import Controller, control_check
+from inteco_abs.control import Controller, control_check, preferred_estimator
 from inteco_abs.ensembles.minds import ESTIMATOR_NAMES
 from inteco_abs.errors import ConfigError, Mistake
 
@@ -48,7 +48,7 @@ def combinations(
     """
     axes = _axes(settings)
     names = axes.pop(_CONTROLLER, None) or [load_config(file).controller.name]
-    estimators = axes.pop(_ESTIMATOR, None) or [load_config(file).estimator.name]
+    estimators = axes.pop(_ESTIMATOR, None) or [""]
     grids = {name: _of_controller(name, names, axes, controllers) for name in names}
     count = sum(len(estimators) * math.prod(map(len, grid.values())) for grid in grids.values())
     if count > MOST_COMBINATIONS:
@@ -60,9 +60,10 @@ def combinations(
     mistakes: dict[Mistake, None] = {}
     for name, estimator in product(names, estimators):
         for chosen in _choices(grids[name]):
-            own = [f"{_CONTROLLER}={name}", f"{_ESTIMATOR}={estimator}"]
+            own = [f"{_CONTROLLER}={name}", *([f"{_ESTIMATOR}={estimator}"] if estimator else [])]
+            given = [*(f"{key}={value}" for key, value in chosen.items()), *own]
             try:
-                config = load_config(file, [*(f"{key}={value}" for key, value in chosen.items()), *own], [check])
+                config = load_config(file, given, [check], follows=preferred_estimator(controllers))
             except ConfigError as error:
                 mistakes |= dict.fromkeys(error.mistakes)
                 continue

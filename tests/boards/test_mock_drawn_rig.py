@@ -147,7 +147,7 @@ def test_every_population_passes_the_check_with_every_seed(population):
     ("name", "words"),
     [
         ("hrd:17", ["'hrd:17'", "'hrd'", "did you mean hard?"]),
-        ("17", ["'17'", "hard:17", "capped, hard, nominal, rough, slow"]),
+        ("17", ["'17'", "hard:17", "capped, hard, late, nominal, rough, slow"]),
         (":17", ["':17'", "hard:17"]),
         ("hard", ["'hard'", "seed", "hard:17"]),
         ("slow:", ["seed", "slow:17"]),

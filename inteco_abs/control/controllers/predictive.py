@@ -11,7 +11,7 @@ from inteco_abs.rig import adhesion, measured_duty
 from inteco_abs.signals import BrakeDemand, Estimate, Outlook
 
 _START_RAD_S: Final = 180.0
-_RISEN_SLIP: Final = 0.05
+_RISEN_SLIP: Final = 0.035
 """From here on the adhesion is nearly all there; reaching asks for the torque of at least this slip."""
 
 
@@ -25,10 +25,10 @@ class PredictiveReaching:
     """
 
     gains: ClassVar[tuple[Gain, ...]] = (
-        Gain("k", 50.0, 1.0, 1000.0, "1/s", "rate near the surface"),
-        Gain("a", 33.0, 0.1, 10_000.0, "1/s2", "slip deceleration in reaching at 180 rad/s; grows as 1/x2"),
-        Gain("a_most", 300.0, 0.1, 100_000.0, "1/s2", "where that ends"),
-        Gain("kM", 300.0, 1.0, 10_000.0, "1/s", "rate at which the torque closes in on the law's"),
+        Gain("k", 60.0, 1.0, 1000.0, "1/s", "rate near the surface"),
+        Gain("a", 34.0, 0.1, 10_000.0, "1/s2", "slip deceleration in reaching at 180 rad/s; grows as 1/x2"),
+        Gain("a_most", 500.0, 0.1, 100_000.0, "1/s2", "where that ends"),
+        Gain("kM", 400.0, 1.0, 10_000.0, "1/s", "rate at which the torque closes in on the law's"),
     )
     internals: ClassVar[tuple[str, ...]] = (
         "excess_torque_nm",

@@ -18,6 +18,9 @@ _LONGEST_STEP_S: Final = 0.001
 _DEAD_TIME_S: Final = (0.002, 0.030)
 _LAG_S: Final = (0.025, 0.090)
 """Within these a brake is believed."""
+_WALK_AT_RAD_S: Final = 100.0
+_STEP_PAUSE_S: Final = 0.010
+"""Between two steps of the road."""
 Row = list[float]
 
 
@@ -30,29 +33,39 @@ class Spread(NamedTuple):
     dead_time_s: float = 0.010
     """Expected of the brake."""
     lag_s: float = 0.050
-    dead_time_sd_s: float = 0.0073
-    lag_sd_s: float = 0.0038
-    adhesion_sd: float = 0.09
+    dead_time_sd_s: float = 0.0079
+    lag_sd_s: float = 0.0063
+    adhesion_sd: float = 0.073
     """Of the factor on equation (8)."""
-    adhesion_walk: float = 0.047
-    """Of its change in a second."""
-    ripple_sd: float = 0.0078
+    adhesion_walk: float = 0.2
+    """Of its change in a second at 100 rad/s, in proportion to the speed: a road changes with the way."""
+    ripple_sd: float = 0.0095
     """Of either part of its ripple over a turn of the wheel."""
-    torque_sd_nm: float = 0.62
+    torque_sd_nm: float = 0.34
     """Of what the brake gives beyond its map."""
     torque_walk_nm: float = 0.21
     """Of its change in a second."""
-    torque_per_swing: float = 0.0056
+    torque_per_swing: float = 0.018
     """More of that while the torque swings: its change in 1 s^0.5 for each N m/s of swing."""
-    lag_torque_walk_nm: float = 0.021
+    lag_torque_walk_nm: float = 0.031
     """Of what the lag passes on, in a second."""
-    lag_torque_per_swing: float = 0.0072
+    lag_torque_per_swing: float = 0.0015
     """More of that while the torque swings."""
-    wheel_walk_rad_s: float = 0.25
+    wheel_walk_rad_s: float = 0.54
     """Of the speeds in a second, by what is not modelled."""
-    road_walk_rad_s: float = 0.078
-    count_noise: float = 0.55
-    """Of a reading, in counts."""
+    road_walk_rad_s: float = 0.17
+    count_noise: float = 1.4
+    """Of a reading, in counts: more than quantisation and jitter make, which keeps the torque calm."""
+    step_after_s: float = 0.2
+    """From here on the road is expected to step; before, a brake that is learnt would look like that."""
+    step_adhesion: float = 0.06
+    """Of the adhesion factor in a step."""
+    step_delay_s: float = 0.0067
+    """How long ago it was when it shows."""
+    surprise: float = 0.4
+    """It shows when the wheel's angle is off to one side: the mean of its errors, each over its own deviation."""
+    surprise_gain: float = 0.15
+    """Of a new error in that mean."""
 
 
 class BrakingFilter:
@@ -66,7 +79,20 @@ class BrakingFilter:
     deceleration tells the adhesion, the wheel's the torque.
     """
 
-    __slots__ = ("_P", "_contact", "_noise", "_parameters", "_period_s", "_ratio", "_spread", "_torques", "_x")
+    __slots__ = (
+        "_P",
+        "_by_factor",
+        "_contact",
+        "_noise",
+        "_parameters",
+        "_period_s",
+        "_ratio",
+        "_spread",
+        "_step_in_s",
+        "_surprise",
+        "_torques",
+        "_x",
+    )
 
     def __init__(self, parameters: RigParameters, spread: Spread, count_rad: float, period_s: float) -> None:
         self._parameters = parameters
@@ -79,6 +105,9 @@ class BrakingFilter:
         self._torques = deque([0.0] * ticks, ticks)  # the newest is last, and acts from now on
         self._x: Row = []
         self._P: list[Row] = []
+        self._by_factor = 0.0, 0.0  # accelerations per adhesion factor
+        self._surprise = 0.0
+        self._step_in_s = 0.0  # until a step may show
 
     def tell(self, duty: float, ticks: int) -> None:
         """Take note of the duty that was put out with the present sample, the first for `ticks` ticks."""
@@ -97,6 +126,7 @@ class BrakingFilter:
         deviations = (spread.torque_sd_nm, spread.adhesion_sd, spread.ripple_sd, spread.ripple_sd)
         for i, deviation in enumerate((*deviations, spread.dead_time_sd_s, spread.lag_sd_s), 5):
             self._P[i][i] = deviation**2
+        self._surprise, self._step_in_s = 0.0, spread.step_after_s
 
     @property
     def speeds(self) -> tuple[float, float]:
@@ -109,6 +139,9 @@ class BrakingFilter:
         for _ in range(steps):
             self._predict(dt_s / steps)
         self._correct(wheel_angle, road_angle)
+        self._step_in_s -= dt_s
+        if self._step_in_s <= 0.0 and abs(self._surprise) > self._spread.surprise:
+            self._suspect_a_step()
         x = self._x
         x[9] = min(max(x[9], _DEAD_TIME_S[0]), _DEAD_TIME_S[1])
         x[10] = min(max(x[10], _LAG_S[0]), _LAG_S[1])
@@ -185,6 +218,7 @@ class BrakingFilter:
                 *row[5:],
             ]
 
+        self._by_factor = wheel_by_mu * mu, road_by_mu * mu
         half = 0.5 * T * T
         self._x[:5] = [
             th1 + T * x1 + half * a1,
@@ -200,7 +234,7 @@ class BrakingFilter:
         P[3][3] += T * spread.road_walk_rad_s**2
         P[4][4] += T * (spread.lag_torque_walk_nm**2 + (spread.lag_torque_per_swing * swing) ** 2)
         P[5][5] += T * (spread.torque_walk_nm**2 + (spread.torque_per_swing * swing) ** 2)
-        P[6][6] += T * spread.adhesion_walk**2
+        P[6][6] += T * (spread.adhesion_walk * x2 / _WALK_AT_RAD_S) ** 2
         self._P = P
 
     def _correct(self, wheel_angle: float, road_angle: float) -> None:
@@ -213,9 +247,18 @@ class BrakingFilter:
         road_scale = 1.0 / (road[2] + self._noise)
         second = [r * road_scale for r in road]
         wheel_error = wheel_angle - x[0]
+        self._surprise += self._spread.surprise_gain * (wheel_error * math.sqrt(wheel_scale) - self._surprise)
         road_error = road_angle - x[2] - first[2] * wheel_error
         self._x = [v + a * wheel_error + b * road_error for v, a, b in zip(x, first, second, strict=True)]
         self._P = [
             [p - a * w - b * r for p, w, r in zip(row, wheel, road, strict=True)]
             for row, a, b in zip(P, first, second, strict=True)
         ]
+
+    def _suspect_a_step(self) -> None:
+        """The adhesion may have stepped a moment ago, and moved the wheels since: that much is not known of them."""
+        ago, (wheel, road) = self._spread.step_delay_s, self._by_factor
+        moved = [0.5 * ago * ago * wheel, ago * wheel, 0.5 * ago * ago * road, ago * road, 0.0, 0.0, 1.0]
+        moved = [self._spread.step_adhesion * each for each in moved] + [0.0] * 4
+        self._P = [[p + a * b for p, b in zip(row, moved, strict=True)] for row, a in zip(self._P, moved, strict=True)]
+        self._surprise, self._step_in_s = 0.0, _STEP_PAUSE_S
