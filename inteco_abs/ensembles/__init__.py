@@ -4,6 +4,7 @@ from inteco_abs.ensembles.batch import BatchPlant
 from inteco_abs.ensembles.draws import Draws, parse_draws
 from inteco_abs.ensembles.grid import MOST_COMBINATIONS, Combination, combinations, split_list
 from inteco_abs.ensembles.minds import ESTIMATOR_NAMES, IDEAL, AsConfigured, Ideal, Maker, TrueState
+from inteco_abs.ensembles.oracle import Oracle
 from inteco_abs.ensembles.outcome import METRICS, Spread, Stops, Summary, Trace
 from inteco_abs.ensembles.shard import LONGEST_BRAKING_S, Experiment
 from inteco_abs.ensembles.stops import SHARD, Progress, run_all, run_stops
@@ -23,6 +24,7 @@ __all__ = [
     "Experiment",
     "Ideal",
     "Maker",
+    "Oracle",
     "Progress",
     "Row",
     "Spread",

@@ -46,6 +46,11 @@ class TrueState:
         return wheel_slip(self.wheel_speed, self.road_speed, self._parameters)
 
     @property
+    def wheel_angle(self) -> float:
+        """Of the upper wheel, rad."""
+        return self._batch.wheel_angle.item(self._rig)
+
+    @property
     def brake_torque(self) -> float:
         """What the brake can hold, N m."""
         return self._batch.brake_torque.item(self._rig)

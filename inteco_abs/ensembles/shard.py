@@ -30,7 +30,8 @@ class Experiment:
     """One stop of each of `rigs`, with the estimator and controller that `maker` makes for it.
 
     The wheels roll at `run_up_from_rad_s` at first and are driven to the configured start speed; None: they roll at
-    the start speed, and braking begins at once. `traced` are the places of rigs whose course is to be kept.
+    the start speed, and braking begins at once. The brake's duty is limited as by the guard, of a lab that knows its
+    amplifier: to what that lets through. `traced` are the places of rigs whose course is to be kept.
     Raises ValueError for a run-up that cannot be.
     """
 
@@ -57,10 +58,13 @@ def run_shard(experiment: Experiment) -> Stops:
 class _Mind:
     """What decides on one rig, and where its stop stands."""
 
-    __slots__ = ("_estimator", "_sequence", "began", "command", "ended", "error", "slip", "ticks")
+    __slots__ = ("_estimator", "_limit", "_sequence", "began", "command", "ended", "error", "slip", "ticks")
 
-    def __init__(self, config: RigConfig, estimator: Estimator, controller: Controller, phase: Phase) -> None:
+    def __init__(
+        self, config: RigConfig, estimator: Estimator, controller: Controller, phase: Phase, limit: float
+    ) -> None:
         self._estimator = estimator
+        self._limit = limit  # of the brake's duty
         self._sequence = Sequence(config, controller, phase)
         self.command = Command.SAFE
         """What the newest tick decided, written at the next one."""
@@ -89,7 +93,8 @@ class _Mind:
         elif type(brake) is not float or not math.isfinite(brake):
             self._give_up(sample, EXPLANATIONS[Reason.BAD_OUTPUT])
         else:
-            self.command = command if 0.0 <= brake <= 1.0 else Command(command.drive, min(max(brake, 0.0), 1.0))
+            limited = min(max(brake, 0.0), self._limit)
+            self.command = command if limited == brake else Command(command.drive, limited)
             if self.began < 0 and self._sequence.phase is Phase.BRAKING:
                 self.began = sample.tick
 
@@ -109,8 +114,10 @@ class _Shard:
         phase = Phase.BRAKING if rolling_from is None else Phase.SPIN_UP
         self._batch = BatchPlant(rigs, config.experiment.start_speed_rad_s if rolling_from is None else rolling_from)
         once = config.model_copy(update={"experiment": config.experiment.model_copy(update={"stops": 1})})
+        most = config.guard.brake_limit
         self._minds = [
-            _Mind(once, *experiment.maker(rig, TrueState(self._batch, i, rig)), phase) for i, rig in enumerate(rigs)
+            _Mind(once, *experiment.maker(rig, TrueState(self._batch, i, rig)), phase, min(most, rig.brake_duty_cap))
+            for i, rig in enumerate(rigs)
         ]
         self._period_ns = config.period_ns
         self._longest = round(LONGEST_BRAKING_S * 1e9 / config.period_ns)

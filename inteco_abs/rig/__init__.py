@@ -8,7 +8,7 @@ from inteco_abs.rig.model import Motion, accelerations, kinetic_energy, wheel_sl
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.plant import Plant
 from inteco_abs.rig.population import POPULATIONS, draw
-from inteco_abs.rig.surface import measured_adhesion, measured_adhesion_slope
+from inteco_abs.rig.surface import Surface, measured_adhesion, measured_adhesion_slope
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
 from inteco_abs.rig.varied_brake import measured_duty, measured_torque, settled_torque
 
@@ -21,6 +21,7 @@ __all__ = [
     "Plant",
     "RigParameters",
     "RigVariation",
+    "Surface",
     "accelerations",
     "adhesion",
     "adhesion_slope",

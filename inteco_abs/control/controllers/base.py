@@ -5,8 +5,9 @@ A controller of your own is a class with the same three parts: `gains`, `interna
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, Final, NamedTuple, Protocol
 
 from inteco_abs.control.model import BrakingModel
 from inteco_abs.rig import RigParameters, brake_duty, brake_torque
@@ -22,6 +23,10 @@ class Gain(NamedTuple):
     high: float
     unit: str
     meaning: str
+
+
+LAG: Final = Gain("lag_s", 0.0, 0.0, 0.2, "s", "lag of the brake to be inverted; 0: the law knows of none")
+"""Of every law that asks for a torque."""
 
 
 class Setup(NamedTuple):
@@ -50,13 +55,17 @@ class Controller(Protocol):
 class ModelLaw(ABC):
     """A law that says how fast the slip error shall shrink, and inverts the model for the torque, equation (21).
 
-    The torque becomes a duty through the brake's static map; the brake's lag is not in the law, as in the paper.
-    Below `hold_below_rad_s` the last demand is held, because f and g grow without limit as the road stops.
+    The torque becomes a duty through the brake's static map. The brake's lag is not in the law, as in the paper, unless
+    a lag is given: then the brake is told what makes it reach the torque within a period, as far as it can. Below
+    `hold_below_rad_s` the last demand is held, because f and g grow without limit as the road stops.
     """
 
     internals: ClassVar[tuple[str, ...]] = ("f_per_s", "g_per_s_nm", "torque_eq_nm", "")
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: Setup, lag_s: float = 0.0) -> None:
+        self._lag_s = lag_s
+        self._lagged_nm = 0.0
+        self._settled_nm = 0.0
         self._reference = setup.reference_slip
         self._hold_below = setup.hold_below_rad_s
         self._model = BrakingModel(setup.parameters)
@@ -75,9 +84,17 @@ class ModelLaw(ABC):
         f, g = self._model.terms(slip, speed)
         switching = slip - self._reference
         torque = -(f + self.approach(switching, speed, dt_s)) / g
-        duty = min(1.0, brake_duty(torque, self._model.parameters))
+        settled = torque if self._lag_s == 0.0 else self._ahead_of_lag(torque, dt_s)
+        duty = min(1.0, brake_duty(settled, self._model.parameters))
         self._last = BrakeDemand(duty, torque, switching, (f, g, -f / g, 0.0))
         return self._last
+
+    def _ahead_of_lag(self, torque: float, dt_s: float) -> float:
+        """What the brake is to settle to, so that a lag of `lag_s` has it at `torque` after a period, in N m."""
+        share = 1.0 - math.exp(-dt_s / self._lag_s)
+        self._lagged_nm += (self._settled_nm - self._lagged_nm) * share
+        self._settled_nm = min(max(self._lagged_nm + (torque - self._lagged_nm) / share, 0.0), self._full_nm)
+        return self._settled_nm
 
     @property
     def _saturated(self) -> bool:

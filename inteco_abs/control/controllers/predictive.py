@@ -7,6 +7,7 @@ from typing import ClassVar, Final
 
 from inteco_abs.control.contact import Contact
 from inteco_abs.control.controllers.base import Gain, Setup
+from inteco_abs.control.estimators.ahead import braking_slip
 from inteco_abs.rig import adhesion, measured_duty
 from inteco_abs.signals import BrakeDemand, Estimate, Outlook
 
@@ -43,7 +44,6 @@ class PredictiveReaching:
         self._hold_below = setup.hold_below_rad_s
         self._parameters = setup.parameters
         self._contact = Contact(setup.parameters)
-        self._ratio = setup.parameters.r1 / setup.parameters.r2
         self._k = k
         self._a = a
         self._a_most = a_most
@@ -55,13 +55,16 @@ class PredictiveReaching:
         seen = estimate.outlook
         if seen is None or min(seen.road_speed_rad_s, estimate.road_speed_rad_s) <= self._hold_below:
             return self._last
-        slip = 1.0 - self._ratio * seen.wheel_speed_rad_s / seen.road_speed_rad_s
-        slip = min(max(slip, 0.0), 1.0)
+        slip = braking_slip(seen.wheel_speed_rad_s, seen.road_speed_rad_s, self._parameters)
         switching = slip - self._reference
         wanted, settled = self._torques(seen, slip, switching)
         known = (seen.excess_torque_nm, seen.adhesion_factor, seen.brake_dead_time_s, seen.brake_lag_s)
-        self._last = BrakeDemand(measured_duty(settled), wanted, switching, known)
+        self._last = BrakeDemand(self.duty(settled), wanted, switching, known)
         return self._last
+
+    def duty(self, torque: float) -> float:
+        """Duty at which the brake is believed to settle to `torque` in N m."""
+        return measured_duty(torque)
 
     def _torques(self, seen: Outlook, slip: float, switching: float) -> tuple[float, float]:
         """Brake torque that the law asks for, and what the brake is to settle to on the way, in N m."""

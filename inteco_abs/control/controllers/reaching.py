@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-from inteco_abs.control.controllers.base import Gain, ModelLaw, Setup, sign
+from inteco_abs.control.controllers.base import LAG, Gain, ModelLaw, Setup, sign
 
 _MK = Gain("Mk", 2.0, 0.0, 1000.0, "1/s", "proportional rate: shortens the reaching phase")
 
@@ -16,10 +16,11 @@ class ReachingLaw(ModelLaw):
     gains: ClassVar[tuple[Gain, ...]] = (
         _MK,
         Gain("Mq", 1.0, 0.0, 1000.0, "1/s", "constant rate: rejects model error, as small as possible"),
+        LAG,
     )
 
-    def __init__(self, setup: Setup, Mk: float, Mq: float) -> None:
-        super().__init__(setup)
+    def __init__(self, setup: Setup, Mk: float, Mq: float, lag_s: float = 0.0) -> None:
+        super().__init__(setup, lag_s)
         self._Mk = Mk
         self._Mq = Mq
 
@@ -31,10 +32,10 @@ class ReachingLaw(ModelLaw):
 class ConstantRate(ModelLaw):
     """Traditional sliding mode control, which the paper compares with: s' = -Mq*sgn(s)."""
 
-    gains: ClassVar[tuple[Gain, ...]] = (Gain("Mq", 1.0, 0.0, 1000.0, "1/s", "constant rate"),)
+    gains: ClassVar[tuple[Gain, ...]] = (Gain("Mq", 1.0, 0.0, 1000.0, "1/s", "constant rate"), LAG)
 
-    def __init__(self, setup: Setup, Mq: float) -> None:
-        super().__init__(setup)
+    def __init__(self, setup: Setup, Mq: float, lag_s: float = 0.0) -> None:
+        super().__init__(setup, lag_s)
         self._Mq = Mq
 
     def approach(self, switching: float, road_speed: float, dt_s: float) -> float:  # noqa: ARG002  a static law
@@ -48,10 +49,11 @@ class PowerRate(ModelLaw):
     gains: ClassVar[tuple[Gain, ...]] = (
         Gain("K", 3.0, 0.0, 1000.0, "1/s", "rate at an error of 1"),
         Gain("alpha", 0.5, 0.01, 1.0, "1", "1 is proportional, towards 0 constant rate"),
+        LAG,
     )
 
-    def __init__(self, setup: Setup, K: float, alpha: float) -> None:
-        super().__init__(setup)
+    def __init__(self, setup: Setup, K: float, alpha: float, lag_s: float = 0.0) -> None:
+        super().__init__(setup, lag_s)
         self._K = K
         self._alpha = alpha
 
@@ -71,10 +73,11 @@ class ExponentialRate(ModelLaw):
         Gain("d", 0.2, 0.01, 1.0, "1", "the rate far away is K/d"),
         Gain("a", 20.0, 0.0, 1000.0, "1", "how soon it is far away"),
         Gain("p", 1.0, 0.1, 5.0, "1", "exponent of the error in N"),
+        LAG,
     )
 
-    def __init__(self, setup: Setup, K: float, d: float, a: float, p: float) -> None:
-        super().__init__(setup)
+    def __init__(self, setup: Setup, K: float, d: float, a: float, p: float, lag_s: float = 0.0) -> None:
+        super().__init__(setup, lag_s)
         self._K = K
         self._d = d
         self._a = a
@@ -99,10 +102,13 @@ class BoundaryLayer(ModelLaw):
         Gain("v", 0.0, 0.0, 245.0, "rad/s", "the switching rate grows as v/x2 below it; 0: it is constant"),
         Gain("width", 0.02, 1e-6, 1.0, "1", "slip error at which the switching term is full"),
         Gain("Ki", 0.0, 0.0, 10_000.0, "1/s2", "integral rate"),
+        LAG,
     )
 
-    def __init__(self, setup: Setup, Mk: float, Mq: float, v: float, width: float, Ki: float) -> None:
-        super().__init__(setup)
+    def __init__(
+        self, setup: Setup, Mk: float, Mq: float, v: float, width: float, Ki: float, lag_s: float = 0.0
+    ) -> None:
+        super().__init__(setup, lag_s)
         self._Mk = Mk
         self._Mq = Mq
         self._v = v
@@ -125,10 +131,11 @@ class SuperTwisting(ModelLaw):
     gains: ClassVar[tuple[Gain, ...]] = (
         Gain("k1", 2.0, 0.0, 1000.0, "1/s", "root term"),
         Gain("k2", 2.0, 0.0, 10_000.0, "1/s2", "integral of the sign, which rests while the brake is at its limits"),
+        LAG,
     )
 
-    def __init__(self, setup: Setup, k1: float, k2: float) -> None:
-        super().__init__(setup)
+    def __init__(self, setup: Setup, k1: float, k2: float, lag_s: float = 0.0) -> None:
+        super().__init__(setup, lag_s)
         self._k1 = k1
         self._k2 = k2
         self._w = 0.0

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Final, NamedTuple
 
 from inteco_abs.control.contact import Contact
+from inteco_abs.control.estimators.ahead import LONGEST_DEAD_TIME_S, Pending, braking_slip, outlook
 from inteco_abs.control.estimators.disc import DiscFilter
 from inteco_abs.rig import RigParameters, adhesion, adhesion_slope, measured_torque
 from inteco_abs.signals import Outlook
 
 _LONGEST_STEP_S: Final = 0.001
 """Of the explicit steps; the contact at little slip would swing with longer ones."""
-_DEAD_TIME_S: Final = (0.002, 0.030)
+_DEAD_TIME_S: Final = (0.002, LONGEST_DEAD_TIME_S)
 _LAG_S: Final = (0.025, 0.090)
 """Within these a brake is believed."""
 _WALK_AT_RAD_S: Final = 100.0
@@ -80,18 +79,8 @@ class BrakingFilter:
     """
 
     __slots__ = (
-        "_P",
-        "_by_factor",
-        "_contact",
-        "_noise",
-        "_parameters",
-        "_period_s",
-        "_ratio",
-        "_spread",
-        "_step_in_s",
-        "_surprise",
-        "_torques",
-        "_x",
+        *("_P", "_x", "_pending", "_by_factor", "_surprise", "_step_in_s"),
+        *("_contact", "_noise", "_parameters", "_ratio", "_spread"),
     )
 
     def __init__(self, parameters: RigParameters, spread: Spread, count_rad: float, period_s: float) -> None:
@@ -100,9 +89,7 @@ class BrakingFilter:
         self._ratio = parameters.r1 / parameters.r2
         self._spread = spread
         self._noise = (spread.count_noise * count_rad) ** 2
-        self._period_s = period_s
-        ticks = int(_DEAD_TIME_S[1] / period_s) + 4
-        self._torques = deque([0.0] * ticks, ticks)  # the newest is last, and acts from now on
+        self._pending = Pending(period_s)
         self._x: Row = []
         self._P: list[Row] = []
         self._by_factor = 0.0, 0.0  # accelerations per adhesion factor
@@ -111,7 +98,7 @@ class BrakingFilter:
 
     def tell(self, duty: float, ticks: int) -> None:
         """Take note of the duty that was put out with the present sample, the first for `ticks` ticks."""
-        self._torques.extend([measured_torque(duty)] * min(ticks, len(self._torques)))
+        self._pending.tell(measured_torque(duty), ticks)
 
     def begin(self, wheel: DiscFilter, road: DiscFilter) -> None:
         """Begin where two wheels roll."""
@@ -148,50 +135,14 @@ class BrakingFilter:
 
     def outlook(self) -> Outlook:
         """What is expected of the instant at which the next command comes through to the brake."""
-        th1, x1, _, x2, M, d, factor, cosine, sine, dead_time, lag = self._x
-        T = self._period_s
-        ticks, late = self._late(dead_time)
-        left = math.exp(-T / lag)
-        mean = 0.0
-        recent = list(self._torques)[-ticks - 2 :]
-        for before, b in pairwise(recent):
-            settled = b + late * (before - b)
-            mean += settled + (M - settled) * 0.5 * (1.0 + left)
-            M = settled + (M - settled) * left
-        horizon = (ticks + 1) * T
-        angle = th1 + 0.5 * horizon * x1
-        ripple = cosine * math.cos(angle) + sine * math.sin(angle)
-        mu = (factor + ripple) * adhesion(self._slip(x1, x2), self._parameters)
-        moving = self._contact.accelerations(x1, x2, mean / (ticks + 1) + d, mu)
-        return Outlook(
-            th1 + horizon * (x1 + 0.5 * horizon * moving.wheel),
-            x1 + horizon * moving.wheel,
-            x2 + horizon * moving.road,
-            M,
-            d,
-            factor,
-            cosine,
-            sine,
-            dead_time,
-            lag,
-        )
-
-    def _slip(self, wheel_speed: float, road_speed: float) -> float:
-        return min(max(1.0 - self._ratio * wheel_speed / road_speed, 0.0), 1.0) if road_speed > 0.0 else 0.0
-
-    def _late(self, dead_time: float) -> tuple[int, float]:
-        """Whole ticks of a dead time, and the share of a tick beyond them."""
-        ticks = dead_time / self._period_s
-        return int(ticks), ticks - int(ticks)
+        return outlook(self._contact, self._parameters, self._pending, self._x)
 
     def _predict(self, T: float) -> None:
         th1, x1, th2, x2, M, d, factor, cosine, sine, dead_time, lag = self._x
         k, spread = self._parameters, self._spread
-        ticks, late = self._late(dead_time)
-        newer, older = self._torques[-2 - ticks], self._torques[-3 - ticks]
-        settled = newer + late * (older - newer)
+        settled, later = self._pending.arrived(dead_time)
         left = math.exp(-T / lag)
-        slip = self._slip(x1, x2)
+        slip = braking_slip(x1, x2, k)
         turned, turned_sine = math.cos(th1), math.sin(th1)
         mu = adhesion(slip, k)
         scale = factor + cosine * turned + sine * turned_sine
@@ -200,7 +151,7 @@ class BrakingFilter:
         x2_safe = max(x2, 1.0)
         steepness = scale * adhesion_slope(slip, k) / x2_safe
         by_x1, by_x2 = -steepness * self._ratio, steepness * (1.0 - slip)
-        by_dead_time = (1.0 - left) * (older - newer) / self._period_s
+        by_dead_time = (1.0 - left) * later
         by_lag = (M - settled) * left * T / lag**2
         rolling = 1.0 - T * k.d2 / k.J2
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from inteco_abs.control.estimators.ahead import braking_slip
 from inteco_abs.control.estimators.base import Angles
 from inteco_abs.control.estimators.braking import BrakingFilter, Spread
 from inteco_abs.control.estimators.disc import DiscFilter
@@ -24,7 +25,7 @@ class Observer:
     It brakes from when the drive is off while the road turns. Only then is there an outlook.
     """
 
-    __slots__ = ("_angles", "_braking", "_discs", "_filter", "_period_s", "_ratio", "_samples")
+    __slots__ = ("_angles", "_braking", "_discs", "_filter", "_parameters", "_period_s", "_samples")
 
     def __init__(
         self, parameters: RigParameters, counts_per_turn: int, period_s: float, spread: Spread | None = None
@@ -34,7 +35,7 @@ class Observer:
         self._angles = Angles(counts_per_turn), Angles(counts_per_turn)
         self._discs = tuple(DiscFilter(count_rad, spread.count_noise * count_rad) for _ in range(2))
         self._filter = BrakingFilter(parameters, spread, count_rad, period_s)
-        self._ratio = parameters.r1 / parameters.r2
+        self._parameters = parameters
         self._period_s = period_s
         self._braking = False
         self._samples = 0
@@ -62,6 +63,6 @@ class Observer:
 
     def _estimate(self) -> Estimate:
         wheel_speed, road_speed = self._filter.speeds if self._braking else (disc.speed for disc in self._discs)
-        slip = 1.0 - self._ratio * wheel_speed / road_speed if road_speed > 0.0 else 0.0
+        slip = braking_slip(wheel_speed, road_speed, self._parameters)
         outlook = self._filter.outlook() if self._braking else None
-        return Estimate(wheel_speed, road_speed, min(max(slip, 0.0), 1.0), self._samples >= _SAMPLES, outlook)
+        return Estimate(wheel_speed, road_speed, slip, self._samples >= _SAMPLES, outlook)
