@@ -29,6 +29,11 @@ def check_figure(path: Path) -> None:
         raise ConfigError([Mistake("--figure", f"{path}: must end in .{', .'.join(FORMATS)}")])
     if not path.parent.is_dir():
         raise ConfigError([Mistake("--figure", f"{path}: the folder {path.parent} does not exist; create it first")])
+    insist_on_matplotlib()
+
+
+def insist_on_matplotlib() -> None:
+    """Raise AbsError if there is none."""
     if importlib.util.find_spec("matplotlib") is None:
         raise AbsError("figures need matplotlib: pip install 'inteco-abs[figures]'")
 
@@ -60,9 +65,10 @@ def draw_stop(session: Session, path: Path) -> None:
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write `figure` in the format of its name; raises AbsError if that fails."""
+    """Write `figure` in the format of its name, undated as PNG or PDF; raises AbsError if that fails."""
+    undated: dict[str, Any] = {"CreationDate": None} if path.suffix == ".pdf" else {}
     try:
-        figure.savefig(path, dpi=150)
+        figure.savefig(path, dpi=150, metadata=undated)
     except OSError as error:
         raise AbsError(f"{path}: the figure cannot be written: {error.strerror}") from error
 
