@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,6 +14,7 @@ import click
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
+    from inteco_abs.ensembles import Progress
     from inteco_abs.plugins import Controllers
     from inteco_abs.sessions import Session
 
@@ -88,3 +91,18 @@ def known_controllers(name: str | None) -> Controllers:
         return Controllers()
     kind, source = load_controller(name)
     return Controllers({name: (kind, Origin(source))})
+
+
+@contextmanager
+def stops_progress() -> Iterator[Progress | None]:
+    """A bar on a terminal's stderr."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = TextColumn("braking"), BarColumn(), MofNCompleteColumn(), TextColumn("stops"), TimeRemainingColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -15,11 +15,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, insist_on_different, json_option, known_controllers, print_json
+from inteco_abs.cli.shared import (
+    FILE,
+    LOSSES,
+    insist_on_different,
+    json_option,
+    known_controllers,
+    print_json,
+    stops_progress,
+)
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 if TYPE_CHECKING:
-    from inteco_abs.ensembles import Draws, Progress, Row
+    from inteco_abs.ensembles import Draws, Row
     from inteco_abs.plugins import Controllers
 
 _SMALLEST_SHARD: Final = 5
@@ -87,7 +95,7 @@ def sweep(
     stops = len(grid) * sum(len(each.rigs) for each in draws)
     jobs = min(jobs or _cores(), -(-stops // _SMALLEST_SHARD))
     began = time.monotonic()
-    with redirect_stdout(sys.stderr), _processes(jobs) as executor, _progress() as progress:
+    with redirect_stdout(sys.stderr), _processes(jobs) as executor, stops_progress() as progress:
         rows = sweep_all(
             grid,
             draws,
@@ -187,21 +195,6 @@ def _begin_worker() -> None:
     """Ctrl-C is for the parent, which then gives no more work; prints are no part of the result."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stdout = sys.stderr
-
-
-@contextmanager
-def _progress() -> Iterator[Progress | None]:
-    """A bar on a terminal's stderr."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = TextColumn("braking"), BarColumn(), MofNCompleteColumn(), TextColumn("stops"), TimeRemainingColumn()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _print(rows: Sequence[Row], *, as_json: bool) -> None:
