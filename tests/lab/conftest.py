@@ -162,3 +162,11 @@ def whole_script():
 def odd():
     """Wiring of a rig on which nothing is as the vendor's."""
     return ODD
+
+
+@pytest.fixture(scope="session")
+def reproduced():
+    """The paper on two rigs; who asks for it is of the group `paper`, so that it is made once."""
+    from inteco_abs.lab.paper import reproduce
+
+    return reproduce(2)
