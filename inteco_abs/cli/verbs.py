@@ -12,6 +12,7 @@ from inteco_abs.cli.catalogue import controllers, estimators, profiles
 from inteco_abs.cli.design import design
 from inteco_abs.cli.doctor import doctor
 from inteco_abs.cli.mock_board import mock_board
+from inteco_abs.cli.paper import paper
 from inteco_abs.cli.probe import probe
 from inteco_abs.cli.run import run
 from inteco_abs.cli.sessions import figure, info, recover, replay
@@ -47,6 +48,7 @@ _VERBS: Final = (
     recover,
     design,
     sweep,
+    paper,
     doctor,
     probe,
     blink,

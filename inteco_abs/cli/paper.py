@@ -1,0 +1,128 @@
+"""The verb `inteco-abs paper`."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from inteco_abs.cli.shared import json_option, print_json, stops_progress
+from inteco_abs.errors import AbsError, ConfigError, Mistake
+
+if TYPE_CHECKING:
+    from inteco_abs.lab.paper import Reproduction
+
+_DRAWS: Final = 20
+_FORMATS: Final = ("png", "pdf")
+
+
+@click.command()
+@click.option(
+    "-o",
+    "--out",
+    "folder",
+    type=click.Path(path_type=Path),
+    default=Path("paper"),
+    show_default=True,
+    metavar="DIR",
+    help="Folder for figures and tables; made if there is none. Of what it has, only files of the same name change.",
+)
+@click.option(
+    "--draws",
+    type=click.IntRange(1, 1000),
+    default=_DRAWS,
+    show_default=True,
+    help="Virtual rigs of the experiment: the first of the population capped that can hold slip 0.2.",
+)
+@json_option
+def paper(folder: Path, draws: int, as_json: bool) -> int:
+    """Reproduce the paper: its simulation, its experiment on virtual rigs, and its claim in numbers.
+
+    Figures of three panels each (PNG and PDF, their data as CSV), and a table of its reaching law beside constant-rate
+    sliding mode control, with equal Mq and with equal reaching time (table.csv, table.md, every stop in stops.csv). The
+    same command gives the same files, byte by byte.
+    """
+    from inteco_abs.lab.paper import reproduce
+    from inteco_abs.views.figure import insist_on_matplotlib
+
+    insist_on_matplotlib()
+    _check_folder(folder)
+    with stops_progress() as progress:
+        found = reproduce(draws, progress)
+    report = found.report()
+    written = [str(path) for path in _write(found, report, folder, f"inteco-abs paper --draws {draws}")]
+    click.echo(f"written: {', '.join(written)}", err=True)
+    if as_json:
+        print_json({**report, "files": written})
+    else:
+        _print(report)
+    return 0
+
+
+def _check_folder(folder: Path) -> None:
+    """Refuse, before anything is computed, what cannot be written to."""
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError([Mistake("--out", f"{folder}: is a file; name a folder")])
+    if not folder.absolute().parent.is_dir():
+        raise ConfigError([Mistake("--out", f"{folder}: the folder {folder.parent} does not exist; create it first")])
+    changed = folder if folder.exists() else folder.absolute().parent
+    if not os.access(changed, os.W_OK | os.X_OK):
+        raise AbsError(f"{changed}: no permission to write to this folder; name another with -o")
+
+
+def _write(found: Reproduction, report: Mapping[str, Any], folder: Path, command: str) -> Iterator[Path]:
+    """All files; each path when it is written."""
+    from inteco_abs.views.paper import draw_course, paper_markdown
+
+    try:
+        folder.mkdir(exist_ok=True)
+        for course in found.courses:
+            yield _write_csv(folder / f"{course.name}.csv", _ticks(course.columns))
+            for suffix in _FORMATS:
+                draw_course(course.columns, course.title, path := folder / f"{course.name}.{suffix}")
+                yield path
+        yield _write_csv(folder / "stops.csv", found.records())
+        yield _write_csv(folder / "table.csv", [_flat(row) for row in report["rows"]])
+        (path := folder / "table.md").write_text(paper_markdown(report, command), encoding="utf-8")
+        yield path
+    except OSError as error:
+        raise AbsError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
+
+
+def _write_csv(path: Path, records: Sequence[Mapping[str, Any]]) -> Path:
+    """What a record does not have is empty."""
+    columns = dict.fromkeys(key for record in records for key in record)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(columns))
+        writer.writeheader()
+        writer.writerows(records)
+    return path
+
+
+def _ticks(columns: Mapping[str, Any]) -> list[dict[str, float]]:
+    values = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in values]
+
+
+def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
+    """One line of the table."""
+    flat = {key: row[key] for key in ("condition", "controller", "pairing", "Mk_per_s", "Mq_per_s", "estimator")}
+    flat |= {"rigs": row["rigs"], "stops": row["stops"]}
+    for of in ("median", "largest"):
+        flat |= {f"{of}_{metric}": value for metric, value in row[of].items()}
+    if compared := row["comparison"]:
+        flat |= {f"ratio_{metric}": value for metric, value in compared["ratios"].items()}
+        flat |= {key: compared[key] for key in ("better", "worse", "confirmed")}
+    return flat
+
+
+def _print(report: Mapping[str, Any]) -> None:
+    from rich.console import Console
+
+    from inteco_abs.views.paper import render_paper
+
+    Console().print(render_paper(report))
