@@ -42,10 +42,10 @@ _NOTE: Final = (
     "Medians over the rigs; slip is the true one, its errors in thousandths, down to 10 rad/s. RMS: from 20 ms after "
     "the slip was first within 0.01 of the reference; 0.25 s: from then on; slow: as the first, below 60 rad/s. Over: "
     "largest error after that first time. Lock: largest share of a stop with slip above 0.9. N m/s: variation of the "
-    "torque asked for. Ratio: RMS from 0.25 s of the paper's law over that of this row, median of rig by rig. Equal "
-    "reaching time is that of (20): where a weak brake sets it, the rival with equal Mq reaches as soon, and is the "
-    "fair one. In the simulation the slip chatters with Mq*Ts/2 to Mq*Ts/sqrt(2) rms, as its first crossing happens to "
-    "fall between two samples."
+    "torque asked for, within the duty's limit. Ratio: RMS from 0.25 s of the paper's law over that of this row, "
+    "median of rig by rig. Equal reaching time is that of (20): where a weak brake sets it, the rival with equal Mq "
+    "reaches as soon, and is the fair one. In the simulation the slip chatters with Mq*Ts/2 to Mq*Ts/sqrt(2) rms, as "
+    "its first crossing happens to fall between two samples."
 )
 
 
@@ -102,7 +102,8 @@ def _grouped(
 
 def _title(row: Mapping[str, Any]) -> str:
     rigs = f"{row['stops']} rigs of {row['rigs']}" if row["stops"] > 1 else f"rig {row['rigs']}"
-    return f"{row['title']}; {rigs}"
+    weak = f", without {len(row['left_out'])} that are too weak" if row["left_out"] else ""
+    return f"{row['title']}; {rigs}{weak}"
 
 
 def _law(row: Mapping[str, Any]) -> str:

@@ -76,6 +76,10 @@ def test_what_breaks_the_recipe_breaks_it_as_published(report, condition):
         assert seen[name] == pytest.approx(expected, abs=within), name
 
 
+def test_a_torque_beyond_the_brakes_limit_does_not_count_as_variation(report):
+    assert medians(report, "simulation-duty")["torque_variation_nm_per_s"] == pytest.approx(420.0, rel=0.01)
+
+
 @pytest.mark.parametrize("condition", ["simulation-less-friction", "simulation-more-friction"])
 def test_what_the_model_gets_wrong_grows_as_the_road_slows_down(report, condition):
     seen = medians(report, condition)

@@ -40,13 +40,14 @@ class Law(NamedTuple):
     """1/s."""
 
     def config(self, estimator: str) -> RigConfig:
-        """With the given estimator, over 10 ms if it has a window; everything else as by default."""
+        """With the given estimator, over 10 ms if it has a window, and what limit of duty the rig has."""
         settings = [
             f"controller.name={self.controller}",
             f"controller.reference_slip={REFERENCE}",
             f"controller.gains.Mq={self.Mq}",
             *([f"controller.gains.Mk={self.Mk}"] if self.Mk else []),
             f"estimator.name={estimator}",
+            "guard.brake_limit=1.0",
         ]
         return load_config(settings=settings, checks=[control_check(CONTROLLERS, ESTIMATOR_NAMES)])
 
