@@ -63,6 +63,7 @@ class TestFailedExchanges:
         assert (first.tick, first.board_flags, first.wheel_count, first.road_count) == (0, BoardFlags.STALE, 0, 0)
         assert (second.tick, second.board_flags) == (1, BoardFlags.NONE)
 
+    @pytest.mark.untraced
     def test_any_number_of_failures_raises_nothing(self, new_bench):
         bench = new_bench()
         with bench.board as board:

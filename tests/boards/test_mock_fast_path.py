@@ -1,3 +1,4 @@
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -38,6 +39,7 @@ def frames_of(wire, script):
         yield frame, good, elapsed_ns
 
 
+@pytest.mark.untraced
 @patient
 @given(script=scripts, cable=st.sampled_from(CABLES))
 def test_a_face_that_remembers_answers_as_one_that_decodes_every_frame_anew(new_mock, wire, script, cable):
@@ -57,6 +59,7 @@ def test_a_face_that_remembers_answers_as_one_that_decodes_every_frame_anew(new_
     assert mock.face.rejected == rejected
 
 
+@pytest.mark.untraced
 @patient
 @given(script=scripts)
 def test_the_settings_are_those_of_the_last_good_frame_alone(new_mock, wire, script):

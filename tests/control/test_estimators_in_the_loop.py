@@ -1,5 +1,7 @@
 import pytest
 
+pytestmark = pytest.mark.untraced
+
 EULER_2048 = ("estimator.name=euler", "encoders.counts_per_turn=2048")
 EULER_4096 = ("estimator.name=euler", "encoders.counts_per_turn=4096")
 WINDOW_2048 = ("estimator.name=moving-window", "encoders.counts_per_turn=2048")

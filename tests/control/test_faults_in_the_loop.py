@@ -53,6 +53,7 @@ def racing(sample, since):
     return sample._replace(wheel_count=since.wheel_count + 45 * (sample.tick - since.tick))
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("phase", "after", "change", "reason", "within_s"),
     [

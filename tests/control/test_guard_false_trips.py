@@ -4,6 +4,8 @@ import pytest
 
 from inteco_abs.signals import BoardFlags, Phase, Reason
 
+pytestmark = pytest.mark.untraced
+
 STRICT = ("guard.missed_in_a_row=4", "guard.bucket_limit=30")
 CASES = {
     "2048 counts": ("encoders.counts_per_turn=2048",),

@@ -6,6 +6,8 @@ import pytest
 from inteco_abs.control import BrakingModel, reaching_time_bound
 from inteco_abs.rig import RigParameters
 
+pytestmark = pytest.mark.untraced
+
 PERIOD_S = 0.0005
 
 

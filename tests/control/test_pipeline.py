@@ -93,6 +93,7 @@ def test_two_runs_give_identical_ticks(experiment, quick_run):
     assert list(map(exact, again)) == list(map(exact, quick_run))
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("settings", [(), ("controller.name=relay",), ("estimator.name=euler",)], ids=str)
 def test_recorded_samples_replay_to_identical_ticks(experiment, settings):
     run = experiment(*QUICK, *settings)
@@ -291,6 +292,7 @@ def test_an_estimator_that_raises_ends_the_run_and_its_error_is_kept(call):
     assert_only_safe_from_now_on(pipeline, tick)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(
     "answer",
     [
@@ -315,6 +317,7 @@ def test_a_controller_that_answers_with_something_else_ends_the_run_instead_of_t
     assert (last.drive, last.brake) == Command.SAFE
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("brake", [math.nan, math.inf, -math.inf, None, True, "0.5", np.float64(0.5)], ids=repr)
 def test_a_duty_that_is_no_finite_number_is_never_sent(experiment, brake):
     run = experiment(*QUICK, pipeline=with_controller(at_call(20, lambda: BrakeDemand(brake))))
@@ -324,6 +327,7 @@ def test_a_duty_that_is_no_finite_number_is_never_sent(experiment, brake):
     assert run.pipeline.error is None
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(
     "demand",
     [

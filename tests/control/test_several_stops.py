@@ -57,6 +57,7 @@ def three(played):
     return played(3)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("stops", [1, 2, 3, 7])
 def test_the_phases_come_in_order_as_often_as_there_are_stops(played, stops):
     moments = played(stops)

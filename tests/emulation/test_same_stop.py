@@ -58,6 +58,7 @@ def assert_same(ticks, reference):
     assert not told, told
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("link", ["pyusb", "USB/IP"])
 def test_a_whole_stop_is_the_same_over_every_link_of_this_process(link):
     reference = in_process()
@@ -89,6 +90,7 @@ def over_libusb(tmp_path, preload):  # noqa: ARG001  its absence is told there
     return ticks
 
 
+@pytest.mark.untraced
 @pytest.mark.xdist_group("real libusb")
 @pytest.mark.parametrize("link", ["libusb, one by one", "libusb, queued"])
 def test_a_short_stop_is_the_same_over_real_libusb(over_libusb, link):

@@ -13,6 +13,7 @@ from inteco_abs.ensembles import BatchPlant
 from inteco_abs.rig import POPULATIONS, RigVariation, draw
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("every", [1, 9])
 @pytest.mark.parametrize("population", POPULATIONS)
 def test_whole_stops_of_random_rigs_agree_down_to_standstill(population, every):
@@ -21,10 +22,12 @@ def test_whole_stops_of_random_rigs_agree_down_to_standstill(population, every):
     assert not batch.wheel_speed.any()
 
 
+@pytest.mark.untraced
 def test_rigs_of_all_kinds_agree_in_one_batch():
     compare(rigs_of_all_kinds(), ticks=1500, every=5, full_from=1200)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("tick_s", [0.0005, 0.0137])
 @pytest.mark.parametrize("regime", REGIMES)
 def test_every_regime_agrees_also_with_the_drive_on(regime, tick_s):
@@ -52,6 +55,7 @@ def test_another_largest_step_is_that_of_the_scalar_plant():
     assert_same(batch, scalars)
 
 
+@pytest.mark.untraced
 def test_more_commands_on_their_way_than_at_first_have_room():
     rigs = [RigVariation(brake_dead_time_s=0.2), RigVariation()]
     batch = BatchPlant(rigs)

@@ -67,6 +67,7 @@ def check_values(table, values):
         assert 0 <= field.to_bits(values[name], layout) < 1 << width, name
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("board", BOARDS)
 def test_every_flipped_bit_is_refused_or_changes_one_field_within_its_range(board):
     for table, decode, _ in sides(board):

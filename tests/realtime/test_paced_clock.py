@@ -59,6 +59,7 @@ def test_a_wake_up_that_is_late_by_less_than_the_spin_costs_nothing(fake_time):
         assert on_time(fake_time.now_ns, beat.deadline_ns)
 
 
+@pytest.mark.untraced
 def test_the_spin_follows_how_late_the_machine_wakes_up(fake_time):
     clock = PacedClock(PERIOD_NS)
     beats = iter(clock)

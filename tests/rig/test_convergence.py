@@ -7,6 +7,8 @@ from scipy.integrate import solve_ivp
 
 from inteco_abs.rig import Plant, brake_torque
 
+pytestmark = pytest.mark.untraced
+
 ROLLING = 0.099 / 0.0995
 
 

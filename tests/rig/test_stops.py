@@ -5,6 +5,8 @@ import pytest
 
 from inteco_abs.rig import Plant, accelerations, brake_duty
 
+pytestmark = pytest.mark.untraced
+
 ROLLING = 0.099 / 0.0995
 VENDOR_LAG = 1 / 0.048
 VENDOR_U0 = 0.40748031496063

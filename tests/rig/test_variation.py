@@ -202,6 +202,7 @@ def test_grip_steps_after_braking_began_and_ends_with_the_drive(mask):
     assert (before - plant.road_speed) / 0.0005 == pytest.approx(decelerations[198], rel=0.01)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("population", POPULATIONS)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_halving_the_step_converges_for_drawn_rigs_down_to_standstill(population, seed):

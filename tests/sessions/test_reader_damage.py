@@ -87,6 +87,7 @@ def whole_ticks(container, data, end):
     return sum(len(messages_in(container, chunk, TICK_CHANNEL)) for chunk in chunks)
 
 
+@pytest.mark.untraced
 def test_a_file_cut_between_any_two_records_never_gives_a_wrong_tick(reading, container, chunked):
     variants = reading(chunked)
     for end in boundaries(container, variants.data):
@@ -96,6 +97,7 @@ def test_a_file_cut_between_any_two_records_never_gives_a_wrong_tick(reading, co
     assert variants.incomplete > 10
 
 
+@pytest.mark.untraced
 def test_a_file_cut_anywhere_never_gives_a_wrong_tick(reading, chunked):
     variants = reading(chunked)
     for end in random.Random(2).sample(range(len(variants.data)), 60):
@@ -126,6 +128,7 @@ def test_a_file_with_bytes_after_its_end_is_not_called_whole_and_has_no_wrong_ti
     assert variants.wrong == []
 
 
+@pytest.mark.untraced
 def test_single_bit_flips_anywhere(reading, chunked):
     variants, generator = reading(chunked), random.Random(3)
     for offset in generator.sample(range(len(variants.data)), 300):
@@ -134,6 +137,7 @@ def test_single_bit_flips_anywhere(reading, chunked):
     assert variants.refused > 250
 
 
+@pytest.mark.untraced
 def test_every_bit_of_the_first_200_bytes(reading, tiny):
     variants = reading(tiny)
     for offset, bit in product(range(200), range(8)):
@@ -142,6 +146,7 @@ def test_every_bit_of_the_first_200_bytes(reading, tiny):
     assert variants.refused > 1000
 
 
+@pytest.mark.untraced
 def test_every_bit_of_every_record_head_in_the_data(reading, container, tiny):
     variants = reading(tiny)
     for record, place, bit in product(container.split(variants.data), range(9), range(8)):
@@ -153,6 +158,7 @@ def test_every_bit_of_every_record_head_in_the_data(reading, container, tiny):
     assert variants.incomplete > 500
 
 
+@pytest.mark.untraced
 def test_the_index_behind_the_data_holds_nothing_that_is_believed(reading, container, tiny):
     variants = reading(tiny)
     (end,) = (record.end for record in container.split(variants.data) if record.opcode == DATA_END)
@@ -162,6 +168,7 @@ def test_the_index_behind_the_data_holds_nothing_that_is_believed(reading, conta
     assert (variants.refused, variants.incomplete) == (0, 0)
 
 
+@pytest.mark.untraced
 def test_every_bit_of_every_fixed_field_of_a_chunk(reading, container, tiny):
     variants = reading(tiny)
     chunks = [record for record in container.split(variants.data) if record.opcode == CHUNK]
@@ -171,6 +178,7 @@ def test_every_bit_of_every_fixed_field_of_a_chunk(reading, container, tiny):
     assert variants.accepted == 0
 
 
+@pytest.mark.untraced
 def test_every_bit_around_the_attachment(reading, container, tiny):
     variants = reading(tiny)
     (record,) = (record for record in container.split(variants.data) if record.opcode == ATTACHMENT)

@@ -40,6 +40,7 @@ def test_a_completed_run_replays_bit_for_bit(run, replayed, controller, estimato
     assert agrees(replayed(made.session), made.session)
 
 
+@pytest.mark.untraced
 @every_pair
 def test_a_run_that_ended_in_a_fault_replays_bit_for_bit(run, replayed, controller, estimator):
     made = run(f"controller.name={controller}", f"estimator.name={estimator}", BRAKING_TIMEOUT)
@@ -47,6 +48,7 @@ def test_a_run_that_ended_in_a_fault_replays_bit_for_bit(run, replayed, controll
     assert agrees(replayed(made.session), made.session)
 
 
+@pytest.mark.untraced
 @every_pair
 def test_an_interrupted_run_replays_bit_for_bit(run, replayed, at_phase, controller, estimator):
     at_phase(Phase.STOPPED, lambda: signal.raise_signal(signal.SIGINT))
@@ -55,6 +57,7 @@ def test_an_interrupted_run_replays_bit_for_bit(run, replayed, at_phase, control
     assert agrees(replayed(made.session), made.session)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(
     "settings",
     [

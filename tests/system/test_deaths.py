@@ -54,10 +54,10 @@ def assert_nothing_lost(run, replayed):
 
 
 @pytest.fixture
-def replayed(inteco_abs):
+def replayed(inteco_abs, untraced):
     import json
 
-    return lambda path: json.loads(inteco_abs("replay", path, "--json", check=0).stdout)
+    return lambda path: json.loads(inteco_abs("replay", path, "--json", check=0, environment=untraced).stdout)
 
 
 def assert_left_nothing_behind(run):

@@ -43,6 +43,7 @@ def test_every_command_of_the_readme_runs(clone, untraced):
     assert (clone / "stop.png").is_file()
 
 
+@pytest.mark.untraced
 def test_the_figures_in_the_readmes_table_are_those_of_the_program(card):
     rows = re.findall(
         r"^\| (moving-window|euler|observer) \| ([\w-]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", README, re.MULTILINE

@@ -24,6 +24,7 @@ def test_a_stop_in_virtual_time_is_completed_and_replays_bit_for_bit(card, intec
     assert replay["braking_ticks"] > 2000
 
 
+@pytest.mark.untraced
 def test_the_stop_is_the_published_one_with_brake_lag_and_a_10_ms_window(card):
     result = card()
     # closed-loop table for a 10 ms window with lag: 1.406 s, 13.2 m, reached at 0.322 s, slip rms 0.0094; two ticks
@@ -35,12 +36,14 @@ def test_the_stop_is_the_published_one_with_brake_lag_and_a_10_ms_window(card):
     assert result["lock_fraction"] == 0.0
 
 
+@pytest.mark.untraced
 def test_the_same_seed_gives_the_same_payload_and_another_seed_another(card):
     first, again, other = card(out="a.mcap"), card(out="b.mcap"), card(out="c.mcap", seed=2)
     assert first["payload_sha256"] == again["payload_sha256"]
     assert first["payload_sha256"] != other["payload_sha256"]
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_papers_euler_speed_degrades_at_low_speed(card, seed):
     window, euler = card(out="w.mcap", seed=seed), card("--estimator", "euler", out="e.mcap", seed=seed)
@@ -50,6 +53,7 @@ def test_the_papers_euler_speed_degrades_at_low_speed(card, seed):
     assert euler["stop_time_s"] > 1.3 * window["stop_time_s"]
 
 
+@pytest.mark.untraced
 def test_the_brake_limit_of_the_vendors_driver_delays_reaching(card):
     limited = card("--set", "guard.brake_limit=0.7", "--set", "board.pwm_mode=12-bit", "--set", "board.pwm_prescaler=2")
     # closed-loop table with lag and duty at most 0.7: reached at 0.833 s, stop in 1.416 s
@@ -69,6 +73,7 @@ def test_info_tells_how_the_run_ended_and_with_what(card, inteco_abs):
     assert "session.outcome" in text
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(
     "logic", [(), ("board.logic_version=0x0112", "board.numbering_pwm=-1")], ids=["0x0111", "0x0112"]
 )
@@ -108,6 +113,7 @@ def test_figures_are_drawn_with_the_run_and_from_the_file(card, inteco_abs, tmp_
     assert (tmp_path / "stop.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.untraced
 def test_a_changed_gain_in_the_file_is_found_by_replay(card, inteco_abs, tmp_path):
     card()
     data = (tmp_path / "stop.mcap").read_bytes()
