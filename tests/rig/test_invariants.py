@@ -1,9 +1,12 @@
 import math
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inteco_abs.rig import Plant, kinetic_energy
+
+pytestmark = pytest.mark.untraced
 
 COUNT_RAD = 2 * math.pi / 4096
 CREEP_RAD_S = 0.005
@@ -76,8 +79,8 @@ def test_the_drive_turns_resting_wheels_forward_or_not_at_all(parameters, drive,
 
 
 @costly
-@given(speed_rad_s=st.floats(1e-9, 8.0), brake=duties)
+@given(speed_rad_s=st.floats(1e-9, 2.0), brake=duties)
 def test_wheels_left_alone_come_to_rest_and_stay(parameters, speed_rad_s, brake):
     plant = Plant(parameters, speed_rad_s, speed_rad_s)
-    plant.advance(0.0, brake, 3.0)
+    plant.advance(0.0, brake, 0.8)
     assert (plant.wheel_speed, plant.road_speed) == (0.0, 0.0)
