@@ -1,6 +1,9 @@
 """The walk on the mock with a scripted person: what was asked, what was answered, and what went over the link."""
 
 from collections.abc import Callable, Iterable
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -132,15 +135,35 @@ class Lab:
         return self.walk
 
     def done_until(self, step: str, settings=()) -> None:
-        """All steps before this one, in a session of their own."""
-        names = list(SCRIPTS)
-        before = names[: names.index(step)]
-        walk = self.session(*(answer for name in before for answer in SCRIPTS[name]), settings=settings)
-        for name in before:
-            walk.go(only=name)
+        """As after a session with all steps before this one."""
+        self.begin_with(files_after(list(SCRIPTS).index(step), tuple(settings)))
+
+    def all_done(self) -> None:
+        """As after a session with all steps, the signature among them."""
+        self.begin_with(files_after(len(SCRIPTS), ()))
+
+    def begin_with(self, files: dict[str, str]) -> None:
+        """A new session in a folder with these files."""
+        for name, text in files.items():
+            self.file.with_name(name).write_text(text)
+        self.session()
 
     def outcomes(self) -> dict[str, str]:
         return {one["name"]: one["outcome"] for one in self.walk.state()}
+
+
+@cache
+def files_after(steps: int, settings: tuple[str, ...]) -> dict[str, str]:
+    """Texts of the files by their names after the first so many steps: walked once for all tests, step by step."""
+    with TemporaryDirectory() as folder:
+        lab = Lab(Path(folder))
+        if steps:
+            name = list(SCRIPTS)[steps - 1]
+            lab.begin_with(files_after(steps - 1, settings))
+            lab.session(*SCRIPTS[name]).go(only=name)
+        else:
+            lab.session(settings=settings)
+        return {file.name: file.read_text() for file in Path(folder).iterdir()}
 
 
 @pytest.fixture

@@ -35,6 +35,7 @@ def probe(tmp_path):
     return run
 
 
+@pytest.mark.untraced
 def test_the_whole_walk_then_a_stop_with_the_signed_draft(probe, whole_script):
     walk = probe("--board", "sim:", "--virtual", "--draft", "lab.toml", "--json", lines=whole_script)
     assert walk.returncode == 0, walk.stderr
@@ -49,6 +50,7 @@ def test_the_whole_walk_then_a_stop_with_the_signed_draft(probe, whole_script):
     assert json.loads(stop.stdout)["outcome"] == "completed"
 
 
+@pytest.mark.untraced
 def test_an_odd_rig_is_commissioned_and_stopped(probe, scripts, odd):
     settings = [part for one in (*odd, "board.drive_pwm=1", "board.brake_pwm=0") for part in ("--set", one)]
     lines = [*[""] * 3, *["", "", "yes", "10", "", "10"], *scripts["echo"], *scripts["motors"], *scripts["sign"]]
@@ -104,6 +106,7 @@ def test_a_wrong_phrase_fails_with_what_to_do(probe):
     assert json.loads(run.stdout)["steps"][4]["outcome"] == "failed"
 
 
+@pytest.mark.untraced
 def test_a_step_is_done_again_on_demand(probe, whole_script):
     probe("--virtual", lines=whole_script)
     run = probe("--virtual", "--redo", "4", lines=["", "", ""])

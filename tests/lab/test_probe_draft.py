@@ -21,6 +21,7 @@ def test_the_logic_is_written_in_hex(lab):
     assert "logic_version = 0x0103" in lab.file.read_text()
 
 
+@pytest.mark.untraced
 def test_the_draft_can_be_used_after_every_write(lab, whole_script, monkeypatch):
     walk = lab.session(*whole_script)
     seen = []
@@ -97,14 +98,15 @@ def test_a_draft_edited_into_nonsense_is_refused_with_its_key(lab):
         lab.session()
 
 
-def test_results_are_kept_beside_the_draft(lab, whole_script):
-    lab.session(*whole_script).go()
+def test_results_are_kept_beside_the_draft(lab):
+    lab.all_done()
     kept = json.loads((lab.file.parent / "lab.probe.json").read_text())
     assert kept["steps"]["header"]["raw"].startswith("0301")
     assert kept["steps"]["motors"]["brake_from"] == pytest.approx(0.415, abs=0.03)
     assert kept["steps"]["wheels"]["road"]["turned"] == 40960
 
 
+@pytest.mark.untraced
 def test_no_other_file_is_left(lab, whole_script):
     lab.session(*whole_script).go()
     assert sorted(file.name for file in lab.file.parent.iterdir()) == ["lab.probe.json", "lab.toml"]

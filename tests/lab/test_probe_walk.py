@@ -37,6 +37,7 @@ def test_a_vendors_rig_is_commissioned_from_end_to_end(lab, whole_script):
     assert lab.bench.device.duties == (0.0, 0.0)
 
 
+@pytest.mark.untraced
 def test_an_odd_rig_is_found_out(lab, scripts, odd):
     lab.session(
         *[""] * 3,
@@ -51,8 +52,8 @@ def test_an_odd_rig_is_found_out(lab, scripts, odd):
     assert config.board.verified_by == "the lab"
 
 
-def test_a_signed_draft_opens_the_board_for_output(lab, whole_script):
-    lab.session(*whole_script).go()
+def test_a_signed_draft_opens_the_board_for_output(lab):
+    lab.all_done()
     board: Board
     with lab.bench.open(load_config(profile=str(lab.file))) as board:
         assert not board.identity.read_only_because
@@ -64,6 +65,7 @@ def test_the_unsigned_draft_opens_it_for_reading_only(lab):
         assert "nobody has verified" in board.identity.read_only_because
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("step", STEPS)
 def test_an_interruption_at_any_step_keeps_the_draft_and_the_walk_goes_on_there(lab, scripts, step):
     lab.done_until(step)
@@ -117,27 +119,27 @@ def test_a_step_that_does_not_exist_is_refused(lab, name):
         lab.session().go(redo=name)
 
 
-def test_a_step_done_again_with_the_same_result_leaves_the_later_ones_alone(lab, whole_script, scripts):
-    lab.session(*whole_script).go()
+def test_a_step_done_again_with_the_same_result_leaves_the_later_ones_alone(lab, scripts):
+    lab.all_done()
     lab.session(*scripts["wheels"]).go(redo="wheels")
     assert set(lab.outcomes().values()) == {"done"}
 
 
-def test_a_changed_wiring_takes_the_signature_and_what_rests_on_it(lab, whole_script):
-    lab.session(*whole_script).go()
+def test_a_changed_wiring_takes_the_signature_and_what_rests_on_it(lab):
+    lab.all_done()
     lab.session(settings=["board.brake_pwm=3"])
     assert lab.draft.config.board.verified_by == ""
     assert lab.outcomes() == {name: "outdated" if name in STEPS[4:] else "done" for name in STEPS}
 
 
-def test_settings_that_are_no_wiring_leave_the_signature(lab, whole_script):
-    lab.session(*whole_script).go()
+def test_settings_that_are_no_wiring_leave_the_signature(lab):
+    lab.all_done()
     lab.session(settings=["experiment.start_speed_rad_s=100"])
     assert lab.draft.config.board.verified_by == "the lab"
 
 
-def test_a_wiring_edited_by_hand_is_noticed(lab, whole_script):
-    lab.session(*whole_script).go()
+def test_a_wiring_edited_by_hand_is_noticed(lab):
+    lab.all_done()
     lab.file.write_text(lab.file.read_text().replace("wheel_encoder = 1", "wheel_encoder = 3"))
     lab.session()
     assert lab.outcomes()["wheels"] == "outdated"
