@@ -4,16 +4,17 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from itertools import count
 from typing import ClassVar
 
 from firmware_protocol import rtdac_usb, rtdac_usb2
 from inteco_abs.boards import InProcessLink, Link, SocketLink, board_behind
 from inteco_abs.boards.serial_link import SerialLink
-from inteco_abs.config import load_config
+from inteco_abs.config import RigConfig, load_config
 from inteco_abs.errors import LinkError
 from inteco_abs.mock_board import ByteStream, Device, Face, PtyServer, SocketServer, face_of
+from inteco_abs.rig import Plant
 from inteco_abs.signals import Command, Sample
 
 BENCHES_OF_A_TEST = 8
@@ -22,6 +23,12 @@ COUNTER_RANGE = 1 << 32
 
 def two_complement(count: int) -> int:
     return (count + COUNTER_RANGE // 2) % COUNTER_RANGE - COUNTER_RANGE // 2
+
+
+@cache
+def configured(profile: str, settings: tuple[str, ...]) -> RigConfig:
+    """Configurations cannot be changed, and some tests make thousands of benches with the same one."""
+    return load_config(settings=settings, profile=profile)
 
 
 class HandClock:
@@ -37,13 +44,25 @@ class HandClock:
         self.time_ns += duration_ns
 
 
+class SeizedPlant(Plant):
+    """Wheels that nothing turns."""
+
+    def advance(self, drive: float, brake: float, duration_s: float) -> None:
+        pass
+
+
 class SteeredDevice(Device):
     """The mock device, whose counters a test may set."""
 
     shown: tuple[int, int] | None = None
 
     def show(self, wheel: int, road: int) -> None:
+        """Show these counts from now on, whatever the rig does."""
         self.shown = (two_complement(road), two_complement(wheel))
+
+    def seize(self) -> None:
+        """The wheels stay at rest, whatever the outputs do, for tests that are not about what those move."""
+        self.plant = SeizedPlant(self.plant.parameters, 0.0, 0.0)
 
     def counts(self) -> tuple[int, int]:
         return super().counts() if self.shown is None else self.shown
@@ -180,8 +199,8 @@ class FrameBench:
     """Bytes of the answer that repeat the widths of drive and brake."""
 
     def __init__(self, *settings: str, earlier: dict[str, int] | None = None, seed: int = 0) -> None:
-        own = load_config(settings=self.wiring, profile=self.profile).board
-        self.config = load_config(settings=[*self.wiring, *settings], profile=self.profile)
+        own = configured(self.profile, self.wiring).board
+        self.config = configured(self.profile, (*self.wiring, *settings))
         self.clock = HandClock()
         board = self.config.board.model_copy(update={"logic_version": own.logic_version})
         self.device = SteeredDevice(self.config.model_copy(update={"board": board}), self.clock.now_ns, seed)
@@ -251,8 +270,9 @@ class FrameBench:
         self.clock.advance(round(periods * self.config.period_ns))
         return self.board.exchange(Command(drive, brake))
 
-    def spin_up(self, exchanges: int = 100) -> Sample:
-        """Newest sample after driving at full duty."""
+    def roll(self, exchanges: int = 20) -> Sample:
+        """Newest sample after driving at full duty from 60 rad/s on."""
+        self.device.plant.wheel_speed = self.device.plant.road_speed = 60.0
         for _ in range(exchanges):
             sample = self.exchange(1.0, 0.0)
         return sample

@@ -6,14 +6,13 @@ from itertools import count, groupby
 from pathlib import Path
 from typing import ClassVar
 
-from benches import BENCHES_OF_A_TEST, FrameBench, HandClock, SteeredDevice
+from benches import BENCHES_OF_A_TEST, FrameBench, HandClock, SteeredDevice, configured
 from pci_bus import LiveRegisters, add_board
 
 from firmware_protocol.register_messages import decode_answer, decode_request, encode_answer, encode_request
 from firmware_protocol.registers import Write
 from firmware_protocol.rtdac_pci import ENCODER_INDEX, ENCODER_RESET, LOGIC, PWM_INDEX, PWM_WIDTH
 from inteco_abs.boards import InProcessLink, Link, LinkedRegisters, Registers, RtdacPci, SysfsRegisters
-from inteco_abs.config import load_config
 from inteco_abs.errors import LinkError
 from inteco_abs.mock_board import PciFace
 
@@ -148,7 +147,7 @@ class PciBench:
     }
 
     def __init__(self, *settings: str, earlier: dict[str, int] | None = None, seed: int = 0) -> None:
-        self.config = load_config(settings=settings, profile="sim_pci")
+        self.config = configured("sim_pci", settings)
         self.clock = HandClock()
         self.device = SteeredDevice(self.config, self.clock.now_ns, seed)
         own = {f"pwm{i}_{name}" for i in range(2) for name in ("mode", "prescaler", "width")} | {ENCODER_RESET.name}
@@ -214,7 +213,7 @@ class PciBench:
         self.face.bulk_out(encode_request(0, [LOGIC.offset]))
 
     exchange = FrameBench.exchange
-    spin_up = FrameBench.spin_up
+    roll = FrameBench.roll
     strike = FrameBench.strike
     unplug = FrameBench.unplug
     ignore_commands = FrameBench.ignore_commands

@@ -14,12 +14,14 @@ modes = pytest.mark.parametrize("mode", FULL)
 
 
 class TestDuties:
+    @pytest.mark.untraced
     @modes
     @given(drive=duties, brake=duties)
     @example(drive=0.5, brake=math.nextafter(1.0, 0.0))
     @example(drive=math.nextafter(1 / 255, 0.0), brake=0.999 / 4095)
     def test_a_duty_becomes_the_largest_width_that_does_not_exceed_it(self, new_bench, mode, drive, brake):
         bench, full = new_bench(f"board.pwm_mode={mode}"), FULL[mode]
+        bench.device.seize()
         with bench.board:
             bench.exchange(drive, brake)
             widths = [bench.device.settings[f"pwm{channel}_width"] for channel in (0, 1)]
@@ -28,9 +30,11 @@ class TestDuties:
             assert 0 <= width <= full
             assert width <= duty * full + ROUNDING < width + 1
 
+    @pytest.mark.untraced
     @modes
     def test_a_duty_that_is_a_whole_number_of_widths_is_exact(self, new_bench, mode):
         bench, full = new_bench(f"board.pwm_mode={mode}"), FULL[mode]
+        bench.device.seize()
         with bench.board:
             for width in range(full + 1):
                 bench.exchange(width / full, (full - width) / full)

@@ -1,3 +1,4 @@
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -9,7 +10,7 @@ class TestFailedExchanges:
     def test_a_failed_exchange_gives_a_stale_sample_with_the_counts_held(self, new_bench, way):
         bench = new_bench()
         with bench.board:
-            good = bench.spin_up(200)
+            good = bench.roll()
             bench.fail_next(way)
             sample = bench.exchange(1.0)
             assert bench.link.failed == 1
@@ -34,7 +35,7 @@ class TestFailedExchanges:
         bench = new_bench()
         road_start, wheel_start = bench.device.counts()
         with bench.board:
-            before = bench.spin_up(400)
+            before = bench.roll()
             bench.fail_next(way)
             bench.exchange(1.0)
             sample = bench.exchange(1.0)
@@ -67,7 +68,7 @@ class TestFailedExchanges:
     def test_any_number_of_failures_raises_nothing(self, new_bench):
         bench = new_bench()
         with bench.board as board:
-            good = bench.spin_up()
+            good = bench.roll()
             bench.link.change_answer = lambda _answer: b""
             samples = [bench.exchange(1.0) for _ in range(1000)]
             bench.link.change_answer = bytes
@@ -75,11 +76,13 @@ class TestFailedExchanges:
         assert {(s.wheel_count, s.road_count) for s in samples} == {(good.wheel_count, good.road_count)}
         assert board.link_errors == 1000
 
+    @pytest.mark.untraced
     @given(st.data())
     def test_samples_of_any_mix_of_good_and_failed_exchanges(self, new_bench, ways_to_fail, data):
         script = data.draw(st.lists(st.none() | st.sampled_from(ways_to_fail), max_size=25))
         bench = new_bench()
         counts = held = (0, 0)
+        bench.device.seize()
         bench.device.show(*counts)
         before_ns, period_ns = bench.clock.time_ns, bench.config.period_ns
         with bench.board as board:

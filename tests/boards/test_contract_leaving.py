@@ -1,5 +1,4 @@
 from contextlib import suppress
-from itertools import combinations
 
 import pytest
 
@@ -7,6 +6,8 @@ from inteco_abs.errors import LinkError, UnsafeError
 
 WAYS_OUT = (None, ValueError("in the body"), KeyboardInterrupt(), SystemExit(3), GeneratorExit())
 FAULTS = (LinkError("no answer"), KeyboardInterrupt())
+MOMENTS = 40
+"""More than a short session has, but for that of single accesses to registers."""
 
 
 def live(bench, way_out):
@@ -139,14 +140,19 @@ class TestLeaving:
             moments += 1
         assert moments > 12
 
+    @pytest.mark.untraced
     @pytest.mark.parametrize("first", FAULTS, ids=lambda error: type(error).__name__)
     @pytest.mark.parametrize("second", FAULTS, ids=lambda error: type(error).__name__)
     def test_two_faults_at_any_two_moments_never_leave_an_output_on(self, new_bench, first, second):
         pairs = 0
-        for one, other in combinations(range(26), 2):
-            bench = new_bench()
-            pairs += struck(bench, {one: first, other: second}) == [one, other]
-            assert bench.device.duties == (0.0, 0.0), (one, other)
+        for one in range(MOMENTS):
+            for other in range(one + 1, MOMENTS):
+                bench = new_bench()
+                reached = struck(bench, {one: first, other: second})
+                assert bench.device.duties == (0.0, 0.0), (one, other)
+                if reached != [one, other]:
+                    break  # nor would a second fault that is later still be come to
+                pairs += 1
         assert pairs > 12
 
     def test_an_interrupt_while_safe_is_written_is_raised_once_it_is_confirmed(self, new_bench):
@@ -165,6 +171,7 @@ def interrupted_at_the_end(bench, interrupt):
 
 def struck(bench, errors):
     """Live shortly with `errors` at these uses of the link; those that it came to."""
+    bench.device.seize()
     reached = bench.strike(errors)
     with suppress(LinkError, KeyboardInterrupt), bench.board:
         for _ in range(3):

@@ -79,7 +79,7 @@ class TestExchange:
     def test_a_board_that_is_gone_or_another_fails_the_exchange(self, new_pci_bench, raw, text):
         bench = new_pci_bench()
         with bench.board as board:
-            good = bench.spin_up()
+            good = bench.roll()
             bench.link.change_next_value = ((VERSION, None), lambda _: raw)
             sample = bench.exchange(1.0)
             assert sample.board_flags is BoardFlags.STALE

@@ -74,7 +74,7 @@ def test_no_answer_is_taken_for_the_one_to_a_later_request(mood):
     bench = Usb0111Bench()
     road_start, wheel_start = bench.device.counts()
     with bench.board:
-        bench.spin_up(300)
+        bench.roll()
         bench.face.next_answer = mood
         for _ in range(20):
             sample = bench.exchange(1.0)
