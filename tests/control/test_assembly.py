@@ -33,11 +33,11 @@ def mistakes(*settings: str, controllers=CONTROLLERS) -> dict[str, str]:
 
 def test_gains_that_are_not_named_have_their_defaults():
     config = load_config(settings=["controller.gains.Mk=10"], checks=[control_check()])
-    assert gains_in_force(config) == {"Mk": 10.0, "Mq": 1.0}
+    assert gains_in_force(config) == {"Mk": 10.0, "Mq": 1.0, "lag_s": 0.0}
 
 
-def test_the_gains_of_the_papers_simulation_are_the_default():
-    assert gains_in_force(load_config()) == {"Mk": 2.0, "Mq": 1.0}
+def test_the_gains_of_the_papers_simulation_are_the_default_and_the_law_knows_of_no_lag():
+    assert gains_in_force(load_config()) == {"Mk": 2.0, "Mq": 1.0, "lag_s": 0.0}
 
 
 def test_each_controller_has_its_own_gains():
@@ -107,9 +107,11 @@ def test_a_section_that_is_a_value_is_named_once(setting):
     assert list(mistakes(setting)) == [setting.partition("=")[0]]
 
 
+@pytest.mark.parametrize("value", ["3", "[1]", "{a = 1}"])
 @pytest.mark.parametrize("key", ["controller.name", "estimator.name"])
-def test_a_name_that_is_no_text_is_named_once(key):
-    assert mistakes(f"{key}=3") == {key: "3: must be text"}
+def test_a_name_that_is_no_text_is_named_once(key, value):
+    assert list(mistakes(f"{key}={value}")) == [key]
+    assert mistakes(f"{key}={value}")[key].endswith(": must be text")
 
 
 def test_wrong_names_wrong_gains_and_wrong_values_are_all_reported_at_once():
