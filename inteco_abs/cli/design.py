@@ -66,14 +66,14 @@ def design(
     for the whole set, with 3 when there is advice.
     """
     from inteco_abs.config import load_config
-    from inteco_abs.control import control_check
+    from inteco_abs.control import control_check, preferred_estimator
     from inteco_abs.lab.design import HARD, judge_gains, stated_box
     from inteco_abs.rig import RigParameters
     from inteco_abs.views.design_figure import draw_design
     from inteco_abs.views.figure import check_figure
 
     chosen = [f"controller.name={controller}"] if controller else []
-    rig = load_config(config, [*settings, *chosen], [control_check()])
+    rig = load_config(config, [*settings, *chosen], [control_check()], follows=preferred_estimator())
     speeds = speeds or (_SLOWEST_RAD_S, max(rig.experiment.start_speed_rad_s, _SLOWEST_RAD_S + 1.0))
     slips = [0.0] if from_slip is None else [0.0, from_slip]
     _insist_on_ranges(speeds, slip_band, slips, rig.controller.reference_slip)

@@ -73,9 +73,9 @@ def sweep(
 ) -> int:
     """Compare controllers, gains and estimators on many virtual rigs.
 
-    Every combination brakes every rig once, from the start speed to standstill, with the true slip as judge. The guard
-    and its brake limit are no part of that: rigs of the population capped have such a limit of their own. Of these,
-    only those count that can hold slip 0.2 with 0.5 N m to spare.
+    Every combination brakes every rig once, from the start speed to standstill, with the true slip as judge. Of the
+    guard only its brake limit is part of that; rigs of the population capped have one of their own. Of these, only
+    those count that can hold slip 0.2 with 0.5 N m to spare.
     """
     from inteco_abs.ensembles import combinations, parse_draws
     from inteco_abs.ensembles import sweep as sweep_all

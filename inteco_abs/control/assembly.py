@@ -95,10 +95,10 @@ def control_check(
     def check(table: Mapping[str, Any]) -> Iterator[Mistake]:
         estimator, controller = _section(table, "estimator"), _section(table, "controller")
         name = estimator.get("name", "moving-window")
+        needed = _needed_estimator(table, controllers)
         if isinstance(name, str) and name not in estimators:
             yield Mistake("estimator.name", f"no estimator {name!r}{near_match(name, estimators)}")
-        needed = _needed_estimator(table, controllers)
-        if needed not in {"", name} and name in estimators:
+        elif isinstance(name, str) and needed not in {"", name}:
             problem = (
                 f"{name!r}: the controller {controller['name']} needs {needed!r}; choose it, or another controller"
             )

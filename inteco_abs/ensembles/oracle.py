@@ -19,6 +19,8 @@ from inteco_abs.signals import Command, Estimate, Outlook, Sample
 
 _LEAST_SLIP: Final = 0.001
 """Below, the adhesion of (8) goes through zero."""
+_LEAST_LAG_S: Final = 0.0025
+"""A brake without lag, as of `nominal`, is told the law's torque itself: the inverse of the gain kM."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,4 +84,4 @@ class _Truth:
         cosine = factor * rig.load_ripple * math.sin(rig.load_ripple_phase_rad)
         sine = factor * rig.load_ripple * math.cos(rig.load_ripple_phase_rad)
         now = (state.wheel_angle, x1, 0.0, x2, state.brake_torque, 0.0, factor, cosine, sine)
-        return outlook(self._contact, k, self._pending, (*now, rig.brake_dead_time_s, 1.0 / k.c31))
+        return outlook(self._contact, k, self._pending, (*now, rig.brake_dead_time_s, max(1.0 / k.c31, _LEAST_LAG_S)))

@@ -45,12 +45,12 @@ def _problem_of(kind: object, name: str) -> str:
     if not isinstance(gains, tuple) or not all(isinstance(gain, Gain) for gain in gains):
         return f"{name}.gains must be a tuple of inteco_abs.control.Gain; () if it has none"
     problems = [f"{name}.gains: {gain.name!r}: {problem}" for gain in gains if (problem := _problem_of_gain(gain))]
-    if problems:
-        return problems[0]
     internals = getattr(kind, "internals", None)
     if not isinstance(internals, tuple) or len(internals) > _MOST_INTERNALS:
-        return f"{name}.internals must be a tuple of at most {_MOST_INTERNALS} names; () if it logs none"
-    return ""
+        problems.append(f"{name}.internals must be a tuple of at most {_MOST_INTERNALS} names; () if it logs none")
+    if not isinstance(getattr(kind, "estimator", ""), str):
+        problems.append(f"{name}.estimator must be the name of the estimator that it needs; without it any will do")
+    return problems[0] if problems else ""
 
 
 def _problem_of_gain(gain: Gain) -> str:

@@ -46,12 +46,12 @@ def measured_torque(duty: float) -> float:
 
 
 def measured_duty(torque: float) -> float:
-    """Duty at which `torque` in N m was measured: 0 for no torque, 1 for more than there is."""
+    """Duty at which `torque` in N m was measured: 0 for no torque, 1 for more than there is, NaN for NaN."""
     if torque <= 0.0:
         return 0.0
     left, low = MEASURED_TORQUE[0]
     for right, high in MEASURED_TORQUE[1:]:
-        if torque < high:
+        if not torque >= high:
             return left + (right - left) * ((torque - low) / (high - low))
         left, low = right, high
     return 1.0

@@ -18,10 +18,12 @@ from inteco_abs.control import (
     Setup,
     build_pipeline,
     control_check,
+    preferred_estimator,
     reaching_law_torque,
 )
-from inteco_abs.rig import Plant, RigParameters, brake_duty, brake_torque
-from inteco_abs.signals import BoardFlags, Command, Phase, Reason, Sample, Tick
+from inteco_abs.control.estimators import Observer
+from inteco_abs.rig import Encoder, Plant, RigParameters, RigVariation, brake_duty, brake_torque
+from inteco_abs.signals import BoardFlags, Command, Estimate, Phase, Reason, Sample, Tick
 
 REFERENCE = 0.2
 START_RAD_S = 180.0
@@ -256,7 +258,7 @@ def experiment():
     """Maker of experiments from `--set` like settings."""
 
     def make(*settings: str, pipeline: Callable[[RigConfig], Pipeline] | None = None) -> Experiment:
-        config = load_config(settings=settings, checks=[control_check()])
+        config = load_config(settings=settings, checks=[control_check()], follows=preferred_estimator())
         return Experiment(config, None if pipeline is None else pipeline(config))
 
     return make
@@ -266,3 +268,46 @@ def experiment():
 def nominal_run(experiment):
     """One run with the default configuration."""
     return experiment().run()
+
+
+class Rolling:
+    """A rig of its own whose wheels roll at a speed, its encoders, and the observer; output first."""
+
+    def __init__(
+        self, rig: RigVariation, road_speed: float = 0.0, rate_hz: float = 2000.0, observer: Observer | None = None
+    ) -> None:
+        per_turn, believed = rig.wheel_encoder.counts_per_turn, RigParameters.named("mask")
+        self.plant = Plant(rig, rig.parameters.r2 / rig.parameters.r1 * road_speed, road_speed)
+        self.period_s = 1.0 / rate_hz
+        self.observer = observer or Observer(believed, per_turn, self.period_s)
+        self.told = Command.SAFE
+        """What the next exchange writes."""
+        self.acting: Callable[[Command], Command] = lambda command: command
+        """What the rig makes of a command."""
+        self._encoders = Encoder(rig, wheel=True), Encoder(rig, wheel=False)
+        self._period_ns = round(1e9 / rate_hz)
+        self._tick, self._time_ns, self._dt_s = 0, FIRST_NS, self.period_s
+
+    def sample(self, flags: BoardFlags = BoardFlags.NONE) -> Sample:
+        counts = self._encoders[0].read(self.plant.wheel_angle), self._encoders[1].read(self.plant.road_angle)
+        return Sample(self._tick, self._time_ns, self._dt_s, *counts, flags)
+
+    def move(self, periods: int = 1) -> None:
+        """On to the next exchange, which is so many periods later."""
+        self.plant.advance(*self.acting(self.told), self.period_s * periods)
+        self._tick, self._time_ns = self._tick + 1, self._time_ns + periods * self._period_ns
+        self._dt_s = periods * self.period_s
+
+    def tick(self, decide: Command | Callable[[Estimate], Command] = Command.SAFE, periods: int = 1) -> Estimate:
+        """Write what was decided before, read, decide; the wheels then turn for so many periods."""
+        estimate = self.observer.update(self.sample(), self.told)
+        command = decide(estimate) if callable(decide) else decide
+        self.move(periods)
+        self.told = command
+        return estimate
+
+
+@pytest.fixture(scope="session")
+def rolling():
+    """Maker of rolling rigs with an observer."""
+    return Rolling

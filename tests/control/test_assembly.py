@@ -2,8 +2,16 @@ import math
 
 import pytest
 
-from inteco_abs.config import load_config
-from inteco_abs.control import CONTROLLERS, ESTIMATORS, BrakingModel, build_pipeline, control_check, gains_in_force
+from inteco_abs.config import load_config, parse_config
+from inteco_abs.control import (
+    CONTROLLERS,
+    ESTIMATORS,
+    BrakingModel,
+    build_pipeline,
+    control_check,
+    gains_in_force,
+    preferred_estimator,
+)
 from inteco_abs.errors import ConfigError
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import BrakeDemand, Phase
@@ -33,11 +41,11 @@ def mistakes(*settings: str, controllers=CONTROLLERS) -> dict[str, str]:
 
 def test_gains_that_are_not_named_have_their_defaults():
     config = load_config(settings=["controller.gains.Mk=10"], checks=[control_check()])
-    assert gains_in_force(config) == {"Mk": 10.0, "Mq": 1.0}
+    assert gains_in_force(config) == {"Mk": 10.0, "Mq": 1.0, "lag_s": 0.0}
 
 
-def test_the_gains_of_the_papers_simulation_are_the_default():
-    assert gains_in_force(load_config()) == {"Mk": 2.0, "Mq": 1.0}
+def test_the_gains_of_the_papers_simulation_are_the_default_and_the_law_knows_of_no_lag():
+    assert gains_in_force(load_config()) == {"Mk": 2.0, "Mq": 1.0, "lag_s": 0.0}
 
 
 def test_each_controller_has_its_own_gains():
@@ -107,9 +115,11 @@ def test_a_section_that_is_a_value_is_named_once(setting):
     assert list(mistakes(setting)) == [setting.partition("=")[0]]
 
 
+@pytest.mark.parametrize("value", ["3", "[1]", "{a = 1}"])
 @pytest.mark.parametrize("key", ["controller.name", "estimator.name"])
-def test_a_name_that_is_no_text_is_named_once(key):
-    assert mistakes(f"{key}=3") == {key: "3: must be text"}
+def test_a_name_that_is_no_text_is_named_once(key, value):
+    assert list(mistakes(f"{key}={value}")) == [key]
+    assert mistakes(f"{key}={value}")[key].endswith(": must be text")
 
 
 def test_wrong_names_wrong_gains_and_wrong_values_are_all_reported_at_once():
@@ -167,3 +177,82 @@ def test_reference_and_gains_reach_the_law(experiment):
             held = tick
         elif tick.phase is Phase.BRAKING and tick.c1:
             assert tick.torque_demand_nm == held.torque_demand_nm
+
+
+# a controller that needs an estimator
+
+
+def chosen(*settings, file=None, controllers=CONTROLLERS):
+    """Controller and estimator of a configuration, as a run makes it."""
+    checks, follows = [control_check(controllers)], preferred_estimator(controllers)
+    config = load_config(file, settings, checks, follows=follows)
+    return config.controller.name, config.estimator.name
+
+
+def test_a_controller_brings_the_estimator_that_it_needs():
+    assert chosen("controller.name=predictive-reaching") == ("predictive-reaching", "observer")
+
+
+def test_one_that_needs_none_in_particular_leaves_the_default():
+    assert chosen() == ("reaching-law", "moving-window")
+    assert chosen("estimator.name=observer") == ("reaching-law", "observer")
+
+
+def test_other_keys_of_the_estimator_do_not_choose_one():
+    settings = ("controller.name=predictive-reaching", "estimator.window_s=0.02")
+    assert chosen(*settings) == ("predictive-reaching", "observer")
+
+
+@pytest.mark.parametrize("name", sorted(set(ESTIMATORS) - {"observer"}))
+def test_another_estimator_than_the_one_that_is_needed_is_refused(name):
+    settings = ["controller.name=predictive-reaching", f"estimator.name={name}"]
+    with pytest.raises(ConfigError) as caught:
+        chosen(*settings)
+    (mistake,) = caught.value.mistakes
+    assert mistake.path == "estimator.name"
+    assert mistake.problem == (
+        f"'{name}': the controller predictive-reaching needs 'observer'; choose it, or another controller"
+    )
+
+
+def test_an_estimator_that_does_not_exist_is_told_as_such_and_once():
+    with pytest.raises(ConfigError) as caught:
+        chosen("controller.name=predictive-reaching", "estimator.name=observr")
+    assert [mistake.problem for mistake in caught.value.mistakes] == ["no estimator 'observr'; did you mean observer?"]
+
+
+def test_a_rig_file_chooses_as_the_command_line_does(tmp_path):
+    file = tmp_path / "rig.toml"
+    file.write_text('[controller]\nname = "predictive-reaching"\n')
+    assert chosen(file=file) == ("predictive-reaching", "observer")
+    assert chosen("controller.name=relay", file=file) == ("relay", "moving-window")
+    file.write_text('[estimator]\nname = "kalman"\n')
+    assert chosen(file=file) == ("reaching-law", "kalman")
+    with pytest.raises(ConfigError, match="'kalman': the controller predictive-reaching needs 'observer'"):
+        chosen("controller.name=predictive-reaching", file=file)
+    settings = ("controller.name=predictive-reaching", "estimator.name=observer")
+    assert chosen(*settings, file=file) == ("predictive-reaching", "observer")
+
+
+def test_the_effective_configuration_says_which_and_is_read_back_without_asking_again():
+    config = load_config(settings=["controller.name=predictive-reaching"], follows=preferred_estimator())
+    assert parse_config(config.to_toml(), [control_check()]) == config
+    assert 'name = "observer"' in config.to_toml()
+
+
+class Needy(Own):
+    estimator = "kalman"
+
+
+def test_a_controller_of_the_users_own_can_need_one_too():
+    assert chosen("controller.name=needy", controllers={**CONTROLLERS, "needy": Needy}) == ("needy", "kalman")
+
+
+NONE = ["controller.name=no-such", "controller.name=3", "controller.name=[1]", "controller=3"]
+
+
+@pytest.mark.parametrize("setting", NONE)
+def test_of_a_controller_that_is_none_nothing_follows(setting):
+    with pytest.raises(ConfigError) as caught:
+        chosen(setting)
+    assert [mistake.path for mistake in caught.value.mistakes] == [setting.partition("=")[0]]

@@ -199,6 +199,14 @@ def test_a_duty_outside_0_to_1_is_cut_to_it(asked, given):
     assert set(stops.traces[0].brake.tolist()) == {given}
 
 
+@pytest.mark.parametrize(("limit", "cap", "given"), [(0.6, 1.0, 0.6), (1.0, 0.7, 0.7), (0.8, 0.7, 0.7)])
+def test_the_duty_is_limited_as_by_a_guard_that_knows_the_amplifier(limit, cap, given):
+    config = configured("experiment.start_speed_rad_s=10", f"guard.brake_limit={limit}")
+    rig = RigVariation(brake_duty_cap=cap)
+    stops = run_stops([rig], config, maker=parts.OneDuty(0.95), run_up_from_rad_s=None, traced=[0])
+    assert set(stops.traces[0].brake.tolist()) == {given}
+
+
 def test_a_stop_that_does_not_end_is_given_up():
     stops = run_stops([RigVariation()], configured(), maker=parts.OneDuty(0.0), run_up_from_rad_s=None, traced=[0])
     assert stops.traces[0].time_s[-1] == pytest.approx(LONGEST_BRAKING_S)

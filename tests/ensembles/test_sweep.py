@@ -234,3 +234,14 @@ def test_a_figure_that_cannot_be_written_is_an_error(rows, tmp_path):
     path.mkdir()
     with pytest.raises(AbsError, match=r"sweep\.png: the figure cannot be written"):
         draw_sweep(rows, path)
+
+
+def test_in_a_grid_each_controller_has_its_estimator():
+    names = [each.name for each in grid("controller.name=predictive-reaching,pi")]
+    assert names == ["predictive-reaching on observer", "pi on moving-window"]
+
+
+def test_an_estimator_that_one_of_the_controllers_cannot_do_with_is_refused():
+    for estimator in ("ideal", "kalman"):
+        found = mistakes(grid, "controller.name=predictive-reaching,pi", f"estimator.name={estimator}")
+        assert found["estimator.name"].startswith(f"'{estimator}': the controller predictive-reaching needs 'observer'")

@@ -121,6 +121,7 @@ WRONG = [
     (["--from-slip", "2"], ["--from-slip", "2", "0..1"]),
     (["--set", "controller.reference_slip=0.001"], ["controller.reference_slip", "0.001", "at least 0.01"]),
     (["--controller", "pi"], ["'pi' has no switching gain", "reaching-law"]),
+    (["--controller", "predictive-reaching"], ["'predictive-reaching' has no switching gain", "reaching-law"]),
     (["--controller", "reachin-law"], ["did you mean reaching-law"]),
     (["--set", "controller.gains.Mx=1"], ["controller.gains.Mx", "Mk, Mq"]),
     (["--csv", "curves.txt"], ["--csv", ".csv"]),

@@ -4,6 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from inteco_abs.boards.frames import widths
 from inteco_abs.rig import (
@@ -13,6 +15,7 @@ from inteco_abs.rig import (
     adhesion,
     brake_torque,
     draw,
+    measured_duty,
     measured_torque,
     settled_torque,
 )
@@ -233,3 +236,13 @@ def test_every_default_that_the_plant_looks_at_makes_it_plain():
     }
     for name in {field.name for field in fields(RigVariation)} - ignored:
         assert not replace(RigVariation(), **{name: others.get(name, 0.11)}).plain_plant
+
+
+@given(st.floats(1e-6, 9.369))
+def test_the_measured_map_is_inverted(torque):
+    assert measured_torque(measured_duty(torque)) == pytest.approx(torque, rel=1e-9, abs=1e-9)
+
+
+def test_beyond_the_measured_map_the_duty_is_none_or_all_and_nan_stays_what_it_is():
+    assert [measured_duty(torque) for torque in (-1.0, 0.0, 9.37, 50.0)] == [0.0, 0.0, 1.0, 1.0]
+    assert math.isnan(measured_duty(math.nan))

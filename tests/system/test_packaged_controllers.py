@@ -222,6 +222,7 @@ def test_a_package_that_is_there_twice_is_no_collision(here, tmp_path, monkeypat
         ("class Threshold: pass", "has no method update"),
         (LAW.replace("    gains =", "    others ="), "gains must be a tuple of inteco_abs.control.Gain"),
         (LAW.replace("internals = ()", "internals = ('a',) * 5"), "internals must be a tuple of at most 4"),
+        (LAW.replace("internals =", "estimator = 3\n    internals ="), "estimator must be the name of the estimator"),
         (LAW.replace('"duty", 0.7', '"duty", 1.7'), "'duty': the default 1.7 must be in its range 0..1"),
         (LAW.replace('"duty", 0.7', '"duty", "0.7"'), "'duty': low, default and high are (0.0, '0.7', 1.0)"),
         (LAW.replace("0.0, 1.0,", "0.0, float('inf'),"), "must be finite numbers"),

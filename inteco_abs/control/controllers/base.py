@@ -1,6 +1,7 @@
 """What a slip controller is: from an estimate to a brake demand. Pure, scalar, one class each.
 
-A controller of your own is a class with the same three parts: `gains`, `internals` and `update`.
+A controller of your own is a class with the same three parts: `gains`, `internals` and `update`. One that works with
+a single estimator only names it as `estimator`.
 """
 
 from __future__ import annotations

@@ -26,13 +26,18 @@ class Pending:
         self._torques = deque([0.0] * ticks, ticks)  # the newest is last, and at the terminals from now on
 
     def tell(self, torque: float, ticks: int) -> None:
-        """Take note of what was put out with the present sample, the first for `ticks` ticks."""
-        self._torques.extend([torque] * min(ticks, len(self._torques)))
+        """Take note of what is put out from the present sample on; for `ticks` ticks it was what was told before."""
+        self._torques.extend([self._torques[-1]] * min(ticks - 1, len(self._torques)))
+        self._torques.append(torque)
 
-    def arrived(self, dead_time: float) -> tuple[float, float]:
-        """What acted on the brake in the period that ends now, and its slope by the dead time in s."""
+    def arrived(self, dead_time: float, ago: int = 0) -> tuple[float, float]:
+        """What acted on the brake in the period that ended `ago` ticks ago, and its slope by the dead time in s.
+
+        As far back as is known: the longest dead time.
+        """
         ticks, late = self._split(dead_time)
-        newer, older = self._torques[-2 - ticks], self._torques[-3 - ticks]
+        newest = min(ticks + ago, len(self._torques) - 3)
+        newer, older = self._torques[-2 - newest], self._torques[-3 - newest]
         return newer + late * (older - newer), (older - newer) / self._period_s
 
     def ahead(self, torque: float, dead_time: float, lag: float) -> tuple[float, float, float]:

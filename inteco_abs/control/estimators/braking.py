@@ -97,7 +97,7 @@ class BrakingFilter:
         self._step_in_s = 0.0  # until a step may show
 
     def tell(self, duty: float, ticks: int) -> None:
-        """Take note of the duty that was put out with the present sample, the first for `ticks` ticks."""
+        """Take note of the duty that is put out from the present sample on, `ticks` ticks after the last one."""
         self._pending.tell(measured_torque(duty), ticks)
 
     def begin(self, wheel: DiscFilter, road: DiscFilter) -> None:
@@ -120,11 +120,11 @@ class BrakingFilter:
         """Of wheel and road, rad/s."""
         return self._x[1], self._x[3]
 
-    def update(self, wheel_angle: float, road_angle: float, dt_s: float) -> None:
-        """Move on by `dt_s` to where the wheels show these angles, in rad."""
-        steps = max(1, math.ceil(dt_s / _LONGEST_STEP_S - 1e-6))
-        for _ in range(steps):
-            self._predict(dt_s / steps)
+    def update(self, wheel_angle: float, road_angle: float, dt_s: float, ticks: int) -> None:
+        """Move on by `dt_s`, which is `ticks` ticks, to where the wheels show these angles, in rad."""
+        steps = max(ticks, math.ceil(dt_s / _LONGEST_STEP_S - 1e-6))
+        for left in range(steps - 1, -1, -1):
+            self._predict(dt_s / steps, left * ticks // steps)
         self._correct(wheel_angle, road_angle)
         self._step_in_s -= dt_s
         if self._step_in_s <= 0.0 and abs(self._surprise) > self._spread.surprise:
@@ -137,10 +137,10 @@ class BrakingFilter:
         """What is expected of the instant at which the next command comes through to the brake."""
         return outlook(self._contact, self._parameters, self._pending, self._x)
 
-    def _predict(self, T: float) -> None:
+    def _predict(self, T: float, ago: int) -> None:
         th1, x1, th2, x2, M, d, factor, cosine, sine, dead_time, lag = self._x
         k, spread = self._parameters, self._spread
-        settled, later = self._pending.arrived(dead_time)
+        settled, later = self._pending.arrived(dead_time, ago)
         left = math.exp(-T / lag)
         slip = braking_slip(x1, x2, k)
         turned, turned_sine = math.cos(th1), math.sin(th1)

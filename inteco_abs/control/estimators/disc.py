@@ -48,10 +48,10 @@ class DiscFilter:
         """Variances of angle and speed, and their covariance."""
         return self._P[0][0], self._P[1][1], self._P[0][1]
 
-    def restart(self, angle: float) -> None:
-        """Begin anew at `angle`, at any speed; what was learnt of the disc stays."""
-        self._x[:3] = [self.straight(angle), 0.0, 0.0]
-        for i, variance in enumerate((self._noise, _SPEED_SD**2, _ACCELERATION_SD**2)):
+    def restart(self, angle: float, speed: float = 0.0, deviation: float = _SPEED_SD) -> None:
+        """Begin anew at `angle`, at a speed known so well, in rad/s; what was learnt of the disc stays."""
+        self._x[:3] = [self.straight(angle), speed, 0.0]
+        for i, variance in enumerate((self._noise, deviation**2, _ACCELERATION_SD**2)):
             self._P[i] = [0.0] * 5
             self._P[i][i] = variance
         for i in (3, 4):

@@ -15,6 +15,8 @@ from inteco_abs.signals import Command, Estimate, Sample
 _BRAKING_FROM_RAD_S: Final = 10.0
 _BRAKING_UNTIL_RAD_S: Final = 2.0
 """Of the road: below, the slip says nothing any more."""
+_HANDED_OVER_SD: Final = 2.0
+"""Of the speeds then, rad/s."""
 _SAMPLES: Final = 3
 """From here on there is a speed."""
 
@@ -45,14 +47,16 @@ class Observer:
         wheel_angle, dt_s = self._angles[0].update(sample.time_ns, sample.wheel_count)
         road_angle, _ = self._angles[1].update(sample.time_ns, sample.road_count)
         self._samples += 1
-        self._filter.tell(command.brake, max(1, round(dt_s / self._period_s)))
+        ticks = max(1, round(dt_s / self._period_s))
+        self._filter.tell(command.brake, ticks)
         wheel, road = self._discs
         if self._braking:
-            self._filter.update(wheel.straight(wheel_angle), road.straight(road_angle), dt_s)
-            if command.drive > 0.0 or self._filter.speeds[1] < _BRAKING_UNTIL_RAD_S:
+            self._filter.update(wheel.straight(wheel_angle), road.straight(road_angle), dt_s, ticks)
+            wheel_speed, road_speed = self._filter.speeds
+            if command.drive > 0.0 or road_speed < _BRAKING_UNTIL_RAD_S:
                 self._braking = False
-                wheel.restart(wheel_angle)
-                road.restart(road_angle)
+                wheel.restart(wheel_angle, wheel_speed, _HANDED_OVER_SD)
+                road.restart(road_angle, road_speed, _HANDED_OVER_SD)
         else:
             wheel.update(wheel_angle, dt_s)
             road.update(road_angle, dt_s)

@@ -1,0 +1,198 @@
+"""What the observer learns of a rig while it brakes: on rigs that are known, without noise, with its own controller."""
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from inteco_abs.control import PredictiveReaching, Setup
+from inteco_abs.control.estimators.braking import BrakingFilter, Spread
+from inteco_abs.control.estimators.disc import DiscFilter
+from inteco_abs.rig import EncoderVariation, RigParameters, RigVariation, Surface, adhesion
+from inteco_abs.signals import Command, Estimate
+
+MASK = RigParameters.named("mask")
+LEARNT_S = 0.3
+PERIOD_S = 0.0005
+
+
+class Moment(NamedTuple):
+    """The truth at a sample, and what was made of it."""
+
+    time_s: float
+    wheel_speed: float
+    road_speed: float
+    slip: float
+    brake_torque: float
+    estimate: Estimate
+    covariance: np.ndarray
+
+    @property
+    def outlook(self):
+        return self.estimate.outlook
+
+
+def quiet(lag_s=0.05, **variation):
+    """The published rig with a measured brake that lags, and ideal encoders."""
+    disc = EncoderVariation(2048)
+    plain = {"brake_map": "measured", "brake_dead_time_s": 0.01, "wheel_encoder": disc, "road_encoder": disc}
+    return RigVariation(replace(MASK, c31=1.0 / lag_s), **{**plain, **variation})
+
+
+@pytest.fixture(scope="module")
+def stop(rolling):
+    """Moments of a stop from 180 rad/s until the road is slow."""
+
+    @cache
+    def brake(rig):
+        run = rolling(rig, 180.0)
+        gains = {gain.name: gain.default for gain in PredictiveReaching.gains}
+        law = PredictiveReaching(Setup(0.2, MASK, 5.0), **gains)
+        for _ in range(400):
+            run.tick()
+        moments = []
+        while run.plant.road_speed > 8.0:
+            plant = run.plant
+            truth = plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque
+            estimate = run.tick(lambda seen: Command(0.0, law.update(seen, PERIOD_S).brake))
+            covariance = np.array(run.observer._filter._P)  # nothing else shows it
+            moments.append(Moment(len(moments) * PERIOD_S, *truth, estimate, covariance))
+        return moments
+
+    return brake
+
+
+def learnt(moments, since_s=LEARNT_S):
+    return [moment for moment in moments if moment.time_s >= since_s]
+
+
+BRAKES = [(0.006, 0.040), (0.010, 0.050), (0.015, 0.060)]
+
+
+@pytest.mark.parametrize(("dead_time_s", "lag_s"), BRAKES)
+def test_dead_time_and_lag_of_a_brake_with_the_measured_map_are_found(stop, dead_time_s, lag_s):
+    for moment in learnt(stop(quiet(lag_s, brake_dead_time_s=dead_time_s))):
+        outlook = moment.outlook
+        assert outlook.brake_dead_time_s == pytest.approx(dead_time_s, abs=0.0015)
+        assert outlook.brake_lag_s == pytest.approx(lag_s, abs=0.0025)
+        assert outlook.brake_dead_time_s + outlook.brake_lag_s == pytest.approx(dead_time_s + lag_s, abs=0.003)
+        assert outlook.excess_torque_nm == pytest.approx(0.0, abs=0.05)
+
+
+OWN = [
+    {"adhesion_scale": 0.9, "brake_gain": 1.04, "brake_duty_offset": 0.015},
+    {"adhesion_scale": 1.1, "brake_gain": 0.96, "brake_duty_offset": -0.015},
+    {"adhesion_scale": 0.95, "adhesion_blend": 0.5},
+]
+
+
+@pytest.mark.parametrize("variation", OWN)
+def test_the_adhesion_of_the_slip_that_is_held_is_found(stop, variation):
+    surface = Surface(variation["adhesion_scale"], variation.get("adhesion_blend", 0.0))
+    factor = surface.adhesion(0.2, MASK) / adhesion(0.2, MASK)
+    for moment in learnt(stop(quiet(**variation))):
+        assert moment.outlook.adhesion_factor == pytest.approx(factor, rel=0.02)
+
+
+@pytest.mark.parametrize("variation", OWN)
+def test_what_is_expected_comes_true_when_the_next_command_comes_through(stop, variation):
+    moments = stop(quiet(**variation))
+    for moment in learnt(moments):
+        outlook = moment.outlook
+        then = round(moment.time_s / PERIOD_S) + int(outlook.brake_dead_time_s / PERIOD_S) + 1
+        if then < len(moments):
+            truth = moments[then]
+            torque = outlook.lagged_torque_nm + outlook.excess_torque_nm
+            assert torque == pytest.approx(truth.brake_torque, abs=0.08)
+            assert outlook.wheel_speed_rad_s == pytest.approx(truth.wheel_speed, abs=0.3)
+            assert outlook.road_speed_rad_s == pytest.approx(truth.road_speed, abs=0.15)
+
+
+@pytest.mark.parametrize("variation", OWN)
+def test_the_slip_is_known_to_a_thousandth_and_held(stop, variation):
+    moments = [moment for moment in learnt(stop(quiet(**variation))) if moment.road_speed > 20.0]
+    errors = [moment.estimate.slip - moment.slip for moment in moments]
+    assert math.sqrt(np.mean(np.square(errors))) < 0.001
+    assert math.sqrt(np.mean([(moment.slip - 0.2) ** 2 for moment in moments])) < 0.001
+
+
+@pytest.mark.parametrize("phase", [0.0, 1.0, 3.0])
+def test_a_ripple_of_the_load_over_a_turn_is_found_bit_by_bit(stop, phase):
+    moments = stop(quiet(load_ripple=0.03, load_ripple_phase_rad=phase))
+    parts = [(moment.outlook.ripple_cosine, moment.outlook.ripple_sine) for moment in moments]
+    amplitudes = [math.hypot(*part) for part in parts]
+    assert amplitudes[0] < 1e-4
+    assert amplitudes[1000] > 0.010
+    assert 0.016 < amplitudes[2000] < 0.03
+    for cosine, sine in parts[1000:]:
+        assert math.remainder(math.atan2(cosine, sine) - phase, math.tau) == pytest.approx(0.0, abs=0.25)
+
+
+@pytest.mark.parametrize("step", [-0.15, 0.15])
+def test_a_step_of_the_roads_grip_is_followed_within_20_ms(stop, step):
+    moments = stop(quiet(grip_step=step, grip_step_after_s=0.5))
+    begun_s = 0.5 + next(moment.time_s for moment in moments if moment.brake_torque > 0.0) - 0.01
+    for moment in moments:
+        if begun_s - 0.1 < moment.time_s < begun_s - 0.005:
+            assert moment.outlook.adhesion_factor == pytest.approx(1.0, abs=0.03)
+        elif begun_s + 0.020 < moment.time_s < begun_s + 0.3:
+            assert moment.outlook.adhesion_factor == pytest.approx(1.0 + step, abs=0.05)
+    after = [moment.slip for moment in moments if begun_s < moment.time_s < begun_s + 0.3]
+    assert max(abs(slip - 0.2) for slip in after) < 0.05
+
+
+@pytest.mark.parametrize("variation", [*OWN, {"grip_step": -0.2, "grip_step_after_s": 0.4, "load_ripple": 0.02}])
+def test_the_covariance_is_one_all_along_a_stop(stop, variation):
+    for moment in stop(quiet(**variation))[::25]:
+        covariance = moment.covariance
+        deviations = np.sqrt(np.diag(covariance))
+        correlations = covariance / np.outer(deviations, deviations)
+        assert np.abs(correlations - correlations.T).max() < 1e-9
+        assert np.linalg.eigvalsh(correlations).min() > -1e-9
+
+
+# the transition's Jacobian
+
+
+STATES = {
+    # state: value, step, and what the filter neglects of what it moves
+    "wheel angle": (1.0, 1e-3, 0.003),  # the ripple's turn within a step
+    "wheel speed": (130.0, 1e-3, 0.0),
+    "road angle": (2.0, 1e-3, 0.0),
+    "road speed": (164.0, 1e-3, 0.0),
+    "torque": (3.0, 1e-3, 0.0),
+    "excess torque": (0.2, 1e-3, 0.0),
+    "adhesion factor": (0.95, 1e-4, 0.0),
+    "cosine": (0.01, 1e-4, 0.0),
+    "sine": (-0.005, 1e-4, 0.0),
+    "dead time": (0.0102, 1e-6, 0.035),  # both move the wheels only by the torque after the step
+    "lag": (0.05, 1e-5, 0.01),
+}
+START, STEPS, NEGLECTED = map(np.array, zip(*STATES.values(), strict=True))
+
+
+def predicted(state, covariance):
+    """States and covariance one step of 0.5 ms later, with commands of rising duty under way."""
+    rig, disc = BrakingFilter(MASK, Spread(), 0.003, PERIOD_S), DiscFilter(0.003, 0.003)
+    rig.begin(disc, disc)
+    for tick in range(60):
+        rig.tell(0.5 + 0.005 * tick, 1)
+    rig._x, rig._P = state.tolist(), covariance.tolist()  # a step from any state: nothing public begins there
+    rig._predict(PERIOD_S, 0)
+    return np.array(rig._x), np.array(rig._P)
+
+
+@pytest.mark.parametrize("column", range(11), ids=STATES.keys())
+def test_uncertainty_is_carried_along_as_the_states_are(column):
+    size = 1e6  # next to which the noise that is added is nothing
+    one = np.eye(11)[column]
+    covariance = predicted(START, np.outer(one, one) * size**2)[1]
+    ends = [predicted(START + way * STEPS * one, np.zeros((11, 11)))[0] for way in (1.0, -1.0)]
+    moved = (ends[0] - ends[1]) / (2.0 * STEPS[column])
+    strongest = int(np.argmax(np.abs(moved)))
+    carried = covariance[strongest] / math.sqrt(covariance[strongest, strongest]) / size
+    tolerance = 1e-3 * np.abs(moved[[1, 3, 4, 5]]).max() + NEGLECTED[column] + 1e-9
+    assert math.copysign(1.0, moved[strongest]) * carried == pytest.approx(moved, rel=0.02, abs=tolerance)

@@ -1,0 +1,93 @@
+"""Commands under way to a late and lagging brake: against integrals of the staircase that they are."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from inteco_abs.control.estimators.ahead import LONGEST_DEAD_TIME_S, Pending
+
+PERIOD_S = 0.0005
+SEEDS = st.integers(0, 2**32 - 1)
+DEAD_TIMES = st.floats(0.002, LONGEST_DEAD_TIME_S)
+WHOLE = st.integers(4, 59).map(lambda ticks: (ticks + 1e-6) * PERIOD_S)  # not a rounding error less than a tick
+LAGS = st.floats(0.025, 0.09)
+FULL_NM = 9.37
+several_rates = pytest.mark.parametrize("period_s", [0.0001, 0.0005, 0.004, 0.02])
+
+
+class Told:
+    """What a loop told by chance, with exchanges that were missed; and the staircase that it makes."""
+
+    def __init__(self, seed, period_s=PERIOD_S, last=None):
+        random = np.random.default_rng(seed)
+        torques, ticks = random.uniform(0.0, FULL_NM, 120).tolist(), random.integers(1, 6, 120).tolist()
+        torques[-1] = torques[-1] if last is None else last
+        self.pending, self.period_s, self.newest = Pending(period_s), period_s, torques[-1]
+        for torque, count in zip(torques, ticks, strict=True):
+            self.pending.tell(torque, count)
+        held = [before for before, count in zip([0.0, *torques], ticks, strict=False) for _ in range(count)]
+        goes_on = [self.newest] * 400
+        self._integral = np.concatenate([[0.0], np.cumsum([*[0.0] * 400, *held, *goes_on])])
+        self._now = 400 + len(held)
+
+    def mean(self, dead_time, end=0):
+        """Of what comes out a dead time later, over the tick that ends so many ticks from now."""
+        at = self._now + end - dead_time / self.period_s
+        until, since = np.interp([at, at - 1.0], np.arange(len(self._integral)), self._integral)
+        return float(until - since)
+
+
+@several_rates
+@given(seed=SEEDS, dead_time=DEAD_TIMES)
+def test_what_arrives_is_the_mean_of_what_was_put_out_a_dead_time_before(period_s, seed, dead_time):
+    told = Told(seed, period_s)
+    mean, slope = told.pending.arrived(dead_time)
+    assert mean == pytest.approx(told.mean(dead_time), abs=1e-9)
+    share = dead_time / period_s % 1.0
+    step_s = 0.5 * period_s * min(share, 1.0 - share)  # within which the mean is a straight line
+    if step_s > 1e-3 * period_s:
+        difference = told.mean(dead_time + step_s) - told.mean(dead_time - step_s)
+        assert slope == pytest.approx(difference / (2.0 * step_s), rel=1e-6, abs=1e-6 / period_s)
+
+
+@given(SEEDS, DEAD_TIMES, st.integers(0, 50))
+def test_what_arrived_in_a_tick_before_is_known_as_far_back_as_the_longest_dead_time(seed, dead_time, ago):
+    told = Told(seed)
+    back = min(ago, round(LONGEST_DEAD_TIME_S / PERIOD_S) + 1 - int(dead_time / PERIOD_S))
+    assert told.pending.arrived(dead_time, ago)[0] == pytest.approx(told.mean(dead_time, -back), abs=1e-9)
+
+
+def lagged(torque, means, lag):
+    """Torque at the end of so many ticks with a first-order lag, and its mean over them."""
+    total, left = 0.0, math.exp(-PERIOD_S / lag)
+    for settled in means:
+        total += settled + (torque - settled) * (1.0 - left) * lag / PERIOD_S
+        torque = settled + (torque - settled) * left
+    return torque, total / len(means)
+
+
+@given(SEEDS, st.one_of(DEAD_TIMES, WHOLE), LAGS, st.floats(0.0, FULL_NM))
+def test_looking_ahead_is_the_lag_of_all_that_is_under_way(seed, dead_time, lag, torque):
+    told, ticks = Told(seed), int(dead_time / PERIOD_S) + 1
+    horizon, then, mean = told.pending.ahead(torque, dead_time, lag)
+    exact_then, exact_mean = lagged(torque, [told.mean(dead_time, 1 + tick) for tick in range(ticks)], lag)
+    assert horizon == pytest.approx(ticks * PERIOD_S, rel=1e-12)
+    assert then == pytest.approx(exact_then, abs=1e-9)
+    assert mean == pytest.approx(exact_mean, abs=1e-3)  # it takes the lag within a tick for a straight line
+
+
+@given(SEEDS, DEAD_TIMES, LAGS)
+def test_the_newest_command_is_just_about_to_come_through_at_the_horizon(seed, dead_time, lag):
+    (_, then, _), (_, later, _) = (Told(seed, last=each).pending.ahead(1.0, dead_time, lag) for each in (2.0, 3.0))
+    share = 1.0 - dead_time / PERIOD_S % 1.0
+    assert later - then == pytest.approx(share * (1.0 - math.exp(-PERIOD_S / lag)), abs=1e-9)
+
+
+@given(SEEDS, DEAD_TIMES, st.integers(64, 10**6))
+def test_a_gap_of_any_length_leaves_what_was_told_before_it(seed, dead_time, ticks):
+    told = Told(seed)
+    told.pending.tell(5.0, ticks)
+    assert told.pending.arrived(dead_time) == pytest.approx((told.newest, 0.0), abs=1e-9)

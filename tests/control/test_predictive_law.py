@@ -1,0 +1,172 @@
+"""The predictive law on outlooks as an observer may have them, without an observer."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from inteco_abs.control import PredictiveReaching, Setup
+from inteco_abs.control.contact import Contact
+from inteco_abs.rig import RigParameters, adhesion, measured_torque
+from inteco_abs.signals import BrakeDemand, Estimate, Outlook
+
+MASK = RigParameters.named("mask")
+CONTACT = Contact(MASK)
+SETUP = Setup(0.2, MASK, 5.0)
+GAINS = {gain.name: gain.default for gain in PredictiveReaching.gains}
+K, A, A_MOST = GAINS["k"], GAINS["a"], GAINS["a_most"]
+PERIOD_S = 0.0005
+SLIPS = st.floats(0.04, 0.95)
+SPEEDS = st.floats(6.0, 245.0)
+LAGS = st.floats(0.025, 0.09)
+
+OUTLOOKS = st.builds(
+    Outlook,
+    wheel_angle_rad=st.floats(-1e6, 1e6),
+    wheel_speed_rad_s=st.floats(-50.0, 300.0),
+    road_speed_rad_s=st.floats(-50.0, 300.0),
+    lagged_torque_nm=st.floats(-1.0, 12.0),
+    excess_torque_nm=st.floats(-15.0, 15.0),
+    adhesion_factor=st.floats(-0.5, 2.0),
+    ripple_cosine=st.floats(-0.3, 0.3),
+    ripple_sine=st.floats(-0.3, 0.3),
+    brake_dead_time_s=st.floats(0.002, 0.03),
+    brake_lag_s=LAGS,
+)
+
+
+def law(**gains):
+    return PredictiveReaching(SETUP, **{**GAINS, **gains})
+
+
+def outlook(slip, road_speed, lagged=3.0, **other):
+    """Of a rig that is the published one, but for what is named."""
+    wheel_speed = (1.0 - slip) * MASK.r2 / MASK.r1 * road_speed
+    nothing = Outlook(0.0, wheel_speed, road_speed, lagged, 0.0, 1.0, 0.0, 0.0, 0.01, 0.05)
+    return nothing._replace(**other)
+
+
+def seen(expected):
+    """Estimate of an observer that expects no change."""
+    speeds = (0.0, 100.0) if expected is None else (expected.wheel_speed_rad_s, expected.road_speed_rad_s)
+    return Estimate(*speeds, 0.2, valid=True, outlook=expected)
+
+
+def demand_at(expected, **gains):
+    return law(**gains).update(seen(expected), PERIOD_S)
+
+
+def slip_rate(slip, road_speed, torque, factor=1.0):
+    """Of the believed rig with that brake torque."""
+    moving = CONTACT.accelerations(
+        (1.0 - slip) * MASK.r2 / MASK.r1 * road_speed, road_speed, torque, factor * adhesion(slip, MASK)
+    )
+    return ((1.0 - slip) * moving.road - MASK.r1 / MASK.r2 * moving.wheel) / road_speed
+
+
+def deceleration(road_speed):
+    return min(A * 180.0 / road_speed, A_MOST)
+
+
+@given(SLIPS, SPEEDS)
+def test_the_slip_is_asked_to_move_by_the_law(slip, road_speed):
+    error, a = slip - 0.2, deceleration(road_speed)
+    rate = slip_rate(slip, road_speed, demand_at(outlook(slip, road_speed)).torque_nm)
+    near = abs(error) <= a / K**2
+    expected = -K * error if near else -math.copysign(math.sqrt(2.0 * a * (abs(error) - a / (2.0 * K**2))), error)
+    assert rate == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+@given(SPEEDS, st.sampled_from([-1.0, 1.0]))
+def test_the_branches_of_the_law_meet_in_value_and_slope(road_speed, side):
+    edge = deceleration(road_speed) / K**2
+
+    def rate_at(share):
+        slip = 0.2 + side * edge * share
+        return slip_rate(slip, road_speed, demand_at(outlook(slip, road_speed)).torque_nm)
+
+    rates = [rate_at(share) for share in (0.998, 0.999, 1.001, 1.002)]
+    if 0.04 < 0.2 + side * edge < 0.95:
+        assert rates[2] - rates[1] == pytest.approx(-side * K * edge * 0.002, rel=1e-3)
+        assert rates[3] - rates[2] == pytest.approx(rates[1] - rates[0], rel=0.01)
+
+
+@given(SLIPS, st.floats(20.0, 245.0), st.floats(0.7, 1.3), st.floats(-1.0, 1.0))
+def test_what_the_observer_has_learnt_of_adhesion_and_brake_goes_into_the_torque(slip, road_speed, factor, excess):
+    plain = demand_at(outlook(slip, road_speed, adhesion_factor=factor))
+    demand = demand_at(outlook(slip, road_speed, adhesion_factor=factor, excess_torque_nm=excess))
+    assert demand.torque_nm == pytest.approx(plain.torque_nm - excess, rel=1e-9, abs=1e-9)
+    rate = slip_rate(slip, road_speed, demand.torque_nm + excess, factor)
+    assert rate == pytest.approx(slip_rate(slip, road_speed, demand_at(outlook(slip, road_speed)).torque_nm), abs=1e-6)
+
+
+@given(st.floats(20.0, 200.0), st.floats(0.0, 6.28), st.floats(-0.03, 0.03), st.floats(-0.03, 0.03))
+def test_the_known_ripple_of_the_turn_is_a_factor_of_its_own(road_speed, angle, cosine, sine):
+    rippled = outlook(0.2, road_speed, wheel_angle_rad=angle, ripple_cosine=cosine, ripple_sine=sine)
+    factor = 1.0 + cosine * math.cos(angle) + sine * math.sin(angle)
+    flat = outlook(0.2, road_speed, adhesion_factor=factor)
+    assert demand_at(rippled).torque_nm == pytest.approx(demand_at(flat).torque_nm, rel=1e-9)
+
+
+@given(LAGS, st.floats(-0.001, 0.001), st.floats(-0.02, 0.02))
+def test_the_brake_is_told_what_makes_the_lagging_torque_close_in_on_the_laws(lag, away, error):
+    """On the way the law's own torque moves, as the slip does: a rig that follows it shows how much."""
+    slip, road_speed, T = 0.2 + error, 100.0, 1e-6
+    target = demand_at(outlook(slip, road_speed)).torque_nm
+    lagged = target + away
+    brake = demand_at(outlook(slip, road_speed, lagged, brake_lag_s=lag)).brake
+    torque_rate = (measured_torque(brake) - lagged) / lag
+    slipped = slip + T * slip_rate(slip, road_speed, lagged)
+    law_rate = (demand_at(outlook(slipped, road_speed)).torque_nm - target) / T
+    # the law's torque moves with the curve of the adhesion as well, which it leaves to the rate at which it closes in
+    assert torque_rate == pytest.approx(GAINS["kM"] * -away + law_rate, abs=0.15 * abs(law_rate) + 1e-3)
+
+
+def test_all_is_given_far_below_and_nothing_far_above_the_reference():
+    assert demand_at(outlook(0.0, 180.0, 0.0)).brake == 1.0
+    assert demand_at(outlook(0.6, 180.0, 6.0)).brake == 0.0
+
+
+@pytest.mark.parametrize("slip", [0.0, 0.01, 0.02, 0.034])
+def test_reaching_from_rolling_wheels_asks_for_a_torque_that_holds_some_slip(slip):
+    """The adhesion of next to no slip would ask for next to no torque."""
+    steep = -math.sqrt(2.0 * A * (0.2 - slip - A / (2.0 * K**2)))
+    demanded = demand_at(outlook(slip, 180.0)).torque_nm
+    wheel_speed = (1.0 - slip) * MASK.r2 / MASK.r1 * 180.0
+    assert demanded == pytest.approx(CONTACT.torque(slip, -steep, wheel_speed, 180.0, adhesion(0.035, MASK))[0])
+
+
+@given(OUTLOOKS, st.lists(OUTLOOKS, max_size=3))
+def test_whatever_is_expected_the_demand_is_a_duty_and_numbers(first, more):
+    controller = law()
+    for expected in (first, *more):
+        demand = controller.update(seen(expected), PERIOD_S)
+        assert 0.0 <= demand.brake <= 1.0
+        assert all(map(math.isfinite, (demand.torque_nm, demand.switching, *demand.internals)))
+
+
+@given(OUTLOOKS, st.sampled_from(["none", "expected", "now"]))
+def test_the_last_demand_is_held_without_outlook_and_as_the_road_stops(expected, why):
+    controller = law()
+    held = controller.update(seen(outlook(0.15, 50.0)), PERIOD_S)
+    slow = expected._replace(road_speed_rad_s=min(expected.road_speed_rad_s, 5.0))
+    estimate = {
+        "none": Estimate(10.0, 50.0, 0.8, valid=True),
+        "expected": seen(slow)._replace(road_speed_rad_s=50.0),
+        "now": seen(expected)._replace(road_speed_rad_s=5.0),
+    }[why]
+    assert held.brake > 0.0
+    assert controller.update(estimate, PERIOD_S) == held
+
+
+def test_the_first_demand_is_none():
+    assert demand_at(None) == BrakeDemand(0.0)
+
+
+def test_what_the_observer_believes_is_logged():
+    expected = outlook(0.2, 50.0, excess_torque_nm=0.3, adhesion_factor=0.9, brake_dead_time_s=0.012, brake_lag_s=0.04)
+    demand = demand_at(expected)
+    assert demand.internals == (0.3, 0.9, 0.012, 0.04)
+    assert len(PredictiveReaching.internals) == 4
+    assert demand.switching == pytest.approx(0.0, abs=1e-12)

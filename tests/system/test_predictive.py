@@ -1,0 +1,41 @@
+"""The predictive controller from the command line to the session and back."""
+
+import json
+import math
+
+import pytest
+
+from inteco_abs.sessions import read_session
+
+OURS = ("--controller", "predictive-reaching", "--set", "experiment.start_speed_rad_s=60")
+
+
+@pytest.fixture
+def ours(card):
+    return card(*OURS, "--rig", "hard:100000")
+
+
+def test_it_brings_its_observer_holds_the_slip_and_replays_bit_for_bit(ours, inteco_abs, tmp_path):
+    assert (ours["outcome"], ours["controller"], ours["estimator"]) == ("completed", "predictive-reaching", "observer")
+    assert ours["slip_rms_true"] < 0.01
+    session = read_session(tmp_path / "stop.mcap")
+    assert session.metadata["controller"]["estimator"] == "observer"
+    assert session.metadata["controller"]["gain.k"] == "60.0"
+    assert b'name = "observer"' in session.attachments["config.toml"]
+    replay = json.loads(inteco_abs("replay", "stop.mcap", "--json", check=0).stdout)
+    assert (replay["differing"], replay["ticks"]) == (0, ours["ticks"])
+
+
+def test_another_estimator_is_refused_before_anything_begins(inteco_abs, tmp_path):
+    run = inteco_abs("run", "--virtual", *OURS, "--estimator", "kalman", check=2)
+    assert "estimator.name: 'kalman': the controller predictive-reaching needs 'observer'" in run.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_lag_to_be_inverted_is_a_gain_of_the_session(card, inteco_abs):
+    slow = ("--set", "experiment.start_speed_rad_s=60")
+    with_lag = card(*slow, "--set", "controller.gains.lag_s=0.05", out="lag.mcap")
+    assert with_lag["reaching_time_s"] < (card(*slow)["reaching_time_s"] or math.inf)
+    info = json.loads(inteco_abs("info", "lag.mcap", "--json", check=0).stdout)
+    assert info["metadata"]["controller"]["gain.lag_s"] == "0.05"
+    assert json.loads(inteco_abs("replay", "lag.mcap", "--json", check=0).stdout)["differing"] == 0
