@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.control import PredictiveReaching, Setup
+from inteco_abs.control.contact import Contact
 from inteco_abs.control.estimators.braking import BrakingFilter, Spread
 from inteco_abs.control.estimators.disc import DiscFilter
 from inteco_abs.rig import EncoderVariation, RigParameters, RigVariation, Surface, adhesion
@@ -16,6 +17,7 @@ from inteco_abs.signals import Command, Estimate
 
 MASK = RigParameters.named("mask")
 LEARNT_S = 0.3
+COUNT_RAD = 2.0 * math.pi / 2048
 PERIOD_S = 0.0005
 
 
@@ -154,7 +156,7 @@ def test_the_covariance_is_one_all_along_a_stop(stop, variation):
         assert np.linalg.eigvalsh(correlations).min() > -1e-9
 
 
-# the transition's Jacobian
+# one step of it
 
 
 STATES = {
@@ -174,13 +176,19 @@ STATES = {
 START, STEPS, NEGLECTED = map(np.array, zip(*STATES.values(), strict=True))
 
 
-def predicted(state, covariance):
-    """States and covariance one step of 0.5 ms later, with commands of rising duty under way."""
-    rig, disc = BrakingFilter(MASK, Spread(), 0.003, PERIOD_S), DiscFilter(0.003, 0.003)
+def anywhere(state, covariance):
+    """A filter in any state, where nothing public begins, with commands of rising duty under way."""
+    rig, disc = BrakingFilter(MASK, Spread(), COUNT_RAD, PERIOD_S), DiscFilter(COUNT_RAD, COUNT_RAD)
     rig.begin(disc, disc)
     for tick in range(60):
         rig.tell(0.5 + 0.005 * tick, 1)
-    rig._x, rig._P = state.tolist(), covariance.tolist()  # a step from any state: nothing public begins there
+    rig._x, rig._P = state.tolist(), covariance.tolist()
+    return rig
+
+
+def predicted(state, covariance):
+    """States and covariance one step of 0.5 ms later."""
+    rig = anywhere(state, covariance)
     rig._predict(PERIOD_S, 0)
     return np.array(rig._x), np.array(rig._P)
 
@@ -196,3 +204,32 @@ def test_uncertainty_is_carried_along_as_the_states_are(column):
     carried = covariance[strongest] / math.sqrt(covariance[strongest, strongest]) / size
     tolerance = 1e-3 * np.abs(moved[[1, 3, 4, 5]]).max() + NEGLECTED[column] + 1e-9
     assert math.copysign(1.0, moved[strongest]) * carried == pytest.approx(moved, rel=0.02, abs=tolerance)
+
+
+def test_both_angles_correct_the_states_as_one_measurement():
+    random = np.random.default_rng(1)
+    root = random.normal(size=(11, 11)) * np.abs(START)[:, None] * 1e-3
+    covariance, measured = root @ root.T, START[[0, 2]] + [0.002, -0.001]
+    seen = np.eye(11)[[0, 2]]
+    noise = (Spread().count_noise * COUNT_RAD) ** 2 * np.eye(2)
+    gain = covariance @ seen.T @ np.linalg.inv(seen @ covariance @ seen.T + noise)
+    rig = anywhere(START, covariance)
+    rig._correct(*measured)
+    assert rig._x == pytest.approx(START + gain @ (measured - START[[0, 2]]), rel=1e-9)
+    assert np.array(rig._P) == pytest.approx(covariance - gain @ seen @ covariance, rel=1e-6, abs=1e-15)
+
+
+def test_looking_ahead_is_a_straight_line_through_the_middle_of_the_ripple():
+    state = START * [1, 1, 1, 1, 1, 0, 1, 0, 0, 1, 1] + [0, 0, 0, 0, 0, 0, 0, 0.03, 0.02, 0, 0]
+    rig = anywhere(state, np.zeros((11, 11)))
+    expected, contact, step_s = rig.outlook(), Contact(MASK), 1e-5
+    angle, wheel, _, road = state[:4]
+    horizon_s, _, mean_nm = rig._pending.ahead(*state[[4, 9, 10]])
+    for _ in range(round(horizon_s / step_s)):
+        scale = state[6] + 0.03 * math.cos(angle) + 0.02 * math.sin(angle)
+        mu = scale * adhesion(1.0 - MASK.r1 * wheel / (MASK.r2 * road), MASK)
+        moving = contact.accelerations(wheel, road, mean_nm, mu)
+        angle, wheel, road = angle + step_s * wheel, wheel + step_s * moving.wheel, road + step_s * moving.road
+    assert expected.wheel_speed_rad_s == pytest.approx(wheel, abs=0.1)
+    assert expected.road_speed_rad_s == pytest.approx(road, abs=0.03)
+    assert expected.wheel_angle_rad == pytest.approx(angle, abs=0.002)

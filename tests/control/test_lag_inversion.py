@@ -72,6 +72,16 @@ def test_at_its_limits_the_brake_is_told_all_or_nothing_until_it_is_there():
     assert controller.update(Estimate(10.0, 100.0, 0.9, valid=True), PERIOD_S).brake == 0.0
 
 
+def test_after_a_release_it_knows_where_the_brake_is():
+    slips = [*SLOWLY[:200], *[0.9] * 40, *SLOWLY]
+    moments = list(braked(law("reaching-law", lag_s=LAG_S), slips))
+    assert {demand.brake for demand, _ in moments[200:240]} == {0.0}
+    after = [(demand.torque_nm, torque) for demand, torque in moments[240:] if MASK.u0 < demand.brake < 1.0]
+    assert len(after) > 1800
+    for wanted, torque in after:
+        assert torque == pytest.approx(wanted, rel=1e-9)
+
+
 @pytest.mark.parametrize("name", LAWS)
 def test_without_it_the_brake_is_told_the_torque_itself(name):
     for (demand, _), (ahead, _) in zip(braked(law(name), SLOWLY), braked(law(name, lag_s=LAG_S), SLOWLY), strict=True):

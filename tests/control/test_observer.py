@@ -110,6 +110,17 @@ def test_it_brakes_from_when_the_drive_is_off_until_it_is_on_again_or_the_road_s
     assert len(slowly) > 300
 
 
+def test_discs_far_off_centre_that_were_learnt_in_the_run_up_do_not_disturb_the_stop(rolling):
+    disc = EncoderVariation(2048, eccentricity_counts=2.0, eccentricity_phase_rad=1.0, jitter_counts=0.3)
+    run = rolling(replace(HARD, wheel_encoder=disc, road_encoder=disc), 150.0)
+    for _ in range(1500):
+        run.tick(DRIVE)
+    began_s = run.plant.time_s
+    moments = course(run, law())
+    assert slip_error(moments, began_s + 0.3) < 0.006
+    assert rms(moments, began_s + 0.3) < 0.002
+
+
 @pytest.mark.parametrize("rate_hz", [500.0, 2000.0, 10_000.0])
 def test_speeds_are_handed_over_when_braking_ends(rolling, rate_hz):
     run, decide = rolling(HARD, 30.0, rate_hz), law()

@@ -123,6 +123,19 @@ def test_the_brake_is_told_what_makes_the_lagging_torque_close_in_on_the_laws(la
     assert torque_rate == pytest.approx(GAINS["kM"] * -away + law_rate, abs=0.15 * abs(law_rate) + 1e-3)
 
 
+@given(st.floats(50.0, 150.0), st.floats(0.0, 6.28), st.floats(0.01, 0.03))
+def test_the_brake_is_told_of_the_ripple_that_comes_with_the_turn(road_speed, angle, sine):
+    def rippled(turned, lagged):
+        return demand_at(outlook(0.2, road_speed, lagged, wheel_angle_rad=turned, ripple_sine=sine))
+
+    target, T = rippled(angle, 3.0).torque_nm, 1e-5
+    demand = rippled(angle, target)
+    wheel_speed = 0.8 * MASK.r2 / MASK.r1 * road_speed
+    law_rate = (rippled(angle + T * wheel_speed, target).torque_nm - target) / T
+    if 0.45 < demand.brake < 1.0:
+        assert (measured_torque(demand.brake) - target) / 0.05 == pytest.approx(law_rate, rel=0.01, abs=0.05)
+
+
 def test_all_is_given_far_below_and_nothing_far_above_the_reference():
     assert demand_at(outlook(0.0, 180.0, 0.0)).brake == 1.0
     assert demand_at(outlook(0.6, 180.0, 6.0)).brake == 0.0
