@@ -230,6 +230,6 @@ def test_looking_ahead_is_a_straight_line_through_the_middle_of_the_ripple():
         mu = scale * adhesion(1.0 - MASK.r1 * wheel / (MASK.r2 * road), MASK)
         moving = contact.accelerations(wheel, road, mean_nm, mu)
         angle, wheel, road = angle + step_s * wheel, wheel + step_s * moving.wheel, road + step_s * moving.road
-    assert expected.wheel_speed_rad_s == pytest.approx(wheel, abs=0.1)
-    assert expected.road_speed_rad_s == pytest.approx(road, abs=0.03)
-    assert expected.wheel_angle_rad == pytest.approx(angle, abs=0.002)
+    assert expected.wheel_speed_rad_s == pytest.approx(wheel, abs=0.02)
+    assert expected.road_speed_rad_s == pytest.approx(road, abs=0.006)
+    assert expected.wheel_angle_rad == pytest.approx(angle, abs=0.0003)
