@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from inteco_abs.control import ESTIMATORS
+from inteco_abs.control.estimators.braking import Spread
 
 TOOLS = Path(__file__).parent.parent.parent / "tools"
 
@@ -55,11 +56,18 @@ def test_bench_deaths_finds_no_tick_lost(untraced):
 @pytest.mark.long
 def test_bench_ensemble_compares_a_batch_with_scipy_and_the_scalar_plant(untraced):
     rows = run("bench_ensemble", "1", "20", environment=untraced).splitlines()
-    assert [row.split(":")[0] for row in rows if row[0] != " "] == ["controlled stops", "held stops"]
+    assert [row.split(":")[0] for row in rows if row[0] != " "] == [
+        "controlled stops",
+        "held stops",
+        "whole stops with a controller",
+    ]
     assert len([row for row in rows if "  batch, step" in row]) == 5
     ratios = [int(row.split()[-1]) for row in rows if "ratio" in row]
     assert len(ratios) == 7
     assert min(ratios) > 1
+    rates = [float(row.split()[-6]) for row in rows if "stops per second and core" in row]
+    assert len(rates) == 2
+    assert min(rates) > 0.0
 
 
 @pytest.mark.long
@@ -71,3 +79,55 @@ def test_tune_estimators_prints_every_estimator_with_its_default_starred(untrace
         bias, std, fast, slow, loop = map(float, row[44:].split())
         assert abs(bias) < 6.0
         assert min(std, fast, slow, loop) > 0.0
+
+
+def cells(printed):
+    """Every line of every Markdown table."""
+    return [line.strip("| ").split(" | ") for line in printed.splitlines() if line.startswith("|")]
+
+
+def test_compare_controllers_sets_ours_beside_the_oracle_and_its_targets(untraced):
+    chosen = "hard: oracle|hard: reaching-law, euler, Mk 2|capped: (predictive|oracle)"
+    printed = run(
+        "compare_controllers", "--first=1000", "--draws=2", "--jobs=1", f"--only={chosen}", environment=untraced
+    )
+    headings, _, paper, oracle, *_ = cells(printed)
+    assert (paper[:3], oracle[0]) == (["reaching-law, euler", "Mk 2, Mq 1", "published"], "oracle")
+    assert {len(row) for row in cells(printed)} == {len(headings)}
+    assert float(paper[3]) > 50.0 * float(oracle[3])
+    assert "hard:1000-1001: 2 rigs;" in printed
+    assert "capped:1000-1001: 1 rig;" in printed
+    assert "1 of 2 left out" in printed
+    judged = [line for line in printed.splitlines() if line.startswith("- ")]
+    assert len(judged) == 4
+    assert all(line.endswith(("reached", "MISSED")) for line in judged)
+
+
+@pytest.mark.long
+def test_compare_controllers_takes_every_part_of_ours_away(untraced):
+    printed = run("compare_controllers", "--draws=1", "--jobs=2", "--only=^without", environment=untraced)
+    rows = {name: values for name, *values in cells(printed)[2:]}
+    assert len(rows) == 13
+    assert len({tuple(values) for values in rows.values()}) == len(rows)  # each part does something
+
+
+@pytest.mark.long
+def test_tune_predictive_finds_the_same_again_and_never_a_worse_best(untraced):
+    search = ("boundary-layer+lag", "--scatter=4", "--generations=3", "--size=4", "--draws=2", "--jobs=2")
+    printed = run("tune_predictive", *search, environment=untraced)
+    assert printed == run("tune_predictive", *search, environment=untraced)
+    best = [float(line.split()[-1]) for line in printed.splitlines() if line.startswith("generation")]
+    assert len(best) == 3
+    assert best == sorted(best, reverse=True)
+    assert "controller.gains.lag_s=" in printed
+
+
+@pytest.mark.long
+def test_tune_predictive_begins_with_what_is_in_force_and_prints_it_as_code(untraced):
+    search = ("--generations=1", "--size=4", "--draws=1", "--sigma=1e-6", "--jobs=2")
+    printed = run("tune_predictive", *search, environment=untraced).splitlines()
+    present = {f"    {name}: float = {value!r}" for name, value in Spread()._asdict().items()}
+    searched = {line for line in printed if ": float = " in line}
+    assert searched <= present
+    assert len(present - searched) == 3
+    assert "    controller.gains.kM=400.0" in printed
