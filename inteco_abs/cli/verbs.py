@@ -14,8 +14,9 @@ from inteco_abs.cli.doctor import doctor
 from inteco_abs.cli.mock_board import mock_board
 from inteco_abs.cli.paper import paper
 from inteco_abs.cli.probe import probe
+from inteco_abs.cli.replay import replay
 from inteco_abs.cli.run import run
-from inteco_abs.cli.sessions import figure, info, recover, replay
+from inteco_abs.cli.sessions import figure, info, recover
 from inteco_abs.cli.shared import INTERRUPTED
 from inteco_abs.cli.sweep import sweep
 from inteco_abs.cli.wire import wire
