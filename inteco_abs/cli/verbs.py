@@ -19,6 +19,7 @@ from inteco_abs.cli.run import run
 from inteco_abs.cli.sessions import figure, info, recover
 from inteco_abs.cli.shared import INTERRUPTED
 from inteco_abs.cli.sweep import sweep
+from inteco_abs.cli.what_if import what_if
 from inteco_abs.cli.wire import wire
 from inteco_abs.errors import AbsError, near_match
 
@@ -44,6 +45,7 @@ def cli(debug: bool) -> None:
 _VERBS: Final = (
     run,
     replay,
+    what_if,
     info,
     figure,
     recover,

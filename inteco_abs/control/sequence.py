@@ -96,7 +96,7 @@ class Sequence:
 
     def _brake(self, sample: Sample, estimate: Estimate, elapsed_s: float) -> Wish:
         speed = self._stop_speed.update(sample.time_ns, sample.road_count)
-        demand = self._held = _recordable(self._controller.update(estimate, sample.dt_s))
+        demand = self._held = recordable(self._controller.update(estimate, sample.dt_s))
         if elapsed_s >= _STOP_WINDOW_S and abs(speed) < self._config.stop_speed_rad_s:
             self._enter(Phase.STOPPED, sample)
         late = elapsed_s > self._config.braking_timeout_s
@@ -117,7 +117,7 @@ class Sequence:
         self._since_ns = sample.time_ns
 
 
-def _recordable(demand: BrakeDemand) -> BrakeDemand:
+def recordable(demand: BrakeDemand) -> BrakeDemand:
     """The demand of a user's controller with every logged value a float; raises if it has none to log.
 
     A duty that is no number is left as it is: the guard judges it.

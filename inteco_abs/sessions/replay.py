@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import starmap
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +15,7 @@ from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.records.schema import TICK, Role
 from inteco_abs.sessions.reader import Session
 from inteco_abs.sessions.tolerance import DISCRETE, OUTPUTS, Array, Shift, Tolerance, bits, shifts
-from inteco_abs.signals import BoardFlags, Phase, Reason, Sample, Tick
+from inteco_abs.signals import BoardFlags, Phase, Reason, Sample
 
 CONFIG_NAME: Final = "config.toml"
 _INPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.INPUT)
@@ -119,14 +120,14 @@ def decisions(session: Session, pipeline: Pipeline) -> Array:
     """
     if not len(session.ticks):
         raise SessionError(f"{session.path}: holds no ticks")
-    return TICK.array_of(_decisions(session, pipeline))
+    return TICK.array_of(starmap(pipeline.step, samples(session)))
 
 
-def _decisions(session: Session, pipeline: Pipeline) -> Iterator[Tick]:
-    step = pipeline.step
+def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
+    """The session's inputs as a pipeline takes them: sample, and why somebody asked to stop."""
     for time_ns, tick, dt_s, wheel, road, flags, request in TICK.values(session.payload, _INPUTS):
         sample = Sample(tick, time_ns, dt_s, wheel, road, BoardFlags(flags) if flags else _NO_FLAGS)
-        yield step(sample, Reason(request) if request else _NO_REQUEST)
+        yield sample, Reason(request) if request else _NO_REQUEST
 
 
 def _imply_inputs(logged: Array, again: Array) -> None:
