@@ -11,6 +11,7 @@ from inteco_abs.cli.blink import blink
 from inteco_abs.cli.catalogue import controllers, estimators, profiles
 from inteco_abs.cli.design import design
 from inteco_abs.cli.doctor import doctor
+from inteco_abs.cli.golden import golden
 from inteco_abs.cli.mock_board import mock_board
 from inteco_abs.cli.paper import paper
 from inteco_abs.cli.probe import probe
@@ -46,6 +47,7 @@ _VERBS: Final = (
     run,
     replay,
     what_if,
+    golden,
     info,
     figure,
     recover,
