@@ -98,7 +98,7 @@ class Message:
         self.pack_into(buffer, 0, values)
         return bytes(buffer)
 
-    def values(self, data: bytes, names: Collection[str]) -> Iterator[tuple[Any, ...]]:
+    def values(self, data: bytes | memoryview, names: Collection[str]) -> Iterator[tuple[Any, ...]]:
         """Values of the columns `names` of each message in `data`, in the order of the columns."""
         return self._keyless(names).iter_unpack(data)
 
