@@ -11,13 +11,16 @@ from inteco_abs.cli.blink import blink
 from inteco_abs.cli.catalogue import controllers, estimators, profiles
 from inteco_abs.cli.design import design
 from inteco_abs.cli.doctor import doctor
+from inteco_abs.cli.golden import golden
 from inteco_abs.cli.mock_board import mock_board
 from inteco_abs.cli.paper import paper
 from inteco_abs.cli.probe import probe
+from inteco_abs.cli.replay import replay
 from inteco_abs.cli.run import run
-from inteco_abs.cli.sessions import figure, info, recover, replay
+from inteco_abs.cli.sessions import figure, info, recover
 from inteco_abs.cli.shared import INTERRUPTED
 from inteco_abs.cli.sweep import sweep
+from inteco_abs.cli.what_if import what_if
 from inteco_abs.cli.wire import wire
 from inteco_abs.errors import AbsError, near_match
 
@@ -43,6 +46,8 @@ def cli(debug: bool) -> None:
 _VERBS: Final = (
     run,
     replay,
+    what_if,
+    golden,
     info,
     figure,
     recover,

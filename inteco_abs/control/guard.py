@@ -7,7 +7,7 @@ from collections import deque
 from typing import Final
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control.windows import SpeedWindow
+from inteco_abs.control.windows import SpeedWindows
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import BoardFlags, Command, Estimate, Reason, Sample
 
@@ -57,8 +57,7 @@ class Guard:
         self._period_s = 1.0 / config.loop.rate_hz
         self._period_ns = config.period_ns  # how late a good sample's time stamp may be
         length = max(_LEAST_PERIODS, round(_SPEED_WINDOW_S * config.loop.rate_hz))
-        self._wheel_speed = SpeedWindow(counts, length)
-        self._road_speed = SpeedWindow(counts, length)
+        self._speeds = SpeedWindows(counts, length)
         # until a window is full a count more or less, as of a wheel that rests on an edge, is many rad/s in it
         self._filling = length
         history = max(length, round(_HISTORY_S * config.loop.rate_hz))
@@ -93,9 +92,10 @@ class Guard:
         command = self._within_limits(wish)
         if self.reason is not _NONE:
             command = Command.SAFE
-        if (command.drive >= _DRIVING_DUTY) is not self._driving:
+        drive, brake = command
+        if (drive >= _DRIVING_DUTY) is not self._driving:
             self._driving, self._drive_changed_ns = not self._driving, sample.time_ns
-        if (command.brake < _RELEASED_DUTY) is not self._released:
+        if (brake < _RELEASED_DUTY) is not self._released:
             self._released, self._brake_changed_ns = not self._released, sample.time_ns
         return command
 
@@ -113,20 +113,19 @@ class Guard:
         return Command.SAFE
 
     def _judge_sample(self, sample: Sample) -> Reason:
-        if sample.board_flags or sample.dt_s > self._late_s or self._bucket or self._in_a_row:
+        _, now_ns, dt_s, wheel_count, road_count, flags = sample
+        if flags or dt_s > self._late_s or self._bucket or self._in_a_row:
             missed = self._count_misses(sample)
-            if missed is not _NONE or sample.board_flags:
+            if missed is not _NONE or flags:
                 return missed  # a stale or slow sample does not say where the wheels were when
-        now_ns = sample.time_ns
         before = self._before
         self._before = sample
-        wheel_step = sample.wheel_count - before.wheel_count if before else 0
-        road_step = sample.road_count - before.road_count if before else 0
-        possible = (now_ns - before.time_ns + self._period_ns) * self._fastest_per_ns if before else 0.0
+        _, then_ns, _, wheel_before, road_before, _ = before or sample
+        wheel_step, road_step = wheel_count - wheel_before, road_count - road_before
+        possible = (now_ns - then_ns + self._period_ns) * self._fastest_per_ns
         if not (-possible <= wheel_step <= possible and -possible <= road_step <= possible):
             return Reason.COUNT_JUMP
-        wheel = self._wheel_speed.update(now_ns, sample.wheel_count)
-        road = self._road_speed.update(now_ns, sample.road_count)
+        wheel, road = self._speeds.update(now_ns, wheel_count, road_count)
         if self._filling:
             self._filling -= 1
             wheel = road = 0.0

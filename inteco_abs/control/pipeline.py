@@ -50,37 +50,48 @@ class Pipeline:
 
     def step(self, sample: Sample, stop_request: Reason = Reason.NONE, timing: Timing = UNTIMED) -> Tick:
         """Decide on one sample. The tick's `drive` and `brake` are the command for the next exchange."""
-        estimate, wish = self._decide(sample)
-        guard = self._guard
-        guard.trip(stop_request)
-        guard.trip(wish.reason)
-        command = guard.admit(wish.command, sample, estimate)
-        if guard.reason is not _NONE:
-            self._sequence.fault()
+        estimate, (wish, demand, wish_reason) = self._decide(sample)
+        guard, sequence = self._guard, self._sequence
+        if stop_request is not _NONE:
+            guard.trip(stop_request)
+        if wish_reason is not _NONE:
+            guard.trip(wish_reason)
+        command = guard.admit(wish, sample, estimate)
+        reason = guard.reason
+        if reason is not _NONE:
+            sequence.fault()
         self.command = command
-        phase, demand = self._sequence.phase, wish.demand
+        phase = sequence.phase
+        tick, time_ns, dt_s, wheel_count, road_count, board_flags = sample
+        wheel_speed, road_speed, slip, valid, _ = estimate
+        _, torque_nm, switching, internals = demand
+        drive_wish, brake_wish = wish
+        late_us, io_us, busy_us, skipped = timing
         return Tick(
-            sample.time_ns,
-            sample.tick,
-            sample.dt_s,
-            sample.wheel_count,
-            sample.road_count,
-            sample.board_flags,
+            time_ns,
+            tick,
+            dt_s,
+            wheel_count,
+            road_count,
+            board_flags,
             stop_request,
-            *estimate[:4],
+            wheel_speed,
+            road_speed,
+            slip,
+            valid,
             phase,
             self._reference_slip if phase is _BRAKING else math.nan,
-            demand.switching,
-            demand.torque_nm,
-            wish.command.drive,
-            wish.command.brake if type(wish.command.brake) is float else math.nan,
+            switching,
+            torque_nm,
+            drive_wish,
+            brake_wish if type(brake_wish) is float else math.nan,
             *command,
-            guard.reason,
-            *demand.internals,
-            timing.late_us,
-            timing.io_us,
-            timing.busy_us,
-            timing.skipped,
+            reason,
+            *internals,
+            late_us,
+            io_us,
+            busy_us,
+            skipped,
         )
 
     def _decide(self, sample: Sample) -> tuple[Estimate, Wish]:

@@ -53,7 +53,7 @@ class Sequence:
         self._since_ns = -1
         self._rest = (0, 0)
         self._held = _NO_DEMAND
-        self._driving = Command(self._config.drive_duty, 0.0)
+        self._drive = Wish(Command(self._config.drive_duty, 0.0), _NO_DEMAND, _NONE)
 
     def fault(self) -> None:
         """Give up: the guard has taken the outputs away."""
@@ -61,11 +61,11 @@ class Sequence:
 
     def step(self, sample: Sample, estimate: Estimate) -> Wish:
         """Move on by one sample."""
-        if self._since_ns < 0:
-            self._since_ns = sample.time_ns
+        since_ns, phase = self._since_ns, self.phase
+        if since_ns < 0:
+            since_ns = self._since_ns = sample.time_ns
             self._rest = (sample.wheel_count, sample.road_count)
-        elapsed_s = (sample.time_ns - self._since_ns) * 1e-9
-        phase = self.phase
+        elapsed_s = (sample.time_ns - since_ns) * 1e-9
         if phase is _SPIN_UP:
             return self._spin_up(sample, elapsed_s)
         if phase is _BRAKING:
@@ -92,11 +92,11 @@ class Sequence:
             self._enter(Phase.BRAKING, sample)
             return _NOTHING
         late = elapsed_s > self._config.spin_up_timeout_s
-        return Wish(self._driving, _NO_DEMAND, Reason.SPIN_UP_TIMEOUT if late else _NONE)
+        return self._drive._replace(reason=Reason.SPIN_UP_TIMEOUT) if late else self._drive
 
     def _brake(self, sample: Sample, estimate: Estimate, elapsed_s: float) -> Wish:
         speed = self._stop_speed.update(sample.time_ns, sample.road_count)
-        demand = self._held = _recordable(self._controller.update(estimate, sample.dt_s))
+        demand = self._held = recordable(self._controller.update(estimate, sample.dt_s))
         if elapsed_s >= _STOP_WINDOW_S and abs(speed) < self._config.stop_speed_rad_s:
             self._enter(Phase.STOPPED, sample)
         late = elapsed_s > self._config.braking_timeout_s
@@ -117,7 +117,7 @@ class Sequence:
         self._since_ns = sample.time_ns
 
 
-def _recordable(demand: BrakeDemand) -> BrakeDemand:
+def recordable(demand: BrakeDemand) -> BrakeDemand:
     """The demand of a user's controller with every logged value a float; raises if it has none to log.
 
     A duty that is no number is left as it is: the guard judges it.

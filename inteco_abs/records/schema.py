@@ -7,11 +7,12 @@ layout: the loop packs them, MCAP stores them, numpy reads them, and any protobu
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from functools import cached_property
 from importlib import import_module
+from itertools import starmap
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from inteco_abs.records.descriptors import ENUM, INT32, INT64, MESSAGE, TEXT, enum, field, message, proto_file
@@ -97,6 +98,23 @@ class Message:
         self.pack_into(buffer, 0, values)
         return bytes(buffer)
 
+    def values(self, data: bytes | memoryview, names: Collection[str]) -> Iterator[tuple[Any, ...]]:
+        """Values of the columns `names` of each message in `data`, in the order of the columns."""
+        return self._keyless(names).iter_unpack(data)
+
+    def array_of(self, rows: Iterable[Sequence[Any]]) -> npt.NDArray[np.void]:
+        """Structured array, one's own, with a row for each of `rows`. Its bytes have no keys and are no messages."""
+        pack = self._keyless({column.name for column in self.columns}).pack
+        return self.array(bytearray().join(starmap(pack, rows)))
+
+    def _keyless(self, names: Collection[str]) -> struct.Struct:
+        """The layout with padding for the keys and for all other columns."""
+        form = "<"
+        for column, (_, key_length) in zip(self.columns, self._keys, strict=True):
+            code = column.kind.code
+            form += f"{key_length}x{code if column.name in names else f'{struct.calcsize(code)}x'}"
+        return struct.Struct(form)
+
     @cached_property
     def dtype(self) -> np.dtype[np.void]:
         """Layout for numpy."""
@@ -110,7 +128,7 @@ class Message:
         )
         return layout
 
-    def array(self, data: bytes) -> npt.NDArray[np.void]:
+    def array(self, data: bytes | bytearray | memoryview) -> npt.NDArray[np.void]:
         """Structured array over the messages in `data`, back to back; no copy."""
         view: npt.NDArray[np.void] = _numpy().frombuffer(data, self.dtype)
         return view

@@ -1,8 +1,10 @@
-"""Runs the decision path again on logged inputs and compares every output bit for bit."""
+"""Runs the decision path again on logged inputs and compares every output: bit for bit, or within tolerances."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import starmap
 from typing import Any, Final
 
 import numpy as np
@@ -10,18 +12,21 @@ import numpy as np
 from inteco_abs.config import Check, RigConfig, parse_config
 from inteco_abs.control import Pipeline
 from inteco_abs.errors import ConfigError, SessionError
-from inteco_abs.records.schema import TICK, Role, pack_tick
+from inteco_abs.records.schema import TICK, Role
 from inteco_abs.sessions.reader import Session
-from inteco_abs.signals import BoardFlags, Phase, Reason, Sample, Tick, Timing
+from inteco_abs.sessions.tolerance import DISCRETE, OUTPUTS, Array, Shift, Tolerance, bits, shifts
+from inteco_abs.signals import BoardFlags, Phase, Reason, Sample
 
 CONFIG_NAME: Final = "config.toml"
-_TIMING_FIELDS: Final = len(Timing._fields)
-_STOP: Final = Tick._fields.index("stop_request")
+_INPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.INPUT)
+_COMPARED: Final = ("time_ns", "tick", "dt_s", *OUTPUTS)
+_NO_FLAGS: Final = BoardFlags.NONE  # two enums looked up by value would take a tenth of a tick
+_NO_REQUEST: Final = Reason.NONE
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first output that a replay did not reproduce."""
+    """The first value that a replay did not reproduce."""
 
     tick: int
     field: str
@@ -33,13 +38,24 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """Outcome of a replay: how many ticks, how many of them differ, where first, and which fields how often."""
+    """Outcome of a replay: how many ticks, how many of them differ, where first, and which fields how often.
+
+    A difference within the tolerances is none.
+    """
 
     ticks: int
     braking_ticks: int
     differing: int
     first: Difference | None
     by_field: dict[str, int]
+    agreeing_ticks: int = 0
+    """Length of the longest beginning in which nothing differs."""
+    agreeing_s: float = 0.0
+    """From the first tick to the last of these."""
+    tolerated: dict[str, int] = field(default_factory=dict)
+    """Ticks that differ in their bits and yet are within the tolerance, by field."""
+    shifts: tuple[Shift, ...] = ()
+    """Changes of phases, flags and reasons that come early or late, or not at all."""
 
 
 def session_config(session: Session, checks: tuple[Check, ...]) -> RigConfig:
@@ -53,48 +69,83 @@ def session_config(session: Session, checks: tuple[Check, ...]) -> RigConfig:
         raise SessionError(f"{session.path}: its {CONFIG_NAME} cannot be used here: {error}") from error
 
 
-def replay(session: Session, pipeline: Pipeline) -> Replay:
-    """Drive a fresh `pipeline` with the session's inputs and compare. Raises SessionError if there are no ticks."""
-    count = len(session.ticks)
-    if not count:
-        raise SessionError(f"{session.path}: holds no ticks")
-    again = bytearray(count * TICK.size)
-    for index, row in enumerate(session.ticks.tolist()):
-        pack_tick(again, index * TICK.size, _decide(pipeline, row))
-    braking = int((session.ticks["phase"] == Phase.BRAKING).sum())
-    if again == session.payload:
-        return Replay(count, braking, 0, None, {})
-    return _compare(session, bytes(again), braking)
-
-
-def _decide(pipeline: Pipeline, row: tuple[Any, ...]) -> Tick:
-    time_ns, tick, dt_s, wheel, road, flags = row[:_STOP]
-    sample = Sample(tick, time_ns, dt_s, wheel, road, BoardFlags(flags))
-    return pipeline.step(sample, Reason(row[_STOP]), Timing(*row[-_TIMING_FIELDS:]))
-
-
-def _compare(session: Session, again: bytes, braking: int) -> Replay:
-    logged, replayed = session.ticks, TICK.array(again)
-    differs = {
-        column.name: _bits(logged[column.name]) != _bits(replayed[column.name])
-        for column in TICK.columns
-        if column.role is Role.OUTPUT
+def changed_gains(session: Session, gains: Mapping[str, float]) -> dict[str, dict[str, str]]:
+    """Those of `gains` that the session has recorded otherwise; each as recorded and as configured, in hex."""
+    told = session.metadata.get("controller", {})
+    recorded = {name: told.get(f"gain.{name}.hex") for name in gains}
+    return {
+        name: {"recorded": was, "configured": gains[name].hex()}
+        for name, was in recorded.items()
+        if was not in {None, gains[name].hex()}
     }
+
+
+def replay(session: Session, pipeline: Pipeline, tolerances: Mapping[str, Tolerance] | None = None) -> Replay:
+    """Drive a fresh `pipeline` with the session's inputs and compare; fields without a tolerance must agree exactly.
+
+    Of the inputs, those that follow from others are checked as well. Raises SessionError if there are no ticks.
+    """
+    logged, again = session.ticks, decisions(session, pipeline)
+    _imply_inputs(logged, again)
+    differs = {name: bits(logged[name]) != bits(again[name]) for name in _COMPARED}
+    tolerated = {}
+    for name, tolerance in (tolerances or {}).items():
+        if differs[name].any():
+            accepted = differs[name] & tolerance.accepts(logged[name], again[name], logged["time_ns"])
+            tolerated[name] = int(accepted.sum())
+            differs[name] &= ~accepted
     any_differs = np.logical_or.reduce(list(differs.values()))
-    first = None
+    agreeing, first = len(logged), None
     if any_differs.any():
-        row = int(np.argmax(any_differs))
-        name = next(name for name, where in differs.items() if where[row])
-        first = _difference(int(logged["tick"][row]), name, logged[name][row].item(), replayed[name][row].item())
-    by_field = {name: int(where.sum()) for name, where in differs.items() if where.any()}
-    return Replay(len(logged), braking, int(any_differs.sum()), first, by_field)
+        agreeing = int(np.argmax(any_differs))
+        name = next(name for name, where in differs.items() if where[agreeing])
+        first = _difference(int(again["tick"][agreeing]), name, logged[name][agreeing], again[name][agreeing])
+    return Replay(
+        len(logged),
+        int((logged["phase"] == Phase.BRAKING).sum()),
+        int(any_differs.sum()),
+        first,
+        {name: int(where.sum()) for name, where in differs.items() if where.any()},
+        agreeing,
+        (int(logged["time_ns"][agreeing - 1]) - int(logged["time_ns"][0])) * 1e-9 if agreeing else 0.0,
+        {name: count for name, count in tolerated.items() if count},
+        tuple(shift for name in DISCRETE for shift in shifts(name, logged, again)),
+    )
 
 
-def _bits(values: Any) -> Any:
-    """Values as unsigned integers of the same width: NaN equals itself, and -0.0 differs from 0.0."""
-    return np.ascontiguousarray(values).view(f"u{values.dtype.itemsize}")
+def decisions(session: Session, pipeline: Pipeline) -> Array:
+    """What a fresh `pipeline` makes of the session's inputs: rows as in `session.ticks`, with timing all zero.
+
+    Raises SessionError if there are no ticks.
+    """
+    if not len(session.ticks):
+        raise SessionError(f"{session.path}: holds no ticks")
+    return TICK.array_of(starmap(pipeline.step, samples(session)))
 
 
-def _difference(tick: int, name: str, logged: Any, replayed: Any) -> Difference:
+def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
+    """The session's inputs as a pipeline takes them: sample, and why somebody asked to stop."""
+    for time_ns, tick, dt_s, wheel, road, flags, request in TICK.values(session.payload, _INPUTS):
+        sample = Sample(tick, time_ns, dt_s, wheel, road, BoardFlags(flags) if flags else _NO_FLAGS)
+        yield sample, Reason(request) if request else _NO_REQUEST
+
+
+def _imply_inputs(logged: Array, again: Array) -> None:
+    """Put into `again` what those inputs should be that follow from others, so that they can be compared as well.
+
+    Ticks are numbered one by one, and dt_s is the time since the tick before. Where it is wrong before and after a
+    tick, that tick's time is.
+    """
+    numbers, times_ns = logged["tick"].astype(np.int64), logged["time_ns"].astype(np.int64)
+    again["tick"][1:] = numbers[:-1] + 1
+    follows = np.diff(numbers) == 1
+    again["dt_s"][1:][follows] = (np.diff(times_ns) / 1e9)[follows]
+    wrong = bits(again["dt_s"]) != bits(logged["dt_s"])
+    moved = np.flatnonzero(wrong[1:-1] & wrong[2:]) + 1
+    again["time_ns"][moved] = times_ns[moved - 1] + np.rint(logged["dt_s"][moved] * 1e9).astype(np.int64)
+
+
+def _difference(tick: int, name: str, *values: Any) -> Difference:
+    logged, replayed = (value.item() for value in values)
     hexes = [value.hex() if isinstance(value, float) else hex(value) for value in (logged, replayed)]
     return Difference(tick, name, repr(logged), repr(replayed), *hexes)

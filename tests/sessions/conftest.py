@@ -210,9 +210,9 @@ def altered(tmp_path):
 def replayed():
     """Replays a session with the configuration inside it."""
 
-    def again(session, controllers=CONTROLLERS):
+    def again(session, controllers=CONTROLLERS, tolerances=None):
         config = session_config(session, (control_check(controllers),))
-        return replay(session, build_pipeline(config, controllers))
+        return replay(session, build_pipeline(config, controllers), tolerances)
 
     return again
 

@@ -9,7 +9,7 @@ import tomli_w
 
 from inteco_abs.errors import SessionError
 from inteco_abs.records.schema import Role
-from inteco_abs.sessions import TICK, Difference, Recorder, read_session
+from inteco_abs.sessions import TICK, Difference, Recorder, changed_gains, read_session
 from inteco_abs.signals import Phase, Reason
 
 OUTPUTS = [column for column in TICK.columns if column.role is Role.OUTPUT]
@@ -148,6 +148,54 @@ def test_one_bit_of_a_count_in_a_file_is_found(quick, retouched, replayed, tmp_p
     assert (found.first.tick, found.first.field) == (row, "road_speed_rad_s")
 
 
+def flipped(session, row, name):
+    """The value of a column with its lowest bit flipped."""
+    value = session.ticks[name][row].item()
+    return last_bit_changed(value) if isinstance(value, float) else value ^ 1
+
+
+FOUND_AS = {
+    "time_ns": "time_ns",
+    "tick": "tick",
+    "dt_s": "dt_s",
+    "wheel_count": "wheel_speed_rad_s",
+    "road_count": "road_speed_rad_s",
+    "board_flags": "wheel_speed_rad_s",
+    "stop_request": "phase",
+}
+"""By input, the first field that is not what the log says."""
+
+
+def test_every_input_is_tried():
+    assert set(FOUND_AS) == {column.name for column in TICK.columns if column.role is Role.INPUT}
+
+
+@pytest.mark.parametrize("phase", [Phase.SPIN_UP, Phase.BRAKING])
+@pytest.mark.parametrize("name", FOUND_AS)
+def test_one_bit_of_any_logged_input_is_found_and_named(quick, retouched, replayed, name, phase):
+    session = quick.session
+    row = row_in(session, phase, 200)
+    found = replayed(retouched(session, row, **{name: flipped(session, row, name)}))
+    assert found.first.field == FOUND_AS[name]
+    at_once = name != "board_flags"  # what a sample is not believed may be what is believed anyway, for a tick
+    assert row <= found.first.tick <= row + (0 if at_once else 2)
+
+
+def test_a_wrong_time_is_told_with_the_right_one(quick, retouched, replayed):
+    session = quick.session
+    row = row_in(session, Phase.BRAKING)
+    right = session.ticks["time_ns"][row].item()
+    found = replayed(retouched(session, row, time_ns=right + 1024))
+    assert (found.first.logged, found.first.replayed) == (str(right + 1024), str(right))
+
+
+def test_a_tick_that_is_missing_is_found_at_the_next_one(quick, replayed):
+    session = quick.session
+    payload = session.payload[: 10 * TICK.size] + session.payload[11 * TICK.size :]
+    found = replayed(replace(session, payload=payload, ticks=TICK.array(payload)))
+    assert (found.first.tick, found.first.field, found.first.replayed) == (10, "tick", "10")
+
+
 def test_an_operators_stop_that_was_logged_is_taken(quick, retouched, replayed):
     session = quick.session
     row = row_in(session, Phase.SPIN_UP)
@@ -192,6 +240,13 @@ def test_the_last_bit_of_a_gain_is_found(quick, replayed):
 
 def test_gains_named_but_as_they_were_differ_in_nothing(quick, replayed):
     assert replayed(with_gains(quick.session, Mk=2.0, Mq=1.0)).differing == 0
+
+
+def test_gains_that_the_session_has_recorded_otherwise_are_told(quick):
+    session = quick.session
+    assert changed_gains(session, {"Mk": 2.0, "Mq": 1.0}) == {}
+    changed = changed_gains(session, {"Mk": 2.0, "Mq": math.nextafter(1.0, 2.0), "unknown": 3.0})
+    assert changed == {"Mq": {"recorded": "0x1.0000000000000p+0", "configured": "0x1.0000000000001p+0"}}
 
 
 def test_a_session_without_ticks_cannot_be_replayed(quick, replayed):

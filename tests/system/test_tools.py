@@ -28,7 +28,17 @@ def run(tool, *arguments, environment):
 @pytest.mark.xdist_group("real time")
 def test_bench_stack_prints_every_stage(untraced):
     printed = run("bench_stack", "1", environment=untraced)
-    for stage in ("rig", "frames", "decide", "record", "MCAP write", "MCAP read", "replay", "times real time"):
+    for stage in (
+        "rig",
+        "frames",
+        "decide",
+        "record",
+        "MCAP write",
+        "MCAP read",
+        "replay",
+        "times real time",
+        "replay from the file",
+    ):
         assert stage in printed
 
 

@@ -4,14 +4,13 @@ from collections.abc import Callable
 from typing import Final
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control.estimators.base import Estimator, SpeedFilter, TwoWheels
+from inteco_abs.control.estimators.base import Estimator, MovingWindow, SpeedFilter, TwoWheels
 from inteco_abs.control.estimators.difference import SLIP_OFFSET_M_S, HeldDifference
 from inteco_abs.control.estimators.edge_time import EdgeTime
 from inteco_abs.control.estimators.kalman import KalmanFilter
 from inteco_abs.control.estimators.kind import EstimatorKind, Maker, Parameter, parameter
 from inteco_abs.control.estimators.observer import Observer
 from inteco_abs.control.estimators.tracking import TrackingLoop
-from inteco_abs.control.windows import SpeedWindow
 from inteco_abs.rig import RigParameters
 
 
@@ -19,8 +18,13 @@ def _on_both_wheels(make: Callable[[RigConfig], SpeedFilter]) -> Maker:
     return lambda config, parameters: TwoWheels(make(config), make(config), parameters)
 
 
-def _moving_window(config: RigConfig) -> SpeedFilter:
-    return SpeedWindow(config.encoders.counts_per_turn, max(1, round(config.estimator.window_s * config.loop.rate_hz)))
+def _euler(config: RigConfig, parameters: RigParameters) -> Estimator:
+    return MovingWindow(config.encoders.counts_per_turn, 1, parameters)
+
+
+def _moving_window(config: RigConfig, parameters: RigParameters) -> Estimator:
+    length = max(1, round(config.estimator.window_s * config.loop.rate_hz))
+    return MovingWindow(config.encoders.counts_per_turn, length, parameters)
 
 
 def _edge_time(config: RigConfig) -> SpeedFilter:
@@ -50,12 +54,12 @@ ESTIMATORS: Final[dict[str, EstimatorKind]] = {
     "euler": EstimatorKind(
         "The paper's backward difference over one period",
         (),
-        _on_both_wheels(lambda config: SpeedWindow(config.encoders.counts_per_turn, 1)),
+        _euler,
     ),
     "moving-window": EstimatorKind(
         "Mean speed over a window of samples",
         (parameter("window_s", "s", "length of the window; the speed lags by half of it"),),
-        _on_both_wheels(_moving_window),
+        _moving_window,
     ),
     "difference": EstimatorKind(
         "The vendor's demonstrations: difference over T0, held for T0, behind a dead zone of 0.05 m/s",
@@ -92,6 +96,7 @@ __all__ = [
     "EstimatorKind",
     "HeldDifference",
     "KalmanFilter",
+    "MovingWindow",
     "Observer",
     "Parameter",
     "SpeedFilter",

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
+from inteco_abs.control.windows import SpeedWindows
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import Command, Estimate, Sample
 
@@ -57,6 +58,25 @@ class TwoWheels:
         slip = 1.0 - (self._ratio * wheel + offset) / (road + offset) if road > 0.0 else 0.0
         self._samples += 1
         return Estimate(wheel, road, 0.0 if slip < 0.0 else min(slip, 1.0), self._samples > 1)
+
+
+class MovingWindow:
+    """`TwoWheels` with a `SpeedWindow` of `length` samples on each, done at once."""
+
+    __slots__ = ("_ratio", "_valid", "_windows")
+
+    def __init__(self, counts_per_turn: int, length: int, parameters: RigParameters) -> None:
+        self._windows = SpeedWindows(counts_per_turn, length)
+        self._ratio = parameters.r1 / parameters.r2
+        self._valid = False
+
+    def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:  # noqa: ARG002  counts say it all
+        """Estimate at the instant of `sample`; valid from the second sample on."""
+        _, time_ns, _, wheel_count, road_count, _ = sample
+        wheel, road = self._windows.update(time_ns, wheel_count, road_count)
+        slip = 1.0 - self._ratio * wheel / road if road > 0.0 else 0.0
+        valid, self._valid = self._valid, True
+        return Estimate(wheel, road, 0.0 if slip < 0.0 else min(slip, 1.0), valid)
 
 
 class Angles:

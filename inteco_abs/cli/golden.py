@@ -1,0 +1,165 @@
+"""The verbs `inteco-abs golden add|test|update|list`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from inteco_abs.cli.shared import DIFFERS, FILE, json_option, known_controllers, print_json, read_whole
+
+if TYPE_CHECKING:
+    from inteco_abs.sessions.golden import Golden, GoldenFolder, Verdict
+
+
+def _folder_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option(
+        "--folder", type=FILE, default="golden", show_default=True, help="Where golden sessions and their table are."
+    )(function)
+
+
+def _reason_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option("--reason", required=True, help="Why; kept in the history.")(function)
+
+
+@click.group()
+def golden() -> None:
+    """Keep recorded runs as regression tests.
+
+    A golden session is replayed by whatever decides today: each of its decisions must come out again.
+    """
+
+
+@golden.command()
+@click.argument("file", type=FILE)
+@click.option("--name", help="What to call it; default: the file's name.")
+@click.option(
+    "--tol",
+    "tolerances",
+    multiple=True,
+    metavar="FIELD=ABS[:REL[:LEAD_S[:LAG_S]]]",
+    help="As for replay; by default every bit counts.",
+)
+@click.option("--until", "until_s", type=float, metavar="SECONDS", help="Cut the copy that long after braking began.")
+@_reason_option
+@_folder_option
+@json_option
+def add(
+    file: Path,
+    name: str | None,
+    tolerances: tuple[str, ...],
+    until_s: float | None,
+    reason: str,
+    folder: Path,
+    as_json: bool,
+) -> int:
+    """Keep a copy of the session FILE, without the simulation's truth.
+
+    Nothing is overwritten. A session that was cut, that hardly brakes, or that does not replay now is refused.
+    Exit codes: 0 done, 1 the session is refused, 2 wrong usage.
+    """
+    from inteco_abs.sessions import read_session
+    from inteco_abs.sessions.golden import GoldenFolder
+
+    goldens = GoldenFolder(folder)
+    session = read_whole(file, read_session)
+    kept = goldens.add(session, name or file.stem, reason, known_controllers(None), tolerances, until_s)
+    _tell(goldens, kept, as_json=as_json)
+    return 0
+
+
+@golden.command()
+@click.argument("names", nargs=-1)
+@_folder_option
+@json_option
+def test(names: tuple[str, ...], folder: Path, as_json: bool) -> int:
+    """Replay the golden sessions NAMES, or all.
+
+    Exit codes: 0 all decisions came out again, 4 some did not, 1 a session cannot be used, 2 wrong usage.
+    """
+    from dataclasses import asdict
+
+    from inteco_abs.sessions.golden import GoldenFolder
+
+    verdicts = GoldenFolder(folder).test(names, known_controllers(None))
+    differing = [verdict.name for verdict in verdicts if verdict.replay and verdict.replay.differing]
+    if as_json:
+        print_json({"schema_version": 1, "differing": differing, "sessions": [asdict(verdict) for verdict in verdicts]})
+    else:
+        for verdict in verdicts:
+            click.echo(_words(verdict))
+    return DIFFERS if differing else 1 if any(verdict.problem for verdict in verdicts) else 0
+
+
+@golden.command()
+@click.argument("name")
+@_reason_option
+@_folder_option
+@json_option
+def update(name: str, reason: str, folder: Path, as_json: bool) -> int:
+    """Take today's decisions for those of NAME; its inputs stay, and the history tells why.
+
+    Exit codes: 0 done, 1 the session cannot be used, 2 wrong usage, or nothing would change.
+    """
+    from inteco_abs.sessions.golden import GoldenFolder
+
+    goldens = GoldenFolder(folder)
+    _tell(goldens, goldens.update(name, reason, known_controllers(None)), as_json=as_json)
+    return 0
+
+
+@golden.command("list")
+@_folder_option
+@json_option
+def list_all(folder: Path, as_json: bool) -> int:
+    """What there is, since when, and why.
+
+    Exit codes: 0 done, 1 the table cannot be used, 2 wrong usage, or nothing is there.
+    """
+    from dataclasses import asdict
+
+    from inteco_abs.sessions.golden import GoldenFolder
+
+    goldens = GoldenFolder(folder).chosen(())
+    if as_json:
+        print_json({"schema_version": 1, "sessions": [asdict(each) for each in goldens]})
+    else:
+        _print_all(goldens)
+    return 0
+
+
+def _print_all(goldens: Sequence[Golden]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("name", "ticks", "tolerances", "version", "reason", box=None, header_style="dim")
+    for each in goldens:
+        newest = each.history[-1]
+        version = f"{len(each.history)}, {newest.date[:10]}"
+        table.add_row(each.name, str(each.ticks), " ".join(each.tolerances) or "exact", version, newest.reason)
+    Console(markup=False).print(table)
+
+
+def _tell(goldens: GoldenFolder, kept: Golden, *, as_json: bool) -> None:
+    from dataclasses import asdict
+
+    file = goldens.file(kept)
+    if as_json:
+        print_json({"schema_version": 1, "file": str(file), **asdict(kept)})
+        return
+    newest = kept.history[-1]
+    changed = f", {newest.changed_ticks} of them changed" if newest.changed_ticks else ""
+    click.echo(f"{file}: {kept.ticks} ticks{changed}, {file.stat().st_size / 1000:.0f} kB; {newest.reason}")
+
+
+def _words(verdict: Verdict) -> str:
+    if verdict.replay is None:
+        return f"{verdict.name}: cannot be tested: {verdict.problem}"
+    first = verdict.replay.first
+    if first is None:
+        return f"{verdict.name}: {verdict.replay.ticks} ticks replayed, none differs"
+    count = f"{verdict.replay.differing} of {verdict.replay.ticks} ticks differ"
+    was, now = f"{first.logged} ({first.logged_hex})", f"{first.replayed} ({first.replayed_hex})"
+    return f"{verdict.name}: {count}, first at tick {first.tick}: {first.field} was {was}, is {now}"

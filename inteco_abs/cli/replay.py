@@ -1,0 +1,131 @@
+"""The verb `inteco-abs replay`, and which controllers a session is replayed with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from inteco_abs.cli.shared import DIFFERS, FILE, LOSSES, json_option, known_controllers, print_json, read_whole
+from inteco_abs.errors import ConfigError, Mistake, near_match
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from inteco_abs.plugins import Controllers, Origin
+    from inteco_abs.sessions import Replay, Session
+    from inteco_abs.sessions.tolerance import Shift
+
+
+@click.command()
+@click.argument("file", type=FILE)
+@click.option("--controller", help="Your own controller as file.py:Class, if the session was run with one.")
+@click.option(
+    "--tol",
+    "tolerances",
+    multiple=True,
+    metavar="FIELD=ABS[:REL[:LEAD_S[:LAG_S]]]",
+    help="How far an output may be from the logged one, as in brake=1e-9:1e-6, or how early and late a flag may come, "
+    "as in phase=::0.002:0.002; * is every output. May be repeated.",
+)
+@json_option
+def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_json: bool) -> int:
+    """Run the decisions of a session again and compare them bit for bit.
+
+    With --tol, what is nearer to the log than max(ABS, REL*|logged|) differs in nothing, nor does what is as near to
+    a value that was logged up to LEAD_S later or LAG_S earlier. All other outputs must agree exactly, and so must the
+    gains that the session has recorded.
+
+    Exit codes: 0 all agrees, 3 all agrees as far as the file goes, which was cut, 4 something differs, 1 the session
+    cannot be used, 2 wrong usage.
+    """
+    from dataclasses import asdict
+
+    from inteco_abs.control import build_pipeline, control_check, gains_in_force
+    from inteco_abs.sessions import changed_gains, parse_tolerances, read_session, session_config
+    from inteco_abs.sessions import replay as run_again
+
+    given = parse_tolerances(tolerances)
+    session = read_whole(file, read_session)
+    controllers = controllers_for(session, controller)
+    config = session_config(session, (control_check(controllers),))
+    gains = changed_gains(session, gains_in_force(config, controllers))
+    outcome = run_again(session, build_pipeline(config, controllers), given)
+    report = {
+        "schema_version": 1,
+        "session": str(file),
+        "incomplete": session.incomplete,
+        **asdict(outcome),
+        "gains": gains,
+        "tolerances": {name: asdict(tolerance) for name, tolerance in given.items()},
+    }
+    if as_json:
+        print_json(report)
+    else:
+        _print_replay(file, outcome, gains)
+    return DIFFERS if outcome.differing or gains else LOSSES if session.incomplete else 0
+
+
+def controllers_for(session: Session, controller: str | None) -> Controllers:
+    """Controllers with the session's among them, or `controller` in its place. Raises ConfigError if there is none."""
+    from inteco_abs.plugins import FROM_FILE, Controllers
+
+    controllers = known_controllers(controller)
+    told = session.metadata.get("controller", {})
+    name, package = told.get("name", ""), told.get("package", "")
+    if controller is not None:
+        if controller not in controllers:
+            raise ConfigError(
+                [Mistake("--controller", f"no controller {controller!r}{near_match(controller, controllers)}")]
+            )
+        controllers = Controllers({name: (controllers[controller], controllers.origin(controller))})
+    elif FROM_FILE in name:
+        raise ConfigError([Mistake("--controller", f"the session was run with {name!r}; name that file to replay it")])
+    elif package and name not in controllers:
+        problem = f"the session was run with {name!r} of the package {package}, which is not installed; install it"
+        raise ConfigError([Mistake("--controller", problem)])
+    if name in controllers:
+        _tell_of_another(controllers.origin(name), session.attachments.get("controller.py"), package)
+    return controllers
+
+
+def _tell_of_another(origin: Origin, source: bytes | None, package: str) -> None:
+    """Say so if the controller is not what the session was run with."""
+    if package not in {"", origin.package}:
+        click.echo(
+            f"inteco-abs: the session was run with {package}, and this is {origin.package or 'another'}", err=True
+        )
+    if source not in {None, origin.source}:
+        click.echo("inteco-abs: the controller's source is not the one that the session was run with", err=True)
+
+
+def _print_replay(file: Path, outcome: Replay, gains: Mapping[str, Any]) -> None:
+    for name, change in gains.items():
+        click.echo(f"{file}: the gain {name} was {change['recorded']} in the run and is {change['configured']} now")
+    within = f", {max(outcome.tolerated.values())} within their tolerance" if outcome.tolerated else ""
+    if outcome.first is None:
+        ticks = f"{outcome.ticks} ticks ({outcome.braking_ticks} braking)"
+        click.echo(f"{file}: {ticks} replayed, none differs{within}")
+    else:
+        first = outcome.first
+        click.echo(
+            f"{file}: {outcome.differing} of {outcome.ticks} ticks differ, first at tick {first.tick}: {first.field}"
+        )
+        click.echo(f"  logged   {first.logged}  {first.logged_hex}")
+        click.echo(f"  replayed {first.replayed}  {first.replayed_hex}")
+        click.echo(f"  before it {outcome.agreeing_ticks} ticks agree, {outcome.agreeing_s:.4f} s")
+        for name, count in outcome.by_field.items():
+            click.echo(f"  {name}: {count} ticks")
+    for shift in outcome.shifts:
+        click.echo(f"  {_words(shift)}")
+
+
+def _words(shift: Shift) -> str:
+    change = f"{shift.field} becomes {shift.value}"
+    if shift.late_ticks is None:
+        where = ("in the log", shift.logged_tick) if shift.replayed_tick is None else ("replayed", shift.replayed_tick)
+        return f"{change} only {where[0]}, at tick {where[1]}"
+    ticks = abs(shift.late_ticks)
+    count = f"{ticks} tick{'s' if ticks > 1 else ''}"
+    return f"{change} {count} {'late' if shift.late_ticks > 0 else 'early'}, at tick {shift.replayed_tick}"

@@ -1,0 +1,258 @@
+"""The verb `inteco-abs what-if`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from inteco_abs.cli.shared import FILE, LOSSES, json_option, known_controllers, print_json, read_whole
+from inteco_abs.errors import ConfigError, Mistake
+
+if TYPE_CHECKING:
+    from inteco_abs.config import RigConfig
+    from inteco_abs.plugins import Controllers
+    from inteco_abs.sessions import Session
+    from inteco_abs.sessions.closed_loop import Continuation
+    from inteco_abs.sessions.what_if import WhatIf
+    from inteco_abs.views.what_if import Course
+
+_MOST: Final = 100
+_METRICS: Final = (
+    "reaching_time_s",
+    "stop_time_s",
+    "stop_distance_m",
+    "slip_rms_true",
+    "slip_rms_estimated",
+    "lock_fraction",
+    "duty_variation_per_s",
+)
+
+
+@click.command("what-if")
+@click.argument("file", type=FILE)
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Over the session's own, as in controller.gains.Mk=5: keys of controller, estimator and model.",
+)
+@click.option("--controller", help="Another of `inteco-abs controllers`, or your own as file.py:Class.")
+@click.option("--estimator", help="Another of `inteco-abs estimators`.")
+@click.option(
+    "--sweep",
+    "sweeps",
+    multiple=True,
+    metavar="KEY=VALUE,VALUE...",
+    help="Each of these values, as in controller.gains.Mk=1,2,5; repeated: every value with every other.",
+)
+@click.option(
+    "--at",
+    "at_s",
+    type=float,
+    metavar="SECONDS",
+    help="Switch that long after braking began; default: from the first tick on.",
+)
+@click.option(
+    "--duty",
+    default=0.01,
+    show_default=True,
+    type=click.FloatRange(min=0.0),
+    help="How far the duty asked for may be from the log's without having left it.",
+)
+@click.option(
+    "--torque",
+    default=0.1,
+    show_default=True,
+    type=click.FloatRange(min=0.0),
+    help="Likewise the torque asked for, N m.",
+)
+@click.option(
+    "--closed-loop",
+    is_flag=True,
+    help="Also let the simulated rig go on from there: it reacts, and it is a simulation. Default of --at is then 0.",
+)
+@click.option("--figure", type=FILE, help="Also draw log and alternatives: .png, .svg or .pdf.")
+@json_option
+def what_if(
+    file: Path,
+    settings: tuple[str, ...],
+    controller: str | None,
+    estimator: str | None,
+    sweeps: tuple[str, ...],
+    at_s: float | None,
+    duty: float,
+    torque: float,
+    closed_loop: bool,
+    figure: Path | None,
+    as_json: bool,
+) -> int:
+    """Ask what other gains, another controller or estimator would have asked for.
+
+    They get the logged counts, which do not react: from where their wishes leave the log (the horizon), they tell what
+    would be asked for, not what would happen. With --closed-loop the rig's simulation goes on from the logged state:
+    the session's own rig if it was simulated, else the published one, and always with the same delay of a tick.
+
+    Exit codes: 0 done, 3 done with a session that was cut, 1 the session cannot be used, 2 wrong usage.
+    """
+    from inteco_abs.sessions import read_session
+    from inteco_abs.views.figure import check_figure
+    from inteco_abs.views.what_if import MOST, Course, draw_what_if
+
+    chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
+    grid = list(_grid((*chosen, *settings), sweeps))
+    if figure is not None:
+        check_figure(figure)
+        if len(grid) > MOST:
+            problem = f"{len(grid)} alternatives: at most {MOST} can be told apart; sweep fewer, or leave it out"
+            raise ConfigError([Mistake("--figure", problem)])
+    session = read_whole(file, read_session)
+    controllers = known_controllers(controller)
+    courses = [
+        Course(name, *_ask(session, given, controllers, at_s, (duty, torque), closed_loop)) for name, given in grid
+    ]
+    own = _own_error(session, controllers, at_s) if closed_loop else None
+    if figure is not None:
+        draw_what_if(session, courses, figure)
+        click.echo(f"figure: {figure}", err=True)
+    report = _report(session, courses, own)
+    if as_json:
+        print_json(report)
+    else:
+        _print(report)
+    return LOSSES if session.incomplete else 0
+
+
+def _grid(settings: Sequence[str], sweeps: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
+    """Name and settings of each alternative; raises ConfigError if there is none, or too many."""
+    axes = [_axis(sweep) for sweep in sweeps]
+    count = 1
+    for axis in axes:
+        count *= len(axis)
+    if count > _MOST:
+        raise ConfigError([Mistake("--sweep", f"{count} alternatives: must be at most {_MOST}; give fewer values")])
+    if not (settings or axes):
+        problem = "nothing was asked; name other gains, a controller or an estimator: --set controller.gains.Mk=5"
+        raise ConfigError([Mistake("what-if", problem)])
+    for values in product(*axes):
+        yield ", ".join(values or settings), [*settings, *values]
+
+
+def _axis(sweep: str) -> list[str]:
+    key, equals, text = sweep.partition("=")
+    values = [value.strip() for value in text.split(",")]
+    if not (equals and key.strip() and all(values)):
+        raise ConfigError([Mistake(f"--sweep {sweep}", "must look like controller.gains.Mk=1,2,5")])
+    return [f"{key.strip()}={value}" for value in dict.fromkeys(values)]
+
+
+def _ask(
+    session: Session,
+    settings: list[str],
+    controllers: Controllers,
+    at_s: float | None,
+    thresholds: tuple[float, float],
+    closed_loop: bool,
+) -> tuple[WhatIf, Continuation | None]:
+    from inteco_abs.sessions.what_if import alternative
+    from inteco_abs.sessions.what_if import what_if as ask
+
+    other = alternative(session, settings, controllers)
+    closed = _continued(session, other, controllers, at_s) if closed_loop else None
+    return ask(session, other, controllers, 0.0 if closed_loop and at_s is None else at_s, *thresholds), closed
+
+
+def _continued(session: Session, other: RigConfig, controllers: Controllers, at_s: float | None) -> Continuation:
+    from inteco_abs.sessions import session_config
+    from inteco_abs.sessions.closed_loop import continued
+
+    return continued(session, session_config(session, ()), other, controllers, at_s or 0.0)
+
+
+def _own_error(session: Session, controllers: Controllers, at_s: float | None) -> dict[str, Any] | None:
+    """How far the simulation leaves the log with the session's own controller; None if that is not at hand."""
+    from inteco_abs.sessions import session_config
+    from inteco_abs.sessions.closed_loop import distance
+
+    own = session_config(session, ())
+    if own.controller.name not in controllers:
+        return None
+    return distance(session, _continued(session, own, controllers, at_s))
+
+
+def _report(session: Session, courses: Sequence[Course], own: dict[str, Any] | None) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from inteco_abs.sessions import result_card, session_config
+
+    report: dict[str, Any] = {
+        "schema_version": 1,
+        "session": str(session.path),
+        "incomplete": session.incomplete,
+        "alternatives": [
+            {
+                "name": course.name,
+                "horizon_s": course.open_loop.horizon_s,
+                "open_loop": [asdict(each) for each in course.open_loop.divergences],
+                "closed_loop": _of_closed_loop(session, course.closed_loop),
+            }
+            for course in courses
+        ],
+    }
+    if courses[0].closed_loop is not None:
+        card = result_card(session_config(session, ()), session.ticks, session.truth)
+        first = courses[0].closed_loop
+        report["simulation"] = {
+            "rig": first.rig,
+            "from_tick": int(session.ticks["tick"][first.row]),
+            "state_from": first.state_from,
+            "own_error": own,
+            "log": {name: card[name] for name in _METRICS},
+        }
+    return report
+
+
+def _of_closed_loop(session: Session, closed: Continuation | None) -> dict[str, Any] | None:
+    from inteco_abs.sessions.closed_loop import distance
+
+    if closed is None:
+        return None
+    return {"card": {name: closed.card[name] for name in _METRICS}, "from_the_log": distance(session, closed)}
+
+
+def _print(report: dict[str, Any]) -> None:
+    for each in report["alternatives"]:
+        horizon_s = each["horizon_s"]
+        leaves = (
+            "never leaves the log" if horizon_s is None else f"leaves the log {horizon_s:.4f} s after braking began"
+        )
+        click.echo(f"{each['name']}: {leaves}")
+        for field in each["open_loop"]:
+            rms = ", ".join(f"{phase} {_figure(value)}" for phase, value in field["rms"].items())
+            first = "" if field["tick"] is None else f", beyond {field['threshold']:g} from tick {field['tick']}"
+            click.echo(f"  {field['field']:17} largest {_figure(field['largest'])}{first}; rms {rms}")
+        if each["closed_loop"] is not None:
+            click.echo(f"  simulated: {_metrics(each['closed_loop']['card'])}")
+    simulation = report.get("simulation")
+    if simulation is None:
+        click.echo("open loop: the logged counts do not react; beyond the horizon it is not what would have happened")
+        return
+    click.echo(f"log: {_metrics(simulation['log'])}")
+    own = simulation["own_error"]
+    error = "not at hand" if own is None else ", ".join(f"{name} {_figure(value)}" for name, value in own.items())
+    click.echo(
+        f"closed loop: a SIMULATION of the rig {simulation['rig']} from tick {simulation['from_tick']} on, its state "
+        f"from the {simulation['state_from']}; with the session's own controller it leaves the log by: {error}"
+    )
+
+
+def _metrics(card: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {_figure(value)}" for name, value in card.items() if value is not None)
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"

@@ -1,0 +1,206 @@
+"""The verbs replay, what-if and golden on the command line."""
+
+import json
+import sys
+
+import pytest
+
+from inteco_abs.cli import main
+from inteco_abs.sessions import Recorder
+from inteco_abs.signals import Phase
+
+
+@pytest.fixture
+def command(tmp_path, monkeypatch, capsys):
+    """Runs the command in an empty folder, in this process; gives exit code, output and what was said beside it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["inteco-abs", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        printed = capsys.readouterr()
+        assert "Traceback" not in printed.err
+        return ended.value.code or 0, printed.out, printed.err
+
+    return run
+
+
+@pytest.fixture
+def rewritten(tmp_path, quick):
+    """Path of `quick` with other ticks or another configuration."""
+
+    def write(session=quick.session, config=None):
+        path = tmp_path / "rewritten.mcap"
+        with Recorder(path, 0) as recorder:
+            recorder.describe("controller", session.metadata["controller"])
+            recorder.attach("config.toml", "application/toml", config or session.attachments["config.toml"])
+            recorder.begin({})
+            recorder.ticks(session.payload)
+            recorder.finish("completed", "no fault", quick.stop.card)
+        return path
+
+    return write
+
+
+def test_replay_of_a_run_tells_that_all_agrees(command, quick):
+    code, printed, _ = command("replay", quick.path, "--json")
+    report = json.loads(printed)
+    assert code == 0
+    assert {"ticks", "differing", "first", "by_field"} <= report.keys()
+    assert (report["differing"], report["agreeing_ticks"], report["gains"]) == (0, report["ticks"], {})
+
+
+def test_replay_with_another_gain_names_it(command, quick, rewritten):
+    config = quick.session.attachments["config.toml"].decode()
+    path = rewritten(config=config.replace("[controller.gains]", "[controller.gains]\nMk = 2.5").encode())
+    code, printed, _ = command("replay", path)
+    assert code == 4
+    assert "the gain Mk was 0x1.0000000000000p+1 in the run and is 0x1.4000000000000p+1 now" in printed
+    assert "torque_demand_nm" in printed
+
+
+def test_replay_with_another_gain_that_changes_nothing_differs_all_the_same(command, run, rewritten):
+    session = run("controller.name=boundary-layer").session
+    config = session.attachments["config.toml"].decode()
+    path = rewritten(session, config.replace("[controller.gains]", "[controller.gains]\nlag_s = 1e-12").encode())
+    code, printed, _ = command("replay", path, "--tol", "*=100", "--json")
+    assert code == 4
+    assert list(json.loads(printed)["gains"]) == ["lag_s"]
+
+
+def test_replay_tells_what_comes_early_and_how_long_all_agreed(command, quick, retouched, rewritten):
+    session = quick.session
+    began = int((session.ticks["phase"] == Phase.BRAKING).argmax())
+    path = rewritten(retouched(session, began, phase=int(Phase.SPIN_UP)))
+    code, printed, _ = command("replay", path)
+    assert code == 4
+    assert f"before it {began} ticks agree" in printed
+    assert f"phase becomes BRAKING 1 tick early, at tick {began}" in printed
+    code, printed, _ = command("replay", path, "--tol", "phase=::0.001")
+    assert code == 0
+    assert "1 within their tolerance" in printed
+
+
+def test_replay_with_tolerances_that_are_none_ends_with_2(command, quick):
+    code, _, said = command("replay", quick.path, "--tol", "brke=1", "--tol", "slip")
+    assert code == 2
+    assert "did you mean brake" in said
+    assert "--tol slip: must look like" in said
+
+
+def test_what_if_sweeps_and_tells_the_horizon(command, quick):
+    code, printed, _ = command("what-if", quick.path, "--sweep", "controller.gains.Mk=2,5,20", "--json")
+    report = json.loads(printed)
+    horizons = [each["horizon_s"] for each in report["alternatives"]]
+    assert code == 0
+    assert [each["name"] for each in report["alternatives"]] == [f"controller.gains.Mk={k}" for k in (2, 5, 20)]
+    assert (horizons[0], horizons[2]) == (None, pytest.approx(0.0005))
+    assert "simulation" not in report
+
+
+def test_what_if_says_that_open_loop_does_not_react_and_that_closed_loop_is_a_simulation(command, quick):
+    code, printed, _ = command("what-if", quick.path, "--controller", "relay", "--at", "0.05")
+    assert code == 0
+    assert "leaves the log 0.0500 s after braking began" in printed
+    assert "the logged counts do not react" in printed
+    code, printed, _ = command("what-if", quick.path, "--estimator", "kalman", "--closed-loop")
+    assert code == 0
+    assert "a SIMULATION of the rig mask" in printed
+    assert "leaves the log by: road_speed_rad_s 0, slip 0, brake 0" in printed
+
+
+def test_what_if_draws(command, quick, tmp_path):
+    arguments = ("--sweep", "controller.gains.Mk=2,20", "--closed-loop", "--figure", "drawn.svg")
+    code, _, said = command("what-if", quick.path, *arguments)
+    assert (code, said) == (0, "figure: drawn.svg\n")
+    assert (tmp_path / "drawn.svg").read_bytes().startswith(b"<?xml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "nothing was asked"),
+        (("--set", "loop.rate_hz=100"), "is no part of what can be asked about"),
+        (("--set", "controller.gains.Mk=x"), "controller.gains.Mk: 'x'"),
+        (("--controller", "rely"), "did you mean relay"),
+        (("--estimator", "kalmn"), "did you mean kalman"),
+        (("--sweep", "controller.gains.Mk"), "must look like controller.gains.Mk=1,2,5"),
+        (("--sweep", "controller.gains.Mk=1,,2"), "must look like"),
+        (("--sweep", f"controller.gains.Mk={','.join(map(str, range(200)))}"), "200 alternatives: must be at most 100"),
+        (("--sweep", "controller.gains.Mk=1,2,3,4,5,6,7,8", "--figure", "x.svg"), "at most 7 can be told apart"),
+        (("--controller", "relay", "--figure", "x.bmp"), "must end in .png"),
+        (("--controller", "relay", "--duty", "-1"), "--duty"),
+        (("--controller", "relay", "--at", "soon"), "--at"),
+    ],
+)
+def test_what_if_used_wrongly_ends_with_2(command, quick, arguments, words):
+    code, printed, said = command("what-if", quick.path, *arguments)
+    assert (code, printed) == (2, "")
+    assert words in said
+
+
+def test_what_if_at_a_time_at_which_nothing_ran_ends_with_1(command, quick):
+    code, _, said = command("what-if", quick.path, "--controller", "relay", "--closed-loop", "--at", "99")
+    assert code == 1
+    assert "choose a time in" in said
+
+
+def test_golden_adds_tests_and_lists(command, quick):
+    assert command("golden", "add", quick.path, "--name", "one", "--reason", "why not")[0] == 0
+    code, printed, _ = command("golden", "test")
+    assert (code, printed) == (0, f"one: {quick.stop.card['ticks']} ticks replayed, none differs\n")
+    code, printed, _ = command("golden", "list")
+    assert code == 0
+    assert "why not" in printed
+    (listed,) = json.loads(command("golden", "list", "--json")[1])["sessions"]
+    assert (listed["name"], listed["tolerances"]) == ("one", [])
+    assert command("golden", "add", quick.path, "--name", "one", "--reason", "again")[0] == 2
+    assert command("golden", "update", "one", "--reason", "nothing changed")[0] == 2
+
+
+def test_golden_ends_with_4_and_names_the_first_difference(command, quick, monkeypatch):
+    assert command("golden", "add", quick.path, "--name", "one", "--reason", "why not")[0] == 0
+    monkeypatch.setattr("inteco_abs.control.controllers.reaching.ReachingLaw.approach", lambda *_: 1.0)
+    code, printed, _ = command("golden", "test", "one")
+    assert code == 4
+    assert "first at tick" in printed
+    assert "torque_demand_nm was" in printed
+    assert json.loads(command("golden", "test", "--json")[1])["differing"] == ["one"]
+    assert command("golden", "update", "one", "--reason", "a constant law")[0] == 0
+    assert command("golden", "test")[0] == 0
+
+
+def test_golden_ends_with_1_where_a_session_cannot_be_tested(command, quick, tmp_path):
+    assert command("golden", "add", quick.path, "--name", "one", "--reason", "why not", "--json")[0] == 0
+    (tmp_path / "golden" / "one.mcap").unlink()
+    code, printed, _ = command("golden", "test")
+    assert code == 1
+    assert "one: cannot be tested" in printed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("golden", "test"), 2, "holds no golden session"),
+        (("golden", "list"), 2, "holds no golden session"),
+        (("golden", "add", "none.mcap", "--reason", "x"), 1, "none.mcap: cannot be read"),
+        (("golden", "add", "none.mcap"), 2, "--reason"),
+        (("golden", "update", "one"), 2, "--reason"),
+        (("what-if", "none.mcap", "--controller", "relay"), 1, "none.mcap: cannot be read"),
+    ],
+)
+def test_what_is_not_there_is_told(command, arguments, code, words):
+    ended, _, said = command(*arguments)
+    assert ended == code
+    assert words in said
+
+
+@pytest.mark.parametrize(
+    "verb", [("replay",), ("what-if",), ("golden", "add"), ("golden", "test"), ("golden", "update")]
+)
+def test_help_tells_the_exit_codes(command, verb):
+    code, printed, _ = command(*verb, "--help")
+    assert code == 0
+    assert "Exit codes: 0 " in " ".join(printed.split())
