@@ -5,7 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.control import SpeedWindow
+from inteco_abs.control import MovingWindow, SpeedWindow, TwoWheels
+from inteco_abs.control.windows import SpeedWindows
+from inteco_abs.rig import RigParameters
+from inteco_abs.signals import Sample
 
 TURN = 2.0 * math.pi
 
@@ -67,3 +70,28 @@ def test_no_time_between_two_samples_gives_no_speed_instead_of_a_division_by_zer
     window = SpeedWindow(2048, 1)
     window.update(1_000_000, 0)
     assert window.update(later_ns, 5) == 0.0
+
+
+tracks = st.lists(st.tuples(st.integers(-1000, 10_000_000), counts, counts), min_size=1, max_size=60)
+
+
+@given(lengths, turns, tracks)
+def test_both_wheels_at_once_have_the_speeds_of_each_to_the_last_bit(length, per_turn, track):
+    both, wheel, road = SpeedWindows(per_turn, length), SpeedWindow(per_turn, length), SpeedWindow(per_turn, length)
+    time_ns = 0
+    for step_ns, wheel_count, road_count in track:
+        time_ns += step_ns
+        each = wheel.update(time_ns, wheel_count), road.update(time_ns, road_count)
+        assert both.update(time_ns, wheel_count, road_count) == each
+
+
+@given(lengths, turns, tracks)
+def test_the_moving_window_estimates_as_two_windows_do_to_the_last_bit(length, per_turn, track):
+    parameters = RigParameters.named("mask")
+    both = MovingWindow(per_turn, length, parameters)
+    each = TwoWheels(SpeedWindow(per_turn, length), SpeedWindow(per_turn, length), parameters)
+    time_ns = 0
+    for number, (step_ns, wheel_count, road_count) in enumerate(track):
+        time_ns += step_ns
+        sample = Sample(number, time_ns, 0.0005, wheel_count, road_count)
+        assert both.update(sample) == each.update(sample)

@@ -151,3 +151,21 @@ def test_a_wrong_bit_in_any_tag_of_any_message_is_not_well_formed():
 def spans():
     """(offset, width) of the value of every column."""
     return [(TICK.dtype.fields[name][1], TICK.dtype.fields[name][0].itemsize) for name in TICK.dtype.names]
+
+
+@given(values=rows(TICK))
+def test_values_of_some_columns_are_taken_out_of_messages_without_the_others(values):
+    names = ("dt_s", "tick", "reason", "skipped")  # in any order, they come in that of the columns
+    taken = [TICK.columns.index(column) for column in TICK.columns if column.name in names]
+    (found, again) = TICK.values(TICK.pack(values) * 2, names)
+    packed = struct.Struct("<" + "".join(TICK.columns[i].kind.code for i in taken))
+    assert packed.pack(*found) == packed.pack(*again) == packed.pack(*(values[i] for i in taken))
+
+
+@given(values=rows(TICK))
+def test_an_array_of_rows_has_the_values_of_the_messages(values):
+    found, expected = TICK.array_of([values, values]), TICK.array(TICK.pack(values) * 2)
+    for name in expected.dtype.names:
+        assert found[name].tobytes() == expected[name].tobytes()
+    found["tick"][1] = 7  # one's own
+    assert found["tick"].tolist() == [expected["tick"][0], 7]
