@@ -289,3 +289,16 @@ def test_an_observer_that_loses_its_mind_ends_the_run_with_the_outputs_off(exper
     assert (last.phase, last.reason) == (Phase.FAULT, Reason.CONTROLLER_ERROR)
     assert (last.drive, last.brake) == Command.SAFE
     assert len(moments) > 1000  # it was in its right mind during the run-up
+
+
+def test_a_wheel_that_is_suddenly_elsewhere_is_looked_for_anew():
+    observer = Observer(MASK, 2048, 0.0005)
+    per_tick = 180.0 * 2048 / (2.0 * math.pi) * 0.0005
+    seen = []
+    for tick in range(400):
+        counts = int(tick * per_tick) + (5000 if tick >= 300 else 0)
+        seen.append(observer.update(Sample(tick, tick * 500_000, 0.0005, counts, counts)))
+    assert seen[299].outlook is not None
+    assert seen[300].outlook is None
+    assert seen[399].outlook is not None
+    assert seen[399].road_speed_rad_s == pytest.approx(180.0, rel=0.02)

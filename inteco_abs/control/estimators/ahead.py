@@ -30,6 +30,11 @@ class Pending:
         self._torques.extend([self._torques[-1]] * min(ticks - 1, len(self._torques)))
         self._torques.append(torque)
 
+    @property
+    def newest(self) -> float:
+        """What was put out last."""
+        return self._torques[-1]
+
     def arrived(self, dead_time: float, ago: int = 0) -> tuple[float, float]:
         """What acted on the brake in the period that ended `ago` ticks ago, and its slope by the dead time in s.
 

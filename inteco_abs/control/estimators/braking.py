@@ -18,6 +18,10 @@ _DEAD_TIME_S: Final = (0.002, LONGEST_DEAD_TIME_S)
 _LAG_S: Final = (0.025, 0.090)
 """Within these a brake is believed."""
 _WALK_AT_RAD_S: Final = 100.0
+_UNSETTLED: Final = 0.5
+"""Share of a torque by which a brake that was told of it may still be off."""
+_LOST_RAD: Final = 0.5
+"""Farther than this from where a wheel is believed it is not a matter of noise."""
 _STEP_PAUSE_S: Final = 0.010
 """Between two steps of the road."""
 Row = list[float]
@@ -101,15 +105,16 @@ class BrakingFilter:
         self._pending.tell(measured_torque(duty), ticks)
 
     def begin(self, wheel: DiscFilter, road: DiscFilter) -> None:
-        """Begin where two wheels roll."""
-        spread = self._spread
-        self._x = [wheel.angle, wheel.speed, road.angle, road.speed, 0.0, 0.0, 1.0, 0.0, 0.0]
+        """Begin where two wheels roll, or anew in the middle of braking, with what the brake was told last."""
+        spread, told = self._spread, self._pending.newest
+        self._x = [wheel.angle, wheel.speed, road.angle, road.speed, told, 0.0, 1.0, 0.0, 0.0]
         self._x += [spread.dead_time_s, spread.lag_s]
         self._P = [[0.0] * 11 for _ in range(11)]
         for i, disc in ((0, wheel), (2, road)):
             angle, speed, both = disc.spread
             self._P[i][i], self._P[i + 1][i + 1] = angle, speed + spread.road_walk_rad_s**2
             self._P[i][i + 1] = self._P[i + 1][i] = both
+        self._P[4][4] = (_UNSETTLED * told) ** 2
         deviations = (spread.torque_sd_nm, spread.adhesion_sd, spread.ripple_sd, spread.ripple_sd)
         for i, deviation in enumerate((*deviations, spread.dead_time_sd_s, spread.lag_sd_s), 5):
             self._P[i][i] = deviation**2
@@ -120,18 +125,23 @@ class BrakingFilter:
         """Of wheel and road, rad/s."""
         return self._x[1], self._x[3]
 
-    def update(self, wheel_angle: float, road_angle: float, dt_s: float, ticks: int) -> None:
-        """Move on by `dt_s`, which is `ticks` ticks, to where the wheels show these angles, in rad."""
+    def update(self, wheel_angle: float, road_angle: float, dt_s: float, ticks: int) -> bool:
+        """Move on by `dt_s`, which is `ticks` ticks, to where the wheels show these angles, in rad.
+
+        False if they are not where wheels can be by what is believed: then nothing more should be believed.
+        """
         steps = max(ticks, math.ceil(dt_s / _LONGEST_STEP_S - 1e-6))
         for left in range(steps - 1, -1, -1):
             self._predict(dt_s / steps, left * ticks // steps)
-        self._correct(wheel_angle, road_angle)
+        if not self._correct(wheel_angle, road_angle):
+            return False
         self._step_in_s -= dt_s
         if self._step_in_s <= 0.0 and abs(self._surprise) > self._spread.surprise:
             self._suspect_a_step()
         x = self._x
         x[9] = min(max(x[9], _DEAD_TIME_S[0]), _DEAD_TIME_S[1])
         x[10] = min(max(x[10], _LAG_S[0]), _LAG_S[1])
+        return True
 
     def outlook(self) -> Outlook:
         """What is expected of the instant at which the next command comes through to the brake."""
@@ -188,10 +198,12 @@ class BrakingFilter:
         P[6][6] += T * (spread.adhesion_walk * x2 / _WALK_AT_RAD_S) ** 2
         self._P = P
 
-    def _correct(self, wheel_angle: float, road_angle: float) -> None:
+    def _correct(self, wheel_angle: float, road_angle: float) -> bool:
         """Both angles at once: the second one's row is that after the first one's correction."""
         P, x = self._P, self._x
         wheel, road = P[0], P[2]
+        if not (abs(wheel_angle - x[0]) < _LOST_RAD and abs(road_angle - x[2]) < _LOST_RAD):
+            return False  # not a number is no place either
         wheel_scale = 1.0 / (wheel[0] + self._noise)
         first = [w * wheel_scale for w in wheel]
         road = [r - first[2] * w for r, w in zip(road, wheel, strict=True)]
@@ -205,6 +217,7 @@ class BrakingFilter:
             [p - a * w - b * r for p, w, r in zip(row, wheel, road, strict=True)]
             for row, a, b in zip(P, first, second, strict=True)
         ]
+        return True
 
     def _suspect_a_step(self) -> None:
         """The adhesion may have stepped a moment ago, and moved the wheels since: that much is not known of them."""

@@ -51,9 +51,13 @@ class Observer:
         self._filter.tell(command.brake, ticks)
         wheel, road = self._discs
         if self._braking:
-            self._filter.update(wheel.straight(wheel_angle), road.straight(road_angle), dt_s, ticks)
+            found = self._filter.update(wheel.straight(wheel_angle), road.straight(road_angle), dt_s, ticks)
             wheel_speed, road_speed = self._filter.speeds
-            if command.drive > 0.0 or road_speed < _BRAKING_UNTIL_RAD_S:
+            if not found:
+                self._braking = False
+                wheel.restart(wheel_angle)
+                road.restart(road_angle)
+            elif command.drive > 0.0 or road_speed < _BRAKING_UNTIL_RAD_S:
                 self._braking = False
                 wheel.restart(wheel_angle, wheel_speed, _HANDED_OVER_SD)
                 road.restart(road_angle, road_speed, _HANDED_OVER_SD)
