@@ -10,7 +10,7 @@ from inteco_abs.control import Pipeline, PredictiveReaching, Setup, make_control
 from inteco_abs.control.estimators import Observer
 from inteco_abs.control.estimators.braking import Spread
 from inteco_abs.rig import EncoderVariation, RigParameters, draw
-from inteco_abs.signals import BoardFlags, Command, Phase, Reason
+from inteco_abs.signals import BoardFlags, Command, Phase, Reason, Sample
 
 MASK = RigParameters.named("mask")
 HARD = draw("hard", 100_000)
