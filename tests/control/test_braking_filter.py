@@ -74,6 +74,7 @@ def learnt(moments, since_s=LEARNT_S):
 BRAKES = [(0.006, 0.040), (0.010, 0.050), (0.015, 0.060)]
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(("dead_time_s", "lag_s"), BRAKES)
 def test_dead_time_and_lag_of_a_brake_with_the_measured_map_are_found(stop, dead_time_s, lag_s):
     for moment in learnt(stop(quiet(lag_s, brake_dead_time_s=dead_time_s))):
@@ -91,6 +92,7 @@ OWN = [
 ]
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("variation", OWN)
 def test_the_adhesion_of_the_slip_that_is_held_is_found(stop, variation):
     surface = Surface(variation["adhesion_scale"], variation.get("adhesion_blend", 0.0))
@@ -99,6 +101,7 @@ def test_the_adhesion_of_the_slip_that_is_held_is_found(stop, variation):
         assert moment.outlook.adhesion_factor == pytest.approx(factor, rel=0.02)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("variation", OWN)
 def test_what_is_expected_comes_true_when_the_next_command_comes_through(stop, variation):
     moments = stop(quiet(**variation))
@@ -113,6 +116,7 @@ def test_what_is_expected_comes_true_when_the_next_command_comes_through(stop, v
             assert outlook.road_speed_rad_s == pytest.approx(truth.road_speed, abs=0.15)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("variation", OWN)
 def test_the_slip_is_known_to_a_thousandth_and_held(stop, variation):
     moments = [moment for moment in learnt(stop(quiet(**variation))) if moment.road_speed > 20.0]
@@ -121,6 +125,7 @@ def test_the_slip_is_known_to_a_thousandth_and_held(stop, variation):
     assert math.sqrt(np.mean([(moment.slip - 0.2) ** 2 for moment in moments])) < 0.001
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("phase", [0.0, 1.0, 3.0])
 def test_a_ripple_of_the_load_over_a_turn_is_found_bit_by_bit(stop, phase):
     moments = stop(quiet(load_ripple=0.03, load_ripple_phase_rad=phase))
@@ -146,6 +151,7 @@ def test_a_step_of_the_roads_grip_is_followed_within_20_ms(stop, step):
     assert max(abs(slip - 0.2) for slip in after) < 0.05
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("variation", [*OWN, {"grip_step": -0.2, "grip_step_after_s": 0.4, "load_ripple": 0.02}])
 def test_the_covariance_is_one_all_along_a_stop(stop, variation):
     for moment in stop(quiet(**variation))[::25]:

@@ -40,6 +40,7 @@ def wave(disc):
     return [(angle - disc.straight(angle)) / COUNT_RAD for angle in TURN]
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("phase", [0.0, 2.0, 4.5])
 def test_a_disc_off_centre_is_learnt_in_a_run_up(phase):
     disc = fresh()
@@ -47,6 +48,7 @@ def test_a_disc_off_centre_is_learnt_in_a_run_up(phase):
     assert wave(disc) == pytest.approx([0.5 * math.sin(angle + phase) for angle in TURN], abs=0.05)
 
 
+@pytest.mark.untraced
 def test_of_a_disc_that_is_centred_nothing_is_learnt():
     disc = fresh()
     run_up(disc, off_centre(0.0, counts=0.0), 180.0)
@@ -61,6 +63,7 @@ def test_nothing_is_learnt_from_slow_turns():
     assert max(wave(disc)) > 0.0
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("phase", [0.0, 2.0])
 def test_the_speed_of_a_driven_wheel_has_no_bias_and_little_noise(phase):
     errors = [error for speed, error in run_up(fresh(), off_centre(phase), 180.0) if speed > 80.0]
@@ -78,6 +81,7 @@ def test_what_was_learnt_survives_a_restart():
     assert disc.speed == 20.0
 
 
+@pytest.mark.untraced
 def test_the_next_run_up_begins_with_what_was_learnt_and_does_not_spoil_it():
     disc, encoder = fresh(), off_centre(2.0)
     run_up(disc, encoder, 180.0)

@@ -55,6 +55,7 @@ def rms(moments, since_s=0.3, above_rad_s=20.0):
 # rest and hands
 
 
+@pytest.mark.untraced
 def test_encoders_that_jitter_at_rest_are_no_rig_that_brakes(rolling):
     for seed in range(100_000, 100_020):
         run = rolling(draw("hard", seed))
@@ -110,6 +111,7 @@ def test_it_brakes_from_when_the_drive_is_off_until_it_is_on_again_or_the_road_s
     assert len(slowly) > 300
 
 
+@pytest.mark.untraced
 def test_discs_far_off_centre_that_were_learnt_in_the_run_up_do_not_disturb_the_stop(rolling):
     disc = EncoderVariation(2048, eccentricity_counts=2.0, eccentricity_phase_rad=1.0, jitter_counts=0.3)
     run = rolling(replace(HARD, wheel_encoder=disc, road_encoder=disc), 150.0)
@@ -121,6 +123,7 @@ def test_discs_far_off_centre_that_were_learnt_in_the_run_up_do_not_disturb_the_
     assert rms(moments, began_s + 0.3) < 0.002
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("rate_hz", [500.0, 2000.0, 10_000.0])
 def test_speeds_are_handed_over_when_braking_ends(rolling, rate_hz):
     run, decide = rolling(HARD, 30.0, rate_hz), law()
@@ -135,6 +138,7 @@ def test_speeds_are_handed_over_when_braking_ends(rolling, rate_hz):
     assert seen.road_speed_rad_s == pytest.approx(0.0, abs=0.5)
 
 
+@pytest.mark.untraced
 def test_a_second_stop_is_as_good_as_the_first(experiment):
     settings = ("experiment.start_speed_rad_s=60", "experiment.stops=2", "experiment.hold_s=0.05")
     moments = experiment(PREDICTIVE, *settings).run()
@@ -149,6 +153,7 @@ def test_a_second_stop_is_as_good_as_the_first(experiment):
 # samples that are missing, other rates, other encoders
 
 
+@pytest.mark.untraced
 def test_missed_exchanges_leave_the_slip_known_and_held(rolling):
     for missed, every in ((5, 15), (20, 200)):
         run = rolling(HARD, 180.0)
@@ -171,6 +176,7 @@ def test_the_command_before_a_gap_acts_in_the_gap(rolling):
     assert seen.outlook.lagged_torque_nm == pytest.approx(9.37 * (1.0 - math.exp(-0.03 / 0.05)), rel=0.03)
 
 
+@pytest.mark.untraced
 def test_flagged_samples_are_passed_over(experiment):
     number = iter(range(10**6))
 
@@ -184,6 +190,7 @@ def test_flagged_samples_are_passed_over(experiment):
     assert held == pytest.approx([0.2] * len(held), abs=0.01)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("rate_hz", "error", "held"),
     [(50.0, 0.05, 0.3), (100.0, 0.03, 0.05), (250.0, 0.01, 0.005), (1000.0, 0.01, 0.005), (10_000.0, 0.01, 0.005)],
@@ -196,6 +203,7 @@ def test_other_rates_of_the_loop(rolling, rate_hz, error, held):
     assert rms(moments) < held
 
 
+@pytest.mark.untraced
 def test_twice_the_counts_make_the_slip_better_known(rolling):
     errors = []
     for counts in (2048, 4096):
@@ -215,6 +223,7 @@ def stuck(at):
     return lambda command: Command(command.drive, at)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("duty", "slip"),
     [(1.0, 1.0), (0.0, 0.0)],
@@ -231,6 +240,7 @@ def test_a_brake_that_does_not_listen_does_not_mislead_the_slip(rolling, duty, s
     assert last.road_speed_rad_s == pytest.approx(moments[-1].road_speed, abs=0.5)
 
 
+@pytest.mark.untraced
 def test_a_wheel_that_has_locked_is_released_and_its_slip_held_again(rolling):
     run = rolling(HARD, 180.0)
     course(run, Command.SAFE, longest_s=0.05)
@@ -242,6 +252,7 @@ def test_a_wheel_that_has_locked_is_released_and_its_slip_held_again(rolling):
     assert rms(moments, since_s=again + 0.1) < 0.01
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("variation", "held"),
     [
@@ -261,6 +272,7 @@ def test_rigs_far_from_the_published_one_are_held_all_the_same(rolling, variatio
     assert moments[-1].road_speed < 3.0
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("variation", [{"brake_gain": 3.0}, {"brake_dead_time_s": 0.15}, {"brake_gain": 0.3}])
 def test_rigs_beyond_belief_are_stopped_all_the_same(rolling, variation):
     run = rolling(replace(HARD, **variation), 100.0)
@@ -268,6 +280,7 @@ def test_rigs_beyond_belief_are_stopped_all_the_same(rolling, variation):
     assert course(run, law())[-1].road_speed < 3.0
 
 
+@pytest.mark.untraced
 def test_a_rig_that_only_coasts_is_followed_to_its_end(rolling):
     run = rolling(HARD, 12.0, 500.0)
     course(run, Command.SAFE, 0.0, longest_s=0.1)
@@ -275,6 +288,7 @@ def test_a_rig_that_only_coasts_is_followed_to_its_end(rolling):
         assert moment.seen.road_speed_rad_s == pytest.approx(moment.road_speed, abs=1.0)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(
     "spread",
     [Spread(wheel_walk_rad_s=math.inf), Spread(torque_sd_nm=math.nan), Spread(adhesion_walk=math.nan)],

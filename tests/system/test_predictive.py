@@ -32,6 +32,7 @@ def test_another_estimator_is_refused_before_anything_begins(inteco_abs, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.untraced
 def test_a_lag_to_be_inverted_is_a_gain_of_the_session(card, inteco_abs):
     slow = ("--set", "experiment.start_speed_rad_s=60")
     with_lag = card(*slow, "--set", "controller.gains.lag_s=0.05", out="lag.mcap")
