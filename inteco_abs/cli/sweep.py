@@ -27,7 +27,7 @@ from inteco_abs.cli.shared import (
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 if TYPE_CHECKING:
-    from inteco_abs.ensembles import Draws, Row
+    from inteco_abs.ensembles import Combination, Draws, Row
     from inteco_abs.plugins import Controllers
 
 _SMALLEST_SHARD: Final = 5
@@ -87,8 +87,9 @@ def sweep(
     chosen = [f"controller.name={name}" for name in controller] + [f"estimator.name={name}" for name in estimator]
     grid = combinations([*settings, *chosen], controllers, config)
     insist_on_different({"--csv": table, "--figure": figure})
-    if table is not None and not table.absolute().parent.is_dir():
-        raise ConfigError([Mistake("--csv", f"{table}: the folder {table.parent} does not exist; create it first")])
+    _insist_on_own_rigs(grid, draws)
+    if table is not None:
+        _check_table(table)
     if figure is not None:
         check_figure(figure)
     _tell_of_left_out(draws)
@@ -134,6 +135,30 @@ def _controllers(names: Sequence[str]) -> tuple[Controllers, dict[str, bytes]]:
         if FROM_FILE in name:
             own[name] = known[name], known.origin(name)
     return Known(own), {name: origin.source for name, (_, origin) in own.items()}
+
+
+def _insist_on_own_rigs(grid: Sequence[Combination], draws: Sequence[Draws]) -> None:
+    """The rigs are those of --rigs, whatever [simulation] says, and have encoders of their own."""
+    from inteco_abs.config import SimulationConfig
+
+    mistakes = []
+    if any(one.config.simulation != SimulationConfig() for one in grid):
+        mistakes.append(Mistake("simulation", "a sweep brakes the rigs of --rigs; leave this section out"))
+    believed = {one.config.encoders.counts_per_turn for one in grid}
+    drawn = {rig.road_encoder.counts_per_turn for each in draws for rig in each.rigs}
+    if believed != drawn:
+        shown = ", ".join(map(str, sorted(believed - drawn)))
+        mistakes.append(Mistake("encoders.counts_per_turn", f"{shown}: these rigs have {max(drawn)}; leave it out"))
+    if mistakes:
+        raise ConfigError(mistakes)
+
+
+def _check_table(path: Path) -> None:
+    """Refuse, before anything is computed, what cannot be written to."""
+    if path.is_dir():
+        raise ConfigError([Mistake("--csv", f"{path}: is a folder; name a file")])
+    if not path.absolute().parent.is_dir():
+        raise ConfigError([Mistake("--csv", f"{path}: the folder {path.parent} does not exist; create it first")])
 
 
 def _tell_of_left_out(draws: Sequence[Draws]) -> None:

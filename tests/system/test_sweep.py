@@ -78,6 +78,9 @@ def test_stops_that_fail_are_told_and_the_others_scored(inteco_abs, tmp_path):
         (["--controller", "pi,own.py:Own"], ["own.py", "No such file"]),
         (["--set", "controller.name=own.py:Own"], ["named by --controller"]),
         (["--csv", "nowhere/x.csv"], ["--csv", "nowhere", "create it first"]),
+        (["--csv", "."], ["--csv", "is a folder"]),
+        (["--set", "encoders.counts_per_turn=4096"], ["encoders.counts_per_turn", "4096", "2048"]),
+        (["--set", "simulation.rig=hard:2"], ["simulation", "--rigs"]),
         (["--figure", "x.bmp"], ["--figure", "x.bmp"]),
         (["--csv", "x.svg", "--figure", "x.svg"], ["--figure", "--csv"]),
     ],
@@ -93,9 +96,8 @@ def test_wrong_input_gets_one_clear_answer(monkeypatch, tmp_path, arguments, wor
 
 def test_a_table_that_cannot_be_written_is_an_error(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "x.csv").mkdir()
-    with pytest.raises(AbsError, match=r"x\.csv: the table cannot be written: Is a directory"):
-        cli.main(["sweep", *QUICK, "--jobs", "1", "--csv", "x.csv"], standalone_mode=False)
+    with pytest.raises(AbsError, match=r"full: the table cannot be written: No space left on device"):
+        cli.main(["sweep", *QUICK, "--jobs", "1", "--csv", "/dev/full"], standalone_mode=False)
 
 
 def test_without_numba_the_extra_is_named():
