@@ -316,3 +316,14 @@ def test_a_wheel_that_is_suddenly_elsewhere_is_looked_for_anew():
     assert seen[300].outlook is None
     assert seen[399].outlook is not None
     assert seen[399].road_speed_rad_s == pytest.approx(180.0, rel=0.02)
+
+
+def test_after_a_long_gap_it_begins_anew_at_once():
+    observer = Observer(MASK, 2048, 0.0005)
+    per_tick = 180.0 * 2048 / (2.0 * math.pi) * 0.0005
+    ticks = [*range(300), *range(100_000, 100_100)]
+    seen = [observer.update(Sample(t, t * 500_000, 0.0005, int(t * per_tick), int(t * per_tick))) for t in ticks]
+    assert seen[299].outlook is not None
+    assert seen[300].outlook is None
+    assert seen[-1].outlook is not None
+    assert seen[-1].road_speed_rad_s == pytest.approx(180.0, rel=0.02)

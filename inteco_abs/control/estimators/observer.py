@@ -17,6 +17,8 @@ _BRAKING_UNTIL_RAD_S: Final = 2.0
 """Of the road: below, the slip says nothing any more."""
 _HANDED_OVER_SD: Final = 2.0
 """Of the speeds then, rad/s."""
+_LONGEST_GAP_S: Final = 0.2
+"""After a longer one nothing is left of what was believed, and catching up would take longer than a period."""
 _SAMPLES: Final = 3
 """From here on there is a speed."""
 
@@ -51,7 +53,8 @@ class Observer:
         self._filter.tell(command.brake, ticks)
         wheel, road = self._discs
         if self._braking:
-            found = self._filter.update(wheel.straight(wheel_angle), road.straight(road_angle), dt_s, ticks)
+            angles = wheel.straight(wheel_angle), road.straight(road_angle)
+            found = dt_s <= _LONGEST_GAP_S and self._filter.update(*angles, dt_s, ticks)
             wheel_speed, road_speed = self._filter.speeds
             if not found:
                 self._braking = False
