@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -13,6 +13,9 @@ from inteco_abs.errors import ConfigError, Mistake, near_match
 if TYPE_CHECKING:
     from inteco_abs.control import Gain
     from inteco_abs.control.estimators import Parameter
+
+_WIDTH: Final = 19
+"""Of the column of names: that of the longest which ships."""
 
 
 @click.command()
@@ -36,10 +39,10 @@ def controllers(as_json: bool) -> int:
         print_json({"schema_version": 1, "controllers": found, "broken": broken})
         return 0
     for name, kind, package in usable:
-        click.echo(f"{name:17} {_summary(kind)}{f' [{package}]' if package else ''}")
+        click.echo(f"{name:{_WIDTH}} {_summary(kind)}{f' [{package}]' if package else ''}")
         _list(kind.gains)
     for each in broken:
-        click.echo(f"{each['name']:17} broken: {each['problem']}")
+        click.echo(f"{each['name']:{_WIDTH}} broken: {each['problem']}")
     return 0
 
 
@@ -57,7 +60,7 @@ def estimators(as_json: bool) -> int:
         print_json({"schema_version": 1, "estimators": found})
         return 0
     for name, kind in ESTIMATORS.items():
-        click.echo(f"{name:17} {kind.summary}")
+        click.echo(f"{name:{_WIDTH}} {kind.summary}")
         _list(kind.parameters)
     return 0
 
@@ -101,7 +104,7 @@ def _list(numbers: Sequence[Gain | Parameter]) -> None:
     width = max(map(len, ["", *values]))
     for value, each in zip(values, numbers, strict=True):
         unit = "" if each.unit == "1" else f" {each.unit}"
-        click.echo(f"{'':17}   {value:{width}}  {each.low:g}..{each.high:g}{unit}: {each.meaning}")
+        click.echo(f"{'':{_WIDTH}}   {value:{width}}  {each.low:g}..{each.high:g}{unit}: {each.meaning}")
 
 
 def _summary(kind: type) -> str:

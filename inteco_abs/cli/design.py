@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, json_option, print_json
+from inteco_abs.cli.shared import FILE, LOSSES, json_option, known_controllers, print_json
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 _SLOWEST_RAD_S: Final = 10.0
@@ -73,7 +73,9 @@ def design(
     from inteco_abs.views.figure import check_figure
 
     chosen = [f"controller.name={controller}"] if controller else []
-    rig = load_config(config, [*settings, *chosen], [control_check()], follows=preferred_estimator())
+    known = known_controllers(controller)
+    check, follows = control_check(known), preferred_estimator(known)
+    rig = load_config(config, [*settings, *chosen], [check], follows=follows)
     speeds = speeds or (_SLOWEST_RAD_S, max(rig.experiment.start_speed_rad_s, _SLOWEST_RAD_S + 1.0))
     slips = [0.0] if from_slip is None else [0.0, from_slip]
     _insist_on_ranges(speeds, slip_band, slips, rig.controller.reference_slip)

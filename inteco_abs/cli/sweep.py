@@ -10,7 +10,9 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, redirect_stdout
+from multiprocessing import parent_process
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -95,6 +97,7 @@ def sweep(
     _tell_of_left_out(draws)
     stops = len(grid) * sum(len(each.rigs) for each in draws)
     jobs = min(jobs or _cores(), -(-stops // _SMALLEST_SHARD))
+    click.echo(f"combinations: {len(grid)}, stops to brake: {stops}; Ctrl-C gives up without a result", err=True)
     began = time.monotonic()
     with redirect_stdout(sys.stderr), _processes(jobs) as executor, stops_progress() as progress:
         rows = sweep_all(
@@ -108,10 +111,11 @@ def sweep(
         )
     ticks, elapsed_s = sum(row.stops.ticks for row in rows), time.monotonic() - began
     click.echo(
-        f"{stops} stops, {ticks} ticks in {elapsed_s:.1f} s: {ticks / elapsed_s:.0f} ticks/s on {jobs} "
-        f"{'processes' if jobs > 1 else 'process'}",
+        f"{stops} {'stops' if stops > 1 else 'stop'}, {ticks} ticks in {elapsed_s:.1f} s: "
+        f"{ticks / elapsed_s:.0f} ticks/s on {jobs} {'processes' if jobs > 1 else 'process'}",
         err=True,
     )
+    _print(rows, as_json=as_json)  # first: a file that cannot be written must not cost the result
     if table is not None:
         _write_csv(rows, table)
     if figure is not None:
@@ -119,7 +123,6 @@ def sweep(
 
         draw_sweep(rows, figure)
         click.echo(f"figure: {figure}", err=True)
-    _print(rows, as_json=as_json)
     return _tell_of_errors(rows)
 
 
@@ -217,9 +220,20 @@ def _processes(jobs: int) -> Iterator[Executor | None]:
 
 
 def _begin_worker() -> None:
-    """Ctrl-C is for the parent, which then gives no more work; prints are no part of the result."""
+    """Ctrl-C is for the parent, which then gives no more work; prints are no part of the result.
+
+    Nothing else tells a worker that its parent was killed: it would wait for work for ever.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stdout = sys.stderr
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _print(rows: Sequence[Row], *, as_json: bool) -> None:

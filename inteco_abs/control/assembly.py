@@ -137,7 +137,8 @@ def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterat
         if gain is None:
             yield Mistake(path, f"unknown gain{near_match(name, known) if known else '; the controller has none'}")
         elif isinstance(value, int | float) and abs(value) < math.inf and not gain.low <= value <= gain.high:
-            yield Mistake(path, f"{value!r}: must be in {gain.low:g}..{gain.high:g} {gain.unit} ({gain.meaning})")
+            unit = "" if gain.unit == "1" else f" {gain.unit}"
+            yield Mistake(path, f"{value!r}: must be in {gain.low:g}..{gain.high:g}{unit} ({gain.meaning})")
 
 
 def _section(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:

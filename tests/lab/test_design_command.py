@@ -13,6 +13,13 @@ from inteco_abs.errors import AbsError, ConfigError
 
 COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
 
+OWN = """
+class Own:
+    gains = internals = ()
+    def __init__(self, setup): ...
+    def update(self, estimate, dt_s): ...
+"""
+
 
 @pytest.fixture
 def design(tmp_path, monkeypatch, capsys):
@@ -122,6 +129,7 @@ WRONG = [
     (["--set", "controller.reference_slip=0.001"], ["controller.reference_slip", "0.001", "at least 0.01"]),
     (["--controller", "pi"], ["'pi' has no switching gain", "reaching-law"]),
     (["--controller", "predictive-reaching"], ["'predictive-reaching' has no switching gain", "reaching-law"]),
+    (["--controller", "own.py"], ["own.py:Class"]),
     (["--controller", "reachin-law"], ["did you mean reaching-law"]),
     (["--set", "controller.gains.Mx=1"], ["controller.gains.Mx", "Mk, Mq"]),
     (["--csv", "curves.txt"], ["--csv", ".csv"]),
@@ -137,6 +145,12 @@ def test_wrong_input_is_explained_and_nothing_is_written(design, tmp_path, argum
     for word in words:
         assert word in str(caught.value)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_controller_of_the_users_own_is_known_but_not_judged(design, tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    with pytest.raises(ConfigError, match=r"'own\.py:Own' has no switching gain"):
+        design("--controller", "own.py:Own")
 
 
 def test_a_table_that_cannot_be_written_is_an_error(design, tmp_path):

@@ -14,7 +14,7 @@ def test_every_controller_is_listed_with_a_line_and_its_gains(inteco_abs):
     assert found.keys() == CONTROLLERS.keys()
     for name, one in found.items():
         assert f"\n{name} " in f"\n{text}"
-        assert one["summary"] in text
+        assert f"\n{name:19} {one['summary']}" in f"\n{text}"
         assert [gain["name"] for gain in one["gains"]] == [gain.name for gain in CONTROLLERS[name].gains]
 
 

@@ -94,10 +94,27 @@ def test_wrong_input_gets_one_clear_answer(monkeypatch, tmp_path, arguments, wor
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_table_that_cannot_be_written_is_an_error(monkeypatch, tmp_path):
+def test_a_table_that_cannot_be_written_is_an_error_after_the_result(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(AbsError, match=r"full: the table cannot be written: No space left on device"):
         cli.main(["sweep", *QUICK, "--jobs", "1", "--csv", "/dev/full"], standalone_mode=False)
+    printed = capsys.readouterr()
+    assert "slip RMS" in printed.out
+    assert printed.err.startswith("combinations: 1, stops to brake: 2;")
+
+
+def test_the_processes_of_a_sweep_end_with_the_command_that_was_killed(tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    code = "from inteco_abs.cli import main; main()"
+    arguments = ["sweep", "--rigs", "nominal:0-999", "--controller", "own.py:Own", "--jobs", "2"]
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *arguments], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    ) as run:
+        greetings = (line for line in run.stderr if line == "hello\n")
+        next(greetings)  # the command's own
+        next(greetings)  # a worker's
+        run.kill()
+        run.communicate(timeout=60)  # the pipe ends when nobody holds it
 
 
 def test_without_numba_the_extra_is_named():
