@@ -135,7 +135,7 @@ def test_a_fault_is_logged_with_its_explanation(run, officially):
 @pytest.mark.parametrize(
     ("settings", "parameters"),
     [
-        (("controller.gains.Mk=3.5",), {"reference_slip": 0.2, "Mk": 3.5, "Mq": 1.0}),
+        (("controller.gains.Mk=3.5",), {"reference_slip": 0.2, "Mk": 3.5, "Mq": 1.0, "lag_s": 0.0}),
         (
             ("controller.name=relay", "controller.gains.on_duty=0.6", "controller.reference_slip=0.3"),
             {"reference_slip": 0.3, "on_duty": 0.6, "off_duty": 0.0},
