@@ -258,7 +258,7 @@ def _from_the_file(path: Path, ticks: int, truths: RingReader) -> tuple[bytes, b
     first = truths.oldest()
     newer_ns = int(TRUTH.array(first)["time_ns"][0]) if first else 0
     rows = session.truth[session.truth["time_ns"] < newer_ns].tolist()
-    return session.payload[: ticks * TICK.size], b"".join(map(TRUTH.pack, rows))
+    return bytes(session.payload[: ticks * TICK.size]), b"".join(map(TRUTH.pack, rows))
 
 
 @contextmanager

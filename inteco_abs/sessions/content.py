@@ -1,0 +1,173 @@
+"""What the records of a session say, gathered one by one."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import BinaryIO, Final, NamedTuple
+
+from inteco_abs.records.schema import LOG_TOPIC, TICK, TRUTH, Message
+from inteco_abs.records.wire import fields as wire_fields
+from inteco_abs.sessions.container import (
+    DamagedError,
+    Entry,
+    Opcode,
+    Run,
+    attachment,
+    chunk_parts,
+    fields,
+    text_map,
+)
+
+LIBRARY: Final = "inteco-abs/"
+PREFIX: Final = "inteco_abs."
+FLAT: Final[Mapping[str, Message]] = {TICK.topic: TICK, TRUTH.topic: TRUTH}
+"""Messages that are kept as rows."""
+_LONGEST_EVENT: Final = 1 << 16
+
+
+class Event(NamedTuple):
+    """A line of the session's log."""
+
+    unix_ns: int
+    level: int
+    """2 information, 3 warning, 4 error: those of `foxglove.Log`."""
+    text: str
+
+
+class Attached(NamedTuple):
+    """A file in the session."""
+
+    media_type: str
+    data: bytes
+
+
+@dataclass(slots=True)
+class Content:
+    """What was read so far; `rows` is where ticks and truths go, by topic, back to back."""
+
+    rows: Mapping[str, BinaryIO] = field(default_factory=dict)
+    library: str = LIBRARY
+    """Program that wrote the file; assumed ours until the header says otherwise."""
+    schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)
+    channels: dict[int, tuple[str, int]] = field(default_factory=dict)
+    """Topic and schema by the channel's number."""
+    understood: bool = False
+    """The channels have been found to be declared as here."""
+    channel_facts: dict[str, dict[str, str]] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    """By record name without `inteco_abs.`; records of one name are merged, the later one wins."""
+    attachments: dict[str, Attached] = field(default_factory=dict)
+    epoch_ns: int | None = None
+    """UNIX time of the monotonic clock's zero, once there was a tick."""
+    hash: hashlib._Hash = field(default_factory=hashlib.sha256)
+    """Over the ticks."""
+
+    def take(self, entry: Entry) -> None:
+        """One record of the file or of a chunk, messages apart. Raises DamagedError."""
+        if not entry.opcode:
+            raise DamagedError("has no type")
+        if entry.opcode == Opcode.MESSAGE:
+            raise DamagedError("stands outside of a chunk")
+        taker = _TAKERS.get(entry.opcode)
+        if taker is not None:
+            taker(self, entry.data)
+
+    def take_chunk(self, raw: memoryview) -> None:
+        """Everything in an unpacked chunk. Raises DamagedError."""
+        pieces: dict[str, list[bytes]] = {topic: [] for topic in FLAT}
+        for part in chunk_parts(raw):
+            if isinstance(part, Entry):
+                self.take(part)
+                continue
+            if part.channel not in self.channels:
+                raise DamagedError(f"holds a message of channel {part.channel}, which nothing declares")
+            topic, _ = self.channels[part.channel]
+            if topic in FLAT:
+                pieces[topic].append(self._flat(part, FLAT[topic]))
+            elif topic == LOG_TOPIC:
+                self.events += map(event, part.rows["log_time"].tolist(), part.rows["data"].tolist())
+        for topic, found in pieces.items():
+            if found:
+                self._keep(topic, b"".join(found))
+
+    def check_schemas(self) -> None:
+        """Raises DamagedError if ticks or truths are declared with another layout than here."""
+        for topic, number in self.channels.values():
+            known = FLAT.get(topic)
+            if known is not None and self.schemas.get(number) != (known.name, known.descriptor()):
+                raise DamagedError(
+                    f"{topic} has another layout than {known.name} here: another version of this program made it"
+                )
+        self.understood = True
+
+    @property
+    def announces_ticks(self) -> bool:
+        """Whether a channel has the topic of ticks."""
+        return any(topic == TICK.topic for topic, _ in self.channels.values())
+
+    def _flat(self, run: Run, message: Message) -> bytes:
+        if not self.understood:
+            self.check_schemas()
+        if run.rows.dtype["data"].itemsize != message.size:
+            raise DamagedError(_another_layout(message))
+        data = run.rows["data"].tobytes()
+        if message is TICK and self.epoch_ns is None:
+            self.epoch_ns = int(run.rows["log_time"][0]) - int(TICK.array(data[: TICK.size])["time_ns"][0])
+        return data
+
+    def _keep(self, topic: str, data: bytes) -> None:
+        if not FLAT[topic].well_formed(data):
+            raise DamagedError(_another_layout(FLAT[topic]))
+        if topic == TICK.topic:
+            self.hash.update(data)
+        if topic in self.rows:
+            self.rows[topic].write(data)
+
+    def _take_header(self, data: memoryview) -> None:
+        _, self.library = fields(Opcode.HEADER, data)
+
+    def _take_schema(self, data: memoryview) -> None:
+        number, name, _, descriptor = fields(Opcode.SCHEMA, data)
+        self.schemas[number] = name, bytes(descriptor)
+
+    def _take_channel(self, data: memoryview) -> None:
+        number, schema, topic, _, facts = fields(Opcode.CHANNEL, data)
+        self.channels[number] = topic, schema
+        self.understood = False
+        self.channel_facts[topic] = text_map(facts)
+
+    def _take_metadata(self, data: memoryview) -> None:
+        name, facts = fields(Opcode.METADATA, data)
+        self.metadata.setdefault(name.removeprefix(PREFIX), {}).update(text_map(facts))
+
+    def _take_attachment(self, data: memoryview) -> None:
+        name, media_type, content = attachment(data)
+        self.attachments[name] = Attached(media_type, content)
+
+
+_TAKERS: Final[Mapping[int, Callable[[Content, memoryview], None]]] = {
+    Opcode.HEADER: Content._take_header,  # noqa: SLF001  the class's own table
+    Opcode.SCHEMA: Content._take_schema,  # noqa: SLF001
+    Opcode.CHANNEL: Content._take_channel,  # noqa: SLF001
+    Opcode.METADATA: Content._take_metadata,  # noqa: SLF001
+    Opcode.ATTACHMENT: Content._take_attachment,  # noqa: SLF001
+}
+
+
+def _another_layout(message: Message) -> str:
+    return f"a message of {message.topic} has not the layout of {message.name}"
+
+
+def event(log_time: int, data: bytes) -> Event:
+    """An encoded `foxglove.Log`; raises DamagedError if it is none."""
+    try:
+        found = dict(wire_fields(data))
+    except ValueError as error:
+        raise DamagedError(f"an event cannot be read: {error}") from error
+    level, text = found.get(2, 0), found.get(3, b"")
+    if not isinstance(level, int) or not isinstance(text, bytes):
+        raise DamagedError("an event cannot be read: its level or its text is of another kind")
+    return Event(log_time, level, text[:_LONGEST_EVENT].decode("utf-8", "replace"))
