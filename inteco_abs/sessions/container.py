@@ -47,7 +47,7 @@ class Opcode(IntEnum):
     DATA_END = 15
 
 
-_LAYOUTS: Final[dict[int, str]] = {
+LAYOUTS: Final[dict[int, str]] = {
     Opcode.HEADER: "ss",
     Opcode.FOOTER: "QQI",
     Opcode.SCHEMA: "Hssm",
@@ -87,6 +87,11 @@ class Entry(NamedTuple):
     def start(self) -> int:
         """Offset of the record itself."""
         return self.at - HEAD.size
+
+    @property
+    def end(self) -> int:
+        """Offset of what follows."""
+        return self.at + len(self.data)
 
 
 class Run(NamedTuple):
@@ -149,7 +154,7 @@ def fields(opcode: int, data: memoryview, *, exact: bool = False) -> list[Any]:
     """
     at, found = 0, list[Any]()
     try:
-        for code in _LAYOUTS[opcode]:
+        for code in LAYOUTS[opcode]:
             layout = _LENGTHS.get(code) or _INTEGERS[code]
             (value,) = layout.unpack_from(data, at)
             at += layout.size
