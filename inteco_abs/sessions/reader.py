@@ -76,15 +76,22 @@ def read_session(path: Path, spool: Path | None = None) -> Session:
 @contextmanager
 def opened(path: Path) -> Iterator[tuple[BinaryIO, int]]:
     """The regular file at `path`, which begins as an MCAP file does, and its size. Raises SessionError."""
+    with regular_file(path) as (file, size):
+        head = file.read(len(MAGIC))
+        if head != MAGIC:
+            begin = f"starts with {head!r}" if head else "is empty"
+            raise SessionError(f"{path}: is no MCAP file, it {begin}")
+        file.seek(0)
+        yield file, size
+
+
+@contextmanager
+def regular_file(path: Path) -> Iterator[tuple[BinaryIO, int]]:
+    """The file at `path` and its size, if it is one that can be read. Raises SessionError."""
     try:
         if path.exists() and not path.is_file():
             raise SessionError(f"{path}: cannot be read: it is no regular file")
         with path.open("rb") as file:
-            head = file.read(len(MAGIC))
-            if head != MAGIC:
-                kind = f"starts with {head!r}" if head else "is empty"
-                raise SessionError(f"{path}: is no MCAP file, it {kind}")
-            file.seek(0)
             yield file, os.fstat(file.fileno()).st_size
     except OSError as error:
         raise SessionError(f"{path}: cannot be read: {error.strerror}") from error
