@@ -24,7 +24,8 @@ LIBRARY: Final = "inteco-abs/"
 PREFIX: Final = "inteco_abs."
 FLAT: Final[Mapping[str, Message]] = {TICK.topic: TICK, TRUTH.topic: TRUTH}
 """Messages that are kept as rows."""
-_LONGEST_EVENT: Final = 1 << 16
+_LONGEST_EVENT: Final = 1000
+_HIGHEST_LEVEL: Final = 5
 
 
 class Event(NamedTuple):
@@ -168,6 +169,6 @@ def event(log_time: int, data: bytes) -> Event:
     except ValueError as error:
         raise DamagedError(f"an event cannot be read: {error}") from error
     level, text = found.get(2, 0), found.get(3, b"")
-    if not isinstance(level, int) or not isinstance(text, bytes):
-        raise DamagedError("an event cannot be read: its level or its text is of another kind")
+    if not isinstance(level, int) or level > _HIGHEST_LEVEL or not isinstance(text, bytes):
+        raise DamagedError("an event cannot be read: its level or its text is none")
     return Event(log_time, level, text[:_LONGEST_EVENT].decode("utf-8", "replace"))

@@ -11,9 +11,8 @@ from typing import Any, Final
 from inteco_abs.errors import SessionError
 from inteco_abs.sessions.container import DamagedError
 from inteco_abs.sessions.glance import metadata_at_a_glance
-from inteco_abs.sessions.reader import Session, opened, read_session
-from inteco_abs.sessions.replay import session_config
-from inteco_abs.sessions.result import result_card, stored_card
+from inteco_abs.sessions.reader import opened, read_session
+from inteco_abs.sessions.result import card_of, stored_card
 
 SUFFIX: Final = ".mcap"
 INCOMPLETE: Final = "incomplete"
@@ -79,7 +78,7 @@ def _row_of_all(path: Path) -> Row:
         session = read_session(path, Path(tempfile.gettempdir()))
     except SessionError as error:
         return _broken(path, error)
-    row = _row(path, session.metadata, _card(session))
+    row = _row(path, session.metadata, card_of(session) or {})
     row["ticks"] = len(session.ticks)
     row["outcome"] = row["outcome"] or INCOMPLETE
     row["problem"] = session.incomplete or "its index is damaged"
@@ -99,17 +98,6 @@ def _row(path: Path, metadata: Mapping[str, Mapping[str, str]], card: Mapping[st
         **{name: _number(card.get(name)) for name in _OF_THE_CARD},
         "problem": None,
     }
-
-
-def _card(session: Session) -> Mapping[str, Any]:
-    """The card that the session holds, or one made of what it has; empty if that cannot be."""
-    stored = stored_card(session.metadata)
-    if stored is not None:
-        return stored
-    try:
-        return result_card(session_config(session, ()), session.ticks, session.truth)
-    except SessionError:
-        return {}
 
 
 def _number(value: object) -> int | float | None:

@@ -11,8 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.config import RigConfig
+from inteco_abs.errors import SessionError
 from inteco_abs.rig import RigParameters
 from inteco_abs.sessions.metrics import Course, stop_metrics
+from inteco_abs.sessions.reader import Session
+from inteco_abs.sessions.replay import session_config
 from inteco_abs.signals import BoardFlags, Phase
 
 Array = npt.NDArray[Any]
@@ -48,6 +51,17 @@ def stored_card(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Any] | N
     except (ValueError, RecursionError):
         return None
     return card if isinstance(card, dict) else None
+
+
+def card_of(session: Session) -> dict[str, Any] | None:
+    """The card that a session holds, or, where it was cut, one made of what it has; None if that cannot be."""
+    stored = stored_card(session.metadata)
+    if stored is not None:
+        return stored
+    try:
+        return result_card(session_config(session, ()), session.ticks, session.truth)
+    except SessionError:
+        return None
 
 
 def _finite(text: str) -> float | None:
