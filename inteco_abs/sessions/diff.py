@@ -23,6 +23,7 @@ _NOT_METRICS: Final = frozenset(
     {"schema_version", "session", "outcome", "reason", "explanation", "controller", "estimator", "board", "rig"}
     | {"payload_sha256"}
 )
+_NEVER: Final = np.uint64((1 << 64) - 1)
 _INTERNALS: Final = ("c0", "c1", "c2", "c3")
 
 Array = npt.NDArray[Any]
@@ -192,7 +193,11 @@ def _starts(a: Array, b: Array) -> tuple[int, int]:
 
 
 def _pair(a: Array, b: Array, starts: tuple[int, int]) -> _Pair:
-    """Each row of `a` since its start, up to where one of the two ends, with the nearest of `b`."""
+    """Each row of `a` since its start, up to where one of the two ends, with the nearest of `b`.
+
+    Of several rows at one instant, as when the outputs are made safe at the end, the last counts.
+    """
+    a, b = (rows[np.diff(rows["time_ns"], append=_NEVER) > 0] for rows in (a, b))
     times_a, times_b = (rows["time_ns"].astype(np.int64) - start for rows, start in zip((a, b), starts, strict=True))
     kept = (times_a >= 0) & (times_a <= times_b[-1])
     wanted = times_a[kept]
