@@ -6,7 +6,7 @@ import mmap
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -64,9 +64,9 @@ def read_session(path: Path, spool: Path | None = None) -> Session:
     With the folder `spool`, the rows lie in an unnamed file there rather than in memory: an hour has 1.5 GB of them.
     Raises SessionError if the file cannot be opened, is no session, or is damaged.
     """
-    with opened(path) as (file, size):
+    with opened(path) as (file, size), ExitStack() as files:
         try:
-            rows = {topic: BytesIO() if spool is None else unnamed_file(spool) for topic in FLAT}
+            rows = {topic: files.enter_context(BytesIO() if spool is None else unnamed_file(spool)) for topic in FLAT}
             content, incomplete = _read(file, size, Content(rows))
             return _session(path, content, incomplete)
         except DamagedError as error:

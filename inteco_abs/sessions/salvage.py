@@ -50,18 +50,19 @@ def recover_session(source: Path, out: Path) -> Recovery:
     SessionError if there is no tick to recover.
     """
     check_output(out)
-    with regular_file(source) as (file, size):
-        remains = _Remains(out.parent)
-        remains.gather(file, size)
-    return _Anew(source, out, remains).write()
+    with unnamed_file(out.parent) as ticks, unnamed_file(out.parent) as truths:
+        remains = _Remains(_Rows(TICK, ticks), _Rows(TRUTH, truths))
+        with regular_file(source) as (file, size):
+            remains.gather(file, size)
+        return _Anew(source, out, remains).write()
 
 
 class _Rows:
-    """Ticks or truths that were taken."""
+    """Ticks or truths that were taken, in `file`."""
 
-    def __init__(self, message: Message, folder: Path) -> None:
+    def __init__(self, message: Message, file: BinaryIO) -> None:
         self._message = message
-        self._file = unnamed_file(folder)
+        self._file = file
         self._number = self._time_ns = -1
 
     def array(self) -> Array:
@@ -102,11 +103,11 @@ class _Rows:
 
 
 class _Remains:
-    """What is whole in a file; rows lie in unnamed files in `folder`."""
+    """What is whole in a file."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, ticks: _Rows, truths: _Rows) -> None:
         self.content = Content()
-        self.rows = {message.topic: _Rows(message, folder) for message in (TICK, TRUTH)}
+        self.rows = {TICK.topic: ticks, TRUTH.topic: truths}
         self.losses: list[str] = []
         """In words, as many as anybody would read."""
         self.data_ended = False
