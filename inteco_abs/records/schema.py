@@ -141,13 +141,21 @@ class Message:
             return False
         numpy = _numpy()
         raw = numpy.frombuffer(data, numpy.uint8).reshape(-1, self.size)
-        template = numpy.frombuffer(self.pack([0] * len(self.columns)), numpy.uint8)
+        template = numpy.frombuffer(self._zeros, numpy.uint8)
         if not all((raw[:, at - length : at] == template[at - length : at]).all() for at, length in self._keys):
             return False
         return all((raw[:, at] < len(members)).all() for at, members in self._choices)
 
+    @cached_property
+    def _zeros(self) -> bytes:
+        return self.pack([0] * len(self.columns))
+
     def descriptor(self) -> bytes:
         """FileDescriptorSet with this message and its enums, as MCAP's protobuf encoding wants it."""
+        return self._descriptor
+
+    @cached_property
+    def _descriptor(self) -> bytes:
         members = dict.fromkeys(column.kind.members for column in self.columns if column.kind.members)
         enums = b"".join(chunk(5, _enum(kind)) for kind in members)
         fields = [_field(number, column) for number, column in enumerate(self.columns, 1)]
