@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import BinaryIO, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from inteco_abs.records.schema import LOG_TOPIC, TICK, TRUTH, Message
 from inteco_abs.records.wire import fields as wire_fields
@@ -19,6 +19,7 @@ from inteco_abs.sessions.container import (
     fields,
     text_map,
 )
+from inteco_abs.sessions.rows import Rows
 
 LIBRARY: Final = "inteco-abs/"
 PREFIX: Final = "inteco_abs."
@@ -48,7 +49,7 @@ class Attached(NamedTuple):
 class Content:
     """What was read so far; `rows` is where ticks and truths go, by topic, back to back."""
 
-    rows: Mapping[str, BinaryIO] = field(default_factory=dict)
+    rows: Mapping[str, Rows] = field(default_factory=dict)
     library: str = LIBRARY
     """Program that wrote the file; assumed ours until the header says otherwise."""
     schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import mmap
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
@@ -29,6 +26,7 @@ from inteco_abs.sessions.container import (
     unpack_chunk,
 )
 from inteco_abs.sessions.content import FLAT, LIBRARY, Content, Event
+from inteco_abs.sessions.rows import Rows, RowsInMemory, RowsOnDisk
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +64,9 @@ def read_session(path: Path, spool: Path | None = None) -> Session:
     """
     with opened(path) as (file, size), ExitStack() as files:
         try:
-            rows = {topic: files.enter_context(BytesIO() if spool is None else unnamed_file(spool)) for topic in FLAT}
+            rows: dict[str, Rows] = {
+                topic: RowsInMemory() if spool is None else files.enter_context(RowsOnDisk(spool)) for topic in FLAT
+            }
             content, incomplete = _read(file, size, Content(rows))
             return _session(path, content, incomplete)
         except DamagedError as error:
@@ -140,12 +140,12 @@ def _session(path: Path, content: Content, incomplete: str) -> Session:
         raise SessionError(f"{path}: is an MCAP file, but no session of this program")
     if recorded is not None and recorded != content.hash.hexdigest():
         raise DamagedError("the ticks do not match the hash that was recorded with them")
-    payload = contents_of(content.rows[TICK.topic])
+    payload = content.rows[TICK.topic].contents()
     return Session(
         path,
         TICK.array(payload),
         payload,
-        TRUTH.array(contents_of(content.rows[TRUTH.topic])),
+        TRUTH.array(content.rows[TRUTH.topic].contents()),
         content.metadata,
         {name: attached.data for name, attached in content.attachments.items()},
         content.channel_facts,
@@ -153,20 +153,3 @@ def _session(path: Path, content: Content, incomplete: str) -> Session:
         content.epoch_ns or 0,
         incomplete,
     )
-
-
-def unnamed_file(folder: Path) -> BinaryIO:
-    """A file in `folder` that is gone once nobody uses it; raises SessionError."""
-    try:
-        return tempfile.TemporaryFile(dir=folder)
-    except OSError as error:
-        raise SessionError(f"{folder}: no room for a temporary file: {error.strerror}") from error
-
-
-def contents_of(rows: BinaryIO) -> bytes | memoryview:
-    """What was written: of a file in memory itself, of one on the disk a mapping."""
-    if isinstance(rows, BytesIO):
-        return rows.getvalue()
-    rows.flush()
-    size = os.fstat(rows.fileno()).st_size
-    return memoryview(mmap.mmap(rows.fileno(), size, access=mmap.ACCESS_READ)) if size else b""

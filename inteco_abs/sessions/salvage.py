@@ -16,10 +16,11 @@ from inteco_abs.records.schema import TICK, TRUTH, Message
 from inteco_abs.sessions.container import DamagedError, Entry, Opcode, Run, chunk_parts, kind
 from inteco_abs.sessions.content import FLAT, Content
 from inteco_abs.sessions.output import check_output, only_whole
-from inteco_abs.sessions.reader import check_data, contents_of, regular_file, unnamed_file
+from inteco_abs.sessions.reader import check_data, regular_file
 from inteco_abs.sessions.recorder import Recorder, utc
 from inteco_abs.sessions.replay import CONFIG_NAME
 from inteco_abs.sessions.result import link_errors, result_card, timing_card
+from inteco_abs.sessions.rows import Rows, RowsOnDisk
 from inteco_abs.sessions.survey import Survey, Whole
 
 RECOVERED: Final = "recovered"
@@ -50,24 +51,24 @@ def recover_session(source: Path, out: Path) -> Recovery:
     SessionError if there is no tick to recover.
     """
     check_output(out)
-    with unnamed_file(out.parent) as ticks, unnamed_file(out.parent) as truths:
-        remains = _Remains(_Rows(TICK, ticks), _Rows(TRUTH, truths))
+    with RowsOnDisk(out.parent) as ticks, RowsOnDisk(out.parent) as truths:
+        remains = _Remains(_Taken(TICK, ticks), _Taken(TRUTH, truths))
         with regular_file(source) as (file, size):
             remains.gather(file, size)
         return _Anew(source, out, remains).write()
 
 
-class _Rows:
-    """Ticks or truths that were taken, in `file`."""
+class _Taken:
+    """Ticks or truths that were taken."""
 
-    def __init__(self, message: Message, file: BinaryIO) -> None:
+    def __init__(self, message: Message, rows: Rows) -> None:
         self._message = message
-        self._file = file
+        self._rows = rows
         self._number = self._time_ns = -1
 
     def array(self) -> Array:
         """Everything taken, on the disk."""
-        return self._message.array(contents_of(self._file))
+        return self._message.array(self._rows.contents())
 
     def judged(self, run: Run, epoch_ns: int | None) -> tuple[bytes, int]:
         """The data of messages that come after what was taken, and their epoch. Raises DamagedError if they do not."""
@@ -90,7 +91,7 @@ class _Rows:
 
     def keep(self, data: bytes) -> None:
         """Rows that were judged."""
-        self._file.write(data)
+        self._rows.write(data)
 
     @property
     def newest(self) -> tuple[int, int]:
@@ -105,7 +106,7 @@ class _Rows:
 class _Remains:
     """What is whole in a file."""
 
-    def __init__(self, ticks: _Rows, truths: _Rows) -> None:
+    def __init__(self, ticks: _Taken, truths: _Taken) -> None:
         self.content = Content()
         self.rows = {TICK.topic: ticks, TRUTH.topic: truths}
         self.losses: list[str] = []
