@@ -15,7 +15,7 @@ _EVENT_COLUMNS: Final = {
     "time_ns": ("ns", "monotonic clock, as in the tick"),
     "unix_ns": ("ns", "wall clock, since 1970"),
     "level": ("1", "2 information, 3 warning, 4 error"),
-    "text": ("", "what happened"),
+    "text": ("text", "what happened"),
 }
 
 
@@ -26,7 +26,7 @@ class Table(NamedTuple):
     """`tick`, `truth` or `events`."""
     rows: npt.NDArray[np.void]
     units: dict[str, str]
-    """By column, as in UCUM; `1` has no dimension."""
+    """By column, as in UCUM; `1` has no dimension, `text` is none."""
     meanings: dict[str, str]
 
     def column(self, name: str, first: int = 0, end: int | None = None) -> npt.NDArray[Any]:

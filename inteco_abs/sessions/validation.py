@@ -130,7 +130,7 @@ class _Inspector:
                 self._indexed.add(fields(entry.opcode, entry.data)[2])
             elif entry.opcode == Opcode.STATISTICS:
                 self._counted = fields(entry.opcode, entry.data)[0]
-            else:
+            elif not self._data_ended:  # behind it, there are only copies
                 self._content.take(entry)
         except DamagedError as error:
             self._told.wrong(f"byte {entry.start}", f"{kind(entry.opcode)}: {error}")
