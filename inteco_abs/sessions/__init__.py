@@ -8,7 +8,15 @@ from inteco_abs.sessions.listing import COLUMNS, session_files, session_row, sor
 from inteco_abs.sessions.output import check_output, only_whole
 from inteco_abs.sessions.reader import Session, read_session
 from inteco_abs.sessions.recorder import Recorder
-from inteco_abs.sessions.replay import CONFIG_NAME, Difference, Replay, changed_gains, replay, session_config
+from inteco_abs.sessions.replay import (
+    CONFIG_NAME,
+    Difference,
+    Replay,
+    before_the_gap,
+    changed_gains,
+    replay,
+    session_config,
+)
 from inteco_abs.sessions.result import result_card, stored_card
 from inteco_abs.sessions.salvage import Recovery, recover_session
 from inteco_abs.sessions.scribe import Account, Conclusion, Introduction, Scribe
@@ -43,6 +51,7 @@ __all__ = [
     "Table",
     "Tolerance",
     "attached",
+    "before_the_gap",
     "changed_gains",
     "check_output",
     "diff_sessions",

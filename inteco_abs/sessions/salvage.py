@@ -18,12 +18,11 @@ from inteco_abs.sessions.content import FLAT, Content
 from inteco_abs.sessions.output import check_output, only_whole
 from inteco_abs.sessions.reader import check_data, regular_file
 from inteco_abs.sessions.recorder import Recorder, utc
-from inteco_abs.sessions.replay import CONFIG_NAME
+from inteco_abs.sessions.replay import CONFIG_NAME, RECOVERED
 from inteco_abs.sessions.result import link_errors, result_card, timing_card
 from inteco_abs.sessions.rows import Rows, RowsOnDisk
 from inteco_abs.sessions.survey import Survey, Whole
 
-RECOVERED: Final = "recovered"
 _LATEST_NS: Final = 1 << 63
 _BLOCK_TICKS: Final = 4096
 _MOST_IN_WORDS: Final = 5
