@@ -37,8 +37,8 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     a value that was logged up to LEAD_S later or LAG_S earlier. All other outputs must agree exactly, and so must the
     gains that the session has recorded.
 
-    Exit codes: 0 all agrees, 3 all agrees as far as the file goes, which was cut or has a gap, 4 something differs, 1 the session
-    cannot be used, 2 wrong usage.
+    Exit codes: 0 all agrees, 3 all agrees as far as the file goes, which was cut or has a gap, 4 something differs,
+    1 the session cannot be used, 2 wrong usage.
     """
     from dataclasses import asdict
 
