@@ -98,6 +98,16 @@ def test_a_damaged_index_is_not_believed(altered, short, seed):
     assert row["outcome"] == "broken" or [row[name] for name in kept] == [whole[name] for name in kept]
 
 
+def test_an_index_that_names_another_place_is_not_followed(altered, container, short):
+    records = container.split(short.read_bytes())
+    places = {r.content[20:].decode(): at for at, r in enumerate(records) if r.opcode == 13}
+    card, other = (places[f"inteco_abs.{name}"] for name in ("result", "integrity"))
+    records[card] = records[card]._replace(content=records[other].content[:16] + records[card].content[16:])
+    whole, row = session_row(short), session_row(altered(container.join(records)))
+    assert (row["outcome"], row["stop_time_s"], row["ticks"]) == ("completed", whole["stop_time_s"], 60)
+    assert row["problem"] == "its index is damaged"
+
+
 def test_rows_are_sorted_and_those_without_a_value_are_last():
     rows = [dict.fromkeys(COLUMNS) | {"stop_time_s": value} for value in (2.0, None, 1.0, 3.0)]
     assert [row["stop_time_s"] for row in sort_rows(rows, "stop_time_s")] == [1.0, 2.0, 3.0, None]

@@ -97,6 +97,16 @@ def test_a_chunk_of_another_session_gives_no_tick(rescue, container, pieces, tin
     assert any("two clocks do not go together" in loss for loss in recovery.losses)
 
 
+def test_a_chunk_that_is_refused_in_its_middle_leaves_no_trace(rescue, container, pieces):
+    records, chunks = pieces
+    entries = container.split(container.unpack(records[chunks[6]]), 0)
+    *rest, last = entries
+    wrong = container.record(5, last.content[:6] + bytes(8) + last.content[14:])  # a truth of another time
+    raw = b"".join(map(bytes, [*rest, wrong]))
+    records.insert(chunks[2], container.chunk(raw, len(raw), "", zlib.crc32(raw)))
+    assert rescue(joined(container, records))[1].ticks["tick"].tolist() == list(range(60))
+
+
 def test_metadata_attachments_and_times_are_the_originals(rescue, short):
     recovery, session = rescue(short.read_bytes()[:-400])
     whole = read_session(short)
