@@ -24,7 +24,10 @@ _LARGEST_CHUNK: Final = 1 << 24
 _MOST_EXPANSION: Final = 100
 """Bytes unpacked per byte of file; ticks of a wheel at rest reach about 40. More is a bomb, not a session."""
 _MESSAGE_HEAD: Final = 22
-_LOOK_AHEAD: Final = 32
+_SAME: Final = 11
+"""Bytes of type, length and channel at the beginning of a message."""
+_ONE_BY_ONE: Final = 24
+"""Messages up to which a run is followed one by one: a recorder that drains often writes ten."""
 
 
 class Opcode(IntEnum):
@@ -199,7 +202,7 @@ def attachment(data: memoryview) -> tuple[str, str, bytes]:
     return name, media_type, bytes(content)
 
 
-def unpack_chunk(data: memoryview, allowance: Allowance, *, checked: bool = False) -> memoryview:
+def unpack_chunk(data: memoryview, allowance: Allowance, *, checked: bool = False) -> bytes:
     """Records of a chunk; raises DamagedError if it contradicts itself, or if `checked` and it has no checksum."""
     _, _, size, crc, compression, packed = fields(Opcode.CHUNK, data, exact=True)
     if size > _LARGEST_CHUNK:
@@ -215,7 +218,7 @@ def unpack_chunk(data: memoryview, allowance: Allowance, *, checked: bool = Fals
         raise DamagedError("has no checksum")
     if len(raw) != size or crc not in (0, zlib.crc32(raw)):
         raise DamagedError("fails its checksum")
-    return memoryview(raw)
+    return raw
 
 
 def _decompressed(packed: memoryview, size: int) -> bytes:
@@ -228,7 +231,7 @@ def _decompressed(packed: memoryview, size: int) -> bytes:
         raise DamagedError(str(error)) from error
 
 
-def chunk_parts(raw: memoryview) -> Iterator[Entry | Run]:
+def chunk_parts(raw: bytes) -> Iterator[Entry | Run]:
     """What an unpacked chunk holds, in order; raises DamagedError at a record that leaves it."""
     at = 0
     while at < len(raw):
@@ -239,7 +242,7 @@ def chunk_parts(raw: memoryview) -> Iterator[Entry | Run]:
         if length > len(raw) - at:
             raise DamagedError(f"holds a record of {length} bytes, which leaves it")
         if opcode != Opcode.MESSAGE:
-            yield Entry(opcode, at, raw[at : at + length])
+            yield Entry(opcode, at, memoryview(raw)[at : at + length])
             at += length
             continue
         if length < _MESSAGE_HEAD:
@@ -249,20 +252,30 @@ def chunk_parts(raw: memoryview) -> Iterator[Entry | Run]:
         at += len(rows) * (HEAD.size + length) - HEAD.size
 
 
-def _run(raw: memoryview, at: int, length: int) -> npt.NDArray[np.void]:
+def _run(raw: bytes, at: int, length: int) -> npt.NDArray[np.void]:
     """The messages from `at` on whose type, length and channel are those of the first."""
     stride = HEAD.size + length
     most = (len(raw) - at) // stride
+    head = raw[at : at + _SAME]
+    count = 1
+    while count < min(most, _ONE_BY_ONE) and raw[at + count * stride : at + count * stride + _SAME] == head:
+        count += 1
+    if count == _ONE_BY_ONE:
+        count = _long_run(raw, at, stride, count, most)
+    return np.ndarray(count, _message(length - _MESSAGE_HEAD), raw, at)
+
+
+def _long_run(raw: bytes, at: int, stride: int, count: int, most: int) -> int:
+    """How long a run is that has at least `count` messages, and `most` if it goes on to the end."""
     # these eleven bytes of every record, as two integers that overlap
-    heads = [np.ndarray(most, "<u8", raw, at + skip, (stride,)) for skip in (0, 3)]
-    count, ahead = 1, _LOOK_AHEAD
+    heads = [np.ndarray(most, "<u8", raw, at + skip, (stride,)) for skip in (0, _SAME - 8)]
+    ahead = _ONE_BY_ONE
     while count < most:
         others = np.logical_or.reduce([head[count : count + ahead] != head[0] for head in heads])
         if others.any():
-            count += int(others.argmax())
-            break
+            return count + int(others.argmax())
         count, ahead = min(count + ahead, most), 16 * ahead
-    return np.ndarray(count, _message(length - _MESSAGE_HEAD), raw, at)
+    return count
 
 
 @lru_cache(maxsize=64)

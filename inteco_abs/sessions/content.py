@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
 
 from inteco_abs.records.schema import LOG_TOPIC, TICK, TRUTH, Message
 from inteco_abs.records.wire import fields as wire_fields
@@ -45,6 +48,27 @@ class Attached(NamedTuple):
     data: bytes
 
 
+class Batch(NamedTuple):
+    """The ticks or truths of one chunk."""
+
+    data: bytes
+    values: npt.NDArray[np.void]
+    """One row per message, over the data."""
+    sequence: npt.NDArray[np.uint32]
+    log_time: npt.NDArray[np.uint64]
+    """UNIX time, ns."""
+
+    @classmethod
+    def of(cls, runs: Sequence[Run], message: Message) -> Self:
+        """The messages of `runs`; raises DamagedError unless each of them is a `message`."""
+        data = b"".join([run.rows["data"].tobytes() for run in runs])
+        sizes = {run.rows.dtype["data"].itemsize for run in runs}
+        if sizes != {message.size} or not message.well_formed(data):
+            raise DamagedError(f"a message of {message.topic} has not the layout of {message.name}")
+        sequence, log_time = (np.concatenate([run.rows[name] for run in runs]) for name in ("sequence", "log_time"))
+        return cls(data, message.array(data), sequence, log_time)
+
+
 @dataclass(slots=True)
 class Content:
     """What was read so far; `rows` is where ticks and truths go, by topic, back to back."""
@@ -58,6 +82,8 @@ class Content:
     understood: bool = False
     """The channels have been found to be declared as here."""
     channel_facts: dict[str, dict[str, str]] = field(default_factory=dict)
+    messages: int = 0
+    """In chunks, of all channels."""
     events: list[Event] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     """By record name without `inteco_abs.`; records of one name are merged, the later one wins."""
@@ -77,23 +103,25 @@ class Content:
         if taker is not None:
             taker(self, entry.data)
 
-    def take_chunk(self, raw: memoryview) -> None:
-        """Everything in an unpacked chunk. Raises DamagedError."""
-        pieces: dict[str, list[bytes]] = {topic: [] for topic in FLAT}
+    def take_chunk(self, raw: bytes) -> dict[str, Batch]:
+        """Everything in an unpacked chunk; ticks and truths by topic. Raises DamagedError."""
+        runs: dict[str, list[Run]] = {}
         for part in chunk_parts(raw):
             if isinstance(part, Entry):
                 self.take(part)
-                continue
-            if part.channel not in self.channels:
+            elif part.channel in self.channels:
+                runs.setdefault(self.channels[part.channel][0], []).append(part)
+                self.messages += len(part.rows)
+            else:
                 raise DamagedError(f"holds a message of channel {part.channel}, which nothing declares")
-            topic, _ = self.channels[part.channel]
-            if topic in FLAT:
-                pieces[topic].append(self._flat(part, FLAT[topic]))
-            elif topic == LOG_TOPIC:
-                self.events += map(event, part.rows["log_time"].tolist(), part.rows["data"].tolist())
-        for topic, found in pieces.items():
-            if found:
-                self._keep(topic, b"".join(found))
+        if not self.understood and runs.keys() & FLAT.keys():
+            self.check_schemas()
+        for run in runs.get(LOG_TOPIC, ()):
+            self.events += map(event, run.rows["log_time"].tolist(), run.rows["data"].tolist())
+        batches = {topic: Batch.of(runs[topic], FLAT[topic]) for topic in FLAT if topic in runs}
+        for topic, batch in batches.items():
+            self._keep(topic, batch)
+        return batches
 
     def check_schemas(self) -> None:
         """Raises DamagedError if ticks or truths are declared with another layout than here."""
@@ -110,23 +138,13 @@ class Content:
         """Whether a channel has the topic of ticks."""
         return any(topic == TICK.topic for topic, _ in self.channels.values())
 
-    def _flat(self, run: Run, message: Message) -> bytes:
-        if not self.understood:
-            self.check_schemas()
-        if run.rows.dtype["data"].itemsize != message.size:
-            raise DamagedError(_another_layout(message))
-        data = run.rows["data"].tobytes()
-        if message is TICK and self.epoch_ns is None:
-            self.epoch_ns = int(run.rows["log_time"][0]) - int(TICK.array(data[: TICK.size])["time_ns"][0])
-        return data
-
-    def _keep(self, topic: str, data: bytes) -> None:
-        if not FLAT[topic].well_formed(data):
-            raise DamagedError(_another_layout(FLAT[topic]))
+    def _keep(self, topic: str, batch: Batch) -> None:
         if topic == TICK.topic:
-            self.hash.update(data)
+            self.hash.update(batch.data)
+            if self.epoch_ns is None:
+                self.epoch_ns = int(batch.log_time[0]) - int(batch.values["time_ns"][0])
         if topic in self.rows:
-            self.rows[topic].write(data)
+            self.rows[topic].write(batch.data)
 
     def _take_header(self, data: memoryview) -> None:
         _, self.library = fields(Opcode.HEADER, data)
@@ -157,10 +175,6 @@ _TAKERS: Final[Mapping[int, Callable[[Content, memoryview], None]]] = {
     Opcode.METADATA: Content._take_metadata,  # noqa: SLF001
     Opcode.ATTACHMENT: Content._take_attachment,  # noqa: SLF001
 }
-
-
-def _another_layout(message: Message) -> str:
-    return f"a message of {message.topic} has not the layout of {message.name}"
 
 
 def event(log_time: int, data: bytes) -> Event:

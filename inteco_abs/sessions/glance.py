@@ -63,4 +63,4 @@ def _summary(file: BinaryIO, size: int) -> Iterator[Entry]:
     summary = file.read(end - start)
     if crc != zlib.crc32(tail[: HEAD.size + _FOOTER.size - 4], zlib.crc32(summary)):
         raise DamagedError("the index fails its checksum")
-    return (part for part in chunk_parts(memoryview(summary)) if isinstance(part, Entry))
+    return (part for part in chunk_parts(summary) if isinstance(part, Entry))

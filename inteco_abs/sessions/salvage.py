@@ -14,7 +14,7 @@ from inteco_abs.config import RigConfig, parse_config
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.records.schema import TICK, TRUTH, Message
 from inteco_abs.sessions.container import DamagedError, Entry, Opcode, Run, chunk_parts, kind
-from inteco_abs.sessions.content import FLAT, Content
+from inteco_abs.sessions.content import FLAT, Batch, Content
 from inteco_abs.sessions.output import check_output, only_whole
 from inteco_abs.sessions.reader import check_data, regular_file
 from inteco_abs.sessions.recorder import Recorder, utc
@@ -69,24 +69,20 @@ class _Taken:
         """Everything taken, on the disk."""
         return self._message.array(self._rows.contents())
 
-    def judged(self, run: Run, epoch_ns: int | None) -> tuple[bytes, int]:
-        """The data of messages that come after what was taken, and their epoch. Raises DamagedError if they do not."""
-        data = run.rows["data"].tobytes()
-        if len(data) != len(run.rows) * self._message.size or not self._message.well_formed(data):
-            raise DamagedError(f"its {self._message.topic} has another layout")
-        values = self._message.array(data)
-        log_time, times = run.rows["log_time"], values["time_ns"]
+    def judge(self, batch: Batch, epoch_ns: int | None) -> int:
+        """Epoch of messages that come after those that were judged. Raises DamagedError if they do not."""
+        log_time, times = batch.log_time, batch.values["time_ns"]
         if max(log_time.max(), times.max()) >= _LATEST_NS:
             raise DamagedError("its times are of no date")
         epochs = log_time.astype(np.int64) - times.astype(np.int64)
         if (epochs != (epochs[0] if epoch_ns is None else epoch_ns)).any():
             raise DamagedError("its two clocks do not go together")
-        numbers = values["tick"] if self._message is TICK else run.rows["sequence"]
+        numbers = batch.values["tick"] if self._message is TICK else batch.sequence
         forward = np.diff(numbers.astype(np.int64), prepend=self._number) > 0
         if not forward.all() or (np.diff(times.astype(np.int64), prepend=self._time_ns) < 0).any():
             raise DamagedError("it repeats what was there before")
         self._number, self._time_ns = int(numbers[-1]), int(times[-1])
-        return data, int(epochs[0])
+        return int(epochs[0])
 
     def keep(self, data: bytes) -> None:
         """Rows that were judged."""
@@ -140,25 +136,27 @@ class _Remains:
         except DamagedError as error:
             self._lose(f"byte {entry.start}: {kind(entry.opcode)}: {error}")
 
-    def _take_chunk(self, raw: memoryview) -> None:
+    def _take_chunk(self, raw: bytes) -> None:
         """All of its rows or none."""
+        runs: dict[str, list[Run]] = {}
+        for part in chunk_parts(raw):
+            if isinstance(part, Entry):
+                self.content.take(part)
+            else:
+                runs.setdefault(self._topic(part), []).append(part)
+        batches = {topic: Batch.of(runs[topic], FLAT[topic]) for topic in FLAT if topic in runs}
         before = {topic: rows.newest for topic, rows in self.rows.items()}
-        found: list[tuple[str, bytes]] = []
         epoch_ns = self.epoch_ns
         try:
-            for part in chunk_parts(raw):
-                if isinstance(part, Entry):
-                    self.content.take(part)
-                elif (topic := self._topic(part)) in FLAT:
-                    data, epoch_ns = self.rows[topic].judged(part, epoch_ns)
-                    found.append((topic, data))
+            for topic, batch in batches.items():
+                epoch_ns = self.rows[topic].judge(batch, epoch_ns)
         except DamagedError:
             for topic, newest in before.items():
                 self.rows[topic].back_to(newest)
             raise
         self.epoch_ns = epoch_ns
-        for topic, data in found:
-            self.rows[topic].keep(data)
+        for topic, batch in batches.items():
+            self.rows[topic].keep(batch.data)
 
     def _topic(self, run: Run) -> str:
         """Of a message; where its channel's declaration is lost, by the layout that no other message has."""
@@ -166,8 +164,8 @@ class _Remains:
             if not self.content.understood:
                 self.content.check_schemas()
             return self.content.channels[run.channel][0]
-        data = bytes(run.rows["data"][0])
-        return next((topic for topic, message in FLAT.items() if len(data) == message.size), "")
+        size = run.rows.dtype["data"].itemsize
+        return next((topic for topic, message in FLAT.items() if size == message.size), "")
 
 
 class _Anew:

@@ -40,7 +40,7 @@ class Whole:
     """A record that proved itself."""
 
     entry: Entry
-    raw: memoryview | None
+    raw: bytes | None
     """What a chunk unpacks to."""
     crc: int
     """Checksum of everything in the file before it."""
@@ -87,7 +87,7 @@ class Survey:
                 crc = zlib.crc32(entry.data, zlib.crc32(HEAD.pack(entry.opcode, len(entry.data)), crc))
                 at = entry.end
 
-    def _record(self, at: int) -> tuple[Entry, memoryview | None]:
+    def _record(self, at: int) -> tuple[Entry, bytes | None]:
         """The record at `at`, and what it unpacks to; raises DamagedError if it does not prove itself."""
         entry = self._entry(at)
         try:

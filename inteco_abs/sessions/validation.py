@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from inteco_abs.errors import SessionError
 from inteco_abs.records.schema import TICK, TRUTH
-from inteco_abs.sessions.container import DamagedError, Entry, Opcode, Run, chunk_parts, fields, kind
-from inteco_abs.sessions.content import FLAT, LIBRARY, Content
+from inteco_abs.sessions.container import DamagedError, Entry, Opcode, fields, kind
+from inteco_abs.sessions.content import LIBRARY, Batch, Content
 from inteco_abs.sessions.reader import check_data, ends_well, opened
 from inteco_abs.sessions.replay import CONFIG_NAME
 from inteco_abs.sessions.survey import Damage, Survey, Whole, checksum
@@ -93,7 +93,6 @@ class _Inspector:
         self._numbers = {TICK.topic: _Numbers("tick"), TRUTH.topic: _Numbers("truth")}
         self._chunks: set[int] = set()
         self._indexed: set[int] = set()
-        self._messages = 0
         self._counted: int | None = None
         self._data_ended = self._footed = False
 
@@ -135,16 +134,10 @@ class _Inspector:
         except DamagedError as error:
             self._told.wrong(f"byte {entry.start}", f"{kind(entry.opcode)}: {error}")
 
-    def _chunk(self, entry: Entry, raw: memoryview) -> None:
+    def _chunk(self, entry: Entry, raw: bytes) -> None:
         self._chunks.add(entry.start)
-        self._content.take_chunk(raw)
-        for part in chunk_parts(raw):
-            if not isinstance(part, Run):
-                continue
-            self._messages += len(part.rows)
-            topic, _ = self._content.channels[part.channel]
-            if topic in FLAT:
-                self._numbers[topic].follow(part.rows, self._told)
+        for topic, batch in self._content.take_chunk(raw).items():
+            self._numbers[topic].follow(batch, self._told)
 
     def _footer(self, entry: Entry) -> None:
         self._footed = True
@@ -163,8 +156,8 @@ class _Inspector:
             return
         if self._chunks != self._indexed:
             self._told.loss("index", "it lists other chunks than the file has: viewers will not show all ticks")
-        if self._counted not in {None, self._messages}:
-            self._told.loss("index", f"it counts {self._counted} messages, the file has {self._messages}")
+        if self._counted not in {None, self._content.messages}:
+            self._told.loss("index", f"it counts {self._counted} messages, the file has {self._content.messages}")
 
     def _judge_the_content(self) -> None:
         content, told = self._content, self._told
@@ -217,20 +210,18 @@ class _Numbers:
         self._number = self._time_ns = self._sequence = -1
         self._epoch_ns: int | None = None
 
-    def follow(self, rows: Array, told: Inspection) -> None:
+    def follow(self, batch: Batch, told: Inspection) -> None:
         """The next messages of the topic."""
-        message = TICK if self._name == "tick" else TRUTH
-        values = message.array(rows["data"].tobytes())
-        time_ns = values["time_ns"].astype(np.int64)
-        sequence = rows["sequence"].astype(np.int64)
-        numbers = values["tick"].astype(np.int64) if message is TICK else sequence
+        time_ns, log_time = batch.values["time_ns"].astype(np.int64), batch.log_time.astype(np.int64)
+        sequence = batch.sequence.astype(np.int64)
+        numbers = batch.values["tick"].astype(np.int64) if self._name == "tick" else sequence
         if self._epoch_ns is None:
-            self._epoch_ns = int(rows["log_time"][0]) - int(time_ns[0])
+            self._epoch_ns = int(log_time[0]) - int(time_ns[0])
         self._judge_numbers(numbers, told)
-        self._judge_times(numbers, time_ns, rows["log_time"].astype(np.int64), told)
-        if message is TICK:
+        self._judge_times(numbers, time_ns, log_time, told)
+        if self._name == "tick":
             self._judge_sequence(numbers, sequence, told)
-        self.count += len(rows)
+        self.count += len(numbers)
         self._number, self._time_ns, self._sequence = int(numbers[-1]), int(time_ns[-1]), int(sequence[-1])
 
     def _judge_numbers(self, numbers: npt.NDArray[np.int64], told: Inspection) -> None:

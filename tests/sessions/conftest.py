@@ -34,7 +34,7 @@ TINY = ("experiment.start_speed_rad_s=10.0", "experiment.idle_s=0.01", "experime
 CHUNKED = ("experiment.start_speed_rad_s=60.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
 
 MAGIC = b"\x89MCAP0\r\n"
-DATA_END, FOOTER = 15, 2
+CHUNK, DATA_END, FOOTER = 6, 15, 2
 HEAD = struct.Struct("<BQ")
 
 
@@ -112,6 +112,13 @@ def record_anew(run: Run, path: Path, ticks: int, flushed_after: int) -> Path:
 def short(tmp_path_factory, tiny):
     """A session of 60 ticks in six chunks, for tests that break it in a thousand ways."""
     return record_anew(tiny, tmp_path_factory.mktemp("short") / "short.mcap", 60, 10)
+
+
+@pytest.fixture(scope="session")
+def cut_short(short):
+    """Bytes of the short session up to the middle of a chunk, behind 30 ticks."""
+    chunks = [record for record in Container.split(short.read_bytes()) if record.opcode == CHUNK]
+    return short.read_bytes()[: (chunks[4].at + chunks[4].end) // 2]
 
 
 class Verb(NamedTuple):

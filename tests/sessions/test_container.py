@@ -27,7 +27,7 @@ def test_runs_are_the_messages_in_order(groups, between):
         if between and number % 5 == 0:
             raw += struct.pack("<BQ", Opcode.METADATA, 3) + b"abc"
     found = []
-    for part in chunk_parts(memoryview(raw)):
+    for part in chunk_parts(raw):
         if isinstance(part, Run):
             for row in part.rows:
                 found.append((part.channel, row["data"].dtype.itemsize))
@@ -48,10 +48,10 @@ def test_a_chunk_that_ends_within_a_record_is_damaged(groups, data):
         ends.add(at)
     cut = data.draw(st.integers(0, len(raw)))
     if cut in ends:
-        assert all(isinstance(part, Run) for part in chunk_parts(memoryview(raw[:cut])))
+        assert all(isinstance(part, Run) for part in chunk_parts(raw[:cut]))
     else:
         with pytest.raises(DamagedError):
-            list(chunk_parts(memoryview(raw[:cut])))
+            list(chunk_parts(raw[:cut]))
 
 
 @given(st.sampled_from([opcode for opcode in Opcode if opcode != Opcode.MESSAGE]), st.binary(max_size=120))

@@ -129,8 +129,8 @@ def test_the_metrics_are_those_of_the_original(quick, altered, tmp_path):
     assert {key: recovery.card[key] for key in kept} == kept
 
 
-def test_what_the_recovery_wrote_opens_officially(rescue, officially, short, tmp_path):
-    rescue(short.read_bytes()[:10_000])
+def test_what_the_recovery_wrote_opens_officially(rescue, officially, cut_short, tmp_path):
+    rescue(cut_short)
     found = officially(tmp_path / "out.mcap")
     assert len(found.of("/abs/tick")) == len(read_session(tmp_path / "out.mcap").ticks) > 20
 
@@ -149,8 +149,8 @@ def test_the_end_that_is_missing_is_named_where_the_file_says_how_much_there_was
     assert rescue(joined(container, records))[0].missing == ((50, 59),)
 
 
-def test_a_recovery_of_a_recovery_remembers_what_was_lost(rescue, short, tmp_path):
-    rescue(short.read_bytes()[:10_000])
+def test_a_recovery_of_a_recovery_remembers_what_was_lost(rescue, cut_short, tmp_path):
+    rescue(cut_short)
     recover_session(tmp_path / "out.mcap", tmp_path / "again.mcap")
     assert "no end" in read_session(tmp_path / "again.mcap").metadata["recovery"]["lost"]
     assert validate(tmp_path / "again.mcap").verdict == "losses"

@@ -105,8 +105,8 @@ def test_an_index_that_counts_wrong_is_a_loss(container, judged):
     assert "counts 7 messages" in findings["index"]
 
 
-def test_a_file_without_an_end_is_a_loss(short, altered):
-    inspection = validate(altered(short.read_bytes()[:10_000]))
+def test_a_file_without_an_end_is_a_loss(cut_short, altered):
+    inspection = validate(altered(cut_short))
     assert inspection.verdict == "losses"
     (cut, end) = inspection.findings
     assert (cut.severity, cut.place.partition(" ")[0]) == (Severity.LOSS, "bytes")

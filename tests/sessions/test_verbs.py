@@ -8,11 +8,11 @@ from inteco_abs.sessions import read_session
 
 
 @pytest.fixture
-def folder(tmp_path, short, quick):
+def folder(tmp_path, short, quick, cut_short):
     """A whole session, another, and one that was cut."""
     (tmp_path / "a.mcap").write_bytes(short.read_bytes())
     (tmp_path / "b.mcap").write_bytes(quick.path.read_bytes())
-    (tmp_path / "cut.mcap").write_bytes(short.read_bytes()[:10_000])
+    (tmp_path / "cut.mcap").write_bytes(cut_short)
     return tmp_path
 
 
