@@ -37,17 +37,19 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     a value that was logged up to LEAD_S later or LAG_S earlier. All other outputs must agree exactly, and so must the
     gains that the session has recorded.
 
-    Exit codes: 0 all agrees, 3 all agrees as far as the file goes, which was cut, 4 something differs, 1 the session
-    cannot be used, 2 wrong usage.
+    Exit codes: 0 all agrees, 3 all agrees as far as the file goes, which was cut or has a gap, 4 something differs,
+    1 the session cannot be used, 2 wrong usage.
     """
     from dataclasses import asdict
 
     from inteco_abs.control import build_pipeline, control_check, gains_in_force
-    from inteco_abs.sessions import changed_gains, parse_tolerances, read_session, session_config
+    from inteco_abs.sessions import before_the_gap, changed_gains, parse_tolerances, read_session, session_config
     from inteco_abs.sessions import replay as run_again
 
     given = parse_tolerances(tolerances)
-    session = read_whole(file, read_session)
+    recorded = read_whole(file, read_session)
+    session = before_the_gap(recorded)
+    left_out = len(recorded.ticks) - len(session.ticks)
     controllers = controllers_for(session, controller)
     config = session_config(session, (control_check(controllers),))
     gains = changed_gains(session, gains_in_force(config, controllers))
@@ -56,6 +58,7 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
         "schema_version": 1,
         "session": str(file),
         "incomplete": session.incomplete,
+        "left_out": left_out,
         **asdict(outcome),
         "gains": gains,
         "tolerances": {name: asdict(tolerance) for name, tolerance in given.items()},
@@ -64,7 +67,9 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
         print_json(report)
     else:
         _print_replay(file, outcome, gains)
-    return DIFFERS if outcome.differing or gains else LOSSES if session.incomplete else 0
+    if left_out:
+        click.echo(f"inteco-abs: {file}: {left_out} ticks behind a gap cannot be replayed", err=True)
+    return DIFFERS if outcome.differing or gains else LOSSES if session.incomplete or left_out else 0
 
 
 def controllers_for(session: Session, controller: str | None) -> Controllers:

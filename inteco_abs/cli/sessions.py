@@ -1,14 +1,13 @@
-"""Verbs for what a run has left: info, recover, figure."""
+"""Verbs that show a session: info, figure."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, draw, json_option, print_card, print_json, read_whole
+from inteco_abs.cli.shared import FILE, LOSSES, draw, json_option, plain, print_json, read_whole
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -33,22 +32,6 @@ def info(file: Path, as_json: bool) -> int:
 
 
 @click.command()
-@click.argument("ring", type=FILE)
-@click.option("--out", "-o", type=FILE, required=True, help="Session file to write.")
-@json_option
-def recover(ring: Path, out: Path, as_json: bool) -> int:
-    """Write the session of a run whose processes all crashed, from the memory that it left in RING."""
-    from inteco_abs.realtime.recorder import recover_run
-
-    account = recover_run(ring, out)
-    if as_json:
-        print_json(account.card)
-    else:
-        print_card(account.card, account.explanation)
-    return LOSSES if account.card["lost_ticks"] else 0
-
-
-@click.command()
 @click.argument("file", type=FILE)
 @click.option("--out", "-o", type=FILE, required=True, help="Figure to write: .png, .svg or .pdf.")
 def figure(file: Path, out: Path) -> int:
@@ -58,9 +41,10 @@ def figure(file: Path, out: Path) -> int:
 
 
 def _summary(session: Session) -> dict[str, Any]:
+    from inteco_abs.sessions import stored_card
+
     ticks = session.ticks
     seconds = (int(ticks["time_ns"][-1]) - int(ticks["time_ns"][0])) * 1e-9 if len(ticks) else 0.0
-    result = session.metadata.get("result", {}).get("card")
     return {
         "schema_version": 1,
         "session": str(session.path),
@@ -70,7 +54,7 @@ def _summary(session: Session) -> dict[str, Any]:
         "events": session.events,
         "attachments": {name: len(data) for name, data in session.attachments.items()},
         "metadata": {name: facts for name, facts in session.metadata.items() if name != "result"},
-        "result": json.loads(result) if result else None,
+        "result": stored_card(session.metadata),
     }
 
 
@@ -82,10 +66,10 @@ def _print_summary(summary: Mapping[str, Any]) -> None:
     table.add_column(style="dim", no_wrap=True)
     table.add_column(overflow="fold")
     for key in ("session", "ticks", "duration_s", "events"):
-        table.add_row(key, str(summary[key]))
+        table.add_row(key, plain(summary[key]))
     for name, facts in summary["metadata"].items():
         for key, value in facts.items():
-            table.add_row(f"{name}.{key}", value)
+            table.add_row(plain(f"{name}.{key}"), plain(value))
     for name, size in summary["attachments"].items():
-        table.add_row(f"attachment {name}", f"{size} bytes")
+        table.add_row(plain(f"attachment {name}"), f"{size} bytes")
     Console(markup=False).print(table)

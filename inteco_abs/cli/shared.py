@@ -46,6 +46,11 @@ def print_json(data: Mapping[str, Any]) -> None:
     click.echo(json.dumps(data, allow_nan=False))
 
 
+def plain(text: object) -> str:
+    """Text out of a file, for a terminal: nothing in it moves the cursor or changes colours."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in str(text))
+
+
 def print_card(card: Mapping[str, Any], explanation: str) -> None:
     from rich.console import Console
 

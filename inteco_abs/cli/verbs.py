@@ -9,15 +9,19 @@ import click
 
 from inteco_abs.cli.blink import blink
 from inteco_abs.cli.catalogue import controllers, estimators, profiles
+from inteco_abs.cli.contents import export, get
 from inteco_abs.cli.design import design
+from inteco_abs.cli.diff import diff
 from inteco_abs.cli.doctor import doctor
 from inteco_abs.cli.golden import golden
+from inteco_abs.cli.health import recover, validate
+from inteco_abs.cli.listing import list_sessions
 from inteco_abs.cli.mock_board import mock_board
 from inteco_abs.cli.paper import paper
 from inteco_abs.cli.probe import probe
 from inteco_abs.cli.replay import replay
 from inteco_abs.cli.run import run
-from inteco_abs.cli.sessions import figure, info, recover
+from inteco_abs.cli.sessions import figure, info
 from inteco_abs.cli.shared import INTERRUPTED
 from inteco_abs.cli.sweep import sweep
 from inteco_abs.cli.what_if import what_if
@@ -48,8 +52,13 @@ _VERBS: Final = (
     replay,
     what_if,
     golden,
+    list_sessions,
     info,
+    diff,
     figure,
+    export,
+    get,
+    validate,
     recover,
     design,
     sweep,

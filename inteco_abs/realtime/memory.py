@@ -26,7 +26,8 @@ FOLDER: Final = Path("/dev/shm")  # noqa: S108  memory, not a place for temporar
 SUFFIX: Final = ".ring"
 _PREFIX: Final = "inteco-abs-"
 _SOCKET: Final = ".board"
-_MAGIC: Final = b"inteco-abs ring 1\n"
+_KIND: Final = b"inteco-abs ring"
+_MAGIC: Final = _KIND + b" 1\n"
 _HEADER: Final = struct.Struct("<32s4Q")
 _POLL_S: Final = 0.001
 
@@ -239,6 +240,15 @@ class RunMemory:
                 return False
             time.sleep(_POLL_S)
         return True
+
+
+def is_ring(path: Path) -> bool:
+    """Whether a file is what a run leaves in memory, of whatever version."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_KIND)) == _KIND
+    except OSError:
+        return False
 
 
 def left_rings(folder: Path = FOLDER) -> Iterator[Path]:

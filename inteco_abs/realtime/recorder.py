@@ -9,8 +9,6 @@ import json
 import os
 import time
 import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -31,6 +29,7 @@ from inteco_abs.sessions import (
     Recorder,
     Scribe,
     check_output,
+    only_whole,
     read_session,
 )
 from inteco_abs.signals import Reason
@@ -40,7 +39,6 @@ _FLUSH_S: Final = 0.1
 _RESCUE_S: Final = 20.0
 """The guardian tries for 5 s, and the supervisor in its place after that."""
 _LONGEST_START_S: Final = 120.0
-_PART: Final = ".part"
 
 
 def main(path: str) -> int:
@@ -234,8 +232,10 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
     held_from = ticks.rewind()
     truths.rewind()
     before, truths_before = _from_the_file(job.path, held_from, truths) if held_from else (b"", b"")
-    part = out.with_name(f"{out.name}.{os.getpid()}{_PART}")
-    with _only_whole(part), Recorder(part, time.monotonic_ns(), introduction.internals, job.session_id) as recorder:
+    with (
+        only_whole(out) as part,
+        Recorder(part, time.monotonic_ns(), introduction.internals, job.session_id) as recorder,
+    ):
         scribe = Scribe(recorder, job.config, introduction, session or out)
         scribe.introduce()
         scribe.add(before, truths_before)
@@ -244,12 +244,7 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
         memory.histogram.add(*scribe.lateness())
         end = conclusion(memory)
         anew = f"the session was made from what the run left in memory, {scribe.ticks} ticks"
-        account = scribe.conclude(replace(end, detail=f"{end.detail}; {anew}" if end.detail else anew))
-    try:
-        part.replace(out)
-    except OSError as error:
-        raise SessionError(f"{part} is complete but cannot be renamed to {out}: {error.strerror}") from error
-    return account
+        return scribe.conclude(replace(end, detail=f"{end.detail}; {anew}" if end.detail else anew))
 
 
 def _from_the_file(path: Path, ticks: int, truths: RingReader) -> tuple[bytes, bytes]:
@@ -258,14 +253,4 @@ def _from_the_file(path: Path, ticks: int, truths: RingReader) -> tuple[bytes, b
     first = truths.oldest()
     newer_ns = int(TRUTH.array(first)["time_ns"][0]) if first else 0
     rows = session.truth[session.truth["time_ns"] < newer_ns].tolist()
-    return session.payload[: ticks * TICK.size], b"".join(map(TRUTH.pack, rows))
-
-
-@contextmanager
-def _only_whole(path: Path) -> Iterator[None]:
-    """What could not be written to its end is not left there: its source still exists."""
-    try:
-        yield
-    except BaseException:
-        path.unlink(missing_ok=True)
-        raise
+    return bytes(session.payload[: ticks * TICK.size]), b"".join(map(TRUTH.pack, rows))

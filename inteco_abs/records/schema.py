@@ -85,6 +85,8 @@ class Message:
         self.size = self._struct.size
         self._offsets = offsets
         self._keys = [(offset, len(key)) for offset, key in zip(offsets, keys, strict=True)]
+        choices = [(False, True) if column.kind is BOOL else column.kind.members for column in self.columns]
+        self._choices = [(offset, members) for offset, members in zip(offsets, choices, strict=True) if members]
 
     def pack_into(self, buffer: bytearray, offset: int, values: Sequence[Any]) -> None:
         """Write the message with `values`, one per column, at `offset`."""
@@ -134,16 +136,26 @@ class Message:
         return view
 
     def well_formed(self, data: bytes) -> bool:
-        """Whether every message in `data` has this layout: length and all keys."""
+        """Whether every message in `data` has this layout: length, all keys, and values that its enums have."""
         if len(data) % self.size:
             return False
         numpy = _numpy()
         raw = numpy.frombuffer(data, numpy.uint8).reshape(-1, self.size)
-        template = numpy.frombuffer(self.pack([0] * len(self.columns)), numpy.uint8)
-        return all(bool((raw[:, at - length : at] == template[at - length : at]).all()) for at, length in self._keys)
+        template = numpy.frombuffer(self._zeros, numpy.uint8)
+        if not all((raw[:, at - length : at] == template[at - length : at]).all() for at, length in self._keys):
+            return False
+        return all((raw[:, at] < len(members)).all() for at, members in self._choices)
+
+    @cached_property
+    def _zeros(self) -> bytes:
+        return self.pack([0] * len(self.columns))
 
     def descriptor(self) -> bytes:
         """FileDescriptorSet with this message and its enums, as MCAP's protobuf encoding wants it."""
+        return self._descriptor
+
+    @cached_property
+    def _descriptor(self) -> bytes:
         members = dict.fromkeys(column.kind.members for column in self.columns if column.kind.members)
         enums = b"".join(chunk(5, _enum(kind)) for kind in members)
         fields = [_field(number, column) for number, column in enumerate(self.columns, 1)]

@@ -1,33 +1,76 @@
-"""The memory: what a session holds, how it is written, read, judged and replayed."""
+"""The memory: what a session holds, how it is written, read, judged, replayed, compared and rescued."""
 
 from inteco_abs.records import TICK, TRUTH, pack_tick
+from inteco_abs.sessions.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions
+from inteco_abs.sessions.export import FORMATS, Export, export_session
+from inteco_abs.sessions.extract import attached, extract
+from inteco_abs.sessions.listing import COLUMNS, session_files, session_row, sort_rows
+from inteco_abs.sessions.output import check_output, only_whole
 from inteco_abs.sessions.reader import Session, read_session
-from inteco_abs.sessions.recorder import Recorder, check_output
-from inteco_abs.sessions.replay import CONFIG_NAME, Difference, Replay, changed_gains, replay, session_config
-from inteco_abs.sessions.result import result_card
+from inteco_abs.sessions.recorder import Recorder
+from inteco_abs.sessions.replay import (
+    CONFIG_NAME,
+    Difference,
+    Replay,
+    before_the_gap,
+    changed_gains,
+    replay,
+    session_config,
+)
+from inteco_abs.sessions.result import result_card, stored_card
+from inteco_abs.sessions.salvage import Recovery, recover_session
 from inteco_abs.sessions.scribe import Account, Conclusion, Introduction, Scribe
+from inteco_abs.sessions.tables import Table, tables, to_pandas, to_polars
 from inteco_abs.sessions.tolerance import Shift, Tolerance, parse_tolerances
+from inteco_abs.sessions.validation import Finding, Inspection, Severity, validate
 
 __all__ = [
+    "COLUMNS",
     "CONFIG_NAME",
+    "FORMATS",
+    "SECTIONS",
     "TICK",
     "TRUTH",
     "Account",
+    "Change",
     "Conclusion",
+    "Diff",
     "Difference",
+    "Export",
+    "Finding",
+    "Inspection",
     "Introduction",
     "Recorder",
+    "Recovery",
     "Replay",
     "Scribe",
     "Session",
+    "Severity",
     "Shift",
+    "SignalChange",
+    "Table",
     "Tolerance",
+    "attached",
+    "before_the_gap",
     "changed_gains",
     "check_output",
+    "diff_sessions",
+    "export_session",
+    "extract",
+    "only_whole",
     "pack_tick",
     "parse_tolerances",
     "read_session",
+    "recover_session",
     "replay",
     "result_card",
     "session_config",
+    "session_files",
+    "session_row",
+    "sort_rows",
+    "stored_card",
+    "tables",
+    "to_pandas",
+    "to_polars",
+    "validate",
 ]

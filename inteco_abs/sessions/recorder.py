@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import struct
 import time
 import uuid
@@ -19,10 +18,11 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from mcap.writer import CompressionType, Writer
 
-from inteco_abs.errors import ConfigError, Mistake, SessionError
+from inteco_abs.errors import SessionError
 from inteco_abs.records import schema
 from inteco_abs.records.schema import TICK, TRUTH, Message
 from inteco_abs.records.wire import chunk, double, integer, tag
+from inteco_abs.sessions.output import check_output
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 if TYPE_CHECKING:
@@ -30,27 +30,6 @@ if TYPE_CHECKING:
 
 FORMAT_VERSION: Final = "1"
 _INFO, _ERROR = 2, 4  # levels of foxglove.Log
-
-
-def check_output(path: Path) -> None:
-    """Refuse, before anything is opened, a path where no new session can be.
-
-    Raises ConfigError, or SessionError where the folder cannot be written to.
-    """
-    problem = ""
-    try:
-        if path.is_dir():
-            problem = "is a folder; name a file, such as stop.mcap"
-        elif path.exists():
-            problem = "exists already, and sessions are never overwritten; choose another name"
-        elif not path.parent.is_dir():
-            problem = f"the folder {path.parent} does not exist; create it first"
-    except OSError as error:  # a name that no file can have
-        problem = error.strerror or "cannot be a file's name"
-    if problem:
-        raise ConfigError([Mistake("--out", f"{path}: {problem}")])
-    if not os.access(path.parent, os.W_OK):
-        raise SessionError(f"{path} cannot be created: the folder {path.parent} cannot be written to")
 
 
 class _Disk(FileIO):
@@ -75,18 +54,23 @@ class _Disk(FileIO):
 class Recorder:
     """A session being written at `path`; a context manager. Raises SessionError when the disk refuses.
 
-    `session_id` is that of a session whose
-    file is made anew. What it is told first (`describe`, `attach`) reaches the file before the first tick. Leaving the
-    context closes the file; only `finish` makes it complete.
+    `session_id`, and `epoch_ns` (UNIX time of the monotonic clock's zero), are those of a session whose file is made
+    anew. What it is told first (`describe`, `attach`) reaches the file before the first tick. Leaving the context
+    closes the file; only `finish` makes it complete.
     """
 
     def __init__(
-        self, path: Path, start_ns: int, controller_internals: Sequence[str] = (), session_id: str = ""
+        self,
+        path: Path,
+        start_ns: int,
+        controller_internals: Sequence[str] = (),
+        session_id: str = "",
+        epoch_ns: int | None = None,
     ) -> None:
         check_output(path)
         self.path = path
         self.session_id = session_id or str(uuid.uuid4())
-        self._epoch_ns = time.time_ns() - start_ns
+        self._epoch_ns = time.time_ns() - start_ns if epoch_ns is None else epoch_ns
         self._start_ns = start_ns
         self._hash = hashlib.sha256()
         self._ticks = 0
@@ -139,7 +123,7 @@ class Recorder:
             {
                 "format_version": FORMAT_VERSION,
                 "session_id": self.session_id,
-                "started_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
+                "started_utc": utc(stamp),
             },
         )
         self.flush()
@@ -185,8 +169,11 @@ class Recorder:
         data = chunk(1, stamp) + integer(2, level) + chunk(3, text) + chunk(4, "inteco-abs")
         self._writer.add_message(self._event_channel, stamp_ns, data, stamp_ns)
 
-    def finish(self, outcome: str, reason: str, result: Mapping[str, Any]) -> None:
-        """Complete the file: how the run ended, its result card, the hash over its payloads, the index."""
+    def finish(self, outcome: str, reason: str, result: Mapping[str, Any], ended_utc: str = "") -> None:
+        """Complete the file: how the run ended, its result card, the hash over its payloads, the index.
+
+        It ended now, unless `ended_utc` says when.
+        """
         self.flush()  # the last ticks come before what is said about them
         self.describe(
             "session",
@@ -196,7 +183,7 @@ class Recorder:
                 "ticks": str(self._ticks),
                 "overruns": str(result["overruns"]),
                 "lost_ticks": str(result["lost_ticks"]),
-                "ended_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
+                "ended_utc": ended_utc or utc(time.time_ns()),
             },
         )
         self.describe("timing", {f"late_us.{name}": repr(value) for name, value in result["lateness_us"].items()})
@@ -229,3 +216,8 @@ class Recorder:
     def _channel(self, topic: str, name: str, descriptor: bytes, metadata: Mapping[str, str]) -> int:
         schema_id = self._writer.register_schema(name, "protobuf", descriptor)
         return self._writer.register_channel(topic, "protobuf", schema_id, dict(metadata))
+
+
+def utc(unix_ns: int) -> str:
+    """Date and time as a session's metadata has them."""
+    return datetime.fromtimestamp(unix_ns * 1e-9, UTC).isoformat(timespec="milliseconds")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import starmap
 from typing import Any, Final
 
@@ -18,6 +18,8 @@ from inteco_abs.sessions.tolerance import DISCRETE, OUTPUTS, Array, Shift, Toler
 from inteco_abs.signals import BoardFlags, Phase, Reason, Sample
 
 CONFIG_NAME: Final = "config.toml"
+RECOVERED: Final = "recovered"
+"""Outcome of a session that was made of what is whole in a damaged file."""
 _INPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.INPUT)
 _COMPARED: Final = ("time_ns", "tick", "dt_s", *OUTPUTS)
 _NO_FLAGS: Final = BoardFlags.NONE  # two enums looked up by value would take a tenth of a tick
@@ -67,6 +69,23 @@ def session_config(session: Session, checks: tuple[Check, ...]) -> RigConfig:
         return parse_config(stored.decode("utf-8"), checks)
     except (ConfigError, UnicodeDecodeError) as error:
         raise SessionError(f"{session.path}: its {CONFIG_NAME} cannot be used here: {error}") from error
+
+
+def before_the_gap(session: Session) -> Session:
+    """A recovered session up to its first gap: what was decided behind it rests on ticks that are missing.
+
+    Any other session is given back as it is: there, a gap is a difference. Raises SessionError if the gap comes first.
+    """
+    if session.metadata.get("session", {}).get("outcome") != RECOVERED:
+        return session
+    numbers = session.ticks["tick"]
+    odd = np.flatnonzero(numbers != np.arange(len(numbers)))
+    if not len(odd):
+        return session
+    whole = int(odd[0])
+    if not whole:
+        raise SessionError(f"{session.path}: ticks 0..{numbers[0] - 1} are missing, so nothing can be replayed")
+    return replace(session, ticks=session.ticks[:whole], payload=session.payload[: whole * TICK.size])
 
 
 def changed_gains(session: Session, gains: Mapping[str, float]) -> dict[str, dict[str, str]]:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.config import RigConfig
+from inteco_abs.errors import SessionError
 from inteco_abs.rig import RigParameters
 from inteco_abs.sessions.metrics import Course, stop_metrics
-from inteco_abs.signals import Phase
+from inteco_abs.sessions.reader import Session
+from inteco_abs.sessions.replay import session_config
+from inteco_abs.signals import BoardFlags, Phase
 
 Array = npt.NDArray[Any]
 
@@ -24,22 +29,64 @@ def result_card(config: RigConfig, ticks: Array, truth: Array) -> dict[str, Any]
     counted. Of several stops in one session, each metric is the median of those that have it.
     """
     stops = _stops(ticks)
-    card: dict[str, Any] = {
+    card = timing_card(ticks) | {
         "controller": config.controller.name,
         "estimator": config.estimator.name,
-        "ticks": len(ticks),
-        "overruns": int(ticks["skipped"].sum()),
         "stops": len(stops),
-        "start_speed_rad_s": None,
         "reference_slip": config.controller.reference_slip,
-        **dict.fromkeys(_STOP_METRICS),
-        "lateness_us": _lateness(ticks),
     }
     cards = [_stop_card(config, stop, truth) for stop in stops]
     for name in ("start_speed_rad_s", *_STOP_METRICS):
         values = [each[name] for each in cards if each.get(name) is not None]
         card[name] = float(np.median(values)) if values else None
     return card
+
+
+def stored_card(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Any] | None:
+    """The result card in a session's metadata; None if there is none that can be read. No number in it is infinite."""
+    try:
+        card = json.loads(
+            metadata.get("result", {}).get("card", ""), parse_float=_finite, parse_constant=lambda _name: None
+        )
+    except (ValueError, RecursionError):
+        return None
+    return card if isinstance(card, dict) else None
+
+
+def card_of(session: Session) -> dict[str, Any] | None:
+    """The card that a session holds, or, where it was cut, one made of what it has; None if that cannot be."""
+    stored = stored_card(session.metadata)
+    if stored is not None:
+        return stored
+    try:
+        return result_card(session_config(session, ()), session.ticks, session.truth)
+    except SessionError:
+        return None
+
+
+def _finite(text: str) -> float | None:
+    value = float(text)
+    return value if math.isfinite(value) else None
+
+
+def timing_card(ticks: Array) -> dict[str, Any]:
+    """The card of which nothing is known but how punctual the ticks were."""
+    return {
+        "controller": None,
+        "estimator": None,
+        "ticks": len(ticks),
+        "overruns": int(ticks["skipped"].sum()),
+        "stops": None,
+        "start_speed_rad_s": None,
+        "reference_slip": None,
+        **dict.fromkeys(_STOP_METRICS),
+        "lateness_us": _lateness(ticks),
+    }
+
+
+def link_errors(ticks: Array) -> int:
+    """Ticks whose exchange with the board failed."""
+    return int(((ticks["board_flags"] & BoardFlags.STALE) != 0).sum())
 
 
 def _stops(ticks: Array) -> list[Array]:

@@ -15,8 +15,8 @@ from inteco_abs.rig import RigParameters
 from inteco_abs.sessions.provenance import controller_facts
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.replay import CONFIG_NAME
-from inteco_abs.sessions.result import result_card
-from inteco_abs.signals import EXPLANATIONS, BoardFlags, Reason
+from inteco_abs.sessions.result import link_errors, result_card
+from inteco_abs.signals import EXPLANATIONS, Reason
 
 _OUTCOMES = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}
 
@@ -160,6 +160,6 @@ class Scribe:
             "rig": self._drawn or None,
             **metrics,
             "lost_ticks": end.written - metrics["ticks"],
-            "link_errors": int(((ticks["board_flags"] & BoardFlags.STALE) != 0).sum()),
+            "link_errors": link_errors(ticks),
             "payload_sha256": self._recorder.payload_sha256,
         }

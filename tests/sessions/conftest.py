@@ -1,8 +1,10 @@
 """Recorded stops, their bytes record by record, and the means to change them."""
 
+import json
 import resource
 import signal
 import struct
+import sys
 import zlib
 from collections.abc import Iterable
 from dataclasses import replace
@@ -19,11 +21,12 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 import inteco_abs.experiment
+from inteco_abs.cli import main
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.mock_board import Device
-from inteco_abs.sessions import TICK, Account, Session, read_session, replay, session_config
+from inteco_abs.sessions import TICK, Account, Recorder, Session, read_session, replay, result_card, session_config
 from inteco_abs.signals import Phase
 
 QUICK = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
@@ -31,7 +34,7 @@ TINY = ("experiment.start_speed_rad_s=10.0", "experiment.idle_s=0.01", "experime
 CHUNKED = ("experiment.start_speed_rad_s=60.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
 
 MAGIC = b"\x89MCAP0\r\n"
-DATA_END, FOOTER = 15, 2
+CHUNK, DATA_END, FOOTER = 6, 15, 2
 HEAD = struct.Struct("<BQ")
 
 
@@ -83,6 +86,62 @@ def tiny(tmp_path_factory):
 def chunked(tmp_path_factory):
     """A completed stop whose ticks fill more than one chunk."""
     return _run(tmp_path_factory.mktemp("chunked") / "stop.mcap", CHUNKED)
+
+
+def record_anew(run: Run, path: Path, ticks: int, flushed_after: int) -> Path:
+    """The first ticks of a run as a session of its own, in chunks of so many ticks."""
+    session = run.session
+    card = result_card(run.config, session.ticks[:ticks], session.truth[:ticks])
+    with Recorder(path, int(session.ticks["time_ns"][0]), epoch_ns=session.epoch_ns) as recorder:
+        for name, facts in session.metadata.items():
+            if name not in {"session", "result", "integrity"}:
+                recorder.describe(name, facts)
+        for name, data in session.attachments.items():
+            recorder.attach(name, "application/toml", data)
+        recorder.begin({})
+        for first in range(0, ticks, flushed_after):
+            end = min(first + flushed_after, ticks)
+            recorder.ticks(session.ticks[first:end].tobytes())
+            recorder.truths(session.truth[first:end].tobytes())
+            recorder.flush()
+        recorder.finish("completed", "no fault", {**card, "lost_ticks": 0})
+    return path
+
+
+@pytest.fixture(scope="session")
+def short(tmp_path_factory, tiny):
+    """A session of 60 ticks in six chunks, for tests that break it in a thousand ways."""
+    return record_anew(tiny, tmp_path_factory.mktemp("short") / "short.mcap", 60, 10)
+
+
+@pytest.fixture(scope="session")
+def cut_short(short):
+    """Bytes of the short session up to the middle of a chunk, behind 30 ticks."""
+    chunks = [record for record in Container.split(short.read_bytes()) if record.opcode == CHUNK]
+    return short.read_bytes()[: (chunks[4].at + chunks[4].end) // 2]
+
+
+class Verb(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self):
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def verb(monkeypatch, capsys):
+    """Runs the command in this process: exit code, and what it wrote."""
+
+    def run(*arguments) -> Verb:
+        monkeypatch.setattr(sys, "argv", ["inteco-abs", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        return Verb(end.value.code or 0, *capsys.readouterr())
+
+    return run
 
 
 class Official(NamedTuple):

@@ -169,3 +169,14 @@ def test_an_array_of_rows_has_the_values_of_the_messages(values):
         assert found[name].tobytes() == expected[name].tobytes()
     found["tick"][1] = 7  # one's own
     assert found["tick"].tolist() == [expected["tick"][0], 7]
+
+
+@pytest.mark.parametrize("name", ["phase", "reason", "stop_request", "estimate_valid"])
+def test_a_tick_with_a_value_that_its_enum_has_not_is_none(name):
+    number = next(at for at, column in enumerate(TICK.columns) if column.name == name)
+    members = TICK.columns[number].kind.members or (False, True)
+    values = row_of(TICK, SMALL)
+    for value, known in ((len(members) - 1, True), (len(members), False), (255, False)):
+        data = bytearray(TICK.pack(values))
+        data[TICK.dtype.fields[name][1]] = value
+        assert TICK.well_formed(bytes(data)) is known

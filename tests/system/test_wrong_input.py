@@ -45,6 +45,12 @@ CASES = [
     (["info", "."], 1, ["cannot be read"]),
     (["info", "notes.txt"], 1, ["no MCAP file"]),
     (["info", "empty.mcap"], 1, ["is empty"]),
+    (["list", "missing"], 1, ["missing", "No such file"]),
+    (["recover", "missing.mcap", "-o", "x.mcap"], 1, ["missing.mcap", "No such file"]),
+    (["recover", "notes.txt", "-o", "x.mcap"], 1, ["notes.txt", "nothing to recover"]),
+    (["export", "notes.txt", "--format", "xls"], 2, ["xls", "csv"]),
+    (["get", "notes.txt", "config.toml"], 1, ["no MCAP file"]),
+    (["diff", "notes.txt"], 2, ["B"]),
     (["figure", "notes.txt", "-o", "x.png"], 1, ["no MCAP file"]),
     (["run", "--virtual", "--set", "profile=usb2_generic_0103"], 1, ["reading only", "verified_by"]),
 ]

@@ -1,0 +1,78 @@
+"""Verbs that take something out of a session: export, get."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import click
+
+from inteco_abs.cli.shared import FILE, LOSSES, json_option, plain, print_json, read_whole
+from inteco_abs.errors import ConfigError, Mistake
+
+if TYPE_CHECKING:
+    from inteco_abs.sessions import Session
+
+_FORMATS: Final = ("csv", "npz", "mat", "parquet")
+
+
+@click.command()
+@click.argument("file", type=FILE)
+@click.option("--format", "form", type=click.Choice(_FORMATS), required=True, help="mat and parquet need an extra.")
+@click.option("--out", "-o", type=FILE, help="File to write; default: FILE with the format's suffix.")
+@json_option
+def export(file: Path, form: str, out: Path | None, as_json: bool) -> int:
+    """Write a session's ticks, states of the simulated rig and events for other programs.
+
+    CSV and Parquet hold one table a file: OUT has the ticks, and the others lie beside it.
+    """
+    from inteco_abs.sessions import export_session
+
+    made = export_session(file, form, out or file.with_suffix(f".{form}"))
+    incomplete = made.session.incomplete
+    if as_json:
+        files = [{"path": str(written.path), "tables": written.tables, "rows": written.rows} for written in made.files]
+        print_json({"schema_version": 1, "session": str(file), "incomplete": incomplete, "files": files})
+    else:
+        for written in made.files:
+            click.echo(f"{written.path}: {', '.join(written.tables)}, {written.rows} rows")
+    if incomplete:
+        click.echo(f"inteco-abs: {file}: {incomplete}; {len(made.session.ticks)} ticks are whole", err=True)
+    return LOSSES if incomplete else 0
+
+
+@click.command()
+@click.argument("file", type=FILE)
+@click.argument("name", required=False)
+@click.option("--out", "-o", type=FILE, help="File or folder to write it to; default: standard output.")
+@json_option
+def get(file: Path, name: str | None, out: Path | None, as_json: bool) -> int:
+    """List the files in a session, or take out the one called NAME, such as config.toml."""
+    from inteco_abs.sessions import attached, extract, read_session
+
+    if name is None and out is not None:
+        raise ConfigError([Mistake("--out", f"{out}: say which file to write there: get FILE NAME --out OUT")])
+    if name is not None and out is None and as_json:
+        raise ConfigError([Mistake("--json", "standard output has the file itself; name another place with --out")])
+    session = read_whole(file, read_session)
+    if name is None:
+        _list(session, as_json)
+    elif out is None:
+        click.echo(attached(session, name), nl=False)
+    else:
+        path = extract(session, name, out)
+        size = len(session.attachments[name])
+        if as_json:
+            print_json({"schema_version": 1, "session": str(file), "name": name, "path": str(path), "bytes": size})
+        else:
+            click.echo(f"{path}: {size} bytes")
+    return LOSSES if session.incomplete else 0
+
+
+def _list(session: Session, as_json: bool) -> None:
+    sizes = {name: len(data) for name, data in session.attachments.items()}
+    if as_json:
+        print_json({"schema_version": 1, "session": str(session.path), "attachments": sizes})
+        return
+    for name, size in sizes.items():
+        click.echo(f"{plain(name)}  {size} bytes")

@@ -1,0 +1,77 @@
+"""The verb `diff`: what changed between two sessions."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from inteco_abs.cli.shared import DIFFERS, FILE, LOSSES, json_option, plain, print_json, read_whole
+from inteco_abs.errors import ConfigError, Mistake, near_match
+
+if TYPE_CHECKING:
+    from inteco_abs.sessions import Change, Diff, Session, SignalChange
+
+
+@click.command()
+@click.argument("a", type=FILE)
+@click.argument("b", type=FILE)
+@click.option("--only", multiple=True, metavar="SECTION", help="Compare this, and what other --only name.")
+@click.option("--rel", type=click.FloatRange(0.0, 1.0), default=0.0, help="Metrics and signals this near are equal.")
+@json_option
+def diff(a: Path, b: Path, only: tuple[str, ...], rel: float, as_json: bool) -> int:
+    """Say what changed from session A to session B.
+
+    Sections: outcome, result, signals (from the start of braking on), gains, configuration, software, host, rig. Ends
+    with 4 if anything differs in those that --only names, by default in any; --rel 0.05 lets metrics differ by 5 % and
+    signals by 5 % of their peak.
+    """
+    from inteco_abs.sessions import SECTIONS, diff_sessions
+
+    mistakes = [Mistake("--only", f"no section {name!r}{near_match(name, SECTIONS)}") for name in only]
+    mistakes = [mistake for mistake, name in zip(mistakes, only, strict=True) if name not in SECTIONS]
+    if mistakes:
+        raise ConfigError(mistakes)
+    first, second = (read_whole(file, _on_disk) for file in (a, b))
+    found = diff_sessions(first, second, only, rel)
+    if as_json:
+        changes = {name: [change._asdict() for change in of_section] for name, of_section in found.changes.items()}
+        print_json({"schema_version": 1, "a": str(a), "b": str(b), "equal": found.equal, "changes": changes})
+    else:
+        _print(a, b, found)
+    if not found.equal:
+        return DIFFERS
+    return LOSSES if first.incomplete or second.incomplete else 0
+
+
+def _on_disk(file: Path) -> Session:
+    from inteco_abs.sessions import read_session
+
+    return read_session(file, Path(tempfile.gettempdir()))
+
+
+def _print(a: Path, b: Path, found: Diff) -> None:
+    if found.equal:
+        click.echo(f"{a} and {b} do not differ in {', '.join(found.changes)}")
+    for name, changes in found.changes.items():
+        if changes:
+            click.echo(name)
+        for change in changes:
+            click.echo(f"  {plain(_line(change))}")
+
+
+def _line(change: Change | SignalChange) -> str:
+    from inteco_abs.sessions import SignalChange
+
+    if not isinstance(change, SignalChange):
+        return f"{change.key}: {_value(change.a)} -> {_value(change.b)}"
+    unit = "" if change.unit == "1" else f" {change.unit}"
+    line = f"{change.key}: up to {change.max_difference:.4g}{unit} at {change.at_s:.3f} s, "
+    line += f"RMS {change.rms_difference:.4g}{unit} over {change.ticks} ticks"
+    return f"{line}; {change.one_sided} ticks are a number in one only" if change.one_sided else line
+
+
+def _value(value: Any) -> str:
+    return "-" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,292 @@
+"""The container of a session, MCAP: its records as a table, taken apart with no declared length believed.
+
+Source: mcap.dev, specification, "Records".
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from enum import IntEnum
+from functools import lru_cache
+from typing import Any, BinaryIO, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import zstandard
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+HEAD: Final = struct.Struct("<BQ")
+LARGEST_RECORD: Final = 1 << 26
+"""Bytes: what a chunk or an attachment of a session never reaches."""
+_LARGEST_CHUNK: Final = 1 << 24
+_MOST_EXPANSION: Final = 100
+"""Bytes unpacked per byte of file; ticks of a wheel at rest reach about 40. More is a bomb, not a session."""
+_MESSAGE_HEAD: Final = 22
+_SAME: Final = 11
+"""Bytes of type, length and channel at the beginning of a message."""
+_ONE_BY_ONE: Final = 24
+"""Messages up to which a run is followed one by one: a recorder that drains often writes ten."""
+
+
+class Opcode(IntEnum):
+    """Types of records."""
+
+    HEADER = 1
+    FOOTER = 2
+    SCHEMA = 3
+    CHANNEL = 4
+    MESSAGE = 5
+    CHUNK = 6
+    MESSAGE_INDEX = 7
+    CHUNK_INDEX = 8
+    ATTACHMENT = 9
+    ATTACHMENT_INDEX = 10
+    STATISTICS = 11
+    METADATA = 12
+    METADATA_INDEX = 13
+    SUMMARY_OFFSET = 14
+    DATA_END = 15
+
+
+LAYOUTS: Final[dict[int, str]] = {
+    Opcode.HEADER: "ss",
+    Opcode.FOOTER: "QQI",
+    Opcode.SCHEMA: "Hssm",
+    Opcode.CHANNEL: "HHssm",
+    Opcode.CHUNK: "QQQIsb",
+    Opcode.MESSAGE_INDEX: "Hm",
+    Opcode.CHUNK_INDEX: "QQQQmQsQQ",
+    Opcode.ATTACHMENT: "QQssbI",
+    Opcode.ATTACHMENT_INDEX: "QQQQQss",
+    Opcode.STATISTICS: "QHIIIIQQm",
+    Opcode.METADATA: "sm",
+    Opcode.METADATA_INDEX: "QQs",
+    Opcode.SUMMARY_OFFSET: "BQQ",
+    Opcode.DATA_END: "I",
+}
+"""Fields in order: an unsigned integer as in `struct`, s text, m and b bytes after their 4- or 8-byte length."""
+_INTEGERS: Final = {code: struct.Struct(f"<{code}") for code in "BHIQ"}
+_LENGTHS: Final = {"s": _INTEGERS["I"], "m": _INTEGERS["I"], "b": _INTEGERS["Q"]}
+
+
+_KINDS: Final = {int(opcode): opcode.name.lower().replace("_", " ") for opcode in Opcode}
+
+
+class DamagedError(Exception):
+    """A record contradicts itself, or the file."""
+
+
+class Entry(NamedTuple):
+    """A record that is all there."""
+
+    opcode: int
+    at: int
+    """Offset of its content in the file or chunk."""
+    data: memoryview
+
+    @property
+    def start(self) -> int:
+        """Offset of the record itself."""
+        return self.at - HEAD.size
+
+    @property
+    def end(self) -> int:
+        """Offset of what follows."""
+        return self.at + len(self.data)
+
+
+class Run(NamedTuple):
+    """Messages of one channel and one size, one after the other in a chunk."""
+
+    channel: int
+    rows: npt.NDArray[np.void]
+    """Columns `sequence`, `log_time` in ns and `data`; a view."""
+
+
+class Allowance:
+    """How much the chunks of a file may unpack to, all together."""
+
+    def __init__(self, file_bytes: int) -> None:
+        self._left = _LARGEST_CHUNK + _MOST_EXPANSION * file_bytes
+
+    def spend(self, size: int) -> None:
+        """Take `size` bytes; raises DamagedError if they are not left."""
+        if size > self._left:
+            raise DamagedError("unpacks to more than a session of this size can hold")
+        self._left -= size
+
+
+class RecordFile:
+    """The records of an open file in order, each only if it is all there; reads every byte once."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self._file = file
+        self._size = size
+        self._crc = zlib.crc32(file.read(len(MAGIC)))
+        self.crc = 0
+        """Checksum of everything before the newest record."""
+
+    def __iter__(self) -> Iterator[Entry]:
+        at = len(MAGIC)
+        while at + HEAD.size <= self._size:
+            head = self._file.read(HEAD.size)
+            opcode, length = HEAD.unpack(head)
+            at += HEAD.size
+            if length > self._size - at:
+                return
+            if length > LARGEST_RECORD:
+                raise DamagedError(f"record at byte {at} claims {length} bytes, more than {LARGEST_RECORD}")
+            data = self._file.read(length)
+            self.crc = self._crc
+            self._crc = zlib.crc32(data, zlib.crc32(head, self._crc))
+            yield Entry(opcode, at, memoryview(data))
+            at += length
+
+
+def kind(opcode: int) -> str:
+    """A type of record in words."""
+    return _KINDS.get(opcode, f"record of type {opcode}")
+
+
+def fields(opcode: int, data: memoryview, *, exact: bool = False) -> list[Any]:
+    """Fields of a record by the table above; bytes behind them are a later version's, and refused if `exact`.
+
+    Raises DamagedError.
+    """
+    at, found = 0, list[Any]()
+    try:
+        for code in LAYOUTS[opcode]:
+            layout = _LENGTHS.get(code) or _INTEGERS[code]
+            (value,) = layout.unpack_from(data, at)
+            at += layout.size
+            if code in _LENGTHS:
+                end = at + value
+                if end > len(data):
+                    raise DamagedError(f"{value} bytes leave the record")
+                value, at = data[at:end], end
+            found.append(str(value, "utf-8") if code == "s" else value)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise DamagedError(str(error)) from error
+    if exact and at != len(data):
+        raise DamagedError(f"{len(data) - at} bytes too many")
+    return found
+
+
+def text_map(data: memoryview) -> dict[str, str]:
+    """Texts by name, as metadata and channels have them; raises DamagedError."""
+    facts, at = {}, 0
+    while at < len(data):
+        key, at = _text(data, at)
+        facts[key], at = _text(data, at)
+    return facts
+
+
+def _text(data: memoryview, at: int) -> tuple[str, int]:
+    try:
+        (length,) = _INTEGERS["I"].unpack_from(data, at)
+        end = at + 4 + length
+        if end > len(data):
+            raise DamagedError(f"text of {length} bytes leaves its record")
+        return str(data[at + 4 : end], "utf-8"), end
+    except (struct.error, UnicodeDecodeError) as error:
+        raise DamagedError(str(error)) from error
+
+
+def attachment(data: memoryview) -> tuple[str, str, bytes]:
+    """Name, media type and content of an attachment; raises DamagedError if its checksum fails."""
+    _, _, name, media_type, content, crc = fields(Opcode.ATTACHMENT, data, exact=True)
+    if crc not in (0, zlib.crc32(data[:-4])):
+        raise DamagedError(f"attachment {name!r} fails its checksum")
+    return name, media_type, bytes(content)
+
+
+def unpack_chunk(data: memoryview, allowance: Allowance, *, checked: bool = False) -> bytes:
+    """Records of a chunk; raises DamagedError if it contradicts itself, or if `checked` and it has no checksum."""
+    _, _, size, crc, compression, packed = fields(Opcode.CHUNK, data, exact=True)
+    if size > _LARGEST_CHUNK:
+        raise DamagedError(f"claims {size} bytes, more than {_LARGEST_CHUNK}")
+    allowance.spend(size)
+    if compression == "zstd":
+        raw = _decompressed(packed, size)
+    elif not compression:
+        raw = bytes(packed)
+    else:
+        raise DamagedError(f"is compressed with {compression!r}; this version reads zstd")
+    if checked and not crc:
+        raise DamagedError("has no checksum")
+    if len(raw) != size or crc not in (0, zlib.crc32(raw)):
+        raise DamagedError("fails its checksum")
+    return raw
+
+
+def _decompressed(packed: memoryview, size: int) -> bytes:
+    try:
+        # the frame's own header also claims a size, and would be believed before ours
+        if zstandard.frame_content_size(packed) not in (-1, size):
+            raise DamagedError("contradicts its own size")
+        return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+    except zstandard.ZstdError as error:
+        raise DamagedError(str(error)) from error
+
+
+def chunk_parts(raw: bytes) -> Iterator[Entry | Run]:
+    """What an unpacked chunk holds, in order; raises DamagedError at a record that leaves it."""
+    at = 0
+    while at < len(raw):
+        if at + HEAD.size > len(raw):
+            raise DamagedError(f"has {len(raw) - at} bytes behind its last record")
+        opcode, length = HEAD.unpack_from(raw, at)
+        at += HEAD.size
+        if length > len(raw) - at:
+            raise DamagedError(f"holds a record of {length} bytes, which leaves it")
+        if opcode != Opcode.MESSAGE:
+            yield Entry(opcode, at, memoryview(raw)[at : at + length])
+            at += length
+            continue
+        if length < _MESSAGE_HEAD:
+            raise DamagedError(f"holds a message of {length} bytes, less than a message's head")
+        rows = _run(raw, at - HEAD.size, length)
+        yield Run(int(rows["channel"][0]), rows)
+        at += len(rows) * (HEAD.size + length) - HEAD.size
+
+
+def _run(raw: bytes, at: int, length: int) -> npt.NDArray[np.void]:
+    """The messages from `at` on whose type, length and channel are those of the first."""
+    stride = HEAD.size + length
+    most = (len(raw) - at) // stride
+    head = raw[at : at + _SAME]
+    count = 1
+    while count < min(most, _ONE_BY_ONE) and raw[at + count * stride : at + count * stride + _SAME] == head:
+        count += 1
+    if count == _ONE_BY_ONE:
+        count = _long_run(raw, at, stride, count, most)
+    return np.ndarray(count, _message(length - _MESSAGE_HEAD), raw, at)
+
+
+def _long_run(raw: bytes, at: int, stride: int, count: int, most: int) -> int:
+    """How long a run is that has at least `count` messages, and `most` if it goes on to the end."""
+    # these eleven bytes of every record, as two integers that overlap
+    heads = [np.ndarray(most, "<u8", raw, at + skip, (stride,)) for skip in (0, _SAME - 8)]
+    ahead = _ONE_BY_ONE
+    while count < most:
+        others = np.logical_or.reduce([head[count : count + ahead] != head[0] for head in heads])
+        if others.any():
+            return count + int(others.argmax())
+        count, ahead = min(count + ahead, most), 16 * ahead
+    return count
+
+
+@lru_cache(maxsize=64)
+def _message(size: int) -> np.dtype[np.void]:
+    """A message record with `size` bytes of data."""
+    layout: np.dtype[np.void] = np.dtype(
+        {
+            "names": ["channel", "sequence", "log_time", "data"],
+            "formats": ["<u2", "<u4", "<u8", f"V{size}"],
+            "offsets": [9, 11, 15, 31],
+            "itemsize": HEAD.size + _MESSAGE_HEAD + size,
+        }
+    )
+    return layout

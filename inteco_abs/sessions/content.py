@@ -1,0 +1,189 @@
+"""What the records of a session say, gathered one by one."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from inteco_abs.records.schema import LOG_TOPIC, TICK, TRUTH, Message
+from inteco_abs.records.wire import fields as wire_fields
+from inteco_abs.sessions.container import (
+    DamagedError,
+    Entry,
+    Opcode,
+    Run,
+    attachment,
+    chunk_parts,
+    fields,
+    text_map,
+)
+from inteco_abs.sessions.rows import Rows
+
+LIBRARY: Final = "inteco-abs/"
+PREFIX: Final = "inteco_abs."
+FLAT: Final[Mapping[str, Message]] = {TICK.topic: TICK, TRUTH.topic: TRUTH}
+"""Messages that are kept as rows."""
+_LONGEST_EVENT: Final = 1000
+_HIGHEST_LEVEL: Final = 5
+
+
+class Event(NamedTuple):
+    """A line of the session's log."""
+
+    unix_ns: int
+    level: int
+    """2 information, 3 warning, 4 error: those of `foxglove.Log`."""
+    text: str
+
+
+class Attached(NamedTuple):
+    """A file in the session."""
+
+    media_type: str
+    data: bytes
+
+
+class Batch(NamedTuple):
+    """The ticks or truths of one chunk."""
+
+    data: bytes
+    values: npt.NDArray[np.void]
+    """One row per message, over the data."""
+    sequence: npt.NDArray[np.uint32]
+    log_time: npt.NDArray[np.uint64]
+    """UNIX time, ns."""
+
+    @classmethod
+    def of(cls, runs: Sequence[Run], message: Message) -> Self:
+        """The messages of `runs`; raises DamagedError unless each of them is a `message`."""
+        data = b"".join([run.rows["data"].tobytes() for run in runs])
+        sizes = {run.rows.dtype["data"].itemsize for run in runs}
+        if sizes != {message.size} or not message.well_formed(data):
+            raise DamagedError(f"a message of {message.topic} has not the layout of {message.name}")
+        sequence, log_time = (np.concatenate([run.rows[name] for run in runs]) for name in ("sequence", "log_time"))
+        return cls(data, message.array(data), sequence, log_time)
+
+
+@dataclass(slots=True)
+class Content:
+    """What was read so far; `rows` is where ticks and truths go, by topic, back to back."""
+
+    rows: Mapping[str, Rows] = field(default_factory=dict)
+    library: str = LIBRARY
+    """Program that wrote the file; assumed ours until the header says otherwise."""
+    schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)
+    channels: dict[int, tuple[str, int]] = field(default_factory=dict)
+    """Topic and schema by the channel's number."""
+    understood: bool = False
+    """The channels have been found to be declared as here."""
+    channel_facts: dict[str, dict[str, str]] = field(default_factory=dict)
+    messages: int = 0
+    """In chunks, of all channels."""
+    events: list[Event] = field(default_factory=list)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    """By record name without `inteco_abs.`; records of one name are merged, the later one wins."""
+    attachments: dict[str, Attached] = field(default_factory=dict)
+    epoch_ns: int | None = None
+    """UNIX time of the monotonic clock's zero, once there was a tick."""
+    hash: hashlib._Hash = field(default_factory=hashlib.sha256)
+    """Over the ticks."""
+
+    def take(self, entry: Entry) -> None:
+        """One record of the file or of a chunk, messages apart. Raises DamagedError."""
+        if not entry.opcode:
+            raise DamagedError("has no type")
+        if entry.opcode == Opcode.MESSAGE:
+            raise DamagedError("stands outside of a chunk")
+        taker = _TAKERS.get(entry.opcode)
+        if taker is not None:
+            taker(self, entry.data)
+
+    def take_chunk(self, raw: bytes) -> dict[str, Batch]:
+        """Everything in an unpacked chunk; ticks and truths by topic. Raises DamagedError."""
+        runs: dict[str, list[Run]] = {}
+        for part in chunk_parts(raw):
+            if isinstance(part, Entry):
+                self.take(part)
+            elif part.channel in self.channels:
+                runs.setdefault(self.channels[part.channel][0], []).append(part)
+                self.messages += len(part.rows)
+            else:
+                raise DamagedError(f"holds a message of channel {part.channel}, which nothing declares")
+        if not self.understood and runs.keys() & FLAT.keys():
+            self.check_schemas()
+        for run in runs.get(LOG_TOPIC, ()):
+            self.events += map(event, run.rows["log_time"].tolist(), run.rows["data"].tolist())
+        batches = {topic: Batch.of(runs[topic], FLAT[topic]) for topic in FLAT if topic in runs}
+        for topic, batch in batches.items():
+            self._keep(topic, batch)
+        return batches
+
+    def check_schemas(self) -> None:
+        """Raises DamagedError if ticks or truths are declared with another layout than here."""
+        for topic, number in self.channels.values():
+            known = FLAT.get(topic)
+            if known is not None and self.schemas.get(number) != (known.name, known.descriptor()):
+                raise DamagedError(
+                    f"{topic} has another layout than {known.name} here: another version of this program made it"
+                )
+        self.understood = True
+
+    @property
+    def announces_ticks(self) -> bool:
+        """Whether a channel has the topic of ticks."""
+        return any(topic == TICK.topic for topic, _ in self.channels.values())
+
+    def _keep(self, topic: str, batch: Batch) -> None:
+        if topic == TICK.topic:
+            self.hash.update(batch.data)
+            if self.epoch_ns is None:
+                self.epoch_ns = int(batch.log_time[0]) - int(batch.values["time_ns"][0])
+        if topic in self.rows:
+            self.rows[topic].write(batch.data)
+
+    def _take_header(self, data: memoryview) -> None:
+        _, self.library = fields(Opcode.HEADER, data)
+
+    def _take_schema(self, data: memoryview) -> None:
+        number, name, _, descriptor = fields(Opcode.SCHEMA, data)
+        self.schemas[number] = name, bytes(descriptor)
+
+    def _take_channel(self, data: memoryview) -> None:
+        number, schema, topic, _, facts = fields(Opcode.CHANNEL, data)
+        self.channels[number] = topic, schema
+        self.understood = False
+        self.channel_facts[topic] = text_map(facts)
+
+    def _take_metadata(self, data: memoryview) -> None:
+        name, facts = fields(Opcode.METADATA, data)
+        self.metadata.setdefault(name.removeprefix(PREFIX), {}).update(text_map(facts))
+
+    def _take_attachment(self, data: memoryview) -> None:
+        name, media_type, content = attachment(data)
+        self.attachments[name] = Attached(media_type, content)
+
+
+_TAKERS: Final[Mapping[int, Callable[[Content, memoryview], None]]] = {
+    Opcode.HEADER: Content._take_header,  # noqa: SLF001  the class's own table
+    Opcode.SCHEMA: Content._take_schema,  # noqa: SLF001
+    Opcode.CHANNEL: Content._take_channel,  # noqa: SLF001
+    Opcode.METADATA: Content._take_metadata,  # noqa: SLF001
+    Opcode.ATTACHMENT: Content._take_attachment,  # noqa: SLF001
+}
+
+
+def event(log_time: int, data: bytes) -> Event:
+    """An encoded `foxglove.Log`; raises DamagedError if it is none."""
+    try:
+        found = dict(wire_fields(data))
+    except ValueError as error:
+        raise DamagedError(f"an event cannot be read: {error}") from error
+    level, text = found.get(2, 0), found.get(3, b"")
+    if not isinstance(level, int) or level > _HIGHEST_LEVEL or not isinstance(text, bytes):
+        raise DamagedError("an event cannot be read: its level or its text is none")
+    return Event(log_time, level, text[:_LONGEST_EVENT].decode("utf-8", "replace"))

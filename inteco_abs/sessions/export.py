@@ -1,0 +1,163 @@
+"""Writes a session's tables for other programs: CSV and NumPy in the base install, MATLAB and Parquet with an extra."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.lib.recfunctions import repack_fields
+
+from inteco_abs.errors import AbsError, SessionError
+from inteco_abs.sessions.output import check_output, only_whole
+from inteco_abs.sessions.reader import Session, read_session
+from inteco_abs.sessions.tables import Table, tables
+
+_BLOCK_ROWS: Final = 1 << 14
+
+
+class Written(NamedTuple):
+    """A file that an export made."""
+
+    path: Path
+    tables: tuple[str, ...]
+    rows: int
+    """Of all of its tables."""
+
+
+class Export(NamedTuple):
+    """What an export made of a session."""
+
+    session: Session
+    files: list[Written]
+
+
+class _Format(NamedTuple):
+    write: Callable[[Path, list[Table], Session], None]
+    one_table_a_file: bool
+    package: str = ""
+    """What it needs beyond the base install."""
+
+
+def export_session(source: Path, form: str, out: Path) -> Export:
+    """Write the session at `source` to `out` in one of `FORMATS`, by way of the disk: an hour needs little memory.
+
+    Where a file holds one table only, `out` has the ticks, and what else there is lies beside it, as `stop.truth.csv`
+    beside `stop.csv`. Raises ConfigError, SessionError, or AbsError where the format's package is not installed.
+    """
+    chosen = FORMATS[form]
+    if chosen.package and importlib.util.find_spec(chosen.package) is None:
+        raise AbsError(f"--format {form} needs {chosen.package}: pip install 'inteco-abs[export]'")
+    check_output(out)
+    session = read_session(source, out.parent)
+    found = tables(session)
+    groups = [[table] for table in found] if chosen.one_table_a_file else [found]
+    paths = [out, *(out.with_name(f"{out.stem}.{group[0].name}{out.suffix}") for group in groups[1:])]
+    for path in paths[1:]:
+        check_output(path)
+    with ExitStack() as parts:
+        for path, group in zip(paths, groups, strict=True):
+            _write(chosen, parts.enter_context(only_whole(path)), group, session)
+    return Export(session, list(map(_written, paths, groups)))
+
+
+def _write(chosen: _Format, part: Path, group: list[Table], session: Session) -> None:
+    try:
+        chosen.write(part, group, session)
+    except (OSError, ValueError) as error:  # scipy's own errors of arrays too large for its format are ValueErrors
+        raise SessionError(f"{part} cannot be written: {getattr(error, 'strerror', None) or error}") from error
+
+
+def _written(path: Path, group: list[Table]) -> Written:
+    return Written(path, tuple(table.name for table in group), sum(len(table.rows) for table in group))
+
+
+def _csv(path: Path, group: list[Table], _session: Session) -> None:
+    (table,) = group
+    with path.open("x", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(table.units)
+        for first, end in _blocks(table):
+            columns = [table.column(name, first, end) for name in table.units]
+            numbers = [column.view(np.uint8) if column.dtype == bool else column for column in columns]
+            writer.writerows(zip(*(column.tolist() for column in numbers), strict=True))
+
+
+def _npz(path: Path, group: list[Table], session: Session) -> None:
+    with zipfile.ZipFile(path, "x") as archive:
+        for table in group:
+            packed = repack_fields(table.rows[:0])
+            with archive.open(f"{table.name}.npy", "w", force_zip64=True) as file:
+                head = {"descr": npy.dtype_to_descr(packed.dtype), "fortran_order": False, "shape": (len(table.rows),)}
+                npy.write_array_header_2_0(file, head)
+                for first, end in _blocks(table):
+                    file.write(repack_fields(table.rows[first:end]).tobytes())
+        for name, text in _texts(group, session).items():
+            with archive.open(f"{name}.npy", "w") as file:
+                npy.write_array(file, np.array(text))
+
+
+def _mat(path: Path, group: list[Table], session: Session) -> None:
+    from scipy.io import savemat  # noqa: PLC0415  heavy, and an extra
+
+    content: dict[str, Any] = {table.name: _struct(table) for table in group}
+    content["units"] = {table.name: table.units for table in group}
+    content["metadata"] = _texts(group, session)["metadata"]
+    with path.open("xb") as file:
+        savemat(file, content, long_field_names=True, oned_as="column")
+
+
+def _struct(table: Table) -> dict[str, Any]:
+    """Columns by name; texts as a cell array."""
+    columns = {name: table.rows[name] for name in table.units}
+    return {name: values.astype(object) if values.dtype.kind == "U" else values for name, values in columns.items()}
+
+
+def _parquet(path: Path, group: list[Table], session: Session) -> None:
+    import pyarrow as pa  # noqa: PLC0415  heavy, and an extra
+    from pyarrow import parquet  # noqa: PLC0415
+
+    (table,) = group
+    fields = [
+        pa.field(
+            name,
+            pa.string() if values.kind == "U" else pa.from_numpy_dtype(values),
+            metadata={"unit": table.units[name], "meaning": table.meanings[name]},
+        )
+        for name, values in ((name, table.rows.dtype[name]) for name in table.units)
+    ]
+    schema = pa.schema(fields, metadata={"inteco_abs": _texts(group, session)["metadata"]})
+    with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
+        for first, end in _blocks(table):
+            columns = [table.column(name, first, end) for name in table.units]
+            arrays = [pa.array(values, field.type) for values, field in zip(columns, fields, strict=True)]
+            writer.write_batch(pa.record_batch(arrays, schema))
+
+
+def _texts(group: list[Table], session: Session) -> dict[str, str]:
+    """What is said about the numbers, as JSON."""
+    return {
+        "units": json.dumps({table.name: table.units for table in group}),
+        "meanings": json.dumps({table.name: table.meanings for table in group}),
+        "metadata": json.dumps({**session.metadata, "epoch": {"unix_ns": str(session.epoch_ns)}}),
+    }
+
+
+def _blocks(table: Table) -> Iterator[tuple[int, int]]:
+    for first in range(0, len(table.rows), _BLOCK_ROWS):
+        yield first, min(first + _BLOCK_ROWS, len(table.rows))
+
+
+FORMATS: Final[dict[str, _Format]] = {
+    "csv": _Format(_csv, one_table_a_file=True),
+    "npz": _Format(_npz, one_table_a_file=False),
+    "mat": _Format(_mat, one_table_a_file=False, package="scipy"),
+    "parquet": _Format(_parquet, one_table_a_file=True, package="pyarrow"),
+}

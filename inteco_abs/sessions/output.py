@@ -1,0 +1,49 @@
+"""Where a new file may be, and how it gets there: as a whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from inteco_abs.errors import ConfigError, Mistake, SessionError
+
+_PART: Final = ".part"
+
+
+def check_output(path: Path) -> None:
+    """Refuse, before anything is opened, a path where no new session can be.
+
+    Raises ConfigError, or SessionError where the folder cannot be written to.
+    """
+    problem = ""
+    try:
+        if path.is_dir():
+            problem = "is a folder; name a file, such as stop.mcap"
+        elif path.exists():
+            problem = "exists already, and sessions are never overwritten; choose another name"
+        elif not path.parent.is_dir():
+            problem = f"the folder {path.parent} does not exist; create it first"
+    except OSError as error:  # a name that no file can have
+        problem = error.strerror or "cannot be a file's name"
+    if problem:
+        raise ConfigError([Mistake("--out", f"{path}: {problem}")])
+    if not os.access(path.parent, os.W_OK):
+        raise SessionError(f"{path} cannot be created: the folder {path.parent} cannot be written to")
+
+
+@contextmanager
+def only_whole(out: Path) -> Iterator[Path]:
+    """Where to write what becomes `out` at the end. Its source still exists: of a failure nothing is left."""
+    part = out.with_name(f"{out.name}.{os.getpid()}{_PART}")
+    try:
+        yield part
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    try:
+        part.replace(out)
+    except OSError as error:
+        raise SessionError(f"{part} is complete but cannot be renamed to {out}: {error.strerror}") from error

@@ -1,0 +1,61 @@
+"""Where the rows of a session go while it is read: into memory, or onto the disk if they may be too many."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+from io import BytesIO
+from pathlib import Path
+from typing import Protocol, Self
+
+from inteco_abs.errors import SessionError
+
+
+class Rows(Protocol):
+    """Messages of one constant layout, back to back."""
+
+    def write(self, data: bytes, /) -> object:
+        """More of them; raises SessionError where there is no room."""
+
+    def contents(self) -> bytes | memoryview:
+        """All of them."""
+
+
+class RowsInMemory(BytesIO):
+    """Rows in memory."""
+
+    def contents(self) -> bytes:
+        return self.getvalue()
+
+
+class RowsOnDisk:
+    """Rows in a file in `folder` that has no name, and is gone once nobody uses its contents any more."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        try:
+            self._file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115  closed on exit
+        except OSError as error:
+            raise self._no_room(error) from error
+
+    def write(self, data: bytes, /) -> None:
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            raise self._no_room(error) from error
+
+    def contents(self) -> bytes | memoryview:
+        size = os.fstat(self._file.fileno()).st_size
+        return memoryview(mmap.mmap(self._file.fileno(), size, access=mmap.ACCESS_READ)) if size else b""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._file.close()
+
+    def _no_room(self, error: OSError) -> SessionError:
+        return SessionError(f"{self._folder}: has no room for what the session unpacks to: {error.strerror}")

@@ -1,0 +1,304 @@
+"""Makes a whole session of a damaged file: every tick of every chunk that proves itself, and nothing else."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from inteco_abs.config import RigConfig, parse_config
+from inteco_abs.errors import ConfigError, SessionError
+from inteco_abs.records.schema import TICK, TRUTH, Message
+from inteco_abs.sessions.container import DamagedError, Entry, Opcode, Run, chunk_parts, kind
+from inteco_abs.sessions.content import FLAT, Batch, Content
+from inteco_abs.sessions.output import check_output, only_whole
+from inteco_abs.sessions.reader import check_data, regular_file
+from inteco_abs.sessions.recorder import Recorder, utc
+from inteco_abs.sessions.replay import CONFIG_NAME, RECOVERED
+from inteco_abs.sessions.result import link_errors, result_card, timing_card
+from inteco_abs.sessions.rows import Rows, RowsOnDisk
+from inteco_abs.sessions.survey import Survey, Whole
+
+_LATEST_NS: Final = 1 << 63
+_BLOCK_TICKS: Final = 4096
+_MOST_IN_WORDS: Final = 5
+_MOST_LOSSES: Final = 1000
+_OF_THE_END: Final = ("outcome", "reason", "ticks", "overruns", "lost_ticks", "ended_utc")
+
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """What was made of a damaged file."""
+
+    card: dict[str, Any]
+    missing: tuple[tuple[int, int], ...]
+    """First and last of the ticks of each gap; of the last one only where the file says how many there were."""
+    losses: tuple[str, ...]
+    """In words; empty if nothing was lost."""
+
+
+def recover_session(source: Path, out: Path) -> Recovery:
+    """Write what is whole of the session at `source` to `out`, as a session with the outcome `recovered`.
+
+    A chunk whose checksum fails gives no tick. Raises ConfigError or SessionError if `out` cannot be written, and
+    SessionError if there is no tick to recover.
+    """
+    check_output(out)
+    with RowsOnDisk(out.parent) as ticks, RowsOnDisk(out.parent) as truths:
+        remains = _Remains(_Taken(TICK, ticks), _Taken(TRUTH, truths))
+        with regular_file(source) as (file, size):
+            remains.gather(file, size)
+        return _Anew(source, out, remains).write()
+
+
+class _Taken:
+    """Ticks or truths that were taken."""
+
+    def __init__(self, message: Message, rows: Rows) -> None:
+        self._message = message
+        self._rows = rows
+        self._number = self._time_ns = -1
+
+    def array(self) -> Array:
+        """Everything taken, on the disk."""
+        return self._message.array(self._rows.contents())
+
+    def judge(self, batch: Batch, epoch_ns: int | None) -> int:
+        """Epoch of messages that come after those that were judged. Raises DamagedError if they do not."""
+        log_time, times = batch.log_time, batch.values["time_ns"]
+        if max(log_time.max(), times.max()) >= _LATEST_NS:
+            raise DamagedError("its times are of no date")
+        epochs = log_time.astype(np.int64) - times.astype(np.int64)
+        if (epochs != (epochs[0] if epoch_ns is None else epoch_ns)).any():
+            raise DamagedError("its two clocks do not go together")
+        numbers = batch.values["tick"] if self._message is TICK else batch.sequence
+        forward = np.diff(numbers.astype(np.int64), prepend=self._number) > 0
+        if not forward.all() or (np.diff(times.astype(np.int64), prepend=self._time_ns) < 0).any():
+            raise DamagedError("it repeats what was there before")
+        self._number, self._time_ns = int(numbers[-1]), int(times[-1])
+        return int(epochs[0])
+
+    def keep(self, data: bytes) -> None:
+        """Rows that were judged."""
+        self._rows.write(data)
+
+    @property
+    def newest(self) -> tuple[int, int]:
+        """Number and time of the last row judged."""
+        return self._number, self._time_ns
+
+    def back_to(self, newest: tuple[int, int]) -> None:
+        """Forget what was judged after that."""
+        self._number, self._time_ns = newest
+
+
+class _Remains:
+    """What is whole in a file."""
+
+    def __init__(self, ticks: _Taken, truths: _Taken) -> None:
+        self.content = Content()
+        self.rows = {TICK.topic: ticks, TRUTH.topic: truths}
+        self.losses: list[str] = []
+        """In words, as many as anybody would read."""
+        self.data_ended = False
+        self.epoch_ns: int | None = None
+
+    def gather(self, file: BinaryIO, size: int) -> None:
+        """Everything that proves itself. Raises SessionError if another version wrote it."""
+        for part in Survey(file, size):
+            if isinstance(part, Whole):
+                self._take(part)
+            elif not self.data_ended:  # behind the data's end there is only an index, which is made anew
+                self._lose(f"bytes {part.start}..{part.end - 1}: {part.problem}")
+        if not self.data_ended:
+            self._lose("the data has no end: what came after the last tick is not known")
+
+    def _lose(self, problem: str) -> None:
+        if len(self.losses) < _MOST_LOSSES:
+            self.losses.append(problem)
+
+    def _take(self, whole: Whole) -> None:
+        entry = whole.entry
+        try:
+            if whole.raw is not None:
+                self._take_chunk(whole.raw)
+            elif entry.opcode == Opcode.DATA_END:
+                self.data_ended = True
+                check_data(entry, whole.crc)
+            elif entry.opcode not in {Opcode.SCHEMA, Opcode.CHANNEL}:  # the index's copies have no checksum each
+                self.content.take(entry)
+        except DamagedError as error:
+            self._lose(f"byte {entry.start}: {kind(entry.opcode)}: {error}")
+
+    def _take_chunk(self, raw: bytes) -> None:
+        """All of its rows or none."""
+        runs: dict[str, list[Run]] = {}
+        for part in chunk_parts(raw):
+            if isinstance(part, Entry):
+                self.content.take(part)
+            else:
+                runs.setdefault(self._topic(part), []).append(part)
+        batches = {topic: Batch.of(runs[topic], FLAT[topic]) for topic in FLAT if topic in runs}
+        before = {topic: rows.newest for topic, rows in self.rows.items()}
+        epoch_ns = self.epoch_ns
+        try:
+            for topic, batch in batches.items():
+                epoch_ns = self.rows[topic].judge(batch, epoch_ns)
+        except DamagedError:
+            for topic, newest in before.items():
+                self.rows[topic].back_to(newest)
+            raise
+        self.epoch_ns = epoch_ns
+        for topic, batch in batches.items():
+            self.rows[topic].keep(batch.data)
+
+    def _topic(self, run: Run) -> str:
+        """Of a message; where its channel's declaration is lost, by the layout that no other message has."""
+        if run.channel in self.content.channels:
+            if not self.content.understood:
+                self.content.check_schemas()
+            return self.content.channels[run.channel][0]
+        size = run.rows.dtype["data"].itemsize
+        return next((topic for topic, message in FLAT.items() if size == message.size), "")
+
+
+class _Anew:
+    """The session that is made of the remains of `source`."""
+
+    def __init__(self, source: Path, out: Path, remains: _Remains) -> None:
+        self._source, self._out = source, out
+        self._facts = remains.content.metadata
+        self._content = remains.content
+        self._ticks, self._truths = remains.rows[TICK.topic].array(), remains.rows[TRUTH.topic].array()
+        self._epoch_ns = remains.epoch_ns or 0
+        self._losses = remains.losses
+        if not len(self._ticks):
+            because = f": {self._losses[0]}" if self._losses else ""
+            raise SessionError(f"{source}: holds no tick that is whole, so there is nothing to recover{because}")
+        self._missing = self._gaps()
+
+    def write(self) -> Recovery:
+        """The file, as a whole or not at all."""
+        session = self._facts.get("session", {})
+        start_ns = int(self._ticks["time_ns"][0])
+        internals = self._internals()
+        with (
+            only_whole(self._out) as part,
+            Recorder(part, start_ns, internals, session.get("session_id", ""), self._epoch_ns) as recorder,
+        ):
+            self._introduce(recorder)
+            self._copy(recorder)
+            self._judge_the_hash(recorder.payload_sha256)
+            card = self._card(recorder.payload_sha256)
+            recorder.describe("recovery", self._recovery())
+            ended = session.get("ended_utc") or utc(self._epoch_ns + int(self._ticks["time_ns"][-1]))
+            recorder.finish(RECOVERED, card["explanation"], card, ended)
+        return Recovery(card, self._missing, tuple(self._losses))
+
+    def _gaps(self) -> tuple[tuple[int, int], ...]:
+        numbers = self._ticks["tick"].astype(np.int64)
+        steps = np.diff(numbers, prepend=-1)
+        gaps = [(int(numbers[at] - steps[at]) + 1, int(numbers[at]) - 1) for at in np.flatnonzero(steps > 1)]
+        told = self._facts.get("session", {}).get("ticks", "")
+        if told.isdecimal() and len(told) < 10 and int(told) > numbers[-1] + 1:
+            gaps.append((int(numbers[-1]) + 1, int(told) - 1))
+        if gaps:
+            words = ", ".join(f"{first}..{last}" for first, last in gaps[:_MOST_IN_WORDS])
+            more = ", ..." if len(gaps) > _MOST_IN_WORDS else ""
+            self._losses.append(f"ticks {words}{more} are missing")
+        return tuple(gaps)
+
+    def _judge_the_hash(self, found: str) -> None:
+        recorded = self._facts.get("integrity", {}).get("payload_sha256")
+        if not self._losses and recorded != found:
+            self._losses.append(
+                "the ticks do not match the hash that was recorded with them"
+                if recorded
+                else "no hash says that these are all of the ticks"
+            )
+
+    def _internals(self) -> list[str]:
+        """Names of c0..c3, if their channel's declaration survived."""
+        try:
+            names = json.loads(self._content.channel_facts[TICK.topic]["internals"])
+        except (KeyError, ValueError, RecursionError):
+            return []
+        return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+
+    def _introduce(self, recorder: Recorder) -> None:
+        for name, attached in self._content.attachments.items():
+            recorder.attach(name, attached.media_type, attached.data)
+        recorder.begin(dict(self._parameters()))
+        for name, facts in self._facts.items():
+            kept = {key: value for key, value in facts.items() if name != "session" or key not in _OF_THE_END}
+            if name not in {"result", "integrity", "recovery"}:
+                recorder.describe(name, kept)
+
+    def _parameters(self) -> list[tuple[str, float]]:
+        """Reference and gains in force, as far as they survived."""
+        found = []
+        for key, value in self._facts.get("controller", {}).items():
+            name = key.removeprefix("gain.")
+            if (key == "reference_slip" or key != name) and not key.endswith(".hex"):
+                try:
+                    found.append((name, float(value)))
+                except ValueError:
+                    continue
+        return found
+
+    def _copy(self, recorder: Recorder) -> None:
+        """Ticks in blocks, each followed by the truths of its time."""
+        truths_ns, done = self._truths["time_ns"], 0
+        for at in range(0, len(self._ticks), _BLOCK_TICKS):
+            block = self._ticks[at : at + _BLOCK_TICKS]
+            last = at + _BLOCK_TICKS >= len(self._ticks)
+            end = len(truths_ns) if last else int(np.searchsorted(truths_ns, block["time_ns"][-1], side="right"))
+            recorder.ticks(block.tobytes())
+            recorder.truths(self._truths[done:end].tobytes())
+            done = end
+
+    def _recovery(self) -> dict[str, str]:
+        session = self._facts.get("session", {})
+        earlier = self._facts.get("recovery", {}).get("lost", "")
+        return {
+            "source": self._source.name,
+            "outcome": session.get("outcome", ""),
+            "reason": session.get("reason", ""),
+            "missing_ticks": json.dumps(self._missing),
+            "lost": "; ".join(([earlier] if earlier else []) + self._losses[:_MOST_IN_WORDS]),
+        }
+
+    def _card(self, payload_sha256: str) -> dict[str, Any]:
+        """The result card, with its metrics if the configuration survived."""
+        config = self._config()
+        metrics = timing_card(self._ticks) if config is None else result_card(config, self._ticks, self._truths)
+        rig = self._facts.get("rig", {})
+        told = f"made of what is whole in {self._source.name}"
+        return {
+            "schema_version": 1,
+            "session": str(self._out),
+            "outcome": RECOVERED,
+            "reason": "NONE",
+            "explanation": f"{told}: {'; '.join(self._losses[:_MOST_IN_WORDS])}" if self._losses else told,
+            "board": rig.get("board"),
+            "rig": rig.get("drawn"),
+            **metrics,
+            "lost_ticks": sum(last - first + 1 for first, last in self._missing),
+            "link_errors": link_errors(self._ticks),
+            "payload_sha256": payload_sha256,
+        }
+
+    def _config(self) -> RigConfig | None:
+        stored = self._content.attachments.get(CONFIG_NAME)
+        if stored is None:
+            return None
+        try:
+            return parse_config(stored.data.decode("utf-8"))
+        except (ConfigError, UnicodeDecodeError):
+            return None

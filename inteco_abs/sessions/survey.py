@@ -1,0 +1,176 @@
+"""Walks a file that may be damaged: every record that proves whole, and every stretch in which there is none.
+
+After damage the walk goes on at the next place where a record stands that proves itself, whatever lengths were declared
+before it.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import BinaryIO, Final
+
+from inteco_abs.sessions.container import (
+    HEAD,
+    LARGEST_RECORD,
+    LAYOUTS,
+    MAGIC,
+    Allowance,
+    DamagedError,
+    Entry,
+    Opcode,
+    attachment,
+    fields,
+    kind,
+    text_map,
+    unpack_chunk,
+)
+
+_BLOCK: Final = 1 << 20
+_ANCHOR: Final = re.compile(rb"[\x06\x09\x0c](?=.{3}[\x00-\x03]\x00{4})", re.DOTALL)
+"""Head of a chunk, attachment or metadata of at most 64 MiB: what the walk goes on at."""
+_MOST_TRIALS: Final = 16
+"""Bytes tried in vain per byte of file: a file that is made of false heads would take for ever."""
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """A record that proved itself."""
+
+    entry: Entry
+    raw: bytes | None
+    """What a chunk unpacks to."""
+    crc: int
+    """Checksum of everything in the file before it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Bytes `start` to `end` hold no record that is whole."""
+
+    start: int
+    end: int
+    problem: str
+    tail: bool
+    """The file just ends here, in the middle of a record."""
+
+
+class _CutError(DamagedError):
+    """The file ends before the record does, or so the record says."""
+
+
+class Survey:
+    """The walk through a file of `size` bytes; iterate once."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self._file = file
+        self._size = size
+        self._allowance = Allowance(size)
+        self._trials = LARGEST_RECORD + _MOST_TRIALS * size
+
+    def __iter__(self) -> Iterator[Whole | Damage]:
+        """Records and damage in the order of the file, up to the magic at its end."""
+        crc, at = 0, 0
+        if self._bytes(0, len(MAGIC)) == MAGIC:
+            crc, at = zlib.crc32(MAGIC), len(MAGIC)
+        while at < self._size and not self._is_the_end(at):
+            try:
+                entry, raw = self._record(at)
+            except DamagedError as error:
+                damage = self._damage(at, error)
+                yield damage
+                crc, at = checksum(self._file, at, damage.end, crc), damage.end
+            else:
+                yield Whole(entry, raw, crc)
+                crc = zlib.crc32(entry.data, zlib.crc32(HEAD.pack(entry.opcode, len(entry.data)), crc))
+                at = entry.end
+
+    def _record(self, at: int) -> tuple[Entry, bytes | None]:
+        """The record at `at`, and what it unpacks to; raises DamagedError if it does not prove itself."""
+        entry = self._entry(at)
+        try:
+            if entry.opcode == Opcode.CHUNK:
+                return entry, unpack_chunk(entry.data, self._allowance, checked=True)
+            if entry.opcode in LAYOUTS:
+                _prove(entry)
+            elif entry.opcode <= max(Opcode) or not self._proves(entry.end):
+                raise DamagedError("nothing proves it")  # noqa: TRY301  named below as all others
+        except DamagedError as error:
+            raise DamagedError(f"{kind(entry.opcode)}: {error}") from error
+        return entry, None
+
+    def _entry(self, at: int) -> Entry:
+        head = self._bytes(at, HEAD.size)
+        if len(head) < HEAD.size:
+            raise _CutError("the file ends in the head of a record")
+        opcode, length = HEAD.unpack(head)
+        if length > self._size - at - HEAD.size:
+            raise _CutError(f"{kind(opcode)}: its {length} bytes leave the file")
+        if length > LARGEST_RECORD:
+            raise DamagedError(f"{kind(opcode)}: claims {length} bytes, more than {LARGEST_RECORD}")
+        return Entry(opcode, at + HEAD.size, memoryview(self._bytes(at + HEAD.size, length)))
+
+    def _proves(self, at: int) -> bool:
+        """Whether a known record stands at `at`: what is before it may be of a later version."""
+        try:
+            entry = self._entry(at)
+            _prove(entry)
+        except DamagedError:
+            return False
+        return True
+
+    def _damage(self, start: int, error: DamagedError) -> Damage:
+        """From a record that does not prove itself to the next one that does."""
+        problem = str(error)
+        for at in self._anchors(start + 1):
+            try:
+                self._record(at)
+            except DamagedError:
+                continue
+            return Damage(start, at, problem, tail=False)
+        if self._trials <= 0:
+            problem += "; the search behind it was given up: too much there only looks like records"
+        end = self._size - len(MAGIC)
+        if start < end and self._is_the_end(end):
+            return Damage(start, end, problem, tail=False)
+        return Damage(start, self._size, problem, tail=isinstance(error, _CutError))
+
+    def _anchors(self, at: int) -> Iterator[int]:
+        """Where a record may begin that can prove itself, until the trials are used up."""
+        while at < self._size:
+            block = self._bytes(at, _BLOCK + HEAD.size - 1)
+            for match in _ANCHOR.finditer(block):
+                _, length = HEAD.unpack_from(block, match.start())
+                self._trials -= HEAD.size + length
+                if self._trials <= 0:
+                    return
+                yield at + match.start()
+            at += _BLOCK
+
+    def _is_the_end(self, at: int) -> bool:
+        return self._size - at == len(MAGIC) and self._bytes(at, len(MAGIC)) == MAGIC
+
+    def _bytes(self, at: int, count: int) -> bytes:
+        self._file.seek(at)
+        return self._file.read(count)
+
+
+def checksum(file: BinaryIO, start: int, end: int, crc: int = 0) -> int:
+    """Checksum of the bytes from `start` to before `end`, after those that made `crc`."""
+    file.seek(start)
+    for at in range(start, end, _BLOCK):
+        crc = zlib.crc32(file.read(min(_BLOCK, end - at)), crc)
+    return crc
+
+
+def _prove(entry: Entry) -> None:
+    """Raises DamagedError unless the record is one by its own lengths and checksum."""
+    if entry.opcode not in LAYOUTS:
+        raise DamagedError("nothing proves it")
+    found = fields(entry.opcode, entry.data, exact=True)
+    if entry.opcode == Opcode.ATTACHMENT:
+        attachment(entry.data)
+    elif entry.opcode in {Opcode.METADATA, Opcode.CHANNEL}:
+        text_map(found[-1])

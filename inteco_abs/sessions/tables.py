@@ -1,0 +1,100 @@
+"""A session as tables, for other programs: columns as numpy has them, each with its unit and its meaning."""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from inteco_abs.errors import AbsError, ConfigError, Mistake, near_match
+from inteco_abs.records.schema import TICK, TRUTH, Column, Message
+from inteco_abs.sessions.reader import Session
+
+_EVENT_COLUMNS: Final = {
+    "time_ns": ("ns", "monotonic clock, as in the tick"),
+    "unix_ns": ("ns", "wall clock, since 1970"),
+    "level": ("1", "2 information, 3 warning, 4 error"),
+    "text": ("text", "what happened"),
+}
+
+
+class Table(NamedTuple):
+    """Everything of one kind in a session, in the order of time."""
+
+    name: str
+    """`tick`, `truth` or `events`."""
+    rows: npt.NDArray[np.void]
+    units: dict[str, str]
+    """By column, as in UCUM; `1` has no dimension, `text` is none."""
+    meanings: dict[str, str]
+
+    def column(self, name: str, first: int = 0, end: int | None = None) -> npt.NDArray[Any]:
+        """Values of one column, without the gaps that rows have."""
+        values: npt.NDArray[Any] = np.ascontiguousarray(self.rows[name][first:end])
+        return values
+
+
+def tables(session: Session) -> list[Table]:
+    """`tick`, then `truth` and `events` where there are any."""
+    found = [_of_message("tick", TICK, session.ticks), _of_message("truth", TRUTH, session.truth), _events(session)]
+    return [table for table in found if table.name == "tick" or len(table.rows)]
+
+
+def to_pandas(session: Session, table: str = "tick") -> Any:
+    """One of the session's `tables` as a pandas DataFrame, with `units` and `meanings` in its attrs.
+
+    Raises AbsError without pandas, ConfigError if the session has no such table.
+    """
+    found = _named(session, table)
+    try:
+        import pandas as pd  # noqa: PLC0415  heavy, and not ours to require
+    except ImportError as error:
+        raise AbsError("to_pandas needs pandas: pip install pandas") from error
+    frame = pd.DataFrame({name: found.column(name) for name in found.units})
+    frame.attrs = {"units": found.units, "meanings": found.meanings}
+    return frame
+
+
+def to_polars(session: Session, table: str = "tick") -> Any:
+    """One of the session's `tables` as a polars DataFrame, which has no place for units: they are in `tables`.
+
+    Raises AbsError without polars, ConfigError if the session has no such table.
+    """
+    found = _named(session, table)
+    try:
+        import polars as pl  # noqa: PLC0415  heavy, and not ours to require
+    except ImportError as error:
+        raise AbsError("to_polars needs polars: pip install polars") from error
+    return pl.DataFrame({name: found.column(name) for name in found.units})
+
+
+def _named(session: Session, name: str) -> Table:
+    found = {table.name: table for table in tables(session)}
+    if name not in found:
+        raise ConfigError([Mistake("table", f"{session.path} has no {name!r}{near_match(name, found)}")])
+    return found[name]
+
+
+def _of_message(name: str, message: Message, rows: npt.NDArray[np.void]) -> Table:
+    units = {column.name: column.unit for column in message.columns}
+    return Table(name, rows, units, {column.name: _meaning(column) for column in message.columns})
+
+
+def _meaning(column: Column) -> str:
+    members = column.kind.members
+    if members is None:
+        return column.meaning
+    return f"{column.meaning}: {', '.join(f'{int(member)} {member.name}' for member in members)}"
+
+
+def _events(session: Session) -> Table:
+    longest = max((len(event.text) for event in session.log), default=1)
+    rows = np.zeros(
+        len(session.log), [("time_ns", "<i8"), ("unix_ns", "<u8"), ("level", "u1"), ("text", f"<U{max(longest, 1)}")]
+    )
+    for at, event in enumerate(session.log):
+        rows[at] = 0, event.unix_ns, event.level, event.text
+    rows["time_ns"] = (rows["unix_ns"] - np.uint64(session.epoch_ns % (1 << 64))).view(np.int64)
+    units = {name: unit for name, (unit, _) in _EVENT_COLUMNS.items()}
+    return Table("events", rows, units, {name: meaning for name, (_, meaning) in _EVENT_COLUMNS.items()})

@@ -1,0 +1,257 @@
+"""Whether a session can be trusted: checksums, gaps, time, schema, hash, what must be in it, index."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import BinaryIO, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from inteco_abs.errors import SessionError
+from inteco_abs.records.schema import TICK, TRUTH
+from inteco_abs.sessions.container import DamagedError, Entry, Opcode, fields, kind
+from inteco_abs.sessions.content import LIBRARY, Batch, Content
+from inteco_abs.sessions.reader import check_data, ends_well, opened
+from inteco_abs.sessions.replay import CONFIG_NAME
+from inteco_abs.sessions.survey import Damage, Survey, Whole, checksum
+
+_MOST_ALIKE: Final = 20
+"""Findings of one kind that are told one by one."""
+_AT_THE_START: Final = ("rig", "controller")
+_AT_THE_END: Final = ("timing", "result", "integrity")
+
+Array = npt.NDArray[np.void]
+
+
+class Severity(StrEnum):
+    """What a finding means for who uses the session."""
+
+    LOSS = "loss"
+    """Something is missing; what is there is right."""
+    WRONG = "wrong"
+    """Something there is not what was recorded, or nothing can be used."""
+
+
+class Finding(NamedTuple):
+    """One thing that is not as it should be."""
+
+    severity: Severity
+    place: str
+    problem: str
+
+
+@dataclass(slots=True)
+class Inspection:
+    """What was found in the file at `path`."""
+
+    path: Path
+    ticks: int = 0
+    findings: list[Finding] = field(default_factory=list)
+    _alike: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def verdict(self) -> str:
+        """`well`, `losses` or `wrong`."""
+        severities = {finding.severity for finding in self.findings}
+        return "wrong" if Severity.WRONG in severities else "losses" if severities else "well"
+
+    def loss(self, place: str, problem: str) -> None:
+        self._add(Severity.LOSS, place, problem)
+
+    def wrong(self, place: str, problem: str) -> None:
+        self._add(Severity.WRONG, place, problem)
+
+    def _add(self, severity: Severity, place: str, problem: str) -> None:
+        sort = place.partition(" ")[0]
+        count = self._alike[sort] = self._alike.get(sort, 0) + 1
+        if count <= _MOST_ALIKE:
+            self.findings.append(Finding(severity, place, problem))
+        elif count == _MOST_ALIKE + 1:
+            self.findings.append(Finding(severity, f"{sort} ...", "and more of this kind"))
+
+
+def validate(path: Path) -> Inspection:
+    """Everything that is not as it should be in the session at `path`; raises nothing."""
+    inspection = Inspection(path)
+    try:
+        with opened(path) as (file, size):
+            _Inspector(file, size, inspection).inspect()
+    except SessionError as error:
+        inspection.wrong("file", str(error).removeprefix(f"{path}: "))
+    return inspection
+
+
+class _Inspector:
+    """Goes through one open file."""
+
+    def __init__(self, file: BinaryIO, size: int, inspection: Inspection) -> None:
+        self._file, self._size, self._told = file, size, inspection
+        self._content = Content()
+        self._numbers = {TICK.topic: _Numbers("tick"), TRUTH.topic: _Numbers("truth")}
+        self._chunks: set[int] = set()
+        self._indexed: set[int] = set()
+        self._counted: int | None = None
+        self._data_ended = self._footed = False
+
+    def inspect(self) -> None:
+        for part in Survey(self._file, self._size):
+            if isinstance(part, Damage):
+                self._damage(part)
+            else:
+                self._whole(part)
+        self._judge_the_end()
+        self._judge_the_index()
+        self._judge_the_content()
+
+    def _damage(self, damage: Damage) -> None:
+        place = f"bytes {damage.start}..{damage.end - 1}"
+        if damage.tail:
+            self._told.loss(place, f"the file ends early: {damage.problem}")
+        elif self._data_ended:
+            self._told.loss(place, f"the index is damaged: {damage.problem}")
+        else:
+            self._told.wrong(place, damage.problem)
+
+    def _whole(self, whole: Whole) -> None:
+        entry = whole.entry
+        try:
+            if whole.raw is not None:
+                self._chunk(entry, whole.raw)
+            elif entry.opcode == Opcode.DATA_END:
+                self._data_ended = True
+                check_data(entry, whole.crc)
+            elif entry.opcode == Opcode.FOOTER:
+                self._footer(entry)
+            elif entry.opcode == Opcode.CHUNK_INDEX:
+                self._indexed.add(fields(entry.opcode, entry.data)[2])
+            elif entry.opcode == Opcode.STATISTICS:
+                self._counted = fields(entry.opcode, entry.data)[0]
+            elif not self._data_ended:  # behind it, there are only copies
+                self._content.take(entry)
+        except DamagedError as error:
+            self._told.wrong(f"byte {entry.start}", f"{kind(entry.opcode)}: {error}")
+
+    def _chunk(self, entry: Entry, raw: bytes) -> None:
+        self._chunks.add(entry.start)
+        for topic, batch in self._content.take_chunk(raw).items():
+            self._numbers[topic].follow(batch, self._told)
+
+    def _footer(self, entry: Entry) -> None:
+        self._footed = True
+        start, _, crc = fields(entry.opcode, entry.data)
+        if crc and (start > entry.at or crc != checksum(self._file, start, entry.end - 4)):
+            self._told.loss(f"byte {entry.start}", "the index fails its checksum: viewers may refuse the file")
+
+    def _judge_the_end(self) -> None:
+        if not self._data_ended:
+            self._told.loss("end", "the data has no end: what came after it is not known")
+        elif not self._footed or not ends_well(self._file):
+            self._told.loss("end", "the file has no footer at its end: viewers may refuse it")
+
+    def _judge_the_index(self) -> None:
+        if not self._footed:
+            return
+        if self._chunks != self._indexed:
+            self._told.loss("index", "it lists other chunks than the file has: viewers will not show all ticks")
+        if self._counted not in {None, self._content.messages}:
+            self._told.loss("index", f"it counts {self._counted} messages, the file has {self._content.messages}")
+
+    def _judge_the_content(self) -> None:
+        content, told = self._content, self._told
+        told.ticks = self._numbers[TICK.topic].count
+        if not (content.announces_ticks or content.library.startswith(LIBRARY)):
+            told.wrong("file", "is an MCAP file, but no session of this program")
+            return
+        try:
+            content.check_schemas()
+        except DamagedError as error:
+            told.wrong("schema", str(error))
+        if not told.ticks:
+            told.loss("ticks", "there are none")
+        self._judge_the_hash()
+        whole = self._data_ended
+        for name in (*_AT_THE_START, *(_AT_THE_END if whole else ())):
+            if name not in content.metadata:
+                told.loss(f"metadata {name}", "is missing")
+        if CONFIG_NAME not in content.attachments:
+            told.loss(f"attachment {CONFIG_NAME}", "is missing: the session cannot be replayed")
+        self._judge_the_session(content.metadata.get("session", {}))
+
+    def _judge_the_hash(self) -> None:
+        recorded = self._content.metadata.get("integrity", {}).get("payload_sha256")
+        if recorded is None and self._data_ended:
+            self._told.wrong("hash", "is missing: nothing says that these are the ticks that were recorded")
+        elif recorded not in {None, self._content.hash.hexdigest()}:
+            self._told.wrong("hash", "the ticks do not match the hash that was recorded with them")
+
+    def _judge_the_session(self, facts: dict[str, str]) -> None:
+        told = self._told
+        missing = [key for key in ("session_id", "started_utc") if key not in facts]
+        if self._data_ended:
+            missing += [key for key in ("outcome", "ticks") if key not in facts]
+            if facts.get("ticks", str(told.ticks)) != str(told.ticks):
+                told.wrong("metadata session", f"it says {facts['ticks']} ticks, the file has {told.ticks}")
+        if missing:
+            told.loss("metadata session", f"says nothing of {', '.join(missing)}")
+        lost = self._content.metadata.get("recovery", {}).get("lost")
+        if lost:
+            told.loss("metadata recovery", f"the session was recovered from a damaged file: {lost}")
+
+
+class _Numbers:
+    """Number and time of each tick, or of each state of the simulated rig, against the one before."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self.count = 0
+        self._number = self._time_ns = self._sequence = -1
+        self._epoch_ns: int | None = None
+
+    def follow(self, batch: Batch, told: Inspection) -> None:
+        """The next messages of the topic."""
+        time_ns, log_time = batch.values["time_ns"].astype(np.int64), batch.log_time.astype(np.int64)
+        sequence = batch.sequence.astype(np.int64)
+        numbers = batch.values["tick"].astype(np.int64) if self._name == "tick" else sequence
+        if self._epoch_ns is None:
+            self._epoch_ns = int(log_time[0]) - int(time_ns[0])
+        self._judge_numbers(numbers, told)
+        self._judge_times(numbers, time_ns, log_time, told)
+        if self._name == "tick":
+            self._judge_sequence(numbers, sequence, told)
+        self.count += len(numbers)
+        self._number, self._time_ns, self._sequence = int(numbers[-1]), int(time_ns[-1]), int(sequence[-1])
+
+    def _judge_numbers(self, numbers: npt.NDArray[np.int64], told: Inspection) -> None:
+        steps = np.diff(numbers, prepend=self._number)
+        for at in np.flatnonzero(steps != 1).tolist():
+            number, before = int(numbers[at]), int(numbers[at] - steps[at])
+            place = f"{self._name} {number}"
+            if number > before:
+                told.loss(place, f"{self._name}s {before + 1}..{number - 1} are missing before it")
+            else:
+                told.wrong(place, f"comes after {self._name} {before}")
+
+    def _judge_times(
+        self,
+        numbers: npt.NDArray[np.int64],
+        time_ns: npt.NDArray[np.int64],
+        log_time: npt.NDArray[np.int64],
+        told: Inspection,
+    ) -> None:
+        steps = np.diff(time_ns, prepend=self._time_ns)
+        standing = steps <= 0 if self._name == "tick" else steps < 0
+        for at in np.flatnonzero(standing).tolist():
+            told.wrong(f"{self._name} {numbers[at]}", f"its time is {-steps[at]} ns before that of the one before")
+        for at in np.flatnonzero(log_time - time_ns != self._epoch_ns)[:1].tolist():
+            told.wrong(f"{self._name} {numbers[at]}", "its wall clock does not go with its monotonic clock")
+
+    def _judge_sequence(
+        self, numbers: npt.NDArray[np.int64], sequence: npt.NDArray[np.int64], told: Inspection
+    ) -> None:
+        """A gap in the numbers has been told; here, messages that were lost or repeated under whole numbers."""
+        odd = (np.diff(sequence, prepend=self._sequence) != 1) & (np.diff(numbers, prepend=self._number) == 1)
+        for at in np.flatnonzero(odd).tolist():
+            told.wrong(f"tick {numbers[at]}", f"is message {sequence[at]}, which does not follow the one before")

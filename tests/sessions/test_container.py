@@ -1,0 +1,81 @@
+"""Messages of a chunk come in runs, and the runs are the messages."""
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from inteco_abs.sessions.container import DamagedError, Entry, Opcode, Run, chunk_parts, fields, text_map
+
+MESSAGES = st.lists(st.tuples(st.integers(0, 3), st.sampled_from([0, 1, 7, 255, 256, 70_000]), st.integers(1, 80)))
+
+
+def message(channel, size, number):
+    content = struct.pack("<HIQQ", channel, number, number * 1000, 0) + bytes([number % 256]) * size
+    return struct.pack("<BQ", Opcode.MESSAGE, len(content)) + content
+
+
+@given(MESSAGES, st.booleans())
+def test_runs_are_the_messages_in_order(groups, between):
+    written = []
+    for channel, size, count in groups:
+        written += [(channel, size)] * (count if size < 1000 else 1)
+    raw = b""
+    for number, (channel, size) in enumerate(written):
+        raw += message(channel, size, number)
+        if between and number % 5 == 0:
+            raw += struct.pack("<BQ", Opcode.METADATA, 3) + b"abc"
+    found = []
+    for part in chunk_parts(raw):
+        if isinstance(part, Run):
+            for row in part.rows:
+                found.append((part.channel, row["data"].dtype.itemsize))
+                assert row["channel"] == part.channel
+                assert (row["sequence"], row["log_time"]) == (len(found) - 1, 1000 * (len(found) - 1))
+                assert set(bytes(row["data"])) <= {(len(found) - 1) % 256}
+        else:
+            assert (part.opcode, bytes(part.data)) == (Opcode.METADATA, b"abc")
+    assert found == written
+
+
+@given(MESSAGES, st.data())
+def test_a_chunk_that_ends_within_a_record_is_damaged(groups, data):
+    raw = b"".join(message(channel, min(size, 300), 1) for channel, size, _ in groups)
+    ends, at = {0}, 0
+    for channel, size, _ in groups:
+        at += len(message(channel, min(size, 300), 1))
+        ends.add(at)
+    cut = data.draw(st.integers(0, len(raw)))
+    if cut in ends:
+        assert all(isinstance(part, Run) for part in chunk_parts(raw[:cut]))
+    else:
+        with pytest.raises(DamagedError):
+            list(chunk_parts(raw[:cut]))
+
+
+@given(st.sampled_from([opcode for opcode in Opcode if opcode != Opcode.MESSAGE]), st.binary(max_size=120))
+def test_any_bytes_are_a_record_or_damage(opcode, content):
+    try:
+        found = fields(opcode, memoryview(content), exact=True)
+    except DamagedError:
+        return
+    assert sum(
+        len(part.encode() if isinstance(part, str) else part) for part in found if not isinstance(part, int)
+    ) <= (len(content))
+
+
+@given(st.dictionaries(st.text(max_size=5), st.text(max_size=5), max_size=4), st.integers(0, 60))
+def test_a_map_of_texts_is_what_was_written_or_damage(facts, cut):
+    raw = b"".join(struct.pack("<I", len(text.encode())) + text.encode() for pair in facts.items() for text in pair)
+    assert text_map(memoryview(raw)) == facts
+    try:
+        found = text_map(memoryview(raw[:cut]))
+    except DamagedError:
+        return
+    assert found.items() <= facts.items()
+
+
+def test_a_record_knows_where_it_ends():
+    entry = Entry(Opcode.HEADER, 109, memoryview(bytes(20)))
+    assert (entry.start, entry.end) == (100, 129)

@@ -1,0 +1,240 @@
+"""What a recovery keeps of a session, and what it says of the rest."""
+
+import json
+import struct
+import tracemalloc
+import zlib
+
+import pytest
+
+from inteco_abs.errors import ConfigError, SessionError
+from inteco_abs.sessions import TICK, read_session, recover_session, validate
+
+CHUNK, ATTACHMENT, METADATA, DATA_END = 6, 9, 12, 15
+
+
+@pytest.fixture
+def rescue(altered, tmp_path):
+    """Recovers from the given bytes: what it says, and the session that it wrote."""
+
+    def run(data):
+        recovery = recover_session(altered(data), tmp_path / "out.mcap")
+        return recovery, read_session(tmp_path / "out.mcap")
+
+    return run
+
+
+@pytest.fixture
+def pieces(short, container):
+    """Records of the short session, and which of them are its chunks; the first has the declarations."""
+    records = container.split(short.read_bytes())
+    return records, [at for at, record in enumerate(records) if record.opcode == CHUNK]
+
+
+def joined(container, records):
+    return container.magic + b"".join(map(bytes, records)) + container.magic
+
+
+def spoilt(record):
+    content = bytearray(record.content)
+    content[60] ^= 0xFF
+    return record._replace(content=bytes(content))
+
+
+def test_damage_in_the_middle_costs_its_own_chunk_only(rescue, container, pieces):
+    records, chunks = pieces
+    records[chunks[3]] = spoilt(records[chunks[3]])
+    recovery, session = rescue(joined(container, records))
+    assert session.ticks["tick"].tolist() == [*range(20), *range(30, 60)]
+    assert recovery.missing == ((20, 29),)
+    assert any("fails its checksum" in loss or "chunk" in loss for loss in recovery.losses)
+    assert "ticks 20..29 are missing" in recovery.losses
+    assert recovery.card["lost_ticks"] == 10
+
+
+def test_a_length_that_leads_elsewhere_is_not_followed(rescue, container, pieces):
+    records, chunks = pieces
+    data = bytearray(joined(container, records))
+    struct.pack_into("<Q", data, records[chunks[2]].at + 1, records[chunks[5]].end - records[chunks[2]].at - 9)
+    assert rescue(bytes(data))[1].ticks["tick"].tolist() == [*range(10), *range(20, 60)]
+
+
+def test_ticks_survive_the_loss_of_their_declaration(rescue, container, pieces):
+    records, chunks = pieces
+    records[chunks[0]] = spoilt(records[chunks[0]])
+    recovery, session = rescue(joined(container, records))
+    assert len(session.ticks) == 60
+    assert len(session.truth) == 60
+    assert recovery.losses
+
+
+def test_a_chunk_without_a_checksum_gives_no_tick(rescue, container, pieces):
+    records, chunks = pieces
+    raw = container.unpack(records[chunks[4]])
+    records[chunks[4]] = container.chunk(raw, len(raw), "", 0)
+    assert rescue(joined(container, records))[0].missing == ((30, 39),)
+
+
+def test_a_chunk_that_comes_twice_is_taken_once(rescue, container, pieces):
+    records, chunks = pieces
+    records.insert(chunks[5], records[chunks[3]])
+    recovery, session = rescue(joined(container, records))
+    assert session.ticks["tick"].tolist() == list(range(60))
+    assert any("repeats what was there before" in loss for loss in recovery.losses)
+
+
+def test_a_chunk_of_another_session_gives_no_tick(rescue, container, pieces, tiny):
+    records, chunks = pieces
+    stranger = next(r for r in container.split(tiny.path.read_bytes())[::-1] if r.opcode == CHUNK)
+    raw = container.unpack(stranger)
+    shifted = b"".join(
+        bytes(e if e.opcode != 5 else container.record(5, e.content[:6] + bytes(8) + e.content[14:]))
+        for e in container.split(raw, 0)
+    )
+    records.insert(chunks[5] + 1, container.chunk(shifted, len(shifted), "", zlib.crc32(shifted)))
+    recovery, session = rescue(joined(container, records))
+    assert len(session.ticks) == 60
+    assert any("two clocks do not go together" in loss for loss in recovery.losses)
+
+
+def test_a_chunk_that_is_refused_in_its_middle_leaves_no_trace(rescue, container, pieces):
+    records, chunks = pieces
+    entries = container.split(container.unpack(records[chunks[6]]), 0)
+    *rest, last = entries
+    wrong = container.record(5, last.content[:6] + bytes(8) + last.content[14:])  # a truth of another time
+    raw = b"".join(map(bytes, [*rest, wrong]))
+    records.insert(chunks[2], container.chunk(raw, len(raw), "", zlib.crc32(raw)))
+    assert rescue(joined(container, records))[1].ticks["tick"].tolist() == list(range(60))
+
+
+def test_metadata_attachments_and_times_are_the_originals(rescue, short):
+    recovery, session = rescue(short.read_bytes()[:-400])
+    whole = read_session(short)
+    assert session.attachments == whole.attachments
+    assert session.epoch_ns == whole.epoch_ns
+    for name in ("rig", "controller"):
+        assert session.metadata[name] == whole.metadata[name]
+    for key in ("session_id", "started_utc", "ended_utc"):
+        assert session.metadata["session"][key] == whole.metadata["session"][key]
+    assert session.metadata["recovery"]["outcome"] == "completed"
+    assert session.metadata["session"]["outcome"] == recovery.card["outcome"] == "recovered"
+    assert session.log == whole.log
+
+
+def test_the_metrics_are_those_of_the_original(quick, altered, tmp_path):
+    data = quick.path.read_bytes()
+    recovery = recover_session(altered(data[:-400]), tmp_path / "out.mcap")
+    changed = {"session", "outcome", "reason", "explanation"}
+    kept = {key: value for key, value in quick.stop.card.items() if key not in changed}
+    assert {key: recovery.card[key] for key in kept} == kept
+
+
+def test_what_the_recovery_wrote_opens_officially(rescue, officially, cut_short, tmp_path):
+    rescue(cut_short)
+    found = officially(tmp_path / "out.mcap")
+    assert len(found.of("/abs/tick")) == len(read_session(tmp_path / "out.mcap").ticks) > 20
+
+
+def test_without_its_configuration_a_session_has_no_metrics_but_its_ticks(rescue, container, pieces):
+    records, _ = pieces
+    kept = [record for record in records if record.opcode != ATTACHMENT]
+    recovery, session = rescue(joined(container, kept))
+    assert len(session.ticks) == 60
+    assert (recovery.card["controller"], recovery.card["stop_time_s"]) == (None, None)
+
+
+def test_the_end_that_is_missing_is_named_where_the_file_says_how_much_there_was(rescue, container, pieces):
+    records, chunks = pieces
+    del records[chunks[-1]]
+    assert rescue(joined(container, records))[0].missing == ((50, 59),)
+
+
+def test_a_recovery_of_a_recovery_remembers_what_was_lost(rescue, cut_short, tmp_path):
+    rescue(cut_short)
+    recover_session(tmp_path / "out.mcap", tmp_path / "again.mcap")
+    assert "no end" in read_session(tmp_path / "again.mcap").metadata["recovery"]["lost"]
+    assert validate(tmp_path / "again.mcap").verdict == "losses"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.1, 0.5, 1.0])
+def test_a_file_without_a_whole_tick_is_refused_and_nothing_is_left(altered, short, pieces, tmp_path, share):
+    records, chunks = pieces
+    length = round(share * (records[chunks[1]].end - 1))
+    source = altered(short.read_bytes()[:length])
+    with pytest.raises(SessionError, match="holds no tick that is whole"):
+        recover_session(source, tmp_path / "out.mcap")
+    assert list(tmp_path.iterdir()) == [source]
+
+
+def test_a_session_of_another_version_is_refused_and_says_so(container, pieces, altered, tmp_path):
+    records, chunks = pieces
+    raw = container.unpack(records[chunks[0]]).replace(b"wheel_count", b"wheel_cound")
+    records[chunks[0]] = container.chunk(raw, len(raw), "", zlib.crc32(raw))
+    with pytest.raises(SessionError, match="another version of this program"):
+        recover_session(altered(joined(container, records)), tmp_path / "out.mcap")
+
+
+def test_the_source_is_never_overwritten(short, tmp_path):
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes(short.read_bytes())
+    with pytest.raises(ConfigError, match="never overwritten"):
+        recover_session(copy, copy)
+    assert copy.read_bytes() == short.read_bytes()
+
+
+@pytest.mark.parametrize(("bytes_left", "words"), [(5_000, "has no room"), (14_000, "cannot be written")])
+def test_a_full_disk_leaves_nothing(short, tmp_path, room, bytes_left, words):
+    room(bytes_left)
+    with pytest.raises(SessionError, match=words):
+        recover_session(short, tmp_path / "out.mcap")
+    room(-1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def bounded(data, altered, tmp_path):
+    """Recovering from hostile bytes costs little memory."""
+    path = altered(data)
+    tracemalloc.start()
+    try:
+        with pytest.raises(SessionError, match="nothing to recover"):
+            recover_session(path, tmp_path / "out.mcap")
+        validate(path)
+        assert tracemalloc.get_traced_memory()[1] < 8_000_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("length", [1 << 16, 1 << 32, (1 << 64) - 1])
+def test_a_thousand_heads_that_claim_too_much(container, altered, tmp_path, length):
+    bounded(container.magic + struct.pack("<BQ", CHUNK, length) * 1000, altered, tmp_path)
+
+
+def test_chunks_that_unpack_to_far_more_than_the_file_has(container, altered, tmp_path):
+    import zstandard
+
+    packed = zstandard.ZstdCompressor().compress(bytes(1 << 20))
+    bomb = container.chunk(packed, 1 << 20, "zstd", zlib.crc32(bytes(1 << 20)))
+    bounded(container.magic + bytes(bomb) * 200, altered, tmp_path)
+
+
+def test_a_search_among_false_heads_is_given_up(altered, container, tmp_path, short):
+    false = struct.pack("<BQ", CHUNK, 1 << 19) + bytes(55)
+    data = container.magic + false * 20_000
+    with pytest.raises(SessionError, match="given up"):
+        recover_session(altered(data + short.read_bytes()), tmp_path / "out.mcap")
+
+
+def test_parameters_are_told_anew(rescue, officially, short, tmp_path):
+    rescue(short.read_bytes())
+    ((_, _, _, told),) = officially(tmp_path / "out.mcap").of("/abs/params")
+    facts = read_session(short).metadata["controller"]
+    assert told.values["reference_slip"] == float(facts["reference_slip"])
+    assert told.values["Mk"] == float(facts["gain.Mk"])
+
+
+def test_gaps_are_in_the_metadata_as_numbers(rescue, container, pieces):
+    records, chunks = pieces
+    del records[chunks[2]]
+    _, session = rescue(joined(container, records))
+    assert json.loads(session.metadata["recovery"]["missing_ticks"]) == [[10, 19]]
+    assert session.ticks.dtype == TICK.dtype

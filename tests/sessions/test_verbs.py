@@ -1,0 +1,246 @@
+"""The verbs on session files: exit codes, JSON on stdout, talk on stderr."""
+
+import json
+
+import pytest
+
+from inteco_abs.sessions import read_session
+
+
+@pytest.fixture
+def folder(tmp_path, short, quick, cut_short):
+    """A whole session, another, and one that was cut."""
+    (tmp_path / "a.mcap").write_bytes(short.read_bytes())
+    (tmp_path / "b.mcap").write_bytes(quick.path.read_bytes())
+    (tmp_path / "cut.mcap").write_bytes(cut_short)
+    return tmp_path
+
+
+class TestList:
+    def test_every_session_has_a_line(self, verb, folder):
+        done = verb("list", folder)
+        assert (done.code, done.err) == (3, "")
+        head, *lines = done.out.splitlines()
+        assert head.split()[:3] == ["session", "date", "outcome"]
+        assert {line.split()[0] for line in lines} == {"a.mcap", "b.mcap", "cut.mcap"}
+        assert "ends early" in next(line for line in lines if line.startswith("cut"))
+
+    def test_json(self, verb, folder):
+        told = verb("list", folder, "--json", "--sort", "ticks", "--reverse").json
+        assert told["schema_version"] == 1
+        assert [row["session"].rpartition("/")[2] for row in told["sessions"]] == ["b.mcap", "a.mcap", "cut.mcap"]
+
+    def test_whole_sessions_are_0(self, verb, folder):
+        (folder / "cut.mcap").unlink()
+        assert verb("list", folder).code == 0
+
+    def test_an_empty_folder_is_said_to_be_empty(self, verb, tmp_path):
+        done = verb("list", tmp_path)
+        assert (done.code, done.out) == (0, "")
+        assert "holds no sessions" in done.err
+
+    def test_a_column_that_is_none_is_usage(self, verb, folder):
+        done = verb("list", folder, "--sort", "tick")
+        assert done.code == 2
+        assert "did you mean ticks?" in done.err
+
+    def test_a_folder_that_is_none_fails(self, verb, folder):
+        assert verb("list", folder / "nowhere").code == 1
+        assert verb("list", folder / "a.mcap").code == 1
+
+    def test_names_and_texts_of_files_do_not_reach_the_terminal_as_they_are(self, verb, folder):
+        (folder / "\x1b[31mred.mcap").write_bytes(b"\x1b[2J")
+        assert "\x1b" not in verb("list", folder).out
+
+
+class TestValidate:
+    def test_all_is_well(self, verb, folder):
+        done = verb("validate", folder / "a.mcap", folder / "b.mcap")
+        assert done.code == 0
+        assert done.out.splitlines()[0] == f"{folder / 'a.mcap'}: well, 60 ticks"
+
+    def test_the_worst_file_decides(self, verb, folder):
+        assert verb("validate", folder / "a.mcap", folder / "cut.mcap").code == 3
+        (folder / "text.mcap").write_text("text")
+        assert verb("validate", folder / "cut.mcap", folder / "text.mcap", folder / "a.mcap").code == 1
+        assert verb("validate", folder / "nothing.mcap").code == 1
+
+    def test_each_finding_is_one_line_with_its_place(self, verb, folder):
+        lines = verb("validate", folder / "cut.mcap").out.splitlines()
+        assert all(line.startswith(f"{folder / 'cut.mcap'}: ") for line in lines)
+        assert any(": bytes " in line and ": loss: the file ends early" in line for line in lines)
+
+    def test_json(self, verb, folder):
+        told = verb("validate", folder / "a.mcap", folder / "cut.mcap", "--json").json
+        assert told["schema_version"] == 1
+        assert [each["verdict"] for each in told["sessions"]] == ["well", "losses"]
+        assert set(told["sessions"][1]["findings"][0]) == {"severity", "place", "problem"}
+
+    def test_no_file_is_usage(self, verb):
+        assert verb("validate").code == 2
+
+
+class TestRecover:
+    def test_with_losses(self, verb, folder):
+        done = verb("recover", folder / "cut.mcap", "-o", folder / "new.mcap")
+        assert done.code == 3
+        assert "ticks recovered, with losses" in done.out
+        assert "  lost: the data has no end" in done.out
+        assert len(read_session(folder / "new.mcap").ticks) > 0
+
+    def test_without(self, verb, folder):
+        (folder / "index.mcap").write_bytes((folder / "a.mcap").read_bytes()[:-300])
+        done = verb("recover", folder / "index.mcap", "-o", folder / "new.mcap")
+        assert done.code == 0
+        assert "60 ticks recovered, nothing was lost" in done.out
+
+    def test_json_is_the_card_and_what_is_missing(self, verb, folder):
+        told = verb("recover", folder / "cut.mcap", "-o", folder / "new.mcap", "--json").json
+        assert (told["schema_version"], told["outcome"]) == (1, "recovered")
+        assert told["missing_ticks"] == []
+        assert any("no end" in loss for loss in told["losses"])
+
+    @pytest.mark.parametrize("data", [b"", b"text"])
+    def test_nothing_to_recover(self, verb, altered, tmp_path, data):
+        done = verb("recover", altered(data), "-o", tmp_path / "new.mcap")
+        assert done.code == 1
+        assert "nothing to recover" in done.err
+
+    def test_a_missing_file_is_named(self, verb, tmp_path):
+        done = verb("recover", tmp_path / "nothing.mcap", "-o", tmp_path / "new.mcap")
+        assert done.code == 1
+        assert "No such file" in done.err
+
+    def test_a_ring_of_another_version_is_told_as_a_ring(self, verb, altered, tmp_path):
+        done = verb("recover", altered(b"inteco-abs ring 9\n" + bytes(100)), "-o", tmp_path / "new.mcap")
+        assert done.code == 1
+        assert "is no tick ring of this version" in done.err
+
+    def test_an_existing_file_is_usage(self, verb, folder):
+        assert verb("recover", folder / "cut.mcap", "-o", folder / "a.mcap").code == 2
+
+
+class TestReplayBehindAGap:
+    def test_what_comes_before_the_gap_is_replayed(self, verb, short, container, tmp_path):
+        records = container.split(short.read_bytes())
+        chunks = [at for at, record in enumerate(records) if record.opcode == 6]
+        del records[chunks[3]]
+        (tmp_path / "damaged.mcap").write_bytes(container.magic + b"".join(map(bytes, records)))
+        verb("recover", tmp_path / "damaged.mcap", "-o", tmp_path / "gap.mcap")
+        done = verb("replay", tmp_path / "gap.mcap", "--json")
+        assert done.code == 3
+        assert (done.json["ticks"], done.json["differing"], done.json["left_out"]) == (20, 0, 30)
+        done = verb("replay", tmp_path / "gap.mcap")
+        assert "30 ticks behind a gap cannot be replayed" in done.err
+
+    def test_without_the_first_ticks_nothing_is(self, verb, short, container, tmp_path):
+        records = container.split(short.read_bytes())
+        chunks = [at for at, record in enumerate(records) if record.opcode == 6]
+        del records[chunks[1]]
+        (tmp_path / "damaged.mcap").write_bytes(container.magic + b"".join(map(bytes, records)))
+        verb("recover", tmp_path / "damaged.mcap", "-o", tmp_path / "gap.mcap")
+        done = verb("replay", tmp_path / "gap.mcap")
+        assert done.code == 1
+        assert "ticks 0..9 are missing" in done.err
+
+
+class TestExport:
+    def test_beside_the_session_by_default(self, verb, folder):
+        done = verb("export", folder / "a.mcap", "--format", "csv")
+        assert done.code == 0
+        assert done.out.splitlines()[0] == f"{folder / 'a.csv'}: tick, 60 rows"
+        assert (folder / "a.truth.csv").exists()
+
+    def test_json(self, verb, folder):
+        done = verb("export", folder / "cut.mcap", "--format", "npz", "-o", folder / "x.npz", "--json")
+        assert done.code == 3
+        assert done.json["schema_version"] == 1
+        assert [each["path"] for each in done.json["files"]] == [str(folder / "x.npz")]
+        assert "ends early" in done.json["incomplete"]
+
+    def test_a_format_that_is_none_is_usage(self, verb, folder):
+        assert verb("export", folder / "a.mcap", "--format", "xls").code == 2
+        assert verb("export", folder / "a.mcap").code == 2
+
+    def test_a_damaged_session_fails(self, verb, folder):
+        data = bytearray((folder / "a.mcap").read_bytes())
+        data[9000] ^= 1
+        (folder / "bad.mcap").write_bytes(data)
+        assert verb("export", folder / "bad.mcap", "--format", "npz").code == 1
+        assert not (folder / "bad.npz").exists()
+
+
+class TestGet:
+    def test_the_files_in_a_session_are_listed(self, verb, folder):
+        done = verb("get", folder / "a.mcap")
+        assert done.code == 0
+        assert done.out.startswith("config.toml  ")
+        assert list(verb("get", folder / "a.mcap", "--json").json["attachments"]) == ["config.toml"]
+
+    def test_to_standard_output(self, verb, folder):
+        done = verb("get", folder / "a.mcap", "config.toml")
+        assert done.out.encode() == read_session(folder / "a.mcap").attachments["config.toml"]
+
+    def test_to_a_file(self, verb, folder):
+        done = verb("get", folder / "a.mcap", "config.toml", "-o", folder / "c.toml", "--json")
+        assert (done.code, done.json["path"]) == (0, str(folder / "c.toml"))
+        assert verb("get", folder / "a.mcap", "config.toml", "-o", folder / "d.toml").code == 0
+
+    def test_usage(self, verb, folder):
+        assert verb("get", folder / "a.mcap", "conf").code == 2
+        assert verb("get", folder / "a.mcap", "-o", folder).code == 2
+        assert verb("get", folder / "a.mcap", "config.toml", "--json").code == 2
+
+    def test_from_a_cut_session(self, verb, folder):
+        assert verb("get", folder / "cut.mcap", "config.toml").code == 3
+
+
+class TestDiff:
+    def test_a_session_and_itself(self, verb, folder):
+        done = verb("diff", folder / "a.mcap", folder / "a.mcap")
+        assert done.code == 0
+        assert "do not differ" in done.out
+
+    def test_two_sessions(self, verb, folder):
+        done = verb("diff", folder / "a.mcap", folder / "b.mcap")
+        assert done.code == 4
+        assert {"result", "configuration"} <= {line for line in done.out.splitlines() if not line.startswith(" ")}
+
+    def test_only_what_is_asked_for_decides(self, verb, folder):
+        done = verb("diff", folder / "a.mcap", folder / "b.mcap", "--only", "gains", "--only", "rig")
+        assert done.code == 0
+
+    def test_json(self, verb, folder):
+        told = verb("diff", folder / "a.mcap", folder / "b.mcap", "--json", "--only", "configuration").json
+        assert (told["schema_version"], told["equal"]) == (1, False)
+        assert list(told["changes"]) == ["configuration"]
+        assert set(told["changes"]["configuration"][0]) == {"key", "a", "b"}
+
+    def test_a_cut_session_that_is_otherwise_equal_is_a_loss(self, verb, folder):
+        assert verb("diff", folder / "a.mcap", folder / "cut.mcap", "--only", "gains").code == 3
+
+    def test_signals_have_a_line_each(self, verb, run, quick):
+        other = run("controller.gains.Mk=9.0", name="other.mcap").path
+        done = verb("diff", quick.path, other, "--only", "signals")
+        assert any(
+            line.startswith("  road_speed_rad_s: up to ") and "rad/s at" in line for line in done.out.split("\n")
+        )
+
+    def test_a_section_that_is_none_is_usage(self, verb, folder):
+        done = verb("diff", folder / "a.mcap", folder / "b.mcap", "--only", "gain", "--only", "rug")
+        assert done.code == 2
+        assert "did you mean gains?" in done.err
+        assert "did you mean rig?" in done.err
+
+
+def test_info_of_a_session_whose_card_is_no_json(verb, short, container, altered):
+    records = []
+    for record in container.split(short.read_bytes()):
+        if container.text("inteco_abs.result") in record.content:
+            content = container.text("card") + container.text("{broken")
+            name = container.text("inteco_abs.result")
+            record = container.record(12, name + len(content).to_bytes(4, "little") + content)  # noqa: PLW2901
+        records.append(record)
+    done = verb("info", altered(container.join(records)), "--json")
+    assert done.code == 0
+    assert json.loads(done.out)["result"] is None
