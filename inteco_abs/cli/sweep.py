@@ -209,12 +209,16 @@ def _processes(jobs: int) -> Iterator[Executor | None]:
         return
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
-    from multiprocessing import get_context
+    from multiprocessing import active_children, get_context
 
     # started afresh: a copy of a process with threads, as the progress bar's, may hang
     with ProcessPoolExecutor(jobs, get_context("spawn"), _begin_worker) as pool:
         try:
             yield pool
+        except KeyboardInterrupt:
+            for worker in active_children():  # else the pool would wait for what they have begun
+                worker.terminate()
+            raise
         except BrokenProcessPool as error:
             raise AbsError("a process of the sweep died, perhaps of too little memory; try --jobs 1") from error
 

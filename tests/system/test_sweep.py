@@ -2,8 +2,10 @@
 
 import csv
 import json
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -127,3 +129,30 @@ def test_without_numba_the_extra_is_named():
 def test_the_command_itself_loads_no_numba():
     code = "import sys, inteco_abs.cli; sys.exit('numba' in sys.modules or 'numpy' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+HANGING = """
+class Law:
+    gains = ()
+    internals = ()
+    def __init__(self, setup):
+        pass
+    def update(self, estimate, dt_s):
+        open("hanging", "w").close()
+        while True:
+            pass
+"""
+
+
+def test_ctrl_c_ends_the_workers_whatever_they_do(command_path, tmp_path):
+    (tmp_path / "law.py").write_text(HANGING)
+    sweep = subprocess.Popen(
+        [command_path, "sweep", *QUICK, "--rigs", "hard:5-44", "--controller", "law.py:Law", "--jobs", "2"],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    while sweep.poll() is None and not (tmp_path / "hanging").exists():
+        time.sleep(0.02)
+    sweep.send_signal(signal.SIGINT)
+    stdout, stderr = sweep.communicate(timeout=60)
+    assert (sweep.returncode, stdout) == (130, ""), stderr
+    assert "Traceback" not in stderr
