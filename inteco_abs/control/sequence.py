@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from numbers import Real
 from typing import Final, NamedTuple
 
 from inteco_abs.config import RigConfig
@@ -17,6 +18,8 @@ _STOP_WINDOW_S: Final = 0.050
 _REST_COUNTS: Final = 4
 """Counts that a resting wheel may move, from a nudged table, before it counts as turning."""
 _FOUR_FLOATS: Final = (float, float, float, float)
+_NUMBERS: Final[type] = Real
+"""What users' controllers may call a duty, whatever its type annotation says."""
 _NO_DEMAND: Final = BrakeDemand(0.0)
 
 
@@ -120,14 +123,15 @@ class Sequence:
 def recordable(demand: BrakeDemand) -> BrakeDemand:
     """The demand of a user's controller with every logged value a float; raises if it has none to log.
 
-    A duty that is no number is left as it is: the guard judges it.
+    numpy's numbers are numbers; a duty that is none is left as it is: the guard judges it.
     """
     if type(demand) is not BrakeDemand:
         raise TypeError(f"update() must give a BrakeDemand, not {demand!r}")
     brake, torque, switching, internals = demand
-    if type(brake) is int:
+    if type(brake) is float:
+        if type(torque) is float and type(switching) is float and tuple(map(type, internals)) == _FOUR_FLOATS:
+            return demand
+    elif isinstance(brake, _NUMBERS) and not isinstance(brake, bool):
         brake = float(brake)
-    elif type(torque) is float and type(switching) is float and tuple(map(type, internals)) == _FOUR_FLOATS:
-        return demand
     c0, c1, c2, c3 = map(float, internals)
     return BrakeDemand(brake, float(torque), float(switching), (c0, c1, c2, c3))

@@ -1,5 +1,6 @@
 import math
 import struct
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -318,13 +319,22 @@ def test_a_controller_that_answers_with_something_else_ends_the_run_instead_of_t
 
 
 @pytest.mark.untraced
-@pytest.mark.parametrize("brake", [math.nan, math.inf, -math.inf, None, True, "0.5", np.float64(0.5)], ids=repr)
+@pytest.mark.parametrize("brake", [math.nan, math.inf, None, True, "0.5", np.float64("nan"), np.ones(1)], ids=repr)
 def test_a_duty_that_is_no_finite_number_is_never_sent(experiment, brake):
     run = experiment(*QUICK, pipeline=with_controller(at_call(20, lambda: BrakeDemand(brake))))
     last = run.run()[-1].tick
     assert (last.phase, last.reason) == (Phase.FAULT, Reason.BAD_OUTPUT)
     assert (last.drive, last.brake) == Command.SAFE
     assert run.pipeline.error is None
+
+
+@pytest.mark.untraced
+@pytest.mark.parametrize("brake", [1, np.float64(0.5), np.float32(0.5), np.int64(1), Fraction(1, 2)], ids=repr)
+def test_a_duty_may_be_any_kind_of_number(experiment, brake):
+    run = experiment(*QUICK, pipeline=with_controller(lambda _call: BrakeDemand(brake)))
+    ticks = [moment.tick for moment in run.run()]
+    assert ticks[-1].reason is Reason.NONE
+    assert {(type(tick.brake_wish), tick.brake_wish) for tick in ticks} == {(float, 0.0), (float, float(brake))}
 
 
 @pytest.mark.untraced
