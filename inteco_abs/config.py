@@ -33,7 +33,9 @@ Check = Callable[[Mapping[str, Any]], Iterable[Mistake]]
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 class Evidence(_Section):
@@ -94,8 +96,11 @@ class BoardConfig(_Section):
     verified_logic: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None
     """Version of the logic that the board had then; the signature is good for no other."""
     drive_pwm: Annotated[int, Field(ge=0, le=7)] = 0
+    """PWM channel of the drive motor."""
     brake_pwm: Annotated[int, Field(ge=0, le=7)] = 1
+    """PWM channel of the brake."""
     pwm_mode: Literal["8-bit", "12-bit"] = "8-bit"
+    """Resolution of the PWM: 255 or 4095 steps of a period."""
     pwm_prescaler: Annotated[int, Field(ge=0, le=65535)] = 44
     """44 in 8-bit mode is 3486 Hz, the nearest to the paper's 3.5 kHz."""
     pwm_pins: list[Annotated[int, Field(ge=0, le=25)]] = [2, 5]
@@ -106,9 +111,13 @@ class BoardConfig(_Section):
     """PWM channel that is wired to nothing: its prescaler carries the number of each frame, which the board echoes, so
     that a late or repeated answer is recognised. -1: none is free, and such answers may go unnoticed."""
     road_encoder: Annotated[int, Field(ge=0, le=11)] = 0
+    """Encoder channel of the lower wheel, which stands for the road."""
     wheel_encoder: Annotated[int, Field(ge=0, le=11)] = 1
+    """Encoder channel of the upper, braked wheel."""
     road_sign: Literal[1, -1] = 1
+    """-1 where the road's encoder counts down when the drive turns it."""
     wheel_sign: Literal[1, -1] = 1
+    """-1 where the wheel's encoder counts down when the drive turns it."""
     evidence: dict[str, Evidence] = {}
     """Status of each of `WIRING`; what is not named is unknown."""
 
@@ -146,6 +155,7 @@ class EncodersConfig(_Section):
 
 class LoopConfig(_Section):
     rate_hz: Annotated[float, Field(ge=50.0, le=10_000.0)] = 2000.0
+    """Of the loop: exchanges with the board per second."""
     ring_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.0
     """Length of the shared memory for ticks in real time; 0: the longest that the experiment can take, up to 120 s."""
 
@@ -154,12 +164,14 @@ class ModelConfig(_Section):
     """What the controller believes about the rig."""
 
     parameters: Literal["mask", "table"] = "mask"
+    """Which published set: that of the simulator's mask, or of the manual's tables."""
 
 
 class ExperimentConfig(_Section):
     idle_s: Annotated[float, Field(ge=0.01, le=10.0)] = 0.05
     """Time at rest, both wheels watched, before arming; the armed phase lasts as long."""
     drive_duty: Annotated[float, Field(ge=0.2, le=1.0)] = 1.0
+    """Of the drive motor while it spins the wheels up."""
     start_speed_rad_s: Annotated[float, Field(ge=10.0, le=240.0)] = 180.0
     """Road wheel speed at which braking begins."""
     stop_speed_rad_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.5
@@ -167,13 +179,16 @@ class ExperimentConfig(_Section):
     hold_s: Annotated[float, Field(ge=0.0, le=10.0)] = 0.5
     """Time that the brake is held after the stop."""
     spin_up_timeout_s: Annotated[float, Field(ge=0.1, le=120.0)] = 20.0
+    """Time after which a rig that has not reached the start speed is stopped."""
     braking_timeout_s: Annotated[float, Field(ge=0.1, le=120.0)] = 10.0
+    """Time after which a rig that still turns is stopped, by taking the brake off."""
     stops: Annotated[int, Field(ge=1, le=1000)] = 1
     """How often all of this is done, one stop after the other, in one session."""
 
 
 class EstimatorConfig(_Section):
     name: str = "moving-window"
+    """One of `inteco-abs estimators`."""
     window_s: Annotated[float, Field(gt=0.0, le=0.5)] = 0.010
     """Length of the moving window, least time between the edges of edge-time, and T0 of the difference."""
     natural_frequency_rad_s: Annotated[float, Field(gt=0.0, le=2000.0)] = 200.0
@@ -187,6 +202,7 @@ class ControllerConfig(_Section):
     """A shipped controller or one of an installed package; a file of your own is named on the command line only, as it
     is code that will run."""
     reference_slip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
+    """Slip that the controller shall hold."""
     hold_below_rad_s: Annotated[float, Field(ge=0.0, le=100.0)] = 5.0
     """Below this estimated road speed the last demand is held: the model's terms grow like 1/speed."""
     gains: dict[str, float] = {}
@@ -197,6 +213,7 @@ class GuardConfig(_Section):
     brake_limit: Annotated[float, Field(gt=0.0, le=1.0)] = 0.7
     """Largest brake duty; the vendor's driver stops at 0.7 for its brake supply's sake."""
     drive_limit: Annotated[float, Field(ge=0.2, le=1.0)] = 1.0
+    """Largest drive duty."""
     over_speed_rad_s: Annotated[float, Field(ge=20.0, le=245.0)] = 245.0
     """2344 rpm, the limit on the vendor's screen. A ceiling: configuration can only lower it."""
     missed_in_a_row: Annotated[int, Field(ge=1, le=1000)] = 4
@@ -214,15 +231,21 @@ class SimulationConfig(_Section):
     rig: str = ""
     """A drawn virtual rig by population and seed, as "hard:17"; empty: the published one, as the next two keys say."""
     parameters: Literal["mask", "table"] = "mask"
+    """Published set of the simulated rig."""
     brake_rate_per_s: Annotated[float, Field(ge=1.0, le=1e6)] = 20.37
     """Rate of the brake actuator's lag."""
     drive_pwm: Annotated[int, Field(ge=0, le=7)] = 0
-    """How the simulated rig is really wired, whatever [board] believes; by default as the vendor's PCI version."""
+    """PWM channel that is really wired to the drive, whatever [board] believes; by default as the vendor's PCI version."""
     brake_pwm: Annotated[int, Field(ge=0, le=7)] = 1
+    """PWM channel that is really wired to the brake."""
     road_encoder: Annotated[int, Field(ge=0, le=7)] = 0
+    """Encoder channel that is really on the road wheel."""
     wheel_encoder: Annotated[int, Field(ge=0, le=7)] = 1
+    """Encoder channel that is really on the braked wheel."""
     road_sign: Literal[1, -1] = 1
+    """-1 where the simulated encoder counts down."""
     wheel_sign: Literal[1, -1] = 1
+    """-1 where the simulated encoder counts down."""
     counts_per_turn: Annotated[int, Field(ge=256, le=1_000_000)] | None = None
     """Of the simulated encoders; not given: what `encoders.counts_per_turn` believes."""
 
@@ -231,6 +254,7 @@ class RigConfig(_Section):
     """Everything a run depends on besides the board itself."""
 
     profile: str = DEFAULT_PROFILE
+    """A shipped profile, or a .toml file of the lab's own: which board, how it is wired, its limits."""
     board: BoardConfig
     usb: UsbConfig = UsbConfig()
     encoders: EncodersConfig = EncodersConfig()
@@ -286,6 +310,24 @@ def load_config(
     _void_signature(below, in_file, merged)
     _void_signature(_merge(below, in_file), over, merged)
     return _validate(merged if follows is None else _merge(follows(merged), merged), checks, mistakes)
+
+
+def origins(file: Path | None = None, settings: Sequence[str] = (), profile: str = DEFAULT_PROFILE) -> dict[str, str]:
+    """Where the values of `load_config` with these arguments come from, by dotted key; not named: a default."""
+    table = _read(file) if file is not None else {}
+    over = _settings_table(settings)
+    name = _merge(table, over).get("profile", profile)
+    found = dict.fromkeys(_leaves(_profile(name, [])), f"profile {name}")
+    found |= dict.fromkeys(_leaves(table), str(file))
+    return found | dict.fromkeys(_leaves(over), "command line")
+
+
+def _leaves(table: Table, above: str = "") -> Iterator[str]:
+    for key, value in table.items():
+        if isinstance(value, dict) and value:
+            yield from _leaves(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}"
 
 
 def _settings_table(settings: Sequence[str]) -> Table:
@@ -490,8 +532,8 @@ def _in_words(detail: Any) -> Mistake:
         return Mistake(path, f"unknown key{near_match(str(location[-1]), _known_keys(location[:-1]))}")
     if kind == "missing":
         return Mistake(path, "is missing; a profile normally provides it")
-    limits = _limits(location)
-    wanted = f"must be {limits}" if limits else detail["msg"][0].lower() + detail["msg"][1:]
+    allowed = limits(location)
+    wanted = f"must be {allowed}" if allowed else detail["msg"][0].lower() + detail["msg"][1:]
     return Mistake(path, f"{_short(value)}: {wanted}")
 
 
@@ -513,15 +555,15 @@ def _known_keys(location: Sequence[Any]) -> Iterable[str]:
     return model.model_fields if model is not None else ()
 
 
-def _limits(location: Sequence[Any]) -> str:
-    """Type and range of the field at `location`, as in "a number at least 0 and below 1"."""
+def limits(location: Sequence[Any]) -> str:
+    """Type and range of the field at `location`, as in "a number at least 0 and below 1"; empty if not so simple."""
     model = _model_at(location[:-1])
     field = model.model_fields.get(location[-1]) if model is not None and isinstance(location[-1], str) else None
     names = {float: "a number", int: "a whole number", str: "text"}
     if field is None or field.annotation not in names:
         return ""
     bounds = [
-        f"{words} {getattr(rule, limit):g}"
+        f"{words} {getattr(rule, limit):.12g}"
         for rule in field.metadata
         for limit, words in _LIMITS.items()
         if getattr(rule, limit, None) is not None

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import click
 
+from inteco_abs.cli.completion import controller_names, key_names
 from inteco_abs.cli.shared import FILE, LOSSES, json_option, known_controllers, print_json
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
@@ -21,9 +22,14 @@ _LEAST_SLIP: Final = 0.01
 @click.command()
 @click.option("--config", type=FILE, help="rig.toml; every key has a default.")
 @click.option(
-    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Over the file, as in controller.gains.Mq=4."
+    "--set",
+    "settings",
+    multiple=True,
+    shell_complete=key_names,
+    metavar="KEY=VALUE",
+    help="Over the file, as in controller.gains.Mq=4.",
 )
-@click.option("--controller", help="reaching-law, constant-rate or boundary-layer.")
+@click.option("--controller", shell_complete=controller_names, help="reaching-law, constant-rate or boundary-layer.")
 @click.option(
     "--uncertain",
     multiple=True,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from inteco_abs.cli.completion import controller_names, estimator_names, key_names
 from inteco_abs.cli.shared import (
     FILE,
     draw,
@@ -47,12 +48,18 @@ if TYPE_CHECKING:
     "--set",
     "settings",
     multiple=True,
+    shell_complete=key_names,
     metavar="KEY=VALUE",
     help="Over the file, as in guard.brake_limit=0.7.",
 )
-@click.option("--controller", help="One of `inteco-abs controllers`, or your own as file.py:Class.")
+@click.option(
+    "--controller",
+    shell_complete=controller_names,
+    help="One of `inteco-abs controllers`, or your own as file.py:Class.",
+)
 @click.option(
     "--estimator",
+    shell_complete=estimator_names,
     help="One of `inteco-abs estimators`: moving-window, tracking, kalman, edge-time, observer, euler as in the "
     "paper, difference as by the vendor.",
 )

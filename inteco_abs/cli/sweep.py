@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from inteco_abs.cli.completion import controller_names, estimator_names, key_names
 from inteco_abs.cli.shared import (
     FILE,
     LOSSES,
@@ -46,12 +47,20 @@ _SHARDS_PER_JOB: Final = 4
     metavar="POPULATION:FIRST-LAST",
     help="Virtual rigs: draws of nominal, hard, rough, late, slow or capped, by their seeds. May be repeated.",
 )
-@click.option("--controller", multiple=True, help="As for run; several with commas, or repeated.")
-@click.option("--estimator", multiple=True, help="Likewise; ideal, too, which knows the true slip.")
+@click.option(
+    "--controller", multiple=True, shell_complete=controller_names, help="As for run; several with commas, or repeated."
+)
+@click.option(
+    "--estimator",
+    multiple=True,
+    shell_complete=estimator_names,
+    help="Likewise; ideal, too, which knows the true slip.",
+)
 @click.option(
     "--set",
     "settings",
     multiple=True,
+    shell_complete=key_names,
     metavar="KEY=VALUE,VALUE...",
     help="Over the file, as in controller.gains.Mk=2,5,10: all combinations. A gain is for those that have it.",
 )

@@ -9,6 +9,8 @@ import click
 
 from inteco_abs.cli.blink import blink
 from inteco_abs.cli.catalogue import controllers, estimators, profiles
+from inteco_abs.cli.completion import completion
+from inteco_abs.cli.config import config
 from inteco_abs.cli.contents import export, get
 from inteco_abs.cli.design import design
 from inteco_abs.cli.diff import diff
@@ -71,6 +73,8 @@ _VERBS: Final = (
     controllers,
     estimators,
     profiles,
+    config,
+    completion,
 )
 for _verb in _VERBS:
     cli.add_command(_verb)

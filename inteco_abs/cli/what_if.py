@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from inteco_abs.cli.completion import controller_names, estimator_names, key_names
 from inteco_abs.cli.shared import FILE, LOSSES, json_option, known_controllers, print_json, read_whole
 from inteco_abs.errors import ConfigError, Mistake
 
@@ -38,11 +39,16 @@ _METRICS: Final = (
     "--set",
     "settings",
     multiple=True,
+    shell_complete=key_names,
     metavar="KEY=VALUE",
     help="Over the session's own, as in controller.gains.Mk=5: keys of controller, estimator and model.",
 )
-@click.option("--controller", help="Another of `inteco-abs controllers`, or your own as file.py:Class.")
-@click.option("--estimator", help="Another of `inteco-abs estimators`.")
+@click.option(
+    "--controller",
+    shell_complete=controller_names,
+    help="Another of `inteco-abs controllers`, or your own as file.py:Class.",
+)
+@click.option("--estimator", shell_complete=estimator_names, help="Another of `inteco-abs estimators`.")
 @click.option(
     "--sweep",
     "sweeps",

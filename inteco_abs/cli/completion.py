@@ -1,0 +1,57 @@
+"""The verb `inteco-abs completion`, and what the shell offers for options that take a name of ours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+import click
+from click.shell_completion import CompletionItem, get_completion_class
+
+_SHELLS: Final = {
+    "bash": "~/.bashrc",
+    "zsh": "~/.zshrc",
+    "fish": "~/.config/fish/completions/inteco-abs.fish",
+}
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(list(_SHELLS)))
+@click.pass_context
+def completion(context: click.Context, shell: str) -> int:
+    """Print what makes SHELL complete this command: verbs, options, controllers, configuration keys.
+
+    For bash: inteco-abs completion bash >> ~/.bashrc
+    """
+    kind = get_completion_class(shell)
+    if kind is None:  # click knows all of the choices
+        raise click.UsageError(f"click cannot complete for {shell}")
+    root = context.find_root()
+    click.echo(f"# completion of inteco-abs; belongs into {_SHELLS[shell]}")
+    click.echo(kind(root.command, {}, "inteco-abs", "_INTECO_ABS_COMPLETE").source())
+    return 0
+
+
+def controller_names(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Controllers that ship and those of installed packages, or files."""
+    from inteco_abs.plugins import Controllers
+
+    return _beginning(begun, Controllers()) or [CompletionItem(begun, type="file")]
+
+
+def estimator_names(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Estimators that ship."""
+    from inteco_abs.control import ESTIMATORS
+
+    return _beginning(begun, ESTIMATORS)
+
+
+def key_names(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Keys of rig.toml."""
+    from inteco_abs.views.config_keys import all_keys
+
+    return _beginning(begun, dict.fromkeys(key.path for key in all_keys()))
+
+
+def _beginning(begun: str, names: Iterable[str]) -> list[CompletionItem]:
+    return [CompletionItem(name) for name in names if name.startswith(begun)]

@@ -1,0 +1,81 @@
+"""The verb `inteco-abs config`: rig.toml begun, shown with what holds in the end, and explained."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from inteco_abs.cli.completion import key_names
+from inteco_abs.cli.shared import FILE
+from inteco_abs.errors import AbsError, ConfigError, Mistake
+
+
+@click.group()
+def config() -> None:
+    """Begin a rig.toml, show what holds, explain a key."""
+
+
+@config.command()
+@click.argument("file", type=FILE, default="rig.toml")
+def init(file: Path) -> int:
+    """Write a rig.toml with every key, its meaning and its default, commented out."""
+    from inteco_abs.views.config_keys import template
+
+    try:
+        with file.open("x", encoding="utf-8") as out:
+            out.write(template())
+    except FileExistsError as error:
+        raise ConfigError([Mistake(str(file), "exists already; name another file, or move it away")]) from error
+    except OSError as error:
+        raise AbsError(f"{file} cannot be written: {error.strerror}") from error
+    click.echo(f"{file}: uncomment what is different on your rig, and use it with --config {file}", err=True)
+    return 0
+
+
+@config.command()
+@click.option("--config", "file", type=FILE, help="rig.toml; every key has a default.")
+@click.option("--set", "settings", multiple=True, shell_complete=key_names, metavar="KEY=VALUE", help="Over the file.")
+@click.option("--board", default="sim:", show_default=True, help="Board address: it has a profile of its own.")
+@click.option("--origin", is_flag=True, help="Say of each value that is not a default where it comes from.")
+def show(file: Path | None, settings: tuple[str, ...], board: str, origin: bool) -> int:
+    """Print the configuration that a run would have, whole, as TOML."""
+    from inteco_abs.boards import check_address, default_profile
+    from inteco_abs.cli.shared import known_controllers
+    from inteco_abs.config import load_config, origins
+    from inteco_abs.control import control_check, preferred_estimator
+    from inteco_abs.mock_board import rig_check
+    from inteco_abs.views.config_keys import with_origins
+
+    check_address(board)
+    profile = default_profile(board)
+    known = known_controllers(None)
+    rig = load_config(file, settings, [control_check(known), rig_check], profile, preferred_estimator(known))
+    found = origins(file, settings, profile) if origin else {}
+    click.echo(with_origins(rig, found), nl=False)
+    return 0
+
+
+@config.command()
+@click.argument("key", shell_complete=key_names)
+@click.option("--board", default="sim:", show_default=True, help="Board address: it has a profile of its own.")
+def explain(key: str, board: str) -> int:
+    """Say what KEY means, its range and default; for a section, as guard, list its keys."""
+    from inteco_abs.boards import check_address, default_profile
+    from inteco_abs.config import read_profile
+    from inteco_abs.views.config_keys import explain as in_words
+
+    check_address(board)
+    profile = default_profile(board)
+    click.echo(in_words(key, {**read_profile(profile), "profile": profile}))
+    return 0
+
+
+@config.command()
+def schema() -> int:
+    """Print the JSON schema of rig.toml, for editors that check and complete."""
+    from inteco_abs.config import RigConfig
+
+    click.echo(json.dumps(RigConfig.model_json_schema(), indent=2))
+    return 0

@@ -1,0 +1,149 @@
+"""The keys of rig.toml: what each means, its range and default; a template of the file, and where values come from."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Iterator, Mapping
+from datetime import date
+from typing import Any, Final, Literal, NamedTuple, get_args, get_origin
+
+import tomli_w
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from inteco_abs.config import RigConfig, limits
+from inteco_abs.control import CONTROLLERS
+from inteco_abs.errors import ConfigError, Mistake, near_match
+
+_WIDTH: Final = 100
+_GAINS: Final = "controller.gains"
+_HEADER: Final = """\
+Configuration of a rig. Every key is optional: what is commented out here is the default. `inteco-abs config show`
+tells what holds in the end, and `inteco-abs config explain KEY` what a key means.
+"""
+_PROFILES: Final = "The section [board] comes with the profile; `inteco-abs profiles` lists them, and prints one."
+
+
+class Key(NamedTuple):
+    """One key of the configuration."""
+
+    path: str
+    """Dotted, as for --set."""
+    kind: str
+    """Type and range, in words."""
+    default: Any
+    """None where there is none."""
+    meaning: str
+
+
+def all_keys() -> list[Key]:
+    """Every key of rig.toml in the order of its sections; of the gains, those of each controller that ships."""
+    found = list(_keys(RigConfig, ()))
+    place = next(i for i, key in enumerate(found) if key.path == _GAINS)
+    return found[: place + 1] + list(_gains()) + found[place + 1 :]
+
+
+def explain(path: str, below: Mapping[str, Any]) -> str:
+    """A key's meaning, or a line for each key of a section; `below` is what the profile sets.
+
+    Raises ConfigError for what is neither.
+    """
+    keys = all_keys()
+    asked = path.strip().strip(".[]")
+    mine = [key for key in keys if key.path == asked]
+    within = [key for key in keys if key.path.startswith(f"{asked}.")]
+    if mine and not within:
+        return "\n\n".join(_in_full(key, below) for key in mine)
+    if within:
+        return "\n".join(_in_short(key) for key in mine + within)
+    paths = [key.path for key in keys]
+    sections = [name.rpartition(".")[0] for name in paths]
+    tails = [name for name in paths if name.rpartition(".")[2] == asked]
+    hint = f"; did you mean {' or '.join(dict.fromkeys(tails))}?" if tails else near_match(asked, [*paths, *sections])
+    raise ConfigError([Mistake(path, f"is no key of rig.toml{hint}")])
+
+
+def template() -> str:
+    """A rig.toml with every section and key, its meaning above it and its default commented out."""
+    lines = [*(f"# {line}" for line in _HEADER.splitlines()), ""]
+    section = ""
+    for key in all_keys():
+        above, _, name = key.path.rpartition(".")
+        if above in ("board", "board.evidence", _GAINS):
+            continue
+        if above != section:
+            lines.append(f"[{above}]")
+            section = above
+        lines += [f"# {line}" for line in (*_wrapped(key.meaning), key.kind)]
+        lines += [f"# {name} = {_toml(key.default)}" if key.default is not None else f"# {name} =", ""]
+    return "\n".join([*lines, f"# {_PROFILES}", ""])
+
+
+def with_origins(config: RigConfig, origins: Mapping[str, str]) -> str:
+    """The effective configuration as TOML, with a comment at each value that is not a default."""
+    lines, section = [], ""
+    for line in config.to_toml().splitlines():
+        if line.startswith("["):
+            section = f"{line.strip('[]')}."
+        name, equals, _ = line.partition(" = ")
+        origin = origins.get(f"{section}{name}") if equals else None
+        lines.append(f"{line}  # {origin}" if origin else line)
+    return "\n".join(lines) + "\n"
+
+
+def _keys(model: type[BaseModel], above: tuple[str, ...]) -> Iterator[Key]:
+    for name, field in model.model_fields.items():
+        location = (*above, name)
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from _keys(field.annotation, location)
+        else:
+            default = None if field.is_required() else field.default
+            meaning = " ".join((field.description or "").split())
+            yield Key(".".join(location), limits(location) or _kind(field), default, meaning)
+
+
+def _gains() -> Iterator[Key]:
+    for name, controller in CONTROLLERS.items():
+        for gain in controller.gains:
+            unit = "" if gain.unit == "1" else f" {gain.unit}"
+            kind = f"a number at least {gain.low:g} and at most {gain.high:g}{unit}"
+            yield Key(f"{_GAINS}.{gain.name}", kind, gain.default, f"of {name}: {gain.meaning}")
+
+
+def _kind(field: FieldInfo) -> str:
+    """For what `limits` has no words: choices, lists, tables, and what may be left out."""
+    parts = field.annotation, *get_args(field.annotation)
+    choices = [one for part in parts if get_origin(part) is Literal for one in get_args(part)]
+    if choices:
+        return f"one of {', '.join(map(json.dumps, choices))}"
+    names: dict[Any, str] = {bool: "true or false", list: "a list", dict: "a table", date: "a date"}
+    return next((names[kind] for part in parts for kind in (get_origin(part), part) if kind in names), "a whole number")
+
+
+def _in_full(key: Key, below: Mapping[str, Any]) -> str:
+    lines = [key.path, *(f"  {line}" for line in _wrapped(key.meaning)), f"  {key.kind}"]
+    if key.default is not None:
+        lines.append(f"  default {_toml(key.default)}")
+    value: Any = below
+    for part in key.path.split("."):
+        value = value.get(part) if isinstance(value, dict) else None
+    if value is not None and value != key.default:
+        lines.append(f"  profile {below.get('profile', '')}: {_toml(value)}")
+    return "\n".join(lines)
+
+
+def _in_short(key: Key) -> str:
+    default = "" if key.default is None else f" = {_toml(key.default)}"
+    return f"{key.path}{default}: {key.kind}"
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text, _WIDTH, break_long_words=False, break_on_hyphens=False)
+
+
+def _toml(value: Any) -> str:
+    """On one line, for which the library would need several."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_toml, value))}]"
+    return tomli_w.dumps({"x": value}).partition(" = ")[2].strip() if value != {} else "{}"
