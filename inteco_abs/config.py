@@ -235,7 +235,7 @@ class SimulationConfig(_Section):
     brake_rate_per_s: Annotated[float, Field(ge=1.0, le=1e6)] = 20.37
     """Rate of the brake actuator's lag."""
     drive_pwm: Annotated[int, Field(ge=0, le=7)] = 0
-    """PWM channel that is really wired to the drive, whatever [board] believes; by default as the vendor's PCI version."""
+    """PWM channel that is really wired to the drive, whatever [board] believes; all as the vendor's PCI version."""
     brake_pwm: Annotated[int, Field(ge=0, le=7)] = 1
     """PWM channel that is really wired to the brake."""
     road_encoder: Annotated[int, Field(ge=0, le=7)] = 0
