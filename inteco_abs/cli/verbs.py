@@ -84,7 +84,7 @@ def main() -> None:
     """Entry point of the command: maps every way to end to its exit code, without a traceback."""
     debug = "--debug" in sys.argv
     try:
-        code = cli.main(standalone_mode=False)
+        code = cli.main(prog_name="inteco-abs", standalone_mode=False)
     except click.ClickException as error:
         error.show()
         code = error.exit_code

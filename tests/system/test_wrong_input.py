@@ -61,11 +61,11 @@ CASES = [
     CASES,
     ids=lambda value: " ".join(map(str, value))[:60] if isinstance(value, list) else None,
 )
-def test_wrong_input_gets_one_clear_answer(inteco_abs, tmp_path, arguments, code, words):
+def test_wrong_input_gets_one_clear_answer(main_here, tmp_path, arguments, code, words):
     (tmp_path / "notes.txt").write_text("just text")
     (tmp_path / "empty.mcap").write_bytes(b"")
     before = set(tmp_path.iterdir())
-    run = inteco_abs(*arguments)
+    run = main_here(*arguments)
     assert run.returncode == code, run.stderr
     for word in words:
         assert word in run.stderr
@@ -75,7 +75,16 @@ def test_wrong_input_gets_one_clear_answer(inteco_abs, tmp_path, arguments, code
     assert not list(tmp_path.glob("sessions/*"))
 
 
-def test_five_mistakes_are_all_reported_at_once(inteco_abs, tmp_path):
+@pytest.mark.parametrize("place", [1, 5, 18, 47])
+def test_the_installed_command_answers_and_ends_likewise(inteco_abs, main_here, tmp_path, place):
+    (tmp_path / "notes.txt").write_text("just text")
+    arguments, code, _ = CASES[place]
+    run = inteco_abs(*arguments, check=code)
+    here = main_here(*arguments)
+    assert (run.stdout, run.stderr) == (here.stdout, here.stderr)
+
+
+def test_five_mistakes_are_all_reported_at_once(main_here, tmp_path):
     (tmp_path / "rig.toml").write_text(
         """
         colour = "red"
@@ -88,7 +97,7 @@ def test_five_mistakes_are_all_reported_at_once(inteco_abs, tmp_path):
         name = "reaching-lw"
         """
     )
-    run = inteco_abs("run", "--config", "rig.toml")
+    run = main_here("run", "--config", "rig.toml")
     assert run.returncode == 2
     for path in (
         "colour",
@@ -101,26 +110,27 @@ def test_five_mistakes_are_all_reported_at_once(inteco_abs, tmp_path):
     assert "5 mistakes" in run.stderr
 
 
-def test_an_existing_session_is_never_overwritten(inteco_abs, tmp_path):
+def test_an_existing_session_is_never_overwritten(main_here, tmp_path):
     (tmp_path / "stop.mcap").write_bytes(b"precious")
-    run = inteco_abs("run", "--virtual", "--out", "stop.mcap")
+    run = main_here("run", "--virtual", "--out", "stop.mcap")
     assert run.returncode == 2
     assert "exists already" in run.stderr
     assert (tmp_path / "stop.mcap").read_bytes() == b"precious"
 
 
 @pytest.mark.parametrize("verb", ["info", "replay"])
-def test_a_truncated_session_says_so_and_a_flipped_bit_is_found(card, inteco_abs, tmp_path, verb):
-    card("--set", "experiment.start_speed_rad_s=20")
+def test_a_truncated_session_says_so_and_a_flipped_bit_is_found(main_here, tmp_path, verb):
+    quick = ("--set", "experiment.start_speed_rad_s=20", "--seed", "1")
+    assert main_here("run", "--virtual", *quick, "--out", "stop.mcap").returncode == 0
     data = (tmp_path / "stop.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
-    run = inteco_abs(verb, "cut.mcap")
+    run = main_here(verb, "cut.mcap")
     assert run.returncode in (1, 3)
     assert "ends early" in run.stderr or "no ticks" in run.stderr
     flipped = bytearray(data)
     flipped[len(data) // 2] ^= 0x10
     (tmp_path / "flipped.mcap").write_bytes(flipped)
-    run = inteco_abs(verb, "flipped.mcap")
+    run = main_here(verb, "flipped.mcap")
     assert run.returncode == 1
     assert "damaged" in run.stderr
 
@@ -139,9 +149,9 @@ def test_a_truncated_session_says_so_and_a_flipped_bit_is_found(card, inteco_abs
         ),
     ],
 )
-def test_a_file_that_holds_no_controller_is_explained(inteco_abs, tmp_path, source, words):
+def test_a_file_that_holds_no_controller_is_explained(main_here, tmp_path, source, words):
     (tmp_path / "law.py").write_text(source)
-    run = inteco_abs("run", "--virtual", "--controller", "law.py:Law")
+    run = main_here("run", "--virtual", "--controller", "law.py:Law")
     assert run.returncode == 2
     for word in words:
         assert word in run.stderr
