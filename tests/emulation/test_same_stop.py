@@ -17,6 +17,8 @@ from inteco_abs.records import TICK
 from inteco_abs.sessions import read_session
 from inteco_abs.signals import Phase
 
+pytestmark = pytest.mark.untraced  # the same code runs traced elsewhere, and these are many runs
+
 HERE = Path(__file__).parent
 SEED = 7
 SHORT = ("experiment.idle_s=0.02", "experiment.hold_s=0.05", "experiment.start_speed_rad_s=40.0")

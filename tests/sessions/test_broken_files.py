@@ -10,6 +10,8 @@ from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
 from inteco_abs.errors import AbsError
 from inteco_abs.sessions import before_the_gap, read_session, recover_session, replay, session_config, validate
 
+pytestmark = pytest.mark.untraced  # the same code runs traced elsewhere, and these are many runs
+
 CHUNK = 6
 
 

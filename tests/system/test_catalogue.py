@@ -8,6 +8,11 @@ from inteco_abs.control import CONTROLLERS, ESTIMATORS
 from inteco_abs.errors import ConfigError
 
 
+@pytest.fixture
+def inteco_abs(main_here):
+    return main_here
+
+
 def test_every_controller_is_listed_with_a_line_and_its_gains(inteco_abs):
     text = inteco_abs("controllers", check=0).stdout
     found = json.loads(inteco_abs("controllers", "--json", check=0).stdout)["controllers"]

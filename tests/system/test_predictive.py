@@ -7,6 +7,8 @@ import pytest
 
 from inteco_abs.sessions import read_session
 
+pytestmark = pytest.mark.untraced  # the same code runs traced elsewhere, and a run of the command is long
+
 OURS = ("--controller", "predictive-reaching", "--set", "experiment.start_speed_rad_s=60")
 
 

@@ -2,6 +2,8 @@ import json
 
 import pytest
 
+pytestmark = pytest.mark.untraced  # the same code runs traced elsewhere, and a run of the command is long
+
 CARD_KEYS = {
     "session", "outcome", "controller", "estimator", "board", "ticks", "overruns", "lost_ticks", "start_speed_rad_s",
     "reference_slip", "reaching_time_s", "band_entry_s", "stop_time_s", "stop_distance_m", "slip_rms_true",

@@ -8,6 +8,11 @@ from firmware_protocol.rtdac_usb2 import READ_REQUEST, encode_read, encode_send
 SLIDER = 45
 
 
+@pytest.fixture
+def inteco_abs(main_here):
+    return main_here
+
+
 def word(frame, index, value):
     return frame[: 2 * index] + value.to_bytes(2, "little") + frame[2 * index + 2 :]
 
