@@ -65,15 +65,16 @@ class LiveRun:
         known = {"supervisor": Word.SUPERVISOR_PID, "loop": Word.LOOP_PID, "recorder": Word.RECORDER_PID}
         if role in known:
             return self.words[known[role]]
-        wanted = {"guardian": b"guardian", "board": b"inteco_abs.simulator"}[role]
         end = time.monotonic() + 10.0
         while time.monotonic() < end:
-            pid = self._with_words(wanted)
+            pid = self.child(role)
             if pid:
                 return pid
         raise AssertionError(f"no {role}")
 
-    def _with_words(self, wanted):
+    def child(self, role):
+        """Pid of `loop`, `recorder`, `guardian` or `board`; 0 if there is none, not yet or not any more."""
+        wanted = {"board": "inteco_abs.simulator"}.get(role, role).encode()
         for entry in Path("/proc").iterdir():
             try:
                 words = (entry / "cmdline").read_bytes().split(b"\0")

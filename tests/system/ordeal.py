@@ -1,0 +1,167 @@
+"""One real-time run whose processes are killed at a random moment, and what has become of its ticks.
+
+The judge is the ring itself, mapped into this process: it outlives its file, and nobody but the loop and the mock board
+ever writes a record into it. The board's own record tells, besides, whether every exchange has become a tick.
+"""
+
+import os
+import random
+import signal
+import subprocess
+import time
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from live import LiveRun
+
+from inteco_abs.realtime.memory import Word
+from inteco_abs.sessions import TICK, TRUTH, read_session
+
+ROLES = ("loop", "recorder", "guardian", "supervisor")
+KINDS = tuple(victims for count in range(1, 5) for victims in combinations(ROLES, count))
+"""Every process alone, and every combination of them."""
+RUNS = 20
+"""Of each kind: 300 in all."""
+SHORT = (
+    "experiment.start_speed_rad_s=20.0",
+    "experiment.idle_s=0.02",
+    "experiment.hold_s=0.05",
+    "guard.silence_s=0.2",
+)
+LAST_TICK = 1700
+"""Of a stop of some 2000 ticks."""
+LONGEST_START_S, LONGEST_END_S, LONGEST_GAP_S = 3.0, 0.6, 1.0
+PATIENCE_S = 60.0
+
+
+class Ordeal(NamedTuple):
+    """What one run went through and what is left of it."""
+
+    seed: str
+    """What `ordeal` was given: the same again strikes the same processes at the same moments."""
+    stage: str
+    """`start`, `run` or `end`, of which the first strike fell into."""
+    packed: int
+    """Ticks that the loop packed, by the ring's memory."""
+    kept: int
+    """How many of these are, bit for bit, in the session."""
+    foreign: int
+    """Ticks in the session that the loop did not pack, or in another order."""
+    unseen: int
+    """Exchanges that the board counted between the first tick and the last and that became no tick."""
+    recovered: bool
+    """Whether it took `inteco-abs recover`."""
+
+    @property
+    def lost(self):
+        return self.packed - self.kept
+
+    @property
+    def passed(self):
+        return not (self.lost or self.foreign or self.unseen)
+
+
+def ordeal(command, folder, environment, victims, number):
+    """Run a stop, kill `victims` in it, recover what must be recovered, judge. `number` seeds all that is random."""
+    seed = f"{'+'.join(victims)} {number}"
+    chance = random.Random(seed)
+    run = LiveRun(command, folder, environment, settings=SHORT, begun=False)
+    try:
+        stage = chance.choices(("start", "run", "end"), (1, 7, 2))[0]
+        await_moment(run, stage, chance)
+        strike(run, chance.sample(victims, len(victims)), chance)
+        run.process.communicate(timeout=PATIENCE_S)
+        await_everybodys_end(run)
+        packed, exchanged_ns = remembered(run)
+        recovered = bool(packed) and run.memory.path.exists()
+        if recovered:
+            again = folder / "again.mcap"
+            subprocess.run([command, "recover", run.memory.path, "-o", again], env=environment, check=True,
+                           capture_output=True)  # fmt: skip
+            kept = whole(again)
+        else:
+            kept = whole(run.out) if packed else []
+        return judged(seed, stage, packed, kept, exchanged_ns, recovered=recovered)
+    finally:
+        for pid in run.processes():
+            os.kill(pid, signal.SIGKILL)
+        run.process.kill()
+        run.process.communicate()
+        run.memory.remove()
+
+
+def table(found):
+    """Lines of a table with a row for each kind in `found`, lists of ordeals by victims, and their sums."""
+    names = ("runs", "packed", "in file", "lost", "foreign", "unseen", "by recover")
+    yield f"{'killed':38}" + "".join(f"{name:>11}" for name in names)
+    sums = [ordeal for ordeals in found.values() for ordeal in ordeals]
+    for kind, ordeals in [*(("+".join(victims), each) for victims, each in found.items()), ("all", sums)]:
+        columns = [[getattr(each, name) for each in ordeals] for name in Ordeal._fields[2:]]
+        packed, kept, foreign, unseen, recovered = map(sum, columns)
+        figures = (len(ordeals), packed, kept, packed - kept, foreign, unseen, recovered)
+        yield f"{kind:38}" + "".join(f"{figure:11}" for figure in figures)
+
+
+def await_moment(run, stage, chance):
+    if stage == "start":
+        longest_s = LONGEST_START_S
+    elif stage == "run":
+        tick, longest_s = chance.randrange(1, LAST_TICK), 0.0005
+        wait(run, lambda: run.ticks.written >= tick)
+    else:
+        longest_s = LONGEST_END_S
+        wait(run, lambda: run.ticks.written and not run.words[Word.HOLDER_PID])
+    time.sleep(chance.random() * longest_s)
+
+
+def wait(run, condition):
+    """Until then, or until the run has ended before: on a busy computer it may stop for safety."""
+    while not condition() and run.process.poll() is None:
+        time.sleep(0.0005)
+
+
+def strike(run, victims, chance):
+    """Kill them in this order: at once, or with time between for the others to notice."""
+    longest_s = chance.choice((0.0, 0.0, LONGEST_GAP_S))
+    for victim in victims:
+        if victim == "supervisor":
+            run.process.kill()
+        elif pid := run.child(victim):
+            os.kill(pid, signal.SIGKILL)
+        time.sleep(chance.random() * longest_s)
+
+
+def await_everybodys_end(run):
+    end = time.monotonic() + PATIENCE_S
+    while run.processes():
+        assert time.monotonic() < end, "somebody is left behind"
+        time.sleep(0.02)
+
+
+def remembered(run):
+    """Records that the loop packed, and the times of the board's exchanges: all that is in the rings."""
+    ticks, truths = run.memory.tick_reader(), run.memory.truth_reader()
+    assert ticks.rewind() == truths.rewind() == 0, "the ring went round: make it longer, or the stop shorter"
+    records = ticks.take()
+    assert ticks.lost == 0
+    return rows(records), TRUTH.array(truths.take())["time_ns"].astype(np.int64)
+
+
+def whole(path):
+    """Records of a session that is not cut."""
+    session = read_session(path)
+    assert session.incomplete == "", session.incomplete
+    return rows(session.payload)
+
+
+def rows(records):
+    return [bytes(records[at : at + TICK.size]) for at in range(0, len(records), TICK.size)]
+
+
+def judged(seed, stage, packed, kept, exchanged_ns, *, recovered):
+    alike = sum(a == b for a, b in zip(packed, kept, strict=False))
+    ticks_ns = TICK.array(b"".join(packed))["time_ns"].astype(np.int64)
+    exchanges = np.diff(np.searchsorted(exchanged_ns, ticks_ns))
+    unseen = int(np.abs(exchanges - 1).sum())
+    return Ordeal(seed, stage, len(packed), alike, len(kept) - alike, unseen, recovered)
