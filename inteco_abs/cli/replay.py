@@ -43,7 +43,14 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     from dataclasses import asdict
 
     from inteco_abs.control import build_pipeline, control_check, gains_in_force
-    from inteco_abs.sessions import before_the_gap, changed_gains, parse_tolerances, read_session, session_config
+    from inteco_abs.sessions import (
+        REFERENCE,
+        before_the_gap,
+        changed_gains,
+        parse_tolerances,
+        read_session,
+        session_config,
+    )
     from inteco_abs.sessions import replay as run_again
 
     given = parse_tolerances(tolerances)
@@ -52,7 +59,7 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     left_out = len(recorded.ticks) - len(session.ticks)
     controllers = controllers_for(session, controller)
     config = session_config(session, (control_check(controllers),))
-    gains = changed_gains(session, gains_in_force(config, controllers))
+    gains = changed_gains(session, {REFERENCE: config.controller.reference_slip, **gains_in_force(config, controllers)})
     outcome = run_again(session, build_pipeline(config, controllers), given)
     report = {
         "schema_version": 1,
@@ -107,7 +114,8 @@ def _tell_of_another(origin: Origin, source: bytes | None, package: str) -> None
 
 def _print_replay(file: Path, outcome: Replay, gains: Mapping[str, Any]) -> None:
     for name, change in gains.items():
-        click.echo(f"{file}: the gain {name} was {change['recorded']} in the run and is {change['configured']} now")
+        was, now = (change[when] or "not there" for when in ("recorded", "configured"))
+        click.echo(f"{file}: the gain {name} was {was} in the run ({change['where']}) and is {now} now")
     within = f", {max(outcome.tolerated.values())} within their tolerance" if outcome.tolerated else ""
     if outcome.first is None:
         ticks = f"{outcome.ticks} ticks ({outcome.braking_ticks} braking)"

@@ -4,6 +4,7 @@ from inteco_abs.records import TICK, TRUTH, pack_tick
 from inteco_abs.sessions.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions
 from inteco_abs.sessions.export import FORMATS, Export, export_session
 from inteco_abs.sessions.extract import attached, extract
+from inteco_abs.sessions.gains import REFERENCE, changed_gains
 from inteco_abs.sessions.listing import COLUMNS, session_files, session_row, sort_rows
 from inteco_abs.sessions.output import check_output, only_whole
 from inteco_abs.sessions.reader import Session, read_session
@@ -13,7 +14,6 @@ from inteco_abs.sessions.replay import (
     Difference,
     Replay,
     before_the_gap,
-    changed_gains,
     replay,
     session_config,
 )
@@ -28,6 +28,7 @@ __all__ = [
     "COLUMNS",
     "CONFIG_NAME",
     "FORMATS",
+    "REFERENCE",
     "SECTIONS",
     "TICK",
     "TRUTH",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Self
@@ -10,7 +11,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.records.schema import LOG_TOPIC, TICK, TRUTH, Message
+from inteco_abs.records.schema import LOG_TOPIC, PARAMETERS_TOPIC, TICK, TRUTH, Message
 from inteco_abs.records.wire import fields as wire_fields
 from inteco_abs.sessions.container import (
     DamagedError,
@@ -26,10 +27,14 @@ from inteco_abs.sessions.rows import Rows
 
 LIBRARY: Final = "inteco-abs/"
 PREFIX: Final = "inteco_abs."
+ATTACHMENT_HASH: Final = "sha256."
+"""Before an attachment's name, in the record `integrity`."""
 FLAT: Final[Mapping[str, Message]] = {TICK.topic: TICK, TRUTH.topic: TRUTH}
 """Messages that are kept as rows."""
 _LONGEST_EVENT: Final = 1000
 _HIGHEST_LEVEL: Final = 5
+_DOUBLE: Final = struct.Struct("<d")
+_FIXED32: Final = struct.Struct("<I")
 
 
 class Event(NamedTuple):
@@ -39,6 +44,13 @@ class Event(NamedTuple):
     level: int
     """2 information, 3 warning, 4 error: those of `foxglove.Log`."""
     text: str
+
+
+class Parameters(NamedTuple):
+    """Gains and reference in force from `tick` on."""
+
+    tick: int
+    values: dict[str, float]
 
 
 class Attached(NamedTuple):
@@ -85,6 +97,7 @@ class Content:
     messages: int = 0
     """In chunks, of all channels."""
     events: list[Event] = field(default_factory=list)
+    parameters: list[Parameters] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     """By record name without `inteco_abs.`; records of one name are merged, the later one wins."""
     attachments: dict[str, Attached] = field(default_factory=dict)
@@ -118,6 +131,8 @@ class Content:
             self.check_schemas()
         for run in runs.get(LOG_TOPIC, ()):
             self.events += map(event, run.rows["log_time"].tolist(), run.rows["data"].tolist())
+        for run in runs.get(PARAMETERS_TOPIC, ()):
+            self.parameters += map(parameters, run.rows["data"].tolist())
         batches = {topic: Batch.of(runs[topic], FLAT[topic]) for topic in FLAT if topic in runs}
         for topic, batch in batches.items():
             self._keep(topic, batch)
@@ -132,6 +147,12 @@ class Content:
                     f"{topic} has another layout than {known.name} here: another version of this program made it"
                 )
         self.understood = True
+
+    def altered_attachments(self) -> list[str]:
+        """Names of the attachments that are not those that were recorded, by their hashes."""
+        told = self.metadata.get("integrity", {})
+        found = {name: hashlib.sha256(attached.data).hexdigest() for name, attached in self.attachments.items()}
+        return [name for name, digest in found.items() if told.get(ATTACHMENT_HASH + name, digest) != digest]
 
     @property
     def announces_ticks(self) -> bool:
@@ -187,3 +208,26 @@ def event(log_time: int, data: bytes) -> Event:
     if not isinstance(level, int) or level > _HIGHEST_LEVEL or not isinstance(text, bytes):
         raise DamagedError("an event cannot be read: its level or its text is none")
     return Event(log_time, level, text[:_LONGEST_EVENT].decode("utf-8", "replace"))
+
+
+def parameters(data: bytes) -> Parameters:
+    """An encoded `Params`; raises DamagedError if it is none."""
+    tick, values = 0, {}
+    try:
+        for number, value in wire_fields(data):
+            if number == 1:
+                entry = dict(wire_fields(_raw(value)))
+                (values[str(_raw(entry.get(1)), "utf-8")],) = _DOUBLE.unpack(_raw(entry.get(2)))
+            elif number == 2:
+                (tick,) = _FIXED32.unpack(_raw(value))
+            else:
+                raise ValueError(f"field {number} is none of theirs")  # noqa: TRY301  named below as all others
+    except (ValueError, struct.error) as error:
+        raise DamagedError(f"parameters cannot be read: {error}") from error
+    return Parameters(tick, values)
+
+
+def _raw(value: int | bytes | None) -> bytes:
+    if not isinstance(value, bytes):
+        raise ValueError(f"{value} stands where bytes should")  # noqa: TRY004  of the data, not of an argument
+    return value

@@ -25,7 +25,7 @@ from inteco_abs.sessions.container import (
     kind,
     unpack_chunk,
 )
-from inteco_abs.sessions.content import FLAT, LIBRARY, Content, Event
+from inteco_abs.sessions.content import FLAT, LIBRARY, Content, Event, Parameters
 from inteco_abs.sessions.rows import Rows, RowsInMemory, RowsOnDisk
 
 
@@ -45,6 +45,8 @@ class Session:
     channels: dict[str, dict[str, str]]
     """Metadata of each channel, by topic."""
     log: tuple[Event, ...]
+    parameters: tuple[Parameters, ...]
+    """Gains and reference in force, each from its tick on."""
     epoch_ns: int
     """UNIX time of the monotonic clock's zero, ns; 0 without ticks."""
     incomplete: str
@@ -140,6 +142,8 @@ def _session(path: Path, content: Content, incomplete: str) -> Session:
         raise SessionError(f"{path}: is an MCAP file, but no session of this program")
     if recorded is not None and recorded != content.hash.hexdigest():
         raise DamagedError("the ticks do not match the hash that was recorded with them")
+    for name in content.altered_attachments():
+        raise DamagedError(f"attachment {name!r} does not match the hash that was recorded with it")
     payload = content.rows[TICK.topic].contents()
     return Session(
         path,
@@ -150,6 +154,7 @@ def _session(path: Path, content: Content, incomplete: str) -> Session:
         {name: attached.data for name, attached in content.attachments.items()},
         content.channel_facts,
         tuple(content.events),
+        tuple(content.parameters),
         content.epoch_ns or 0,
         incomplete,
     )

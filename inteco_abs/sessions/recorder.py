@@ -22,6 +22,7 @@ from inteco_abs.errors import SessionError
 from inteco_abs.records import schema
 from inteco_abs.records.schema import TICK, TRUTH, Message
 from inteco_abs.records.wire import chunk, double, integer, tag
+from inteco_abs.sessions.content import ATTACHMENT_HASH
 from inteco_abs.sessions.output import check_output
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
@@ -73,6 +74,7 @@ class Recorder:
         self._epoch_ns = time.time_ns() - start_ns if epoch_ns is None else epoch_ns
         self._start_ns = start_ns
         self._hash = hashlib.sha256()
+        self._attached: dict[str, str] = {}
         self._ticks = 0
         self._truths = 0
         self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
@@ -111,6 +113,7 @@ class Recorder:
         """Add a file."""
         stamp = self._epoch_ns + self._start_ns
         self._writer.add_attachment(stamp, stamp, name, media_type, data)
+        self._attached[ATTACHMENT_HASH + name] = hashlib.sha256(data).hexdigest()
 
     def begin(self, parameters: Mapping[str, float]) -> None:
         """Write the parameters in force from tick 0, and everything so far to the disk."""
@@ -188,7 +191,7 @@ class Recorder:
         )
         self.describe("timing", {f"late_us.{name}": repr(value) for name, value in result["lateness_us"].items()})
         self.describe("result", {"card": json.dumps(result)})
-        self.describe("integrity", {"payload_sha256": self.payload_sha256})
+        self.describe("integrity", {"payload_sha256": self.payload_sha256, **self._attached})
         self._writer.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
         self._file.flush()
 

@@ -22,6 +22,8 @@ RECOVERED: Final = "recovered"
 """Outcome of a session that was made of what is whole in a damaged file."""
 _INPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.INPUT)
 _COMPARED: Final = ("time_ns", "tick", "dt_s", *OUTPUTS)
+_LONGEST_S: Final = (1 << 64) * 1e-9
+"""What a clock of 64 bits can count, ns."""
 _NO_FLAGS: Final = BoardFlags.NONE  # two enums looked up by value would take a tenth of a tick
 _NO_REQUEST: Final = Reason.NONE
 
@@ -88,17 +90,6 @@ def before_the_gap(session: Session) -> Session:
     return replace(session, ticks=session.ticks[:whole], payload=session.payload[: whole * TICK.size])
 
 
-def changed_gains(session: Session, gains: Mapping[str, float]) -> dict[str, dict[str, str]]:
-    """Those of `gains` that the session has recorded otherwise; each as recorded and as configured, in hex."""
-    told = session.metadata.get("controller", {})
-    recorded = {name: told.get(f"gain.{name}.hex") for name in gains}
-    return {
-        name: {"recorded": was, "configured": gains[name].hex()}
-        for name, was in recorded.items()
-        if was not in {None, gains[name].hex()}
-    }
-
-
 def replay(session: Session, pipeline: Pipeline, tolerances: Mapping[str, Tolerance] | None = None) -> Replay:
     """Drive a fresh `pipeline` with the session's inputs and compare; fields without a tolerance must agree exactly.
 
@@ -143,7 +134,14 @@ def decisions(session: Session, pipeline: Pipeline) -> Array:
 
 
 def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
-    """The session's inputs as a pipeline takes them: sample, and why somebody asked to stop."""
+    """The session's inputs as a pipeline takes them: sample, and why somebody asked to stop.
+
+    Raises SessionError for a dt_s that no clock can have measured.
+    """
+    impossible = np.flatnonzero(~(np.abs(session.ticks["dt_s"]) < _LONGEST_S))
+    if len(impossible):
+        tick, dt_s = (session.ticks[name][impossible[0]] for name in ("tick", "dt_s"))
+        raise SessionError(f"{session.path}: tick {tick}: dt_s is {dt_s}, which no clock can have measured")
     for time_ns, tick, dt_s, wheel, road, flags, request in TICK.values(session.payload, _INPUTS):
         sample = Sample(tick, time_ns, dt_s, wheel, road, BoardFlags(flags) if flags else _NO_FLAGS)
         yield sample, Reason(request) if request else _NO_REQUEST

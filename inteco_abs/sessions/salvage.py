@@ -178,6 +178,9 @@ class _Anew:
         self._ticks, self._truths = remains.rows[TICK.topic].array(), remains.rows[TRUTH.topic].array()
         self._epoch_ns = remains.epoch_ns or 0
         self._losses = remains.losses
+        for name in self._content.altered_attachments():
+            del self._content.attachments[name]
+            self._losses.append(f"attachment {name!r} does not match the hash that was recorded with it")
         if not len(self._ticks):
             because = f": {self._losses[0]}" if self._losses else ""
             raise SessionError(f"{source}: holds no tick that is whole, so there is nothing to recover{because}")

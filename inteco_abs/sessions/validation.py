@@ -186,6 +186,8 @@ class _Inspector:
             self._told.wrong("hash", "is missing: nothing says that these are the ticks that were recorded")
         elif recorded not in {None, self._content.hash.hexdigest()}:
             self._told.wrong("hash", "the ticks do not match the hash that was recorded with them")
+        for name in self._content.altered_attachments():
+            self._told.wrong(f"attachment {name}", "does not match the hash that was recorded with it")
 
     def _judge_the_session(self, facts: dict[str, str]) -> None:
         told = self._told

@@ -109,9 +109,10 @@ def test_timing_record(metadata, quick):
     assert set(late) == {"p50", "p99", "p999", "max"}
 
 
-def test_integrity_record_is_the_hash_of_the_payloads(metadata, quick):
+def test_integrity_record_is_the_hash_of_the_payloads_and_of_each_attachment(metadata, quick):
     expected = hashlib.sha256(quick.session.payload).hexdigest()
-    assert metadata["integrity"] == {"payload_sha256": expected}
+    config = hashlib.sha256(quick.session.attachments["config.toml"]).hexdigest()
+    assert metadata["integrity"] == {"payload_sha256": expected, "sha256.config.toml": config}
     assert quick.stop.card["payload_sha256"] == expected
 
 

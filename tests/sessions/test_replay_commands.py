@@ -57,7 +57,8 @@ def test_replay_with_another_gain_names_it(command, quick, rewritten):
     path = rewritten(config=config.replace("[controller.gains]", "[controller.gains]\nMk = 2.5").encode())
     code, printed, _ = command("replay", path)
     assert code == 4
-    assert "the gain Mk was 0x1.0000000000000p+1 in the run and is 0x1.4000000000000p+1 now" in printed
+    was = "the gain Mk was 0x1.0000000000000p+1 in the run (metadata controller: gain.Mk.hex)"
+    assert f"{was} and is 0x1.4000000000000p+1 now" in printed
     assert "torque_demand_nm" in printed
 
 

@@ -242,11 +242,25 @@ def test_gains_named_but_as_they_were_differ_in_nothing(quick, replayed):
     assert replayed(with_gains(quick.session, Mk=2.0, Mq=1.0)).differing == 0
 
 
+IN_FORCE = {"reference_slip": 0.2, "Mk": 2.0, "Mq": 1.0, "lag_s": 0.0}
+
+
 def test_gains_that_the_session_has_recorded_otherwise_are_told(quick):
     session = quick.session
-    assert changed_gains(session, {"Mk": 2.0, "Mq": 1.0}) == {}
-    changed = changed_gains(session, {"Mk": 2.0, "Mq": math.nextafter(1.0, 2.0), "unknown": 3.0})
-    assert changed == {"Mq": {"recorded": "0x1.0000000000000p+0", "configured": "0x1.0000000000001p+0"}}
+    assert changed_gains(session, IN_FORCE) == {}
+    changed = changed_gains(session, IN_FORCE | {"Mq": math.nextafter(1.0, 2.0), "unknown": 3.0})
+    where = "metadata controller: gain.Mq.hex"
+    change = {"recorded": "0x1.0000000000000p+0", "configured": "0x1.0000000000001p+0", "where": where}
+    assert changed == {"Mq": change}
+
+
+def test_a_gain_that_the_controller_has_no_more_is_told(quick):
+    change = changed_gains(quick.session, {name: value for name, value in IN_FORCE.items() if name != "lag_s"})["lag_s"]
+    assert (change["recorded"], change["configured"]) == ("0.0", None)
+
+
+def test_a_session_that_has_recorded_no_gains_has_none_that_changed(quick):
+    assert changed_gains(replace(quick.session, metadata={}, parameters=()), IN_FORCE) == {}
 
 
 def test_a_session_without_ticks_cannot_be_replayed(quick, replayed):
