@@ -1,7 +1,14 @@
 """A session that was cut or changed anywhere is refused, or read, validated, recovered and replayed without a lie."""
 
 import random
+import resource
+import signal
+import struct
+import zlib
+from bisect import bisect_right
 from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +19,35 @@ from inteco_abs.sessions import before_the_gap, read_session, recover_session, r
 
 pytestmark = pytest.mark.untraced  # the same code runs traced elsewhere, and these are many runs
 
-CHUNK = 6
+CHUNK, DATA_END = 6, 15
+MOST_BYTES = 256 << 20
+"""What may be allocated for a file of 20 kB, in one piece or all together."""
+LONGEST_S = 60
+"""No promise: what is over in 30 ms has hung by then."""
+
+
+class HangsError(BaseException):
+    """Past every `except Exception`."""
+
+
+@contextmanager
+def bounds(what):
+    """Neither more memory than that nor more time, whatever the file says."""
+
+    def give_up(_number, _frame):
+        raise HangsError(what)
+
+    memory = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    handler = signal.signal(signal.SIGALRM, give_up)
+    resource.setrlimit(resource.RLIMIT_AS, (used + MOST_BYTES, memory[1]))
+    signal.alarm(LONGEST_S)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, handler)
+        resource.setrlimit(resource.RLIMIT_AS, memory)
 
 
 class Trial:
@@ -23,20 +58,39 @@ class Trial:
         self.ticks = {int(row["tick"]): row.tobytes() for row in self.whole.ticks}
         self.broken, self.out = tmp_path / "broken.mcap", tmp_path / "recovered.mcap"
         self.lies = []
+        self._lossless = False
         self.recovered = []
         """Ticks that each recovery gave."""
+        self.lossless = []
+        """Variants of which a recovery said that nothing was lost."""
 
     def of(self, data, what) -> None:
         self.broken.write_bytes(data)
         for check in (self._reads, self._validates, self._recovers):
-            try:
-                wrong = list(check())
-            except AbsError:
-                continue
-            except Exception as error:  # noqa: BLE001  which variant made it fail says more than the traceback
-                wrong = [repr(error)]
+            wrong = self._said_by(check, what)
             if wrong:
                 self.lies.append((what, check.__name__, wrong))
+        self.lossless += [what] if self._lossless else []
+
+    def of_ticks(self, data, what) -> None:
+        """For a file of which nothing tells that its ticks are not those that were recorded."""
+        self.broken.write_bytes(data)
+        for check in (self._replays_what_it_reads, self._validates, self._recovers):
+            wrong = self._said_by(check, what)
+            self.lies += [(what, wrong)] if any(isinstance(each, Exception) for each in wrong) else []
+
+    @staticmethod
+    def _said_by(check, what):
+        with bounds(what):
+            try:
+                return list(check())
+            except AbsError:
+                return []
+            except Exception as error:  # noqa: BLE001  which variant made it fail says more than the traceback
+                return [error]
+
+    def _replays_what_it_reads(self) -> Iterator[str]:
+        return self._replays(read_session(self.broken))
 
     def _reads(self) -> Iterator[str]:
         session = read_session(self.broken)
@@ -56,9 +110,11 @@ class Trial:
     def _recovers(self) -> Iterator[str]:
         self.out.unlink(missing_ok=True)
         self.recovered.append(0)
+        self._lossless = False
         recovery = recover_session(self.broken, self.out)
         session = read_session(self.out)
         self.recovered[-1] = len(session.ticks)
+        self._lossless = not recovery.losses
         numbers = session.ticks["tick"].tolist()
         if session.incomplete or session.metadata["session"]["outcome"] != "recovered":
             yield "no whole session"
@@ -87,20 +143,47 @@ def test_the_file_itself_is_well_and_nothing_of_it_is_lost(short, tmp_path):
     assert read_session(tmp_path / "recovered.mcap").payload == read_session(short).payload
 
 
-def test_cut_between_any_two_records(trial, container):
+def power_lost_at(ends, trial, container) -> None:
+    """Every tick of every chunk that is all there, no other, and word that there may have been more."""
     records = container.split(trial.data)
-    ends = sorted({at for record in records for at in (record.at, record.end)} - {len(trial.data)})
+    whole_chunks = [record.end for record in records if record.opcode == CHUNK]
+    (data_end,) = (record.end for record in records if record.opcode == DATA_END)
     for end in ends:
         trial.of(trial.data[:end], end)
     assert trial.lies == []
-    assert max(trial.recovered) == len(trial.whole.ticks)
+    # the first chunk has what explains the session, each of the others ten ticks
+    assert trial.recovered == [10 * max(0, bisect_right(whole_chunks, end) - 1) for end in ends]
+    assert trial.lossless == [end for end in ends if end >= data_end]
 
 
-def test_cut_anywhere(trial):
-    for end in random.Random(1).sample(range(len(trial.data)), 200):
-        trial.of(trial.data[:end], end)
-    assert trial.lies == []
-    assert len(set(trial.recovered)) >= 6
+def test_power_lost_between_any_two_records_or_in_the_head_of_one(trial, container):
+    records = container.split(trial.data)
+    between = [at for record in records for at in (record.at, record.end)]
+    around = [
+        end + off for record in records if record.opcode == CHUNK for end in (record.at, record.end) for off in (-1, 1)
+    ]
+    heads = [record.at + 1 + number % 8 for number, record in enumerate(records)]
+    power_lost_at(sorted({*between, *around, *heads} - {len(trial.data)}), trial, container)
+
+
+@pytest.mark.parametrize("times", [150, pytest.param(500, marks=pytest.mark.long)])
+def test_power_lost_anywhere(trial, container, times):
+    power_lost_at(random.Random(times).sample(range(len(trial.data)), times), trial, container)
+    assert len(set(trial.recovered)) == 7
+
+
+@pytest.mark.parametrize("chunk", range(2, 7))
+def test_the_verbs_end_with_3_after_a_loss_of_power(short, container, altered, verb, tmp_path, chunk):
+    data = short.read_bytes()
+    ends = [record.end for record in container.split(data) if record.opcode == CHUNK]
+    for cut in (ends[chunk] - 1, ends[chunk], ends[chunk] + 1):
+        path, ticks = altered(data[:cut]), 10 * (chunk - (cut < ends[chunk]))
+        assert [verb(name, path).code for name in ("info", "validate", "replay")] == [3, 3, 3]
+        again = tmp_path / f"{cut}.mcap"
+        done = verb("recover", path, "-o", again, "--json")
+        assert (done.code, done.json["ticks"]) == (3, ticks)
+        assert read_session(short).payload.startswith(read_session(again).payload)
+        assert verb("info", path, "--json").json["ticks"] == ticks
 
 
 def flip(trial, seed, times) -> None:
@@ -114,6 +197,41 @@ def flip(trial, seed, times) -> None:
             fresh = generator.randbytes(length)
             data[at : at + length] = bytes(a ^ (b or 1) for a, b in zip(data[at : at + length], fresh, strict=False))
         trial.of(bytes(data), (seed, number))
+
+
+HOSTILE = [struct.pack("<d", value) for value in (np.nan, np.inf, -np.inf, 1.4e306, -1e300, 5e-324, -0.0)]
+HOSTILE += [struct.pack("<Q", value) for value in (0, 1, 1 << 31, 1 << 32, 1 << 63, (1 << 64) - 1)]
+
+
+def with_other_ticks(container, data, generator):
+    """A session that was cut, with other bytes in some ticks: every checksum right, and no hash that could tell."""
+    records = [r for r in container.split(data) if b"inteco_abs.integrity" not in r.content]
+    records = records[: next(at for at, record in enumerate(records) if record.opcode == DATA_END)]
+    at = generator.choice([at for at, record in enumerate(records) if record.opcode == CHUNK])
+    raw = bytearray(container.unpack(records[at]))
+    for _ in range(generator.choice((1, 1, 2, 10))):
+        place = generator.randrange(len(raw) - 8)
+        fresh = generator.choice((generator.randbytes(1), generator.randbytes(8), *HOSTILE))
+        raw[place : place + len(fresh)] = fresh
+    records[at] = container.chunk(bytes(raw), len(raw), "", zlib.crc32(raw))
+    return container.magic + b"".join(map(bytes, records))
+
+
+def change_ticks(trial, container, seed, times) -> None:
+    generator = random.Random(seed)
+    for number in range(times):
+        trial.of_ticks(with_other_ticks(container, trial.data, generator), (seed, number))
+
+
+def test_ticks_changed_under_right_checksums_are_refused_or_replayed(trial, container):
+    change_ticks(trial, container, seed=7, times=150)
+    assert trial.lies == []
+
+
+@pytest.mark.long
+def test_ticks_changed_under_right_checksums_and_often(trial, container):
+    change_ticks(trial, container, seed=8, times=10_000)
+    assert trial.lies == []
 
 
 def test_changed_anywhere(trial):
