@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Final
 
 from inteco_abs.errors import AbsError, BoardError, UnsafeError, in_words
-from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
 
 PATIENCE_S: Final = 60.0
 
@@ -35,8 +35,9 @@ def holding(memory: RunMemory) -> Iterator[None]:
 
 
 def stopped(memory: RunMemory) -> bool:
-    """Whether anybody wants the run to end."""
-    return bool(memory.words[Word.STOP] or memory.words[Word.GUARDIAN_STOP])
+    """Whether anybody wants the run to end, or nobody is left who could let it begin."""
+    words = memory.words
+    return bool(words[Word.STOP] or words[Word.GUARDIAN_STOP]) or not alive(words[Word.SUPERVISOR_PID])
 
 
 def tell_failure(memory: RunMemory, note: Note, error: BaseException) -> None:

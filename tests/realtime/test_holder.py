@@ -1,4 +1,5 @@
 import os
+import subprocess
 import threading
 
 import pytest
@@ -83,6 +84,13 @@ def test_a_run_is_to_end_when_either_side_says_so(memory, words, wanted):
     for word in words:
         memory.words[word] = 1
     assert stopped(memory) == wanted
+
+
+def test_a_run_without_a_supervisor_is_to_end(memory):
+    with subprocess.Popen(["true"]) as gone:
+        gone.wait()
+        memory.words[Word.SUPERVISOR_PID] = gone.pid
+        assert stopped(memory)
 
 
 @pytest.mark.parametrize(

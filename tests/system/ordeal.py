@@ -10,6 +10,7 @@ import signal
 import subprocess
 import time
 from itertools import combinations
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,10 @@ SHORT = (
 )
 LAST_TICK = 1700
 """Of a stop of some 2000 ticks."""
+EVERY_LONG = 5
+LONG = (*SHORT, "experiment.stops=6", "loop.ring_s=4.0")
+"""Every fifth run: stops in a row, of which the ring soon holds the newest 8000 ticks only."""
+LONG_TICKS = 8000, 11_000
 LONGEST_START_S, LONGEST_END_S, LONGEST_GAP_S = 3.0, 0.6, 1.0
 PATIENCE_S = 60.0
 
@@ -44,13 +49,13 @@ class Ordeal(NamedTuple):
     """`start`, `run` or `end`, of which the first strike fell into."""
     packed: int
     """Ticks that the loop packed, by the ring's memory."""
-    kept: int
-    """How many of these are, bit for bit, in the session."""
-    foreign: int
+    kept: int = 0
+    """How many of these are in the session: bit for bit what the ring still holds, by their numbers what it held."""
+    foreign: int = 0
     """Ticks in the session that the loop did not pack, or in another order."""
-    unseen: int
-    """Exchanges that the board counted between the first tick and the last and that became no tick."""
-    recovered: bool
+    unseen: int = 0
+    """Exchanges that the board counted between two ticks that the ring holds, and that became no tick."""
+    recovered: bool = False
     """Whether it took `inteco-abs recover`."""
 
     @property
@@ -66,15 +71,15 @@ def ordeal(command, folder, environment, victims, number):
     """Run a stop, kill `victims` in it, recover what must be recovered, judge. `number` seeds all that is random."""
     seed = f"{'+'.join(victims)} {number}"
     chance = random.Random(seed)
-    run = LiveRun(command, folder, environment, settings=SHORT, begun=False)
+    long = number % EVERY_LONG == EVERY_LONG - 1
+    run = LiveRun(command, folder, environment, settings=LONG if long else SHORT, begun=False)
     try:
         stage = chance.choices(("start", "run", "end"), (1, 7, 2))[0]
-        await_moment(run, stage, chance)
+        await_moment(run, stage, LONG_TICKS if long else (1, LAST_TICK), chance)
         strike(run, chance.sample(victims, len(victims)), chance)
-        run.process.communicate(timeout=PATIENCE_S)
-        await_everybodys_end(run)
-        packed, exchanged_ns = remembered(run)
-        recovered = bool(packed) and run.memory.path.exists()
+        await_everybodys_end(run, f"{seed}, at its {stage}")
+        packed, held, exchanged_ns = remembered(run)
+        recovered = packed > 0 and run.memory.path.exists()
         if recovered:
             again = folder / "again.mcap"
             subprocess.run([command, "recover", run.memory.path, "-o", again], env=environment, check=True,
@@ -82,7 +87,7 @@ def ordeal(command, folder, environment, victims, number):
             kept = whole(again)
         else:
             kept = whole(run.out) if packed else []
-        return judged(seed, stage, packed, kept, exchanged_ns, recovered=recovered)
+        return judged(Ordeal(seed, stage, packed, recovered=recovered), held, kept, exchanged_ns)
     finally:
         for pid in run.processes():
             os.kill(pid, signal.SIGKILL)
@@ -103,11 +108,11 @@ def table(found):
         yield f"{kind:38}" + "".join(f"{figure:11}" for figure in figures)
 
 
-def await_moment(run, stage, chance):
+def await_moment(run, stage, ticks, chance):
     if stage == "start":
         longest_s = LONGEST_START_S
     elif stage == "run":
-        tick, longest_s = chance.randrange(1, LAST_TICK), 0.0005
+        tick, longest_s = chance.randrange(*ticks), 0.0005
         wait(run, lambda: run.ticks.written >= tick)
     else:
         longest_s = LONGEST_END_S
@@ -132,20 +137,26 @@ def strike(run, victims, chance):
         time.sleep(chance.random() * longest_s)
 
 
-def await_everybodys_end(run):
+def await_everybodys_end(run, seed):
     end = time.monotonic() + PATIENCE_S
-    while run.processes():
-        assert time.monotonic() < end, "somebody is left behind"
+    while run.process.poll() is None or run.processes():
+        assert time.monotonic() < end, f"{seed}: still there are {[words(pid) for pid in run.processes()]}"
         time.sleep(0.02)
+    run.process.communicate()
+
+
+def words(pid):
+    return (Path("/proc") / str(pid) / "cmdline").read_text().split("\0")[4:6]
 
 
 def remembered(run):
-    """Records that the loop packed, and the times of the board's exchanges: all that is in the rings."""
+    """How many records the loop packed, those that the ring holds, and the times of the board's newest exchanges."""
     ticks, truths = run.memory.tick_reader(), run.memory.truth_reader()
-    assert ticks.rewind() == truths.rewind() == 0, "the ring went round: make it longer, or the stop shorter"
-    records = ticks.take()
-    assert ticks.lost == 0
-    return rows(records), TRUTH.array(truths.take())["time_ns"].astype(np.int64)
+    ticks.rewind()
+    truths.rewind()
+    held, exchanges = rows(ticks.take()), TRUTH.array(truths.take())
+    assert ticks.lost == truths.lost == 0
+    return ticks.written, held, exchanges["time_ns"].astype(np.int64)
 
 
 def whole(path):
@@ -159,9 +170,13 @@ def rows(records):
     return [bytes(records[at : at + TICK.size]) for at in range(0, len(records), TICK.size)]
 
 
-def judged(seed, stage, packed, kept, exchanged_ns, *, recovered):
-    alike = sum(a == b for a, b in zip(packed, kept, strict=False))
-    ticks_ns = TICK.array(b"".join(packed))["time_ns"].astype(np.int64)
+def judged(ordeal, held, kept, exchanged_ns):
+    first = ordeal.packed - len(held)
+    numbers = TICK.array(b"".join(kept))["tick"].tolist()
+    alike = sum(number == at for at, number in enumerate(numbers[:first]))
+    alike += sum(a == b for a, b in zip(held, kept[first:], strict=False))
+    ticks_ns = TICK.array(b"".join(held))["time_ns"].astype(np.int64)
+    ticks_ns = ticks_ns[ticks_ns >= exchanged_ns[0]] if len(exchanged_ns) else ticks_ns
+    # one between any two ticks, or two after none: the board may be late, and a tick has the host's time
     exchanges = np.diff(np.searchsorted(exchanged_ns, ticks_ns))
-    unseen = int(np.abs(exchanges - 1).sum())
-    return Ordeal(seed, stage, len(packed), alike, len(kept) - alike, unseen, recovered)
+    return ordeal._replace(kept=alike, foreign=len(kept) - alike, unseen=max(0, int((exchanges - 1).sum())))
