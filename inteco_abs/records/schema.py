@@ -84,9 +84,9 @@ class Message:
         self._arguments: list[Any] = [part for key in keys for part in (key, 0)]
         self.size = self._struct.size
         self._offsets = offsets
-        self._keys = [(offset, len(key)) for offset, key in zip(offsets, keys, strict=True)]
+        self._keys = keys
         choices = [(False, True) if column.kind is BOOL else column.kind.members for column in self.columns]
-        self._choices = [(offset, members) for offset, members in zip(offsets, choices, strict=True) if members]
+        self._choices = {offset: len(members) for offset, members in zip(offsets, choices, strict=True) if members}
 
     def pack_into(self, buffer: bytearray, offset: int, values: Sequence[Any]) -> None:
         """Write the message with `values`, one per column, at `offset`."""
@@ -112,9 +112,9 @@ class Message:
     def _keyless(self, names: Collection[str]) -> struct.Struct:
         """The layout with padding for the keys and for all other columns."""
         form = "<"
-        for column, (_, key_length) in zip(self.columns, self._keys, strict=True):
+        for column, key in zip(self.columns, self._keys, strict=True):
             code = column.kind.code
-            form += f"{key_length}x{code if column.name in names else f'{struct.calcsize(code)}x'}"
+            form += f"{len(key)}x{code if column.name in names else f'{struct.calcsize(code)}x'}"
         return struct.Struct(form)
 
     @cached_property
@@ -141,14 +141,20 @@ class Message:
             return False
         numpy = _numpy()
         raw = numpy.frombuffer(data, numpy.uint8).reshape(-1, self.size)
-        template = numpy.frombuffer(self._zeros, numpy.uint8)
-        if not all((raw[:, at - length : at] == template[at - length : at]).all() for at, length in self._keys):
-            return False
-        return all((raw[:, at] < len(members)).all() for at, members in self._choices)
+        key_places, keys, enum_places, members = self._fixed
+        return bool((raw.take(key_places, axis=1) == keys).all() and (raw.take(enum_places, axis=1) < members).all())
 
     @cached_property
-    def _zeros(self) -> bytes:
-        return self.pack([0] * len(self.columns))
+    def _fixed(self) -> tuple[npt.NDArray[Any], ...]:
+        """Where the keys' bytes are and what they are; where the enums are and how many members each has."""
+        places = [at for end, key in zip(self._offsets, self._keys, strict=True) for at in range(end - len(key), end)]
+        array = _numpy().array
+        return (
+            array(places, "i8"),
+            array(list(b"".join(self._keys)), "u1"),
+            array(list(self._choices), "i8"),
+            array(list(self._choices.values()), "u1"),
+        )
 
     def descriptor(self) -> bytes:
         """FileDescriptorSet with this message and its enums, as MCAP's protobuf encoding wants it."""
