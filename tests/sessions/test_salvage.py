@@ -135,6 +135,26 @@ def test_what_the_recovery_wrote_opens_officially(rescue, officially, cut_short,
     assert len(found.of("/abs/tick")) == len(read_session(tmp_path / "out.mcap").ticks) > 20
 
 
+def with_another_attachment(container, records):
+    """A byte of the configuration changed, its checksum right."""
+    at = next(at for at, record in enumerate(records) if record.opcode == ATTACHMENT)
+    content = records[at].content[:-4].replace(b"sim_usb2", b"sim_usb3")
+    records[at] = container.record(ATTACHMENT, content + struct.pack("<I", zlib.crc32(content)))
+    return container.join(records)
+
+
+def test_an_attachment_that_is_not_the_one_that_was_recorded_is_left_out(rescue, container, pieces):
+    recovery, session = rescue(with_another_attachment(container, pieces[0]))
+    assert recovery.losses == ("attachment 'config.toml' does not match the hash that was recorded with it",)
+    assert (len(session.ticks), session.attachments) == (60, {})
+
+
+def test_an_attachment_that_is_not_the_one_that_was_recorded_is_wrong(container, pieces, altered):
+    inspection = validate(altered(with_another_attachment(container, pieces[0])))
+    assert inspection.verdict == "wrong"
+    assert [f.place for f in inspection.findings] == ["attachment config.toml"]
+
+
 def test_without_its_configuration_a_session_has_no_metrics_but_its_ticks(rescue, container, pieces):
     records, _ = pieces
     kept = [record for record in records if record.opcode != ATTACHMENT]

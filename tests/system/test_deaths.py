@@ -11,6 +11,7 @@ import time
 
 import pytest
 from live import LiveRun, safe_after_ns
+from ordeal import KINDS, RUNS, ordeal, table
 
 from inteco_abs.realtime.memory import Word
 from inteco_abs.signals import Phase, Reason
@@ -199,6 +200,31 @@ def test_everything_killed_at_once_leaves_every_tick_in_memory(live, inteco_abs,
     assert f'"ticks": {run.ticks.written}' in lost.stdout
     assert replayed(again)["differing"] == 0
     assert not run.memory.path.exists()
+
+
+def go_through(command_path, tmp_path, untraced, victims, numbers):
+    found = []
+    for number in numbers:
+        (tmp_path / str(number)).mkdir()
+        found.append(ordeal(command_path, tmp_path / str(number), untraced, victims, number))
+    return found
+
+
+def test_without_recorder_and_supervisor_every_tick_is_recovered_from_memory(command_path, tmp_path, untraced):
+    at_once = 7  # before the one notices that the other is gone
+    (found,) = go_through(command_path, tmp_path, untraced, ("recorder", "supervisor"), [at_once])
+    assert found.passed, found
+    assert found.recovered
+    assert found.kept > 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("victims", KINDS, ids="+".join)
+def test_whoever_dies_whenever_every_tick_is_kept(command_path, tmp_path, untraced, record_property, victims):
+    found = go_through(command_path, tmp_path, untraced, victims, range(RUNS))
+    record_property("told", "\n".join(list(table({victims: found}))[:2]))
+    assert [each for each in found if not each.passed] == []
+    assert any(each.kept for each in found)
 
 
 def test_the_next_run_tells_of_what_a_crash_has_left(live, tmp_path):
