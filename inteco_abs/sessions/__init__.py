@@ -14,6 +14,7 @@ from inteco_abs.sessions.replay import (
     Replay,
     before_the_gap,
     changed_gains,
+    insist_on_known,
     replay,
     session_config,
 )
@@ -57,6 +58,7 @@ __all__ = [
     "diff_sessions",
     "export_session",
     "extract",
+    "insist_on_known",
     "only_whole",
     "pack_tick",
     "parse_tolerances",
