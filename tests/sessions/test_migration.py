@@ -250,7 +250,7 @@ def test_steps_bring_metadata_up_to_date_in_order_and_only_those_that_are_due(la
 
 def test_an_older_session_is_recovered_as_one_of_this_version(later, steps, tmp_path, tiny):
     steps(Step(2, columns=(Made(TICK.topic, "c3", not_measured),)))
-    path = later("1", tick=table(without={"c3"}))
+    path = later("0", tick=table(without={"c3"}))
     recovery = recover_session(path, tmp_path / "out.mcap")
     session = read_session(tmp_path / "out.mcap")
     assert recovery.losses == ()

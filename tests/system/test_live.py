@@ -33,10 +33,10 @@ def test_a_viewer_sees_ticks_that_are_in_the_session_and_the_session_is_whole(co
     assert session.incomplete == ""
 
 
-def test_a_port_that_is_taken_is_told_before_anything_moves(inteco_abs, tmp_path):
+def test_a_port_that_is_taken_is_told_before_anything_moves(inteco_abs, tmp_path, untraced):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        run = inteco_abs("run", "--foxglove", port, "--out", "stop.mcap", check=1)
+        run = inteco_abs("run", "--foxglove", port, "--out", "stop.mcap", check=1, environment=untraced)
     assert f"ws://127.0.0.1:{port} cannot be served" in run.stderr
     assert "nothing was started" in run.stderr
     assert list(tmp_path.iterdir()) == []
