@@ -47,6 +47,7 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
         REFERENCE,
         before_the_gap,
         changed_gains,
+        insist_on_known,
         parse_tolerances,
         read_session,
         session_config,
@@ -55,6 +56,7 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
 
     given = parse_tolerances(tolerances)
     recorded = read_whole(file, read_session)
+    insist_on_known(recorded)
     session = before_the_gap(recorded)
     left_out = len(recorded.ticks) - len(session.ticks)
     controllers = controllers_for(session, controller)

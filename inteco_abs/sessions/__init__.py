@@ -14,6 +14,7 @@ from inteco_abs.sessions.replay import (
     Difference,
     Replay,
     before_the_gap,
+    insist_on_known,
     replay,
     session_config,
 )
@@ -58,6 +59,7 @@ __all__ = [
     "diff_sessions",
     "export_session",
     "extract",
+    "insist_on_known",
     "only_whole",
     "pack_tick",
     "parse_tolerances",

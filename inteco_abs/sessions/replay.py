@@ -133,11 +133,18 @@ def decisions(session: Session, pipeline: Pipeline) -> Array:
     return TICK.array_of(starmap(pipeline.step, samples(session)))
 
 
+def insist_on_known(session: Session) -> None:
+    """Raises SessionError if the session holds what this version does not know: its decisions may rest on that."""
+    if session.beyond:
+        raise SessionError(f"{session.path}: cannot be replayed: {session.beyond}; replay it with that")
+
+
 def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
     """The session's inputs as a pipeline takes them: sample, and why somebody asked to stop.
 
-    Raises SessionError for a dt_s that no clock can have measured.
+    Raises SessionError for what this version does not know, and for a dt_s that no clock can have measured.
     """
+    insist_on_known(session)
     impossible = np.flatnonzero(~(np.abs(session.ticks["dt_s"]) < _LONGEST_S))
     if len(impossible):
         tick, dt_s = (session.ticks[name][impossible[0]] for name in ("tick", "dt_s"))
