@@ -37,7 +37,8 @@ from inteco_abs.sessions import (
     check_output,
     pack_tick,
 )
-from inteco_abs.sessions.provenance import host_facts, software_facts
+from inteco_abs.sessions.provenance import host_facts, profile_source, software_facts
+from inteco_abs.sessions.surroundings import surroundings
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 _SLICE_TICKS: Final = 1000
@@ -146,6 +147,7 @@ def _processes(
             controller_source=plan.controller_source,
             controller_package=plan.controller_package,
             facts={**_facts(config, plan), **(facts or {})},
+            profile=profile_source(config.profile),
             wire=str(plan.wire.absolute()) if plan.wire else "",
         )
         job.post(memory)
@@ -230,6 +232,8 @@ class _VirtualRun:
             controller_source=plan.controller_source,
             controller_package=plan.controller_package,
             facts=_facts(config, plan),
+            profile=profile_source(config.profile),
+            surroundings=surroundings(),
         )
 
     def _end(self, board: Board, aborted: str = "") -> Conclusion:

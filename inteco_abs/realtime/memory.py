@@ -27,7 +27,7 @@ SUFFIX: Final = ".ring"
 _PREFIX: Final = "inteco-abs-"
 _SOCKET: Final = ".board"
 _KIND: Final = b"inteco-abs ring"
-_MAGIC: Final = _KIND + b" 1\n"
+_MAGIC: Final = _KIND + b" 2\n"
 _HEADER: Final = struct.Struct("<32s4Q")
 _POLL_S: Final = 0.001
 
@@ -88,9 +88,11 @@ class Note(IntEnum):
     RECORDER_FAILURE = auto()
     RESCUE = auto()
     RESULT = auto()
+    SURROUNDINGS = auto()
+    """Packages and changes of the source tree, which take the recorder too long to be gathered twice."""
 
 
-_NOTE_BYTES: Final = {Note.JOB: 2 << 20}
+_NOTE_BYTES: Final = {Note.JOB: 2 << 20, Note.SURROUNDINGS: 2 << 20}
 _OTHER_NOTE_BYTES: Final = 64 << 10
 _WORDS_AT: Final = 4096
 _NOTES_AT: Final = 8192

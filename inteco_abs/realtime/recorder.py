@@ -32,6 +32,7 @@ from inteco_abs.sessions import (
     only_whole,
     read_session,
 )
+from inteco_abs.sessions.surroundings import Surroundings, surroundings
 from inteco_abs.signals import Reason
 
 _DRAIN_S: Final = 0.005
@@ -63,6 +64,7 @@ def main(path: str) -> int:
 
 def _record(memory: RunMemory, job: Job) -> None:
     words = memory.words
+    memory.post(Note.SURROUNDINGS, surroundings().as_note())  # while the others still start
     memory.wait(lambda: words[Word.READY] == words[Word.LOOP_PID] != 0 or _nobody_drives(memory), _LONGEST_START_S)
     introduction = _introduction(memory, job)
     if introduction is None:
@@ -121,7 +123,7 @@ def _wait_for_the_rescue(memory: RunMemory) -> None:
 
 
 def _introduction(memory: RunMemory, job: Job) -> Introduction | None:
-    told = memory.note(Note.INTRODUCTION)
+    told, around = memory.note(Note.INTRODUCTION), memory.note(Note.SURROUNDINGS)
     if told is None:
         return None
     settings = {
@@ -136,6 +138,8 @@ def _introduction(memory: RunMemory, job: Job) -> Introduction | None:
         controller_source=job.controller_source,
         controller_package=job.controller_package,
         facts={**job.facts, "realtime": settings | (memory.note(Note.DRILL) or {})},
+        profile=job.profile,
+        surroundings=Surroundings() if around is None else Surroundings.of(around),
     )
 
 

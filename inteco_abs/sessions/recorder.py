@@ -20,6 +20,7 @@ from mcap.writer import CompressionType, Writer
 
 from inteco_abs.errors import SessionError
 from inteco_abs.records import schema
+from inteco_abs.records.result import RESULT, RESULT_NAME, RESULT_TOPIC, pack_result, result_descriptor
 from inteco_abs.records.schema import TICK, TRUTH, Message
 from inteco_abs.records.wire import chunk, double, integer, tag
 from inteco_abs.sessions.output import check_output
@@ -75,6 +76,7 @@ class Recorder:
         self._hash = hashlib.sha256()
         self._ticks = 0
         self._truths = 0
+        self._newest_ns = self._epoch_ns + start_ns
         self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
         self._file = BufferedWriter(_Disk(path))
         self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
@@ -146,6 +148,7 @@ class Recorder:
                 self._ticks & 0xFFFFFFFF,
             )
             self._ticks += 1
+            self._newest_ns = stamp
 
     def truths(self, records: bytes) -> None:
         """Add states of the simulated rig, back to back."""
@@ -174,6 +177,7 @@ class Recorder:
 
         It ended now, unless `ended_utc` says when.
         """
+        self._tell_result(result)
         self.flush()  # the last ticks come before what is said about them
         self.describe(
             "session",
@@ -191,6 +195,12 @@ class Recorder:
         self.describe("integrity", {"payload_sha256": self.payload_sha256})
         self._writer.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
         self._file.flush()
+
+    def _tell_result(self, card: Mapping[str, Any]) -> None:
+        """The card where any viewer finds it; ours read the metadata, which the index has at a glance."""
+        units = {"units": json.dumps({entry.name: entry.unit for entry in RESULT})}
+        channel = self._channel(RESULT_TOPIC, RESULT_NAME, result_descriptor(), units)
+        self._writer.add_message(channel, self._newest_ns, pack_result(card), self._newest_ns)
 
     def discard(self) -> None:
         """Remove the file: nothing ran, so there is nothing to keep."""

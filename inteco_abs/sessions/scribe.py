@@ -16,6 +16,7 @@ from inteco_abs.sessions.provenance import controller_facts
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.replay import CONFIG_NAME
 from inteco_abs.sessions.result import link_errors, result_card
+from inteco_abs.sessions.surroundings import Surroundings
 from inteco_abs.signals import EXPLANATIONS, Reason
 
 _OUTCOMES = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}
@@ -39,6 +40,9 @@ class Introduction:
     """More metadata: software, host, real-time settings."""
     controller_package: str = ""
     """Name and version of the package that the controller comes from; empty if from none."""
+    profile: bytes = b""
+    """The profile as it was written; the configuration has what became of it."""
+    surroundings: Surroundings = field(default_factory=Surroundings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +106,10 @@ class Scribe:
         """Everything that explains the run, on the disk before the first tick."""
         told, config, recorder = self._introduction, self._config, self._recorder
         parameters = RigParameters.named(config.model.parameters)
-        for name, facts in told.facts.items():
-            recorder.describe(name, facts)
+        facts = {**told.facts, "software": {**told.facts.get("software", {}), **told.surroundings.software}}
+        for name, each in facts.items():
+            if each:
+                recorder.describe(name, each)
         recorder.describe(
             "rig",
             {
@@ -114,8 +120,10 @@ class Scribe:
                 "r1_m": repr(parameters.r1),
                 "r2_m": repr(parameters.r2),
                 "parameters": config.model.parameters,
+                **_limits(config),
+                **_signature(config),
                 "simulated": str(simulated(told.board)).lower(),
-                **({"drawn": self._drawn} if self._drawn else {}),
+                **self._physics(),
                 "virtual_time": str(told.virtual).lower(),
             },
         )
@@ -123,8 +131,12 @@ class Scribe:
         digest = hashlib.sha256(source).hexdigest() if source else ""
         recorder.describe("controller", controller_facts(config, told.gains, digest, told.controller_package))
         recorder.attach(CONFIG_NAME, "application/toml", config.to_toml().encode())
+        if told.profile:
+            recorder.attach("profile.toml", "application/toml", told.profile)
         if source:
             recorder.attach("controller.py", "text/x-python", source)
+        for file in told.surroundings.files:
+            recorder.attach(*file)
         recorder.begin({"reference_slip": config.controller.reference_slip, **told.gains})
 
     def add(self, ticks: bytes, truths: bytes) -> None:
@@ -147,6 +159,14 @@ class Scribe:
         self._recorder.finish(outcome, explanation, card)
         return Account(outcome, end.reason, explanation, card)
 
+    def _physics(self) -> dict[str, str]:
+        """What is inside the mock board."""
+        if self._drawn:
+            return {"drawn": self._drawn}
+        if simulated(self._introduction.board):
+            return {"simulated_parameters": self._config.simulation.parameters}
+        return {}
+
     def _card(self, outcome: str, end: Conclusion, explanation: str) -> dict[str, Any]:
         ticks = TICK.array(bytes(self._ticks))
         metrics = result_card(self._config, ticks, TRUTH.array(bytes(self._truths)))
@@ -163,3 +183,21 @@ class Scribe:
             "link_errors": link_errors(ticks),
             "payload_sha256": self._recorder.payload_sha256,
         }
+
+
+def _limits(config: RigConfig) -> dict[str, str]:
+    """What the guard lets pass."""
+    guard = config.guard
+    return {
+        "brake_limit": repr(guard.brake_limit),
+        "drive_limit": repr(guard.drive_limit),
+        "over_speed_rad_s": repr(guard.over_speed_rad_s),
+    }
+
+
+def _signature(config: RigConfig) -> dict[str, str]:
+    """Who checked the wiring on the rig, and when; nothing if nobody did."""
+    board = config.board
+    if not board.verified_by:
+        return {}
+    return {"verified_by": board.verified_by, "verified_on": str(board.verified_on)}

@@ -63,7 +63,7 @@ class TestFile:
         [
             (lambda _whole: b"", "no tick ring"),
             (lambda whole: bytes(len(whole)), "no tick ring"),
-            (lambda whole: b"inteco-abs ring 2\n" + whole[18:], "no tick ring of this version"),
+            (lambda whole: b"inteco-abs ring 1\n" + whole[18:], "no tick ring of this version"),
             (lambda whole: whole[:100], "no tick ring"),
             (lambda whole: whole[:-1], "was cut"),
             (lambda whole: whole[:-100], "was cut"),
@@ -91,7 +91,7 @@ class TestFile:
             raise OSError(number, os.strerror(number))
 
         monkeypatch.setattr(os, "posix_fallocate", refuse)
-        with pytest.raises(SessionError, match=r"103 MB.*loop\.ring_s") as refusal:
+        with pytest.raises(SessionError, match=r"105 MB.*loop\.ring_s") as refusal:
             RunMemory.create(980, 100_000, 8, 1)
         assert os.strerror(number) in str(refusal.value)
         assert not list(memory_folder.iterdir())
