@@ -40,6 +40,8 @@ class Job:
     """Capture to write, absolute: everything that passes between the loop and the board."""
     controller_package: str = ""
     """Name and version of the package that the controller comes from; empty if from none."""
+    virtual: bool = False
+    """Whether the run has taken no time: its recorder was in the loop's process."""
     profile: bytes = b""
     """The profile as it was written."""
 

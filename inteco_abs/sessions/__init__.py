@@ -4,8 +4,9 @@ from inteco_abs.records import TICK, TRUTH, pack_tick
 from inteco_abs.sessions.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions
 from inteco_abs.sessions.export import FORMATS, Export, export_session
 from inteco_abs.sessions.extract import attached, extract
+from inteco_abs.sessions.keeper import Keeper, check_spill, spill_path
 from inteco_abs.sessions.listing import COLUMNS, session_files, session_row, sort_rows
-from inteco_abs.sessions.output import check_output, only_whole
+from inteco_abs.sessions.output import check_output, insist_on_own, only_whole
 from inteco_abs.sessions.reader import Session, read_session
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.replay import (
@@ -19,7 +20,7 @@ from inteco_abs.sessions.replay import (
 )
 from inteco_abs.sessions.result import result_card, stored_card
 from inteco_abs.sessions.salvage import Recovery, recover_session
-from inteco_abs.sessions.scribe import Account, Conclusion, Introduction, Scribe
+from inteco_abs.sessions.scribe import EXIT_CODES, LOSSES, Account, Conclusion, Introduction, Scribe
 from inteco_abs.sessions.tables import Table, tables, to_pandas, to_polars
 from inteco_abs.sessions.tolerance import Shift, Tolerance, parse_tolerances
 from inteco_abs.sessions.validation import Finding, Inspection, Severity, validate
@@ -27,7 +28,9 @@ from inteco_abs.sessions.validation import Finding, Inspection, Severity, valida
 __all__ = [
     "COLUMNS",
     "CONFIG_NAME",
+    "EXIT_CODES",
     "FORMATS",
+    "LOSSES",
     "SECTIONS",
     "TICK",
     "TRUTH",
@@ -40,6 +43,7 @@ __all__ = [
     "Finding",
     "Inspection",
     "Introduction",
+    "Keeper",
     "Recorder",
     "Recovery",
     "Replay",
@@ -54,9 +58,11 @@ __all__ = [
     "before_the_gap",
     "changed_gains",
     "check_output",
+    "check_spill",
     "diff_sessions",
     "export_session",
     "extract",
+    "insist_on_own",
     "only_whole",
     "pack_tick",
     "parse_tolerances",
@@ -68,6 +74,7 @@ __all__ = [
     "session_files",
     "session_row",
     "sort_rows",
+    "spill_path",
     "stored_card",
     "tables",
     "to_pandas",

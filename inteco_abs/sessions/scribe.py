@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from inteco_abs.boards import simulated
 from inteco_abs.config import RigConfig
@@ -19,7 +19,11 @@ from inteco_abs.sessions.result import link_errors, result_card
 from inteco_abs.sessions.surroundings import Surroundings
 from inteco_abs.signals import EXPLANATIONS, Reason
 
-_OUTCOMES = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}
+_OUTCOMES: Final = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}
+EXIT_CODES: Final = {"fault": 5, "aborted": 5, "interrupted": 130}
+"""What a command ends with, by outcome; any other is done, perhaps with losses."""
+LOSSES: Final = 3
+"""What it ends with when there is something to look at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +62,13 @@ class Conclusion:
     """Why there was no proper end; empty if there was one."""
     facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """More metadata."""
+    died: Sequence[str] = ()
+    """Processes that died, hung or were killed: of `loop`, `recorder`, `guardian`, `supervisor`."""
+
+    @property
+    def outcome(self) -> str:
+        """`completed`, `interrupted`, `fault` or `aborted`."""
+        return "aborted" if self.aborted else _OUTCOMES.get(self.reason, "fault")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,13 +80,14 @@ class Account:
     reason: Reason
     explanation: str
     card: dict[str, Any]
+    trouble: str = ""
+    """What a disk has refused, and what came of it; empty if none has."""
 
     @property
     def exit_code(self) -> int:
-        """5 safety stop, 130 interrupted, 3 done with overruns or losses, 0 done."""
-        codes = {"fault": 5, "aborted": 5, "interrupted": 130}
-        losses = any(self.card[name] for name in ("overruns", "link_errors", "lost_ticks"))
-        return codes.get(self.outcome, 3 if losses else 0)
+        """5 safety stop, 130 interrupted, 3 done with overruns, losses or trouble with a disk, 0 done."""
+        losses = self.trouble or any(self.card[name] for name in ("overruns", "link_errors", "lost_ticks"))
+        return EXIT_CODES.get(self.outcome, LOSSES if losses else 0)
 
 
 class Scribe:
@@ -87,7 +99,7 @@ class Scribe:
         self._recorder = recorder
         self._session = session or recorder.path  # what the file will be called
         self._config = config
-        self._introduction = introduction
+        self.introduction = introduction
         self._drawn = config.simulation.rig if simulated(introduction.board) else ""
         self._ticks = bytearray()
         self._truths = bytearray()
@@ -97,6 +109,11 @@ class Scribe:
         """Ticks written so far."""
         return len(self._ticks) // TICK.size
 
+    @property
+    def everything(self) -> tuple[bytes, bytes]:
+        """Ticks and truths that were added."""
+        return bytes(self._ticks), bytes(self._truths)
+
     def lateness(self) -> tuple[list[float], int]:
         """Lateness of every tick in us, and the periods that were left out between them."""
         ticks = TICK.array(bytes(self._ticks))
@@ -104,7 +121,7 @@ class Scribe:
 
     def introduce(self) -> None:
         """Everything that explains the run, on the disk before the first tick."""
-        told, config, recorder = self._introduction, self._config, self._recorder
+        told, config, recorder = self.introduction, self._config, self._recorder
         parameters = RigParameters.named(config.model.parameters)
         facts = {**told.facts, "software": {**told.facts.get("software", {}), **told.surroundings.software}}
         for name, each in facts.items():
@@ -141,14 +158,25 @@ class Scribe:
 
     def add(self, ticks: bytes, truths: bytes) -> None:
         """More of the run: tick records and states of the simulated rig, each back to back."""
+        self.remember(ticks, truths)
         self._recorder.ticks(ticks)
         self._recorder.truths(truths)
+
+    def remember(self, ticks: bytes, truths: bytes) -> None:
+        """More of the run, not for the file: for the card, and for whoever tells it anew."""
         self._ticks += ticks
         self._truths += truths
 
+    def anew(self, recorder: Recorder, session: Path | None) -> Scribe:
+        """One that has told another recorder everything so far; `session` if the user is to call the file so now."""
+        other = Scribe(recorder, self._config, self.introduction, session or self._session)
+        other.introduce()
+        other.add(*self.everything)
+        return other
+
     def conclude(self, end: Conclusion) -> Account:
         """Complete the file with the result card and everything that is known about the end."""
-        outcome = "aborted" if end.aborted else _OUTCOMES.get(end.reason, "fault")
+        outcome = end.outcome
         parts = [EXPLANATIONS[end.reason]] if end.reason is not Reason.NONE or not end.aborted else []
         explanation = "; ".join([*parts, end.aborted] if end.aborted else parts)
         if end.detail:
@@ -156,14 +184,20 @@ class Scribe:
         card = self._card(outcome, end, explanation)
         for name, facts in end.facts.items():
             self._recorder.describe(name, facts)
+        told = {"last_tick": self._last_tick() if outcome != "completed" else "", "died": ", ".join(end.died)}
+        self._recorder.describe("session", {name: text for name, text in told.items() if text})
         self._recorder.finish(outcome, explanation, card)
         return Account(outcome, end.reason, explanation, card)
+
+    def _last_tick(self) -> str:
+        ticks = TICK.array(self._ticks)
+        return str(int(ticks["tick"][-1])) if len(ticks) else ""
 
     def _physics(self) -> dict[str, str]:
         """What is inside the mock board."""
         if self._drawn:
             return {"drawn": self._drawn}
-        if simulated(self._introduction.board):
+        if simulated(self.introduction.board):
             return {"simulated_parameters": self._config.simulation.parameters}
         return {}
 
@@ -176,7 +210,7 @@ class Scribe:
             "outcome": outcome,
             "reason": end.reason.name,
             "explanation": explanation,
-            "board": self._introduction.board,
+            "board": self.introduction.board,
             "rig": self._drawn or None,
             **metrics,
             "lost_ticks": end.written - metrics["ticks"],

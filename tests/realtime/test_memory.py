@@ -35,7 +35,7 @@ class TestFile:
         memory, other = small
         assert other.path == memory.path
         assert other.tick_capacity == CAPACITY
-        assert [word for word in Word if other.words[word]] == [Word.SUPERVISOR_PID]
+        assert [word for word in Word if other.words[word]] == [Word.SUPERVISOR_PID, Word.EPOCH_NS]
         assert [other.image(note) for note in Note] == [None] * len(Note)
         assert (other.tick_reader().written, other.truth_reader().written) == (0, 0)
         assert other.histogram.sparse() == {}
@@ -133,7 +133,7 @@ class TestNotes:
             with pytest.raises(SessionError, match="too long"):
                 memory.post(note, b"x" * (most + 1))
         assert {note: other.image(note) for note in Note} == posted
-        assert [word for word in Word if other.words[word]] == [Word.SUPERVISOR_PID]
+        assert [word for word in Word if other.words[word]] == [Word.SUPERVISOR_PID, Word.EPOCH_NS]
         assert other.histogram.sparse() == {}
 
 

@@ -116,7 +116,7 @@ class Crash:
     def _record(self, run):
         if self._scribe is None:
             told, job = run.introduction, run.job
-            self._recorder = self._stack.enter_context(Recorder(job.path, 0, told["internals"]))
+            self._recorder = self._stack.enter_context(Recorder(job.path, 0, told["internals"], job.session_id))
             introduction = Introduction(job.board, told["identity"], False, told["gains"], told["internals"], b"")
             self._scribe = Scribe(self._recorder, job.config, introduction)
             self._scribe.introduce()
@@ -179,12 +179,19 @@ class TestRebuild:
 
     def test_what_a_recorder_had_begun_gives_way_and_nothing_else_is_left(self, whole, tmp_path):
         whole.conclude()
-        whole.job.path.write_bytes(b"begun")
+        whole.job.path.write_bytes(b"begun: " + whole.job.session_id.encode())
         (tmp_path / "stop.mcap.part").write_bytes(b"somebody else's")
         rebuild(whole.memory, whole.job, whole.job.path)
         assert {path.name for path in tmp_path.iterdir()} == {"stop.mcap", "stop.mcap.part"}
         assert (tmp_path / "stop.mcap.part").read_bytes() == b"somebody else's"
         assert not read_session(whole.job.path).incomplete
+
+    def test_another_file_with_the_name_of_the_session_is_left_alone(self, whole):
+        whole.conclude()
+        whole.job.path.write_bytes(b"somebody else's")
+        with pytest.raises(SessionError, match="never overwritten"):
+            rebuild(whole.memory, whole.job, whole.job.path)
+        assert whole.job.path.read_bytes() == b"somebody else's"
 
     def test_a_run_without_ticks_or_without_a_beginning_makes_no_session(self, memory, job_of, tmp_path):
         job = job_of(memory)
@@ -244,11 +251,24 @@ class TestWrappedRing:
         expected = result_card(run.job.config, read_session(run.job.path).ticks, TRUTH.array(made.truths))
         assert {name: card[name] for name in expected} == expected
 
-    def test_a_file_that_is_gone_is_named(self, crash):
+    def test_of_a_file_that_is_gone_what_the_ring_still_holds_is_saved_and_the_rest_is_told_as_lost(self, crash):
         made = crash()
+        made.run.conclude()
         made.run.job.path.unlink()
+        account = rebuild(made.run.memory, made.run.job, made.run.job.path)
+        assert account.card["lost_ticks"] == made.held_from
+        assert f"those before tick {made.held_from} were in {made.run.job.path}, which is gone" in account.explanation
+        assert read_session(made.run.job.path).ticks["tick"].tolist() == list(range(made.held_from, made.run.ticks))
+
+    def test_of_a_file_that_is_damaged_nothing_is_replaced(self, crash):
+        made = crash()
+        made.run.conclude()
+        data = bytearray(made.run.job.path.read_bytes())
+        data[len(data) // 2] ^= 0xFF
+        made.run.job.path.write_bytes(data)
         with pytest.raises(SessionError, match=r"stop\.mcap"):
             rebuild(made.run.memory, made.run.job, made.run.job.path)
+        assert made.run.job.path.read_bytes() == data
 
 
 PID, OTHER = 4000, 4001
