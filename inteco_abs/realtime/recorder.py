@@ -236,7 +236,7 @@ def conclusion(memory: RunMemory) -> Conclusion:
 def _others_that_died(memory: RunMemory) -> list[str]:
     """Processes beside the loop's that died, hung or were killed, as far as the run's memory tells."""
     words = memory.words
-    reason = words[Word.GUARDIAN_STOP] or words[Word.STOP]
+    reasons = {words[Word.GUARDIAN_STOP], words[Word.STOP], _last_reason(memory)}
     rescued = _rescue_of_the_loop(memory)
 
     def gone(word: Word) -> bool:
@@ -244,8 +244,8 @@ def _others_that_died(memory: RunMemory) -> list[str]:
 
     found = {
         "recorder": gone(Word.RECORDER_PID) and memory.note(Note.RECORDER_FAILURE) is None,
-        "guardian": reason == Reason.GUARDIAN_LOST or (rescued is not None and rescued["by"] == "supervisor"),
-        "supervisor": reason == Reason.SUPERVISOR_LOST or (gone(Word.SUPERVISOR_PID) and not words[Word.KEPT]),
+        "guardian": Reason.GUARDIAN_LOST in reasons or (rescued is not None and rescued["by"] == "supervisor"),
+        "supervisor": Reason.SUPERVISOR_LOST in reasons or (gone(Word.SUPERVISOR_PID) and not words[Word.KEPT]),
     }
     return [name for name, died in found.items() if died]
 

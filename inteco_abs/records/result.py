@@ -11,6 +11,7 @@ from inteco_abs.records.schema import DOUBLE, PACKAGE
 from inteco_abs.records.wire import chunk, double, integer
 
 RESULT_TOPIC: Final = "/abs/result"
+_WORD: Final = (1 << 64) - 1
 RESULT_NAME: Final = f"{PACKAGE}.Result"
 
 
@@ -76,4 +77,4 @@ def _field(number: int, entry: Entry, value: Any) -> bytes:
         return double(number, math.nan if value is None else value)
     if value is None:
         return b""
-    return integer(number, value) if entry.kind == INT64 else chunk(number, value)
+    return integer(number, value & _WORD) if entry.kind == INT64 else chunk(number, value)

@@ -46,6 +46,7 @@ class Keeper:
         self.path = out
         """File that is being written, or was last."""
         self._out, self._spill = out, spill
+        self._session = out
         self._open = opener
         self._say = say or (lambda _text, _path: None)
         self._troubles: list[str] = []
@@ -82,6 +83,7 @@ class Keeper:
 
     def introduce(self, config: RigConfig, introduction: Introduction, session: Path) -> None:
         """Everything that explains the run, on the disk before the first tick; the user calls the file `session`."""
+        self._session = session
         scribe = Scribe(self._recorder, config, introduction, session)
         try:
             scribe.introduce()
@@ -172,7 +174,7 @@ class Keeper:
         return account
 
     def _retold(self, recorder: Recorder, place: Path) -> Scribe:
-        scribe = self._told.anew(recorder, None if place == self._out else place)
+        scribe = self._told.anew(recorder, self._session if place == self._out else place)
         for unix_ns, text in (*self._remarks, *((recorder.started_ns, text) for text in self._troubles)):
             recorder.warn(unix_ns, text)
         return scribe

@@ -167,9 +167,9 @@ class Scribe:
         self._ticks += ticks
         self._truths += truths
 
-    def anew(self, recorder: Recorder, session: Path | None) -> Scribe:
-        """One that has told another recorder everything so far; `session` if the user is to call the file so now."""
-        other = Scribe(recorder, self._config, self.introduction, session or self._session)
+    def anew(self, recorder: Recorder, session: Path) -> Scribe:
+        """One that has told another recorder everything so far, whose file the user calls `session`."""
+        other = Scribe(recorder, self._config, self.introduction, session)
         other.introduce()
         other.add(*self.everything)
         return other
