@@ -150,6 +150,17 @@ def test_a_disk_that_refuses_once_has_the_whole_session_in_the_end(kept, room, a
     assert {path.name for path in run.out.parent.iterdir()} == {"stop.mcap"}
 
 
+def test_ticks_that_come_just_as_the_disk_refuses_are_not_forgotten(tmp_path, chunked, room):
+    run = Kept(tmp_path, chunked, spill=False).introduce()
+    room(run.out.stat().st_size)
+    run.keeper.add(run.payload, b"")  # more than a chunk: some of it goes to the disk at once
+    assert not run.keeper.writing
+    assert run.keeper.everything == (run.payload, b"")
+    room(os.sysconf("SC_PAGESIZE") << 30)
+    run.conclude()
+    whole(run.out, run)
+
+
 def test_a_disk_that_goes_on_refusing_is_an_error_at_the_end_only_and_nothing_is_forgotten(kept):
     run = kept(spill=False).introduce()
     run.tell(before=lambda number: run.vanish() if number == 2 else None)
