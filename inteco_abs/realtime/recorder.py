@@ -74,7 +74,6 @@ def main(path: str) -> int:
 
 def _record(memory: RunMemory, job: Job) -> None:
     words = memory.words
-    memory.post(Note.SURROUNDINGS, surroundings().as_note())  # while the others still start
     memory.wait(lambda: words[Word.READY] == words[Word.LOOP_PID] != 0 or _nobody_drives(memory), _LONGEST_START_S)
     introduction = _introduction(memory, job)
     if introduction is None:
@@ -87,6 +86,8 @@ def _record(memory: RunMemory, job: Job) -> None:
         words[Word.RECORDER_BEAT_NS] = time.monotonic_ns()
         words[Word.RECORDING] = 1
         with _beating(memory):
+            keeper.surround(surroundings())  # not before: it takes a tenth of a second, and the rings have room
+            memory.post(Note.SURROUNDINGS, keeper.introduction.surroundings.as_note())
             _Drain(memory, keeper).until_the_end()
             if not keeper.ticks:
                 keeper.discard()

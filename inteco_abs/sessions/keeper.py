@@ -13,6 +13,7 @@ from inteco_abs.errors import AbsError, ConfigError, Mistake, SessionError, in_a
 from inteco_abs.sessions.output import insist_on_own, only_whole
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.scribe import Account, Conclusion, Introduction, Scribe
+from inteco_abs.sessions.surroundings import Surroundings
 
 Opener = Callable[[Path], Recorder]
 """Opens a file for the session at a path; the same session, with the same times, whichever the path."""
@@ -91,6 +92,10 @@ class Keeper:
             self.discard()
             raise
         self._scribe = scribe
+
+    def surround(self, found: Surroundings) -> None:
+        """What surrounded the run, if it was introduced without."""
+        self._attempt(lambda: self._told.surround(found))
 
     def add(self, ticks: bytes, truths: bytes) -> None:
         """More of the run: tick records and states of the simulated rig, each back to back."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -123,10 +123,8 @@ class Scribe:
         """Everything that explains the run, on the disk before the first tick."""
         told, config, recorder = self.introduction, self._config, self._recorder
         parameters = RigParameters.named(config.model.parameters)
-        facts = {**told.facts, "software": {**told.facts.get("software", {}), **told.surroundings.software}}
-        for name, each in facts.items():
-            if each:
-                recorder.describe(name, each)
+        for name, facts in told.facts.items():
+            recorder.describe(name, facts)
         recorder.describe(
             "rig",
             {
@@ -152,9 +150,13 @@ class Scribe:
             recorder.attach("profile.toml", "application/toml", told.profile)
         if source:
             recorder.attach("controller.py", "text/x-python", source)
-        for file in told.surroundings.files:
-            recorder.attach(*file)
+        self._enclose()
         recorder.begin({"reference_slip": config.controller.reference_slip, **told.gains})
+
+    def surround(self, found: Surroundings) -> None:
+        """What surrounded the run, where it could not wait for that to be gathered."""
+        self.introduction = replace(self.introduction, surroundings=found)
+        self._enclose()
 
     def add(self, ticks: bytes, truths: bytes) -> None:
         """More of the run: tick records and states of the simulated rig, each back to back."""
@@ -188,6 +190,13 @@ class Scribe:
         self._recorder.describe("session", {name: text for name, text in told.items() if text})
         self._recorder.finish(outcome, explanation, card)
         return Account(outcome, end.reason, explanation, card)
+
+    def _enclose(self) -> None:
+        found = self.introduction.surroundings
+        for file in found.files:
+            self._recorder.attach(*file)
+        if found.software:
+            self._recorder.describe("software", found.software)
 
     def _last_tick(self) -> str:
         ticks = TICK.array(self._ticks)

@@ -10,7 +10,7 @@ import hashlib
 import subprocess
 from collections.abc import Mapping
 from functools import cache
-from importlib.metadata import distributions
+from importlib.metadata import Distribution, distributions
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
@@ -64,8 +64,17 @@ def surroundings() -> Surroundings:
 
 def installed_packages() -> bytes:
     """Every package that can be imported and its version, in the form that pip takes."""
-    found = {f"{package.name}=={package.version}\n" for package in distributions()}
+    found = {f"{name}\n" for name in map(_named, distributions()) if name}
     return "".join(sorted(found, key=str.lower)).encode()
+
+
+def _named(package: Distribution) -> str:
+    """Name and version; nothing for a folder that an uninstalled package has left, or that cannot be read."""
+    try:
+        name, number = package.metadata["Name"], package.version
+    except (OSError, ValueError, LookupError, AttributeError, TypeError):
+        return ""
+    return f"{name}=={number}" if name and number else ""
 
 
 def changes(folder: Path, most_bytes: int = MOST_DIFF_BYTES) -> tuple[bytes, bool]:
@@ -75,7 +84,7 @@ def changes(folder: Path, most_bytes: int = MOST_DIFF_BYTES) -> tuple[bytes, boo
     """
     if not is_source_tree(folder):
         return b"", False
-    command = git_says(folder, "diff", "HEAD")
+    command = git_says(folder, "diff", "--no-ext-diff", "--no-textconv", "HEAD")
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as git:  # noqa: S603  fixed words
         diff = git.stdout.read(most_bytes + 1) if git.stdout else b""
         git.kill()  # whatever else it has to say

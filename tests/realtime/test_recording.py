@@ -489,6 +489,7 @@ class TestRecorderProcess:
     def test_everything_that_the_loop_leaves_is_in_the_file_when_it_has_ended(self, recording, until):
         recording.ready()
         assert recording.job.path.exists()
+        until(lambda: recording.memory.note(Note.SURROUNDINGS), "it has looked around")
         beat = recording.words[Word.RECORDER_BEAT_NS]
         recording.ticks(300)
         until(lambda: recording.words[Word.FLUSHED] == 300, "they are on the disk")
@@ -501,6 +502,8 @@ class TestRecorderProcess:
         assert (result["outcome"], result["card"]["ticks"], result["card"]["lost_ticks"]) == ("completed", 600, 0)
         assert recording.session().payload == recording.payload
         assert not recording.session().incomplete
+        assert b"numpy==" in recording.session().attachments["requirements.txt"]
+        assert recording.session().metadata["software"]["packages_sha256"]
         assert sum(recording.memory.histogram.sparse().values()) == 600
         assert recording.memory.path.exists()
 

@@ -2,6 +2,7 @@ import hashlib
 import json
 import os
 import subprocess
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -61,6 +62,17 @@ def test_packages_are_listed_as_pip_takes_them():
     lines = installed_packages().decode().splitlines()
     assert f"numpy=={version('numpy')}" in lines
     assert lines == sorted(lines, key=str.lower)
+
+
+@pytest.mark.parametrize("metadata", ["", "Version: 1", "Name: half"])
+def test_a_package_that_is_there_by_halves_is_left_out(tmp_path, monkeypatch, metadata):
+    (tmp_path / "half-1.dist-info").mkdir()
+    (tmp_path / "whole-2.dist-info").mkdir()
+    (tmp_path / "half-1.dist-info" / "METADATA").write_text(metadata)
+    (tmp_path / "whole-2.dist-info" / "METADATA").write_text("Name: whole\nVersion: 2\n")
+    (tmp_path / "empty-1.dist-info").mkdir()
+    monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    assert installed_packages() == b"whole==2\n"
 
 
 def test_a_note_of_them_gives_the_same_again():
