@@ -225,6 +225,14 @@ class GuardConfig(_Section):
     and makes the board safe."""
 
 
+class SessionConfig(_Section):
+    """How a run is kept."""
+
+    spill: str = ""
+    """Folder on another disk, for a session whose own disk fills up, breaks or vanishes during the run; empty: such a
+    session stays in memory, and is to be recovered from there."""
+
+
 class SimulationConfig(_Section):
     """The rig inside the mock board; not used on a real one."""
 
@@ -264,6 +272,7 @@ class RigConfig(_Section):
     estimator: EstimatorConfig = EstimatorConfig()
     controller: ControllerConfig = ControllerConfig()
     guard: GuardConfig = GuardConfig()
+    session: SessionConfig = SessionConfig()
     simulation: SimulationConfig = SimulationConfig()
 
     @property

@@ -96,6 +96,13 @@ def near_match(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
 
 
+def in_a_line(error: AbsError) -> str:
+    """An error's text for the middle of a sentence."""
+    if isinstance(error, ConfigError):
+        return "; ".join(mistake.problem for mistake in error.mistakes)
+    return str(error)
+
+
 def in_words(error: BaseException) -> str:
     """Type, text and place of an error, for people who wrote the code that raised it."""
     frames = traceback.extract_tb(error.__traceback__)

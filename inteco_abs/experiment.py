@@ -7,8 +7,10 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
 from inteco_abs.boards import Board, InProcessLink, Wrap, board_behind, check_address, check_kind, recording, simulated
@@ -26,19 +28,26 @@ from inteco_abs.realtime.live import insist_on_foxglove
 from inteco_abs.realtime.loop import detail_of
 from inteco_abs.realtime.memory import RunMemory
 from inteco_abs.realtime.screen import NoScreen, Screen
+from inteco_abs.realtime.stow import stow
 from inteco_abs.realtime.supervisor import Supervisor
 from inteco_abs.sessions import (
+    EXIT_CODES,
+    LOSSES,
     TICK,
     TRUTH,
     Account,
     Conclusion,
     Introduction,
+    Keeper,
     Recorder,
-    Scribe,
     check_output,
+    check_spill,
     pack_tick,
+    spill_path,
 )
-from inteco_abs.sessions.provenance import host_facts, software_facts
+from inteco_abs.sessions.keeper import Opener
+from inteco_abs.sessions.provenance import host_facts, profile_source, software_facts
+from inteco_abs.sessions.surroundings import surroundings
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 _SLICE_TICKS: Final = 1000
@@ -85,6 +94,7 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
     if plan.live_port is not None:
         _check_live(plan)
     check_output(plan.out)
+    check_spill(config)
     if plan.wire is not None:
         check_target(plan.wire)
     # a controller's prints must not mix with the result card
@@ -147,20 +157,9 @@ def _processes(
     """Shared memory with the job in it, the mock board's process, and a supervisor for the rest."""
     memory = RunMemory.create(TICK.size, ring_ticks, TRUTH.size, ring_ticks)
     try:
-        job = Job(
-            out=str(plan.out.absolute()),
-            session=str(plan.out),
-            board=plan.board,
-            address=f"{plan.board}{memory.socket}" if simulated(plan.board) else plan.board,
-            seed=plan.seed,
-            session_id=str(uuid.uuid4()),
-            config=config,
-            controller_source=plan.controller_source,
-            controller_package=plan.controller_package,
-            facts={**_facts(config, plan), **(facts or {})},
-            wire=str(plan.wire.absolute()) if plan.wire else "",
-            live_port=plan.live_port,
-        )
+        job = _job(config, plan, facts or {})
+        if simulated(plan.board):
+            job = replace(job, address=f"{plan.board}{memory.socket}")
         job.post(memory)
         supervisor = Supervisor(memory, job)
         if simulated(plan.board):
@@ -168,6 +167,24 @@ def _processes(
         yield memory, supervisor
     finally:
         memory.remove()
+
+
+def _job(config: RigConfig, plan: Plan, facts: Mapping[str, Mapping[str, str]] = MappingProxyType({})) -> Job:
+    return Job(
+        out=str(plan.out.absolute()),
+        session=str(plan.out),
+        board=plan.board,
+        address=plan.board,
+        seed=plan.seed,
+        session_id=str(uuid.uuid4()),
+        config=config,
+        controller_source=plan.controller_source,
+        controller_package=plan.controller_package,
+        facts={**_facts(config, plan), **facts},
+        wire=str(plan.wire.absolute()) if plan.wire else "",
+        profile=profile_source(config.profile),
+        live_port=plan.live_port,
+    )
 
 
 class _VirtualRun:
@@ -180,6 +197,7 @@ class _VirtualRun:
         self._clock = VirtualClock(config.period_ns)
         self._truths: list[Truth] = []
         self._pipeline = pipeline
+        self._session_id = str(uuid.uuid4())
         self._ring = TickRing(pack_tick, TICK.size, 2 * _SLICE_TICKS)
         self._reader = self._ring.reader()
 
@@ -192,24 +210,35 @@ class _VirtualRun:
         face = face_of(Device(config, self._clock.now_ns, plan.seed, self._truths.append))
         board = board_behind(around(InProcessLink(face)), config, self._clock.now_ns)
         controller = plan.controllers[config.controller.name]
-        with Recorder(plan.out, self._clock.now_ns(), controller.internals) as recorder:
-            scribe: Scribe | None = None
+        with Keeper(plan.out, self._opener(controller), self._spill()) as keeper:
             try:
                 with board:
-                    scribe = Scribe(recorder, config, self._introduction(board))
-                    scribe.introduce()
-                    self._drive(scribe, board, progress)
+                    keeper.introduce(config, self._introduction(board), plan.out)
+                    self._drive(keeper, board, progress)
             except BaseException as error:
                 try:
-                    self._give_up(recorder, scribe, board, error)
+                    self._give_up(keeper, board, error)
                     if self._pipeline.reason is not Reason.NONE:
                         error.add_note(f"the run had been stopped: {EXPLANATIONS[self._pipeline.reason]}")
                 except SessionError as second:
                     error.add_note(str(second))  # the first error is what matters
                 raise
-            return scribe.conclude(self._end(board))
+            return self._conclude(keeper, self._end(board))
 
-    def _drive(self, scribe: Scribe, board: Board, progress: Progress | None) -> None:
+    def _opener(self, controller: type[Controller]) -> Opener:
+        now_ns = self._clock.now_ns()
+        return partial(
+            Recorder,
+            start_ns=now_ns,
+            controller_internals=controller.internals,
+            session_id=self._session_id,
+            epoch_ns=time.time_ns() - now_ns,
+        )
+
+    def _spill(self) -> Path | None:
+        return spill_path(self._plan.out, self._config, self._session_id)
+
+    def _drive(self, keeper: Keeper, board: Board, progress: Progress | None) -> None:
         loop = Loop(board, self._pipeline, self._clock, self._ring, self._interrupts.stop)
         self._truths.clear()  # what the device saw while it was opened belongs to no tick
         try:
@@ -218,19 +247,19 @@ class _VirtualRun:
                 with self._interrupts.breaking():
                     over = loop.run(_SLICE_TICKS)
                 if not over:
-                    self._record(scribe)
+                    self._record(keeper)
                     if progress is not None:
                         progress(self._pipeline.phase, self._ring.written)
         finally:
             try:
                 board.make_safe()  # before anything that takes time or can fail
             finally:
-                self._record(scribe)
+                self._record(keeper)
 
-    def _record(self, scribe: Scribe) -> None:
+    def _record(self, keeper: Keeper) -> None:
         truths = b"".join(map(TRUTH.pack, self._truths))
         self._truths.clear()
-        scribe.add(self._reader.take(), truths)
+        keeper.add(self._reader.take(), truths)
 
     def _introduction(self, board: Board) -> Introduction:
         config, plan = self._config, self._plan
@@ -243,16 +272,40 @@ class _VirtualRun:
             controller_source=plan.controller_source,
             controller_package=plan.controller_package,
             facts=_facts(config, plan),
+            profile=profile_source(config.profile),
+            surroundings=surroundings(),
         )
 
     def _end(self, board: Board, aborted: str = "") -> Conclusion:
         return Conclusion(self._pipeline.reason, self._ring.written, detail_of(self._pipeline, board), aborted)
 
-    def _give_up(self, recorder: Recorder, scribe: Scribe | None, board: Board, error: BaseException) -> None:
-        if scribe is None or not self._ring.written:
-            recorder.discard()
+    def _give_up(self, keeper: Keeper, board: Board, error: BaseException) -> None:
+        if not self._ring.written:
+            keeper.discard()
             return
-        scribe.conclude(self._end(board, aborted=in_words(error)))
+        self._conclude(keeper, self._end(board, aborted=in_words(error)))
+
+    def _conclude(self, keeper: Keeper, end: Conclusion) -> Account:
+        """As the keeper does; what no disk takes is left in memory, and said where, as a SessionError."""
+        try:
+            return keeper.conclude(end)
+        except SessionError as error:
+            raise self._stowed(keeper, end, error) from error
+
+    def _stowed(self, keeper: Keeper, end: Conclusion, error: SessionError) -> SessionError:
+        job = replace(_job(self._config, self._plan), session_id=self._session_id, virtual=True)
+        try:
+            ring = stow(job, keeper.introduction, end, *keeper.everything)
+        except SessionError as second:
+            seed = self._plan.seed
+            return SessionError(
+                f"{error}; nor can it be kept in memory ({second}). The run is lost; --seed {seed} gives the same again"
+            )
+        trouble = SessionError(
+            f"the run has ended, but {error}. Its ticks are kept in {ring}: inteco-abs recover {ring} --out FILE"
+        )
+        trouble.exit_code = EXIT_CODES.get(end.outcome, LOSSES)
+        return trouble
 
 
 def _facts(config: RigConfig, plan: Plan) -> dict[str, dict[str, str]]:

@@ -131,7 +131,7 @@ def run(
         return stop.exit_code or 1
     if figure is not None and stop.card["start_speed_rad_s"] is not None:
         try:
-            draw(out, figure)
+            draw(Path(stop.card["session"]), figure)
         except AbsError as error:  # how the run ended matters more than its picture
             click.echo(f"inteco-abs: {error}", err=True)
             return stop.exit_code or error.exit_code
@@ -156,7 +156,9 @@ def _tell(stop: Account, *, as_json: bool) -> None:
         print_card(stop.card, stop.explanation)
     if stop.outcome != "completed":
         click.echo(f"inteco-abs: {stop.outcome}: {stop.explanation}", err=True)
-    elif stop.exit_code:
+    if stop.trouble:
+        click.echo(f"inteco-abs: {stop.trouble}", err=True)
+    elif stop.outcome == "completed" and stop.exit_code:
         lost = f"{stop.card['overruns']} periods overrun, {stop.card['link_errors']} exchanges failed"
         click.echo(f"inteco-abs: completed, but look at it: {lost}", err=True)
 
@@ -188,12 +190,12 @@ def _screen(full_speed_rad_s: float) -> Iterator[Screen]:
 
 
 def _tell_of_left_rings() -> None:
-    """A run that crashed altogether has left its ticks in memory; the next one must not let them be forgotten."""
+    """Ticks of a run that crashed altogether, or had no disk, are in memory; the next run must not let them be lost."""
     from inteco_abs.realtime.memory import left_rings
 
     for ring in left_rings():
         click.echo(
-            f"inteco-abs: a run that crashed has left its ticks in {ring}: inteco-abs recover {ring} --out FILE",
+            f"inteco-abs: an earlier run has left its ticks in {ring}: inteco-abs recover {ring} --out FILE",
             err=True,
         )
 

@@ -6,13 +6,15 @@ import base64
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from inteco_abs.config import RigConfig, parse_config
 from inteco_abs.control import Controller
 from inteco_abs.errors import SessionError
 from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
 from inteco_abs.realtime.memory import Note, RunMemory
+
+_FILES: Final = ("controller_source", "profile")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,14 +42,15 @@ class Job:
     """Name and version of the package that the controller comes from; empty if from none."""
     live_port: int | None = None
     """Where to serve the run to viewers; 0 for any port that is free, None for not at all."""
+    virtual: bool = False
+    """Whether the run has taken no time: its recorder was in the loop's process."""
+    profile: bytes = b""
+    """The profile as it was written."""
 
     def post(self, memory: RunMemory) -> None:
         """Leave it for the others."""
-        told = asdict(self) | {
-            "config": self.config.to_toml(),
-            "controller_source": base64.b64encode(self.controller_source).decode(),
-        }
-        memory.post(Note.JOB, told)
+        files = {name: base64.b64encode(getattr(self, name)).decode() for name in _FILES}
+        memory.post(Note.JOB, asdict(self) | files | {"config": self.config.to_toml()})
 
     @classmethod
     def of(cls, memory: RunMemory) -> Self:
@@ -56,8 +59,7 @@ class Job:
         if told is None:
             raise SessionError(f"{memory.path}: holds no job: the run died before it began; remove it")
         told["config"] = parse_config(told["config"])
-        told["controller_source"] = base64.b64decode(told["controller_source"])
-        return cls(**told)
+        return cls(**told | {name: base64.b64decode(told[name]) for name in _FILES})
 
     @property
     def path(self) -> Path:

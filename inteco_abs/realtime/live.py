@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Event, Thread
@@ -45,7 +44,7 @@ def live_view(memory: RunMemory, job: Job) -> Iterator[None]:
     if job.live_port is None:
         yield
         return
-    view = _View(memory.tick_reader(), job.live_port, job.session_id)
+    view = _View(memory.tick_reader(), job.live_port, job.session_id, memory.words[Word.EPOCH_NS])
     memory.words[Word.LIVE_PORT] = view.port
     try:
         yield
@@ -54,13 +53,13 @@ def live_view(memory: RunMemory, job: Job) -> Iterator[None]:
 
 
 class _View:
-    """Serves the newest ticks that `reader` finds."""
+    """Serves the newest ticks that `reader` finds; `epoch_ns` is the UNIX time of the monotonic clock's zero."""
 
-    def __init__(self, reader: RingReader, port: int, session_id: str) -> None:
+    def __init__(self, reader: RingReader, port: int, session_id: str, epoch_ns: int) -> None:
         import foxglove  # noqa: PLC0415  heavy, and an extra
 
         self._reader = reader
-        self._epoch_ns = time.time_ns() - time.monotonic_ns()
+        self._epoch_ns = epoch_ns
         # all three are kept: what is logged to a channel that the garbage collector took is lost without a word
         self._context = foxglove.Context()
         schema = foxglove.Schema(name=TICK.name, encoding="protobuf", data=TICK.descriptor())

@@ -27,7 +27,7 @@ SUFFIX: Final = ".ring"
 _PREFIX: Final = "inteco-abs-"
 _SOCKET: Final = ".board"
 _KIND: Final = b"inteco-abs ring"
-_MAGIC: Final = _KIND + b" 1\n"
+_MAGIC: Final = _KIND + b" 2\n"
 _HEADER: Final = struct.Struct("<32s4Q")
 _POLL_S: Final = 0.001
 
@@ -74,6 +74,13 @@ class Word(IntEnum):
     """Ticks that are in the file for sure."""
     LIVE_PORT = auto()
     """Where the run is served to viewers; 0 if it is not."""
+    TROUBLES = auto()
+    """How often a disk has refused: see the note TROUBLES."""
+    # the supervisor again
+    KEPT = auto()
+    """1 once it has said that the ticks stay here."""
+    EPOCH_NS = auto()
+    """UNIX time of the monotonic clock's zero."""
 
 
 class Note(IntEnum):
@@ -90,9 +97,13 @@ class Note(IntEnum):
     RECORDER_FAILURE = auto()
     RESCUE = auto()
     RESULT = auto()
+    SURROUNDINGS = auto()
+    """Packages and changes of the source tree, which take the recorder too long to be gathered twice."""
+    TROUBLES = auto()
+    """What the recorder has to say of its disks, and which file it writes by now."""
 
 
-_NOTE_BYTES: Final = {Note.JOB: 2 << 20}
+_NOTE_BYTES: Final = {Note.JOB: 2 << 20, Note.SURROUNDINGS: 2 << 20}
 _OTHER_NOTE_BYTES: Final = 64 << 10
 _WORDS_AT: Final = 4096
 _NOTES_AT: Final = 8192
@@ -151,6 +162,7 @@ class RunMemory:
             raise
         memory = cls.open(path)
         memory.words[Word.SUPERVISOR_PID] = os.getpid()
+        memory.words[Word.EPOCH_NS] = time.time_ns() - time.monotonic_ns()
         return memory
 
     @classmethod
@@ -176,6 +188,7 @@ class RunMemory:
     def keep(self) -> None:
         """Make `remove` leave everything where it is: what it holds is nowhere else."""
         self._kept = True
+        self.words[Word.KEPT] = 1
         _unlink(self.socket)
 
     def remove(self) -> None:
@@ -194,8 +207,8 @@ class RunMemory:
         return self.path.with_suffix(_SOCKET)
 
     def in_use(self) -> bool:
-        """Whether any process of the run is still there."""
-        return any(alive(self.words[word]) for word in _OWNERS)
+        """Whether any process of the run may still need it."""
+        return not self.words[Word.KEPT] and any(alive(self.words[word]) for word in _OWNERS)
 
     def post(self, note: Note, content: Any) -> None:
         """Leave a note: bytes, or anything that JSON can say."""
@@ -208,10 +221,11 @@ class RunMemory:
         struct.pack_into("<Q", self._memory, at, len(data) + 1)  # last: a note is there as a whole or not at all
 
     def image(self, note: Note) -> bytes | None:
-        """A note's bytes; None if it was not left yet."""
+        """A note's bytes; None if it was not left yet, or is just being replaced."""
         at, _ = _NOTES[note]
         (length,) = struct.unpack_from("<Q", self._memory, at)
-        return bytes(self._memory[at + 8 : at + 7 + length]) if length else None
+        data = bytes(self._memory[at + 8 : at + 7 + length]) if length else None
+        return data if struct.unpack_from("<Q", self._memory, at) == (length,) else None
 
     def note(self, note: Note) -> Any:
         """A note; None if it was not left yet."""
@@ -268,7 +282,7 @@ def left_rings(folder: Path = FOLDER) -> Iterator[Path]:
             continue
         words = memoryview(head)[_WORDS_AT:_NOTES_AT].cast("q")
         pids = [words[word] for word in _OWNERS]
-        if not pids[0] or any(map(alive, pids)):
+        if not pids[0] or (not words[Word.KEPT] and any(map(alive, pids))):
             continue  # just being made, or in use
         if struct.unpack_from("<Q", head, _RINGS_AT)[0]:
             yield path

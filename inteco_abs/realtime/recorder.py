@@ -1,6 +1,7 @@
 """The recorder's process: drains the rings into the session file, and completes it however the run ends.
 
-The rings hold what is not in the file yet, so its own death loses nothing either: `rebuild` makes the file anew.
+The rings hold what is not in the file yet, so neither its own death nor a disk that refuses loses anything: `rebuild`
+makes the file anew.
 """
 
 from __future__ import annotations
@@ -9,8 +10,12 @@ import json
 import os
 import time
 import traceback
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any, Final
 
 from inteco_abs.boards import STILL_ON
@@ -27,16 +32,22 @@ from inteco_abs.sessions import (
     Account,
     Conclusion,
     Introduction,
+    Keeper,
     Recorder,
     Scribe,
     check_output,
+    insist_on_own,
     only_whole,
     read_session,
+    spill_path,
 )
+from inteco_abs.sessions.keeper import Opener
+from inteco_abs.sessions.surroundings import Surroundings, surroundings
 from inteco_abs.signals import Reason
 
 _DRAIN_S: Final = 0.005
 _FLUSH_S: Final = 0.1
+_SLOW_S: Final = 1.0
 _RESCUE_S: Final = 20.0
 """The guardian tries for 5 s, and the supervisor in its place after that."""
 _LONGEST_START_S: Final = 120.0
@@ -69,40 +80,108 @@ def _record(memory: RunMemory, job: Job) -> None:
     introduction = _introduction(memory, job)
     if introduction is None:
         return  # there was no run
-    with Recorder(job.path, time.monotonic_ns(), introduction.internals, job.session_id) as recorder:
-        scribe = Scribe(recorder, job.config, introduction, Path(job.session))
-        scribe.introduce()
+    opener = _opener(memory, job, introduction, time.monotonic_ns())
+    spill = spill_path(job.path, job.config, job.session_id)
+    with Keeper(job.path, opener, spill, _Trouble(memory).tell) as keeper:
+        keeper.introduce(job.config, introduction, Path(job.session))
         memory.truth_reader().take()  # what the board did while it was opened belongs to no tick
         words[Word.RECORDER_BEAT_NS] = time.monotonic_ns()
         words[Word.RECORDING] = 1
-        _drain_until_the_end(memory, recorder, scribe)
-        if not scribe.ticks:
-            recorder.discard()
-            return
-        account = scribe.conclude(conclusion(memory))
+        with _beating(memory):
+            keeper.surround(surroundings())  # not before: it takes a tenth of a second, and the rings have room
+            memory.post(Note.SURROUNDINGS, keeper.introduction.surroundings.as_note())
+            _Drain(memory, keeper).until_the_end()
+            if not keeper.ticks:
+                keeper.discard()
+                return
+            account = keeper.conclude(conclusion(memory))
     tell_result(memory, account)
 
 
-def _drain_until_the_end(memory: RunMemory, recorder: Recorder, scribe: Scribe) -> None:
-    words, ticks, truths = memory.words, memory.tick_reader(), memory.truth_reader()
-    flushed = time.monotonic()
-    over = False
-    while not over:
-        over = _loop_ended(memory)
-        if over:
-            _wait_for_the_rescue(memory)
-        records = ticks.take()
-        scribe.add(records, truths.take())
+def _opener(memory: RunMemory, job: Job, introduction: Introduction, start_ns: int) -> Opener:
+    return partial(
+        Recorder,
+        start_ns=start_ns,
+        controller_internals=introduction.internals,
+        session_id=job.session_id,
+        epoch_ns=memory.words[Word.EPOCH_NS],
+        durable=True,
+    )
+
+
+class _Trouble:
+    """What the recorder has to say of its disks, for the supervisor to show."""
+
+    def __init__(self, memory: RunMemory) -> None:
+        self._memory = memory
+        self._texts: list[str] = []
+
+    def tell(self, text: str, path: Path) -> None:
+        """One more; the session's file is at `path` by now."""
+        self._texts.append(text)
+        self._memory.post(Note.TROUBLES, {"texts": self._texts, "file": str(path)})
+        self._memory.words[Word.TROUBLES] = len(self._texts)
+
+
+@contextmanager
+def _beating(memory: RunMemory) -> Iterator[None]:
+    """A sign of life, whatever the disk does: it may take seconds, and the rings have room for that."""
+    over = Event()
+
+    def beat() -> None:
+        while not over.wait(_FLUSH_S):
+            memory.words[Word.RECORDER_BEAT_NS] = time.monotonic_ns()
+
+    thread = Thread(target=beat, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+class _Drain:
+    """From the rings to the keeper. What is not in a file stays in the rings, too."""
+
+    def __init__(self, memory: RunMemory, keeper: Keeper) -> None:
+        self._memory, self._keeper = memory, keeper
+        self._ticks, self._truths = memory.tick_reader(), memory.truth_reader()
+        self._ticks_end, self._truths_end = self._ticks.taken, self._truths.taken
+
+    def until_the_end(self) -> None:
+        """Return when the loop has ended and its board is safe, with everything handed over."""
+        flushed = time.monotonic()
+        over = False
+        while not over:
+            over = _loop_ended(self._memory)
+            if over:
+                _wait_for_the_rescue(self._memory)
+            self._hand_over()
+            if time.monotonic() - flushed >= _FLUSH_S:
+                self._flush()
+                flushed = time.monotonic()
+            if not over:
+                time.sleep(_DRAIN_S)
+
+    def _hand_over(self) -> None:
+        records, self._ticks_end = self._ticks.look(self._ticks_end)
+        states, self._truths_end = self._truths.look(self._truths_end)
+        self._keeper.add(records, states)
         columns = TICK.array(records)
-        memory.histogram.add(columns["late_us"].tolist(), int(columns["skipped"].sum()))
-        now = time.monotonic()
-        words[Word.RECORDER_BEAT_NS] = time.monotonic_ns()
-        if now - flushed >= _FLUSH_S:
-            recorder.flush()
-            words[Word.FLUSHED] = scribe.ticks
-            flushed = now
-        if not over:
-            time.sleep(_DRAIN_S)
+        self._memory.histogram.add(columns["late_us"].tolist(), int(columns["skipped"].sum()))
+
+    def _flush(self) -> None:
+        began_ns = time.monotonic_ns()
+        self._keeper.flush()
+        took_s = (time.monotonic_ns() - began_ns) * 1e-9
+        if took_s > _SLOW_S:
+            text = f"the disk took {took_s:.1f} s for what comes ten times a second; no tick was lost by that"
+            self._keeper.warn(self._memory.words[Word.EPOCH_NS] + began_ns, text)
+        if self._keeper.writing:
+            self._ticks.release(self._ticks_end)
+            self._truths.release(self._truths_end)
+            self._memory.words[Word.FLUSHED] = self._keeper.ticks
 
 
 def _nobody_drives(memory: RunMemory) -> bool:
@@ -123,7 +202,7 @@ def _wait_for_the_rescue(memory: RunMemory) -> None:
 
 
 def _introduction(memory: RunMemory, job: Job) -> Introduction | None:
-    told = memory.note(Note.INTRODUCTION)
+    told, around = memory.note(Note.INTRODUCTION), memory.note(Note.SURROUNDINGS)
     if told is None:
         return None
     settings = {
@@ -132,12 +211,14 @@ def _introduction(memory: RunMemory, job: Job) -> Introduction | None:
     return Introduction(
         board=job.board,
         identity=told["identity"],
-        virtual=False,
+        virtual=job.virtual,
         gains=told["gains"],
         internals=told["internals"],
         controller_source=job.controller_source,
         controller_package=job.controller_package,
         facts={**job.facts, "realtime": settings | (memory.note(Note.DRILL) or {})},
+        profile=job.profile,
+        surroundings=Surroundings() if around is None else Surroundings.of(around),
     )
 
 
@@ -148,9 +229,28 @@ def conclusion(memory: RunMemory) -> Conclusion:
     told = memory.note(Note.CONCLUSION)
     # a loop that was taken for hung or dead has nothing more to say
     if told is None or memory.words[Word.RESCUED_PID] == memory.words[Word.LOOP_PID] != 0:
-        return Conclusion(_last_reason(memory), written, aborted=_how_it_died(memory), facts=timing)
+        died = ["loop", *_others_that_died(memory)]
+        return Conclusion(_last_reason(memory), written, aborted=_how_it_died(memory), facts=timing, died=died)
     timing["timing"] |= told["cost"]
-    return Conclusion(Reason(told["reason"]), written, told["detail"], facts=timing)
+    reason, aborted, died = Reason(told["reason"]), told.get("aborted", ""), _others_that_died(memory)
+    return Conclusion(reason, written, told["detail"], aborted, facts=timing, died=died)
+
+
+def _others_that_died(memory: RunMemory) -> list[str]:
+    """Processes beside the loop's that died, hung or were killed, as far as the run's memory tells."""
+    words = memory.words
+    reasons = {words[Word.GUARDIAN_STOP], words[Word.STOP], _last_reason(memory)}
+    rescued = _rescue_of_the_loop(memory)
+
+    def gone(word: Word) -> bool:
+        return words[word] != 0 and not alive(words[word])
+
+    found = {
+        "recorder": gone(Word.RECORDER_PID) and memory.note(Note.RECORDER_FAILURE) is None,
+        "guardian": Reason.GUARDIAN_LOST in reasons or (rescued is not None and rescued["by"] == "supervisor"),
+        "supervisor": Reason.SUPERVISOR_LOST in reasons or (gone(Word.SUPERVISOR_PID) and not words[Word.KEPT]),
+    }
+    return [name for name, died in found.items() if died]
 
 
 def _last_reason(memory: RunMemory) -> Reason:
@@ -201,8 +301,7 @@ def rescue_in_words(report: Any) -> str:
 
 def tell_result(memory: RunMemory, account: Account) -> None:
     """Leave the account for the supervisor."""
-    told = {"outcome": account.outcome, "reason": int(account.reason), "explanation": account.explanation}
-    memory.post(Note.RESULT, {**told, "card": account.card})
+    memory.post(Note.RESULT, asdict(account) | {"reason": int(account.reason)})
 
 
 def recover_run(ring: Path, out: Path) -> Account:
@@ -223,9 +322,10 @@ def recover_run(ring: Path, out: Path) -> Account:
 
 
 def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None) -> Account | None:
-    """Make the session file from the rings, and from what a dead recorder has left at `job.out`.
+    """Make the session file from the rings, and from what a dead recorder has left in the file that it wrote.
 
-    It is written to `out`, which the user may call `session`. None if there was no tick. Raises SessionError.
+    It is written to `out`, which the user may call `session`. None if there was no tick. Raises ConfigError or
+    SessionError if it cannot be written, or if what the recorder left is damaged.
     """
     introduction = _introduction(memory, job)
     ticks, truths = memory.tick_reader(), memory.truth_reader()
@@ -233,11 +333,12 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
         return None
     held_from = ticks.rewind()
     truths.rewind()
-    before, truths_before = _from_the_file(job.path, held_from, truths) if held_from else (b"", b"")
-    with (
-        only_whole(out) as part,
-        Recorder(part, time.monotonic_ns(), introduction.internals, job.session_id) as recorder,
-    ):
+    file = file_of(memory, job)
+    gone = bool(held_from) and not file.exists()
+    before, truths_before = _from_the_file(file, held_from, truths) if held_from and not gone else (b"", b"")
+    opener = _opener(memory, job, introduction, _first_ns(before or ticks.oldest()))
+    insist_on_own(out, job.session_id)
+    with only_whole(out) as part, opener(part) as recorder:
         scribe = Scribe(recorder, job.config, introduction, session or out)
         scribe.introduce()
         scribe.add(before, truths_before)
@@ -246,7 +347,19 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
         memory.histogram.add(*scribe.lateness())
         end = conclusion(memory)
         anew = f"the session was made from what the run left in memory, {scribe.ticks} ticks"
+        if gone:
+            anew += f"; those before tick {held_from} were in {file}, which is gone"
         return scribe.conclude(replace(end, detail=f"{end.detail}; {anew}" if end.detail else anew))
+
+
+def file_of(memory: RunMemory, job: Job) -> Path:
+    """What the recorder wrote last."""
+    told = memory.note(Note.TROUBLES)
+    return job.path if told is None else Path(told["file"])
+
+
+def _first_ns(records: bytes | None) -> int:
+    return int(TICK.array(records[: TICK.size])["time_ns"][0]) if records else 0
 
 
 def _from_the_file(path: Path, ticks: int, truths: RingReader) -> tuple[bytes, bytes]:

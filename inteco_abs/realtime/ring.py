@@ -89,6 +89,11 @@ class RingReader:
         """Number of records taken so far, lost ones included."""
         return self._words[_TAKEN]
 
+    @property
+    def room(self) -> int:
+        """Records that the writer can still append before it would have to overwrite one that was not taken."""
+        return self._capacity - (self.written - self.taken)
+
     def rewind(self) -> int:
         """Go back to the oldest record that the ring still holds; its number, from 0."""
         oldest = max(0, self.written - self._capacity)
@@ -97,14 +102,21 @@ class RingReader:
 
     def take(self, most: int | None = None) -> bytes:
         """Up to `most` records that were not taken yet, oldest first, back to back."""
-        first, end = self.taken, self.written
-        if most is not None:
-            end = min(end, first + most)
+        records, end = self.look(self.taken, most)
+        self.release(end)
+        return records
+
+    def look(self, first: int, most: int | None = None) -> tuple[bytes, int]:
+        """Up to `most` records from number `first` on, without taking any; and the number of the next one."""
+        end = self.written if most is None else min(self.written, first + most)
         records = [self._record(number) for number in range(first, end)]
         whole = [record for record in records if record is not None]
         self.lost += len(records) - len(whole)
+        return b"".join(whole), end
+
+    def release(self, end: int) -> None:
+        """Take what was looked at, up to number `end`: the writer may overwrite it."""
         self._words[_TAKEN] = end
-        return b"".join(whole)
 
     def oldest(self) -> bytes | None:
         """The next record to be taken, without taking it; None if there is none."""

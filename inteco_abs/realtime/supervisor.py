@@ -11,20 +11,22 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from inteco_abs import errors
-from inteco_abs.errors import AbsError, BoardError, SessionError, UnsafeError
+from inteco_abs.errors import AbsError, BoardError, SessionError, UnsafeError, in_a_line
+from inteco_abs.realtime.disk_watch import DiskWatch
 from inteco_abs.realtime.guardian import rescue
 from inteco_abs.realtime.hearing import hearing
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.live import address
 from inteco_abs.realtime.machine import prepare, supervisor_wishes
 from inteco_abs.realtime.memory import Note, RunMemory, Word
-from inteco_abs.realtime.recorder import board_in_words, rebuild
+from inteco_abs.realtime.recorder import board_in_words, conclusion, rebuild
 from inteco_abs.realtime.screen import Screen, Snapshot, Unbreakable
-from inteco_abs.sessions import TICK, Account
+from inteco_abs.sessions import EXIT_CODES, LOSSES, TICK, Account, spill_path
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 _POLL_S: Final = 0.01
@@ -162,12 +164,14 @@ class Supervisor:
 
     def _watch(self, screen: Screen) -> None:
         words, loop = self._words, self._children["loop"]
+        disk = DiskWatch(self._memory, self._job)
         shown = 0.0
         self._alive_s = time.monotonic()
         while loop.poll() is None:
             words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
             self._look_after("guardian", Reason.GUARDIAN_LOST)
             self._look_after("recorder", Reason.RECORDER_LOST)
+            disk.look(screen)
             self._end_what_goes_on()
             if time.monotonic() - shown >= _SCREEN_S:
                 snapshot = self.snapshot()
@@ -227,26 +231,43 @@ class Supervisor:
         _gone_within(recorder, _END_S if silent else _FINISH_S)
         told = memory.note(Note.RESULT)
         if told is not None:
-            return Account(told["outcome"], Reason(told["reason"]), told["explanation"], told["card"])
+            return Account(**told | {"reason": Reason(told["reason"])})
         failure = memory.note(Note.RECORDER_FAILURE)
         if recorder.poll() is None:
             recorder.kill()
             recorder.wait()
-        try:
-            account = rebuild(memory, self._job, self._job.path, Path(self._job.session))
-        except AbsError as error:
-            why = failure["text"] if failure else "the recorder process died"
-            trouble = SessionError(
-                f"{board_in_words(memory)}, but {why}; the file could not be made anew either ({error}). "
-                f"The ticks are kept in {memory.path}: inteco-abs recover {memory.path} --out FILE"
-            )
-            trouble.exit_code = UnsafeError.exit_code  # whatever else went wrong, the run was ended for safety
-            raise trouble from error
+        account = self._rebuild(failure["text"] if failure else "")
         if account is None:
             told = failure or memory.note(Note.FAILURE)
             why = EXPLANATIONS[Reason(memory.words[Word.GUARDIAN_STOP] or memory.words[Word.STOP])]
             raise raised_again(told) if told else SessionError(f"the run ended before its first tick: {why}")
         return account
+
+    def _rebuild(self, failure: str) -> Account | None:
+        """The session made from memory, where it should be or else in the second place; None if there was no tick.
+
+        `failure` is what kept the recorder from it, if that did not die. Raises SessionError if no disk takes it.
+        """
+        job, memory = self._job, self._memory
+        spill = spill_path(job.path, job.config, job.session_id)
+        refused = [failure or "the recorder process died"]
+        for place, session in ((job.path, Path(job.session)), (spill, spill)):
+            if place is None:
+                continue
+            try:
+                account = rebuild(memory, job, place, session)
+            except AbsError as error:
+                refused.append(in_a_line(error))
+                continue
+            if account is None or (len(refused) == 1 and not failure):
+                return account
+            return replace(account, trouble=f"{'; '.join(refused)}; the whole session is in {session}")
+        trouble = SessionError(
+            f"{board_in_words(memory)}, but {'; '.join(refused)}. "
+            f"The ticks are kept in {memory.path}: inteco-abs recover {memory.path} --out FILE"
+        )
+        trouble.exit_code = EXIT_CODES.get(conclusion(memory).outcome, LOSSES)
+        raise trouble
 
     def _rescue_if_nobody_did(self) -> None:
         """The last resort of software: loop and guardian are both gone, and the board was held."""

@@ -5,8 +5,9 @@ from inteco_abs.sessions.diff import SECTIONS, Change, Diff, SignalChange, diff_
 from inteco_abs.sessions.export import FORMATS, Export, export_session
 from inteco_abs.sessions.extract import attached, extract
 from inteco_abs.sessions.gains import REFERENCE, changed_gains
+from inteco_abs.sessions.keeper import Keeper, check_spill, spill_path
 from inteco_abs.sessions.listing import COLUMNS, session_files, session_row, sort_rows
-from inteco_abs.sessions.output import check_output, only_whole
+from inteco_abs.sessions.output import check_output, insist_on_own, only_whole
 from inteco_abs.sessions.reader import Session, read_session
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.replay import (
@@ -20,7 +21,7 @@ from inteco_abs.sessions.replay import (
 )
 from inteco_abs.sessions.result import result_card, stored_card
 from inteco_abs.sessions.salvage import Recovery, recover_session
-from inteco_abs.sessions.scribe import Account, Conclusion, Introduction, Scribe
+from inteco_abs.sessions.scribe import EXIT_CODES, LOSSES, Account, Conclusion, Introduction, Scribe
 from inteco_abs.sessions.tables import Table, tables, to_pandas, to_polars
 from inteco_abs.sessions.tolerance import Shift, Tolerance, parse_tolerances
 from inteco_abs.sessions.validation import Finding, Inspection, Severity, validate
@@ -28,7 +29,9 @@ from inteco_abs.sessions.validation import Finding, Inspection, Severity, valida
 __all__ = [
     "COLUMNS",
     "CONFIG_NAME",
+    "EXIT_CODES",
     "FORMATS",
+    "LOSSES",
     "REFERENCE",
     "SECTIONS",
     "TICK",
@@ -42,6 +45,7 @@ __all__ = [
     "Finding",
     "Inspection",
     "Introduction",
+    "Keeper",
     "Recorder",
     "Recovery",
     "Replay",
@@ -56,10 +60,12 @@ __all__ = [
     "before_the_gap",
     "changed_gains",
     "check_output",
+    "check_spill",
     "diff_sessions",
     "export_session",
     "extract",
     "insist_on_known",
+    "insist_on_own",
     "only_whole",
     "pack_tick",
     "parse_tolerances",
@@ -71,6 +77,7 @@ __all__ = [
     "session_files",
     "session_row",
     "sort_rows",
+    "spill_path",
     "stored_card",
     "tables",
     "to_pandas",

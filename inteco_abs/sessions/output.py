@@ -34,6 +34,18 @@ def check_output(path: Path) -> None:
         raise SessionError(f"{path} cannot be created: the folder {path.parent} cannot be written to")
 
 
+def insist_on_own(path: Path, session_id: str) -> None:
+    """Raise SessionError if at `path` there is anything but a beginning of the session with that id."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise SessionError(f"{path} cannot be replaced: {error.strerror}") from error
+    if data and session_id.encode() not in data:
+        raise SessionError(f"{path} has become another file, and files are never overwritten")
+
+
 @contextmanager
 def only_whole(out: Path) -> Iterator[Path]:
     """Where to write what becomes `out` at the end. Its source still exists: of a failure nothing is left."""

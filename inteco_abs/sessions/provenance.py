@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import inteco_abs
-from inteco_abs.config import RigConfig
+from inteco_abs.config import RigConfig, profile_text, profiles
 
 
 def software_facts() -> dict[str, str]:
@@ -29,6 +29,13 @@ def software_facts() -> dict[str, str]:
 
 def host_facts() -> dict[str, str]:
     """The computer the loop ran on."""
+    cpus = "/sys/devices/system/cpu"
+    of_linux = {
+        "cpu": _cpu_model(),
+        "governor": _line(f"{cpus}/cpu0/cpufreq/scaling_governor"),
+        "isolated_cpus": _line(f"{cpus}/isolated"),
+        "clock_source": _line("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
+    }
     return {
         "hostname": platform.node(),
         "os": platform.system(),
@@ -36,6 +43,7 @@ def host_facts() -> dict[str, str]:
         "kernel_build": platform.version(),
         "machine": platform.machine(),
         "cores": str(os.cpu_count()),
+        **{name: value for name, value in of_linux.items() if value},
     }
 
 
@@ -55,22 +63,58 @@ def controller_facts(config: RigConfig, gains: Mapping[str, float], source_sha25
     return facts
 
 
-def _git_facts(folder: Path) -> dict[str, str]:
-    def git(*words: str) -> str | None:
-        try:
-            answer = subprocess.run(  # noqa: S603  fixed words
-                ["git", "-C", str(folder), *words],  # noqa: S607  the user's own git
-                capture_output=True,
-                text=True,
-                check=True,
-                timeout=5,
-            )
-        except (OSError, subprocess.SubprocessError):
-            return None
-        return answer.stdout.strip()
+def profile_source(name: str) -> bytes:
+    """A shipped profile or the user's own as it was written; nothing where that cannot be read any more."""
+    if name in profiles():
+        return profile_text(name).encode()
+    try:
+        return Path(name).read_bytes()
+    except OSError:
+        return b""
 
-    tracked = git("ls-files", "--error-unmatch", "__init__.py")
-    commit = git("rev-parse", "HEAD") if tracked else None
-    if commit is None:
+
+def is_source_tree(folder: Path) -> bool:
+    """Whether git keeps the package in `folder`, rather than a folder that happens to lie in somebody's repository."""
+    return _git(folder, "ls-files", "--error-unmatch", "__init__.py") is not None
+
+
+def git_says(folder: Path, *words: str) -> list[str]:
+    """Command line for the user's own git."""
+    return ["git", "-C", str(folder), *words]
+
+
+def _git(folder: Path, *words: str) -> str | None:
+    try:
+        answer = subprocess.run(  # noqa: S603  fixed words
+            git_says(folder, *words), capture_output=True, text=True, check=True, timeout=5
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return answer.stdout.strip()
+
+
+def _git_facts(folder: Path) -> dict[str, str]:
+    status = _git(folder, "status", "--porcelain=v2", "--branch") if is_source_tree(folder) else None
+    if status is None:
         return {}
-    return {"git_commit": commit, "git_dirty": str(bool(git("status", "--porcelain"))).lower()}
+    heads = dict(line.removeprefix("# ").split(" ", 1) for line in status.splitlines() if line.startswith("# "))
+    facts = {
+        "git_commit": heads.get("branch.oid", ""),
+        "git_branch": heads.get("branch.head", ""),
+        "git_commit_date": _git(folder, "log", "-1", "--format=%cI") or "",
+        "git_dirty": str(any(not line.startswith("# ") for line in status.splitlines())).lower(),
+    }
+    return {name: value for name, value in facts.items() if value}
+
+
+def _line(path: str) -> str:
+    """What the kernel says in a file of one line; empty where it says nothing."""
+    try:
+        return Path(path).read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError):
+        return ""
+
+
+def _cpu_model() -> str:
+    lines = (line.partition(":") for line in _line("/proc/cpuinfo").splitlines())
+    return next((value.strip() for name, _, value in lines if name.strip() == "model name"), "")

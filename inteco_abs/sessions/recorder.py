@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import struct
 import time
 import uuid
@@ -20,6 +21,7 @@ from mcap.writer import CompressionType, Writer
 
 from inteco_abs.errors import SessionError
 from inteco_abs.records import schema
+from inteco_abs.records.result import RESULT, RESULT_NAME, RESULT_TOPIC, pack_result, result_descriptor
 from inteco_abs.records.schema import TICK, TRUTH, Message
 from inteco_abs.records.wire import chunk, double, integer, tag
 from inteco_abs.sessions.content import ATTACHMENT_HASH
@@ -30,13 +32,14 @@ if TYPE_CHECKING:
     from typing_extensions import Buffer  # collections.abc has it from Python 3.12 on
 
 FORMAT_VERSION: Final = "1"
-_INFO, _ERROR = 2, 4  # levels of foxglove.Log
+_INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
 
 
 class _Disk(FileIO):
     """A new file whose refusals are SessionErrors."""
 
     def __init__(self, path: Path) -> None:
+        self.path = path
         try:
             super().__init__(path, "xb")
         except OSError as error:
@@ -47,17 +50,35 @@ class _Disk(FileIO):
         try:
             return super().write(data)
         except OSError as error:
-            raise SessionError(
-                f"{self.name} cannot be written: {error.strerror}; what it holds so far stays readable"
-            ) from error
+            raise self._refused(error) from error
+
+    def sync(self) -> None:
+        """Wait until the disk has it for good."""
+        try:
+            os.fsync(self.fileno())
+        except OSError as error:
+            raise self._refused(error) from error
+
+    def insist_on_its_place(self) -> None:
+        """Raise SessionError if the file is not where it was made: writing to it then goes well, and to nowhere."""
+        try:
+            found = self.path.stat()
+        except OSError as error:
+            raise SessionError(f"{self.name} is gone: {error.strerror}") from error
+        if not os.path.samestat(found, os.fstat(self.fileno())):
+            raise SessionError(f"{self.name} is gone: another file has its name")
+
+    def _refused(self, error: OSError) -> SessionError:
+        return SessionError(f"{self.name} cannot be written: {error.strerror}; what it holds so far stays readable")
 
 
 class Recorder:
     """A session being written at `path`; a context manager. Raises SessionError when the disk refuses.
 
     `session_id`, and `epoch_ns` (UNIX time of the monotonic clock's zero), are those of a session whose file is made
-    anew. What it is told first (`describe`, `attach`) reaches the file before the first tick. Leaving the context
-    closes the file; only `finish` makes it complete.
+    anew. With `durable`, the disk must have taken in every change of phase and the end before writing goes on, which
+    may take seconds. What it is told first (`describe`, `attach`) reaches the file before the first tick. Leaving the
+    context closes the file; only `finish` makes it complete.
     """
 
     def __init__(
@@ -67,18 +88,25 @@ class Recorder:
         controller_internals: Sequence[str] = (),
         session_id: str = "",
         epoch_ns: int | None = None,
+        *,
+        durable: bool = False,
     ) -> None:
         check_output(path)
         self.path = path
         self.session_id = session_id or str(uuid.uuid4())
         self._epoch_ns = time.time_ns() - start_ns if epoch_ns is None else epoch_ns
-        self._start_ns = start_ns
+        self.started_ns = self._epoch_ns + start_ns
+        """UNIX time of the session's beginning."""
+        self._durable = durable
+        self._in_doubt = True  # whether the disk has yet to take in what a power cut must not take away
         self._hash = hashlib.sha256()
         self._attached: dict[str, str] = {}
         self._ticks = 0
         self._truths = 0
+        self._newest_ns = self.started_ns
         self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
-        self._file = BufferedWriter(_Disk(path))
+        self._disk = _Disk(path)
+        self._file = BufferedWriter(self._disk)
         self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="", library=f"inteco-abs/{version('inteco-abs')} mcap-python/{version('mcap')}")
         self._tick_channel = self._flat(TICK, {"internals": json.dumps(list(controller_internals))})
@@ -95,10 +123,14 @@ class Recorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            self._file.close()
+            self.close()
         except SessionError:
             if error is None:  # else it has been said already
                 raise
+
+    def close(self) -> None:
+        """No more is to come; without `finish` the file stays cut."""
+        self._file.close()
 
     @property
     def payload_sha256(self) -> str:
@@ -111,7 +143,7 @@ class Recorder:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Add a file."""
-        stamp = self._epoch_ns + self._start_ns
+        stamp = self.started_ns
         self._writer.add_attachment(stamp, stamp, name, media_type, data)
         self._attached[ATTACHMENT_HASH + name] = hashlib.sha256(data).hexdigest()
 
@@ -119,7 +151,7 @@ class Recorder:
         """Write the parameters in force from tick 0, and everything so far to the disk."""
         values = b"".join(chunk(1, chunk(1, name) + double(2, value)) for name, value in parameters.items())
         data = values + tag(2, 5) + struct.pack("<I", 0)
-        stamp = self._epoch_ns + self._start_ns
+        stamp = self.started_ns
         self._writer.add_message(self._parameter_channel, stamp, data, stamp)
         self.describe(
             "session",
@@ -149,6 +181,7 @@ class Recorder:
                 self._ticks & 0xFFFFFFFF,
             )
             self._ticks += 1
+            self._newest_ns = stamp
 
     def truths(self, records: bytes) -> None:
         """Add states of the simulated rig, back to back."""
@@ -161,9 +194,13 @@ class Recorder:
             self._truths += 1
 
     def flush(self) -> None:
-        """Everything so far into the file, readable even if nothing follows."""
+        """Everything so far into the file, readable even if nothing follows. Raises SessionError if that is gone."""
         self._writer.flush()  # type: ignore[no-untyped-call]  # the library left it untyped
-        self._file.flush()
+        self._settle()
+
+    def warn(self, stamp_ns: int, text: str) -> None:
+        """Add a warning to the log at a wall clock time in ns."""
+        self.event(stamp_ns, _WARNING, text)
 
     def event(self, stamp_ns: int, level: int, text: str) -> None:
         """Add a line to the log at a wall clock time in ns."""
@@ -177,6 +214,7 @@ class Recorder:
 
         It ended now, unless `ended_utc` says when.
         """
+        self._tell_result(result)
         self.flush()  # the last ticks come before what is said about them
         self.describe(
             "session",
@@ -193,7 +231,14 @@ class Recorder:
         self.describe("result", {"card": json.dumps(result)})
         self.describe("integrity", {"payload_sha256": self.payload_sha256, **self._attached})
         self._writer.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
-        self._file.flush()
+        self._in_doubt = True
+        self._settle()
+
+    def _tell_result(self, card: Mapping[str, Any]) -> None:
+        """The card where any viewer finds it; ours read the metadata, which the index has at a glance."""
+        units = {"units": json.dumps({entry.name: entry.unit for entry in RESULT})}
+        channel = self._channel(RESULT_TOPIC, RESULT_NAME, result_descriptor(), units)
+        self._writer.add_message(channel, self._newest_ns, pack_result(card), self._newest_ns)
 
     def discard(self) -> None:
         """Remove the file: nothing ran, so there is nothing to keep."""
@@ -201,12 +246,20 @@ class Recorder:
             self._file.close()
         self.path.unlink(missing_ok=True)
 
+    def _settle(self) -> None:
+        self._file.flush()
+        self._disk.insist_on_its_place()
+        if self._durable and self._in_doubt:
+            self._disk.sync()
+        self._in_doubt = False
+
     def _changed(self, stamp_ns: int, phase: int, reason: int) -> None:
         if phase != self._before[0]:
             self.event(stamp_ns, _INFO, f"phase {Phase(phase).name}")
         if reason != self._before[1]:
             self.event(stamp_ns, _ERROR, f"{Reason(reason).name}: {EXPLANATIONS[Reason(reason)]}")
         self._before = (phase, reason)
+        self._in_doubt = True
 
     def _flat(self, message: Message, metadata: Mapping[str, str]) -> int:
         facts = {

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from inteco_abs.boards import simulated
 from inteco_abs.config import RigConfig
@@ -16,9 +16,14 @@ from inteco_abs.sessions.provenance import controller_facts
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.replay import CONFIG_NAME
 from inteco_abs.sessions.result import link_errors, result_card
+from inteco_abs.sessions.surroundings import Surroundings
 from inteco_abs.signals import EXPLANATIONS, Reason
 
-_OUTCOMES = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}
+_OUTCOMES: Final = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}
+EXIT_CODES: Final = {"fault": 5, "aborted": 5, "interrupted": 130}
+"""What a command ends with, by outcome; any other is done, perhaps with losses."""
+LOSSES: Final = 3
+"""What it ends with when there is something to look at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +44,9 @@ class Introduction:
     """More metadata: software, host, real-time settings."""
     controller_package: str = ""
     """Name and version of the package that the controller comes from; empty if from none."""
+    profile: bytes = b""
+    """The profile as it was written; the configuration has what became of it."""
+    surroundings: Surroundings = field(default_factory=Surroundings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +62,13 @@ class Conclusion:
     """Why there was no proper end; empty if there was one."""
     facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """More metadata."""
+    died: Sequence[str] = ()
+    """Processes that died, hung or were killed: of `loop`, `recorder`, `guardian`, `supervisor`."""
+
+    @property
+    def outcome(self) -> str:
+        """`completed`, `interrupted`, `fault` or `aborted`."""
+        return "aborted" if self.aborted else _OUTCOMES.get(self.reason, "fault")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +80,14 @@ class Account:
     reason: Reason
     explanation: str
     card: dict[str, Any]
+    trouble: str = ""
+    """What a disk has refused, and what came of it; empty if none has."""
 
     @property
     def exit_code(self) -> int:
-        """5 safety stop, 130 interrupted, 3 done with overruns or losses, 0 done."""
-        codes = {"fault": 5, "aborted": 5, "interrupted": 130}
-        losses = any(self.card[name] for name in ("overruns", "link_errors", "lost_ticks"))
-        return codes.get(self.outcome, 3 if losses else 0)
+        """5 safety stop, 130 interrupted, 3 done with overruns, losses or trouble with a disk, 0 done."""
+        losses = self.trouble or any(self.card[name] for name in ("overruns", "link_errors", "lost_ticks"))
+        return EXIT_CODES.get(self.outcome, LOSSES if losses else 0)
 
 
 class Scribe:
@@ -83,7 +99,7 @@ class Scribe:
         self._recorder = recorder
         self._session = session or recorder.path  # what the file will be called
         self._config = config
-        self._introduction = introduction
+        self.introduction = introduction
         self._drawn = config.simulation.rig if simulated(introduction.board) else ""
         self._ticks = bytearray()
         self._truths = bytearray()
@@ -93,6 +109,11 @@ class Scribe:
         """Ticks written so far."""
         return len(self._ticks) // TICK.size
 
+    @property
+    def everything(self) -> tuple[bytes, bytes]:
+        """Ticks and truths that were added."""
+        return bytes(self._ticks), bytes(self._truths)
+
     def lateness(self) -> tuple[list[float], int]:
         """Lateness of every tick in us, and the periods that were left out between them."""
         ticks = TICK.array(bytes(self._ticks))
@@ -100,7 +121,7 @@ class Scribe:
 
     def introduce(self) -> None:
         """Everything that explains the run, on the disk before the first tick."""
-        told, config, recorder = self._introduction, self._config, self._recorder
+        told, config, recorder = self.introduction, self._config, self._recorder
         parameters = RigParameters.named(config.model.parameters)
         for name, facts in told.facts.items():
             recorder.describe(name, facts)
@@ -114,8 +135,10 @@ class Scribe:
                 "r1_m": repr(parameters.r1),
                 "r2_m": repr(parameters.r2),
                 "parameters": config.model.parameters,
+                **_limits(config),
+                **_signature(config),
                 "simulated": str(simulated(told.board)).lower(),
-                **({"drawn": self._drawn} if self._drawn else {}),
+                **self._physics(),
                 "virtual_time": str(told.virtual).lower(),
             },
         )
@@ -123,20 +146,39 @@ class Scribe:
         digest = hashlib.sha256(source).hexdigest() if source else ""
         recorder.describe("controller", controller_facts(config, told.gains, digest, told.controller_package))
         recorder.attach(CONFIG_NAME, "application/toml", config.to_toml().encode())
+        if told.profile:
+            recorder.attach("profile.toml", "application/toml", told.profile)
         if source:
             recorder.attach("controller.py", "text/x-python", source)
+        self._enclose()
         recorder.begin({"reference_slip": config.controller.reference_slip, **told.gains})
+
+    def surround(self, found: Surroundings) -> None:
+        """What surrounded the run, where it could not wait for that to be gathered."""
+        self.introduction = replace(self.introduction, surroundings=found)
+        self._enclose()
 
     def add(self, ticks: bytes, truths: bytes) -> None:
         """More of the run: tick records and states of the simulated rig, each back to back."""
+        self.remember(ticks, truths)
         self._recorder.ticks(ticks)
         self._recorder.truths(truths)
+
+    def remember(self, ticks: bytes, truths: bytes) -> None:
+        """More of the run, not for the file: for the card, and for whoever tells it anew."""
         self._ticks += ticks
         self._truths += truths
 
+    def anew(self, recorder: Recorder, session: Path) -> Scribe:
+        """One that has told another recorder everything so far, whose file the user calls `session`."""
+        other = Scribe(recorder, self._config, self.introduction, session)
+        other.introduce()
+        other.add(*self.everything)
+        return other
+
     def conclude(self, end: Conclusion) -> Account:
         """Complete the file with the result card and everything that is known about the end."""
-        outcome = "aborted" if end.aborted else _OUTCOMES.get(end.reason, "fault")
+        outcome = end.outcome
         parts = [EXPLANATIONS[end.reason]] if end.reason is not Reason.NONE or not end.aborted else []
         explanation = "; ".join([*parts, end.aborted] if end.aborted else parts)
         if end.detail:
@@ -144,8 +186,29 @@ class Scribe:
         card = self._card(outcome, end, explanation)
         for name, facts in end.facts.items():
             self._recorder.describe(name, facts)
+        told = {"last_tick": self._last_tick() if outcome != "completed" else "", "died": ", ".join(end.died)}
+        self._recorder.describe("session", {name: text for name, text in told.items() if text})
         self._recorder.finish(outcome, explanation, card)
         return Account(outcome, end.reason, explanation, card)
+
+    def _enclose(self) -> None:
+        found = self.introduction.surroundings
+        for file in found.files:
+            self._recorder.attach(*file)
+        if found.software:
+            self._recorder.describe("software", found.software)
+
+    def _last_tick(self) -> str:
+        ticks = TICK.array(self._ticks)
+        return str(int(ticks["tick"][-1])) if len(ticks) else ""
+
+    def _physics(self) -> dict[str, str]:
+        """What is inside the mock board."""
+        if self._drawn:
+            return {"drawn": self._drawn}
+        if simulated(self.introduction.board):
+            return {"simulated_parameters": self._config.simulation.parameters}
+        return {}
 
     def _card(self, outcome: str, end: Conclusion, explanation: str) -> dict[str, Any]:
         ticks = TICK.array(bytes(self._ticks))
@@ -156,10 +219,28 @@ class Scribe:
             "outcome": outcome,
             "reason": end.reason.name,
             "explanation": explanation,
-            "board": self._introduction.board,
+            "board": self.introduction.board,
             "rig": self._drawn or None,
             **metrics,
             "lost_ticks": end.written - metrics["ticks"],
             "link_errors": link_errors(ticks),
             "payload_sha256": self._recorder.payload_sha256,
         }
+
+
+def _limits(config: RigConfig) -> dict[str, str]:
+    """What the guard lets pass."""
+    guard = config.guard
+    return {
+        "brake_limit": repr(guard.brake_limit),
+        "drive_limit": repr(guard.drive_limit),
+        "over_speed_rad_s": repr(guard.over_speed_rad_s),
+    }
+
+
+def _signature(config: RigConfig) -> dict[str, str]:
+    """Who checked the wiring on the rig, and when; nothing if nobody did."""
+    board = config.board
+    if not board.verified_by:
+        return {}
+    return {"verified_by": board.verified_by, "verified_on": str(board.verified_on)}

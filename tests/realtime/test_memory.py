@@ -35,7 +35,7 @@ class TestFile:
         memory, other = small
         assert other.path == memory.path
         assert other.tick_capacity == CAPACITY
-        assert [word for word in Word if other.words[word]] == [Word.SUPERVISOR_PID]
+        assert [word for word in Word if other.words[word]] == [Word.SUPERVISOR_PID, Word.EPOCH_NS]
         assert [other.image(note) for note in Note] == [None] * len(Note)
         assert (other.tick_reader().written, other.truth_reader().written) == (0, 0)
         assert other.histogram.sparse() == {}
@@ -63,7 +63,7 @@ class TestFile:
         [
             (lambda _whole: b"", "no tick ring"),
             (lambda whole: bytes(len(whole)), "no tick ring"),
-            (lambda whole: b"inteco-abs ring 2\n" + whole[18:], "no tick ring of this version"),
+            (lambda whole: b"inteco-abs ring 1\n" + whole[18:], "no tick ring of this version"),
             (lambda whole: whole[:100], "no tick ring"),
             (lambda whole: whole[:-1], "was cut"),
             (lambda whole: whole[:-100], "was cut"),
@@ -91,7 +91,7 @@ class TestFile:
             raise OSError(number, os.strerror(number))
 
         monkeypatch.setattr(os, "posix_fallocate", refuse)
-        with pytest.raises(SessionError, match=r"103 MB.*loop\.ring_s") as refusal:
+        with pytest.raises(SessionError, match=r"105 MB.*loop\.ring_s") as refusal:
             RunMemory.create(980, 100_000, 8, 1)
         assert os.strerror(number) in str(refusal.value)
         assert not list(memory_folder.iterdir())
@@ -133,7 +133,7 @@ class TestNotes:
             with pytest.raises(SessionError, match="too long"):
                 memory.post(note, b"x" * (most + 1))
         assert {note: other.image(note) for note in Note} == posted
-        assert [word for word in Word if other.words[word]] == [Word.SUPERVISOR_PID]
+        assert [word for word in Word if other.words[word]] == [Word.SUPERVISOR_PID, Word.EPOCH_NS]
         assert other.histogram.sparse() == {}
 
 

@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import resource
+import signal
 import struct
 import sys
 import time
@@ -116,7 +117,7 @@ class Crash:
     def _record(self, run):
         if self._scribe is None:
             told, job = run.introduction, run.job
-            self._recorder = self._stack.enter_context(Recorder(job.path, 0, told["internals"]))
+            self._recorder = self._stack.enter_context(Recorder(job.path, 0, told["internals"], job.session_id))
             introduction = Introduction(job.board, told["identity"], False, told["gains"], told["internals"], b"")
             self._scribe = Scribe(self._recorder, job.config, introduction)
             self._scribe.introduce()
@@ -179,12 +180,19 @@ class TestRebuild:
 
     def test_what_a_recorder_had_begun_gives_way_and_nothing_else_is_left(self, whole, tmp_path):
         whole.conclude()
-        whole.job.path.write_bytes(b"begun")
+        whole.job.path.write_bytes(b"begun: " + whole.job.session_id.encode())
         (tmp_path / "stop.mcap.part").write_bytes(b"somebody else's")
         rebuild(whole.memory, whole.job, whole.job.path)
         assert {path.name for path in tmp_path.iterdir()} == {"stop.mcap", "stop.mcap.part"}
         assert (tmp_path / "stop.mcap.part").read_bytes() == b"somebody else's"
         assert not read_session(whole.job.path).incomplete
+
+    def test_another_file_with_the_name_of_the_session_is_left_alone(self, whole):
+        whole.conclude()
+        whole.job.path.write_bytes(b"somebody else's")
+        with pytest.raises(SessionError, match="never overwritten"):
+            rebuild(whole.memory, whole.job, whole.job.path)
+        assert whole.job.path.read_bytes() == b"somebody else's"
 
     def test_a_run_without_ticks_or_without_a_beginning_makes_no_session(self, memory, job_of, tmp_path):
         job = job_of(memory)
@@ -244,11 +252,24 @@ class TestWrappedRing:
         expected = result_card(run.job.config, read_session(run.job.path).ticks, TRUTH.array(made.truths))
         assert {name: card[name] for name in expected} == expected
 
-    def test_a_file_that_is_gone_is_named(self, crash):
+    def test_of_a_file_that_is_gone_what_the_ring_still_holds_is_saved_and_the_rest_is_told_as_lost(self, crash):
         made = crash()
+        made.run.conclude()
         made.run.job.path.unlink()
+        account = rebuild(made.run.memory, made.run.job, made.run.job.path)
+        assert account.card["lost_ticks"] == made.held_from
+        assert f"those before tick {made.held_from} were in {made.run.job.path}, which is gone" in account.explanation
+        assert read_session(made.run.job.path).ticks["tick"].tolist() == list(range(made.held_from, made.run.ticks))
+
+    def test_of_a_file_that_is_damaged_nothing_is_replaced(self, crash):
+        made = crash()
+        made.run.conclude()
+        data = bytearray(made.run.job.path.read_bytes())
+        data[len(data) // 2] ^= 0xFF
+        made.run.job.path.write_bytes(data)
         with pytest.raises(SessionError, match=r"stop\.mcap"):
             rebuild(made.run.memory, made.run.job, made.run.job.path)
+        assert made.run.job.path.read_bytes() == data
 
 
 PID, OTHER = 4000, 4001
@@ -292,6 +313,13 @@ ENDS = {
 }
 """By what happened: holder, whom the guardian rescued, its report, the loop's failure, and what is made of it."""
 
+DEATHS = {
+    "loop": ({Word.HOLDER_PID: PID}, None),
+    "loop, guardian": ({Word.HOLDER_PID: PID, Word.RESCUED_PID: PID}, {**RESCUED, "by": "supervisor"}),
+    "loop, recorder, supervisor": ({Word.RECORDER_PID: 1 << 30, Word.SUPERVISOR_PID: 1 << 30}, None),
+    "loop, supervisor": ({Word.GUARDIAN_STOP: Reason.SUPERVISOR_LOST}, None),
+}  # fmt: skip
+
 
 class TestConclusion:
     def test_a_normal_end_is_told_as_the_loop_told_it(self, dead):
@@ -313,6 +341,26 @@ class TestConclusion:
         assert found.aborted == text
         assert found.written == 8
 
+    @pytest.mark.parametrize("names", DEATHS)
+    def test_it_says_which_processes_died(self, dead, names):
+        words, report = DEATHS[names]
+        for word, value in words.items():
+            dead.words[word] = value
+        if report is not None:
+            dead.post(Note.RESCUE, report)
+        assert ", ".join(conclusion(dead).died) == names
+
+    def test_of_a_run_that_ended_as_it_should_nobody_died(self, dead, ended):
+        dead.post(Note.CONCLUSION, NORMAL)
+        dead.words[Word.RECORDER_PID] = dead.words[Word.SUPERVISOR_PID] = os.getpid()
+        assert conclusion(dead).died == []
+        dead.words[Word.RECORDER_PID] = ended
+        assert conclusion(dead).died == ["recorder"]
+        dead.post(Note.RECORDER_FAILURE, failure("SessionError", "no room"))
+        assert conclusion(dead).died == []  # it has ended, and said why
+        dead.words[Word.STOP] = Reason.GUARDIAN_LOST
+        assert conclusion(dead).died == ["guardian"]
+
     @pytest.mark.parametrize("reason", [Reason.NONE, Reason.MISSED_EXCHANGES])
     def test_the_reason_of_the_last_tick_is_kept(self, memory, reason):
         values = [int(reason) if column.name == "reason" else 0 for column in TICK.columns]
@@ -325,7 +373,9 @@ class TestConclusion:
         account = rebuild(whole.memory, whole.job, whole.job.path)
         assert (account.outcome, account.exit_code) == ("aborted", 5)
         assert STILL_ON in account.explanation
-        assert STILL_ON in read_session(whole.job.path).metadata["session"]["reason"]
+        facts = read_session(whole.job.path).metadata["session"]
+        assert STILL_ON in facts["reason"]
+        assert (facts["died"], facts["last_tick"]) == ("loop", str(whole.ticks - 1))
 
 
 class TestRecover:
@@ -389,14 +439,15 @@ class TestRecover:
 class Recording:
     """A recorder's process, with a loop that is a sleeping process and ticks that the test writes."""
 
-    def __init__(self, memory, job, child, until):
+    def __init__(self, memory, job, child, until, code=""):
         self.memory, self.job, self.until, self.words = memory, job, until, memory.words
         self.words[Word.SUPERVISOR_PID] = os.getpid()
         self.loop = child()
         self.words[Word.LOOP_PID] = self.loop.pid
         self.source = in_ring_of_a_run(job)
         self._ring = memory.tick_ring(lambda buffer, at, data: buffer.__setitem__(slice(at, at + TICK.size), data))
-        self.process = child(sys.executable, "-m", "inteco_abs.realtime", "recorder", memory.path)
+        role = ("-c", code) if code else ("-m", "inteco_abs.realtime", "recorder")
+        self.process = child(sys.executable, *role, memory.path)
 
     def ready(self):
         self.memory.post(Note.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
@@ -412,8 +463,8 @@ class Recording:
     def payload(self):
         return self.source[: self._ring.written * TICK.size]
 
-    def end(self):
-        assert self.process.wait(30) == 0
+    def end(self, code=0):
+        assert self.process.wait(30) == code
         return self.memory.note(Note.RESULT)
 
     def session(self):
@@ -438,6 +489,7 @@ class TestRecorderProcess:
     def test_everything_that_the_loop_leaves_is_in_the_file_when_it_has_ended(self, recording, until):
         recording.ready()
         assert recording.job.path.exists()
+        until(lambda: recording.memory.note(Note.SURROUNDINGS), "it has looked around")
         beat = recording.words[Word.RECORDER_BEAT_NS]
         recording.ticks(300)
         until(lambda: recording.words[Word.FLUSHED] == 300, "they are on the disk")
@@ -450,6 +502,8 @@ class TestRecorderProcess:
         assert (result["outcome"], result["card"]["ticks"], result["card"]["lost_ticks"]) == ("completed", 600, 0)
         assert recording.session().payload == recording.payload
         assert not recording.session().incomplete
+        assert b"numpy==" in recording.session().attachments["requirements.txt"]
+        assert recording.session().metadata["software"]["packages_sha256"]
         assert sum(recording.memory.histogram.sparse().values()) == 600
         assert recording.memory.path.exists()
 
@@ -512,6 +566,122 @@ class TestRecorderProcess:
         account = rebuild(recording.memory, recording.job, recording.job.path)
         assert (account.card["ticks"], account.card["lost_ticks"]) == (1150, 0)
         assert recording.session().payload == recording.payload
+
+
+SLOW = """
+import os, sys, time
+sync = os.fsync
+def slow(file):
+    if slow.calls == 1:
+        time.sleep(1.5)
+    slow.calls += 1
+    sync(file)
+slow.calls = 0
+os.fsync = slow
+from inteco_abs.realtime.recorder import main
+sys.exit(main(sys.argv[1]))
+"""
+"""A recorder on a disk that takes its time once, after the beginning."""
+
+
+class TestDisk:
+    def test_what_is_not_in_the_file_stays_in_the_ring(self, recording, until):
+        recording.ready()
+        recording.ticks(100)
+        until(lambda: recording.words[Word.FLUSHED] == 100, "they are on the disk")
+        until(lambda: recording.memory.tick_reader().taken == 100, "the ring is free again")
+        recording.process.send_signal(signal.SIGSTOP)
+        recording.ticks(50)
+        assert recording.memory.tick_reader().taken == 100
+
+    def test_a_slow_disk_is_no_lost_recorder_and_no_lost_tick(self, new_memory, job_of, child, until):
+        memory = new_memory(2000, 2000)
+        slow = Recording(memory, job_of(memory), child, until, SLOW)
+        slow.ready()
+        slow.ticks(100)
+        until(lambda: memory.tick_reader().written - memory.words[Word.FLUSHED] == 100, "it waits for the disk")
+        time.sleep(0.3)
+        waiting = [memory.words[Word.RECORDER_BEAT_NS]]
+        until(lambda: memory.words[Word.RECORDER_BEAT_NS] > waiting[0], "it shows that it is alive")
+        assert memory.words[Word.FLUSHED] == 0
+        slow.ticks(200)
+        until(lambda: memory.words[Word.FLUSHED] == 300, "the disk has taken it all")
+        memory.post(Note.CONCLUSION, NORMAL)
+        slow.loop.kill()
+        assert slow.end()["card"]["lost_ticks"] == 0
+        assert slow.session().payload == slow.payload
+        (warning,) = [event.text for event in slow.session().log if event.level == 3]
+        assert warning.startswith("the disk took 1.")
+
+    def vanish(self, recording, until):
+        recording.job.path.unlink()
+        recording.ticks(100)
+        until(lambda: recording.words[Word.TROUBLES], "it says so")
+        return recording.memory.note(Note.TROUBLES)
+
+    def test_a_disk_that_refuses_is_told_at_once_and_nothing_leaves_the_ring(self, recording, until):
+        recording.ready()
+        recording.ticks(100)
+        until(lambda: recording.words[Word.FLUSHED] == 100, "they are on the disk")
+        told = self.vanish(recording, until)
+        assert "its ticks are kept in memory" in told["texts"][0]
+        recording.ticks(100)
+        time.sleep(0.2)
+        assert recording.memory.tick_reader().taken == 100
+        assert recording.process.poll() is None
+        recording.memory.post(Note.CONCLUSION, NORMAL)
+        recording.loop.kill()
+        result = recording.end()
+        assert (result["outcome"], result["card"]["ticks"]) == ("completed", 300)
+        assert "is gone" in result["trouble"]
+        assert recording.session().payload == recording.payload
+
+    def test_a_disk_that_goes_on_refusing_is_the_recorders_failure_and_the_ring_has_everything(
+        self, recording, until, tmp_path
+    ):
+        recording.ready()
+        recording.ticks(100)
+        told = self.vanish(recording, until)
+        recording.job.path.write_bytes(b"somebody else's")
+        recording.memory.post(Note.CONCLUSION, NORMAL)
+        recording.loop.kill()
+        recording.end(code=1)
+        assert "nor could the file be made anew" in recording.memory.note(Note.RECORDER_FAILURE)["text"]
+        assert told["file"] == str(recording.job.path)
+        account = rebuild(recording.memory, recording.job, tmp_path / "saved.mcap")
+        session = read_session(tmp_path / "saved.mcap")
+        assert (account.card["ticks"], session.payload) == (200, recording.payload)
+        assert "died" not in session.metadata["session"]
+
+    @pytest.mark.parametrize("killed", [False, True], ids=["whole", "killed later"])
+    def test_the_second_place_has_everything_also_what_the_ring_has_not_any_more(
+        self, new_memory, job_of, child, until, tmp_path, killed
+    ):
+        (tmp_path / "spill").mkdir()
+        memory = new_memory(400, 400)
+        recording = Recording(memory, job_of(memory, f"session.spill={tmp_path / 'spill'}"), child, until)
+        recording.ready()
+        for part in range(3):
+            recording.ticks(200)
+            until(lambda part=part: recording.words[Word.FLUSHED] == 200 * (part + 1), "they are on the disk")
+        told = self.vanish(recording, until)
+        spilt = tmp_path / "spill" / "stop.mcap"
+        assert told["file"] == str(spilt)
+        until(lambda: recording.words[Word.FLUSHED] == 700, "they are on the other disk")
+        if killed:
+            recording.process.kill()
+            recording.process.wait()
+        recording.ticks(100)
+        recording.memory.post(Note.CONCLUSION, NORMAL)
+        recording.loop.kill()
+        if killed:
+            rebuild(memory, recording.job, spilt)
+        else:
+            result = recording.end()
+            assert result["card"]["session"] == str(spilt)
+            assert f"the whole session is in {spilt}" in result["trouble"]
+        assert read_session(spilt).payload == recording.payload
+        assert read_session(spilt).ticks["tick"].tolist() == list(range(800))
 
 
 def test_a_filled_memory_holds_a_whole_stop(whole):

@@ -181,7 +181,7 @@ def test_every_bit_of_every_fixed_field_of_a_chunk(reading, container, tiny):
 @pytest.mark.untraced
 def test_every_bit_around_the_attachment(reading, container, tiny):
     variants = reading(tiny)
-    (record,) = (record for record in container.split(variants.data) if record.opcode == ATTACHMENT)
+    record = next(record for record in container.split(variants.data) if record.opcode == ATTACHMENT)
     for place, bit in product([*range(64), *range(len(record.content) - 8, len(record.content))], range(8)):
         variants.flip(record.at + 9 + place, bit)
     assert variants.wrong == []

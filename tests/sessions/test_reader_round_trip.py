@@ -49,7 +49,7 @@ def test_metadata_and_attachments_come_back(written):
 
 def test_channels_come_back(written):
     channels = read_session(written[0]).channels
-    assert channels.keys() == {"/abs/tick", "/abs/event", "/abs/params", "/sim/truth"}
+    assert channels.keys() == {"/abs/tick", "/abs/event", "/abs/params", "/abs/result", "/sim/truth"}
     assert channels["/abs/tick"]["internals"] == '["f"]'
 
 

@@ -1,4 +1,5 @@
 import json
+import math
 import struct
 from datetime import datetime
 
@@ -6,6 +7,7 @@ import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import NonSeekingReader
 
+from inteco_abs.records.result import RESULT_NAME, pack_result, result_descriptor
 from inteco_abs.sessions import TICK, TRUTH
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
@@ -15,6 +17,7 @@ TOPICS = {
     "/abs/event": "foxglove.Log",
     "/abs/params": "inteco_abs.v1.Params",
     "/sim/truth": "inteco_abs.v1.Truth",
+    "/abs/result": "inteco_abs.v1.Result",
 }
 
 
@@ -55,7 +58,7 @@ def test_schemas_are_descriptor_sets_of_their_message(seen):
 def test_counts(seen, quick):
     ticks = quick.stop.card["ticks"]
     counts = {topic: len(seen.of(topic)) for topic in TOPICS}
-    assert counts == {"/abs/tick": ticks, "/sim/truth": ticks + 1, "/abs/params": 1, "/abs/event": 6}
+    assert counts == {"/abs/tick": ticks, "/sim/truth": ticks + 1, "/abs/params": 1, "/abs/event": 6, "/abs/result": 1}
     statistics = seen.summary.statistics
     by_topic = {seen.summary.channels[n].topic: count for n, count in statistics.channel_message_counts.items()}
     assert by_topic == counts
@@ -185,7 +188,7 @@ def test_header_names_the_program_and_no_profile(seen):
 def test_all_checksums_hold_in_a_sequential_reading_too(quick):
     with quick.path.open("rb") as file:
         messages = list(NonSeekingReader(file, validate_crcs=True).iter_messages(log_time_order=False))
-    assert len(messages) == 2 * quick.stop.card["ticks"] + 8
+    assert len(messages) == 2 * quick.stop.card["ticks"] + 9
 
 
 def test_every_checksum_is_there(quick, container):
@@ -202,3 +205,24 @@ def test_messages_are_in_chunks_only(chunked, container):
     opcodes = [record.opcode for record in container.split(chunked.path.read_bytes())]
     assert 5 not in opcodes
     assert opcodes.count(6) > 2
+
+
+def test_the_result_is_the_card_in_a_message(seen, quick):
+    ((_, _, message, found),) = seen.of("/abs/result")
+    told = {field.name: getattr(found, field.name) for field in found.DESCRIPTOR.fields}
+    card = quick.stop.card
+    expected = {**card, **{f"lateness_us_{name}": value for name, value in card["lateness_us"].items()}}
+    assert told.pop("rig") == ""  # there was none
+    known = {name: value for name, value in told.items() if str(value) != "nan"}
+    assert known == {name: expected[name] for name in known}
+    assert [expected[name] for name in told.keys() - known.keys()] == [None] * (len(told) - len(known))
+    assert told.keys() >= card.keys() - {"schema_version", "lateness_us", "rig"}
+    assert message.log_time == seen.of("/abs/tick")[-1][2].log_time
+
+
+def test_what_is_not_known_is_no_zero_in_the_result(message_class):
+    card = {"outcome": "aborted", "stop_time_s": None, "ticks": 3, "lateness_us": {"p50": None, "max": 0.0}}
+    found = message_class(result_descriptor(), RESULT_NAME).FromString(pack_result(card))
+    assert math.isnan(found.stop_time_s)
+    assert math.isnan(found.lateness_us_p50)
+    assert (found.lateness_us_max, found.ticks, found.outcome) == (0.0, 3, "aborted")

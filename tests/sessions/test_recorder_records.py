@@ -16,6 +16,9 @@ from inteco_abs.sessions import TICK, Recorder, read_session
 
 BEFORE = {"inteco_abs.session", "inteco_abs.software", "inteco_abs.host", "inteco_abs.rig", "inteco_abs.controller"}
 AFTER = {"inteco_abs.session", "inteco_abs.timing", "inteco_abs.result", "inteco_abs.integrity"}
+FILES = {"config.toml", "profile.toml", "requirements.txt"}
+CHANGES = {"git.diff"}
+"""Of a source tree that has any."""
 
 
 def records_of(path):
@@ -128,11 +131,12 @@ def test_official_reader_finds_the_same_metadata(metadata, quick, officially):
 
 
 def test_configuration_is_attached_whole(quick, officially):
-    (attachment,) = officially(quick.path).attachments
-    assert (attachment.name, attachment.media_type) == ("config.toml", "application/toml")
+    found = {attachment.name: attachment for attachment in officially(quick.path).attachments}
+    attachment = found["config.toml"]
+    assert attachment.media_type == "application/toml"
     assert attachment.data == quick.config.to_toml().encode()
     assert parse_config(attachment.data.decode()) == quick.config
-    assert quick.session.attachments == {"config.toml": attachment.data}
+    assert quick.session.attachments == {name: each.data for name, each in found.items()}
 
 
 def test_source_of_a_users_controller_is_attached(run):
@@ -153,7 +157,7 @@ def test_what_explains_the_run_comes_before_the_first_tick(chunked):
     }
     schemas = {record.id for record in before if isinstance(record, Schema)}
     assert schemas >= {record.schema_id for record in before if isinstance(record, Channel)}
-    assert [record.name for record in before if isinstance(record, Attachment)] == ["config.toml"]
+    assert {record.name for record in before if isinstance(record, Attachment)} - CHANGES == FILES
 
 
 def test_outcome_timing_and_integrity_come_after_the_last_tick(chunked):

@@ -5,6 +5,7 @@ import os
 import random
 import re
 import resource
+import shutil
 import signal
 import termios
 import time
@@ -137,6 +138,7 @@ def test_without_guardian_or_recorder_the_loop_stops_safely(live, replayed, role
     session = assert_nothing_lost(run, replayed)
     assert session.ticks["stop_request"][-1] == reason
     assert safe_after_ns(session, struck_ns) < GENEROUS_NS
+    assert session.metadata["session"]["died"] == role
     if role == "recorder":
         assert "made from what the run left in memory" in message
     assert_left_nothing_behind(run)
@@ -150,6 +152,7 @@ def test_without_supervisor_the_run_stops_safely_and_the_recorder_finishes_the_f
     assert_left_nothing_behind(run)
     session = assert_nothing_lost(run, replayed)
     assert session.metadata["session"]["outcome"] == "fault"
+    assert session.metadata["session"]["died"] == "supervisor"
     assert session.ticks["reason"][-1] == Reason.SUPERVISOR_LOST
     assert safe_after_ns(session, struck_ns) < GENEROUS_NS
 
@@ -174,7 +177,9 @@ def test_loop_and_guardian_killed_at_once_leave_the_supervisor(live, replayed):
     struck_ns = run.strike("loop")
     code, card, _ = run.end()
     assert (code, card["outcome"], card["lost_ticks"]) == (5, "aborted", 0)
-    assert safe_after_ns(assert_nothing_lost(run, replayed), struck_ns) < GENEROUS_NS
+    session = assert_nothing_lost(run, replayed)
+    assert safe_after_ns(session, struck_ns) < GENEROUS_NS
+    assert session.metadata["session"]["died"] == "loop, guardian"
     assert_left_nothing_behind(run)
 
 
@@ -243,12 +248,29 @@ def no_more_room(run, role):
     resource.prlimit(run.pid(role), resource.RLIMIT_FSIZE, (10_000, 10_000))
 
 
-def test_a_disk_that_refuses_ends_the_run_safely_and_the_file_is_made_from_memory(live, replayed):
+def test_a_disk_that_refuses_ends_no_run_and_the_file_is_made_from_memory(live, replayed):
     run = live()
     run.until_tick(TURNING)
     no_more_room(run, "recorder")
     code, card, message = run.end()
-    assert (code, card["reason"], card["lost_ticks"]) == (5, "RECORDER_LOST", 0), message
+    assert (code, card["outcome"], card["lost_ticks"]) == (3, "completed", 0), message
+    assert "the run goes on, and its ticks are kept in memory" in message
+    assert f"the whole session is in {run.out}" in message
+    assert_nothing_lost(run, replayed)
+    assert_left_nothing_behind(run)
+
+
+def test_when_the_folder_vanishes_the_run_goes_on_and_its_session_is_in_the_second_place(live, replayed, tmp_path):
+    spill = tmp_path / "spill"
+    spill.mkdir()
+    (tmp_path / "out").mkdir()
+    run = live("--out", tmp_path / "out" / "stop.mcap", "--set", f"session.spill={spill}")
+    run.until_tick(TURNING)
+    shutil.rmtree(tmp_path / "out")
+    code, card, message = run.end()
+    run.out = spill / "stop.mcap"
+    assert (code, card["outcome"], card["session"]) == (3, "completed", str(run.out)), message
+    assert f"the run goes on, and it is written to {run.out} by now" in message
     assert_nothing_lost(run, replayed)
     assert_left_nothing_behind(run)
 
@@ -259,7 +281,7 @@ def test_a_disk_that_goes_on_refusing_leaves_the_ticks_in_memory(live, inteco_ab
     for role in ("supervisor", "recorder"):
         no_more_room(run, role)
     code, card, message = run.end()
-    assert (code, card) == (5, None), message
+    assert (code, card) == (3, None), message
     assert "stopped safely, but" in message
     ring = re.search(r"inteco-abs recover (\S+) --out FILE", message)[1]
     assert ring == str(run.memory.path)

@@ -1,0 +1,44 @@
+"""Keeps a run in memory that no disk has taken, where `recover` finds it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.memory import Note, RunMemory
+from inteco_abs.realtime.ring import TickRing
+from inteco_abs.sessions import TICK, TRUTH, Conclusion, Introduction
+
+
+def stow(job: Job, introduction: Introduction, end: Conclusion, ticks: bytes, truths: bytes) -> Path:
+    """A ring with the whole of a run that another process than a recorder's has recorded.
+
+    Raises SessionError if memory has no room for it.
+    """
+    memory = RunMemory.create(TICK.size, max(len(ticks) // TICK.size, 1), TRUTH.size, max(len(truths) // TRUTH.size, 1))
+    job.post(memory)
+    memory.post(Note.SURROUNDINGS, introduction.surroundings.as_note())
+    memory.post(
+        Note.INTRODUCTION,
+        {
+            "identity": dict(introduction.identity),
+            "gains": dict(introduction.gains),
+            "internals": list(introduction.internals),
+            "settings": [],
+        },
+    )
+    memory.post(Note.CONCLUSION, {"reason": int(end.reason), "detail": end.detail, "aborted": end.aborted, "cost": {}})
+    _fill(memory.tick_ring(_copy), ticks, TICK.size)
+    _fill(memory.truth_ring(_copy), truths, TRUTH.size)
+    memory.keep()
+    return memory.path
+
+
+def _copy(buffer: Any, at: int, record: bytes) -> None:
+    buffer[at : at + len(record)] = record
+
+
+def _fill(ring: TickRing, records: bytes, size: int) -> None:
+    for at in range(0, len(records), size):
+        ring.append(records[at : at + size])

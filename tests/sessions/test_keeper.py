@@ -1,0 +1,289 @@
+"""A run that is kept whatever its disk does."""
+
+import errno
+import os
+import shutil
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from inteco_abs.errors import ConfigError, SessionError
+from inteco_abs.sessions import (
+    TICK,
+    TRUTH,
+    Conclusion,
+    Introduction,
+    Keeper,
+    Recorder,
+    check_spill,
+    read_session,
+    spill_path,
+)
+from inteco_abs.signals import Reason
+
+SLICES = 8
+GONE = os.strerror(errno.ENOENT)
+
+
+class Kept:
+    """A stop told to a keeper in slices; `out` and `spill` are folders of their own."""
+
+    def __init__(self, folder, source, *, spill=True, **recorder):
+        self.out, self.spill = folder / "out" / "stop.mcap", folder / "spill" / "stop.mcap"
+        for path in (self.out, self.spill):
+            path.parent.mkdir()
+        self.said = []
+        self._config = source.config
+        session = source.session
+        self.payload, self._truths = session.payload, b"".join(map(TRUTH.pack, session.truth.tolist()))
+        self._rows = -(-len(session.ticks) // SLICES)
+        opener = partial(Recorder, start_ns=int(session.ticks["time_ns"][0]), session_id="an-id", epoch_ns=10**18)
+        self.keeper = Keeper(
+            self.out, partial(opener, **recorder), self.spill if spill else None, lambda *told: self.said.append(told)
+        )
+
+    def introduce(self):
+        self.keeper.introduce(self._config, Introduction("sim:", {}, True, {"Mk": 2.0}, [], b""), Path("stop.mcap"))
+        return self
+
+    def slice(self, number):
+        """One slice into the file, or so the caller believes."""
+        ticks, truths = (
+            data[number * self._rows * size : (number + 1) * self._rows * size]
+            for data, size in ((self.payload, TICK.size), (self._truths, TRUTH.size))
+        )
+        self.keeper.add(ticks, truths)
+        self.keeper.flush()
+
+    def tell(self, *, before=lambda _number: None):
+        for number in range(SLICES):
+            before(number)
+            self.slice(number)
+        return self
+
+    def conclude(self):
+        with self.keeper:
+            return self.keeper.conclude(Conclusion(Reason.NONE, self.keeper.ticks))
+
+    def vanish(self):
+        shutil.rmtree(self.out.parent)
+
+
+@pytest.fixture
+def kept(tmp_path, tiny):
+    made = []
+
+    def make(**options):
+        made.append(Kept(tmp_path, tiny, **options))
+        return made[-1]
+
+    yield make
+    for each in made:
+        with each.keeper:
+            pass
+
+
+def whole(path, kept):
+    """The session at `path`, which has everything."""
+    session = read_session(path)
+    assert not session.incomplete
+    assert session.payload == kept.payload
+    assert session.metadata["session"]["session_id"] == "an-id"
+    assert "config.toml" in session.attachments
+    return session
+
+
+def test_on_a_good_disk_the_file_is_where_it_should_be_and_nothing_is_said(kept):
+    run = kept().introduce().tell()
+    account = run.conclude()
+    assert (account.exit_code, account.trouble, run.said) == (0, "", [])
+    assert account.card["session"] == "stop.mcap"
+    whole(run.out, run)
+    assert not run.spill.exists()
+
+
+@pytest.mark.parametrize("at", range(SLICES))
+def test_when_the_folder_vanishes_the_whole_session_is_in_the_second_place(kept, replayed, at):
+    run = kept().introduce()
+    run.tell(before=lambda number: run.vanish() if number == at else None)
+    account = run.conclude()
+    assert (account.exit_code, account.outcome) == (3, "completed")
+    assert account.card["session"] == str(run.spill)
+    assert f"{run.out} is gone" in account.trouble
+    assert f"the whole session is in {run.spill}" in account.trouble
+    ((text, path),) = run.said
+    assert path == run.spill
+    assert "the run goes on, and it is written to" in text
+    session = whole(run.spill, run)
+    assert [event.text for event in session.log if event.level == 3] == [f"{run.out} is gone: {GONE}"]
+    if at in {0, SLICES - 1}:
+        assert replayed(session).differing == 0
+    assert not run.out.exists()
+
+
+def test_when_the_folder_vanishes_after_the_last_tick_so_it_does_too(kept):
+    run = kept().introduce().tell()
+    run.vanish()
+    assert run.conclude().exit_code == 3
+    whole(run.spill, run)
+
+
+@pytest.mark.parametrize("at", range(SLICES))
+def test_a_disk_that_refuses_once_has_the_whole_session_in_the_end(kept, room, at):
+    run = kept(spill=False).introduce()
+    lifted = os.sysconf("SC_PAGESIZE") << 30
+
+    def limit(number):
+        room(run.out.stat().st_size if number == at else lifted)
+
+    run.tell(before=limit)
+    room(lifted)
+    assert run.keeper.ticks == len(run.payload) // TICK.size
+    assert not run.keeper.writing
+    ((text, path),) = run.said
+    assert path == run.out
+    assert "its ticks are kept in memory" in text
+    account = run.conclude()
+    assert (account.exit_code, account.card["session"]) == (3, "stop.mcap")
+    whole(run.out, run)
+    assert {path.name for path in run.out.parent.iterdir()} == {"stop.mcap"}
+
+
+def test_ticks_that_come_just_as_the_disk_refuses_are_not_forgotten(tmp_path, chunked, room):
+    run = Kept(tmp_path, chunked, spill=False).introduce()
+    room(run.out.stat().st_size)
+    run.keeper.add(run.payload, b"")  # more than a chunk: some of it goes to the disk at once
+    assert not run.keeper.writing
+    assert run.keeper.everything == (run.payload, b"")
+    room(os.sysconf("SC_PAGESIZE") << 30)
+    run.conclude()
+    whole(run.out, run)
+
+
+def test_a_disk_that_goes_on_refusing_is_an_error_at_the_end_only_and_nothing_is_forgotten(kept):
+    run = kept(spill=False).introduce()
+    run.tell(before=lambda number: run.vanish() if number == 2 else None)
+    with pytest.raises(SessionError, match=r"is gone: .*; nor could the file be made anew at the end"):
+        run.conclude()
+    assert run.keeper.everything[0] == run.payload
+    assert len(run.said) == 1
+
+
+def test_a_second_place_that_refuses_too_is_named(kept):
+    run = kept().introduce()
+    run.spill.parent.rmdir()
+    run.tell(before=lambda number: run.vanish() if number == 2 else None)
+    ((text, _),) = run.said
+    assert str(run.out) in text
+    assert f"the folder {run.spill.parent} does not exist" in text
+    assert "its ticks are kept in memory" in text
+    with pytest.raises(SessionError, match=r"out/stop\.mcap is gone"):
+        run.conclude()
+
+
+def test_a_second_place_that_vanishes_too_gives_way_to_the_first_if_that_is_back(kept):
+    run = kept().introduce()
+
+    def before(number):
+        if number == 2:
+            run.vanish()
+        if number == 4:
+            shutil.rmtree(run.spill.parent)
+            run.out.parent.mkdir()
+
+    run.tell(before=before)
+    assert run.conclude().card["session"] == "stop.mcap"
+    whole(run.out, run)
+
+
+def test_another_file_that_has_taken_the_name_is_left_alone(kept):
+    run = kept(spill=False).introduce()
+
+    def before(number):
+        if number == 3:
+            run.vanish()
+            run.out.parent.mkdir()
+            run.out.write_bytes(b"somebody else's")
+
+    run.tell(before=before)
+    assert "another file has its name" in run.said[0][0]
+    with pytest.raises(SessionError):
+        run.conclude()
+    assert run.out.read_bytes() == b"somebody else's"
+    assert {path.name for path in run.out.parent.iterdir()} == {"stop.mcap"}
+
+
+def test_a_disk_that_refuses_before_the_run_refuses_the_run_and_leaves_no_file(kept, room):
+    run = kept()
+    room(100)
+    with pytest.raises(SessionError, match="cannot be written"):
+        run.introduce()
+    assert run.said == []
+    assert not run.out.exists()
+    assert not run.spill.exists()
+
+
+def test_warnings_are_in_the_log_of_whichever_file_it_comes_to(kept):
+    run = kept().introduce()
+    run.keeper.warn(10**18 + 5, "the disk is slow")
+    run.tell(before=lambda number: run.vanish() if number == 2 else None)
+    run.keeper.warn(10**18 + 9, "the disk is slow again")
+    run.conclude()
+    texts = [event.text for event in read_session(run.spill).log]
+    assert texts.count("the disk is slow") == texts.count("the disk is slow again") == 1
+
+
+class TestSync:
+    @pytest.fixture
+    def synced(self, monkeypatch):
+        """Sizes of the file whenever the disk was waited for."""
+        sizes, sync = [], os.fsync
+        monkeypatch.setattr(os, "fsync", lambda file: (sizes.append(os.fstat(file).st_size), sync(file)))
+        return sizes
+
+    def test_every_change_of_phase_and_the_end_are_synced_and_nothing_else(self, kept, synced):
+        run = kept(durable=True).introduce()
+        assert len(synced) == 1
+        phases = TICK.array(run.payload)["phase"]
+        rows = -(-len(phases) // SLICES)
+        slices = [phases[max(at - 1, 0) : at + rows] for at in range(0, len(phases), rows)]
+        changing = sum(len(set(each.tolist())) > 1 or not at for at, each in enumerate(slices))
+        assert 2 < changing < SLICES
+        run.tell()
+        assert len(synced) == 1 + changing
+        run.conclude()
+        assert synced[-1] == run.out.stat().st_size
+
+    def test_a_run_in_virtual_time_waits_for_no_disk(self, kept, synced):
+        kept().introduce().tell().conclude()
+        assert synced == []
+
+    def test_a_disk_that_fails_to_sync_refuses(self, kept, monkeypatch):
+        run = kept(durable=True).introduce()
+
+        def fail(_file):
+            raise OSError(5, "Input/output error")
+
+        monkeypatch.setattr(os, "fsync", fail)
+        run.slice(0)
+        assert "cannot be written: Input/output error" in run.said[0][0]
+
+
+class TestSpill:
+    def test_it_is_off_by_default(self, tmp_path, quick):
+        check_spill(quick.config)
+        assert spill_path(tmp_path / "stop.mcap", quick.config, "12345678-9") is None
+
+    def test_a_folder_that_is_not_there_is_refused_before_the_run(self, run, tmp_path, devices):
+        with pytest.raises(ConfigError, match=r"session\.spill.*no folder; create it first"):
+            run(f"session.spill={tmp_path / 'nowhere'}")
+        assert devices == []
+
+    def test_what_is_there_already_is_not_overwritten(self, run, tmp_path):
+        (tmp_path / "spill").mkdir()
+        config = run(f"session.spill={tmp_path / 'spill'}").config
+        first = spill_path(tmp_path / "stop.mcap", config, "12345678-9")
+        assert first == tmp_path / "spill" / "stop.mcap"
+        first.write_bytes(b"precious")
+        assert spill_path(tmp_path / "stop.mcap", config, "12345678-9").name == "stop-12345678.mcap"
