@@ -24,6 +24,7 @@ from inteco_abs.realtime.doctor import examine
 from inteco_abs.realtime.findings import as_facts
 from inteco_abs.realtime.hearing import hearing
 from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.live import insist_on_foxglove
 from inteco_abs.realtime.loop import detail_of
 from inteco_abs.realtime.memory import RunMemory
 from inteco_abs.realtime.screen import NoScreen, Screen
@@ -76,6 +77,8 @@ class Plan:
     """Capture to write: everything that passes between host and board."""
     controller_package: str = ""
     """Name and version of the installed package that the controller comes from; empty if from none."""
+    live_port: int | None = None
+    """Where to serve a real-time run to viewers on this computer; 0 for any port that is free, None for not at all."""
 
 
 def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, screen: Screen | None = None) -> Account:
@@ -88,6 +91,8 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
     check_kind(plan.board, config)
     if plan.virtual and not simulated(plan.board):
         raise ConfigError([Mistake("--virtual", f"{plan.board} is a real board, and real boards have their own time")])
+    if plan.live_port is not None:
+        _check_live(plan)
     check_output(plan.out)
     check_spill(config)
     if plan.wire is not None:
@@ -100,6 +105,13 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
         interrupts = _Interrupts()
         with hearing(interrupts.handle):
             return _VirtualRun(config, plan, pipeline, interrupts).run(progress)
+
+
+def _check_live(plan: Plan) -> None:
+    if plan.virtual:
+        problem = "a run in virtual time is over before anybody could look; leave one of the two out"
+        raise ConfigError([Mistake("--foxglove", f"{problem}, or open the session file in the viewer")])
+    insist_on_foxglove()
 
 
 def exchange_times_us(config: RigConfig, board: str) -> list[float]:
@@ -171,6 +183,7 @@ def _job(config: RigConfig, plan: Plan, facts: Mapping[str, Mapping[str, str]] =
         facts={**_facts(config, plan), **facts},
         wire=str(plan.wire.absolute()) if plan.wire else "",
         profile=profile_source(config.profile),
+        live_port=plan.live_port,
     )
 
 

@@ -29,16 +29,19 @@ def export(file: Path, form: str, out: Path | None, as_json: bool) -> int:
     from inteco_abs.sessions import export_session
 
     made = export_session(file, form, out or file.with_suffix(f".{form}"))
-    incomplete = made.session.incomplete
+    incomplete, beyond = made.session.incomplete, made.session.beyond
     if as_json:
         files = [{"path": str(written.path), "tables": written.tables, "rows": written.rows} for written in made.files]
-        print_json({"schema_version": 1, "session": str(file), "incomplete": incomplete, "files": files})
+        told = {"schema_version": 1, "session": str(file), "incomplete": incomplete, "beyond": beyond, "files": files}
+        print_json(told)
     else:
         for written in made.files:
             click.echo(f"{written.path}: {', '.join(written.tables)}, {written.rows} rows")
     if incomplete:
         click.echo(f"inteco-abs: {file}: {incomplete}; {len(made.session.ticks)} ticks are whole", err=True)
-    return LOSSES if incomplete else 0
+    if beyond:
+        click.echo(f"inteco-abs: {file}: {plain(beyond)}", err=True)
+    return LOSSES if incomplete or beyond else 0
 
 
 @click.command()

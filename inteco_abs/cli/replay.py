@@ -43,11 +43,19 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     from dataclasses import asdict
 
     from inteco_abs.control import build_pipeline, control_check, gains_in_force
-    from inteco_abs.sessions import before_the_gap, changed_gains, parse_tolerances, read_session, session_config
+    from inteco_abs.sessions import (
+        before_the_gap,
+        changed_gains,
+        insist_on_known,
+        parse_tolerances,
+        read_session,
+        session_config,
+    )
     from inteco_abs.sessions import replay as run_again
 
     given = parse_tolerances(tolerances)
     recorded = read_whole(file, read_session)
+    insist_on_known(recorded)
     session = before_the_gap(recorded)
     left_out = len(recorded.ticks) - len(session.ticks)
     controllers = controllers_for(session, controller)

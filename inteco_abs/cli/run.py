@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from inteco_abs.experiment import Progress
     from inteco_abs.realtime.screen import Screen, Snapshot
     from inteco_abs.sessions import Account
+
+_LIVE_PORT: Final = 8765
+"""Where Lichtblick and Foxglove look if nobody tells them."""
 
 
 @click.command()
@@ -66,6 +69,16 @@ if TYPE_CHECKING:
 @click.option("--out", type=FILE, help="Session file to write; default: sessions/stop-TIME.mcap.")
 @click.option("--figure", type=FILE, help="Also draw the stop: .png, .svg or .pdf.")
 @click.option("--record-wire", "wire", type=FILE, help="Also write every message to and from the board, as JSON lines.")
+@click.option(
+    "--foxglove",
+    "live_port",
+    is_flag=False,
+    flag_value=_LIVE_PORT,
+    type=click.IntRange(0, 65535),
+    metavar="[PORT]",
+    help=f"Also show the run to Lichtblick or Foxglove on this computer while it lasts; default port: {_LIVE_PORT}, "
+    "0 is any that is free.",
+)
 @json_option
 def run(
     board: str,
@@ -79,6 +92,7 @@ def run(
     out: Path | None,
     figure: Path | None,
     wire: Path | None,
+    live_port: int | None,
     as_json: bool,
 ) -> int:
     """Drive, brake, record: one stop."""
@@ -102,7 +116,7 @@ def run(
         check_figure(figure)
     insist_on_different({"--out": out, "--figure": figure, "--record-wire": wire})
     source, package = controllers.origin(rig.controller.name)
-    plan = Plan(out, board, virtual, seed, controllers, source, wire, package)
+    plan = Plan(out, board, virtual, seed, controllers, source, wire, package, live_port)
     if virtual:
         with _progress() as progress:
             stop = run_stop(rig, plan, progress)

@@ -28,7 +28,7 @@ def info(file: Path, as_json: bool) -> int:
         print_json(summary)
     else:
         _print_summary(summary)
-    return LOSSES if session.incomplete else 0
+    return LOSSES if session.incomplete or session.beyond else 0
 
 
 @click.command()
@@ -49,6 +49,7 @@ def _summary(session: Session) -> dict[str, Any]:
         "schema_version": 1,
         "session": str(session.path),
         "incomplete": session.incomplete,
+        "beyond": session.beyond,
         "ticks": len(ticks),
         "duration_s": seconds,
         "events": session.events,

@@ -63,6 +63,8 @@ def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
     session = reader(file)
     if session.incomplete:
         click.echo(f"inteco-abs: {file}: {session.incomplete}; {len(session.ticks)} ticks are whole", err=True)
+    if session.beyond:
+        click.echo(f"inteco-abs: {file}: {plain(session.beyond)}", err=True)
     return session
 
 

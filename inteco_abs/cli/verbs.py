@@ -17,6 +17,7 @@ from inteco_abs.cli.diff import diff
 from inteco_abs.cli.doctor import doctor
 from inteco_abs.cli.golden import golden
 from inteco_abs.cli.health import recover, validate
+from inteco_abs.cli.layout import layout
 from inteco_abs.cli.listing import list_sessions
 from inteco_abs.cli.mock_board import mock_board
 from inteco_abs.cli.paper import paper
@@ -60,6 +61,7 @@ _VERBS: Final = (
     figure,
     export,
     get,
+    layout,
     validate,
     recover,
     design,

@@ -44,6 +44,8 @@ class Job:
     """Whether the run has taken no time: its recorder was in the loop's process."""
     profile: bytes = b""
     """The profile as it was written."""
+    live_port: int | None = None
+    """Where to serve the run to viewers; 0 for any port that is free, None for not at all."""
 
     def post(self, memory: RunMemory) -> None:
         """Leave it for the others."""

@@ -72,6 +72,8 @@ class Word(IntEnum):
     """1 once everything that explains the run is on the disk."""
     FLUSHED = auto()
     """Ticks that are in the file for sure."""
+    LIVE_PORT = auto()
+    """Where the run is served to viewers; 0 if it is not."""
     TROUBLES = auto()
     """How often a disk has refused: see the note TROUBLES."""
     # the supervisor again

@@ -22,6 +22,7 @@ from inteco_abs.boards import STILL_ON
 from inteco_abs.errors import AbsError, SessionError
 from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.live import live_view
 from inteco_abs.realtime.machine import prepare, recorder_wishes
 from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
 from inteco_abs.realtime.ring import RingReader
@@ -59,7 +60,8 @@ def main(path: str) -> int:
     prepare(recorder_wishes())
     job = Job.of(memory)
     try:
-        _record(memory, job)
+        with live_view(memory, job):
+            _record(memory, job)
     except AbsError as error:
         tell_failure(memory, Note.RECORDER_FAILURE, error)
         return error.exit_code

@@ -21,6 +21,7 @@ from inteco_abs.realtime.disk_watch import DiskWatch
 from inteco_abs.realtime.guardian import rescue
 from inteco_abs.realtime.hearing import hearing
 from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.live import address
 from inteco_abs.realtime.machine import prepare, supervisor_wishes
 from inteco_abs.realtime.memory import Note, RunMemory, Word
 from inteco_abs.realtime.recorder import board_in_words, conclusion, rebuild
@@ -129,6 +130,8 @@ class Supervisor:
         words[Word.GUARDED_PID] = loop.pid
         self._wait_for(lambda: words[Word.READY] == loop.pid, "the loop is ready", "loop", _START_S)
         self._wait_for(lambda: words[Word.RECORDING], "the recorder is ready", "recorder", _START_S)
+        if words[Word.LIVE_PORT]:
+            screen.warn(f"live view: open the connection {address(words[Word.LIVE_PORT])} in Lichtblick or Foxglove")
         told = self._memory.note(Note.INTRODUCTION)
         refused = [setting["name"] for setting in told["settings"] if setting["refused"]]
         if refused:

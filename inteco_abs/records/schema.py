@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 from functools import cached_property
 from importlib import import_module
-from itertools import starmap
+from itertools import islice, starmap
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from inteco_abs.records.descriptors import ENUM, INT32, INT64, MESSAGE, TEXT, enum, field, message, proto_file
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 PACKAGE: Final = "inteco_abs.v1"
+_FROM_ONE: Final = range(1, 1 << 29)
 
 
 class Kind(NamedTuple):
@@ -66,16 +67,17 @@ class Column:
 
 
 class Message:
-    """A flat message with a constant layout. Fields are numbered from 1 in the order of `columns`."""
+    """A flat message with a constant layout. Fields are numbered from 1 in the order of `columns`, or as `numbers`."""
 
-    def __init__(self, name: str, topic: str, columns: Sequence[Column]) -> None:
+    def __init__(self, name: str, topic: str, columns: Sequence[Column], numbers: Iterable[int] = _FROM_ONE) -> None:
         self.name = f"{PACKAGE}.{name}"
         self.topic = topic
         self.columns = tuple(columns)
+        self._numbers = tuple(islice(numbers, len(self.columns)))
         form = "<"
         offsets: list[int] = []
         keys: list[bytes] = []
-        for number, column in enumerate(self.columns, 1):
+        for number, column in zip(self._numbers, self.columns, strict=True):
             keys.append(tag(number, column.kind.wire_type))
             form += f"{len(keys[-1])}s"
             offsets.append(struct.calcsize(form))
@@ -135,6 +137,10 @@ class Message:
         view: npt.NDArray[np.void] = _numpy().frombuffer(data, self.dtype)
         return view
 
+    def blank(self, rows: int) -> bytearray:
+        """So many messages back to back, with zero in every column."""
+        return bytearray(self._zeros) * rows
+
     def well_formed(self, data: bytes) -> bool:
         """Whether every message in `data` has this layout: length, all keys, and values that its enums have."""
         if len(data) % self.size:
@@ -158,7 +164,7 @@ class Message:
     def _descriptor(self) -> bytes:
         members = dict.fromkeys(column.kind.members for column in self.columns if column.kind.members)
         enums = b"".join(chunk(5, _enum(kind)) for kind in members)
-        fields = [_field(number, column) for number, column in enumerate(self.columns, 1)]
+        fields = [_field(number, column) for number, column in zip(self._numbers, self.columns, strict=True)]
         body = chunk(4, message(self.name.rpartition(".")[2], fields)) + enums
         return chunk(1, proto_file(f"{self.name}.proto", PACKAGE, body))
 

@@ -15,6 +15,7 @@ from inteco_abs.sessions.replay import (
     Replay,
     before_the_gap,
     changed_gains,
+    insist_on_known,
     replay,
     session_config,
 )
@@ -62,6 +63,7 @@ __all__ = [
     "diff_sessions",
     "export_session",
     "extract",
+    "insist_on_known",
     "insist_on_own",
     "only_whole",
     "pack_tick",

@@ -22,6 +22,7 @@ from inteco_abs.sessions.container import (
     fields,
     text_map,
 )
+from inteco_abs.sessions.migration import Layout, layout, newer
 from inteco_abs.sessions.rows import Rows
 
 LIBRARY: Final = "inteco-abs/"
@@ -52,21 +53,27 @@ class Batch(NamedTuple):
     """The ticks or truths of one chunk."""
 
     data: bytes
+    """As in the file."""
+    today: bytes
+    """As this version has them."""
     values: npt.NDArray[np.void]
-    """One row per message, over the data."""
+    """One row per message, over `today`."""
     sequence: npt.NDArray[np.uint32]
     log_time: npt.NDArray[np.uint64]
     """UNIX time, ns."""
 
     @classmethod
-    def of(cls, runs: Sequence[Run], message: Message) -> Self:
-        """The messages of `runs`; raises DamagedError unless each of them is a `message`."""
+    def of(cls, runs: Sequence[Run], found: Layout) -> Self:
+        """The messages of `runs`; raises DamagedError unless each of them has the layout that was `found`."""
         data = b"".join([run.rows["data"].tobytes() for run in runs])
         sizes = {run.rows.dtype["data"].itemsize for run in runs}
-        if sizes != {message.size} or not message.well_formed(data):
-            raise DamagedError(f"a message of {message.topic} has not the layout of {message.name}")
+        topic = found.message.topic
+        if sizes != {found.message.size} or not found.well_formed(data):
+            declared = f"{found.message.name} that the file declares"
+            raise DamagedError(f"a message of {topic} has not the layout of the {declared}, or a value that it has not")
         sequence, log_time = (np.concatenate([run.rows[name] for run in runs]) for name in ("sequence", "log_time"))
-        return cls(data, message.array(data), sequence, log_time)
+        today = found.today(data)
+        return cls(data, today, FLAT[topic].array(today), sequence, log_time)
 
 
 @dataclass(slots=True)
@@ -79,8 +86,10 @@ class Content:
     schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)
     channels: dict[int, tuple[str, int]] = field(default_factory=dict)
     """Topic and schema by the channel's number."""
+    layouts: dict[str, Layout] = field(default_factory=dict)
+    """Of ticks and truths, by topic, where their channels have been understood."""
     understood: bool = False
-    """The channels have been found to be declared as here."""
+    """All channels have been looked at."""
     channel_facts: dict[str, dict[str, str]] = field(default_factory=dict)
     messages: int = 0
     """In chunks, of all channels."""
@@ -91,7 +100,7 @@ class Content:
     epoch_ns: int | None = None
     """UNIX time of the monotonic clock's zero, once there was a tick."""
     hash: hashlib._Hash = field(default_factory=hashlib.sha256)
-    """Over the ticks."""
+    """Over the ticks as they are in the file."""
 
     def take(self, entry: Entry) -> None:
         """One record of the file or of a chunk, messages apart. Raises DamagedError."""
@@ -118,20 +127,26 @@ class Content:
             self.check_schemas()
         for run in runs.get(LOG_TOPIC, ()):
             self.events += map(event, run.rows["log_time"].tolist(), run.rows["data"].tolist())
-        batches = {topic: Batch.of(runs[topic], FLAT[topic]) for topic in FLAT if topic in runs}
+        batches = {topic: Batch.of(runs[topic], self.layouts[topic]) for topic in FLAT if topic in runs}
         for topic, batch in batches.items():
             self._keep(topic, batch)
         return batches
 
     def check_schemas(self) -> None:
-        """Raises DamagedError if ticks or truths are declared with another layout than here."""
+        """Find the layout of ticks and truths; raises DamagedError if it cannot be brought to that of this version."""
         for topic, number in self.channels.values():
-            known = FLAT.get(topic)
-            if known is not None and self.schemas.get(number) != (known.name, known.descriptor()):
-                raise DamagedError(
-                    f"{topic} has another layout than {known.name} here: another version of this program made it"
-                )
+            if topic in FLAT:
+                found = layout(FLAT[topic], *self.schemas.get(number, ("", b"")))
+                if self.layouts.setdefault(topic, found) is not found:
+                    raise DamagedError(f"{topic} is declared twice, with two layouts")
         self.understood = True
+
+    @property
+    def beyond(self) -> str:
+        """What this version does not know of the session, or does not find in it; empty if it is like its own."""
+        unknown = [problem for topic in FLAT if topic in self.layouts for problem in self.layouts[topic].unknown]
+        problems = [problem for problem in (newer(self.metadata), *unknown) if problem]
+        return "; ".join([*problems, f"{self.library} wrote it"]) if problems else ""
 
     @property
     def announces_ticks(self) -> bool:
@@ -144,7 +159,7 @@ class Content:
             if self.epoch_ns is None:
                 self.epoch_ns = int(batch.log_time[0]) - int(batch.values["time_ns"][0])
         if topic in self.rows:
-            self.rows[topic].write(batch.data)
+            self.rows[topic].write(batch.today)
 
     def _take_header(self, data: memoryview) -> None:
         _, self.library = fields(Opcode.HEADER, data)

@@ -22,13 +22,14 @@ from inteco_abs.sessions.container import (
     fields,
 )
 from inteco_abs.sessions.content import Content
+from inteco_abs.sessions.migration import Metadata, migrated
 
 _FOOTER: Final = struct.Struct("<QQI")
 _TAIL: Final = HEAD.size + _FOOTER.size + len(MAGIC)
 _LARGEST_METADATA: Final = 1 << 22
 
 
-def metadata_at_a_glance(file: BinaryIO, size: int) -> dict[str, dict[str, str]]:
+def metadata_at_a_glance(file: BinaryIO, size: int) -> Metadata:
     """All metadata of the session in an open file, as in `Session`. Raises DamagedError if its index is no good."""
     content = Content()
     places = sorted(
@@ -44,7 +45,7 @@ def metadata_at_a_glance(file: BinaryIO, size: int) -> dict[str, dict[str, str]]
         if len(record) < HEAD.size or HEAD.unpack_from(record) != (Opcode.METADATA, length - HEAD.size):
             raise DamagedError("the index names a place where no metadata is")
         content.take(Entry(Opcode.METADATA, at + HEAD.size, memoryview(record)[HEAD.size :]))
-    return content.metadata
+    return migrated(content.metadata)
 
 
 def _summary(file: BinaryIO, size: int) -> Iterator[Entry]:

@@ -11,6 +11,7 @@ from typing import Any, Final
 from inteco_abs.errors import SessionError
 from inteco_abs.sessions.container import DamagedError
 from inteco_abs.sessions.glance import metadata_at_a_glance
+from inteco_abs.sessions.migration import Metadata, newer
 from inteco_abs.sessions.reader import opened, read_session
 from inteco_abs.sessions.result import card_of, stored_card
 
@@ -81,11 +82,11 @@ def _row_of_all(path: Path) -> Row:
     row = _row(path, session.metadata, card_of(session) or {})
     row["ticks"] = len(session.ticks)
     row["outcome"] = row["outcome"] or INCOMPLETE
-    row["problem"] = session.incomplete or "its index is damaged"
+    row["problem"] = session.incomplete or session.beyond or "its index is damaged"
     return row
 
 
-def _row(path: Path, metadata: Mapping[str, Mapping[str, str]], card: Mapping[str, Any]) -> Row:
+def _row(path: Path, metadata: Metadata, card: Mapping[str, Any]) -> Row:
     session, controller, rig = (metadata.get(name, {}) for name in ("session", "controller", "rig"))
     return {
         "session": str(path),
@@ -96,7 +97,7 @@ def _row(path: Path, metadata: Mapping[str, Mapping[str, str]], card: Mapping[st
         "board": rig.get("board"),
         "rig": rig.get("drawn"),
         **{name: _number(card.get(name)) for name in _OF_THE_CARD},
-        "problem": None,
+        "problem": newer(metadata) or None,
     }
 
 

@@ -26,6 +26,7 @@ from inteco_abs.sessions.container import (
     unpack_chunk,
 )
 from inteco_abs.sessions.content import FLAT, LIBRARY, Content, Event
+from inteco_abs.sessions.migration import StrangeError, migrated
 from inteco_abs.sessions.rows import Rows, RowsInMemory, RowsOnDisk
 
 
@@ -36,7 +37,7 @@ class Session:
     path: Path
     ticks: npt.NDArray[np.void]
     payload: bytes | memoryview
-    """The ticks as they are in the file, back to back."""
+    """The ticks as messages of this version, back to back; those of the file itself if they are of no other."""
     truth: npt.NDArray[np.void]
     """One row per tick on a simulated board, no rows on a real one; columns as in `schema.TRUTH`."""
     metadata: dict[str, dict[str, str]]
@@ -49,6 +50,8 @@ class Session:
     """UNIX time of the monotonic clock's zero, ns; 0 without ticks."""
     incomplete: str
     """Empty for a whole file, else where it ends."""
+    beyond: str = ""
+    """Empty if this version knows and finds all that it should, else what not: such a session is not replayed."""
 
     @property
     def events(self) -> int:
@@ -69,6 +72,8 @@ def read_session(path: Path, spool: Path | None = None) -> Session:
             }
             content, incomplete = _read(file, size, Content(rows))
             return _session(path, content, incomplete)
+        except StrangeError as error:
+            raise SessionError(f"{path}: cannot be read: {error}") from error
         except DamagedError as error:
             raise SessionError(f"{path}: is damaged: {error}") from error
 
@@ -112,6 +117,8 @@ def _read(file: BinaryIO, size: int, content: Content) -> tuple[Content, str]:
                 content.take_chunk(unpack_chunk(entry.data, allowance))
             else:
                 content.take(entry)
+        except StrangeError:
+            raise
         except DamagedError as error:
             raise DamagedError(f"{kind(entry.opcode)} at byte {entry.start}: {error}") from error
     content.check_schemas()
@@ -146,10 +153,11 @@ def _session(path: Path, content: Content, incomplete: str) -> Session:
         TICK.array(payload),
         payload,
         TRUTH.array(content.rows[TRUTH.topic].contents()),
-        content.metadata,
+        migrated(content.metadata),
         {name: attached.data for name, attached in content.attachments.items()},
         content.channel_facts,
         tuple(content.events),
         content.epoch_ns or 0,
         incomplete,
+        content.beyond,
     )

@@ -142,8 +142,15 @@ def decisions(session: Session, pipeline: Pipeline) -> Array:
     return TICK.array_of(starmap(pipeline.step, samples(session)))
 
 
+def insist_on_known(session: Session) -> None:
+    """Raises SessionError if the session holds what this version does not know: its decisions may rest on that."""
+    if session.beyond:
+        raise SessionError(f"{session.path}: cannot be replayed: {session.beyond}; replay it with that")
+
+
 def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
-    """The session's inputs as a pipeline takes them: sample, and why somebody asked to stop."""
+    """The session's inputs as a pipeline takes them: sample, and why somebody asked to stop. Raises SessionError."""
+    insist_on_known(session)
     for time_ns, tick, dt_s, wheel, road, flags, request in TICK.values(session.payload, _INPUTS):
         sample = Sample(tick, time_ns, dt_s, wheel, road, BoardFlags(flags) if flags else _NO_FLAGS)
         yield sample, Reason(request) if request else _NO_REQUEST

@@ -15,6 +15,7 @@ from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.records.schema import TICK, TRUTH, Message
 from inteco_abs.sessions.container import DamagedError, Entry, Opcode, Run, chunk_parts, kind
 from inteco_abs.sessions.content import FLAT, Batch, Content
+from inteco_abs.sessions.migration import Layout, migrated
 from inteco_abs.sessions.output import check_output, only_whole
 from inteco_abs.sessions.reader import check_data, regular_file
 from inteco_abs.sessions.recorder import Recorder, utc
@@ -27,7 +28,7 @@ _LATEST_NS: Final = 1 << 63
 _BLOCK_TICKS: Final = 4096
 _MOST_IN_WORDS: Final = 5
 _MOST_LOSSES: Final = 1000
-_OF_THE_END: Final = ("outcome", "reason", "ticks", "overruns", "lost_ticks", "ended_utc")
+_WRITTEN_ANEW: Final = ("format_version", "outcome", "reason", "ticks", "overruns", "lost_ticks", "ended_utc")
 
 Array = npt.NDArray[Any]
 
@@ -144,7 +145,10 @@ class _Remains:
                 self.content.take(part)
             else:
                 runs.setdefault(self._topic(part), []).append(part)
-        batches = {topic: Batch.of(runs[topic], FLAT[topic]) for topic in FLAT if topic in runs}
+        layouts = self.content.layouts
+        batches = {
+            topic: Batch.of(runs[topic], layouts.get(topic) or Layout(FLAT[topic])) for topic in FLAT if topic in runs
+        }
         before = {topic: rows.newest for topic, rows in self.rows.items()}
         epoch_ns = self.epoch_ns
         try:
@@ -156,7 +160,9 @@ class _Remains:
             raise
         self.epoch_ns = epoch_ns
         for topic, batch in batches.items():
-            self.rows[topic].keep(batch.data)
+            self.rows[topic].keep(batch.today)
+            if topic == TICK.topic:
+                self.content.hash.update(batch.data)
 
     def _topic(self, run: Run) -> str:
         """Of a message; where its channel's declaration is lost, by the layout that no other message has."""
@@ -173,7 +179,7 @@ class _Anew:
 
     def __init__(self, source: Path, out: Path, remains: _Remains) -> None:
         self._source, self._out = source, out
-        self._facts = remains.content.metadata
+        self._facts = migrated(remains.content.metadata)
         self._content = remains.content
         self._ticks, self._truths = remains.rows[TICK.topic].array(), remains.rows[TRUTH.topic].array()
         self._epoch_ns = remains.epoch_ns or 0
@@ -181,6 +187,10 @@ class _Anew:
         if not len(self._ticks):
             because = f": {self._losses[0]}" if self._losses else ""
             raise SessionError(f"{source}: holds no tick that is whole, so there is nothing to recover{because}")
+        if remains.content.beyond:
+            raise SessionError(
+                f"{source}: cannot be made anew here without losses: {remains.content.beyond}; recover it with that"
+            )
         self._missing = self._gaps()
 
     def write(self) -> Recovery:
@@ -194,7 +204,7 @@ class _Anew:
         ):
             self._introduce(recorder)
             self._copy(recorder)
-            self._judge_the_hash(recorder.payload_sha256)
+            self._judge_the_hash()
             card = self._card(recorder.payload_sha256)
             recorder.describe("recovery", self._recovery())
             ended = session.get("ended_utc") or utc(self._epoch_ns + int(self._ticks["time_ns"][-1]))
@@ -214,9 +224,9 @@ class _Anew:
             self._losses.append(f"ticks {words}{more} are missing")
         return tuple(gaps)
 
-    def _judge_the_hash(self, found: str) -> None:
+    def _judge_the_hash(self) -> None:
         recorded = self._facts.get("integrity", {}).get("payload_sha256")
-        if not self._losses and recorded != found:
+        if not self._losses and recorded != self._content.hash.hexdigest():
             self._losses.append(
                 "the ticks do not match the hash that was recorded with them"
                 if recorded
@@ -236,7 +246,7 @@ class _Anew:
             recorder.attach(name, attached.media_type, attached.data)
         recorder.begin(dict(self._parameters()))
         for name, facts in self._facts.items():
-            kept = {key: value for key, value in facts.items() if name != "session" or key not in _OF_THE_END}
+            kept = {key: value for key, value in facts.items() if name != "session" or key not in _WRITTEN_ANEW}
             if name not in {"result", "integrity", "recovery"}:
                 recorder.describe(name, kept)
 

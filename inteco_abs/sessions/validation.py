@@ -14,6 +14,7 @@ from inteco_abs.errors import SessionError
 from inteco_abs.records.schema import TICK, TRUTH
 from inteco_abs.sessions.container import DamagedError, Entry, Opcode, fields, kind
 from inteco_abs.sessions.content import LIBRARY, Batch, Content
+from inteco_abs.sessions.migration import migrated
 from inteco_abs.sessions.reader import check_data, ends_well, opened
 from inteco_abs.sessions.replay import CONFIG_NAME
 from inteco_abs.sessions.survey import Damage, Survey, Whole, checksum
@@ -169,16 +170,19 @@ class _Inspector:
             content.check_schemas()
         except DamagedError as error:
             told.wrong("schema", str(error))
+        if content.beyond:
+            told.loss("schema", f"not all of it could be looked at: {content.beyond}")
         if not told.ticks:
             told.loss("ticks", "there are none")
         self._judge_the_hash()
         whole = self._data_ended
+        metadata = migrated(content.metadata)
         for name in (*_AT_THE_START, *(_AT_THE_END if whole else ())):
-            if name not in content.metadata:
+            if name not in metadata:
                 told.loss(f"metadata {name}", "is missing")
         if CONFIG_NAME not in content.attachments:
             told.loss(f"attachment {CONFIG_NAME}", "is missing: the session cannot be replayed")
-        self._judge_the_session(content.metadata.get("session", {}))
+        self._judge_the_session(metadata.get("session", {}))
 
     def _judge_the_hash(self) -> None:
         recorded = self._content.metadata.get("integrity", {}).get("payload_sha256")

@@ -20,7 +20,7 @@ from inteco_abs.control import Controller, control_check, make_controller, make_
 from inteco_abs.control.sequence import recordable
 from inteco_abs.errors import ConfigError, Mistake, SessionError, in_words
 from inteco_abs.sessions.reader import Session
-from inteco_abs.sessions.replay import session_config
+from inteco_abs.sessions.replay import insist_on_known, session_config
 from inteco_abs.sessions.tolerance import Array
 from inteco_abs.signals import BrakeDemand, Command, Phase, Sample
 
@@ -130,6 +130,7 @@ def what_if(
     `torque_nm` are how far they may be from the log without having left it.
     Raises SessionError if there was no braking, or if the estimator or controller raises.
     """
+    insist_on_known(session)
     since_s = since_braking_s(session)
     wishes = np.array(list(_wishes(session, config, controllers)), _DTYPE)
     logged = session.ticks[list(COMPARED)].astype(_DTYPE)

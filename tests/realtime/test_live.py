@@ -1,0 +1,174 @@
+"""The live view on the rings of a run that tests write themselves."""
+
+import gc
+import socket
+import time
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import foxglove
+import pytest
+from live_client import watching
+
+from inteco_abs.config import load_config
+from inteco_abs.errors import AbsError, ConfigError
+from inteco_abs.experiment import Plan, run_stop
+from inteco_abs.realtime.live import PERIOD_S, insist_on_foxglove, live_view
+from inteco_abs.realtime.memory import Word
+from inteco_abs.records import TICK, pack_tick
+from inteco_abs.signals import Tick
+
+
+def tick(number):
+    values = dict.fromkeys(Tick._fields, 0.0) | {"time_ns": 10**9 + 500_000 * number, "tick": number, "slip": 0.5}
+    integers = [column.name for column in TICK.columns if column.kind.code not in "df"]
+    return Tick(**{name: int(value) if name in integers else value for name, value in values.items()})
+
+
+class Loop:
+    """Writes ticks into the ring, numbered from 0."""
+
+    def __init__(self, memory):
+        self._ring = memory.tick_ring(pack_tick)
+        self.number = -1
+
+    def append(self, ticks=1):
+        self.number += ticks
+        self._ring.append(tick(self.number))
+
+    def reach(self, viewer):
+        """Write until the viewer is subscribed; the message of the last tick written, which is all that it has yet."""
+        while True:
+            self.append()
+            with suppress(TimeoutError):
+                while True:
+                    found = viewer.next(0.1)
+                    if viewer.decode(found[1]).tick == self.number:
+                        return found
+
+
+@pytest.fixture
+def memory(new_memory):
+    return new_memory(ticks=5000)
+
+
+@pytest.fixture
+def job(memory, job_of):
+    return replace(job_of(memory), live_port=0)
+
+
+@pytest.fixture
+def loop(memory):
+    return Loop(memory)
+
+
+def test_nothing_is_served_unless_it_was_asked_for(memory, job):
+    with live_view(memory, replace(job, live_port=None)):
+        assert memory.words[Word.LIVE_PORT] == 0
+
+
+def test_a_viewer_sees_the_newest_tick_as_it_is_in_the_ring(memory, job, loop):
+    with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+        _, data = loop.reach(viewer)
+        decoded = viewer.decode(data)
+    assert data == memory.tick_reader().newest()
+    assert (decoded.tick, decoded.slip) == (loop.number, 0.5)
+
+
+def test_a_viewer_is_told_what_it_looks_at(memory, job):
+    with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+        assert viewer.subprotocol == "foxglove.sdk.v1"
+        assert viewer.info["name"] == "inteco-abs"
+        told = (viewer.channel["topic"], viewer.channel["schemaName"], viewer.channel["encoding"])
+    assert told == (TICK.topic, TICK.name, "protobuf")
+
+
+def test_times_keep_the_distance_that_ticks_have(memory, job, loop):
+    with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+        first, _ = loop.reach(viewer)
+        loop.append(40)
+        second, _ = viewer.next()
+    assert second - first == 20_000_000
+
+
+def test_ticks_come_once_each_and_at_most_a_hundred_a_second(memory, job, loop):
+    with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+        loop.reach(viewer)
+        began = time.monotonic()
+        for _ in range(40):
+            loop.append()
+            time.sleep(PERIOD_S / 10)
+        last = loop.number
+        numbers = []
+        while last not in numbers:
+            numbers.append(viewer.decode(viewer.next()[1]).tick)
+        took_s = time.monotonic() - began
+    assert numbers == sorted(set(numbers))
+    assert len(numbers) <= took_s / PERIOD_S + 2
+    assert memory.tick_reader().taken == 0
+
+
+def test_the_channel_outlives_the_garbage_collector(memory, job, loop):
+    with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+        loop.reach(viewer)
+        for _ in range(5):
+            gc.collect()
+            loop.append()
+            assert viewer.decode(viewer.next()[1]).tick == loop.number
+
+
+def test_nobody_outside_of_this_computer_can_connect(memory, job):
+    with live_view(memory, job):
+        port = f":{memory.words[Word.LIVE_PORT]:04X}"
+        rows = [line.split() for name in ("tcp", "tcp6") for line in Path("/proc/net", name).read_text().splitlines()]
+        listening = [row[1] for row in rows if row[1].endswith(port) and row[3] == "0A"]
+    assert listening == [f"0100007F{port}"]
+
+
+def test_a_port_that_is_taken_is_named_with_what_to_do(memory, job):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with (
+            pytest.raises(AbsError, match=f"ws://127.0.0.1:{port} cannot be served: .* name another port, or 0"),
+            live_view(memory, replace(job, live_port=port)),
+        ):
+            raise AssertionError("it was served")
+    assert memory.words[Word.LIVE_PORT] == 0
+
+
+def test_trouble_while_serving_ends_the_view_and_nothing_else(memory, job, loop, monkeypatch, capfd):
+    def fail(*_args, **_options):
+        raise RuntimeError("no more room")
+
+    monkeypatch.setattr(foxglove.Channel, "log", fail)
+    with live_view(memory, job):
+        loop.append()
+    assert capfd.readouterr().err == "inteco-abs: the live view has ended, and the run goes on: no more room\n"
+
+
+def refuses(port):
+    try:
+        socket.create_connection(("127.0.0.1", port)).close()
+    except ConnectionRefusedError:
+        return True
+    return False
+
+
+def test_it_is_gone_afterwards(memory, job, until):
+    with live_view(memory, job):
+        port = memory.words[Word.LIVE_PORT]
+        assert not refuses(port)
+    until(lambda: refuses(port))
+
+
+def test_a_missing_extra_is_named(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
+    with pytest.raises(AbsError, match=r"--foxglove needs foxglove-sdk: pip install 'inteco-abs\[foxglove\]'"):
+        insist_on_foxglove()
+
+
+def test_a_run_in_virtual_time_has_nothing_to_look_at(tmp_path):
+    with pytest.raises(ConfigError, match="--foxglove: a run in virtual time is over before anybody could look"):
+        run_stop(load_config(), Plan(tmp_path / "stop.mcap", virtual=True, live_port=0))
+    assert list(tmp_path.iterdir()) == []

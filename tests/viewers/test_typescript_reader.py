@@ -1,0 +1,84 @@
+"""The official TypeScript reader, which Lichtblick and Foxglove are built on, opens what we write."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from inteco_abs.sessions import TICK, TRUTH, read_session
+
+LOCK = Path(__file__).with_name("package-lock.json")
+
+
+def sums(rows):
+    """Of every column in the order of the file, as that reader adds them up: 64 bits as text, without what is NaN."""
+    found = {}
+    for name in rows.dtype.names:
+        values = rows[name]
+        if values.dtype.kind == "f":
+            numbers = values[~np.isnan(values)].astype(np.float64)
+            found[name] = float(np.cumsum(numbers)[-1]) if len(numbers) else None
+        else:
+            total = sum(map(int, values.tolist()))
+            found[name] = str(total) if values.dtype.itemsize == 8 else total
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def not_numbers(rows):
+    floats = [name for name in rows.dtype.names if rows[name].dtype.kind == "f"]
+    return {name: int(np.isnan(rows[name]).sum()) for name in floats if np.isnan(rows[name]).any()}
+
+
+def members(rows, message):
+    """How often each member of an enumeration stands in a column."""
+    found = {}
+    for column in message.columns:
+        if column.kind.members is not None:
+            prefix = column.kind.members.__name__.upper()
+            numbers, counts = np.unique(rows[column.name], return_counts=True)
+            names = [f"{prefix}_{column.kind.members(number).name}" for number in numbers.tolist()]
+            found[column.name] = dict(zip(names, counts.tolist(), strict=True))
+    return found
+
+
+@pytest.fixture(scope="module")
+def opened(path, in_typescript):
+    """A session as we read it, and as they do."""
+    return read_session(path), in_typescript(path)
+
+
+def test_messages_are_as_many(opened):
+    session, theirs = opened
+    expected = {TICK.topic: len(session.ticks), "/abs/event": session.events, "/abs/params": 1}
+    found = {topic: told["messages"] for topic, told in theirs["topics"].items()}
+    assert found.pop(TRUTH.topic, 0) == len(session.truth)
+    assert {topic: found[topic] for topic in expected} == expected
+    assert int(theirs["counted"]) == sum(told["messages"] for told in theirs["topics"].values())
+
+
+@pytest.mark.parametrize("message", [TICK, TRUTH], ids=["tick", "truth"])
+def test_every_column_of_numbers_has_the_sum_that_numpy_finds(opened, message):
+    session, theirs = opened
+    rows = session.ticks if message is TICK else session.truth
+    if message is TRUTH and not len(rows):
+        assert message.topic not in theirs["topics"]  # a golden session keeps no truth
+        return
+    told = theirs["topics"][message.topic]
+    assert told["schema"] == message.name
+    assert told["sums"] == sums(rows)
+    assert told["notNumbers"] == not_numbers(rows)
+    assert told["members"] == members(rows, message)
+
+
+def test_log_metadata_and_attachments_are_there(opened):
+    session, theirs = opened
+    assert theirs["topics"]["/abs/event"]["lines"] == [event.text for event in session.log]
+    assert {name.removeprefix("inteco_abs.") for name in theirs["metadata"]} == set(session.metadata)
+    assert theirs["attachments"] == {name: len(data) for name, data in session.attachments.items()}
+
+
+def test_the_packages_are_pinned_by_hash_and_not_by_place():
+    packages = [package for place, package in json.loads(LOCK.read_text())["packages"].items() if place]
+    assert all(package["integrity"].startswith("sha512-") for package in packages)
+    assert not any("resolved" in package for package in packages)
