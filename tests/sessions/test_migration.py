@@ -124,10 +124,10 @@ def test_a_newer_session_is_valid_as_far_as_it_is_known(later):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("replay", "FILE"), f"cannot be replayed: its format {NEXT} is newer than {NOW}"),
+        (("replay", "FILE"), f"cannot be replayed: its format {NEXT} is newer"),
         (
             ("what-if", "FILE", "--set", "controller.gains.Mk=3"),
-            f"cannot be replayed: its format {NEXT} is newer than {NOW}",
+            f"cannot be replayed: its format {NEXT} is newer",
         ),
         (("recover", "FILE", "-o", "out.mcap"), f"cannot be made anew here without losses: its format {NEXT} is newer"),
     ],
