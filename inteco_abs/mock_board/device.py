@@ -53,6 +53,7 @@ class Truth(NamedTuple):
     """Duty at the drive's terminals from now on."""
     brake: float
     """Duty at the brake's terminals from now on."""
+    adhesion: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +214,8 @@ class Device:
         """The rig's true state now."""
         self.catch_up()
         plant = self.plant
-        return Truth(self._time_ns, plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque, *self._duties)
+        state = plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque
+        return Truth(self._time_ns, *state, *self._duties, plant.adhesion)
 
     def counts(self) -> tuple[int, int]:
         """Counters of road and wheel now, as two's complement: one reading of each encoder."""

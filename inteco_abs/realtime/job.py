@@ -40,12 +40,12 @@ class Job:
     """Capture to write, absolute: everything that passes between the loop and the board."""
     controller_package: str = ""
     """Name and version of the package that the controller comes from; empty if from none."""
-    live_port: int | None = None
-    """Where to serve the run to viewers; 0 for any port that is free, None for not at all."""
     virtual: bool = False
     """Whether the run has taken no time: its recorder was in the loop's process."""
     profile: bytes = b""
     """The profile as it was written."""
+    live_port: int | None = None
+    """Where to serve the run to viewers; 0 for any port that is free, None for not at all."""
 
     def post(self, memory: RunMemory) -> None:
         """Leave it for the others."""

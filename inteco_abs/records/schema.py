@@ -246,6 +246,7 @@ TRUTH: Final = Message(
         Column("brake_torque_nm", _D, "N.m", "torque that the brake can hold", _IN),
         Column("drive", _D, "1", "duty at the drive's terminals from now on", _IN),
         Column("brake", _D, "1", "duty at the brake's terminals from now on", _IN),
+        Column("adhesion", _D, "1", "adhesion coefficient of the road at the true slip", _IN),
     ),
 )
 """State of the simulated rig at each write of the host, and what that made of the outputs; a real rig has none."""

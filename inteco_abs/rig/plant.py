@@ -80,6 +80,11 @@ class Plant:
         """Slip in 0..1, equation (7)."""
         return wheel_slip(self.wheel_speed, self.road_speed, self.parameters)
 
+    @property
+    def adhesion(self) -> float:
+        """Adhesion coefficient of the road at this slip, equation (8) or the rig's own."""
+        return self._surface.adhesion(self.slip, self.parameters)
+
     def advance(self, drive: float, brake: float, duration_s: float) -> None:
         """Move on by `duration_s` >= 0 with constant duties in 0..1; raises ValueError outside."""
         if not (0.0 <= drive <= 1.0 and 0.0 <= brake <= 1.0):

@@ -59,7 +59,7 @@ def not_measured(rows: int) -> Array:
 
 
 FIRST: Final = 1
-STEPS: tuple[Step, ...] = ()
+STEPS: tuple[Step, ...] = (Step(2, (Made("/sim/truth", "adhesion", not_measured),)),)
 """From each version to the next, beginning with the one behind `FIRST`."""
 
 

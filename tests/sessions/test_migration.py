@@ -15,6 +15,7 @@ from inteco_abs.sessions.migration import Made, Step, not_measured
 from inteco_abs.sessions.recorder import FORMAT_VERSION
 from inteco_abs.signals import Phase, Reason
 
+NOW, NEXT = str(migration.newest()), str(migration.newest() + 1)
 TYRE = Column("tyre_c", DOUBLE, "Cel", "temperature of the tyre")
 
 
@@ -31,7 +32,7 @@ def enum(name, members):
     return Kind(14, 0, "B", "u1", IntEnum(name, members))
 
 
-def write(path, run, version="2", tick=TICK, truth=TRUTH, **values):
+def write(path, run, version=NEXT, tick=TICK, truth=TRUTH, **values):
     """The session of `run` with other tables; `values` by column, where they are not those of the run."""
     session = run.session
     with path.open("wb") as file:
@@ -62,7 +63,7 @@ def write(path, run, version="2", tick=TICK, truth=TRUTH, **values):
 def later(tmp_path, tiny):
     """Writes the tiny session as another version of this program would have."""
 
-    def make(version="2", name="later.mcap", **tables):
+    def make(version=NEXT, name="later.mcap", **tables):
         return write(tmp_path / name, tiny, version, **tables)
 
     return make
@@ -88,7 +89,7 @@ def test_a_newer_session_is_read_as_far_as_it_is_known(later, tiny):
     assert session.truth.tobytes() == tiny.session.truth.tobytes()
     assert session.payload == tiny.session.payload
     assert session.beyond == (
-        "its format 2 is newer than 1, the newest known here; /abs/tick.tyre_c is left out; "
+        f"its format {NEXT} is newer than {NOW}, the newest known here; /abs/tick.tyre_c is left out; "
         "inteco-abs/9.9 mcap-python/1.6 wrote it"
     )
 
@@ -106,7 +107,7 @@ def test_verbs_that_only_look_work_on_a_newer_session(later, verb, tmp_path):
     listed = verb("list", tmp_path, "--json")
     (row,) = listed.json["sessions"]
     assert (listed.code, row["ticks"], row["outcome"]) == (3, 242, "completed")
-    assert row["problem"].startswith("its format 2 is newer than 1")
+    assert row["problem"].startswith(f"its format {NEXT} is newer than {NOW}")
     exported = verb("export", path, "--format", "csv", "--json")
     assert (exported.code, exported.json["files"][0]["rows"]) == (3, 242)
     assert "tyre_c" not in path.with_suffix(".csv").read_text().splitlines()[0]
@@ -117,15 +118,18 @@ def test_a_newer_session_is_valid_as_far_as_it_is_known(later):
     inspection = validate(later(tick=table(also=[TYRE]), tyre_c=20.0))
     (finding,) = [found for found in inspection.findings if found.place == "schema"]
     assert (inspection.verdict, finding.severity) == ("losses", "loss")
-    assert finding.problem.startswith("not all of it could be looked at: its format 2 is newer")
+    assert finding.problem.startswith(f"not all of it could be looked at: its format {NEXT} is newer")
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("replay", "FILE"), "cannot be replayed: its format 2 is newer than 1"),
-        (("what-if", "FILE", "--set", "controller.gains.Mk=3"), "cannot be replayed: its format 2 is newer than 1"),
-        (("recover", "FILE", "-o", "out.mcap"), "cannot be made anew here without losses: its format 2 is newer"),
+        (("replay", "FILE"), f"cannot be replayed: its format {NEXT} is newer"),
+        (
+            ("what-if", "FILE", "--set", "controller.gains.Mk=3"),
+            f"cannot be replayed: its format {NEXT} is newer",
+        ),
+        (("recover", "FILE", "-o", "out.mcap"), f"cannot be made anew here without losses: its format {NEXT} is newer"),
     ],
     ids=["replay", "what-if", "recover"],
 )

@@ -13,6 +13,7 @@ import inteco_abs
 from inteco_abs.config import parse_config
 from inteco_abs.control import gains_in_force
 from inteco_abs.sessions import TICK, Recorder, read_session
+from inteco_abs.sessions.recorder import FORMAT_VERSION
 
 BEFORE = {"inteco_abs.session", "inteco_abs.software", "inteco_abs.host", "inteco_abs.rig", "inteco_abs.controller"}
 AFTER = {"inteco_abs.session", "inteco_abs.timing", "inteco_abs.result", "inteco_abs.integrity"}
@@ -44,7 +45,7 @@ def metadata(quick):
 
 def test_session_record(metadata, quick):
     facts = metadata["session"]
-    assert facts["format_version"] == "1"
+    assert facts["format_version"] == FORMAT_VERSION
     assert str(UUID(facts["session_id"])) == facts["session_id"]
     assert (facts["outcome"], facts["reason"]) == ("completed", "no fault")
     assert facts["ticks"] == str(len(quick.session.ticks))
