@@ -152,7 +152,7 @@ def power_lost_at(ends, trial, container) -> None:
         trial.of(trial.data[:end], end)
     assert trial.lies == []
     # the first chunk has what explains the session, the last one the result, each of the others ten ticks
-    assert trial.recovered == [10 * min(max(0, bisect_right(whole_chunks, end) - 1), 6) for end in ends]
+    assert trial.recovered == [10 * max(0, bisect_right(whole_chunks[:-1], end) - 1) for end in ends]
     assert trial.lossless == [end for end in ends if end >= data_end]
 
 
@@ -275,7 +275,10 @@ def test_a_verb_says_what_is_wrong_in_a_few_lines(short, altered, verb, tmp_path
             changed[generator.randrange(len(changed))] ^= generator.randrange(1, 256)
         out = ["-o", tmp_path / f"{number}.mcap"] if name == "recover" else []
         done = verb(name, altered(bytes(changed)), *out)
-        assert done.code in {0, 1, 3} or (done.code == 4 and name == "replay"), done
+        # 4 where the byte is one of a gain's, which is told beside the configuration that has it, too
+        assert done.code in {0, 1, 3} | ({4} if name == "replay" else set()), done
         assert "Traceback" not in done.err
         assert "internal error" not in done.err
-        assert done.code == 0 or len((done.out + done.err).splitlines()) in range(1, 80)
+        assert done.code == 0 or len((done.out + done.err).splitlines()) in range(
+            1, 100
+        )  # all that there is, of a cut one

@@ -50,6 +50,7 @@ TRUTH_FIELDS = [
     ("brake_torque_nm", "DOUBLE"),
     ("drive", "DOUBLE"),
     ("brake", "DOUBLE"),
+    ("adhesion", "DOUBLE"),
 ]
 LOG_FIELDS = [
     ("timestamp", 1, "MESSAGE"),

@@ -14,7 +14,7 @@ import scipy.io
 from inteco_abs.errors import AbsError, ConfigError, SessionError
 from inteco_abs.sessions import FORMATS, export_session, read_session, tables, to_pandas, to_polars
 
-COLUMN_COUNTS = {"tick": 28, "truth": 7, "events": 4}
+COLUMN_COUNTS = {"tick": 28, "truth": 8, "events": 4}
 
 
 @pytest.fixture

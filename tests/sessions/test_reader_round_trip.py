@@ -15,7 +15,7 @@ def written(tmp_path_factory, quick):
         first._replace(tick=number, time_ns=number * 500_000, phase=phase, slip=number / 7.0, wheel_count=-number)
         for number, phase in enumerate([Phase.IDLE, Phase.IDLE, Phase.BRAKING, Phase.DONE])
     ]
-    truths = [(tick.time_ns, 1.0, 2.0, tick.slip, 3.0, 0.5, 0.25) for tick in ticks]
+    truths = [(tick.time_ns, 1.0, 2.0, tick.slip, 3.0, 0.5, 0.25, 0.3) for tick in ticks]
     with Recorder(path, 0, ("f",)) as recorder:
         recorder.describe("rig", {"note": NOTE, "": "empty key", "empty value": ""})
         recorder.attach("config.toml", "application/toml", NOTE.encode())
