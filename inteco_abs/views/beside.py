@@ -78,12 +78,12 @@ def labels(sessions: Sequence[Session]) -> list[str]:
         for each, more in zip(words, tell(sessions), strict=True):
             each.extend(more)
     found = [", ".join(each) for each in words]
-    if len(set(found)) < len(found):
-        names = [session.path.stem for session in sessions]
-        if len(set(names)) < len(names):
-            names = [str(session.path) for session in sessions]
-        found = [f"{name}: {text}" if text else name for name, text in zip(names, found, strict=True)]
-    return found
+    if len(set(found)) == len(found) and all(found):
+        return found
+    names = [session.path.stem for session in sessions]
+    if len(set(names)) < len(names):
+        names = [str(session.path) for session in sessions]
+    return [f"{name}: {text}" if text else name for name, text in zip(names, found, strict=True)]
 
 
 def _makers(sessions: Sequence[Session]) -> list[list[str]]:
@@ -120,7 +120,8 @@ def _rigs(sessions: Sequence[Session]) -> list[list[str]]:
         rig, software = session.metadata.get("rig", {}), session.metadata.get("software", {})
         kind = {"true": "simulated", "false": "real rig"}.get(rig.get("simulated", ""), "")
         time = {"true": "virtual time", "false": "real time"}.get(rig.get("virtual_time", ""), "")
-        told.append({"kind": kind, "time": time, "drawn": rig.get("drawn", ""), "seed": software.get("seed", "")})
+        drawn = rig.get("drawn", "published rig" if kind == "simulated" else "")
+        told.append({"kind": kind, "time": time, "drawn": drawn, "seed": software.get("seed", "")})
     return _differing(told, lambda key, value: f"{key} {value}" if key == "seed" else value)
 
 

@@ -79,6 +79,7 @@ class Course:
     held_s: tuple[float, float]
     """From when to when the plots are about: the first stop, or the whole session where there is none."""
     whole_s: tuple[float, float]
+    braked: bool
 
 
 def courses_of(sessions: Sequence[Session]) -> list[Course]:
@@ -111,6 +112,7 @@ def _course(look: Look, session: Session, most: int) -> Course:
         bands,
         (float(time_s[held[0]]), float(time_s[held[-1]])) if len(held) else whole_s,
         whole_s,
+        len(held) > 0,
     )
 
 

@@ -15,10 +15,10 @@ from inteco_abs.errors import AbsError, ConfigError, Mistake, SessionError
 from inteco_abs.sessions import Session, check_output, only_whole
 from inteco_abs.views.beside import held_rows, insist_on_distinct, labels
 from inteco_abs.views.figure import svg_of
+from inteco_abs.views.report.cautions import outcome_of, warnings_of
 from inteco_abs.views.report.commands import repeat_commands, replay_commands
 from inteco_abs.views.report.courses import MARGIN_S, Course, Look, courses_of, look_of
 from inteco_abs.views.report.facts import result_rows, tables
-from inteco_abs.views.report.warnings import outcome_of, warnings_of
 
 SUFFIX: Final = ".html"
 if TYPE_CHECKING:

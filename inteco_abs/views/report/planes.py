@@ -25,6 +25,8 @@ Array = npt.NDArray[Any]
 def phase_plane(courses: Sequence[Course]) -> Drawing:
     """Slip over the road wheel's speed while braking, down to 1 rad/s; the true one too where one session knows it."""
     plot = blank("plane", "road wheel speed [rad/s]", "slip [1]")
+    fastest = max(float(np.nanmax(course.points.columns["road_speed_rad_s"], initial=0.0)) for course in courses)
+    plot.x_range = Range1d(0.0, max(1.05 * fastest, _SLOWEST_RAD_S))
     plot.y_range = Range1d(-0.02, 1.05)
     if len(courses) == 1:
         (course,) = courses

@@ -7,20 +7,18 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from bokeh.models import (
-    BoxAnnotation,
     ColumnDataSource,
     CrosshairTool,
     DataRange1d,
-    Label,
     Range1d,
     Span,
     WheelZoomTool,
 )
 from bokeh.plotting import figure
 
-from inteco_abs.signals import Phase
 from inteco_abs.views.figure import COLOURS
 from inteco_abs.views.report.courses import MARGIN_S, Course
+from inteco_abs.views.report.phases import draw_bands, name_bands
 
 TIME_RANGE: Final = "time"
 """Name of the range that all plots over time share."""
@@ -32,14 +30,8 @@ _LEFT: Final = 64
 BLUE, RED, GREEN = COLOURS
 GREY: Final = "#808080"
 """Readable on white and on black."""
-_BANDS: Final = {
-    Phase.SPIN_UP: ("spin-up", "#e69f00", None),
-    Phase.BRAKING: ("braking", BLUE, None),
-    Phase.STOPPED: ("stopped", GREEN, None),
-    Phase.FAULT: ("fault", RED, "diagonal_line"),
-}
-_SHORTEST_NAMED_S: Final = 0.15
 _MARKS: Final = 12
+_FEW_POINTS: Final = 20
 _LINE_WIDTH: Final = 1.5
 _SLOW_RAD_S: Final = 10.0
 _FLATTEST_SLIP: Final = 0.4
@@ -149,14 +141,17 @@ def time_plots(courses: Sequence[Course]) -> list[Drawing]:
 def _drawing(
     panel: Panel, courses: Sequence[Course], sources: Sequence[ColumnDataSource], shared: Range1d, cursor: Span
 ) -> Drawing:
-    plot = blank(panel.key, "time since braking began [s]", panel.axis, shared, window_axis="x")
+    since = "braking began" if any(course.braked for course in courses) else "the first tick"
+    plot = blank(panel.key, f"time since {since} [s]", panel.axis, shared, window_axis="x")
     plot.add_tools(CrosshairTool(overlay=cursor, dimensions="height"))
     plot.add_tools(WheelZoomTool(dimensions="width", modifiers={"shift": True}))
     plot.y_range = _y_range(panel, courses)
     if len(courses) == 1:
-        _bands(plot, courses[0], named=panel.key == "slip")
+        draw_bands(plot, courses[0])
+        if panel.key == "slip":
+            name_bands(plot, courses[0])
         legend = [
-            Key(line.name, line.colour, line.dash, "", (_draw(plot, panel, line, courses[0], sources[0]),))
+            Key(line.name, line.colour, line.dash, "", _draw(plot, panel, line, courses[0], sources[0]))
             for line in panel.lines
             if line.column in courses[0].points.columns
         ]
@@ -165,15 +160,15 @@ def _drawing(
     told = [line for line in panel.lines if line.beside]
     for course, source in zip(courses, sources, strict=True):
         lines = [line._replace(colour=course.look.colour) for line in told if line.column in course.points.columns]
-        names = [_draw(plot, panel, line, course, source) for line in lines]
+        names = [name for line in lines for name in _draw(plot, panel, line, course, source)]
         names.append(_mark(plot, panel, course))
         legend.append(Key(course.look.letter, course.look.colour, "solid", course.look.sign, tuple(names)))
     caption = ", ".join(f"{line.dash}: {line.name}" for line in told) if len(told) > 1 else told[0].name
     return Drawing(panel.key, panel.title, caption, plot, tuple(legend))
 
 
-def _draw(plot: Any, panel: Panel, line: Line, course: Course, source: ColumnDataSource) -> str:
-    """Draw a line and give its name."""
+def _draw(plot: Any, panel: Panel, line: Line, course: Course, source: ColumnDataSource) -> tuple[str, ...]:
+    """Draw a line, and dots on it where there are so few that it could be missed; their names."""
     name = f"{panel.key}-{course.look.letter}-{line.column}"
     plot.line(
         "t",
@@ -184,7 +179,10 @@ def _draw(plot: Any, panel: Panel, line: Line, course: Course, source: ColumnDat
         line_dash=line.dash,
         line_width=_LINE_WIDTH,
     )
-    return name
+    if len(course.points.time_s) > _FEW_POINTS:
+        return (name,)
+    plot.scatter("t", line.column, source=source, name=f"{name}-dots", color=line.colour, size=5)
+    return name, f"{name}-dots"
 
 
 def _mark(plot: Any, panel: Panel, course: Course) -> str:
@@ -238,35 +236,3 @@ def _highest_slip(course: Course) -> float:
     moving = (columns["road_speed_rad_s"] > _SLOW_RAD_S) & np.isfinite(columns["slip_reference"])
     top = float(np.nanmax(columns["slip"][moving], initial=0.0)) if moving.any() else 1.0
     return float(np.clip(1.25 * top, _FLATTEST_SLIP, 1.05))
-
-
-def _bands(plot: Any, course: Course, *, named: bool) -> None:
-    for band in course.bands:
-        if band.phase not in _BANDS:
-            continue
-        name, colour, hatch = _BANDS[band.phase]
-        plot.add_layout(
-            BoxAnnotation(
-                left=band.start_s,
-                right=band.end_s,
-                fill_color=colour,
-                fill_alpha=0.09,
-                line_color=colour,
-                line_alpha=0.5,
-                line_width=1,
-                level="underlay",
-                **({} if hatch is None else {"hatch_pattern": hatch, "hatch_color": colour, "hatch_alpha": 0.4}),
-            )
-        )
-        if named and band.end_s - band.start_s >= _SHORTEST_NAMED_S:
-            plot.add_layout(
-                Label(
-                    x=band.start_s,
-                    y=plot.y_range.end,
-                    text=name,
-                    x_offset=4,
-                    y_offset=-4,
-                    text_baseline="top",
-                    text_font_size="11px",
-                )
-            )

@@ -33,15 +33,21 @@ def _end(session: Session) -> Iterator[str]:
         yield f"The file is not whole: {session.incomplete}. {len(session.ticks)} ticks could be read."
     outcome = outcome_of(session)
     if outcome != _WELL:
-        told = (card_of(session) or {}).get("explanation") or session.metadata.get("session", {}).get("reason")
+        told = _explanation(session)
         yield f"Outcome: {outcome}{f': {told}' if told else ''}."
-    lost = session.metadata.get("recovery", {}).get("lost")
-    if lost:
+    lost = session.metadata.get("recovery", {}).get("lost", "")
+    if lost not in _explanation(session):
         yield f"Recovered, with losses: {lost}."
     if not len(session.ticks):
         yield "The session holds no ticks: there is nothing to draw."
     elif not len(held_rows(session.ticks)):
         yield "The run ended before braking: times count from its first tick."
+
+
+def _explanation(session: Session) -> str:
+    """Of the outcome, as the result card or the session's last words tell it."""
+    told = (card_of(session) or {}).get("explanation") or session.metadata.get("session", {}).get("reason", "")
+    return str(told)
 
 
 def _guard(session: Session) -> Iterator[str]:
@@ -51,10 +57,10 @@ def _guard(session: Session) -> Iterator[str]:
     tick = session.ticks[rows[0]]
     reason = Reason(tick["reason"])
     at_s = since_s(session.ticks[rows[:1]], start_ns(session))[0]
-    yield (
-        f"The outputs were taken away at tick {tick['tick']} ({at_s:.4f} s), in the phase "
-        f"{_last_phase(session, int(rows[0]))}: {reason.name}, {EXPLANATIONS[reason]}."
-    )
+    why = EXPLANATIONS[reason]
+    words = reason.name if why in _explanation(session) else f"{reason.name}, {why}"
+    phase = _last_phase(session, int(rows[0]))
+    yield f"The outputs were taken away at tick {tick['tick']} ({at_s:.4f} s), in the phase {phase}: {words}."
 
 
 def _last_phase(session: Session, row: int) -> str:
@@ -99,7 +105,9 @@ def _source(session: Session) -> Iterator[str]:
 
 
 def _log(session: Session) -> Iterator[str]:
+    known = [EXPLANATIONS[Reason(reason)] for reason in np.unique(session.ticks["reason"])]
     told = [event.text for event in session.log if event.level >= _WARNING]
-    yield from (f"Log: {text}" for text in told[:_MOST_EVENTS])
+    told = [text for text in told if not any(why in text for why in known)]
+    yield from (f"Log: {text}." for text in told[:_MOST_EVENTS])
     if len(told) > _MOST_EVENTS:
         yield f"Log: {len(told) - _MOST_EVENTS} more."
