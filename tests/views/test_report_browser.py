@@ -75,11 +75,14 @@ class Browser:
         )
 
     def plot(self, name):
-        return self.driver.find_element("css selector", f"#{name} > div > div")
+        """Its element, in the middle of the window."""
+        found = self.driver.find_element("css selector", f"#{name} > div > div")
+        self.run("arguments[0].scrollIntoView({block: 'center'})", found)
+        self.settle()
+        return found
 
     def picture(self, name):
         """Pixels of a plot."""
-        self.settle()
         return np.asarray(Image.open(io.BytesIO(self.plot(name).screenshot_as_png)).convert("RGB")).astype(int)
 
     def ranges(self, name):
@@ -91,7 +94,6 @@ class Browser:
         from selenium.webdriver import ActionChains
 
         plot = self.plot(name)
-        self.run("arguments[0].scrollIntoView({block: 'center'})", plot)
         chain = ActionChains(self.driver, duration=50).move_to_element_with_offset(plot, from_px, 0).click_and_hold()
         chain.move_to_element_with_offset(plot, to_px, 0).release().perform()
         self.settle()
@@ -100,7 +102,6 @@ class Browser:
         from selenium.webdriver import ActionChains
 
         plot = self.plot(name)
-        self.run("arguments[0].scrollIntoView({block: 'center'})", plot)
         ActionChains(self.driver, duration=50).move_to_element(plot).perform()
         self.settle()
 
