@@ -124,7 +124,7 @@ def _style(width: Width) -> Iterator[None]:
     """Letters of the right size, embedded as fonts that journals accept."""
     from matplotlib import rc_context  # noqa: PLC0415  heavy, and an extra
 
-    with rc_context({"font.size": width.font_pt, "axes.linewidth": 0.6, "pdf.fonttype": 42, "svg.hashsalt": _SALT}):
+    with rc_context({"font.size": width.font_pt, "axes.linewidth": 0.6, "pdf.fonttype": 42}):
         yield
 
 
