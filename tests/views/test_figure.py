@@ -169,6 +169,7 @@ def test_the_title_names_controller_and_estimator(session, drawn):
     assert drawn(session).get_suptitle() == "reaching-law on moving-window"
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("suffix", ["svg", "pdf"])
 def test_the_same_sessions_give_the_same_file(session, others, tmp_path, suffix):
     files = [tmp_path / f"{name}.{suffix}" for name in ("first", "second")]
@@ -219,6 +220,7 @@ def test_what_one_session_does_not_know_is_shown_of_none(session, others, drawn)
     assert not any(np.array_equal(line.get_ydata(), session.truth["slip"]) for line in slip.get_lines())
 
 
+@pytest.mark.untraced
 def test_a_name_is_no_formula_and_a_long_one_is_cut(session, others, told, tmp_path):
     odd = told(others[1], "controller", name=r"$\nothing{$ " + "very " * 200 + "long")
     for sessions in ([odd], [session, odd]):
@@ -231,6 +233,7 @@ def test_a_session_that_never_braked_is_named(session, others, tmp_path):
         draw_stops([session, early], tmp_path / "stop.png")
 
 
+@pytest.mark.untraced
 def test_the_printed_figure_has_the_same_lines_in_fewer_points(session, tmp_path):
     draw_stops([session], tmp_path / "all.svg")
     printed = svg_of([session])
