@@ -131,7 +131,7 @@ def run(
         return stop.exit_code or 1
     if figure is not None and stop.card["start_speed_rad_s"] is not None:
         try:
-            draw(Path(stop.card["session"]), figure)
+            draw([Path(stop.card["session"])], figure)
         except AbsError as error:  # how the run ended matters more than its picture
             click.echo(f"inteco-abs: {error}", err=True)
             return stop.exit_code or error.exit_code

@@ -32,12 +32,21 @@ def info(file: Path, as_json: bool) -> int:
 
 
 @click.command()
-@click.argument("file", type=FILE)
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
 @click.option("--out", "-o", type=FILE, required=True, help="Figure to write: .png, .svg or .pdf.")
-def figure(file: Path, out: Path) -> int:
-    """Draw a session: speeds, slip, brake."""
-    draw(file, out)
-    return 0
+@click.option(
+    "--width",
+    type=click.Choice(("one", "two")),
+    default="two",
+    show_default=True,
+    help="Columns of a journal's page: one is 88 mm, two are 180 mm.",
+)
+def figure(files: tuple[Path, ...], out: Path, width: str) -> int:
+    """Draw stops for a paper: speeds, slip, brake torque.
+
+    Several sessions lie over one another, and a legend names what differs. The same sessions give the same file.
+    """
+    return 0 if draw(files, out, width) else LOSSES
 
 
 def _summary(session: Session) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -68,13 +68,16 @@ def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
     return session
 
 
-def draw(file: Path, out: Path) -> None:
+def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
+    """Whether all of the files were whole."""
     from inteco_abs.sessions import read_session
-    from inteco_abs.views.figure import check_figure, draw_stop
+    from inteco_abs.views.figure import check_figure, draw_stops
 
     check_figure(out)
-    draw_stop(read_whole(file, read_session), out)
+    sessions = [read_whole(file, read_session) for file in files]
+    draw_stops(sessions, out, width)
     click.echo(f"figure: {out}", err=True)
+    return not any(session.incomplete for session in sessions)
 
 
 def insist_on_different(files: dict[str, Path | None]) -> None:

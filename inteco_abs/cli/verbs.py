@@ -23,6 +23,7 @@ from inteco_abs.cli.mock_board import mock_board
 from inteco_abs.cli.paper import paper
 from inteco_abs.cli.probe import probe
 from inteco_abs.cli.replay import replay
+from inteco_abs.cli.report import report
 from inteco_abs.cli.run import run
 from inteco_abs.cli.sessions import figure, info
 from inteco_abs.cli.shared import INTERRUPTED
@@ -58,6 +59,7 @@ _VERBS: Final = (
     list_sessions,
     info,
     diff,
+    report,
     figure,
     export,
     get,

@@ -1,7 +1,7 @@
 """The memory: what a session holds, how it is written, read, judged, replayed, compared and rescued."""
 
 from inteco_abs.records import TICK, TRUTH, pack_tick
-from inteco_abs.sessions.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions
+from inteco_abs.sessions.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, settings_of
 from inteco_abs.sessions.export import FORMATS, Export, export_session
 from inteco_abs.sessions.extract import attached, extract
 from inteco_abs.sessions.gains import REFERENCE, changed_gains
@@ -76,6 +76,7 @@ __all__ = [
     "session_config",
     "session_files",
     "session_row",
+    "settings_of",
     "sort_rows",
     "spill_path",
     "stored_card",

@@ -123,11 +123,11 @@ def _gains(a: Session, b: Session, _rel: float) -> Iterator[Change]:
 
 
 def _configuration(a: Session, b: Session, _rel: float) -> Iterator[Change]:
-    return _changes(_settings(a), _settings(b))
+    return _changes(settings_of(a), settings_of(b))
 
 
-def _settings(session: Session) -> dict[str, Any]:
-    """Every setting under its dotted key."""
+def settings_of(session: Session) -> dict[str, Any]:
+    """Every setting that the session was run with, under its dotted key; none where no configuration is in it."""
     stored = session.attachments.get(CONFIG_NAME)
     if stored is None:
         return {}

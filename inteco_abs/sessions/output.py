@@ -14,16 +14,16 @@ _PART: Final = ".part"
 
 
 def check_output(path: Path) -> None:
-    """Refuse, before anything is opened, a path where no new session can be.
+    """Refuse, before anything is opened, a path where no new file can be.
 
     Raises ConfigError, or SessionError where the folder cannot be written to.
     """
     problem = ""
     try:
         if path.is_dir():
-            problem = "is a folder; name a file, such as stop.mcap"
+            problem = "is a folder; name a file in it"
         elif path.exists():
-            problem = "exists already, and sessions are never overwritten; choose another name"
+            problem = "exists already, and files are never overwritten; choose another name"
         elif not path.parent.is_dir():
             problem = f"the folder {path.parent} does not exist; create it first"
     except OSError as error:  # a name that no file can have

@@ -97,7 +97,7 @@ def _stops(ticks: Array) -> list[Array]:
 
 
 def _stop_card(config: RigConfig, stop: Array, truth: Array) -> dict[str, Any]:
-    true = _aligned(truth, stop["time_ns"])
+    true = aligned_truth(truth, stop["time_ns"])
     source = stop if true is None else true
     counts = stop["road_count"].astype(np.int64) - int(stop["road_count"][0])
     course = Course(
@@ -129,7 +129,7 @@ _STOP_METRICS: Final = (
 )
 
 
-def _aligned(truth: Array, time_ns: Array) -> Array | None:
+def aligned_truth(truth: Array, time_ns: Array) -> Array | None:
     """Newest truth at or before each tick, or None where there is none."""
     if not len(truth) or not len(time_ns):
         return None

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Group, RenderableType
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-_ROWS = (
+ROWS: Final = (
     ("start speed", "start_speed_rad_s", "{:.1f} rad/s", 1.0),
     ("reaching time", "reaching_time_s", "{:.3f} s", 1.0),
     ("band entry", "band_entry_s", "{:.3f} s", 1.0),
@@ -24,6 +24,7 @@ _ROWS = (
     ("torque variation", "torque_variation_nm_per_s", "{:.0f} N m/s", 1.0),
     ("duty variation", "duty_variation_per_s", "{:.1f} /s", 1.0),
 )
+"""Label, key of the result card, format with its unit, and factor."""
 _COLOURS = {"completed": "green", "interrupted": "yellow"}
 
 
@@ -32,7 +33,7 @@ def render_card(card: Mapping[str, Any], explanation: str) -> RenderableType:
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", no_wrap=True)
     table.add_column(justify="right", no_wrap=True)
-    for label, key, form, factor in _ROWS:
+    for label, key, form, factor in ROWS:
         value = card[key]
         table.add_row(label, "-" if value is None else form.format(value * factor))
     late = card["lateness_us"]

@@ -1,26 +1,74 @@
-"""A stop as a figure: speeds, slip, torque and duty, as in the paper's three panels."""
+"""Stops as a figure for a paper: speeds, slip and brake torque, as in the paper's three panels."""
 
 from __future__ import annotations
 
 import importlib.util
+import textwrap
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 from inteco_abs.sessions import Session
-from inteco_abs.signals import Phase
+from inteco_abs.views.beside import PALETTE, held_rows, insist_on_distinct, labels, since_s, start_ns
+from inteco_abs.views.thinning import thin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS: Final = ("#0072b2", "#d55e00", "#009e73")
+COLOURS: Final = PALETTE[:3]
 """Blue, red and green of Okabe and Ito: distinct for every kind of colour vision."""
 _WHEEL, _ROAD, _OTHER = COLOURS
 FORMATS: Final = ("png", "svg", "pdf")
+_DASHES: Final = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.5, 1, 1.5)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
+"""One for each colour of the palette, so that a print in grey can be read, too."""
 _BEFORE_S: Final = 0.2
+_MM_PER_INCH: Final = 25.4
+_DPI: Final = 300
+_PRINTED_POINTS: Final = 1200
+_DRAWN: Final[Sequence[str]] = (
+    "wheel_speed_rad_s",
+    "road_speed_rad_s",
+    "slip",
+    "slip_reference",
+    "torque_demand_nm",
+    "brake",
+    "brake_torque_nm",
+)
+_SALT: Final = "inteco-abs"
+"""Of the names inside an SVG, which are random otherwise."""
+
+
+Array = npt.NDArray[Any]
+
+
+class Width(NamedTuple):
+    """Size of a figure, and what fits into it."""
+
+    width_mm: float
+    height_mm: float
+    font_pt: float
+    label_letters: int
+
+
+WIDTHS: Final = {"one": Width(88.0, 135.0, 7.0, 56), "two": Width(180.0, 165.0, 8.0, 115)}
+"""Columns of a journal's page that a figure takes."""
+
+
+class _Part(NamedTuple):
+    """What there is to draw of a session, and the time that its axis counts from."""
+
+    ticks: Array
+    truth: Array
+    label: str
+    start_ns: int
+    end_s: float
 
 
 def check_figure(path: Path) -> None:
@@ -38,73 +86,156 @@ def insist_on_matplotlib() -> None:
         raise AbsError("figures need matplotlib: pip install 'inteco-abs[figures]'")
 
 
-def draw_stop(session: Session, path: Path) -> None:
-    """Draw the braking part of `session` to `path` (.png, .svg or .pdf); raises AbsError if it has none."""
+def draw_stops(sessions: Sequence[Session], path: Path, width: str = "two") -> None:
+    """Draw the braking part of `sessions` to `path` (.png, .svg or .pdf), `width` being one of `WIDTHS`.
+
+    Of one session there is everything that the panels are about, of several only what can be told apart; a legend
+    then names what differs. The same sessions give the same file. Raises ConfigError if there are too many of them,
+    AbsError if one never braked, or without matplotlib.
+    """
     check_figure(path)
-    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
-
-    ticks = session.ticks
-    phases = np.flatnonzero((ticks["phase"] == Phase.BRAKING) | (ticks["phase"] == Phase.STOPPED))
-    if not len(phases):
-        raise AbsError(f"{session.path}: the run ended before braking; there is nothing to draw")
-    start_ns = int(ticks["time_ns"][phases[0]])
-    end_s = float((int(ticks["time_ns"][phases[-1]]) - start_ns) * 1e-9)
-    figure = Figure(figsize=(7.0, 7.2), layout="constrained")
-    axes = figure.subplots(3, sharex=True)
-    _speeds(axes[0], session, start_ns)
-    _slip(axes[1], session, start_ns)
-    _brake(axes[2], session, start_ns)
-    for panel in axes:
-        panel.grid(alpha=0.3)
-        panel.legend(loc="upper right", frameon=False, fontsize="small")
-        panel.set_xlim(-_BEFORE_S, end_s)
-    axes[2].set_xlabel("time since braking began [s]")
-    controller = session.metadata.get("controller", {})
-    figure.suptitle(f"{controller.get('name', '')} on {controller.get('estimator', '')}", fontsize="medium")
-    save_figure(figure, path)
+    insist_on_distinct(sessions)
+    with _style(WIDTHS[width]):
+        save_figure(_drawn(sessions, WIDTHS[width]), path, _DPI)
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write `figure` in the format of its name, undated as PNG or PDF; raises AbsError if that fails."""
-    undated: dict[str, Any] = {"CreationDate": None} if path.suffix == ".pdf" else {}
+def svg_of(sessions: Sequence[Session]) -> bytes:
+    """The same figure as SVG, two columns wide and with no more points than a print can show. Raises AbsError."""
+    with _style(WIDTHS["two"]):
+        data = BytesIO()
+        _drawn(sessions, WIDTHS["two"], _PRINTED_POINTS).savefig(data, format="svg", metadata={"Date": None})
+        return data.getvalue()
+
+
+def save_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
+    """Write `figure` in the format of its name, undated and always alike; raises AbsError if that fails."""
+    from matplotlib import rc_context  # noqa: PLC0415  heavy, and an extra
+
+    undated: dict[str, dict[str, Any]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     try:
-        figure.savefig(path, dpi=150, metadata=undated)
+        with rc_context({"svg.hashsalt": _SALT}):
+            figure.savefig(path, dpi=dpi, metadata=undated.get(path.suffix, {}))
     except OSError as error:
         raise AbsError(f"{path}: the figure cannot be written: {error.strerror}") from error
 
 
-def _seconds(rows: Any, start_ns: int) -> Any:
-    return (rows["time_ns"].astype(np.int64) - start_ns) * 1e-9
+@contextmanager
+def _style(width: Width) -> Iterator[None]:
+    """Letters of the right size, embedded as fonts that journals accept."""
+    from matplotlib import rc_context  # noqa: PLC0415  heavy, and an extra
+
+    with rc_context({"font.size": width.font_pt, "axes.linewidth": 0.6, "pdf.fonttype": 42}):
+        yield
 
 
-def _speeds(panel: Axes, session: Session, start_ns: int) -> None:
-    time_s = _seconds(session.ticks, start_ns)
-    panel.plot(time_s, session.ticks["road_speed_rad_s"], color=_ROAD, lw=1.2, label="road wheel (car)")
-    panel.plot(time_s, session.ticks["wheel_speed_rad_s"], color=_WHEEL, lw=1.2, label="braked wheel")
-    panel.set_ylabel("speed [rad/s]")
-    panel.set_ylim(bottom=0.0)
+def _drawn(sessions: Sequence[Session], width: Width, most: int | None = None) -> Figure:
+    """The figure, each of its lines of at most so many points."""
+    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
+
+    parts = list(map(_part, sessions, labels(sessions)))
+    if most is not None:
+        parts = [_thinned(part, most) for part in parts]
+    figure = Figure((width.width_mm / _MM_PER_INCH, width.height_mm / _MM_PER_INCH), layout="constrained")
+    axes = figure.subplots(3, sharex=True)
+    if len(parts) == 1:
+        _alone(axes, parts[0])
+        figure.suptitle(_wrapped(parts[0].label, width), fontsize="medium", parse_math=False)
+    else:
+        _beside(axes, parts)
+        _name_sessions(figure, axes[0], parts, width)
+    axes[0].set_ylabel("speed [rad/s]")
+    axes[0].set_ylim(bottom=0.0)
+    axes[1].set_ylim(0.0, 1.02)
+    axes[2].set_ylim(-0.2, 10.0)
+    axes[2].set_xlabel("time since braking began [s]")
+    for panel in axes:
+        panel.grid(alpha=0.3)
+        if panel.get_legend_handles_labels()[0]:
+            panel.legend(loc="upper right", frameon=False, fontsize="small")
+        panel.set_xlim(-_BEFORE_S, max(part.end_s for part in parts))
+    return figure
 
 
-def _slip(panel: Axes, session: Session, start_ns: int) -> None:
-    ticks = session.ticks
-    time_s = _seconds(ticks, start_ns)
-    panel.plot(time_s, ticks["slip"], color=_WHEEL, lw=0.8, alpha=0.6, label="slip, estimated")
-    if len(session.truth):
-        panel.plot(_seconds(session.truth, start_ns), session.truth["slip"], color=_ROAD, lw=1.2, label="slip, true")
-    panel.plot(time_s, ticks["slip_reference"], color="black", lw=1.0, ls="--", label="reference")
-    panel.set_ylabel("slip [1]")
-    panel.set_ylim(0.0, 1.02)
+def _part(session: Session, label: str) -> _Part:
+    held = held_rows(session.ticks)
+    if not len(held):
+        raise AbsError(f"{session.path}: the run ended before braking; there is nothing to draw")
+    start = start_ns(session)
+    end_s = float((int(session.ticks["time_ns"][held[-1]]) - start) * 1e-9)
+    return _Part(session.ticks, session.truth, label, start, end_s)
 
 
-def _brake(panel: Axes, session: Session, start_ns: int) -> None:
-    time_s = _seconds(session.ticks, start_ns)
-    panel.plot(time_s, session.ticks["torque_demand_nm"], color=_WHEEL, lw=0.8, alpha=0.6, label="torque, asked")
-    if len(session.truth):
-        truth = session.truth
-        panel.plot(_seconds(truth, start_ns), truth["brake_torque_nm"], color=_ROAD, lw=1.2, label="torque, true")
-    panel.set_ylabel("brake torque [N m]")
-    panel.set_ylim(-0.2, 10.0)
-    duty = panel.twinx()
-    duty.plot(time_s, session.ticks["brake"], color=_OTHER, lw=0.8, label="brake duty")
+def _thinned(part: _Part, most: int) -> _Part:
+    return part._replace(ticks=_fewer(part.ticks, part, most), truth=_fewer(part.truth, part, most))
+
+
+def _fewer(rows: Array, part: _Part, most: int) -> Array:
+    """What is shown of the rows, in about `most` points with all extremes."""
+    time_s = since_s(rows, part.start_ns)
+    shown = (time_s >= -_BEFORE_S) & (time_s <= part.end_s)
+    columns = {name: rows[name][shown] for name in _DRAWN if name in (rows.dtype.names or ())}
+    thinned = thin(columns, time_s[shown], np.zeros(int(shown.sum()), bool), most)
+    few = np.zeros(len(thinned.time_s), rows.dtype)
+    few["time_ns"] = np.rint(thinned.time_s * 1e9).astype(np.int64) + part.start_ns
+    for name, values in thinned.columns.items():
+        few[name] = values
+    return few
+
+
+def _wrapped(label: str, width: Width) -> str:
+    return textwrap.fill(label, width.label_letters, max_lines=2, placeholder=" ...")
+
+
+def _alone(axes: Sequence[Axes], part: _Part) -> None:
+    ticks, truth = part.ticks, part.truth
+    time_s, truth_s = since_s(ticks, part.start_ns), since_s(truth, part.start_ns)
+    speeds, slip, torque = axes
+    speeds.plot(time_s, ticks["road_speed_rad_s"], color=_ROAD, lw=1.2, label="road wheel (car)")
+    speeds.plot(time_s, ticks["wheel_speed_rad_s"], color=_WHEEL, lw=1.2, ls="--", label="braked wheel")
+    slip.plot(time_s, ticks["slip"], color=_WHEEL, lw=0.8, alpha=0.6, label="slip, estimated")
+    torque.plot(time_s, ticks["torque_demand_nm"], color=_WHEEL, lw=0.8, alpha=0.6, label="torque, asked")
+    if len(truth):
+        slip.plot(truth_s, truth["slip"], color=_ROAD, lw=1.2, label="slip, true")
+        torque.plot(truth_s, truth["brake_torque_nm"], color=_ROAD, lw=1.2, label="torque, true")
+    slip.plot(time_s, ticks["slip_reference"], color="black", lw=1.0, ls="--", label="reference")
+    slip.set_ylabel("slip [1]")
+    torque.set_ylabel("brake torque [N m]")
+    duty = torque.twinx()
+    looks: dict[str, Any] = {"color": _OTHER, "lw": 0.8, "ls": ":"}
+    duty.plot(time_s, ticks["brake"], label="brake duty", **looks)
+    torque.plot([], [], label="brake duty, right axis", **looks)
     duty.set_ylabel("brake duty [1]", color=_OTHER)
     duty.set_ylim(-0.02, 1.0)
+
+
+def _beside(axes: Sequence[Axes], parts: Sequence[_Part]) -> None:
+    """Each session in its colour and dash; the true slip and torque if they are known of all, for a fair comparison."""
+    true = all(len(part.truth) for part in parts)
+    speeds, slip, torque = axes
+    for part, colour, dash in zip(parts, PALETTE, _DASHES, strict=False):
+        ticks = part.ticks
+        time_s = since_s(ticks, part.start_ns)
+        looks: dict[str, Any] = {"color": colour, "ls": dash}
+        speeds.plot(time_s, ticks["road_speed_rad_s"], lw=1.4, **looks)
+        speeds.plot(time_s, ticks["wheel_speed_rad_s"], lw=0.7, **looks)
+        rows = part.truth if true else ticks
+        rows_s = since_s(rows, part.start_ns)
+        slip.plot(rows_s, rows["slip"], lw=1.0, **looks)
+        torque.plot(rows_s, rows["brake_torque_nm" if true else "torque_demand_nm"], lw=1.0, **looks)
+        slip.plot(time_s, ticks["slip_reference"], color="black", lw=0.8, ls=":")
+    slip.get_lines()[-1].set_label("reference")
+    slip.set_ylabel("slip, true [1]" if true else "slip, estimated [1]")
+    torque.set_ylabel("brake torque, true [N m]" if true else "brake torque, asked [N m]")
+
+
+def _name_sessions(figure: Figure, speeds: Axes, parts: Sequence[_Part], width: Width) -> None:
+    from matplotlib.lines import Line2D  # noqa: PLC0415  heavy, and an extra
+
+    looks = zip(parts, PALETTE, _DASHES, strict=False)
+    lines = [Line2D([], [], color=colour, ls=dash, lw=1.4) for _, colour, dash in looks]
+    names = [_wrapped(part.label, width) for part in parts]
+    legend = figure.legend(lines, names, loc="outside upper center", frameon=False, fontsize="small", handlelength=4.0)
+    for text in legend.get_texts():
+        text.set_parse_math(False)  # a name is no formula
+    speeds.plot([], [], color="black", lw=1.4, label="road wheel (car)")
+    speeds.plot([], [], color="black", lw=0.7, label="braked wheel")

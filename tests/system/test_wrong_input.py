@@ -52,6 +52,10 @@ CASES = [
     (["get", "notes.txt", "config.toml"], 1, ["no MCAP file"]),
     (["diff", "notes.txt"], 2, ["B"]),
     (["figure", "notes.txt", "-o", "x.png"], 1, ["no MCAP file"]),
+    (["figure", "notes.txt", "-o", "x.png", "--width", "3"], 2, ["'3'", "'one', 'two'"]),
+    (["report", "notes.txt"], 1, ["no MCAP file"]),
+    (["report", "notes.txt", "-o", "x.pdf"], 2, ["x.pdf", "must end in .html"]),
+    (["report", "notes.txt", "-o", "nowhere/x.html"], 2, ["nowhere", "create it first"]),
     (["run", "--virtual", "--set", "profile=usb2_generic_0103"], 1, ["reading only", "verified_by"]),
 ]
 

@@ -1,7 +1,12 @@
-"""A recorded stop to look at."""
+"""Recorded stops to look at."""
+
+import sys
+from dataclasses import replace
+from typing import NamedTuple
 
 import pytest
 
+from inteco_abs.cli import main
 from inteco_abs.config import load_config
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.sessions import read_session
@@ -9,14 +14,63 @@ from inteco_abs.sessions import read_session
 QUICK = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
 
 
+def _recorded(folder, name, *settings):
+    path = folder / name
+    return run_stop(load_config(settings=(*QUICK, *settings)), Plan(out=path, seed=1)), read_session(path)
+
+
 @pytest.fixture(scope="session")
 def stop(tmp_path_factory):
     """A completed stop and its session."""
-    path = tmp_path_factory.mktemp("stop") / "stop.mcap"
-    outcome = run_stop(load_config(settings=QUICK), Plan(out=path, seed=1))
-    return outcome, read_session(path)
+    return _recorded(tmp_path_factory.mktemp("stop"), "stop.mcap")
 
 
 @pytest.fixture(scope="session")
 def session(stop):
     return stop[1]
+
+
+@pytest.fixture(scope="session")
+def others(tmp_path_factory):
+    """Sessions with other gains, and with another controller."""
+    folder = tmp_path_factory.mktemp("others")
+    return (
+        _recorded(folder, "gains.mcap", "controller.gains.Mk=10.0", "controller.gains.Mq=4.0")[1],
+        _recorded(folder, "relay.mcap", 'controller.name="relay"')[1],
+    )
+
+
+@pytest.fixture(scope="session")
+def faulty(tmp_path_factory):
+    """A session that the guard has ended while it braked."""
+    return _recorded(tmp_path_factory.mktemp("faulty"), "faulty.mcap", "experiment.braking_timeout_s=0.1")[1]
+
+
+@pytest.fixture(scope="session")
+def told():
+    """A session with other facts in one of its records."""
+
+    def change(session, record, **facts):
+        return replace(session, metadata={**session.metadata, record: {**session.metadata.get(record, {}), **facts}})
+
+    return change
+
+
+class Verb(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def verb(monkeypatch, capsys, tmp_path):
+    """Runs the command in this process, in an empty folder: exit code, and what it wrote."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments) -> Verb:
+        monkeypatch.setattr(sys, "argv", ["inteco-abs", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        return Verb(end.value.code or 0, *capsys.readouterr())
+
+    return run

@@ -6,19 +6,20 @@ from matplotlib.figure import Figure
 
 from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.signals import Phase
-from inteco_abs.views.figure import FORMATS, check_figure, draw_stop
+from inteco_abs.views.figure import FORMATS, WIDTHS, check_figure, draw_stops, svg_of
 
+DUTY = "brake duty, right axis"
 MAGIC = {"png": b"\x89PNG\r\n\x1a\n", "svg": b"<?xml", "pdf": b"%PDF-"}
 
 
 @pytest.fixture
 def drawn(monkeypatch, tmp_path):
-    """Draws a session and gives the figure instead of saving it."""
+    """Draws sessions and gives the figure instead of saving it."""
 
-    def draw(session) -> Figure:
+    def draw(*sessions, **options) -> Figure:
         saved = []
         monkeypatch.setattr(Figure, "savefig", lambda self, *_args, **_options: saved.append(self))
-        draw_stop(session, tmp_path / "stop.png")
+        draw_stops(sessions, tmp_path / "stop.png", **options)
         (figure,) = saved
         return figure
 
@@ -41,7 +42,7 @@ def test_formats_are_those_that_are_tested():
 @pytest.mark.parametrize("suffix", MAGIC)
 def test_the_file_is_what_its_name_says(session, tmp_path, suffix):
     path = tmp_path / f"stop.{suffix}"
-    draw_stop(session, path)
+    draw_stops([session], path)
     data = path.read_bytes()
     assert data.startswith(MAGIC[suffix])
     assert len(data) > 10_000
@@ -49,14 +50,14 @@ def test_the_file_is_what_its_name_says(session, tmp_path, suffix):
 
 @pytest.mark.parametrize("name", ["stop.jpg", "stop", "stop.", "png", ".png", "stop.mcap", "stop.png.gz"])
 def test_another_suffix_is_refused_and_nothing_is_written(session, tmp_path, name):
-    for refuse in (check_figure, lambda path: draw_stop(session, path)):
+    for refuse in (check_figure, lambda path: draw_stops([session], path)):
         with pytest.raises(ConfigError, match=r"--figure: .* must end in \.png, \.svg, \.pdf"):
             refuse(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_missing_folder_is_refused_and_not_made(session, tmp_path):
-    for refuse in (check_figure, lambda path: draw_stop(session, path)):
+    for refuse in (check_figure, lambda path: draw_stops([session], path)):
         with pytest.raises(ConfigError, match="missing does not exist; create it first"):
             refuse(tmp_path / "missing" / "stop.png")
     assert list(tmp_path.iterdir()) == []
@@ -66,7 +67,7 @@ def test_a_folder_with_the_name_of_a_figure_is_an_error(session, tmp_path):
     path = tmp_path / "stop.png"
     path.mkdir()
     with pytest.raises(AbsError, match=r"stop\.png"):
-        draw_stop(session, path)
+        draw_stops([session], path)
 
 
 def test_without_matplotlib_it_is_said_what_to_install(monkeypatch, tmp_path):
@@ -77,14 +78,14 @@ def test_without_matplotlib_it_is_said_what_to_install(monkeypatch, tmp_path):
 
 def test_a_session_without_braking_is_refused(session, tmp_path):
     with pytest.raises(AbsError, match="ended before braking"):
-        draw_stop(without_phases(session, Phase.BRAKING, Phase.STOPPED), tmp_path / "stop.png")
+        draw_stops([without_phases(session, Phase.BRAKING, Phase.STOPPED)], tmp_path / "stop.png")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_session_without_ticks_is_refused(session, tmp_path):
     empty = replace(session, ticks=session.ticks[:0], payload=b"")
     with pytest.raises(AbsError, match="ended before braking"):
-        draw_stop(empty, tmp_path / "stop.png")
+        draw_stops([empty], tmp_path / "stop.png")
 
 
 def test_every_axis_has_a_label_with_its_unit(session, drawn):
@@ -102,7 +103,7 @@ def test_every_panel_shows_its_signals(session, drawn):
     speeds, slip, torque, duty = drawn(session).axes
     assert lines_of(speeds).keys() == {"road wheel (car)", "braked wheel"}
     assert lines_of(slip).keys() == {"slip, estimated", "slip, true", "reference"}
-    assert lines_of(torque).keys() == {"torque, asked", "torque, true"}
+    assert lines_of(torque).keys() == {"torque, asked", "torque, true", DUTY}
     assert lines_of(duty).keys() == {"brake duty"}
 
 
@@ -134,7 +135,7 @@ def test_true_lines_are_the_truth(session, drawn):
 def test_a_real_rig_has_no_true_lines(session, drawn):
     _, slip, torque, _ = drawn(replace(session, truth=session.truth[:0])).axes
     assert "slip, true" not in lines_of(slip)
-    assert lines_of(torque).keys() == {"torque, asked"}
+    assert lines_of(torque).keys() == {"torque, asked", DUTY}
 
 
 def test_the_panels_share_the_time_from_just_before_braking_to_the_end(session, drawn):
@@ -148,7 +149,7 @@ def test_the_panels_share_the_time_from_just_before_braking_to_the_end(session, 
 def test_everything_drawn_lies_within_its_panel(session, drawn):
     for panel in drawn(session).axes:
         (left, right), (low, high) = panel.get_xlim(), panel.get_ylim()
-        for line in panel.get_lines():
+        for line in (line for line in panel.get_lines() if len(line.get_xdata())):
             x, y = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
             shown = y[(x >= left) & (x <= right) & np.isfinite(y)]
             assert low <= shown.min(), line.get_label()
@@ -166,3 +167,96 @@ def test_every_line_is_named_in_a_legend_or_by_the_colour_of_its_axis(session, d
 
 def test_the_title_names_controller_and_estimator(session, drawn):
     assert drawn(session).get_suptitle() == "reaching-law on moving-window"
+
+
+@pytest.mark.untraced
+@pytest.mark.parametrize("suffix", ["svg", "pdf"])
+def test_the_same_sessions_give_the_same_file(session, others, tmp_path, suffix):
+    files = [tmp_path / f"{name}.{suffix}" for name in ("first", "second")]
+    for file in files:
+        draw_stops([session, others[0]], file)
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+@pytest.mark.parametrize(("width", "millimetres"), [("one", 88.0), ("two", 180.0)])
+def test_a_figure_is_as_wide_as_the_columns_of_a_journal(session, drawn, width, millimetres):
+    assert drawn(session, width=width).get_size_inches()[0] * 25.4 == pytest.approx(millimetres)
+
+
+def test_two_columns_are_the_default(session, drawn):
+    assert drawn(session).get_size_inches()[0] * 25.4 == pytest.approx(WIDTHS["two"].width_mm)
+
+
+def legend_of(figure):
+    (legend,) = figure.legends
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def test_several_sessions_lie_over_one_another_and_are_named_by_what_differs(session, others, drawn):
+    figure = drawn(session, *others)
+    assert legend_of(figure) == ["reaching-law, Mk 2, Mq 1", "reaching-law, Mk 10, Mq 4", "relay"]
+    speeds, slip, torque = figure.axes
+    assert [panel.get_ylabel() for panel in figure.axes] == [
+        "speed [rad/s]",
+        "slip, true [1]",
+        "brake torque, true [N m]",
+    ]
+    for each in (session, *others):
+        assert any(np.array_equal(line.get_ydata(), each.ticks["road_speed_rad_s"]) for line in speeds.get_lines())
+        assert any(np.array_equal(line.get_ydata(), each.truth["slip"]) for line in slip.get_lines())
+        assert any(np.array_equal(line.get_ydata(), each.truth["brake_torque_nm"]) for line in torque.get_lines())
+
+
+def test_sessions_differ_in_grey_too(session, others, drawn):
+    (legend,) = drawn(session, *others).legends
+    looks = {str(line.get_linestyle()) + str(line._unscaled_dash_pattern) for line in legend.get_lines()}
+    assert len(looks) == 3
+
+
+def test_what_one_session_does_not_know_is_shown_of_none(session, others, drawn):
+    real = replace(others[0], truth=others[0].truth[:0])
+    _, slip, torque = drawn(session, real).axes
+    assert (slip.get_ylabel(), torque.get_ylabel()) == ("slip, estimated [1]", "brake torque, asked [N m]")
+    assert not any(np.array_equal(line.get_ydata(), session.truth["slip"]) for line in slip.get_lines())
+
+
+@pytest.mark.untraced
+def test_a_name_is_no_formula_and_a_long_one_is_cut(session, others, told, tmp_path):
+    odd = told(others[1], "controller", name=r"$\nothing{$ " + "very " * 200 + "long")
+    for sessions in ([odd], [session, odd]):
+        draw_stops(sessions, tmp_path / "odd.svg", "one")
+
+
+def test_a_session_that_never_braked_is_named(session, others, tmp_path):
+    early = replace(without_phases(others[0], Phase.BRAKING, Phase.STOPPED), path=tmp_path / "early.mcap")
+    with pytest.raises(AbsError, match=r"early\.mcap: the run ended before braking"):
+        draw_stops([session, early], tmp_path / "stop.png")
+
+
+@pytest.mark.untraced
+def test_the_printed_figure_has_the_same_lines_in_fewer_points(session, tmp_path):
+    draw_stops([session], tmp_path / "all.svg")
+    printed = svg_of([session])
+    assert printed.startswith(b"<?xml")
+    assert 10_000 < len(printed) <= len((tmp_path / "all.svg").read_bytes())
+
+
+class TestVerb:
+    def test_it_draws_several_sessions(self, verb, session, others):
+        done = verb("figure", session.path, others[0].path, "-o", "both.pdf", "--width", "one")
+        assert (done.code, done.out, done.err) == (0, "", "figure: both.pdf\n")
+
+    def test_another_width_is_usage(self, verb, session):
+        done = verb("figure", session.path, "-o", "x.png", "--width", "three")
+        assert done.code == 2
+        assert "'one', 'two'" in done.err
+
+    def test_no_session_is_usage(self, verb):
+        assert verb("figure", "-o", "x.png").code == 2
+
+    def test_a_session_that_was_cut_is_drawn_and_told(self, verb, session, tmp_path):
+        (tmp_path / "cut.mcap").write_bytes(session.path.read_bytes()[:-300])
+        done = verb("figure", "cut.mcap", "-o", "x.png")
+        assert done.code == 3
+        assert "the file ends early" in done.err
+        assert (tmp_path / "x.png").exists()

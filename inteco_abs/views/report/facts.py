@@ -1,0 +1,80 @@
+"""The report's tables: what a session is worth, and what it was run with; one column for each session."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from inteco_abs.sessions import Session, settings_of
+from inteco_abs.sessions.result import card_of
+from inteco_abs.views.beside import gains_of
+from inteco_abs.views.card import ROWS
+
+_NOTHING: Final = "–"
+_LATENESS: Final = (("late, p50", "p50"), ("late, p99", "p99"), ("late, p99.9", "p999"), ("late, most", "max"))
+_COUNTS: Final = (
+    ("stops", "stops"),
+    ("ticks", "ticks"),
+    ("overruns", "overruns"),
+    ("link errors", "link_errors"),
+    ("lost ticks", "lost_ticks"),
+)
+_TOLD_ELSEWHERE: Final = ("result", "controller")
+
+
+class Row(NamedTuple):
+    """A fact of every session."""
+
+    name: str
+    values: tuple[str, ...]
+    differs: bool
+
+
+class Facts(NamedTuple):
+    """A table."""
+
+    title: str
+    rows: list[Row]
+
+
+def result_rows(sessions: Sequence[Session]) -> list[Row]:
+    """The result cards beside one another; what was not measured is a dash."""
+    cards = [card_of(session) or {} for session in sessions]
+    rows = [_row(label, [_number(card.get(key), form, factor) for card in cards]) for label, key, form, factor in ROWS]
+    rows += [_row(label, [_number(card.get(key), "{:.0f}") for card in cards]) for label, key in _COUNTS]
+    late = [_table(card.get("lateness_us")) for card in cards]
+    rows += [_row(label, [_number(each.get(key), "{:.1f} us") for each in late]) for label, key in _LATENESS]
+    return rows
+
+
+def tables(sessions: Sequence[Session]) -> list[Facts]:
+    """Gains, configuration, and every record that the sessions hold; the payload's hash is in `integrity`."""
+    gains = [{**_controller(session), **gains_of(session)} for session in sessions]
+    settings = [{key: str(value) for key, value in settings_of(session).items()} for session in sessions]
+    records = dict.fromkeys(name for session in sessions for name in session.metadata if name not in _TOLD_ELSEWHERE)
+    found = [_facts("controller and gains", gains), _facts("configuration", settings)]
+    found += [_facts(name, [session.metadata.get(name, {}) for session in sessions]) for name in records]
+    return [facts for facts in found if facts.rows]
+
+
+def _controller(session: Session) -> dict[str, str]:
+    facts = session.metadata.get("controller", {})
+    return {key: value for key, value in facts.items() if not key.startswith("gain.")}
+
+
+def _facts(title: str, told: Sequence[Mapping[str, str]]) -> Facts:
+    keys = dict.fromkeys(key for each in told for key in each)
+    return Facts(title, [_row(key, [each.get(key) or _NOTHING for each in told]) for key in keys])
+
+
+def _row(name: str, values: Sequence[str]) -> Row:
+    return Row(name, tuple(values), len(set(values)) > 1)
+
+
+def _number(value: Any, form: str, factor: float = 1.0) -> str:
+    known = isinstance(value, int | float) and not isinstance(value, bool)
+    return form.format(value * factor) if known else _NOTHING
+
+
+def _table(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, dict) else {}

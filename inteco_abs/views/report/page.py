@@ -1,0 +1,145 @@
+"""One page of HTML with everything in it: it loads nothing, and nothing runs in it but bokeh's script and its own."""
+
+from __future__ import annotations
+
+import base64
+import importlib.util
+import secrets
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import inteco_abs
+from inteco_abs.errors import AbsError, ConfigError, Mistake, SessionError
+from inteco_abs.sessions import Session, check_output, only_whole
+from inteco_abs.views.beside import held_rows, insist_on_distinct, labels
+from inteco_abs.views.figure import svg_of
+from inteco_abs.views.report.cautions import outcome_of, warnings_of
+from inteco_abs.views.report.commands import repeat_commands, replay_commands
+from inteco_abs.views.report.courses import MARGIN_S, Course, Look, courses_of, look_of
+from inteco_abs.views.report.facts import result_rows, tables
+
+SUFFIX: Final = ".html"
+if TYPE_CHECKING:
+    from inteco_abs.views.report.plots import Drawing
+
+_NEEDED: Final = ("bokeh", "jinja2")
+
+
+def check_report(path: Path) -> None:
+    """Refuse a path where no new report can be; raises ConfigError or SessionError, or AbsError without bokeh."""
+    if path.suffix != SUFFIX:
+        raise ConfigError([Mistake("--out", f"{path}: must end in {SUFFIX}")])
+    check_output(path)
+    if any(importlib.util.find_spec(name) is None for name in _NEEDED):
+        raise AbsError("reports need bokeh: pip install 'inteco-abs[report]'")
+
+
+def write_report(sessions: Sequence[Session], path: Path) -> None:
+    """Write the page about `sessions` to `path`, as a whole or not at all.
+
+    Raises ConfigError if it cannot be there or if the sessions cannot be told apart, SessionError if it cannot be
+    written, AbsError without bokeh.
+    """
+    check_report(path)
+    insist_on_distinct(sessions)
+    page = report_page(sessions)
+    with only_whole(path) as part:
+        try:
+            part.write_text(page, encoding="utf-8")
+        except OSError as error:
+            raise SessionError(f"{part} cannot be written: {error.strerror}") from error
+
+
+def report_page(sessions: Sequence[Session]) -> str:
+    """The page. Without matplotlib it lacks the figure that is printed in place of the plots."""
+    from jinja2 import Environment, StrictUndefined  # noqa: PLC0415  an extra
+    from markupsafe import Markup  # noqa: PLC0415  comes with it
+
+    courses = courses_of(sessions)
+    panels, scripts = _panels(courses)
+    sheet = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    page: str = sheet.from_string(_resource("page.html")).render(
+        title=_title(sessions),
+        version=inteco_abs.__version__,
+        sessions=list(map(_told, map(look_of, range(len(sessions))), sessions, labels(sessions))),
+        result=result_rows(sessions),
+        tables=tables(sessions),
+        span=_span(courses),
+        density=[_density(course, alone=len(sessions) == 1) for course in courses],
+        panels=panels,
+        dashes={"solid": "none", "dashed": "6 4", "dotted": "2 3"},
+        virtual=any(session.metadata.get("rig", {}).get("virtual_time") == "true" for session in sessions),
+        picture=_picture(sessions),
+        style=Markup(_resource("page.css")),  # noqa: S704  ours
+        scripts=[Markup(script) for script in (*scripts, _resource("page.js"))],  # noqa: S704  bokeh's and ours
+        nonce=secrets.token_urlsafe(16),
+    )
+    return page
+
+
+def _resource(name: str) -> str:
+    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _title(sessions: Sequence[Session]) -> str:
+    return f"Braking stop {sessions[0].path.name}" if len(sessions) == 1 else f"{len(sessions)} braking stops compared"
+
+
+def _told(look: Look, session: Session, label: str) -> dict[str, Any]:
+    return {
+        "look": look,
+        "label": label,
+        "path": str(session.path),
+        "outcome": outcome_of(session),
+        "started": session.metadata.get("session", {}).get("started_utc", "")[:19].replace("T", " "),
+        "warnings": warnings_of(session),
+        "replay": replay_commands(session),
+        "repeat": repeat_commands(session),
+    }
+
+
+def _panels(courses: Sequence[Course]) -> tuple[list[Drawing], list[str]]:
+    """Every plot as an element of the page, and the scripts that draw them; nothing where there is nothing to draw."""
+    if not courses:
+        return [], []
+    from bokeh.embed import components  # noqa: PLC0415  heavy, and an extra
+    from bokeh.resources import Resources  # noqa: PLC0415  likewise
+    from markupsafe import Markup  # noqa: PLC0415  likewise
+
+    from inteco_abs.views.report.planes import phase_plane, timing_histogram  # noqa: PLC0415  likewise
+    from inteco_abs.views.report.plots import time_plots  # noqa: PLC0415  likewise
+
+    drawn = [*time_plots(courses), phase_plane(courses), timing_histogram(courses)]
+    script, elements = components({each.key: each.plot for each in drawn}, wrap_script=False)
+    panels = [each._replace(plot=Markup(elements[each.key])) for each in drawn]  # noqa: S704  bokeh's own element
+    return panels, [*Resources(mode="inline", components=["bokeh"]).js_raw, script]
+
+
+def _span(courses: Sequence[Course]) -> dict[str, tuple[float, float]]:
+    """From when to when the brakes were in charge, and the sessions last, s."""
+    if not courses:
+        return {}
+    held, whole = [course.held_s for course in courses], [course.whole_s for course in courses]
+    return {
+        name: (min(first for first, _ in spans) - MARGIN_S, max(last for _, last in spans) + MARGIN_S)
+        for name, spans in (("held", held), ("whole", whole))
+    }
+
+
+def _density(course: Course, *, alone: bool) -> str:
+    inside, outside = (
+        "every tick" if size == 1 else f"the smallest and the largest of each {size} ticks"
+        for size in (course.points.inside, course.points.outside)
+    )
+    told = inside if inside == outside else f"{inside} while the brake was in charge, {outside} elsewhere"
+    return told if alone else f"{course.look.letter}: {told}"
+
+
+def _picture(sessions: Sequence[Session]) -> str:
+    """The figure for print as SVG in base64; empty without matplotlib, and where no session ever braked."""
+    braked = [session for session in sessions if len(held_rows(session.ticks))]
+    if not braked or importlib.util.find_spec("matplotlib") is None:
+        return ""
+    return base64.b64encode(svg_of(braked)).decode("ascii")

@@ -1,0 +1,230 @@
+"""Reports in a real Chromium, without a network: drawn, zoomed together, in light and dark, on paper."""
+
+import base64
+import io
+import os
+import shutil
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from inteco_abs.signals import Phase
+from inteco_abs.views.report import write_report
+
+pytestmark = [pytest.mark.xdist_group("browser"), pytest.mark.untraced]
+
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--force-color-profile=srgb",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+)
+EVIL = "</script><script>window.pwned=1</script><img src=x onerror=window.pwned=1>"
+OVER_TIME = ("speeds", "slip", "torque", "duty", "switching", "timing")
+BLUE, RED = (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)
+
+
+def program(name):
+    found = shutil.which(name)
+    if found is None:
+        missing = f"{name} is missing: apt-get install chromium chromium-driver"
+        if os.environ.get("CI"):
+            pytest.fail(missing)
+        pytest.skip(missing)
+    return found
+
+
+class Browser:
+    """A Chromium with a report in it."""
+
+    def __init__(self, driver):
+        self.driver = driver
+
+    def show(self, path: Path, scheme="light", width=1280):
+        self.command("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        self.command("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
+        self.driver.get(path.as_uri())
+        self.wait("return [...document.querySelectorAll('figure')].length == 0 || Bokeh.documents[0]?.is_idle")
+        self.settle()
+
+    def command(self, name, **arguments):
+        return self.driver.execute_cdp_cmd(name, arguments)
+
+    def run(self, script, *arguments):
+        return self.driver.execute_script(script, *arguments)
+
+    def wait(self, script):
+        end = time.monotonic() + 30.0
+        while not self.run(script):
+            assert time.monotonic() < end, script
+            time.sleep(0.05)
+
+    def settle(self):
+        """Two frames, so that what was asked for has been drawn."""
+        self.driver.execute_async_script(
+            "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50)))"
+        )
+
+    def plot(self, name):
+        """Its element, in the middle of the window."""
+        found = self.driver.find_element("css selector", f"#{name} > div > div")
+        self.run("arguments[0].scrollIntoView({block: 'center'})", found)
+        self.settle()
+        return found
+
+    def picture(self, name):
+        """Pixels of a plot."""
+        return np.asarray(Image.open(io.BytesIO(self.plot(name).screenshot_as_png)).convert("RGB")).astype(int)
+
+    def ranges(self, name):
+        return self.run(
+            "const r = Bokeh.documents[0].get_model_by_name(arguments[0]).x_range; return [r.start, r.end]", name
+        )
+
+    def drag(self, name, from_px, to_px):
+        from selenium.webdriver import ActionChains
+
+        plot = self.plot(name)
+        chain = ActionChains(self.driver, duration=50).move_to_element_with_offset(plot, from_px, 0).click_and_hold()
+        chain.move_to_element_with_offset(plot, to_px, 0).release().perform()
+        self.settle()
+
+    def point_at(self, name):
+        from selenium.webdriver import ActionChains
+
+        plot = self.plot(name)
+        ActionChains(self.driver, duration=50).move_to_element(plot).perform()
+        self.settle()
+
+    def complaints(self):
+        """What the console holds beyond information, since it was last asked."""
+        return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] not in {"INFO", "DEBUG"}]
+
+
+def of_colour(pixels, colour):
+    return int((np.abs(pixels - np.array(colour)).max(axis=-1) < 60).sum())
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    chromium, chromedriver = program("chromium"), program("chromedriver")
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('browser')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver))
+    try:
+        yield Browser(driver)
+    finally:
+        driver.quit()
+
+
+@pytest.fixture(scope="module")
+def page(session, tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "stop.html"
+    write_report([session], path)
+    return path
+
+
+def test_everything_is_drawn_and_nothing_complains(browser, page):
+    browser.show(page)
+    for name in (*OVER_TIME, "plane"):
+        assert of_colour(browser.picture(name), BLUE) > 100, name
+    for name in ("speeds", "slip", "torque", "plane"):
+        assert of_colour(browser.picture(name), RED) > 20, name
+    assert len(np.unique(browser.picture("lateness").reshape(-1, 3), axis=0)) > 10
+    assert browser.complaints() == []
+    assert browser.run("return performance.getEntriesByType('resource').map(entry => entry.name)") == []
+
+
+def test_a_zoom_in_one_plot_is_a_zoom_in_all(browser, page):
+    browser.show(page)
+    whole, before = browser.ranges("slip"), browser.picture("speeds")
+    browser.drag("slip", -200, 100)
+    start, end = browser.ranges("slip")
+    assert whole[0] < start < end < whole[1]
+    assert all(browser.ranges(name) == [start, end] for name in OVER_TIME)
+    assert (np.abs(browser.picture("speeds") - before).max(axis=-1) > 60).sum() > 100
+    browser.run("document.querySelector('button[data-from]').click()")
+    assert browser.ranges("timing") == pytest.approx(whole)
+
+
+def test_the_cursor_tells_the_values_of_all_plots(browser, page, session):
+    browser.show(page)
+    browser.point_at("speeds")
+    at_s = float(browser.run("return document.getElementById('when').textContent").split()[1])
+    told = browser.run("return [...document.querySelectorAll('#slip output')].map(each => Number(each.textContent))")
+    start_ns = float(session.ticks["time_ns"][session.ticks["phase"] == Phase.BRAKING][0])
+    row = int(np.abs(session.truth["time_ns"] - start_ns - at_s * 1e9).argmin())
+    near = session.truth["slip"][row - 1 : row + 2]
+    assert len(np.unique(session.truth["slip"][row - 9 : row + 9])) > 9
+    assert near.min() * 0.9995 <= told[1] <= near.max() * 1.0005
+
+
+def test_an_entry_of_a_legend_hides_its_line(browser, page):
+    browser.show(page)
+    hide = "document.querySelector('#speeds button.key').click()"
+    shown = of_colour(browser.picture("speeds"), RED)
+    browser.run(hide)
+    assert of_colour(browser.picture("speeds"), RED) < shown / 10
+    browser.run(hide)
+    assert of_colour(browser.picture("speeds"), RED) == shown
+
+
+@pytest.mark.parametrize("width", [1280, 420])
+def test_plots_follow_the_page_into_the_dark_and_back(browser, page, width):
+    browser.show(page, "light", width)
+    for scheme in ("light", "dark", "light"):
+        browser.command("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        pixels = browser.picture("speeds").mean(axis=-1)
+        ground = np.median(pixels)
+        assert ground > 240 if scheme == "light" else ground < 40
+        letters = pixels[:, :70]  # the numbers of the axis
+        assert (np.abs(letters - ground) > 150).sum() > 50
+    assert browser.run("return document.documentElement.scrollWidth") <= width
+
+
+def test_paper_gets_the_figure_in_place_of_the_plots(browser, page):
+    browser.show(page)
+    browser.command("Emulation.setEmulatedMedia", media="print")
+    try:
+        shown = "return getComputedStyle(document.querySelector(arguments[0])).display"
+        assert browser.run(shown, ".plots") == "none"
+        assert browser.run(shown, ".picture") != "none"
+        assert browser.run("return document.querySelector('.picture img').naturalWidth") > 100
+        assert len(base64.b64decode(browser.command("Page.printToPDF")["data"])) > 20_000
+    finally:
+        browser.command("Emulation.setEmulatedMedia", media="")
+
+
+def test_a_comparison_of_odd_sessions_draws_what_there_is_and_runs_nothing_of_theirs(
+    browser, session, others, faulty, told, tmp_path
+):
+    evil = told(others[0], "controller", name=EVIL, estimator=EVIL)
+    one = replace(others[1], ticks=others[1].ticks[:1], truth=others[1].truth[:0])
+    write_report([session, evil, faulty, one], tmp_path / "comparison.html")
+    browser.show(tmp_path / "comparison.html")
+    assert of_colour(browser.picture("slip"), BLUE) > 100
+    assert of_colour(browser.picture("slip"), RED) > 100
+    assert browser.run("return window.pwned") is None
+    assert EVIL in browser.run("return document.body.innerText")
+    assert browser.complaints() == []
+
+
+def test_a_session_without_ticks_is_a_quiet_page(browser, session, tmp_path):
+    write_report([replace(session, ticks=session.ticks[:0], truth=session.truth[:0])], tmp_path / "empty.html")
+    browser.show(tmp_path / "empty.html")
+    assert browser.complaints() == []
