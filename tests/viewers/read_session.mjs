@@ -16,8 +16,10 @@ const topics = {};
 const types = new Map();
 for (const [id, channel] of reader.channelsById) {
   const schema = reader.schemasById.get(channel.schemaId);
-  types.set(id, protobufFromBinaryDescriptor(schema.data).lookupType(schema.name));
-  topics[channel.topic] = { schema: schema.name, messages: 0, sums: {}, notNumbers: {}, members: {}, lines: [] };
+  const type = protobufFromBinaryDescriptor(schema.data).lookupType(schema.name);
+  const fields = type.fieldsArray.map((field) => field.name);
+  types.set(id, type);
+  topics[channel.topic] = { schema: schema.name, fields, messages: 0, sums: {}, notNumbers: {}, members: {}, lines: [] };
 }
 
 function add(told, field, value) {

@@ -34,7 +34,7 @@ def members(rows, message):
     """How often each member of an enumeration stands in a column."""
     found = {}
     for column in message.columns:
-        if column.kind.members is not None:
+        if column.kind.members is not None and column.name in rows.dtype.names:
             prefix = column.kind.members.__name__.upper()
             numbers, counts = np.unique(rows[column.name], return_counts=True)
             names = [f"{prefix}_{column.kind.members(number).name}" for number in numbers.tolist()]
@@ -65,6 +65,7 @@ def test_every_column_of_numbers_has_the_sum_that_numpy_finds(opened, message):
         assert message.topic not in theirs["topics"]  # a golden session keeps no truth
         return
     told = theirs["topics"][message.topic]
+    rows = rows[[name for name in rows.dtype.names if name in told["fields"]]]  # older files have fewer
     assert told["schema"] == message.name
     assert told["sums"] == sums(rows)
     assert told["notNumbers"] == not_numbers(rows)
