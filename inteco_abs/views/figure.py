@@ -30,6 +30,8 @@ _DASHES: Final = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.5, 1, 1.5)), (0, (8
 """One for each colour of the palette, so that a print in grey can be read, too."""
 _BEFORE_S: Final = 0.2
 _MM_PER_INCH: Final = 25.4
+_TRUETYPE: Final = 42
+"""Kind of the fonts in a PDF that journals accept."""
 _DPI: Final = 300
 _PRINTED_POINTS: Final = 1200
 _DRAWN: Final[Sequence[str]] = (
@@ -94,9 +96,17 @@ def draw_stops(sessions: Sequence[Session], path: Path, width: str = "two") -> N
     AbsError if one never braked, or without matplotlib.
     """
     check_figure(path)
+    save_figure(figure_of(sessions, width), path, _DPI)
+
+
+def figure_of(sessions: Sequence[Session], width: str = "two") -> Figure:
+    """The same as matplotlib's object, to be changed or shown. Raises as `draw_stops`."""
+    insist_on_matplotlib()
+    if width not in WIDTHS:
+        raise ConfigError([Mistake("width", f"{width!r}: must be one of {', '.join(WIDTHS)}")])
     insist_on_distinct(sessions)
     with _style(WIDTHS[width]):
-        save_figure(_drawn(sessions, WIDTHS[width]), path, _DPI)
+        return _drawn(sessions, WIDTHS[width])
 
 
 def svg_of(sessions: Sequence[Session]) -> bytes:
@@ -113,7 +123,7 @@ def save_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
 
     undated: dict[str, dict[str, Any]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     try:
-        with rc_context({"svg.hashsalt": _SALT}):
+        with rc_context({"svg.hashsalt": _SALT, "pdf.fonttype": _TRUETYPE}):
             figure.savefig(path, dpi=dpi, metadata=undated.get(path.suffix, {}))
     except OSError as error:
         raise AbsError(f"{path}: the figure cannot be written: {error.strerror}") from error
@@ -121,10 +131,10 @@ def save_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
 
 @contextmanager
 def _style(width: Width) -> Iterator[None]:
-    """Letters of the right size, embedded as fonts that journals accept."""
+    """Letters and lines of the right size."""
     from matplotlib import rc_context  # noqa: PLC0415  heavy, and an extra
 
-    with rc_context({"font.size": width.font_pt, "axes.linewidth": 0.6, "pdf.fonttype": 42}):
+    with rc_context({"font.size": width.font_pt, "axes.linewidth": 0.6}):
         yield
 
 

@@ -1,0 +1,210 @@
+"""For notebooks and scripts: connect to a board, run stops, look at sessions. `import inteco_abs` has all of it."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from datetime import datetime
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from inteco_abs import sessions
+from inteco_abs.boards import check_address, check_kind, default_profile, simulated
+from inteco_abs.config import RigConfig, load_config
+from inteco_abs.control import Controller, build_pipeline, control_check, preferred_estimator
+from inteco_abs.errors import AbsError, ConfigError, Mistake
+from inteco_abs.experiment import Plan
+from inteco_abs.experiment import run_stop as run_experiment
+from inteco_abs.mock_board import rig_check
+from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
+from inteco_abs.sessions.result import card_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import RenderableType
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Session(sessions.Session):
+    """A recorded session that shows itself: as a picture with its card in a notebook, as a card on a terminal."""
+
+    @property
+    def card(self) -> dict[str, Any]:
+        """The result card, with the keys of `run --json`. Raises AbsError if there is too little to make one of."""
+        card = card_of(self)
+        if card is None:
+            raise AbsError(f"{self.path}: has no result card, and too little to make one of")
+        return card
+
+    def to_pandas(self, table: str = "tick") -> Any:
+        """Ticks, or the table `truth` or `events`, as a pandas DataFrame with `units` and `meanings` in its attrs."""
+        return sessions.to_pandas(self, table)
+
+    def to_polars(self, table: str = "tick") -> Any:
+        """The same as a polars DataFrame, which has no place for units."""
+        return sessions.to_polars(self, table)
+
+    def plot(self, *others: sessions.Session, width: str = "two") -> Figure:
+        """Speeds, slip and torque since braking began, beside `others`, `width` columns of a journal wide: one or two.
+
+        Raises AbsError if a run never braked, or without matplotlib.
+        """
+        from inteco_abs.views.figure import figure_of  # noqa: PLC0415  heavy, and an extra
+
+        return figure_of([self, *others], width)
+
+    def replay(self, controller: type[Controller] | None = None) -> sessions.Replay:
+        """Decide every tick again, and compare bit for bit; `controller` is yours if the run was with yours.
+
+        Raises SessionError if the session cannot be replayed.
+        """
+        known = _known(controller or self.metadata.get("controller", {}).get("name", ""))
+        config = sessions.session_config(self, (control_check(known),))
+        return sessions.replay(self, build_pipeline(config, known))
+
+    def __repr__(self) -> str:
+        card = card_of(self) or {}
+        return f"<Session {self.path}: {len(self.ticks)} ticks, {card.get('outcome', 'cut')}>"
+
+    def __rich__(self) -> RenderableType:
+        from inteco_abs.views import render_card  # noqa: PLC0415  only for a terminal
+
+        return render_card(self.card, self.metadata.get("session", {}).get("reason", ""))
+
+    def _repr_html_(self) -> str:
+        from inteco_abs.views.figure import svg_of  # noqa: PLC0415  heavy, and an extra
+        from inteco_abs.views.report.facts import result_rows  # noqa: PLC0415  only for a notebook
+
+        cells = "".join(
+            f"<tr><td>{escape(row.name)}</td><td style='text-align:right'>{escape(row.values[0])}</td></tr>"
+            for row in result_rows([self])
+        )
+        try:
+            picture = svg_of([self]).decode()
+        except AbsError as error:  # it never braked, or there is no matplotlib
+            picture = f"<p>{escape(str(error))}</p>"
+        return f"<p><b>{escape(repr(self))}</b></p>{picture[max(picture.find('<svg'), 0) :]}<table>{cells}</table>"
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A board with the rig on it, and the settings that its runs begin with."""
+
+    board: str
+    config_file: Path | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """By dotted key of rig.toml, as {"guard.brake_limit": 0.6}."""
+
+    def config(self, controller: str | type[Controller] | None = None, **settings: Any) -> RigConfig:
+        """The effective configuration of a run with that controller. Raises ConfigError."""
+        known = _known(controller)
+        name = {} if controller is None else {"controller.name": _name(controller)}
+        lines = [f"{key}={_toml(value)}" for key, value in {**self.settings, **settings, **name}.items()]
+        checks = [control_check(known), rig_check]
+        return load_config(self.config_file, lines, checks, default_profile(self.board), preferred_estimator(known))
+
+    def run_stop(
+        self,
+        controller: str | type[Controller] | None = None,
+        *,
+        estimator: str | None = None,
+        gains: Mapping[str, float] | None = None,
+        settings: Mapping[str, Any] | None = None,
+        out: str | Path | None = None,
+        seed: int = 0,
+        real_time: bool | None = None,
+    ) -> Session:
+        """Drive, brake, record, and give the session, whatever its outcome: `card["outcome"]` says it.
+
+        `controller` is a name as on the command line or, in virtual time, a class of yours; `seed` is what differs
+        between two power-ups of the mock board. A simulated board runs in virtual time unless `real_time` is asked for.
+        An interrupt ends the run safely. Raises ConfigError or BoardError if it cannot start.
+        """
+        chosen: dict[str, Any] = dict(settings or {})
+        chosen |= {f"controller.gains.{name}": float(value) for name, value in (gains or {}).items()}
+        if estimator is not None:
+            chosen["estimator.name"] = estimator
+        config = self.config(controller, **chosen)
+        known = _known(controller)
+        origin = known.origin(config.controller.name)
+        path = Path(out) if out is not None else _default_out()
+        virtual = simulated(self.board) if real_time is None else not real_time
+        if isinstance(controller, type) and not virtual:
+            problem = (
+                f"{_name(controller)} is a class of this process, and real time needs one from a file: file.py:Class"
+            )
+            raise ConfigError([Mistake("controller", problem)])
+        run_experiment(
+            config, Plan(path, self.board, virtual, seed, known, origin.source, controller_package=origin.package)
+        )
+        return open_session(path)
+
+
+def connect(
+    board: str = "sim:",
+    *,
+    rig: str | None = None,
+    config: str | Path | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Rig:
+    """The board at an address as for `run --board`; with the mock board, `rig` is a drawn one such as "hard:17".
+
+    Nothing is opened before a run. Raises ConfigError or BoardError for an address, a file or settings that are wrong.
+    """
+    check_address(board)
+    drawn = {} if rig is None else {"simulation.rig": rig}
+    found = Rig(board, None if config is None else Path(config), {**(settings or {}), **drawn})
+    check_kind(board, found.config())
+    return found
+
+
+def run_stop(board: str = "sim:", controller: str | type[Controller] | None = None, **choices: Any) -> Session:
+    """One stop with the defaults of `connect`; `choices` are those of `Rig.run_stop`."""
+    return connect(board).run_stop(controller, **choices)
+
+
+def open_session(path: str | Path) -> Session:
+    """The session at `path`; one that was cut is read as far as it goes, and says so in `incomplete`.
+
+    Raises SessionError.
+    """
+    found = sessions.read_session(Path(path))
+    return Session(*(getattr(found, each.name) for each in fields(found)))
+
+
+def _known(controller: str | type[Controller] | None) -> Controllers:
+    if isinstance(controller, type):
+        return Controllers({_name(controller): (controller, Origin(_source(controller)))})
+    if controller is None or FROM_FILE not in controller:
+        return Controllers()
+    kind, source = load_controller(controller)
+    return Controllers({controller: (kind, Origin(source))})
+
+
+def _name(controller: str | type[Controller]) -> str:
+    return controller if isinstance(controller, str) else controller.__name__
+
+
+def _source(controller: type[Controller]) -> bytes:
+    """Of the class, for the session; nothing where it cannot be found, as at a prompt."""
+    try:
+        return inspect.getsource(controller).encode()
+    except (OSError, TypeError):
+        return b""
+
+
+def _default_out() -> Path:
+    folder = Path("sessions")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise AbsError(f"no folder {folder} can be made here ({error.strerror}); name a file with out=") from error
+    return folder / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"
+
+
+def _toml(value: Any) -> str:
+    """Numbers, text, truth values and lists are written alike there."""
+    return json.dumps(value)
