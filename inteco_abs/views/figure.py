@@ -43,6 +43,8 @@ _DRAWN: Final[Sequence[str]] = (
     "brake",
     "brake_torque_nm",
 )
+_AT_REST_RAD_S: Final = 1.0
+"""Road speed below which slip says nothing: a difference of counts over next to none."""
 _SALT: Final = "inteco-abs"
 """Of the names inside an SVG, which are random otherwise."""
 
@@ -166,6 +168,11 @@ def _drawn(sessions: Sequence[Session], width: Width, most: int | None = None) -
     return figure
 
 
+def _slip(rows: Array) -> Array:
+    """Where the road moves."""
+    return np.where(rows["road_speed_rad_s"] >= _AT_REST_RAD_S, rows["slip"], np.nan)
+
+
 def _part(session: Session, label: str) -> _Part:
     held = held_rows(session.ticks)
     if not len(held):
@@ -202,10 +209,10 @@ def _alone(axes: Sequence[Axes], part: _Part) -> None:
     speeds, slip, torque = axes
     speeds.plot(time_s, ticks["road_speed_rad_s"], color=_ROAD, lw=1.2, label="road wheel (car)")
     speeds.plot(time_s, ticks["wheel_speed_rad_s"], color=_WHEEL, lw=1.2, ls="--", label="braked wheel")
-    slip.plot(time_s, ticks["slip"], color=_WHEEL, lw=0.8, alpha=0.6, label="slip, estimated")
+    slip.plot(time_s, _slip(ticks), color=_WHEEL, lw=0.8, alpha=0.6, label="slip, estimated")
     torque.plot(time_s, ticks["torque_demand_nm"], color=_WHEEL, lw=0.8, alpha=0.6, label="torque, asked")
     if len(truth):
-        slip.plot(truth_s, truth["slip"], color=_ROAD, lw=1.2, label="slip, true")
+        slip.plot(truth_s, _slip(truth), color=_ROAD, lw=1.2, label="slip, true")
         torque.plot(truth_s, truth["brake_torque_nm"], color=_ROAD, lw=1.2, label="torque, true")
     slip.plot(time_s, ticks["slip_reference"], color="black", lw=1.0, ls="--", label="reference")
     slip.set_ylabel("slip [1]")
@@ -230,7 +237,7 @@ def _beside(axes: Sequence[Axes], parts: Sequence[_Part]) -> None:
         speeds.plot(time_s, ticks["wheel_speed_rad_s"], lw=0.7, **looks)
         rows = part.truth if true else ticks
         rows_s = since_s(rows, part.start_ns)
-        slip.plot(rows_s, rows["slip"], lw=1.0, **looks)
+        slip.plot(rows_s, _slip(rows), lw=1.0, **looks)
         torque.plot(rows_s, rows["brake_torque_nm" if true else "torque_demand_nm"], lw=1.0, **looks)
         slip.plot(time_s, ticks["slip_reference"], color="black", lw=0.8, ls=":")
     slip.get_lines()[-1].set_label("reference")
