@@ -12,6 +12,7 @@ from inteco_abs.cli.catalogue import controllers, estimators, profiles
 from inteco_abs.cli.completion import completion
 from inteco_abs.cli.config import config
 from inteco_abs.cli.contents import export, get
+from inteco_abs.cli.demo import demo
 from inteco_abs.cli.design import design
 from inteco_abs.cli.diff import diff
 from inteco_abs.cli.doctor import doctor
@@ -53,6 +54,7 @@ def cli(debug: bool) -> None:
 
 _VERBS: Final = (
     run,
+    demo,
     replay,
     what_if,
     golden,

@@ -10,7 +10,13 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", README, re.DOTALL)
 COMMANDS = [line.removeprefix("$ ") for kind, text in BLOCKS if kind == "console" for line in text.splitlines()]
 FILES = {text.split("\n", 1)[0].removeprefix("# "): text for kind, text in BLOCKS if kind in {"toml", "python"}}
-ENDS = {" diff stop.mcap other.mcap": {4}, " recover cut.mcap": {3}, " doctor": {0, 3}, " run --board sim: ": {0, 3}}
+ENDS = {
+    " diff stop.mcap other.mcap": {4},
+    " recover cut.mcap": {3},
+    " doctor": {0, 3},
+    " demo": {0, 3},
+    " run --board sim: ": {0, 3},
+}
 """Exit codes of commands that find differences or losses, or may be late: a stop in real time, and the doctor."""
 CHECK_ITSELF = "./tools/check"  # running it is what runs this test
 
