@@ -23,6 +23,7 @@ from inteco_abs.cli.listing import list_sessions
 from inteco_abs.cli.mock_board import mock_board
 from inteco_abs.cli.paper import paper
 from inteco_abs.cli.probe import probe
+from inteco_abs.cli.repeat import repeat
 from inteco_abs.cli.replay import replay
 from inteco_abs.cli.report import report
 from inteco_abs.cli.run import run
@@ -54,6 +55,7 @@ def cli(debug: bool) -> None:
 
 _VERBS: Final = (
     run,
+    repeat,
     demo,
     replay,
     what_if,

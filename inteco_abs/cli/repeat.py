@@ -1,0 +1,136 @@
+"""The verb `inteco-abs repeat`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import redirect_stdout
+from datetime import datetime
+from io import StringIO
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from inteco_abs.cli.run import run
+from inteco_abs.cli.shared import FILE, INTERRUPTED, LOSSES, insist_on_different, json_option, print_json
+from inteco_abs.errors import AbsError, ConfigError, Mistake
+
+_COOL_DOWN_S: Final = 30.0
+"""What the manual asks for after the brake was switched off for heat; fact sheet on the rig, section 10."""
+_OWN: Final = ("out", "figure", "as_json", "wire", "frames")
+"""Options of `run` that are for one stop."""
+_WORDS: Final = {
+    0: "completed",
+    LOSSES: "completed, with overruns or losses",
+    5: "safety stop",
+    INTERRUPTED: "interrupted",
+}
+
+
+@click.command()
+@click.argument("count", metavar="N", type=click.IntRange(1, 1000))
+@click.option("-o", "--out", "folder", type=FILE, help="Folder for the sessions; default: sessions/series-TIME.")
+@click.option(
+    "--pause",
+    "pause_s",
+    type=click.FloatRange(0.0, 3600.0),
+    help=f"Seconds for the brake to cool between stops; default: {_COOL_DOWN_S:g} on a real board, else 0.",
+)
+@click.option("--figure", type=FILE, help="Also draw all stops over one another: .png, .svg or .pdf.")
+@json_option
+@click.pass_context
+def repeat(
+    context: click.Context,
+    /,
+    count: int,
+    folder: Path | None,
+    pause_s: float | None,
+    figure: Path | None,
+    as_json: bool,
+    **choices: Any,
+) -> int:
+    """Brake N times, and say how much the stops differ.
+
+    Takes the options of `run`. Each stop is a session, and the mock board's seed rises by one from stop to stop. The
+    series ends with the first stop that is not completed, and tells what there is by then. Exit codes: that of such a
+    stop (5 safety stop, 130 interrupted), 3 if stops had overruns or losses, else 0.
+    """
+    from inteco_abs.boards import simulated
+    from inteco_abs.views.figure import check_figure
+
+    if figure is not None:
+        check_figure(figure)
+    insist_on_different({"--out": folder, "--figure": figure})
+    pause_s = pause_s if pause_s is not None else 0.0 if simulated(choices["board"]) else _COOL_DOWN_S
+    folder = _made(folder or Path("sessions") / f"series-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}")
+    try:
+        worst, paths = _brake(context, count, folder, pause_s, choices)
+    finally:
+        if not any(folder.iterdir()):
+            folder.rmdir()  # nothing was started
+    _tell(paths, figure, as_json=as_json)
+    return worst
+
+
+repeat.params.extend(parameter for parameter in run.params if parameter.name not in _OWN)
+
+
+def _brake(
+    context: click.Context, count: int, folder: Path, pause_s: float, choices: Mapping[str, Any]
+) -> tuple[int, list[Path]]:
+    """The series: the worst exit code, and the sessions that there are."""
+    worst, paths = 0, []
+    for number in range(count):
+        if number and pause_s:
+            click.echo(f"{pause_s:g} s for the brake to cool; Ctrl-C ends the series", err=True)
+            try:
+                time.sleep(pause_s)
+            except KeyboardInterrupt:
+                return INTERRUPTED, paths
+        path = folder / f"stop-{number + 1:0{len(str(count))}}.mcap"
+        stop = {**choices, "seed": choices["seed"] + number, "out": path, "as_json": True}
+        with redirect_stdout(StringIO()):  # one card each would be too much
+            code = context.invoke(run, **stop)
+        if path.exists():
+            paths.append(path)
+        click.echo(f"{path}: {_WORDS.get(code, f'ended with exit code {code}')}", err=True)
+        worst = max(worst, code)
+        if code not in {0, LOSSES}:
+            break
+    return worst, paths
+
+
+def _made(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        problem = f"{folder}: cannot be made ({error.strerror}); name a folder that does not exist"
+        raise ConfigError([Mistake("--out", problem)]) from error
+    return folder
+
+
+def _tell(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
+    """Statistics over the stops that there are, and their curves."""
+    from rich.console import Console
+
+    from inteco_abs.sessions import read_session
+    from inteco_abs.sessions.result import card_of
+    from inteco_abs.sessions.series import statistics
+    from inteco_abs.views.series import draw_series, render_series
+
+    sessions = [read_session(path) for path in paths]
+    cards = [card for card in map(card_of, sessions) if card is not None]
+    spreads = statistics(cards)
+    if as_json:
+        facts = {name: spread._asdict() for name, spread in spreads.items()}
+        print_json({"schema_version": 1, "stops": cards, "statistics": facts})
+    else:
+        Console().print(render_series(spreads))
+    if figure is not None:
+        try:
+            draw_series(sessions, figure)
+        except AbsError as error:  # how the stops went matters more than their picture
+            click.echo(f"inteco-abs: {error}", err=True)
+        else:
+            click.echo(f"figure: {figure}", err=True)

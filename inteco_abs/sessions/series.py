@@ -1,0 +1,58 @@
+"""What a series of stops has in common: the spread of each metric over its result cards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from statistics import fmean, stdev
+from typing import Any, Final, NamedTuple
+
+METRICS: Final = (
+    "start_speed_rad_s",
+    "reaching_time_s",
+    "band_entry_s",
+    "stop_time_s",
+    "stop_distance_m",
+    "slip_rms_true",
+    "slip_rms_estimated",
+    "lock_fraction",
+    "torque_variation_nm_per_s",
+    "duty_variation_per_s",
+)
+"""Keys of the card; their units are in the names, without one they are shares of 1."""
+
+
+class Spread(NamedTuple):
+    """Of one metric over the stops that have it."""
+
+    stops: int
+    mean: float
+    deviation: float | None
+    """Standard deviation of a stop, n - 1 in the denominator; None for a single one."""
+    smallest: float
+    largest: float
+    drift: float | None
+    """Slope of the least squares line over the number of the stop, per stop; None for fewer than three."""
+
+
+def statistics(cards: Sequence[Mapping[str, Any]]) -> dict[str, Spread]:
+    """By metric; one that no stop has is left out."""
+    found = {}
+    for name in METRICS:
+        points = [(number, card[name]) for number, card in enumerate(cards) if card.get(name) is not None]
+        if points:
+            found[name] = _spread(points)
+    return found
+
+
+def _spread(points: Sequence[tuple[int, float]]) -> Spread:
+    values = [value for _, value in points]
+    deviation = stdev(values) if len(values) > 1 else None
+    return Spread(len(values), fmean(values), deviation, min(values), max(values), _slope(points))
+
+
+def _slope(points: Sequence[tuple[int, float]]) -> float | None:
+    if len(points) < 3:
+        return None
+    middle, mean = fmean(number for number, _ in points), fmean(value for _, value in points)
+    moments = sum((number - middle) * (value - mean) for number, value in points)
+    return moments / sum((number - middle) ** 2 for number, _ in points)

@@ -1,0 +1,77 @@
+"""A series of stops: its statistics on a terminal, and its curves over one another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from inteco_abs.errors import AbsError
+from inteco_abs.sessions import Session
+from inteco_abs.sessions.series import Spread
+from inteco_abs.views.beside import held_rows, since_s, start_ns
+from inteco_abs.views.figure import check_figure, save_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_HEADINGS: Final = ("n", "mean", "std dev", "smallest", "largest", "per stop")
+_BEFORE_S: Final = 0.2
+_PANELS: Final = (
+    ("wheel_speed_rad_s", "wheel speed [rad/s]"),
+    ("slip", "slip, estimated [1]"),
+    ("brake", "brake duty [1]"),
+)
+_AT_REST_RAD_S: Final = 1.0
+
+
+def render_series(spreads: Mapping[str, Spread]) -> Table:
+    """A line for each metric: of how many stops, their spread, and by how much it drifts from stop to stop."""
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("metric", no_wrap=True)
+    for heading in _HEADINGS:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, (stops, *numbers) in spreads.items():
+        table.add_row(name, str(stops), *("-" if number is None else f"{number:.3g}" for number in numbers))
+    return table
+
+
+def draw_series(sessions: Sequence[Session], path: Path) -> None:
+    """Wheel speed, estimated slip and brake duty of each stop since it began, from the first, dark, to the last, light.
+
+    To `path` (.png, .svg or .pdf). Sessions that never braked are left out; raises AbsError if none did.
+    """
+    check_figure(path)
+    from matplotlib import colormaps  # noqa: PLC0415  heavy, and an extra
+    from matplotlib.figure import Figure  # noqa: PLC0415  likewise
+
+    braked = [session for session in sessions if len(held_rows(session.ticks))]
+    if not braked:
+        raise AbsError("none of the stops of the series came to braking; there is nothing to draw")
+    figure = Figure((7.1, 6.5), layout="constrained")
+    panels = figure.subplots(len(_PANELS), sharex=True)
+    colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(braked)))
+    for number, (session, colour) in enumerate(zip(braked, colours, strict=True), 1):
+        label = f"{number} of {len(braked)}" if number in {1, len(braked)} else None
+        _draw(panels, session, color=colour, lw=0.8, alpha=0.8, label=label)
+    for panel, (_, label) in zip(panels, _PANELS, strict=True):
+        panel.set_ylabel(label)
+        panel.grid(alpha=0.3)
+    panels[0].legend(loc="upper right", frameon=False, fontsize="small", title="stop")
+    panels[1].set_ylim(0.0, 1.02)
+    panels[-1].set_xlabel("time since braking began [s]")
+    save_figure(figure, path)
+
+
+def _draw(panels: Sequence[Axes], session: Session, **look: Any) -> None:
+    ticks = session.ticks
+    time_s = since_s(ticks, start_ns(session))
+    shown = (time_s >= -_BEFORE_S) & (np.arange(len(ticks)) <= held_rows(ticks)[-1])
+    moves = ticks["road_speed_rad_s"] >= _AT_REST_RAD_S
+    for panel, (name, _) in zip(panels, _PANELS, strict=True):
+        values = np.where(moves, ticks[name], np.nan) if name == "slip" else ticks[name]
+        panel.plot(time_s[shown], values[shown], **look)

@@ -1,0 +1,96 @@
+"""The verb `inteco-abs repeat`."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+from inteco_abs.sessions import read_session
+from inteco_abs.sessions.series import METRICS, statistics
+
+QUICK = ("--virtual", "--set", "experiment.start_speed_rad_s=20", "--set", "experiment.hold_s=0.05")
+
+FAILS_THE_SECOND_TIME = """
+from inteco_abs.signals import BrakeDemand
+class Law:
+    gains = ()
+    internals = ()
+    made = 0
+    def __init__(self, setup):
+        Law.made += 1
+    def update(self, estimate, dt_s):
+        import pathlib
+        if pathlib.Path("series/stop-1.mcap").exists() and pathlib.Path("series/stop-2.mcap").exists():
+            raise RuntimeError("brake hot")
+        return BrakeDemand(0.7)
+"""
+
+
+def test_each_stop_is_that_of_run_with_its_own_seed(main_here, tmp_path):
+    told = json.loads(main_here("repeat", 3, *QUICK, "--seed", 5, "-o", "series", "--json", check=0).stdout)
+    for number in range(3):
+        main_here("run", *QUICK, "--seed", 5 + number, "--out", f"{number}.mcap", "--json", check=0)
+        again = read_session(tmp_path / f"{number}.mcap")
+        assert read_session(tmp_path / "series" / f"stop-{number + 1}.mcap").payload == again.payload
+    times = [card["stop_time_s"] for card in told["stops"]]
+    assert told["statistics"]["stop_time_s"]["mean"] == pytest.approx(np.mean(times), rel=1e-12)
+    assert told["statistics"]["stop_time_s"]["stops"] == 3
+
+
+def test_a_safety_stop_ends_the_series_and_the_rest_is_told(main_here, tmp_path):
+    (tmp_path / "law.py").write_text(FAILS_THE_SECOND_TIME)
+    run = main_here("repeat", 4, *QUICK, "--controller", "law.py:Law", "-o", "series", "--figure", "all.svg")
+    assert run.returncode == 5
+    assert "stop-2.mcap: safety stop" in run.stderr
+    assert sorted(path.name for path in (tmp_path / "series").iterdir()) == ["stop-1.mcap", "stop-2.mcap"]
+    assert "stop_time_s" in run.stdout
+    assert (tmp_path / "all.svg").read_text().startswith("<?xml")
+
+
+def test_an_interrupt_while_the_brake_cools_ends_the_series(main_here, monkeypatch):
+    slept = []
+
+    def interrupted(seconds):
+        slept.append(seconds)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(time, "sleep", interrupted)
+    run = main_here("repeat", 3, *QUICK, "-o", "series", "--pause", 7, "--json")
+    assert (run.returncode, slept) == (130, [7.0])
+    assert len(json.loads(run.stdout)["stops"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("0", *QUICK), "0"),
+        (("2", *QUICK, "-o", "."), "does not exist"),
+        (("2", *QUICK, "-o", "series", "--controller", "quantum"), "quantum"),
+        (("2", *QUICK, "-o", "series", "--figure", "all.bmp"), ".png"),
+        (("2", *QUICK, "--out", "x", "--record-wire", "y"), "--record-wire"),
+    ],
+)
+def test_wrong_input_leaves_nothing_behind(main_here, tmp_path, arguments, words):
+    run = main_here("repeat", *arguments, check=2)
+    assert words in run.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_statistics_are_those_of_numpy():
+    generator = np.random.default_rng(1)
+    values = generator.normal(1.4, 0.1, 12)
+    cards = [{**dict.fromkeys(METRICS), "stop_time_s": value} for value in values.tolist()]
+    cards[4]["stop_time_s"] = None
+    kept = np.delete(np.arange(12), 4)
+    (name, spread), *others = statistics(cards).items()
+    assert (name, others, spread.stops) == ("stop_time_s", [], 11)
+    assert spread.mean == pytest.approx(values[kept].mean(), rel=1e-12)
+    assert spread.deviation == pytest.approx(values[kept].std(ddof=1), rel=1e-12)
+    assert spread.drift == pytest.approx(np.polyfit(kept, values[kept], 1)[0], rel=1e-9)
+    assert (spread.smallest, spread.largest) == (values[kept].min(), values[kept].max())
+
+
+def test_one_stop_has_no_deviation_and_no_drift():
+    spread = statistics([{"stop_time_s": 1.5}])["stop_time_s"]
+    assert (spread.mean, spread.deviation, spread.drift) == (1.5, None, None)
