@@ -1,0 +1,1 @@
+"""The vendor's identification procedure as software."""
