@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -21,6 +21,7 @@ _SPEED_WINDOW_S: Final = 0.020
 _SLOWEST_RAD_S: Final[dict[Kind, float]] = {"run-up": 0.0, "coast-down": 1.0, "braking": 3.0}
 """Of the road: below, a segment ends. There, slip has no meaning and counts come one by one."""
 _FEWEST_SAMPLES: Final = 50
+_MOST_RUN_UPS: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,3 +107,13 @@ def segments(session: Session, counts_per_turn: int) -> Iterator[Segment]:
         found = segment(session.path.name, kind, counts_per_turn, time_s, counts, (drive, brake))
         if found is not None:
             yield found
+
+
+def chosen(found: Iterable[Segment]) -> list[Segment]:
+    """Those that are worth their time: run-ups are all alike, and two of them say what all do."""
+    kept, run_ups = [], 0
+    for each in found:
+        run_ups += each.kind == "run-up"
+        if each.kind != "run-up" or run_ups <= _MOST_RUN_UPS:
+            kept.append(each)
+    return kept

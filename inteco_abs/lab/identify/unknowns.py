@@ -84,7 +84,7 @@ class Beliefs:
             Unknown("w3/w4", k.w3 / k.w4, 0.5, log=False),
             Unknown("a", k.a, 1.0),
             Unknown("p", k.p, 0.1),
-            Unknown("lag", lag, 1.0),
+            Unknown("lag", lag, 0.05, log=False),
             Unknown("dead_time", 0.01, 0.02, log=False),
             *(Unknown(torque_name(duty), measured_torque(duty), 3.0, log=False) for duty in self.levels),
         )
@@ -137,7 +137,7 @@ class Beliefs:
             w4=w4,
             a=values["a"],
             p=values["p"],
-            c31=1.0 / values["lag"],
+            c31=1.0 / max(values["lag"], _SHORTEST_LAG_S),
         )
 
     def variation(self, values: Mapping[str, float]) -> RigVariation:
@@ -150,3 +150,5 @@ _LEAST: Final = 0.01
 """Share of what is believed that is always left of what is a difference of others."""
 _LONGEST_DEAD_TIME_S: Final = 0.2
 """As a `RigVariation` may have it."""
+_SHORTEST_LAG_S: Final = 1e-4
+"""As good as none, which a brake without lag has."""
