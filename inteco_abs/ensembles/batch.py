@@ -24,8 +24,8 @@ class BatchPlant:
     """The rigs of `variations`, started at the given road speeds in rad/s with the brake released.
 
     The wheels roll without slip where `wheel_speed` is not given. Every argument and result has one entry per rig,
-    in their order; a single number, or motor, stands for all. The state arrays are views that move on with the rigs: copy what
-    is to be kept. The physics is that of `Plant`, at the same steps; each call of `advance` is one tick for the
+    in their order; a single number, or motor, stands for all. The state arrays are views that move on with the rigs:
+    copy what is to be kept. The physics is that of `Plant`, at the same steps; each call of `advance` is one tick for the
     `command_delay_ticks` of the variations. The compiled steps hold no lock, so that shards may run in threads.
     """
 

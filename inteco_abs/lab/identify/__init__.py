@@ -5,7 +5,7 @@ What counts can tell and what they cannot is explained in `unknowns`.
 
 from inteco_abs.lab.identify.estimates import SLIPS, Estimate, Identification, identify
 from inteco_abs.lab.identify.plan import Experiment, experiments
-from inteco_abs.lab.identify.segments import Segment, segment, segments
+from inteco_abs.lab.identify.segments import Segment, chosen, segment, segments
 from inteco_abs.lab.identify.unknowns import ASSUMED, torque_name
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "Experiment",
     "Identification",
     "Segment",
+    "chosen",
     "experiments",
     "identify",
     "segment",

@@ -53,7 +53,8 @@ class Estimate:
 
     def facts(self) -> dict[str, Any]:
         """For JSON."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+        facts = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return facts | {"published": None if math.isnan(self.published) else self.published}
 
 
 class _Told:
@@ -210,10 +211,11 @@ def _brake_map(points: Sequence[tuple[float, float]], base: RigParameters) -> di
     for duty, torque in points:
         duties.append(duty)
         torques.append(max(torque, torques[-1] + _LEAST_SLOPE_NM))
-    working = [(u, M) for u, M in zip(duties, torques, strict=True) if M >= _WORKING_SHARE * torques[-1]]
+    least = _WORKING_SHARE * torques[-1]
+    working = [(duty, torque) for duty, torque in zip(duties, torques, strict=True) if torque >= least]
     own: dict[str, Any] = {"brake_duties": duties, "brake_torques_nm": torques}
     if len(working) > 1:
-        b1, b2 = np.polyfit(*zip(*working, strict=True), 1)
+        b1, b2 = np.polyfit([duty for duty, _ in working], [torque for _, torque in working], 1)
         if b1 > 0.0:
             own |= {"b1": float(b1), "b2": float(b2), "u0": float(min(max(-b2 / b1, 0.0), 0.99))}
     return own

@@ -19,7 +19,7 @@ Wheel = Literal["wheel", "road"]
 _FIRST_NOISE_COUNTS: Final = 30.0
 _ROUNDS: Final = 2
 """The second weighs the channels by what the first has left of them."""
-_MOST_EVALUATIONS: Final = 25
+_MOST_EVALUATIONS: Final = 60
 _TOLERANCE: Final = 1e-5
 _SPEED_SD_RAD_S: Final = 5.0
 """Of the speeds with which a segment begins, beyond what its first counts tell."""
@@ -116,10 +116,10 @@ def fit(segments: Sequence[Segment], beliefs: Beliefs) -> Fit:
     free = problem.free
     information = jacobian.T @ jacobian
     inverse = np.linalg.inv(information[np.ix_(free, free)])
-    before = np.linalg.inv(beliefs.weights.T @ beliefs.weights)
+    before: Floats = np.linalg.inv(beliefs.weights.T @ beliefs.weights)
     moved = np.eye(len(information))[:, : len(ASSUMED)]
     moved[free] = -inverse @ information[np.ix_(free, ~free)]
-    covariance = moved @ before[: len(ASSUMED), : len(ASSUMED)] @ moved.T
+    covariance: Floats = moved @ before[: len(ASSUMED), : len(ASSUMED)] @ moved.T
     covariance[np.ix_(free, free)] += inverse
     whole = problem.whole(found)
     left = tuple(problem.left(found))
@@ -158,8 +158,7 @@ class _Problem:
         parts = []
         for segment, its_channels, own in self._each():
             simulated = self._simulated(segment, x[None, :], own)
-            for channel in its_channels:
-                parts.append((channel, channel.free(channel.counts - simulated[channel.wheel])[0]))
+            parts += [(each, each.free(each.counts - simulated[each.wheel])[0]) for each in its_channels]
         return parts
 
     def jacobian(self, found: Floats) -> Floats:

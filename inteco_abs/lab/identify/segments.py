@@ -56,7 +56,12 @@ class Segment:
 
 
 def segment(
-    session: str, kind: Kind, counts_per_turn: int, time_s: Floats, counts: tuple[Floats, Floats], duties: tuple[Floats, Floats]
+    session: str,
+    kind: Kind,
+    counts_per_turn: int,
+    time_s: Floats,
+    counts: tuple[Floats, Floats],
+    duties: tuple[Floats, Floats],
 ) -> Segment | None:
     """From everything between two changes of phase; None where nothing is left that is fast and long enough.
 
