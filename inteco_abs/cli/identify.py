@@ -103,7 +103,7 @@ def _tell(found: Identification, out: Path | None, figure: Path | None, *, as_js
     if figure is not None:
         from inteco_abs.views.identify_figure import draw_residuals
 
-        draw_residuals(found, figure)
+        draw_residuals(found.traces(), figure)
         click.echo(f"figure: {figure}", err=True)
     for each in found.missing:
         click.echo(f"inteco-abs: not identified: {each.name}: {each.why}", err=True)

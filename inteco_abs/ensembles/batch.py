@@ -25,8 +25,8 @@ class BatchPlant:
 
     The wheels roll without slip where `wheel_speed` is not given. Every argument and result has one entry per rig,
     in their order; a single number, or motor, stands for all. The state arrays are views that move on with the rigs:
-    copy what is to be kept. The physics is that of `Plant`, at the same steps; each call of `advance` is one tick for the
-    `command_delay_ticks` of the variations. The compiled steps hold no lock, so that shards may run in threads.
+    copy what is to be kept. The physics is that of `Plant`, at the same steps; each call of `advance` is one tick for
+    the `command_delay_ticks` of the variations. The compiled steps hold no lock, so that shards may run in threads.
     """
 
     def __init__(

@@ -2,41 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, Final
 
-from inteco_abs.lab.identify import Identification
 from inteco_abs.views.figure import COLOURS, check_figure, save_figure
 
-_COLUMNS = 3
+_COLUMNS: Final = 3
+_OF_WHEEL: Final = {"wheel": COLOURS[0], "road": COLOURS[1]}
 
 
-def draw_residuals(found: Identification, path: Path) -> None:
-    """Draw measured minus simulated counts of each segment to `path` (.png, .svg or .pdf).
+def draw_residuals(traces: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Draw measured minus simulated counts, a panel for each segment, to `path` (.png, .svg or .pdf).
 
     Raises ConfigError for a path that cannot be drawn to, AbsError without matplotlib.
     """
     check_figure(path)
     from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
 
-    segments = list({id(channel.segment): channel.segment for channel, _ in found.fit.left}.values())
+    segments = list(dict.fromkeys(trace["segment"] for trace in traces))
     rows = -(-len(segments) // _COLUMNS)
     figure = Figure(figsize=(3.4 * _COLUMNS, 2.1 * rows + 0.6), layout="constrained")
-    panels = figure.subplots(rows, _COLUMNS, squeeze=False).flat
-    for panel, segment in zip(panels, segments, strict=False):
-        time_s = segment.time_s[segment.compared]
-        for channel, left in found.fit.left:
-            if channel.segment is segment:
-                colour = COLOURS[0] if channel.wheel == "wheel" else COLOURS[1]
-                panel.plot(time_s, left, color=colour, lw=0.6, label=channel.wheel)
-        panel.set_title(f"{segment.session}, {segment.kind}", fontsize="small")
+    panels = list(figure.subplots(rows, _COLUMNS, squeeze=False).flat)
+    by_segment = dict(zip(segments, panels, strict=False))
+    lines = {}
+    for trace in traces:
+        wheel, panel = trace["wheel"], by_segment[trace["segment"]]
+        (lines[wheel],) = panel.plot(trace["time_s"], trace["left_counts"], color=_OF_WHEEL[wheel], lw=0.6)
+        panel.set_title(trace["segment"], fontsize="small")
         panel.grid(alpha=0.3)
-    for panel in list(panels)[len(segments) :]:
+    for panel in panels[len(segments) :]:
         panel.set_visible(False)
-    first = figure.axes[0]
-    first.set_ylabel("measured - simulated [counts]")
-    first.set_xlabel("time in the segment [s]")
-    handles = {
-        label: handle for axes in figure.axes for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(handles.values(), handles, loc="outside upper right", ncols=2, frameon=False, fontsize="small")
+    figure.supylabel("measured - simulated [counts]", fontsize="medium")
+    figure.supxlabel("time in the segment [s]", fontsize="medium")
+    figure.legend(list(lines.values()), list(lines), loc="outside upper right", ncols=2, frameon=False)
     save_figure(figure, path)

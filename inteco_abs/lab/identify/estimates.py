@@ -96,6 +96,18 @@ class Identification:
             ],
         }
 
+    def traces(self) -> list[dict[str, Any]]:
+        """What is left unexplained, for a figure: measured minus simulated counts, by segment and wheel."""
+        return [
+            {
+                "segment": f"{channel.segment.session}, {channel.segment.kind}",
+                "wheel": channel.wheel,
+                "time_s": channel.segment.time_s[channel.segment.compared],
+                "left_counts": left,
+            }
+            for channel, left in self.fit.left
+        ]
+
     def to_toml(self) -> str:
         """The section [model.identified]; what was not identified is left out, and stays as published."""
         told = {each.name: each for each in self.estimates}

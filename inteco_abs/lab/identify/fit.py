@@ -116,10 +116,10 @@ def fit(segments: Sequence[Segment], beliefs: Beliefs) -> Fit:
     free = problem.free
     information = jacobian.T @ jacobian
     inverse = np.linalg.inv(information[np.ix_(free, free)])
-    before: Floats = np.linalg.inv(beliefs.weights.T @ beliefs.weights)
+    before = np.asarray(np.linalg.inv(beliefs.weights.T @ beliefs.weights), np.float64)
     moved = np.eye(len(information))[:, : len(ASSUMED)]
     moved[free] = -inverse @ information[np.ix_(free, ~free)]
-    covariance: Floats = moved @ before[: len(ASSUMED), : len(ASSUMED)] @ moved.T
+    covariance = np.asarray(moved @ before[: len(ASSUMED), : len(ASSUMED)] @ moved.T, np.float64)
     covariance[np.ix_(free, free)] += inverse
     whole = problem.whole(found)
     left = tuple(problem.left(found))
