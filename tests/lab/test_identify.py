@@ -128,7 +128,7 @@ def test_the_figure_shows_what_is_left(sessions, tmp_path):
     [
         ((), "name at least one session"),
         (("--plan", "a.mcap"), "records sessions, and takes none"),
-        (("a.mcap", "--assume", "J3=5%"), "no number that is assumed; did you mean"),
+        (("a.mcap", "--assume", "J3=5%"), "no number that is assumed; known: J1"),
         (("a.mcap", "--assume", "J1=0.05"), "must look like J1=5%"),
         (("a.mcap", "-o", "a.txt"), "must end in .toml"),
         (("--plan", "--board", "usb2:", "--rig", "hard:1"), "is a real board"),

@@ -20,7 +20,7 @@ _FIRST_NOISE_COUNTS: Final = 30.0
 _ROUNDS: Final = 2
 """The second weighs the channels by what the first has left of them."""
 _MOST_EVALUATIONS: Final = 60
-_TOLERANCE: Final = 1e-5
+_TOLERANCE: Final = 1e-4
 _SPEED_SD_RAD_S: Final = 5.0
 """Of the speeds with which a segment begins, beyond what its first counts tell."""
 _STEP: Final = 1e-5

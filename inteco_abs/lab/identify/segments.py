@@ -15,7 +15,7 @@ from inteco_abs.signals import Phase
 Floats = npt.NDArray[np.float64]
 Kind = Literal["run-up", "coast-down", "braking"]
 
-SAMPLE_S: Final[dict[Kind, float]] = {"run-up": 0.010, "coast-down": 0.020, "braking": 0.002}
+SAMPLE_S: Final[dict[Kind, float]] = {"run-up": 0.020, "coast-down": 0.050, "braking": 0.004}
 """Time between two samples that are compared with the model: there are more than are needed."""
 _SPEED_WINDOW_S: Final = 0.020
 _SLOWEST_RAD_S: Final[dict[Kind, float]] = {"run-up": 0.0, "coast-down": 1.0, "braking": 3.0}
