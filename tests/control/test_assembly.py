@@ -10,6 +10,7 @@ from inteco_abs.control import (
     build_pipeline,
     control_check,
     gains_in_force,
+    make_controller,
     preferred_estimator,
 )
 from inteco_abs.errors import ConfigError

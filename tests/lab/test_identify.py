@@ -149,6 +149,20 @@ def test_a_dry_run_tells_every_run_and_starts_none(tmp_path, monkeypatch, capsys
     assert not list(Path().iterdir())
 
 
+def test_the_plan_is_recorded_run_by_run_and_ends_with_the_first_that_is_stopped(tmp_path, capsys):
+    late = ("--set", "experiment.spin_up_timeout_s=0.1")
+    assert identify("--plan", "--virtual", *late, "-o", tmp_path) == 5
+    assert [file.name for file in tmp_path.iterdir()] == ["coast.mcap"]
+    assert "coast: fault: the start speed was not reached in time" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_the_whole_plan_is_recorded(tmp_path):
+    slow = ("--set", "experiment.start_speed_rad_s=20")
+    assert identify("--plan", "--virtual", *slow, "-o", tmp_path) == 0
+    assert {file.stem for file in tmp_path.iterdir()} == {each.name for each in experiments(1.0)}
+
+
 def test_the_plan_keeps_to_the_guards_limit():
     duties = [float(each.name[-3:]) / 100 for each in experiments(0.7) if each.name.startswith("stop-")]
     assert max(duties) == 0.7
