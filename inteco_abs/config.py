@@ -169,22 +169,39 @@ class IdentifiedConfig(_Section):
     """A lab's own numbers, as `inteco-abs identify` writes them: in SI units, in place of the published ones."""
 
     J1: _Positive | None = None
+    """Moment of inertia of the braked wheel, kg m2."""
     J2: _Positive | None = None
+    """Of the road wheel, kg m2."""
     d1: _Positive | None = None
+    """Viscous friction of the braked wheel, N m s."""
     d2: _Positive | None = None
+    """Of the road wheel, N m s."""
     M10: _Positive | None = None
+    """Static friction of the braked wheel, N m."""
     M20: _Positive | None = None
+    """Of the road wheel, N m."""
     Mg: _Positive | None = None
+    """Torque of gravity and shock absorber on the lever, N m."""
     w1: _Any | None = None
+    """Friction curve (8), linear term."""
     w2: _Any | None = None
+    """Its quadratic term."""
     w3: _Any | None = None
+    """Its cubic term."""
     w4: _Any | None = None
+    """Its saturating term, height."""
     a: _Positive | None = None
+    """Position of that term."""
     p: _Positive | None = None
+    """Exponent of that term."""
     c31: _Positive | None = None
+    """Rate of the brake's lag, 1/s."""
     b1: _Positive | None = None
+    """Brake's static map as a straight line, N m per unit duty."""
     b2: _Any | None = None
+    """Offset of that line, N m."""
     u0: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
+    """Duty below which that line gives no torque."""
     brake_duties: Annotated[list[Annotated[float, Field(ge=0.0, le=1.0)]], Field(min_length=2)] | None = None
     """Points of the brake's static map, rising; for the observer and `predictive-reaching`."""
     brake_torques_nm: Annotated[list[Annotated[float, Field(ge=0.0, le=100.0)]], Field(min_length=2)] | None = None
@@ -192,9 +209,9 @@ class IdentifiedConfig(_Section):
     brake_dead_time_s: Annotated[float, Field(ge=0.0, le=0.2)] | None = None
     """For the observer, which believes no brake outside of 2 to 30 ms."""
     drive_stall_torque_nm: _Positive | None = None
-    """Of the drive motor; no controller uses it."""
+    """Of the drive motor, N m; no controller uses it."""
     drive_no_load_speed_rad_s: _Positive | None = None
-    """Likewise."""
+    """Of the drive motor; no controller uses it."""
 
 
 class ModelConfig(_Section):
