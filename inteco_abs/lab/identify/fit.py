@@ -16,10 +16,9 @@ from inteco_abs.lab.identify.unknowns import ASSUMED, Beliefs, torque_name
 
 Wheel = Literal["wheel", "road"]
 
-_FIRST_NOISE_COUNTS: Final = 30.0
-_ROUNDS: Final = 2
-"""The second weighs the channels by what the first has left of them."""
-_MOST_EVALUATIONS: Final = 60
+_NOISE_COUNTS: Final = (300.0, 30.0, 5.0, 1.0)
+"""Of every residual, round by round: the first, in which little is known, must not trust the counts too finely."""
+_MOST_EVALUATIONS: Final = 40
 _TOLERANCE: Final = 1e-4
 _SPEED_SD_RAD_S: Final = 5.0
 """Of the speeds with which a segment begins, beyond what its first counts tell."""
@@ -34,9 +33,9 @@ _DEPENDS: Final[Mapping[str, tuple[str, ...]]] = {
 """What moves the wheels in each kind of segment, besides the brake's torques. The scale never does."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Channel:
-    """One wheel's counts in one segment: what is compared, and how much it counts.
+    """One wheel's counts in one segment.
 
     Only the road's where the wheels roll: how much the wheel creeps there depends on radii and contact more finely
     than they are known.
@@ -47,8 +46,6 @@ class Channel:
     counts: Floats
     basis: Floats
     """Orthonormal: a constant, and a disc off centre. No count says where the encoder began."""
-    noise: float = _FIRST_NOISE_COUNTS
-    """Standard deviation of a residual in counts, the neighbours that go with it reckoned in."""
 
     @property
     def name(self) -> str:
@@ -94,12 +91,39 @@ class Fit:
 def fit(segments: Sequence[Segment], beliefs: Beliefs) -> Fit:
     """Least squares of count residuals and of what is believed, each over its standard deviation.
 
+    All counts weigh the same: weighed by what is left of them, what the model explains badly would be explained still
+    worse. How uncertain that leaves the numbers is reckoned from what is really left, neighbours that hang together
+    included (the covariance that Huber and White have for wrong weights).
+
     What is assumed is kept as it is. What it does to the rest is added to their covariance: with H = jacobian' *
     jacobian, a change of what is assumed (a) moves what is found (f) by S = -H_ff^-1 * H_fa.
     """
+    rolling = _Problem([each for each in segments if each.kind != "braking"], beliefs)
+    begun, _ = _searched(rolling, rolling.start)
     problem = _Problem(segments, beliefs)
-    found, converged = problem.start, False
-    for _ in range(_ROUNDS):
+    start, told = problem.start, len(beliefs.unknowns) - len(ASSUMED)
+    start[:told] = begun[:told]
+    found, converged = _searched(problem, start)
+    jacobian, count = problem.slopes(found, assumed=True), len(beliefs.unknowns)
+    free = problem.free
+    information = jacobian.T @ jacobian
+    inverse = np.linalg.inv(information[np.ix_(free, free)])
+    before = np.asarray(np.linalg.inv(beliefs.weights.T @ beliefs.weights), np.float64)
+    moved = np.eye(len(information))[:, : len(ASSUMED)]
+    moved[free] = -inverse @ information[np.ix_(free, ~free)]
+    covariance = np.asarray(moved @ before[: len(ASSUMED), : len(ASSUMED)] @ moved.T, np.float64)
+    whole = problem.whole(found)
+    left = tuple(problem.left(found))
+    real = [np.full(len(each), _effective_deviation(each) / problem.noise) for _, each in left]
+    scattered = jacobian[:, free] * np.concatenate([*real, np.ones(len(whole))])[:, None]
+    covariance[np.ix_(free, free)] += inverse @ (scattered.T @ scattered) @ inverse
+    return Fit(beliefs, whole[:count], covariance[:count, :count], before, left, converged)
+
+
+def _searched(problem: _Problem, start: Floats) -> tuple[Floats, bool]:
+    """The best numbers from `start` on, and whether the search came to an end."""
+    found, converged = start, False
+    for problem.noise in _NOISE_COUNTS:
         outcome = least_squares(
             problem.residuals,
             found,
@@ -111,19 +135,7 @@ def fit(segments: Sequence[Segment], beliefs: Beliefs) -> Fit:
             max_nfev=_MOST_EVALUATIONS,
         )
         found, converged = outcome.x, bool(outcome.success)
-        problem.weigh(found)
-    jacobian, count = problem.slopes(found, assumed=True), len(beliefs.unknowns)
-    free = problem.free
-    information = jacobian.T @ jacobian
-    inverse = np.linalg.inv(information[np.ix_(free, free)])
-    before = np.asarray(np.linalg.inv(beliefs.weights.T @ beliefs.weights), np.float64)
-    moved = np.eye(len(information))[:, : len(ASSUMED)]
-    moved[free] = -inverse @ information[np.ix_(free, ~free)]
-    covariance = np.asarray(moved @ before[: len(ASSUMED), : len(ASSUMED)] @ moved.T, np.float64)
-    covariance[np.ix_(free, free)] += inverse
-    whole = problem.whole(found)
-    left = tuple(problem.left(found))
-    return Fit(beliefs, whole[:count], covariance[:count, :count], before, left, converged)
+    return found, converged
 
 
 class _Problem:
@@ -131,6 +143,8 @@ class _Problem:
 
     def __init__(self, segments: Sequence[Segment], beliefs: Beliefs) -> None:
         self._beliefs = beliefs
+        self.noise = _NOISE_COUNTS[0]
+        """Standard deviation of a residual in counts."""
         self._segments = [(each, channels(each)) for each in segments]
         started = [each.start_speeds() for each, _ in self._segments if each.kind != "run-up"]
         speeds = [speed for pair in started for speed in pair]
@@ -149,7 +163,7 @@ class _Problem:
 
     def residuals(self, found: Floats) -> Floats:
         """All of them."""
-        parts = [left / channel.noise for channel, left in self.left(found)]
+        parts = [left / self.noise for _, left in self.left(found)]
         return np.concatenate([*parts, self._weights @ (self.whole(found) - self._believed)])
 
     def left(self, found: Floats) -> list[tuple[Channel, Floats]]:
@@ -178,14 +192,9 @@ class _Problem:
             for channel in its_channels:
                 counts = simulated[channel.wheel]
                 block = np.zeros((counts.shape[1], len(x)))
-                block[:, places] = channel.free(counts[0] - counts[1:]).T / (_STEP * channel.noise)
+                block[:, places] = channel.free(counts[0] - counts[1:]).T / (_STEP * self.noise)
                 blocks.append(block)
         return np.concatenate([*blocks, self._weights])
-
-    def weigh(self, found: Floats) -> None:
-        """Give each channel the deviation that its residuals have."""
-        for channel, left in self.left(found):
-            channel.noise = _effective_deviation(left)
 
     def _each(self) -> Iterator[tuple[Segment, list[Channel], tuple[int, ...]]]:
         """Segments, their channels, and the places of their own two speeds, if any."""
