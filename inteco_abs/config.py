@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from copy import deepcopy
 from datetime import date
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
@@ -160,11 +161,66 @@ class LoopConfig(_Section):
     """Length of the shared memory for ticks in real time; 0: the longest that the experiment can take, up to 120 s."""
 
 
+_Positive = Annotated[float, Field(gt=0.0, le=1e6)]
+_Any = Annotated[float, Field(ge=-1e3, le=1e3)]
+
+
+class IdentifiedConfig(_Section):
+    """A lab's own numbers, as `inteco-abs identify` writes them: in SI units, in place of the published ones."""
+
+    J1: _Positive | None = None
+    """Moment of inertia of the braked wheel, kg m2."""
+    J2: _Positive | None = None
+    """Of the road wheel, kg m2."""
+    d1: _Positive | None = None
+    """Viscous friction of the braked wheel, N m s."""
+    d2: _Positive | None = None
+    """Of the road wheel, N m s."""
+    M10: _Positive | None = None
+    """Static friction of the braked wheel, N m."""
+    M20: _Positive | None = None
+    """Of the road wheel, N m."""
+    Mg: _Positive | None = None
+    """Torque of gravity and shock absorber on the lever, N m."""
+    w1: _Any | None = None
+    """Friction curve (8), linear term."""
+    w2: _Any | None = None
+    """Its quadratic term."""
+    w3: _Any | None = None
+    """Its cubic term."""
+    w4: _Any | None = None
+    """Its saturating term, height."""
+    a: _Positive | None = None
+    """Position of that term."""
+    p: _Positive | None = None
+    """Exponent of that term."""
+    c31: _Positive | None = None
+    """Rate of the brake's lag, 1/s."""
+    b1: _Positive | None = None
+    """Brake's static map as a straight line, N m per unit duty."""
+    b2: _Any | None = None
+    """Offset of that line, N m."""
+    u0: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
+    """Duty below which that line gives no torque."""
+    brake_duties: Annotated[list[Annotated[float, Field(ge=0.0, le=1.0)]], Field(min_length=2)] | None = None
+    """Points of the brake's static map, rising; for the observer and `predictive-reaching`."""
+    brake_torques_nm: Annotated[list[Annotated[float, Field(ge=0.0, le=100.0)]], Field(min_length=2)] | None = None
+    """Torque that the brake settles to at each of them, rising."""
+    brake_dead_time_s: Annotated[float, Field(ge=0.0, le=0.2)] | None = None
+    """For the observer, which believes no brake outside of 2 to 30 ms."""
+    drive_stall_torque_nm: _Positive | None = None
+    """Of the drive motor, N m; no controller uses it."""
+    drive_no_load_speed_rad_s: _Positive | None = None
+    """Of the drive motor; no controller uses it."""
+
+
 class ModelConfig(_Section):
     """What the controller believes about the rig."""
 
     parameters: Literal["mask", "table"] = "mask"
     """Which published set: that of the simulator's mask, or of the manual's tables."""
+    identified: IdentifiedConfig = IdentifiedConfig()
+    """What a lab has found out about its own rig goes before that."""
 
 
 class ExperimentConfig(_Section):
@@ -522,11 +578,28 @@ def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[Mistake]:
             yield Mistake(
                 "board.verified_by", f"a signature needs {wanted} too: the day, and the logic it was made for"
             )
+    yield from _brake_map_mistakes(_section_of(_section_of(table, "model"), "identified"))
     for pair in _PAIRS:
         if not {pair.first, pair.second, pair.first.partition(".")[0], pair.second.partition(".")[0]} & set(wrong):
             first, second = value(pair.first), value(pair.second)
             if not pair.fits(first, second):
                 yield Mistake(pair.first, f"{first!r}: {pair.must} {pair.second} = {second!r}")
+
+
+def _brake_map_mistakes(identified: Table) -> Iterator[Mistake]:
+    """Points of a map belong together, and rise, so that there is a duty for each torque."""
+    keys = ("brake_duties", "brake_torques_nm")
+    points = [identified.get(key) for key in keys]
+    if points == [None, None]:
+        return
+    lists = [each if isinstance(each, list) else [] for each in points]
+    if len(lists[0]) != len(lists[1]):
+        problem = f"{len(lists[0])} values and {len(lists[1])} model.identified.{keys[1]}: each duty needs its torque"
+        yield Mistake(f"model.identified.{keys[0]}", problem)
+    for key, values in zip(keys, lists, strict=True):
+        numbers = [value for value in values if isinstance(value, int | float)]
+        if any(following <= value for value, following in pairwise(numbers)):
+            yield Mistake(f"model.identified.{key}", f"{_short(values)}: must rise from value to value")
 
 
 _LIMITS: Final = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}

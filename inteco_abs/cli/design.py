@@ -74,7 +74,7 @@ def design(
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check, preferred_estimator
     from inteco_abs.lab.design import HARD, judge_gains, stated_box
-    from inteco_abs.rig import RigParameters
+    from inteco_abs.rig import believed_parameters
     from inteco_abs.views.design_figure import draw_design
     from inteco_abs.views.figure import check_figure
 
@@ -89,7 +89,7 @@ def design(
         _check_table(table)
     if figure is not None:
         check_figure(figure)
-    box = stated_box(uncertain or HARD, RigParameters.named(rig.model.parameters))
+    box = stated_box(uncertain or HARD, believed_parameters(rig.model))
     report = judge_gains(rig, box, speeds, slip_band, slips).report()
     if table is not None:
         _write_table(report["curves"], table)

@@ -18,6 +18,7 @@ from inteco_abs.cli.diff import diff
 from inteco_abs.cli.doctor import doctor
 from inteco_abs.cli.golden import golden
 from inteco_abs.cli.health import recover, validate
+from inteco_abs.cli.identify import identify
 from inteco_abs.cli.layout import layout
 from inteco_abs.cli.listing import list_sessions
 from inteco_abs.cli.mock_board import mock_board
@@ -72,6 +73,7 @@ _VERBS: Final = (
     recover,
     design,
     sweep,
+    identify,
     paper,
     doctor,
     probe,

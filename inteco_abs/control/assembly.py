@@ -13,7 +13,7 @@ from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
 from inteco_abs.control.estimators import ESTIMATORS, Estimator
 from inteco_abs.control.pipeline import Pipeline
 from inteco_abs.errors import ConfigError, Mistake, near_match
-from inteco_abs.rig import RigParameters
+from inteco_abs.rig import believed_brake, believed_parameters
 
 
 def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Pipeline:
@@ -30,7 +30,7 @@ def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]
 
 def make_estimator(config: RigConfig) -> Estimator:
     """Estimator of a configuration that passed `control_check`."""
-    return ESTIMATORS[config.estimator.name](config, RigParameters.named(config.model.parameters))
+    return ESTIMATORS[config.estimator.name](config, believed_parameters(config.model))
 
 
 def make_controller(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Controller:
@@ -38,8 +38,9 @@ def make_controller(config: RigConfig, controllers: Mapping[str, type[Controller
 
     Raises ConfigError if its constructor fails.
     """
-    parameters = RigParameters.named(config.model.parameters)
-    setup = Setup(config.controller.reference_slip, parameters, config.controller.hold_below_rad_s)
+    parameters = believed_parameters(config.model)
+    brake, reference = believed_brake(config.model), config.controller.reference_slip
+    setup = Setup(reference, parameters, config.controller.hold_below_rad_s, brake)
     make: Any = controllers[config.controller.name]  # each controller's constructor takes its own gains
     with _blamed_on(config):
         controller: Controller = make(setup, **gains_in_force(config, controllers))

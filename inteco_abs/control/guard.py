@@ -8,7 +8,7 @@ from typing import Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control.windows import SpeedWindows
-from inteco_abs.rig import RigParameters
+from inteco_abs.rig import believed_parameters
 from inteco_abs.signals import BoardFlags, Command, Estimate, Reason, Sample
 
 _NONE: Final = Reason.NONE  # looked up in an enum a dozen times a tick, it would take a tenth of it
@@ -65,7 +65,7 @@ class Guard:
         self._counts_per_rad = counts / (2.0 * math.pi)
         self._timing_share = max(_TIMING_SHARE, 2.0 / length)
         self._slack = 2.0 / (self._counts_per_rad * length * self._period_s)  # two counts in a window, as a speed
-        parameters = RigParameters.named(config.model.parameters)
+        parameters = believed_parameters(config.model)
         self._rim_ratio = parameters.r1 / parameters.r2
         self._fastest_per_ns = _FASTEST_RAD_S * self._counts_per_rad * 1e-9
         self._late_s = 1.5 * self._period_s

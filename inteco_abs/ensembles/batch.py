@@ -24,9 +24,9 @@ class BatchPlant:
     """The rigs of `variations`, started at the given road speeds in rad/s with the brake released.
 
     The wheels roll without slip where `wheel_speed` is not given. Every argument and result has one entry per rig,
-    in their order; a single number stands for all. The state arrays are views that move on with the rigs: copy what
-    is to be kept. The physics is that of `Plant`, at the same steps; each call of `advance` is one tick for the
-    `command_delay_ticks` of the variations. The compiled steps hold no lock, so that shards may run in threads.
+    in their order; a single number, or motor, stands for all. The state arrays are views that move on with the rigs:
+    copy what is to be kept. The physics is that of `Plant`, at the same steps; each call of `advance` is one tick for
+    the `command_delay_ticks` of the variations. The compiled steps hold no lock, so that shards may run in threads.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class BatchPlant:
         variations: Sequence[RigVariation],
         road_speed: float | Floats = 180.0,
         wheel_speed: float | Floats | None = None,
-        motor: DriveMotor | None = None,
+        motor: DriveMotor | Sequence[DriveMotor] | None = None,
         *,
         max_step_s: float = 0.0005,
     ) -> None:
@@ -42,7 +42,9 @@ class BatchPlant:
             raise ValueError("no variations: a batch needs at least one rig")
         if not 0.0 < max_step_s < math.inf:
             raise ValueError(f"max_step_s = {max_step_s!r}: must be finite and above 0 s")
-        self._rigs = rig_rows(variations, motor or DriveMotor())
+        if motor is None or isinstance(motor, DriveMotor):
+            motor = [motor or DriveMotor()] * len(variations)
+        self._rigs = rig_rows(variations, motor)
         if wheel_speed is None:
             wheel_speed = self._rigs["r2"] / self._rigs["r1"] * road_speed
         if not (np.isfinite(wheel_speed).all() and np.isfinite(road_speed).all()):

@@ -83,11 +83,11 @@ def fixed_row(max_step_s: float) -> Rows:
     return np.array([values], FIXED).view(np.recarray)
 
 
-def rig_rows(variations: Sequence[RigVariation], motor: DriveMotor) -> Rows:
-    """One row of type RIG for each variation."""
+def rig_rows(variations: Sequence[RigVariation], motors: Sequence[DriveMotor]) -> Rows:
+    """One row of type RIG for each variation and its motor."""
     published = RigParameters.named("mask")
 
-    def row(rig: RigVariation) -> tuple[Any, ...]:
+    def row(rig: RigVariation, motor: DriveMotor) -> tuple[Any, ...]:
         k = rig.parameters
         return (
             motor.stall_torque_nm,
@@ -104,7 +104,7 @@ def rig_rows(variations: Sequence[RigVariation], motor: DriveMotor) -> Rows:
             noise_seed(rig),
         )
 
-    return np.array([row(rig) for rig in variations], RIG).view(np.recarray)
+    return np.array([row(rig, motor) for rig, motor in zip(variations, motors, strict=True)], RIG).view(np.recarray)
 
 
 def state_rows(

@@ -15,7 +15,7 @@ from inteco_abs.ensembles.batch import BatchPlant
 from inteco_abs.ensembles.minds import Maker, TrueState
 from inteco_abs.ensembles.outcome import METRICS, METRICS_ROW, Stops, Trace
 from inteco_abs.errors import in_words
-from inteco_abs.rig import RigParameters, RigVariation
+from inteco_abs.rig import RigVariation, believed_parameters
 from inteco_abs.sessions.metrics import STANDSTILL_RAD_S, Array, Course, stop_metrics
 from inteco_abs.signals import EXPLANATIONS, Command, Phase, Reason, Sample
 
@@ -188,7 +188,7 @@ class _Shard:
             trace.road_angle_rad,
             trace.brake,
         )
-        parameters = RigParameters.named(config.model.parameters)
+        parameters = believed_parameters(config.model)
         found = stop_metrics(course, config.controller.reference_slip, parameters)
         values = (found[name.removesuffix("_true")] for name in METRICS)
         return tuple(math.nan if value is None else value for value in values)

@@ -1,6 +1,8 @@
 """The physics of the rig, pure: parameters, friction, actuators, the plant in all its regimes, and rigs that differ."""
 
 from inteco_abs.rig.actuators import DriveMotor, brake_duty, brake_torque
+from inteco_abs.rig.believed import believed_brake, believed_parameters
+from inteco_abs.rig.brake_map import BrakeMap
 from inteco_abs.rig.encoder import Encoder
 from inteco_abs.rig.friction import adhesion, adhesion_slope
 from inteco_abs.rig.holding import holding_torque, torque_to_spare
@@ -10,10 +12,12 @@ from inteco_abs.rig.plant import Plant
 from inteco_abs.rig.population import POPULATIONS, draw
 from inteco_abs.rig.surface import Surface, measured_adhesion, measured_adhesion_slope
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
-from inteco_abs.rig.varied_brake import measured_duty, measured_torque, settled_torque
+from inteco_abs.rig.varied_brake import MEASURED_MAP, measured_duty, measured_torque, settled_torque
 
 __all__ = [
+    "MEASURED_MAP",
     "POPULATIONS",
+    "BrakeMap",
     "DriveMotor",
     "Encoder",
     "EncoderVariation",
@@ -25,6 +29,8 @@ __all__ = [
     "accelerations",
     "adhesion",
     "adhesion_slope",
+    "believed_brake",
+    "believed_parameters",
     "brake_duty",
     "brake_torque",
     "draw",

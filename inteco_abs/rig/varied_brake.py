@@ -7,6 +7,7 @@ from collections import deque
 from typing import Final
 
 from inteco_abs.rig.actuators import brake_torque
+from inteco_abs.rig.brake_map import BrakeMap
 from inteco_abs.rig.variation import RigVariation
 
 MEASURED_TORQUE: Final = (
@@ -27,6 +28,7 @@ MEASURED_TORQUE: Final = (
     (1.00, 9.37),
 )
 """Duty and settled torque in N m, read off the manual's figure 5.6b; straight lines between, constant beyond."""
+MEASURED_MAP: Final = BrakeMap(MEASURED_TORQUE)
 SAME_TIME_S: Final = 1e-9
 """Times closer than this are one: the sum of many ticks is not exact."""
 EXACT: Final = 1e-9
@@ -35,26 +37,12 @@ EXACT: Final = 1e-9
 
 def measured_torque(duty: float) -> float:
     """Torque in N m that was measured at `duty`; 0 below the first point, the last point's value above it."""
-    left, low = MEASURED_TORQUE[0]
-    if duty <= left:
-        return low
-    for right, high in MEASURED_TORQUE[1:]:
-        if duty < right:
-            return low + (high - low) * ((duty - left) / (right - left))
-        left, low = right, high
-    return low
+    return MEASURED_MAP.torque(duty)
 
 
 def measured_duty(torque: float) -> float:
     """Duty at which `torque` in N m was measured: 0 for no torque, 1 for more than there is, NaN for NaN."""
-    if torque <= 0.0:
-        return 0.0
-    left, low = MEASURED_TORQUE[0]
-    for right, high in MEASURED_TORQUE[1:]:
-        if not torque >= high:
-            return left + (right - left) * ((torque - low) / (high - low))
-        left, low = right, high
-    return 1.0
+    return MEASURED_MAP.duty(torque)
 
 
 def settled_torque(duty: float, variation: RigVariation) -> float:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import SessionError
-from inteco_abs.rig import RigParameters
+from inteco_abs.rig import believed_parameters
 from inteco_abs.sessions.metrics import Course, stop_metrics
 from inteco_abs.sessions.reader import Session
 from inteco_abs.sessions.replay import session_config
@@ -108,7 +108,7 @@ def _stop_card(config: RigConfig, stop: Array, truth: Array) -> dict[str, Any]:
         road_angle_rad=counts * 2.0 * math.pi / config.encoders.counts_per_turn,
         brake=stop["brake"],
     )
-    metrics = stop_metrics(course, config.controller.reference_slip, RigParameters.named(config.model.parameters))
+    metrics = stop_metrics(course, config.controller.reference_slip, believed_parameters(config.model))
     if true is not None:
         metrics |= {name: metrics[name.removesuffix("_true")] for name in _STOP_METRICS if name.endswith("_true")}
     return {"start_speed_rad_s": float(source["road_speed_rad_s"][0]), **metrics}

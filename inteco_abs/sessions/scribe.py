@@ -11,7 +11,7 @@ from typing import Any, Final
 from inteco_abs.boards import simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.records.schema import TICK, TRUTH
-from inteco_abs.rig import RigParameters
+from inteco_abs.rig import believed_parameters
 from inteco_abs.sessions.provenance import controller_facts
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.replay import CONFIG_NAME
@@ -122,7 +122,7 @@ class Scribe:
     def introduce(self) -> None:
         """Everything that explains the run, on the disk before the first tick."""
         told, config, recorder = self.introduction, self._config, self._recorder
-        parameters = RigParameters.named(config.model.parameters)
+        parameters = believed_parameters(config.model)
         for name, facts in told.facts.items():
             recorder.describe(name, facts)
         recorder.describe(

@@ -113,11 +113,12 @@ def _gains() -> Iterator[Key]:
 
 def _kind(field: FieldInfo) -> str:
     """For what `limits` has no words: choices, lists, tables, and what may be left out."""
-    parts = field.annotation, *get_args(field.annotation)
+    outer = get_args(field.annotation)
+    parts = field.annotation, *outer, *(inner for one in outer for inner in get_args(one))
     choices = [one for part in parts if get_origin(part) is Literal for one in get_args(part)]
     if choices:
         return f"one of {', '.join(map(json.dumps, choices))}"
-    names: dict[Any, str] = {bool: "true or false", list: "a list", dict: "a table", date: "a date"}
+    names: dict[Any, str] = {bool: "true or false", list: "a list", dict: "a table", date: "a date", float: "a number"}
     return next((names[kind] for part in parts for kind in (get_origin(part), part) if kind in names), "a whole number")
 
 

@@ -10,10 +10,11 @@ from inteco_abs.control import (
     build_pipeline,
     control_check,
     gains_in_force,
+    make_controller,
     preferred_estimator,
 )
 from inteco_abs.errors import ConfigError
-from inteco_abs.rig import RigParameters
+from inteco_abs.rig import RigParameters, believed_parameters
 from inteco_abs.signals import BrakeDemand, Phase
 
 
@@ -257,3 +258,18 @@ def test_of_a_controller_that_is_none_nothing_follows(setting):
     with pytest.raises(ConfigError) as caught:
         chosen(setting)
     assert [mistake.path for mistake in caught.value.mistakes] == [setting.partition("=")[0]]
+
+
+def test_observer_and_law_believe_in_the_identified_brake():
+    settings = [
+        "controller.name=predictive-reaching",
+        "estimator.name=observer",
+        "model.identified.brake_duties=[0.3,0.9]",
+        "model.identified.brake_torques_nm=[0.0,6.0]",
+        "model.identified.J1=0.008",
+    ]
+    config = load_config(settings=settings, checks=[control_check()])
+    controller = make_controller(config)
+    assert controller.duty(3.0) == pytest.approx(0.6)
+    assert believed_parameters(config.model).J1 == 0.008
+    assert believed_parameters(config.model).J2 == RigParameters.named("mask").J2

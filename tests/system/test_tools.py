@@ -144,3 +144,11 @@ def test_tune_predictive_begins_with_what_is_in_force_and_prints_it_as_code(untr
     assert searched <= present
     assert len(present - searched) == 3
     assert "    controller.gains.kM=400.0" in printed
+
+
+@pytest.mark.long
+def test_bench_identify_tells_errors_and_coverage_of_each_number(untraced):
+    rows = run("bench_identify", "hard:100-104", environment=untraced).splitlines()
+    covered = {row.split()[0]: row.split()[1] for row in rows if "/5" in row}
+    assert {"d", "M0", "brake_lag", "brake_dead_time", "M1(0.7)", "mu(0.2)"} <= covered.keys()
+    assert sum(int(share.removesuffix("/5")) for share in covered.values()) >= 0.85 * 5 * len(covered)

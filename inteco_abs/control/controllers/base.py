@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from typing import ClassVar, Final, NamedTuple, Protocol
 
 from inteco_abs.control.model import BrakingModel
-from inteco_abs.rig import RigParameters, brake_duty, brake_torque
+from inteco_abs.rig import MEASURED_MAP, BrakeMap, RigParameters, brake_duty, brake_torque
 from inteco_abs.signals import BrakeDemand, Estimate
 
 
@@ -39,6 +39,8 @@ class Setup(NamedTuple):
     """What the controller may believe about the rig."""
     hold_below_rad_s: float
     """Estimated road speed below which a model-based law holds its last demand."""
+    brake_map: BrakeMap = MEASURED_MAP
+    """What is believed of the brake's static map, where the straight line of `parameters` is not enough."""
 
 
 class Controller(Protocol):

@@ -8,7 +8,7 @@ from typing import ClassVar, Final
 from inteco_abs.control.contact import Contact
 from inteco_abs.control.controllers.base import Gain, Setup
 from inteco_abs.control.estimators.ahead import braking_slip
-from inteco_abs.rig import adhesion, measured_duty
+from inteco_abs.rig import adhesion
 from inteco_abs.signals import BrakeDemand, Estimate, Outlook
 
 _START_RAD_S: Final = 180.0
@@ -43,6 +43,7 @@ class PredictiveReaching:
         self._reference = setup.reference_slip
         self._hold_below = setup.hold_below_rad_s
         self._parameters = setup.parameters
+        self._brake_map = setup.brake_map
         self._contact = Contact(setup.parameters)
         self._k = k
         self._a = a
@@ -64,7 +65,7 @@ class PredictiveReaching:
 
     def duty(self, torque: float) -> float:
         """Duty at which the brake is believed to settle to `torque` in N m."""
-        return measured_duty(torque)
+        return self._brake_map.duty(torque)
 
     def _torques(self, seen: Outlook, slip: float, switching: float) -> tuple[float, float]:
         """Brake torque that the law asks for, and what the brake is to settle to on the way, in N m."""

@@ -5,13 +5,14 @@ from typing import Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control.estimators.base import Estimator, MovingWindow, SpeedFilter, TwoWheels
+from inteco_abs.control.estimators.braking import Spread
 from inteco_abs.control.estimators.difference import SLIP_OFFSET_M_S, HeldDifference
 from inteco_abs.control.estimators.edge_time import EdgeTime
 from inteco_abs.control.estimators.kalman import KalmanFilter
 from inteco_abs.control.estimators.kind import EstimatorKind, Maker, Parameter, parameter
 from inteco_abs.control.estimators.observer import Observer
 from inteco_abs.control.estimators.tracking import TrackingLoop
-from inteco_abs.rig import RigParameters
+from inteco_abs.rig import RigParameters, believed_brake
 
 
 def _on_both_wheels(make: Callable[[RigConfig], SpeedFilter]) -> Maker:
@@ -47,7 +48,13 @@ def _difference(config: RigConfig, parameters: RigParameters) -> Estimator:
 
 
 def _observer(config: RigConfig, parameters: RigParameters) -> Estimator:
-    return Observer(parameters, config.encoders.counts_per_turn, 1.0 / config.loop.rate_hz)
+    own = config.model.identified
+    spread = Spread(
+        dead_time_s=Spread().dead_time_s if own.brake_dead_time_s is None else own.brake_dead_time_s,
+        lag_s=Spread().lag_s if own.c31 is None else 1.0 / own.c31,
+    )
+    per_turn, brake_map = config.encoders.counts_per_turn, believed_brake(config.model)
+    return Observer(parameters, per_turn, 1.0 / config.loop.rate_hz, spread, brake_map)
 
 
 ESTIMATORS: Final[dict[str, EstimatorKind]] = {

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from inteco_abs.control.contact import Contact
 from inteco_abs.control.estimators.ahead import LONGEST_DEAD_TIME_S, Pending, braking_slip, outlook
 from inteco_abs.control.estimators.disc import DiscFilter
-from inteco_abs.rig import RigParameters, adhesion, adhesion_slope, measured_torque
+from inteco_abs.rig import BrakeMap, RigParameters, adhesion, adhesion_slope
 from inteco_abs.signals import Outlook
 
 _LONGEST_STEP_S: Final = 0.001
@@ -77,17 +77,20 @@ class BrakingFilter:
     Its states: both wheels' angles and speeds; brake torque behind dead time and lag; what it gives beyond that; the
     factor on the adhesion of (8) and its ripple, cosine and sine in the wheel's angle; dead time and lag themselves.
 
-    The torque of the measured map comes a dead time late and lags: M+ = b + (M - b)*exp(-T/tau), b the map's torque
+    The torque of the map comes a dead time late and lags: M+ = b + (M - b)*exp(-T/tau), b the map's torque
     of the command in force then. A torque that swings, as in reaching, tells dead time and lag; the road's
     deceleration tells the adhesion, the wheel's the torque.
     """
 
     __slots__ = (
         *("_P", "_x", "_pending", "_by_factor", "_surprise", "_step_in_s"),
-        *("_contact", "_noise", "_parameters", "_ratio", "_spread"),
+        *("_brake_map", "_contact", "_noise", "_parameters", "_ratio", "_spread"),
     )
 
-    def __init__(self, parameters: RigParameters, spread: Spread, count_rad: float, period_s: float) -> None:
+    def __init__(
+        self, parameters: RigParameters, brake_map: BrakeMap, spread: Spread, count_rad: float, period_s: float
+    ) -> None:
+        self._brake_map = brake_map
         self._parameters = parameters
         self._contact = Contact(parameters)
         self._ratio = parameters.r1 / parameters.r2
@@ -102,7 +105,7 @@ class BrakingFilter:
 
     def tell(self, duty: float, ticks: int) -> None:
         """Take note of the duty that is put out from the present sample on, `ticks` ticks after the last one."""
-        self._pending.tell(measured_torque(duty), ticks)
+        self._pending.tell(self._brake_map.torque(duty), ticks)
 
     def begin(self, wheel: DiscFilter, road: DiscFilter) -> None:
         """Begin where two wheels roll, or anew in the middle of braking, with what the brake was told last."""

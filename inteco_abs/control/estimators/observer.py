@@ -9,7 +9,7 @@ from inteco_abs.control.estimators.ahead import braking_slip
 from inteco_abs.control.estimators.base import Angles
 from inteco_abs.control.estimators.braking import BrakingFilter, Spread
 from inteco_abs.control.estimators.disc import DiscFilter
-from inteco_abs.rig import RigParameters
+from inteco_abs.rig import MEASURED_MAP, BrakeMap, RigParameters
 from inteco_abs.signals import Command, Estimate, Sample
 
 _BRAKING_FROM_RAD_S: Final = 10.0
@@ -32,13 +32,18 @@ class Observer:
     __slots__ = ("_angles", "_braking", "_discs", "_filter", "_parameters", "_period_s", "_samples")
 
     def __init__(
-        self, parameters: RigParameters, counts_per_turn: int, period_s: float, spread: Spread | None = None
+        self,
+        parameters: RigParameters,
+        counts_per_turn: int,
+        period_s: float,
+        spread: Spread | None = None,
+        brake_map: BrakeMap = MEASURED_MAP,
     ) -> None:
         spread = spread or Spread()
         count_rad = 2.0 * math.pi / counts_per_turn
         self._angles = Angles(counts_per_turn), Angles(counts_per_turn)
         self._discs = tuple(DiscFilter(count_rad, spread.count_noise * count_rad) for _ in range(2))
-        self._filter = BrakingFilter(parameters, spread, count_rad, period_s)
+        self._filter = BrakingFilter(parameters, brake_map, spread, count_rad, period_s)
         self._parameters = parameters
         self._period_s = period_s
         self._braking = False

@@ -1,0 +1,232 @@
+"""The verb `inteco-abs identify`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from inteco_abs.cli.shared import (
+    FILE,
+    LOSSES,
+    drawn_setting,
+    insist_on_different,
+    json_option,
+    print_json,
+    read_whole,
+    rig_option,
+)
+from inteco_abs.errors import AbsError, ConfigError, Mistake
+
+if TYPE_CHECKING:
+    from inteco_abs.config import RigConfig
+    from inteco_abs.lab.identify import Experiment, Identification, Segment
+
+
+@click.command()
+@click.argument("files", nargs=-1, type=FILE, metavar="[SESSION]...")
+@click.option("--plan", is_flag=True, help="Record the sessions that are needed, one after the other, with a board.")
+@click.option(
+    "-o",
+    "--out",
+    type=FILE,
+    help="Parameter file to write (.toml), for --config of run, design and sweep; with --plan, the sessions' folder.",
+)
+@click.option("--dry-run", is_flag=True, help="With --plan, only tell what would be done.")
+@click.option("--board", default="sim:", show_default=True, help="With --plan: board address; sim: is the mock board.")
+@click.option("--virtual", is_flag=True, help="With --plan and sim:, virtual time.")
+@click.option("--pause", "pause_s", default=10.0, show_default=True, type=click.FloatRange(0.0, 3600.0),
+              help="With --plan in real time: seconds between two runs, for motors to cool down.")  # fmt: skip
+@rig_option
+@click.option("--config", type=FILE, help="rig.toml; every key has a default.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Over the file.")
+@click.option(
+    "--assume",
+    multiple=True,
+    metavar="NAME=SHARE",
+    help="How well what counts cannot tell is known, as J1=1%: J1, J2, Mg, d1 or M10, both ways.",
+)
+@click.option("--figure", type=FILE, help="Also draw what is left unexplained: .png, .svg or .pdf.")
+@json_option
+def identify(
+    files: tuple[Path, ...],
+    plan: bool,
+    out: Path | None,
+    dry_run: bool,
+    board: str,
+    virtual: bool,
+    pause_s: float,
+    drawn: str | None,
+    config: Path | None,
+    settings: tuple[str, ...],
+    assume: tuple[str, ...],
+    figure: Path | None,
+    as_json: bool,
+) -> int:
+    """Identify a rig from recorded run-ups, coast-downs and brake steps.
+
+    Frictions, drive motor, brake (static map, lag, dead time) and friction curve, each with an interval of 95 %. Counts
+    tell ratios only: geometry, inertias and the lever's moment are taken from the configuration's model, and how far
+    they may be off (--assume) is part of the intervals. Ends with exit code 3 when something could not be identified.
+    """
+    from inteco_abs.config import load_config
+    from inteco_abs.control import control_check
+    from inteco_abs.views.figure import check_figure
+
+    if plan and files:
+        raise ConfigError([Mistake("--plan", "records sessions, and takes none; name them without --plan")])
+    if not plan and not files:
+        raise ConfigError([Mistake("SESSION", "name at least one session, or --plan to record what is needed")])
+    if plan:
+        return _record(board, virtual, drawn, config, settings, out, pause_s, dry_run=dry_run)
+    assumed = _assumed(assume)
+    rig = load_config(config, settings, [control_check()])
+    insist_on_different({"--out": out, "--figure": figure})
+    if out is not None:
+        _check_out(out)
+    if figure is not None:
+        check_figure(figure)
+    found = _identified(rig, files, assumed)
+    _tell(found, out, figure, as_json=as_json)
+    return LOSSES if found.missing or not found.fit.converged else 0
+
+
+def _tell(found: Identification, out: Path | None, figure: Path | None, *, as_json: bool) -> None:
+    if as_json:
+        print_json(found.report())
+    else:
+        _print(found)
+    if out is not None:
+        _write(found, out)
+    if figure is not None:
+        from inteco_abs.views.identify_figure import draw_residuals
+
+        draw_residuals(found.traces(), figure)
+        click.echo(f"figure: {figure}", err=True)
+    for each in found.missing:
+        click.echo(f"inteco-abs: not identified: {each.name}: {each.why}", err=True)
+    if not found.fit.converged:
+        click.echo("inteco-abs: the search has not come to an end: look at the residuals (--figure)", err=True)
+
+
+def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, float]) -> Identification:
+    from inteco_abs.lab.identify import chosen, identify, segments
+    from inteco_abs.rig import believed_parameters
+    from inteco_abs.sessions import read_session, session_config
+
+    found: list[Segment] = []
+    for file in files:
+        session = read_whole(file, read_session)
+        found += segments(session, session_config(session, ()).encoders.counts_per_turn)
+    if not found:
+        problem = "no session has a run-up or a braking phase of the open-loop controller; --plan records some"
+        raise ConfigError([Mistake("SESSION", problem)])
+    return identify(chosen(found), believed_parameters(rig.model), assumed)
+
+
+def _assumed(statements: tuple[str, ...]) -> dict[str, float]:
+    from inteco_abs.errors import near_match
+    from inteco_abs.lab.identify import ASSUMED
+
+    shares, mistakes = {}, []
+    for statement in statements:
+        name, _, text = (part.strip() for part in statement.partition("="))
+        try:
+            percent = float(text.removesuffix("%")) if text.endswith("%") else -1.0
+        except ValueError:
+            percent = -1.0
+        if name not in ASSUMED:
+            mistakes.append(Mistake("--assume", f"{statement}: no number that is assumed{near_match(name, ASSUMED)}"))
+        elif not 0.01 <= percent <= 90.0:
+            mistakes.append(Mistake("--assume", f"{statement}: must look like {name}=5%, with 0.01 % to 90 %"))
+        shares[name] = percent / 100.0
+    if mistakes:
+        raise ConfigError(mistakes)
+    return shares
+
+
+def _check_out(path: Path) -> None:
+    if path.suffix != ".toml":
+        raise ConfigError([Mistake("--out", f"{path}: must end in .toml")])
+    if not path.parent.is_dir():
+        raise ConfigError([Mistake("--out", f"{path}: the folder {path.parent} does not exist; create it first")])
+
+
+def _write(found: Identification, out: Path) -> None:
+    try:
+        out.write_text(found.to_toml(), encoding="utf-8")
+    except OSError as error:
+        raise AbsError(f"{out}: the parameters cannot be written: {error.strerror}") from error
+    click.echo(f"parameters: {out}; use them with --config {out}", err=True)
+
+
+def _print(found: Identification) -> None:
+    from rich.console import Console
+
+    from inteco_abs.views.identify import render_identification
+
+    Console().print(render_identification(found.report()))
+
+
+def _record(
+    board: str,
+    virtual: bool,
+    drawn: str | None,
+    config: Path | None,
+    settings: tuple[str, ...],
+    out: Path | None,
+    pause_s: float,
+    *,
+    dry_run: bool,
+) -> int:
+    """Every run of the plan, until one does not end well; the exit code of the last one."""
+    from inteco_abs.boards import check_address, default_profile, simulated
+    from inteco_abs.config import load_config
+    from inteco_abs.control import control_check
+    from inteco_abs.lab.identify import experiments
+    from inteco_abs.mock_board import rig_check
+
+    check_address(board)
+    if drawn is not None and not simulated(board):
+        raise ConfigError([Mistake("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")])
+    folder = out or Path("identification")
+
+    def configured(*more: str) -> RigConfig:
+        checks = [control_check(), rig_check]
+        return load_config(config, [*settings, *drawn_setting(drawn), *more], checks, default_profile(board))
+
+    planned = [(each, configured(*each.settings)) for each in experiments(configured().guard.brake_limit)]
+    if dry_run:
+        for each, rig in planned:
+            click.echo(f"{folder / each.name}.mcap: {each.shows}; {_told(rig)}")
+        return 0
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise ConfigError([Mistake("--out", f"no folder {folder} can be made ({error.strerror})")]) from error
+    for number, (each, rig) in enumerate(planned):
+        if number and not virtual:
+            time.sleep(pause_s)
+        click.echo(f"{number + 1} of {len(planned)}: {each.shows}", err=True)
+        code = _run(each, rig, folder, board, virtual=virtual, seed=number)
+        if code not in {0, LOSSES}:
+            return code
+    click.echo(f"recorded; now: inteco-abs identify {folder}/*.mcap -o rig-parameters.toml", err=True)
+    return 0
+
+
+def _told(rig: RigConfig) -> str:
+    plan, gains = rig.experiment, rig.controller.gains
+    duties = f"brake {gains['first']:g}" + (f" and up by {gains['rise']:g}" if gains["rise"] else "")
+    return f"drive {plan.drive_duty:g} to {plan.start_speed_rad_s:g} rad/s, then {duties}, {rig.loop.rate_hz:g} Hz"
+
+
+def _run(each: Experiment, rig: RigConfig, folder: Path, board: str, *, virtual: bool, seed: int) -> int:
+    from inteco_abs.experiment import Plan, run_stop
+
+    stop = run_stop(rig, Plan(folder / f"{each.name}.mcap", board, virtual, seed))
+    if stop.exit_code:
+        click.echo(f"inteco-abs: {each.name}: {stop.outcome}: {stop.explanation}", err=True)
+    return stop.exit_code

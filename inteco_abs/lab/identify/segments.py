@@ -1,0 +1,124 @@
+"""What a session shows: run-ups, coast-downs and brakings, as counts over time with the duties in force."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from inteco_abs.sessions import Session
+from inteco_abs.signals import Phase
+
+Floats = npt.NDArray[np.float64]
+Kind = Literal["run-up", "coast-down", "braking"]
+
+SAMPLE_S: Final[dict[Kind, float]] = {"run-up": 0.020, "coast-down": 0.050, "braking": 0.004}
+"""Time between two samples that are compared with the model: there are more than are needed."""
+_SPEED_WINDOW_S: Final = 0.020
+_SLOWEST_RAD_S: Final[dict[Kind, float]] = {"run-up": 0.0, "coast-down": 1.0, "braking": 3.0}
+"""Of the road: below, a segment ends. There, slip has no meaning and counts come one by one."""
+_FEWEST_SAMPLES: Final = 50
+_MOST_RUN_UPS: Final = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """One part of a session: samples, and the duties in force from each of them on."""
+
+    session: str
+    kind: Kind
+    counts_per_turn: int
+    time_s: Floats
+    """Since the first sample."""
+    wheel_count: Floats
+    road_count: Floats
+    drive: Floats
+    brake: Floats
+    compared: npt.NDArray[np.bool_]
+    """Samples that are compared with the model; the others are there because a duty changes."""
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Brake duties above 0 that occur."""
+        return tuple(sorted({round(float(duty), 4) for duty in self.brake if duty > 0.0}))
+
+    def start_speeds(self) -> tuple[float, float]:
+        """Of wheel and road, rad/s, by a straight line through the first samples; 0 at the start of a run-up."""
+        if self.kind == "run-up":
+            return 0.0, 0.0
+        first = self.time_s <= max(_SPEED_WINDOW_S, self.time_s[min(5, len(self.time_s) - 1)])
+        per_turn = 2.0 * np.pi / self.counts_per_turn
+        wheel, road = (np.polyfit(self.time_s[first], c[first], 1)[0] for c in (self.wheel_count, self.road_count))
+        return float(wheel * per_turn), float(road * per_turn)
+
+
+def segment(
+    session: str,
+    kind: Kind,
+    counts_per_turn: int,
+    time_s: Floats,
+    counts: tuple[Floats, Floats],
+    duties: tuple[Floats, Floats],
+) -> Segment | None:
+    """From everything between two changes of phase; None where nothing is left that is fast and long enough.
+
+    `counts` are those of wheel and road, `duties` those of drive and brake in force from each sample on.
+    """
+    (wheel, road), (drive, brake) = counts, duties
+    ahead = np.searchsorted(time_s, time_s + _SPEED_WINDOW_S).clip(max=len(time_s) - 1)
+    elapsed = time_s[ahead] - time_s
+    with np.errstate(divide="ignore", invalid="ignore"):
+        speed = (road[ahead] - road) / elapsed * (2.0 * np.pi / counts_per_turn)
+    slow = np.flatnonzero((speed < _SLOWEST_RAD_S[kind]) & (elapsed > 0.5 * _SPEED_WINDOW_S))
+    end = int(slow[0]) if len(slow) and kind != "run-up" else len(time_s)
+    if end < _FEWEST_SAMPLES:
+        return None
+    grid = np.floor((time_s[:end] - time_s[0]) / SAMPLE_S[kind] + 1e-6)
+    compared = np.diff(grid, prepend=-1.0) > 0.0
+    changes = (np.diff(drive[:end], prepend=drive[0]) != 0.0) | (np.diff(brake[:end], prepend=brake[0]) != 0.0)
+    kept = np.flatnonzero(compared | changes)
+    return Segment(
+        session,
+        kind,
+        counts_per_turn,
+        time_s[kept] - time_s[0],
+        wheel[kept] - wheel[0],
+        road[kept] - road[0],
+        drive[kept],
+        brake[kept],
+        compared[kept],
+    )
+
+
+def segments(session: Session, counts_per_turn: int) -> Iterator[Segment]:
+    """Everything in `session` that can be used. A tick's duties are put out at the next one."""
+    ticks = session.ticks
+    if not len(ticks):
+        return
+    phase, good = ticks["phase"], ticks["board_flags"] == 0  # any flag: it is not known when the counts were read
+    in_force = {name: np.concatenate([[0.0], ticks[name][:-1]]) for name in ("drive", "brake")}
+    edges = np.flatnonzero(np.diff(phase.astype(np.int16))) + 1
+    for first, end in zip([0, *edges], [*edges, len(ticks)], strict=True):
+        part = np.arange(first, end)[good[first:end]]
+        if phase[first] not in {Phase.SPIN_UP, Phase.BRAKING} or len(part) < _FEWEST_SAMPLES:
+            continue
+        drive, brake = in_force["drive"][part], in_force["brake"][part]
+        kind: Kind = "run-up" if phase[first] == Phase.SPIN_UP else "braking" if brake.any() else "coast-down"
+        time_s = ticks["time_ns"][part].astype(np.int64) * 1e-9
+        counts = ticks["wheel_count"][part].astype(float), ticks["road_count"][part].astype(float)
+        found = segment(session.path.name, kind, counts_per_turn, time_s, counts, (drive, brake))
+        if found is not None:
+            yield found
+
+
+def chosen(found: Iterable[Segment]) -> list[Segment]:
+    """Those that are worth their time: run-ups are all alike, and two of them say what all do."""
+    kept, run_ups = [], 0
+    for each in found:
+        run_ups += each.kind == "run-up"
+        if each.kind != "run-up" or run_ups <= _MOST_RUN_UPS:
+            kept.append(each)
+    return kept

@@ -1,0 +1,154 @@
+"""The numbers of a rig that are looked for or assumed, and what was believed of them before.
+
+Counts have no scale: inertias, frictions, torques and the lever's moment may all be multiplied by one number, and
+nothing that can be seen changes. So the search is about ratios to the moment of inertia of both wheels as they roll,
+J = J2 + (r2/r1)^2*J1, at the one that is believed, and `scale` stands for what J really is over that. No count says
+anything about it. What is known of a run-up and a coast-down is then one number each, whatever is shared out between
+the wheels: d = d2 + (r2/r1)^2*d1, and M0 = M20 + (r2/r1)*M10.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from inteco_abs.rig import DriveMotor, RigParameters, RigVariation, measured_torque
+
+Floats = npt.NDArray[np.float64]
+
+ASSUMED: Final[Mapping[str, float]] = {"J1": 0.05, "J2": 0.05, "Mg": 0.05, "d1": 0.2, "M10": 0.6}
+"""What is assumed, and how far it may be off both ways, as a share. M10: the manual's table 3 has 0.0022 to 0.0050
+N m for one rig; the others as in the population `hard`."""
+FULL_NM: Final = 20.0
+"""More than any brake of this rig gives: torques are handed to the plant as shares of this."""
+_UNIFORM: Final = math.sqrt(3.0)
+"""Half the width of an even spread over its standard deviation."""
+
+
+class Unknown(NamedTuple):
+    """One number of the search. With `log` it is the logarithm of what it is over what is believed."""
+
+    name: str
+    believed: float
+    sd: float
+    """Standard deviation of what is believed, as the search sees it."""
+    log: bool = True
+
+    @property
+    def start(self) -> float:
+        """Where the search begins."""
+        return 0.0 if self.log else self.believed
+
+    def value(self, seen: float) -> float:
+        """The number itself."""
+        return self.believed * math.exp(seen) if self.log else seen
+
+
+def torque_name(duty: float) -> str:
+    """Name of the torque that the brake settles to at `duty`."""
+    return f"M1({duty:.4g})"
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """All numbers of the search for a rig that is `base` as far as is known, its brake driven with `levels`."""
+
+    base: RigParameters
+    levels: tuple[float, ...]
+    assumed: Mapping[str, float]
+
+    @cached_property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """What is assumed, as in ASSUMED (`scale` is in place of J2), then what is looked for."""
+        k, motor, share = self.base, DriveMotor(), self.rolling_share
+        lag = 1.0 / k.c31 if math.isfinite(k.c31) else 0.05
+        return (
+            Unknown("scale", 1.0, 1.0),
+            Unknown("J1", k.J1, 1.0),
+            Unknown("Mg", k.Mg, 1.0),
+            Unknown("d1", k.d1, self.assumed["d1"] / _UNIFORM),
+            Unknown("M10", k.M10, self.assumed["M10"] / _UNIFORM),
+            Unknown("d", k.d2 + share * k.d1, 1.0),
+            Unknown("M0", k.M20 + k.r2 / k.r1 * k.M10, 1.0),
+            Unknown("stall", motor.stall_torque_nm, 1.0),
+            Unknown("no_load", motor.no_load_speed_rad_s, 1.0),
+            Unknown("w4", k.w4, 0.3),
+            Unknown("w1/w4", k.w1 / k.w4, 0.5, log=False),
+            Unknown("w2/w4", k.w2 / k.w4, 0.5, log=False),
+            Unknown("w3/w4", k.w3 / k.w4, 0.5, log=False),
+            Unknown("a", k.a, 1.0),
+            Unknown("p", k.p, 0.1),
+            Unknown("lag", lag, 0.05, log=False),
+            Unknown("dead_time", 0.01, 0.02, log=False),
+            *(Unknown(torque_name(duty), measured_torque(duty), 3.0, log=False) for duty in self.levels),
+        )
+
+    @cached_property
+    def weights(self) -> Floats:
+        """What is believed as rows of equations, each over its standard deviation.
+
+        J1, J2 and Mg are believed in as such, so that they hold the scale; all else in its ratio to J.
+        """
+        names = [each.name for each in self.unknowns]
+        scale, J1, Mg = (names.index(name) for name in ("scale", "J1", "Mg"))
+        rows = np.diag([1.0 / each.sd for each in self.unknowns])
+        rows[[scale, J1, Mg]] = 0.0
+        k = self.base
+        for row, name, place, slope in (
+            (scale, "J2", J1, -self.rolling_share * k.J1 / k.J2),  # J stays as it is when J1 grows
+            (J1, "J1", J1, 1.0),
+            (Mg, "Mg", Mg, 1.0),
+        ):
+            sd = self.assumed[name] / _UNIFORM
+            rows[row, scale], rows[row, place] = 1.0 / sd, slope / sd
+        return rows
+
+    @property
+    def rolling_share(self) -> float:
+        """Of the wheel's inertia and viscous friction in those of both wheels as they roll."""
+        return (self.base.r2 / self.base.r1) ** 2
+
+    def values(self, seen: Iterable[float]) -> dict[str, float]:
+        """Numbers of the search, by their names, from what the search sees."""
+        return {each.name: each.value(one) for each, one in zip(self.unknowns, seen, strict=False)}
+
+    def parameters(self, values: Mapping[str, float], *, scaled: bool = True) -> RigParameters:
+        """The rig's constants; with the scale that is believed in, if not `scaled`. Its brake's map is as in `base`."""
+        k, share, scale = self.base, self.rolling_share, values["scale"] if scaled else 1.0
+        J1, d1, M10, w4 = values["J1"], values["d1"], values["M10"], values["w4"]
+        return replace(
+            k,
+            J1=scale * J1,
+            J2=scale * max(k.J2 + share * (k.J1 - J1), _LEAST * k.J2),
+            d1=scale * d1,
+            d2=scale * max(values["d"] - share * d1, _LEAST * k.d2),
+            M10=scale * M10,
+            M20=scale * max(values["M0"] - k.r2 / k.r1 * M10, _LEAST * k.M20),
+            Mg=scale * values["Mg"],
+            w1=values["w1/w4"] * w4,
+            w2=values["w2/w4"] * w4,
+            w3=values["w3/w4"] * w4,
+            w4=w4,
+            a=values["a"],
+            p=values["p"],
+            c31=1.0 / max(values["lag"], _SHORTEST_LAG_S),
+        )
+
+    def variation(self, values: Mapping[str, float]) -> RigVariation:
+        """The rig in the search, with the scale that is believed in; its brake takes a torque as a share of FULL_NM."""
+        parameters = replace(self.parameters(values, scaled=False), b1=FULL_NM, b2=0.0, u0=0.0)
+        return RigVariation(parameters, brake_dead_time_s=min(max(values["dead_time"], 0.0), _LONGEST_DEAD_TIME_S))
+
+
+_LEAST: Final = 0.01
+"""Share of what is believed that is always left of what is a difference of others."""
+_LONGEST_DEAD_TIME_S: Final = 0.2
+"""As a `RigVariation` may have it."""
+_SHORTEST_LAG_S: Final = 1e-4
+"""As good as none, which a brake without lag has."""

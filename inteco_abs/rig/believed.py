@@ -1,0 +1,25 @@
+"""What a controller believes about the rig: a published set, and a lab's own numbers over it."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+from inteco_abs.config import ModelConfig
+from inteco_abs.rig.brake_map import BrakeMap
+from inteco_abs.rig.parameters import RigParameters
+from inteco_abs.rig.varied_brake import MEASURED_MAP
+
+
+def believed_parameters(model: ModelConfig) -> RigParameters:
+    """The set that the configuration names, with what is given in [model.identified] in its place."""
+    given = model.identified.model_dump(exclude_none=True)
+    own = {field.name: given[field.name] for field in fields(RigParameters) if field.name in given}
+    return replace(RigParameters.named(model.parameters), **own)
+
+
+def believed_brake(model: ModelConfig) -> BrakeMap:
+    """The brake's static map: identified points, or those measured in the manual."""
+    own = model.identified
+    if own.brake_duties is None or own.brake_torques_nm is None:
+        return MEASURED_MAP
+    return BrakeMap(tuple(zip(own.brake_duties, own.brake_torques_nm, strict=True)))

@@ -1,0 +1,33 @@
+"""A static map of the brake as points, from duty to the torque that it settles to and back."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class BrakeMap(NamedTuple):
+    """Straight lines between points of duty and torque in N m, both rising; constant beyond."""
+
+    points: tuple[tuple[float, float], ...]
+
+    def torque(self, duty: float) -> float:
+        """Torque in N m at `duty`; the first point's below it, the last one's above."""
+        left, low = self.points[0]
+        if duty <= left:
+            return low
+        for right, high in self.points[1:]:
+            if duty < right:
+                return low + (high - low) * ((duty - left) / (right - left))
+            left, low = right, high
+        return low
+
+    def duty(self, torque: float) -> float:
+        """Duty for `torque` in N m: 0 for no torque, 1 for more than there is, NaN for NaN."""
+        if torque <= 0.0:
+            return 0.0
+        left, low = self.points[0]
+        for right, high in self.points[1:]:
+            if not torque >= high:
+                return left + (right - left) * ((torque - low) / (high - low))
+            left, low = right, high
+        return 1.0

@@ -1,0 +1,41 @@
+"""An identification on a terminal: every number with its interval, beside the published one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+_STYLES: Final = {"identified": "", "assumed": "dim", "not identified": "yellow"}
+
+
+def render_identification(report: Mapping[str, Any]) -> RenderableType:
+    """The report of an identification as a panel."""
+    table = Table.grid(padding=(0, 2))
+    for head, justify in (("number", "left"), ("value", "right"), ("95 % interval", "right"), ("unit", "left")):
+        table.add_column(Text(head, style="dim"), justify=justify, no_wrap=True)  # type: ignore[arg-type]  # literals
+    table.add_column(Text("published", style="dim"), justify="right", no_wrap=True)
+    table.add_column(overflow="fold")
+    table.show_header = True
+    within = report["assumed_within"]
+    for each in report["estimates"]:
+        published = "-" if each["published"] is None else f"{each['published']:.4g}"
+        status = each["why"]
+        if each["status"] == "assumed":
+            status = f"assumed ±{100.0 * within[each['name']]:.3g} %"
+        cells = (
+            each["name"],
+            f"{each['value']:.4g}",
+            f"{each['low']:.4g} .. {each['high']:.4g}",
+            each["unit"],
+            published,
+        )
+        table.add_row(*cells, status, style=_STYLES[each["status"]])
+    worst = max((one["rms_counts"] for one in report["residuals"]), default=math.nan)
+    told = f"left unexplained: at most {worst:.2g} counts rms in one of {len(report['residuals'])} traces"
+    return Panel(Group(table, Text(), Text(told, "dim")), title="identification", expand=False)

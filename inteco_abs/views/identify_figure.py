@@ -1,0 +1,39 @@
+"""What an identification leaves unexplained, trace by trace, in counts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from inteco_abs.views.figure import COLOURS, check_figure, save_figure
+
+_COLUMNS: Final = 3
+_OF_WHEEL: Final = {"wheel": COLOURS[0], "road": COLOURS[1]}
+
+
+def draw_residuals(traces: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Draw measured minus simulated counts, a panel for each segment, to `path` (.png, .svg or .pdf).
+
+    Raises ConfigError for a path that cannot be drawn to, AbsError without matplotlib.
+    """
+    check_figure(path)
+    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
+
+    segments = list(dict.fromkeys(trace["segment"] for trace in traces))
+    rows = -(-len(segments) // _COLUMNS)
+    figure = Figure(figsize=(3.4 * _COLUMNS, 2.1 * rows + 0.6), layout="constrained")
+    panels = list(figure.subplots(rows, _COLUMNS, squeeze=False).flat)
+    by_segment = dict(zip(segments, panels, strict=False))
+    lines = {}
+    for trace in traces:
+        wheel, panel = trace["wheel"], by_segment[trace["segment"]]
+        (lines[wheel],) = panel.plot(trace["time_s"], trace["left_counts"], color=_OF_WHEEL[wheel], lw=0.6)
+        panel.set_title(trace["segment"], fontsize="small")
+        panel.grid(alpha=0.3)
+    for panel in panels[len(segments) :]:
+        panel.set_visible(False)
+    figure.supylabel("measured - simulated [counts]", fontsize="medium")
+    figure.supxlabel("time in the segment [s]", fontsize="medium")
+    figure.legend(list(lines.values()), list(lines), loc="outside upper right", ncols=2, frameon=False)
+    save_figure(figure, path)
