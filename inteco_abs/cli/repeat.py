@@ -80,7 +80,7 @@ def _brake(
     context: click.Context, count: int, folder: Path, pause_s: float, choices: Mapping[str, Any]
 ) -> tuple[int, list[Path]]:
     """The series: the worst exit code, and the sessions that there are."""
-    worst, paths = 0, []
+    worst, paths = 0, list[Path]()
     for number in range(count):
         if number and pause_s:
             click.echo(f"{pause_s:g} s for the brake to cool; Ctrl-C ends the series", err=True)

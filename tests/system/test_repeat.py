@@ -1,11 +1,12 @@
 """The verb `inteco-abs repeat`."""
 
 import json
-import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from inteco_abs.cli import repeat
 from inteco_abs.sessions import read_session
 from inteco_abs.sessions.series import METRICS, statistics
 
@@ -55,7 +56,7 @@ def test_an_interrupt_while_the_brake_cools_ends_the_series(main_here, monkeypat
         slept.append(seconds)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(time, "sleep", interrupted)
+    monkeypatch.setattr(repeat, "time", SimpleNamespace(sleep=interrupted))
     run = main_here("repeat", 3, *QUICK, "-o", "series", "--pause", 7, "--json")
     assert (run.returncode, slept) == (130, [7.0])
     assert len(json.loads(run.stdout)["stops"]) == 1
