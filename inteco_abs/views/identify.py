@@ -20,22 +20,17 @@ def render_identification(report: Mapping[str, Any]) -> RenderableType:
     for head, justify in (("number", "left"), ("value", "right"), ("95 % interval", "right"), ("unit", "left")):
         table.add_column(Text(head, style="dim"), justify=justify, no_wrap=True)  # type: ignore[arg-type]  # literals
     table.add_column(Text("published", style="dim"), justify="right", no_wrap=True)
-    table.add_column(overflow="fold")
     table.show_header = True
-    within = report["assumed_within"]
+    within, reasons = report["assumed_within"], []
     for each in report["estimates"]:
-        published = "-" if each["published"] is None else f"{each['published']:.4g}"
-        status = each["why"]
+        name, why = each["name"], each["why"]
         if each["status"] == "assumed":
-            status = f"assumed ±{100.0 * within[each['name']]:.3g} %"
-        cells = (
-            each["name"],
-            f"{each['value']:.4g}",
-            f"{each['low']:.4g} .. {each['high']:.4g}",
-            each["unit"],
-            published,
-        )
-        table.add_row(*cells, status, style=_STYLES[each["status"]])
+            name = f"{name}, assumed ±{100.0 * within[name]:.3g} %"
+        elif why:
+            reasons.append(Text(f"{name}: {why}", _STYLES[each["status"]]))
+        published = "-" if each["published"] is None else f"{each['published']:.4g}"
+        interval = f"{each['low']:.4g} .. {each['high']:.4g}"
+        table.add_row(name, f"{each['value']:.4g}", interval, each["unit"], published, style=_STYLES[each["status"]])
     worst = max((one["rms_counts"] for one in report["residuals"]), default=math.nan)
     told = f"left unexplained: at most {worst:.2g} counts rms in one of {len(report['residuals'])} traces"
-    return Panel(Group(table, Text(), Text(told, "dim")), title="identification", expand=False)
+    return Panel(Group(table, Text(), *reasons, Text(told, "dim")), title="identification", expand=False)

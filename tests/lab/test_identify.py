@@ -17,7 +17,7 @@ RIG = draw("hard", 3)
 RECORDED = ("coast", "stop-060", "stop-070")
 PWM_STEPS = 255
 
-pytestmark = [pytest.mark.untraced, pytest.mark.xdist_group("identify")]
+pytestmark = pytest.mark.xdist_group("identify")
 
 
 @pytest.fixture(scope="module")
