@@ -16,9 +16,9 @@ from inteco_abs.lab.identify.unknowns import ASSUMED, Beliefs, torque_name
 
 Wheel = Literal["wheel", "road"]
 
-_NOISE_COUNTS: Final = (300.0, 30.0, 5.0, 1.0)
-"""Of every residual, round by round: the first, in which little is known, must not trust the counts too finely."""
-_MOST_EVALUATIONS: Final = 40
+_ROUNDS: Final = ((300.0, 20), (30.0, 20), (5.0, 20), (1.0, 200))
+"""Deviation of every residual in counts, and most evaluations: the first, in which little is known, must not trust the
+counts too finely, and only the last need come to an end."""
 _TOLERANCE: Final = 1e-4
 _SPEED_SD_RAD_S: Final = 5.0
 """Of the speeds with which a segment begins, beyond what its first counts tell."""
@@ -123,7 +123,7 @@ def fit(segments: Sequence[Segment], beliefs: Beliefs) -> Fit:
 def _searched(problem: _Problem, start: Floats) -> tuple[Floats, bool]:
     """The best numbers from `start` on, and whether the search came to an end."""
     found, converged = start, False
-    for problem.noise in _NOISE_COUNTS:
+    for problem.noise, evaluations in _ROUNDS:
         outcome = least_squares(
             problem.residuals,
             found,
@@ -132,7 +132,7 @@ def _searched(problem: _Problem, start: Floats) -> tuple[Floats, bool]:
             x_scale="jac",
             ftol=_TOLERANCE,
             xtol=1e-12,
-            max_nfev=_MOST_EVALUATIONS,
+            max_nfev=evaluations,
         )
         found, converged = outcome.x, bool(outcome.success)
     return found, converged
@@ -143,7 +143,7 @@ class _Problem:
 
     def __init__(self, segments: Sequence[Segment], beliefs: Beliefs) -> None:
         self._beliefs = beliefs
-        self.noise = _NOISE_COUNTS[0]
+        self.noise = _ROUNDS[0][0]
         """Standard deviation of a residual in counts."""
         self._segments = [(each, channels(each)) for each in segments]
         started = [each.start_speeds() for each, _ in self._segments if each.kind != "run-up"]
