@@ -7,7 +7,8 @@ The first line says what the file is; each other line is one thing that happened
     {"t": 0.0002, "dir": "in", "ep": 132, "hex": "0301..."}
     {"t": 0.0105, "dir": "error", "of": "in", "text": "the board did not answer within 10 ms"}
 
-`t` is in seconds since the capture began, never falling but where the bus monitor's own times fall. An error `of`
+`t` is in seconds since the capture began, never falling but where the bus monitor's own times fall. The first line of
+our own recordings has what the clock showed when they began as `start_ns`, as in a session's ticks. An error `of`
 "out" has the message that was not taken as `hex`; `of` "in" is an answer that did not come; `of` "exchange" leaves
 open which of the two messages before it have gone out. A control transfer has its eight bytes of request as `setup`;
 a warning has only a `text`.
@@ -17,7 +18,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -27,6 +29,7 @@ from inteco_abs.errors import CaptureError
 FORMAT: Final = "inteco-abs wire"
 VERSION: Final = 1
 _LARGEST_ENDPOINT: Final = 0xFF
+_LATEST_NS: Final = (1 << 63) - 1
 
 
 class Kind(StrEnum):
@@ -65,6 +68,8 @@ class Capture(NamedTuple):
     clock: str
     records: tuple[Record, ...]
     name: str = "the capture"
+    start_ns: int | None = None
+    """What the clock showed when the capture began, where that is known."""
 
     @property
     def messages(self) -> int:
@@ -91,6 +96,7 @@ def write_capture(path: Path, capture: Capture) -> None:
         "board": capture.board,
         "recorded_by": capture.recorded_by,
         "clock": capture.clock,
+        **({} if capture.start_ns is None else {"start_ns": capture.start_ns}),
     }
     part = path.with_name(f"{path.name}.part")
     try:
@@ -118,12 +124,25 @@ def read_capture(path: Path) -> Capture:
 
 def parse_capture(lines: Iterable[str], name: str) -> Capture:
     """The capture in these lines. Raises CaptureError naming the first line that is wrong."""
+    head, records = _parts(lines, name)
+    return head._replace(records=tuple(records))
+
+
+@contextmanager
+def opened_capture(path: Path) -> Iterator[tuple[Capture, Iterator[Record]]]:
+    """A capture that is too long for memory: without its records, and these one by one. Raises CaptureError."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            yield _parts(file, str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaptureError(f"{path}: cannot be read: {error}") from error
+
+
+def _parts(lines: Iterable[str], name: str) -> tuple[Capture, Iterator[Record]]:
     numbered = enumerate(lines, 1)
     head = _head(_object(next(numbered, (1, ""))[1], f"{name}, line 1"), name)
-    records = tuple(
-        _record(_object(line, f"{name}, line {number}"), f"{name}, line {number}") for number, line in numbered
-    )
-    return Capture(head["board"], head["recorded_by"], head["clock"], records, name)
+    places = ((f"{name}, line {number}", line) for number, line in numbered)
+    return head, (_record(_object(line, place), place) for place, line in places)
 
 
 def _line(record: Record) -> str:
@@ -151,7 +170,7 @@ def _object(line: str, place: str) -> dict[str, Any]:
     return value
 
 
-def _head(head: dict[str, Any], name: str) -> dict[str, str]:
+def _head(head: dict[str, Any], name: str) -> Capture:
     if head.get("format") != FORMAT:
         raise CaptureError(f"{name}, line 1: format = {head.get('format')!r}, must be {FORMAT!r}: no capture of ours")
     if head.get("version") != VERSION:
@@ -161,7 +180,10 @@ def _head(head: dict[str, Any], name: str) -> dict[str, str]:
     for key in ("board", "recorded_by", "clock"):
         if not isinstance(head.get(key), str):
             raise CaptureError(f"{name}, line 1: {key} = {head.get(key)!r}, must be text")
-    return head
+    start_ns = head.get("start_ns")
+    if start_ns is not None and (type(start_ns) is not int or not 0 <= start_ns <= _LATEST_NS):
+        raise CaptureError(f"{name}, line 1: start_ns = {start_ns!r}, must be in 0..{_LATEST_NS} ns, or left out")
+    return Capture(head["board"], head["recorded_by"], head["clock"], (), name, start_ns)
 
 
 def _record(line: dict[str, Any], place: str) -> Record:

@@ -26,21 +26,22 @@ class RecordingLink(Link):
     Saving takes a second or two for a long run, so it is apart from closing, which must not wait. Once
     `most_messages` are kept, newer ones are only counted, and the file says so: a replay needs the beginning.
     Answers that `discard` drops are not seen and not kept. `endpoints` are the addresses of OUT and IN, if there are
-    any; `now_ns` is a monotonic clock. Raises CaptureError if no capture can be made at `path`, ConfigError for an
-    unknown `board`.
+    any; `now_ns` is a monotonic clock. Without a `path` nothing is written, and what was kept is `capture`. Raises
+    CaptureError if no capture can be made at `path`, ConfigError for an unknown `board`.
     """
 
     def __init__(
         self,
         inner: Link,
-        path: Path,
+        path: Path | None,
         *,
         board: str = "usb2",
         endpoints: tuple[int | None, int | None] = (None, None),
         now_ns: Callable[[], int] = time.monotonic_ns,
         most_messages: int = MOST_MESSAGES,
     ) -> None:
-        check_target(path)
+        if path is not None:
+            check_target(path)
         self.dropped = 0
         """Messages that were not kept."""
         self._inner = inner
@@ -102,7 +103,8 @@ class RecordingLink(Link):
 
     def save(self) -> None:
         """Write all that was kept so far. Raises CaptureError."""
-        write_capture(self._path, self.capture())
+        if self._path is not None:
+            write_capture(self._path, self.capture())
 
     def capture(self) -> Capture:
         """What was kept so far."""
@@ -114,7 +116,8 @@ class RecordingLink(Link):
             text = f"{self.dropped} more messages passed and were not kept: {self._most} are the most"
             records.append(Record(records[-1].t_s if records else 0.0, Kind.WARNING, text=text))
         recorded_by = f"inteco-abs {inteco_abs.__version__}"
-        return Capture(self._board, recorded_by, "monotonic", tuple(records), str(self._path))
+        name = str(self._path or "the recording")
+        return Capture(self._board, recorded_by, "monotonic", tuple(records), name, self._start_ns)
 
     def _keep(self, at_ns: int, kind: str, data: bytes, text: str = "", of: str = "") -> None:
         if len(self._kept) < self._most:
@@ -127,39 +130,62 @@ Wrap = Callable[[Link], Link]
 """Puts something around the link to a board before the board gets it."""
 
 
+class Recording:
+    """Puts a recording around each link to the board of `config`, if there is a `path` to save it at, or `keep`."""
+
+    def __init__(self, path: Path | None, config: RigConfig, now_ns: Callable[[], int], *, keep: bool) -> None:
+        self._path, self._config, self._now_ns = path, config, now_ns
+        self._wanted = keep or path is not None
+        self._links: list[RecordingLink] = []
+
+    def __call__(self, link: Link) -> Link:
+        """`link`, with the recording around it."""
+        if not self._wanted:
+            return link
+        self._links.append(
+            RecordingLink(link, self._path, board=protocol_name(self._config.board), now_ns=self._now_ns)
+        )
+        return self._links[-1]
+
+    def capture(self) -> Capture | None:
+        """What has passed the newest link so far; None if there was no link."""
+        return self._links[-1].capture() if self._links else None
+
+    def save(self) -> None:
+        """Write what was recorded, if anywhere. Raises CaptureError."""
+        for link in self._links:
+            link.save()
+
+
 @contextmanager
-def recording(path: Path | None, config: RigConfig, now_ns: Callable[[], int] = time.monotonic_ns) -> Iterator[Wrap]:
-    """Gives what puts a recording around a link, and saves it at `path` in the end; without a path, nothing is put.
+def recording(
+    path: Path | None, config: RigConfig, now_ns: Callable[[], int] = time.monotonic_ns, *, keep: bool = False
+) -> Iterator[Recording]:
+    """Gives what puts a recording around a link, and saves it at `path` in the end; without a path, it is only kept.
 
     Raises CaptureError if the file cannot be written; where something else was wrong already, as a note of that.
     """
-    kept: list[RecordingLink] = []
-
-    def around(link: Link) -> Link:
-        if path is None:
-            return link
-        kept.append(RecordingLink(link, path, board=protocol_name(config.board), now_ns=now_ns))
-        return kept[-1]
-
+    if path is not None or keep:
+        check_recordable("--frames" if path is None else "--record-wire", config)
     if path is not None:
-        if config.board.kind == "pci":
-            raise ConfigError([Mistake("--record-wire", "a board on the PCI bus has registers, no messages to record")])
         check_target(path)
-        protocol_name(config.board)
+    around = Recording(path, config, now_ns, keep=keep)
     try:
         yield around
     except BaseException as error:
         try:
-            _save(kept)
+            around.save()
         except CaptureError as second:
             error.add_note(str(second))
         raise
-    _save(kept)
+    around.save()
 
 
-def _save(links: list[RecordingLink]) -> None:
-    for link in links:
-        link.save()
+def check_recordable(option: str, config: RigConfig) -> None:
+    """Raise ConfigError, which names the `option` that asks for a recording, if such a board has no messages."""
+    if config.board.kind == "pci":
+        raise ConfigError([Mistake(option, "a board on the PCI bus has registers, no messages to record")])
+    protocol_name(config.board)
 
 
 def _words(error: BaseException) -> str:
