@@ -14,6 +14,7 @@ INT64: Final = 3
 INT32: Final = 5
 TEXT: Final = 9
 MESSAGE: Final = 11
+BYTES: Final = 12
 ENUM: Final = 14
 _OPTIONAL, _REPEATED = 1, 3
 

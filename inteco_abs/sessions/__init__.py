@@ -4,11 +4,12 @@ from inteco_abs.records import TICK, TRUTH, pack_tick
 from inteco_abs.sessions.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, settings_of
 from inteco_abs.sessions.export import FORMATS, Export, export_session
 from inteco_abs.sessions.extract import attached, extract
+from inteco_abs.sessions.frames import Frames, read_frames
 from inteco_abs.sessions.gains import REFERENCE, changed_gains
 from inteco_abs.sessions.keeper import Keeper, check_spill, spill_path
 from inteco_abs.sessions.listing import COLUMNS, session_files, session_row, sort_rows
 from inteco_abs.sessions.output import check_output, insist_on_own, only_whole
-from inteco_abs.sessions.reader import Session, read_session
+from inteco_abs.sessions.reader import Session, is_session_file, read_session
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.replay import (
     CONFIG_NAME,
@@ -43,6 +44,7 @@ __all__ = [
     "Difference",
     "Export",
     "Finding",
+    "Frames",
     "Inspection",
     "Introduction",
     "Keeper",
@@ -66,9 +68,11 @@ __all__ = [
     "extract",
     "insist_on_known",
     "insist_on_own",
+    "is_session_file",
     "only_whole",
     "pack_tick",
     "parse_tolerances",
+    "read_frames",
     "read_session",
     "recover_session",
     "replay",

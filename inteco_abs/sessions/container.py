@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from enum import IntEnum
 from functools import lru_cache
 from typing import Any, BinaryIO, Final, NamedTuple
@@ -24,6 +24,10 @@ _LARGEST_CHUNK: Final = 1 << 24
 _MOST_EXPANSION: Final = 100
 """Bytes unpacked per byte of file; ticks of a wheel at rest reach about 40. More is a bomb, not a session."""
 _MESSAGE_HEAD: Final = 22
+_MESSAGE_BEGIN: Final = struct.Struct("<BQH")
+"""Type, length and channel of a message."""
+_NUMBERS: Final = struct.Struct("<HIQ")
+"""Channel, sequence and log time of a message."""
 _SAME: Final = 11
 """Bytes of type, length and channel at the beginning of a message."""
 _ONE_BY_ONE: Final = 24
@@ -103,6 +107,29 @@ class Run(NamedTuple):
     channel: int
     rows: npt.NDArray[np.void]
     """Columns `sequence`, `log_time` in ns and `data`; a view."""
+
+
+class Stretch(NamedTuple):
+    """Messages of one channel, of any sizes, one after the other in a chunk."""
+
+    channel: int
+    number: int
+    """How many."""
+    records: bytes
+    """The chunk."""
+    start: int
+    end: int
+    """Where in the chunk they are."""
+
+    def messages(self) -> Iterator[tuple[int, int, bytes]]:
+        """Sequence, log time in ns and data of each."""
+        at = self.start
+        while at < self.end:
+            _, length = HEAD.unpack_from(self.records, at)
+            at += HEAD.size
+            _, sequence, log_time = _NUMBERS.unpack_from(self.records, at)
+            yield sequence, log_time, self.records[at + _MESSAGE_HEAD : at + length]
+            at += length
 
 
 class Allowance:
@@ -231,8 +258,11 @@ def _decompressed(packed: memoryview, size: int) -> bytes:
         raise DamagedError(str(error)) from error
 
 
-def chunk_parts(raw: bytes) -> Iterator[Entry | Run]:
-    """What an unpacked chunk holds, in order; raises DamagedError at a record that leaves it."""
+def chunk_parts(raw: bytes, uneven: Collection[int] = ()) -> Iterator[Entry | Run | Stretch]:
+    """What an unpacked chunk holds, in order; raises DamagedError at a record that leaves it.
+
+    Messages of the channels `uneven`, which have many sizes, come as stretches: nobody has looked at one by then.
+    """
     at = 0
     while at < len(raw):
         if at + HEAD.size > len(raw):
@@ -247,9 +277,27 @@ def chunk_parts(raw: bytes) -> Iterator[Entry | Run]:
             continue
         if length < _MESSAGE_HEAD:
             raise DamagedError(f"holds a message of {length} bytes, less than a message's head")
+        (channel,) = _INTEGERS["H"].unpack_from(raw, at)
+        if channel in uneven:
+            stretch = _stretch(raw, at - HEAD.size, channel)
+            yield stretch
+            at = stretch.end
+            continue
         rows = _run(raw, at - HEAD.size, length)
-        yield Run(int(rows["channel"][0]), rows)
+        yield Run(channel, rows)
         at += len(rows) * (HEAD.size + length) - HEAD.size
+
+
+def _stretch(raw: bytes, start: int, channel: int) -> Stretch:
+    """From `start` to the first record that is no message of the channel, or is not all there."""
+    at, count, size, message, head = start, 0, len(raw), int(Opcode.MESSAGE), _MESSAGE_BEGIN.unpack_from
+    while at + HEAD.size + _MESSAGE_HEAD <= size:
+        opcode, length, found = head(raw, at)
+        end = at + HEAD.size + length
+        if opcode != message or length < _MESSAGE_HEAD or end > size or found != channel:
+            break
+        at, count = end, count + 1
+    return Stretch(channel, count, raw, start, at)
 
 
 def _run(raw: bytes, at: int, length: int) -> npt.NDArray[np.void]:

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from inteco_abs.records.io_frame import IO_TOPIC
 from inteco_abs.records.schema import LOG_TOPIC, PARAMETERS_TOPIC, TICK, TRUTH, Message
 from inteco_abs.records.wire import fields as wire_fields
 from inteco_abs.sessions.container import (
@@ -18,6 +19,7 @@ from inteco_abs.sessions.container import (
     Entry,
     Opcode,
     Run,
+    Stretch,
     attachment,
     chunk_parts,
     fields,
@@ -103,6 +105,10 @@ class Content:
     understood: bool = False
     """All channels have been looked at."""
     channel_facts: dict[str, dict[str, str]] = field(default_factory=dict)
+    uneven: set[int] = field(default_factory=set)
+    """Numbers of the channels of raw frames."""
+    frames: int = 0
+    """Raw frames, which are only counted."""
     messages: int = 0
     """In chunks, of all channels."""
     events: list[Event] = field(default_factory=list)
@@ -128,9 +134,12 @@ class Content:
     def take_chunk(self, raw: bytes) -> dict[str, Batch]:
         """Everything in an unpacked chunk; ticks and truths by topic. Raises DamagedError."""
         runs: dict[str, list[Run]] = {}
-        for part in chunk_parts(raw):
+        for part in chunk_parts(raw, self.uneven):
             if isinstance(part, Entry):
                 self.take(part)
+            elif isinstance(part, Stretch):
+                self.frames += part.number
+                self.messages += part.number
             elif part.channel in self.channels:
                 runs.setdefault(self.channels[part.channel][0], []).append(part)
                 self.messages += len(part.rows)
@@ -192,6 +201,8 @@ class Content:
     def _take_channel(self, data: memoryview) -> None:
         number, schema, topic, _, facts = fields(Opcode.CHANNEL, data)
         self.channels[number] = topic, schema
+        if topic == IO_TOPIC:
+            self.uneven.add(number)
         self.understood = False
         self.channel_facts[topic] = text_map(facts)
 

@@ -187,7 +187,8 @@ class Keeper:
     def _accounted(self, account: Account) -> Account:
         if not self._troubles:
             return account
-        trouble = f"{'; '.join(self._troubles)}; the whole session is in {account.card['session']}"
+        troubles = "; ".join([*self._troubles, *filter(None, [account.trouble])])
+        trouble = f"{troubles}; the whole session is in {account.card['session']}"
         return replace(account, trouble=trouble)
 
     def _let_go(self) -> None:

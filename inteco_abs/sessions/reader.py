@@ -54,6 +54,8 @@ class Session:
     """Empty for a whole file, else where it ends."""
     beyond: str = ""
     """Empty if this version knows and finds all that it should, else what not: such a session is not replayed."""
+    frames: int = 0
+    """Messages between host and board, which only `read_frames` reads."""
 
     @property
     def events(self) -> int:
@@ -90,6 +92,15 @@ def opened(path: Path) -> Iterator[tuple[BinaryIO, int]]:
             raise SessionError(f"{path}: is no MCAP file, it {begin}")
         file.seek(0)
         yield file, size
+
+
+def is_session_file(path: Path) -> bool:
+    """Whether the file begins as a session does."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False
 
 
 @contextmanager
@@ -165,4 +176,5 @@ def _session(path: Path, content: Content, incomplete: str) -> Session:
         content.epoch_ns or 0,
         incomplete,
         content.beyond,
+        content.frames,
     )

@@ -8,7 +8,7 @@ import os
 import struct
 import time
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -21,6 +21,7 @@ from mcap.writer import CompressionType, Writer
 
 from inteco_abs.errors import SessionError
 from inteco_abs.records import schema
+from inteco_abs.records.io_frame import IO_NAME, IO_TOPIC, io_frame_descriptor
 from inteco_abs.records.result import RESULT, RESULT_NAME, RESULT_TOPIC, pack_result, result_descriptor
 from inteco_abs.records.schema import TICK, TRUTH, Message
 from inteco_abs.records.wire import chunk, double, integer, tag
@@ -192,6 +193,21 @@ class Recorder:
             record = records[i * TRUTH.size : (i + 1) * TRUTH.size]
             self._writer.add_message(self._truth_channel, stamp, record, stamp, self._truths & 0xFFFFFFFF)
             self._truths += 1
+
+    def frames(self, facts: Mapping[str, str], messages: Iterable[tuple[int, bytes]]) -> int:
+        """Add raw frames, as monotonic time in ns and message; how many there were. `facts` explain them.
+
+        They have chunks of their own, so that a damaged one costs no tick.
+        """
+        self.flush()
+        channel = self._channel(IO_TOPIC, IO_NAME, io_frame_descriptor(), facts)
+        count = 0
+        for time_ns, data in messages:
+            stamp = self._epoch_ns + time_ns
+            self._writer.add_message(channel, stamp, data, stamp, count & 0xFFFFFFFF)
+            count += 1
+        self.flush()
+        return count
 
     def flush(self) -> None:
         """Everything so far into the file, readable even if nothing follows. Raises SessionError if that is gone."""

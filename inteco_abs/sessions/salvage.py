@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -12,8 +14,9 @@ import numpy.typing as npt
 
 from inteco_abs.config import RigConfig, parse_config
 from inteco_abs.errors import ConfigError, SessionError
+from inteco_abs.records.io_frame import IO_TOPIC
 from inteco_abs.records.schema import TICK, TRUTH, Message
-from inteco_abs.sessions.container import DamagedError, Entry, Opcode, Run, chunk_parts, kind
+from inteco_abs.sessions.container import DamagedError, Entry, Opcode, Run, Stretch, chunk_parts, kind
 from inteco_abs.sessions.content import FLAT, Batch, Content
 from inteco_abs.sessions.migration import Layout, migrated
 from inteco_abs.sessions.output import check_output, only_whole
@@ -51,8 +54,8 @@ def recover_session(source: Path, out: Path) -> Recovery:
     SessionError if there is no tick to recover.
     """
     check_output(out)
-    with RowsOnDisk(out.parent) as ticks, RowsOnDisk(out.parent) as truths:
-        remains = _Remains(_Taken(TICK, ticks), _Taken(TRUTH, truths))
+    with RowsOnDisk(out.parent) as ticks, RowsOnDisk(out.parent) as truths, RowsOnDisk(out.parent) as frames:
+        remains = _Remains(_Taken(TICK, ticks), _Taken(TRUTH, truths), _TakenFrames(frames))
         with regular_file(source) as (file, size):
             remains.gather(file, size)
         return _Anew(source, out, remains).write()
@@ -99,11 +102,43 @@ class _Taken:
         self._number, self._time_ns = newest
 
 
+class _TakenFrames:
+    """Raw frames that were taken."""
+
+    _HEAD: Final = struct.Struct("<QI")
+
+    def __init__(self, rows: Rows) -> None:
+        self._rows = rows
+        self._sequence = -1
+        self.number = 0
+
+    def take(self, stretch: Stretch) -> None:
+        """All of them or none. Raises DamagedError if they do not come after those that were taken."""
+        sequence, parts = self._sequence, list[bytes]()
+        for number, log_time, data in stretch.messages():
+            if number <= sequence:
+                raise DamagedError("it repeats what was there before")
+            sequence = number
+            parts += self._HEAD.pack(log_time, len(data)), data
+        self._rows.write(b"".join(parts))
+        self._sequence, self.number = sequence, self.number + stretch.number
+
+    def messages(self, epoch_ns: int) -> Iterator[tuple[int, bytes]]:
+        """Monotonic time in ns and message of each, from the disk."""
+        data, at = self._rows.contents(), 0
+        while at < len(data):
+            log_time, length = self._HEAD.unpack_from(data, at)
+            at += self._HEAD.size
+            yield log_time - epoch_ns, bytes(data[at : at + length])
+            at += length
+
+
 class _Remains:
     """What is whole in a file."""
 
-    def __init__(self, ticks: _Taken, truths: _Taken) -> None:
+    def __init__(self, ticks: _Taken, truths: _Taken, frames: _TakenFrames) -> None:
         self.content = Content()
+        self.frames = frames
         self.rows = {TICK.topic: ticks, TRUTH.topic: truths}
         self.losses: list[str] = []
         """In words, as many as anybody would read."""
@@ -140,9 +175,11 @@ class _Remains:
     def _take_chunk(self, raw: bytes) -> None:
         """All of its rows or none."""
         runs: dict[str, list[Run]] = {}
-        for part in chunk_parts(raw):
+        for part in chunk_parts(raw, self.content.uneven):
             if isinstance(part, Entry):
                 self.content.take(part)
+            elif isinstance(part, Stretch):
+                self.frames.take(part)
             else:
                 runs.setdefault(self._topic(part), []).append(part)
         layouts = self.content.layouts
@@ -182,6 +219,7 @@ class _Anew:
         self._facts = migrated(remains.content.metadata)
         self._content = remains.content
         self._ticks, self._truths = remains.rows[TICK.topic].array(), remains.rows[TRUTH.topic].array()
+        self._frames = remains.frames
         self._epoch_ns = remains.epoch_ns or 0
         self._losses = remains.losses
         for name in self._content.altered_attachments():
@@ -207,6 +245,7 @@ class _Anew:
         ):
             self._introduce(recorder)
             self._copy(recorder)
+            self._copy_frames(recorder)
             self._judge_the_hash()
             card = self._card(recorder.payload_sha256)
             recorder.describe("recovery", self._recovery())
@@ -250,7 +289,7 @@ class _Anew:
         recorder.begin(dict(self._parameters()))
         for name, facts in self._facts.items():
             kept = {key: value for key, value in facts.items() if name != "session" or key not in _WRITTEN_ANEW}
-            if name not in {"result", "integrity", "recovery"}:
+            if name not in {"result", "integrity", "recovery", "frames"}:
                 recorder.describe(name, kept)
 
     def _parameters(self) -> list[tuple[str, float]]:
@@ -275,6 +314,21 @@ class _Anew:
             recorder.ticks(block.tobytes())
             recorder.truths(self._truths[done:end].tobytes())
             done = end
+
+    def _copy_frames(self, recorder: Recorder) -> None:
+        """The raw frames, if there were any, and what became of them."""
+        told = dict(self._facts.get("frames", {}))
+        facts = self._content.channel_facts.get(IO_TOPIC)
+        if facts is not None:
+            recorder.frames(facts, self._frames.messages(self._epoch_ns))
+            missing = int(told["messages"]) - self._frames.number if told.get("messages", "").isdecimal() else 0
+            if missing > 0:
+                self._losses.append(f"{missing} raw frames are missing")
+            elif not told:
+                told["missing"] = "the file did not say any more how many there were"
+            told["messages"] = str(self._frames.number)
+        if told:
+            recorder.describe("frames", told)
 
     def _recovery(self) -> dict[str, str]:
         session = self._facts.get("session", {})

@@ -10,8 +10,10 @@ from typing import Any, Final
 
 from inteco_abs.boards import simulated
 from inteco_abs.config import RigConfig
+from inteco_abs.errors import CaptureError
 from inteco_abs.records.schema import TICK, TRUTH
 from inteco_abs.rig import believed_parameters
+from inteco_abs.sessions.frames import Frames, frame_facts, packed_frames
 from inteco_abs.sessions.provenance import controller_facts
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.replay import CONFIG_NAME
@@ -64,6 +66,8 @@ class Conclusion:
     """More metadata."""
     died: Sequence[str] = ()
     """Processes that died, hung or were killed: of `loop`, `recorder`, `guardian`, `supervisor`."""
+    frames: Frames | None = None
+    """What has passed between host and board; None if nobody asked for that."""
 
     @property
     def outcome(self) -> str:
@@ -81,11 +85,11 @@ class Account:
     explanation: str
     card: dict[str, Any]
     trouble: str = ""
-    """What a disk has refused, and what came of it; empty if none has."""
+    """What a disk has refused, and what came of it, or why there are no raw frames; empty if nothing went wrong."""
 
     @property
     def exit_code(self) -> int:
-        """5 safety stop, 130 interrupted, 3 done with overruns, losses or trouble with a disk, 0 done."""
+        """5 safety stop, 130 interrupted, 3 done with overruns, losses or trouble with what was to be kept, 0 done."""
         losses = self.trouble or any(self.card[name] for name in ("overruns", "link_errors", "lost_ticks"))
         return EXIT_CODES.get(self.outcome, LOSSES if losses else 0)
 
@@ -183,13 +187,25 @@ class Scribe:
         explanation = "; ".join([*parts, end.aborted] if end.aborted else parts)
         if end.detail:
             explanation += f": {end.detail}"
+        missing = "" if end.frames is None else self._enclose_frames(end.frames)
         card = self._card(outcome, end, explanation)
         for name, facts in end.facts.items():
             self._recorder.describe(name, facts)
         told = {"last_tick": self._last_tick() if outcome != "completed" else "", "died": ", ".join(end.died)}
         self._recorder.describe("session", {name: text for name, text in told.items() if text})
         self._recorder.finish(outcome, explanation, card)
-        return Account(outcome, end.reason, explanation, card)
+        return Account(outcome, end.reason, explanation, card, missing)
+
+    def _enclose_frames(self, frames: Frames) -> str:
+        """What has passed between host and board, behind all ticks; if it was not kept, why."""
+        try:
+            with frames() as (head, records):
+                count = self._recorder.frames(frame_facts(head), packed_frames(head, records))
+        except CaptureError as error:
+            self._recorder.describe("frames", {"missing": str(error)})
+            return f"the session has not all raw frames: {error}"
+        self._recorder.describe("frames", {"messages": str(count)})
+        return ""
 
     def _enclose(self) -> None:
         found = self.introduction.surroundings

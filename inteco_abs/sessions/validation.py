@@ -182,6 +182,7 @@ class _Inspector:
                 told.loss(f"metadata {name}", "is missing")
         if CONFIG_NAME not in content.attachments:
             told.loss(f"attachment {CONFIG_NAME}", "is missing: the session cannot be replayed")
+        self._judge_the_frames(metadata.get("frames", {}))
         self._judge_the_session(metadata.get("session", {}))
 
     def _judge_the_hash(self) -> None:
@@ -192,6 +193,13 @@ class _Inspector:
             self._told.wrong("hash", "the ticks do not match the hash that was recorded with them")
         for name in self._content.altered_attachments():
             self._told.wrong(f"attachment {name}", "does not match the hash that was recorded with it")
+
+    def _judge_the_frames(self, facts: dict[str, str]) -> None:
+        found = self._content.frames
+        if facts.get("messages", str(found)) != str(found):
+            self._told.wrong("metadata frames", f"it says {facts['messages']} raw frames, the file has {found}")
+        if "missing" in facts:
+            self._told.loss("metadata frames", f"not all raw frames were kept: {facts['missing']}")
 
     def _judge_the_session(self, facts: dict[str, str]) -> None:
         told = self._told

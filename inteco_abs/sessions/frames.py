@@ -1,0 +1,98 @@
+"""The raw frames of a run: out of a recording of the wire into the session, and out of that again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Final
+
+from inteco_abs.boards.capture import Capture, Kind, Record
+from inteco_abs.errors import SessionError
+from inteco_abs.records.io_frame import IO_TOPIC, Direction, IoFrame, pack_io_frame, unpack_io_frame
+from inteco_abs.sessions.container import (
+    Allowance,
+    DamagedError,
+    Entry,
+    Opcode,
+    RecordFile,
+    Stretch,
+    chunk_parts,
+    unpack_chunk,
+)
+from inteco_abs.sessions.content import Content
+from inteco_abs.sessions.reader import opened
+
+Frames = Callable[[], AbstractContextManager[tuple[Capture, Iterable[Record]]]]
+"""Opens the recording: without its records, and these one by one. Raises CaptureError where there is none."""
+_HEAD: Final = ("board", "recorded_by", "clock")
+
+
+def frame_facts(head: Capture) -> dict[str, str]:
+    """A recording's first line, for the channel of the frames."""
+    return {**{name: getattr(head, name) for name in _HEAD}, "start_ns": str(head.start_ns or 0)}
+
+
+def packed_frames(head: Capture, records: Iterable[Record]) -> Iterator[tuple[int, bytes]]:
+    """Monotonic time in ns and message of each record of a host's recording."""
+    start_ns = head.start_ns or 0
+    for record in records:
+        time_ns = start_ns + round(record.t_s * 1e9)
+        yield time_ns, pack_io_frame(IoFrame(time_ns, _DIRECTIONS[record.kind], record.data, record.text, record.of))
+
+
+def read_frames(path: Path) -> Capture:
+    """The raw frames of the session at `path`; of a cut file, those up to there.
+
+    Raises SessionError if it has none, if it cannot be read, or if it is damaged.
+    """
+    content = Content()
+    messages: list[bytes] = []
+    with opened(path) as (file, size):
+        allowance = Allowance(size)
+        try:
+            for entry in RecordFile(file, size):
+                if entry.opcode == Opcode.DATA_END:
+                    break
+                if entry.opcode == Opcode.CHUNK:
+                    messages += _messages(content, unpack_chunk(entry.data, allowance))
+                else:
+                    content.take(entry)
+            return _capture(path, content, messages)
+        except DamagedError as error:
+            raise SessionError(f"{path}: is damaged: {error}") from error
+
+
+def _messages(content: Content, raw: bytes) -> Iterator[bytes]:
+    for part in chunk_parts(raw, content.uneven):
+        if isinstance(part, Entry):
+            content.take(part)
+        elif isinstance(part, Stretch):
+            yield from (data for _, _, data in part.messages())
+
+
+def _capture(path: Path, content: Content, messages: Iterable[bytes]) -> Capture:
+    facts = content.channel_facts.get(IO_TOPIC)
+    if facts is None:
+        why = content.metadata.get("frames", {}).get("missing", "record them with inteco-abs run --frames")
+        raise SessionError(f"{path}: holds no raw frames: {why}")
+    try:
+        start_ns = int(facts["start_ns"])
+        board, recorded_by, clock = (facts[name] for name in _HEAD)
+        records = tuple(_record(unpack_io_frame(data), start_ns) for data in messages)
+    except (KeyError, ValueError) as error:
+        raise DamagedError(f"its raw frames cannot be read: {error}") from error
+    return Capture(board, recorded_by, clock, records, str(path), start_ns)
+
+
+def _record(frame: IoFrame, start_ns: int) -> Record:
+    return Record((frame.time_ns - start_ns) * 1e-9, _KINDS[frame.direction], None, frame.data, frame.text, frame.of)
+
+
+_DIRECTIONS: Final[Mapping[Kind, Direction]] = {
+    Kind.OUT: Direction.OUT,
+    Kind.IN: Direction.IN,
+    Kind.ERROR: Direction.ERROR,
+    Kind.WARNING: Direction.WARNING,
+}
+_KINDS: Final = {direction: kind for kind, direction in _DIRECTIONS.items()}
