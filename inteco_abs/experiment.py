@@ -6,15 +6,16 @@ import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from inteco_abs.boards import Board, InProcessLink, Wrap, board_behind, check_address, check_kind, recording, simulated
+from inteco_abs.boards import Board, InProcessLink, board_behind, check_address, check_kind, recording, simulated
 from inteco_abs.boards.capture import check_target
+from inteco_abs.boards.recording_link import Recording, check_recordable
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline, gains_in_force
 from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
@@ -37,6 +38,7 @@ from inteco_abs.sessions import (
     TRUTH,
     Account,
     Conclusion,
+    Frames,
     Introduction,
     Keeper,
     Recorder,
@@ -75,6 +77,8 @@ class Plan:
     """Source of a controller that does not ship, kept in the session; in real time it runs in another process."""
     wire: Path | None = None
     """Capture to write: everything that passes between host and board."""
+    frames: bool = False
+    """Whether all that goes into the session, too."""
     controller_package: str = ""
     """Name and version of the installed package that the controller comes from; empty if from none."""
     live_port: int | None = None
@@ -95,6 +99,8 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
         _check_live(plan)
     check_output(plan.out)
     check_spill(config)
+    if plan.frames:
+        check_recordable("--frames", config)
     if plan.wire is not None:
         check_target(plan.wire)
     # a controller's prints must not mix with the result card
@@ -182,6 +188,7 @@ def _job(config: RigConfig, plan: Plan, facts: Mapping[str, Mapping[str, str]] =
         controller_package=plan.controller_package,
         facts={**_facts(config, plan), **facts},
         wire=str(plan.wire.absolute()) if plan.wire else "",
+        frames=plan.frames,
         profile=profile_source(config.profile),
         live_port=plan.live_port,
     )
@@ -202,10 +209,11 @@ class _VirtualRun:
         self._reader = self._ring.reader()
 
     def run(self, progress: Progress | None) -> Account:
-        with recording(self._plan.wire, self._config, self._clock.now_ns) as around:
+        plan = self._plan
+        with recording(plan.wire, self._config, self._clock.now_ns, keep=plan.frames) as around:
             return self._run(progress, around)
 
-    def _run(self, progress: Progress | None, around: Wrap) -> Account:
+    def _run(self, progress: Progress | None, around: Recording) -> Account:
         plan, config = self._plan, self._config
         face = face_of(Device(config, self._clock.now_ns, plan.seed, self._truths.append))
         board = board_behind(around(InProcessLink(face)), config, self._clock.now_ns)
@@ -217,13 +225,13 @@ class _VirtualRun:
                     self._drive(keeper, board, progress)
             except BaseException as error:
                 try:
-                    self._give_up(keeper, board, error)
+                    self._give_up(keeper, replace(self._end(board, in_words(error)), frames=self._frames(around)))
                     if self._pipeline.reason is not Reason.NONE:
                         error.add_note(f"the run had been stopped: {EXPLANATIONS[self._pipeline.reason]}")
                 except SessionError as second:
                     error.add_note(str(second))  # the first error is what matters
                 raise
-            return self._conclude(keeper, self._end(board))
+            return self._conclude(keeper, replace(self._end(board), frames=self._frames(around)))
 
     def _opener(self, controller: type[Controller]) -> Opener:
         now_ns = self._clock.now_ns()
@@ -279,11 +287,15 @@ class _VirtualRun:
     def _end(self, board: Board, aborted: str = "") -> Conclusion:
         return Conclusion(self._pipeline.reason, self._ring.written, detail_of(self._pipeline, board), aborted)
 
-    def _give_up(self, keeper: Keeper, board: Board, error: BaseException) -> None:
-        if not self._ring.written:
+    def _frames(self, around: Recording) -> Frames | None:
+        capture = around.capture() if self._plan.frames else None
+        return None if capture is None else lambda: nullcontext((capture, capture.records))
+
+    def _give_up(self, keeper: Keeper, end: Conclusion) -> None:
+        if self._ring.written:
+            self._conclude(keeper, end)
+        else:
             keeper.discard()
-            return
-        self._conclude(keeper, self._end(board, aborted=in_words(error)))
 
     def _conclude(self, keeper: Keeper, end: Conclusion) -> Account:
         """As the keeper does; what no disk takes is left in memory, and said where, as a SessionError."""

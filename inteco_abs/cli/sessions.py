@@ -62,6 +62,7 @@ def _summary(session: Session) -> dict[str, Any]:
         "ticks": len(ticks),
         "duration_s": seconds,
         "events": session.events,
+        "frames": session.frames,
         "attachments": {name: len(data) for name, data in session.attachments.items()},
         "metadata": {name: facts for name, facts in session.metadata.items() if name != "result"},
         "result": stored_card(session.metadata),
@@ -75,7 +76,7 @@ def _print_summary(summary: Mapping[str, Any]) -> None:
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", no_wrap=True)
     table.add_column(overflow="fold")
-    for key in ("session", "ticks", "duration_s", "events"):
+    for key in ("session", "ticks", "duration_s", "events", "frames"):
         table.add_row(key, plain(summary[key]))
     for name, facts in summary["metadata"].items():
         for key, value in facts.items():

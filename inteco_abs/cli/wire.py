@@ -1,15 +1,18 @@
-"""The verbs of `inteco-abs wire`: captures of what passes between a host and the board."""
+"""The verbs of `inteco-abs wire`: captures of what passes between a host and the board, also those in a session."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from inteco_abs.cli.shared import DIFFERS, FILE, json_option, print_json
 from inteco_abs.errors import ConfigError, Mistake
+
+if TYPE_CHECKING:
+    from inteco_abs.boards.capture import Capture
 
 _PROTOCOLS: Final = ("usb2", "usb1-111", "usb1-112")
 _SCHEMA: Final = 1
@@ -20,21 +23,24 @@ _PROFILES: Final = {"usb1-111": "sim_usb", "usb1-112": "usb1_0112"}
 
 @click.group()
 def wire() -> None:
-    """Captures of what passes between a host and the board."""
+    """Captures of what passes between a host and the board.
+
+    A session that was recorded with --frames stands for its own capture.
+    """
 
 
 @wire.command("import")
-@click.argument("pcap", type=FILE)
+@click.argument("file", type=FILE)
 @click.option("--out", "-o", type=FILE, required=True, help="Capture to write, as JSON lines.")
 @click.option("--device", default="", metavar="BUS.ADDR", help="The board, if several devices talk like one.")
 @click.option("--protocol", type=click.Choice(_PROTOCOLS), default="usb2", show_default=True, help="How it talks.")
-def import_(pcap: Path, out: Path, device: str, protocol: str) -> int:
-    """Take the board's messages out of a Wireshark capture (usbmon or USBPcap, pcap or pcapng)."""
+def import_(file: Path, out: Path, device: str, protocol: str) -> int:
+    """Take the board's messages out of a session, or a Wireshark capture (usbmon or USBPcap, pcap or pcapng)."""
     from inteco_abs.boards.capture import Kind, check_target, write_capture
     from inteco_abs.boards.pcap import import_pcap
 
     check_target(out)
-    capture = import_pcap(pcap, board=protocol, device=device)
+    capture = _of_session(file) or import_pcap(file, board=protocol, device=device)
     write_capture(out, capture)
     for record in capture.records:
         if record.kind is Kind.WARNING:
@@ -48,10 +54,9 @@ def import_(pcap: Path, out: Path, device: str, protocol: str) -> int:
 @json_option
 def show(file: Path, as_json: bool) -> int:
     """What a capture holds: messages, rates, failures, and which board it was."""
-    from inteco_abs.boards.capture import read_capture
     from inteco_abs.boards.capture_summary import summarize
 
-    summary = summarize(read_capture(file))
+    summary = summarize(_read(file))
     if as_json:
         traffic = {role: one._asdict() for role, one in summary.traffic.items()}
         _print_json({"capture": str(file), **summary._asdict(), "traffic": traffic})
@@ -76,11 +81,10 @@ def show(file: Path, as_json: bool) -> int:
 @json_option
 def moved(file: Path, as_json: bool) -> int:
     """Which words moved during a capture, the likeliest one first: for finding what a slider does."""
-    from inteco_abs.boards.capture import read_capture
     from inteco_abs.boards.capture_summary import caution
     from inteco_abs.boards.moved_words import moved_words
 
-    capture = read_capture(file)
+    capture = _read(file)
     words, doubt = moved_words(capture), caution(capture)
     if as_json:
         print_json(
@@ -128,11 +132,10 @@ def moved(file: Path, as_json: bool) -> int:
 @json_option
 def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str, ...], as_json: bool) -> int:
     """Compare the SEND frames of two captures, the n-th with the n-th; ends with exit code 4 if they differ."""
-    from inteco_abs.boards.capture import read_capture
     from inteco_abs.boards.moved_words import compare_sends
 
     ignored = [*ignore, *([] if numbering_pwm is None else [f"pwm{numbering_pwm}_prescaler"])]
-    one, other = read_capture(first), read_capture(second)
+    one, other = _read(first), _read(second)
     if one.board != other.board:
         raise ConfigError([Mistake("SECOND", f"{second} is of a {other.board} board, {first} of a {one.board}")])
     outcome = compare_sends(one, other, ignored)
@@ -168,11 +171,10 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
 @json_option
 def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: bool) -> int:
     """Let our driver do what the capture shows, and compare every message; ends with exit code 4 if they differ."""
-    from inteco_abs.boards.capture import read_capture
     from inteco_abs.boards.wire_replay import replay_wire
     from inteco_abs.config import DEFAULT_PROFILE, load_config
 
-    capture = read_capture(file)
+    capture = _read(file)
     outcome = replay_wire(capture, load_config(config, settings, profile=_PROFILES.get(capture.board, DEFAULT_PROFILE)))
     if as_json:
         differences = [one._asdict() for one in outcome.differences]
@@ -189,6 +191,19 @@ def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: 
         if outcome.ended:
             click.echo(f"  the capture could not be followed to its end: {outcome.ended}")
     return DIFFERS if outcome.differing or outcome.ended else 0
+
+
+def _read(file: Path) -> Capture:
+    from inteco_abs.boards.capture import read_capture
+
+    return _of_session(file) or read_capture(file)
+
+
+def _of_session(file: Path) -> Capture | None:
+    """The raw frames of a session; None if the file is none."""
+    from inteco_abs.sessions import is_session_file, read_frames
+
+    return read_frames(file) if is_session_file(file) else None
 
 
 def _logic(version: int | None, name: str) -> str:

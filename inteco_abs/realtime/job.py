@@ -38,6 +38,8 @@ class Job:
     """Metadata: software and host."""
     wire: str = ""
     """Capture to write, absolute: everything that passes between the loop and the board."""
+    frames: bool = False
+    """Whether all that goes into the session, too."""
     controller_package: str = ""
     """Name and version of the package that the controller comes from; empty if from none."""
     virtual: bool = False

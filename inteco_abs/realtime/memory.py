@@ -26,6 +26,7 @@ FOLDER: Final = Path("/dev/shm")  # noqa: S108  memory, not a place for temporar
 SUFFIX: Final = ".ring"
 _PREFIX: Final = "inteco-abs-"
 _SOCKET: Final = ".board"
+_FRAMES: Final = ".frames"
 _KIND: Final = b"inteco-abs ring"
 _MAGIC: Final = _KIND + b" 2\n"
 _HEADER: Final = struct.Struct("<32s4Q")
@@ -198,13 +199,17 @@ class RunMemory:
         """
         if self._kept or FOLDER.resolve() not in self.path.resolve().parents:
             return
-        _unlink(self.path)
-        _unlink(self.socket)
+        _unlink_all(self.path)
 
     @property
     def socket(self) -> Path:
         """Where the mock board of this run listens, if it has one."""
         return self.path.with_suffix(_SOCKET)
+
+    @property
+    def frames(self) -> Path:
+        """Where the loop's process leaves what passed between it and the board, if that was asked for."""
+        return self.path.with_suffix(_FRAMES)
 
     def in_use(self) -> bool:
         """Whether any process of the run may still need it."""
@@ -287,8 +292,13 @@ def left_rings(folder: Path = FOLDER) -> Iterator[Path]:
         if struct.unpack_from("<Q", head, _RINGS_AT)[0]:
             yield path
         else:
-            _unlink(path)
-            _unlink(path.with_suffix(_SOCKET))
+            _unlink_all(path)
+
+
+def _unlink_all(path: Path) -> None:
+    """The memory at `path`, and what lies beside it."""
+    for suffix in (SUFFIX, _SOCKET, _FRAMES, f"{_FRAMES}.part"):
+        _unlink(path.with_suffix(suffix))
 
 
 def _unlink(path: Path) -> None:

@@ -20,6 +20,7 @@ from typing import Any, Final
 
 from inteco_abs.boards import STILL_ON
 from inteco_abs.errors import AbsError, SessionError
+from inteco_abs.realtime.frames import frames_of
 from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.live import live_view
@@ -94,7 +95,7 @@ def _record(memory: RunMemory, job: Job) -> None:
             if not keeper.ticks:
                 keeper.discard()
                 return
-            account = keeper.conclude(conclusion(memory))
+            account = keeper.conclude(replace(conclusion(memory), frames=frames_of(memory, job)))
     tell_result(memory, account)
 
 
@@ -345,7 +346,7 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
         scribe.add(ticks.take(), truths.take())
         memory.histogram.clear()
         memory.histogram.add(*scribe.lateness())
-        end = conclusion(memory)
+        end = replace(conclusion(memory), frames=frames_of(memory, job))
         anew = f"the session was made from what the run left in memory, {scribe.ticks} ticks"
         if gone:
             anew += f"; those before tick {held_from} were in {file}, which is gone"

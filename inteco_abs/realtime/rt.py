@@ -14,6 +14,7 @@ from inteco_abs.boards import Wrap, open_board, recording, simulated
 from inteco_abs.control import build_pipeline, gains_in_force
 from inteco_abs.errors import AbsError
 from inteco_abs.realtime.clock import PacedClock
+from inteco_abs.realtime.frames import leaving_frames
 from inteco_abs.realtime.holder import PATIENCE_S, holding, stopped, tell_failure
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.latency import insist_on_rate
@@ -72,11 +73,12 @@ def main(path: str) -> int:
 
 
 def _run(memory: RunMemory, job: Job) -> None:
-    with recording(Path(job.wire) if job.wire else None, job.config) as around:
+    wire = Path(job.wire) if job.wire else None
+    with recording(wire, job.config, keep=job.frames) as around, leaving_frames(memory, job, around):
         try:
             _hold(memory, job, around)
         finally:
-            memory.words[Word.SAVING] = bool(job.wire)  # with the board let go of, and all said
+            memory.words[Word.SAVING] = bool(job.wire) or job.frames  # with the board let go of, and all said
 
 
 def _hold(memory: RunMemory, job: Job, around: Wrap) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from inteco_abs.realtime.frames import stow_frames
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Note, RunMemory
 from inteco_abs.realtime.ring import TickRing
@@ -31,6 +32,8 @@ def stow(job: Job, introduction: Introduction, end: Conclusion, ticks: bytes, tr
     memory.post(Note.CONCLUSION, {"reason": int(end.reason), "detail": end.detail, "aborted": end.aborted, "cost": {}})
     _fill(memory.tick_ring(_copy), ticks, TICK.size)
     _fill(memory.truth_ring(_copy), truths, TRUTH.size)
+    if end.frames is not None:
+        stow_frames(memory, end.frames)
     memory.keep()
     return memory.path
 

@@ -261,6 +261,7 @@ class Supervisor:
                 continue
             if account is None or (len(refused) == 1 and not failure):
                 return account
+            refused += filter(None, [account.trouble])
             return replace(account, trouble=f"{'; '.join(refused)}; the whole session is in {session}")
         trouble = SessionError(
             f"{board_in_words(memory)}, but {'; '.join(refused)}. "
