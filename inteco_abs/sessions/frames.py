@@ -80,13 +80,14 @@ def _capture(path: Path, content: Content, messages: Iterable[bytes]) -> Capture
         start_ns = int(facts["start_ns"])
         board, recorded_by, clock = (facts[name] for name in _HEAD)
         records = tuple(_record(unpack_io_frame(data), start_ns) for data in messages)
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, OverflowError) as error:
         raise DamagedError(f"its raw frames cannot be read: {error}") from error
     return Capture(board, recorded_by, clock, records, str(path), start_ns)
 
 
 def _record(frame: IoFrame, start_ns: int) -> Record:
-    return Record((frame.time_ns - start_ns) * 1e-9, _KINDS[frame.direction], None, frame.data, frame.text, frame.of)
+    t_s = round((frame.time_ns - start_ns) * 1e-9, 9)  # as a capture says it
+    return Record(t_s, _KINDS[frame.direction], None, frame.data, frame.text, frame.of)
 
 
 _DIRECTIONS: Final[Mapping[Kind, Direction]] = {

@@ -321,7 +321,8 @@ class _Anew:
         facts = self._content.channel_facts.get(IO_TOPIC)
         if facts is not None:
             recorder.frames(facts, self._frames.messages(self._epoch_ns))
-            missing = int(told["messages"]) - self._frames.number if told.get("messages", "").isdecimal() else 0
+            number = told.get("messages", "")
+            missing = int(number) - self._frames.number if number.isdecimal() and len(number) < 10 else 0
             if missing > 0:
                 self._losses.append(f"{missing} raw frames are missing")
             elif not told:
