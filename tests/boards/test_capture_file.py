@@ -4,7 +4,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.boards.capture import Capture, Kind, Record, check_target, parse_capture, read_capture, write_capture
+from inteco_abs.boards.capture import (
+    Capture,
+    Kind,
+    Record,
+    check_target,
+    opened_capture,
+    parse_capture,
+    read_capture,
+    write_capture,
+)
 from inteco_abs.errors import CaptureError
 
 HEAD = {"format": "inteco-abs wire", "version": 1, "board": "usb2", "recorded_by": "a test", "clock": "none"}
@@ -30,9 +39,11 @@ def lines(*records, **head):
 
 def test_everything_that_is_written_is_read_again(tmp_path):
     path = tmp_path / "x.jsonl"
-    capture = Capture("usb2", "a test", "none", RECORDS, str(path))
+    capture = Capture("usb2", "a test", "none", RECORDS, str(path), 12_000_000_007)
     write_capture(path, capture)
     assert read_capture(path) == capture
+    with opened_capture(path) as (head, records):
+        assert head._replace(records=tuple(records)) == capture
     assert [file.name for file in tmp_path.iterdir()] == ["x.jsonl"]
 
 
@@ -61,6 +72,9 @@ def test_messages_keep_their_bytes_and_their_nanoseconds(tmp_path_factory, recor
         ({"version": 2}, "version = 2, this program reads 1"),
         ({"board": 7}, "board = 7"),
         ({"clock": None}, "clock = None"),
+        ({"start_ns": 1.5}, "start_ns = 1.5, must be in 0.."),
+        ({"start_ns": -1}, "start_ns = -1"),
+        ({"start_ns": 1 << 63}, "start_ns = 9223372036854775808"),
     ],
 )
 def test_a_wrong_header_is_named(head, word):
@@ -116,6 +130,23 @@ def test_any_object_is_a_record_or_one_clear_error(record):
     except CaptureError as error:
         records, problem = (), str(error)
     assert len(records) == 1 or problem.startswith("x, line 2: ")
+
+
+def drained(path):
+    with opened_capture(path) as (_, records):
+        return list(records)
+
+
+def test_a_file_that_is_read_record_by_record_is_refused_where_it_is_wrong(tmp_path):
+    path = tmp_path / "x.jsonl"
+    with pytest.raises(CaptureError, match=r"x\.jsonl: cannot be read: .*No such file"):
+        drained(path)
+    path.write_text("\n".join(lines({"t": 0, "dir": "out", "hex": "00"}, {"t": 0, "dir": "up"})))
+    with pytest.raises(CaptureError, match=r"x\.jsonl, line 3: dir = 'up'"):
+        drained(path)
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(CaptureError, match=r"x\.jsonl: cannot be read"):
+        drained(path)
 
 
 def test_a_file_that_was_cut_off_is_refused(tmp_path):

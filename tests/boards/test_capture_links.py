@@ -371,6 +371,14 @@ class TestRecording:
         with recording(None, load_config()) as around:
             assert around(inner) is inner
 
+    def test_without_a_path_it_may_be_kept_for_another_place(self, tmp_path):
+        with recording(None, load_config(), now_ns=lambda: 7, keep=True) as around:
+            assert around.capture() is None
+            around(Inner()).write(b"w")
+            capture = around.capture()
+        assert (capture.start_ns, [record.data for record in capture.records]) == (7, [b"w"])
+        assert not list(tmp_path.iterdir())
+
     def fail(self, path, then=lambda: None):
         with recording(path, load_config()) as around:
             around(Inner()).write(b"w")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from inteco_abs.errors import ConfigError, SessionError
+from inteco_abs.errors import CaptureError, ConfigError, SessionError
 from inteco_abs.sessions import (
     TICK,
     TRUTH,
@@ -62,9 +62,9 @@ class Kept:
             self.slice(number)
         return self
 
-    def conclude(self):
+    def conclude(self, frames=None):
         with self.keeper:
-            return self.keeper.conclude(Conclusion(Reason.NONE, self.keeper.ticks))
+            return self.keeper.conclude(Conclusion(Reason.NONE, self.keeper.ticks, frames=frames))
 
     def vanish(self):
         shutil.rmtree(self.out.parent)
@@ -101,6 +101,17 @@ def test_on_a_good_disk_the_file_is_where_it_should_be_and_nothing_is_said(kept)
     assert account.card["session"] == "stop.mcap"
     whole(run.out, run)
     assert not run.spill.exists()
+
+
+def test_frames_that_were_not_kept_are_told_beside_what_the_disk_has_refused(kept):
+    def none():
+        raise CaptureError("nobody has saved them")
+
+    run = kept().introduce()
+    trouble = run.tell(before=lambda number: run.vanish() if number == 3 else None).conclude(none).trouble
+    assert f"{run.out} is gone" in trouble
+    assert "raw frames: nobody has saved them; the whole session is in" in trouble
+    whole(run.spill, run)
 
 
 @pytest.mark.parametrize("at", range(SLICES))

@@ -89,6 +89,30 @@ def test_a_loop_that_is_killed_at_any_moment_leaves_safe_and_every_tick(live, re
     assert_left_nothing_behind(run)
 
 
+def test_a_loop_that_is_killed_leaves_no_raw_frames_and_the_session_says_so(live, replayed):
+    run = live("--frames")
+    run.until_tick(TURNING)
+    run.strike("loop")
+    code, card, message = run.end()
+    assert (code, card["outcome"], card["lost_ticks"]) == (5, "aborted", 0)
+    missing = "the loop's process ended before it had saved them"
+    assert missing in message
+    session = assert_nothing_lost(run, replayed)
+    assert (session.frames, session.metadata["frames"]) == (0, {"missing": missing})
+    assert_left_nothing_behind(run)
+
+
+def test_without_a_recorder_the_raw_frames_are_in_the_session_too(live, replayed):
+    run = live("--frames")
+    run.until_tick(TURNING)
+    run.strike("recorder")
+    assert run.end()[0] == 5
+    session = assert_nothing_lost(run, replayed)
+    assert session.frames > 2 * len(session.ticks)
+    assert_left_nothing_behind(run)
+    assert not run.memory.frames.exists()
+
+
 def test_a_loop_that_hangs_is_killed_by_the_guardian(live, replayed):
     run = live()
     run.until_tick(TURNING)

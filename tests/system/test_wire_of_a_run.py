@@ -36,8 +36,11 @@ def test_another_wiring_is_found_by_its_words(captured, inteco_abs):
     assert "could not be followed to its end" in run.stdout
 
 
-def test_a_run_in_real_time_keeps_its_wire_too(inteco_abs):
-    inteco_abs("run", *QUICK, "--out", "x.mcap", "--record-wire", "x.jsonl")
+def test_a_run_in_real_time_keeps_its_wire_too_and_the_same_in_its_session(inteco_abs, tmp_path):
+    inteco_abs("run", *QUICK, "--out", "x.mcap", "--record-wire", "x.jsonl", "--frames")
+    inteco_abs("wire", "import", "x.mcap", "-o", "again.jsonl", check=0)
+    assert (tmp_path / "again.jsonl").read_bytes() == (tmp_path / "x.jsonl").read_bytes()
+    inteco_abs("validate", "x.mcap", check=0)
     replay = json.loads(inteco_abs("wire", "replay", "x.jsonl", "--json").stdout)
     assert replay["exchanges"] > 1000
     assert replay["differing"] == 0
