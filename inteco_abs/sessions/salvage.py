@@ -319,17 +319,17 @@ class _Anew:
         """The raw frames, if there were any, and what became of them."""
         told = dict(self._facts.get("frames", {}))
         facts = self._content.channel_facts.get(IO_TOPIC)
+        if facts is None and not told:
+            return
         if facts is not None:
             recorder.frames(facts, self._frames.messages(self._epoch_ns))
-            number = told.get("messages", "")
-            missing = int(number) - self._frames.number if number.isdecimal() and len(number) < 10 else 0
-            if missing > 0:
-                self._losses.append(f"{missing} raw frames are missing")
-            elif not told:
-                told["missing"] = "the file did not say any more how many there were"
-            told["messages"] = str(self._frames.number)
-        if told:
-            recorder.describe("frames", told)
+        number = told.get("messages", "")
+        missing = int(number) - self._frames.number if number.isdecimal() and len(number) < 10 else 0
+        if missing > 0:
+            self._losses.append(f"{missing} raw frames are missing")
+        if not told:
+            told["missing"] = "the file did not say any more how many there were"
+        recorder.describe("frames", {**told, "messages": str(self._frames.number)})
 
     def _recovery(self) -> dict[str, str]:
         session = self._facts.get("session", {})

@@ -79,3 +79,33 @@ def test_a_map_of_texts_is_what_was_written_or_damage(facts, cut):
 def test_a_record_knows_where_it_ends():
     entry = Entry(Opcode.HEADER, 109, memoryview(bytes(20)))
     assert (entry.start, entry.end) == (100, 129)
+
+
+class TestStretches:
+    RAW = message(7, 1, 0) + message(7, 0, 1) + message(7, 3, 2)
+
+    def parts(self, raw):
+        return list(chunk_parts(raw, {7}))
+
+    def test_messages_of_many_sizes_are_one_stretch(self):
+        (stretch,) = self.parts(self.RAW)
+        assert (stretch.channel, stretch.number) == (7, 3)
+        assert list(stretch.messages()) == [(0, 0, b"\0"), (1, 1000, b""), (2, 2000, b"\2\2\2")]
+
+    def test_another_channel_or_another_record_ends_it(self):
+        other, schema = message(8, 1, 0), struct.pack("<BQ", Opcode.SCHEMA, 30) + bytes([7, 0]) * 15
+        first, run, second, record, third = self.parts(self.RAW + other + self.RAW + schema + self.RAW)
+        assert [stretch.number for stretch in (first, second, third)] == [3, 3, 3]
+        assert (run.channel, record.opcode) == (8, Opcode.SCHEMA)
+
+    @pytest.mark.parametrize(
+        ("end", "problem"),
+        [
+            (b"\5", "1 bytes behind its last record"),
+            (message(7, 9, 0)[:-1], "which leaves it"),
+            (struct.pack("<BQ", Opcode.MESSAGE, 21) + bytes([7, 0]) * 11, "less than a message"),
+        ],
+    )
+    def test_what_is_no_message_behind_it_is_damage(self, end, problem):
+        with pytest.raises(DamagedError, match=problem):
+            self.parts(self.RAW + end)

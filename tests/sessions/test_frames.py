@@ -116,9 +116,11 @@ class TestInTheSession:
         monkeypatch.setattr("inteco_abs.sessions.container.Stretch.messages", read)
         assert read_session(framed.path).frames
 
-    def test_a_board_with_registers_is_refused_before_anything_is_made(self, tmp_path):
+    @pytest.mark.parametrize("virtual", [True, False], ids=["virtual", "real time"])
+    def test_a_board_with_registers_is_refused_before_anything_is_made(self, tmp_path, virtual):
+        plan = Plan(tmp_path / "stop.mcap", virtual=virtual, frames=True)
         with pytest.raises(ConfigError, match="--frames: a board on the PCI bus has registers"):
-            run_stop(load_config(settings=["profile=sim_pci"]), Plan(tmp_path / "stop.mcap", frames=True))
+            run_stop(load_config(settings=["profile=sim_pci"]), plan)
         assert not list(tmp_path.iterdir())
 
 
@@ -154,14 +156,30 @@ class TestDamage:
         assert session.metadata["frames"]["messages"] == str(kept)
         assert "missing" in session.metadata["frames"]
 
-    def test_recover_says_how_many_frames_a_damaged_chunk_has_cost(self, framed, chunks, container, altered, tmp_path):
+    def test_recover_says_how_many_frames_a_damaged_chunk_has_cost(
+        self, framed, chunks, container, altered, officially, tmp_path
+    ):
         data = bytearray(framed.path.read_bytes())
         data[chunks[1].end - 20] ^= 1
         recovery = recover_session(altered(bytes(data)), tmp_path / "out.mcap")
         lost = frames_in(chunks[1], container)
         assert f"{lost} raw frames are missing" in recovery.losses
         assert recovery.missing == ()
-        assert len(read_frames(tmp_path / "out.mcap").records) == framed.session.frames - lost
+        left = framed.session.frames - lost
+        assert len(read_frames(tmp_path / "out.mcap").records) == left
+        described = [
+            record.metadata for record in officially(tmp_path / "out.mcap").metadata if "frames" in record.name
+        ]
+        assert described == [{"messages": str(left)}]
+
+    def test_recover_of_a_file_that_has_lost_all_frames_says_how_many_there_were(
+        self, framed, chunks, container, altered, tmp_path
+    ):
+        gone = {chunk.at for chunk in chunks}
+        records = [record for record in container.split(framed.path.read_bytes()) if record.at not in gone]
+        recovery = recover_session(altered(container.join(records)), tmp_path / "out.mcap")
+        assert f"{framed.session.frames} raw frames are missing" in recovery.losses
+        assert read_session(tmp_path / "out.mcap").metadata["frames"] == {"messages": "0"}
 
     def test_frames_that_come_twice_are_kept_once(self, framed, capture, chunks, container, altered, tmp_path):
         records = container.split(framed.path.read_bytes())
@@ -285,6 +303,6 @@ def test_a_frame_is_what_the_official_library_makes_of_it(official, frame):
 @given(start_ns=TIMES, times=st.lists(TIMES))
 def test_times_come_back_to_the_nanosecond(start_ns, times):
     head = Capture("usb2", "", "", (), "", start_ns)
-    records = [Record(time_ns * 1e-9, Kind.OUT) for time_ns in times]
+    records = [Record(round(time_ns * 1e-9, 9), Kind.OUT) for time_ns in times]
     assert frame_facts(head)["start_ns"] == str(start_ns)
     assert [time_ns - start_ns for time_ns, _ in packed_frames(head, records)] == times
