@@ -72,8 +72,8 @@ _LIVE_PORT: Final = 8765
 @click.option(
     "--frames",
     is_flag=True,
-    help="Also keep every message to and from the board in the session: 2 MB/s at 2 kHz, 0.2 MB/s in the file; "
-    "`inteco-abs wire` reads them there.",
+    help="Also keep messages to and from the board in the session, the first 300000 of them: 2 MB/s of memory for 50 s "
+    "at 2 kHz, 0.2 MB/s in the file; `inteco-abs wire` reads them there.",
 )
 @click.option(
     "--foxglove",

@@ -23,9 +23,9 @@ TINY = ("experiment.start_speed_rad_s=10.0", "experiment.idle_s=0.01", "experime
 
 @pytest.fixture(scope="session")
 def fresh(tmp_path_factory):
-    """A session of a few hundred ticks, as this version writes it."""
+    """A session of a few hundred ticks and their raw frames, as this version writes it."""
     path = tmp_path_factory.mktemp("fresh") / "stop.mcap"
-    run_stop(load_config(settings=TINY, checks=[control_check(CONTROLLERS)]), Plan(out=path, seed=1))
+    run_stop(load_config(settings=TINY, checks=[control_check(CONTROLLERS)]), Plan(out=path, seed=1, frames=True))
     return path
 
 

@@ -1,12 +1,14 @@
 """The official TypeScript reader, which Lichtblick and Foxglove are built on, opens what we write."""
 
 import json
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from inteco_abs.sessions import TICK, TRUTH, read_session
+from inteco_abs.records.io_frame import IO_NAME, IO_TOPIC, Direction
+from inteco_abs.sessions import TICK, TRUTH, read_frames, read_session
 
 LOCK = Path(__file__).with_name("package-lock.json")
 
@@ -53,6 +55,7 @@ def test_messages_are_as_many(opened):
     expected = {TICK.topic: len(session.ticks), "/abs/event": session.events, "/abs/params": 1}
     found = {topic: told["messages"] for topic, told in theirs["topics"].items()}
     assert found.pop(TRUTH.topic, 0) == len(session.truth)
+    assert found.get(IO_TOPIC, 0) == session.frames
     assert {topic: found[topic] for topic in expected} == expected
     assert int(theirs["counted"]) == sum(told["messages"] for told in theirs["topics"].values())
 
@@ -70,6 +73,15 @@ def test_every_column_of_numbers_has_the_sum_that_numpy_finds(opened, message):
     assert told["sums"] == sums(rows)
     assert told["notNumbers"] == not_numbers(rows)
     assert told["members"] == members(rows, message)
+
+
+def test_the_raw_frames_are_of_the_same_directions_and_times(fresh, in_typescript):
+    told, capture = in_typescript(fresh)["topics"][IO_TOPIC], read_frames(fresh)
+    counts = Counter(f"DIRECTION_{Direction[record.kind.name].name}" for record in capture.records)
+    assert told["schema"] == IO_NAME
+    assert told["members"] == {"direction": dict(counts)}
+    times_ns = [capture.start_ns + round(record.t_s * 1e9) for record in capture.records]
+    assert told["sums"]["time_ns"] == str(sum(times_ns))
 
 
 def test_log_metadata_and_attachments_are_there(opened):
