@@ -125,6 +125,12 @@ class TestLeaving:
         with frames_of(*ended)() as (head, records):
             assert (head.board, [record.data for record in records]) == ("usb2", [b"safe"])
 
+    def test_where_no_board_was_opened_nothing_lies_there(self, ended):
+        memory, job = ended
+        with recording(None, job.config, keep=True) as around, leaving_frames(memory, job, around):
+            pass
+        assert not memory.frames.exists()
+
     def test_of_a_run_that_failed_too(self, loop, ended):
         with pytest.raises(LinkError, match="gone"):
             loop(self.fail)

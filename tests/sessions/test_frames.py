@@ -79,6 +79,11 @@ class TestOut:
         assert refused.code == 1
         assert "holds no raw frames: record them with inteco-abs run --frames" in refused.err
 
+    def test_a_file_that_is_not_there_is_named(self, verb, tmp_path):
+        refused = verb("wire", "show", tmp_path / "none.mcap")
+        assert refused.code == 1
+        assert "none.mcap: cannot be read" in refused.err
+
 
 class TestInTheSession:
     def test_the_official_libraries_decode_every_frame(self, framed, capture, officially):
@@ -198,6 +203,7 @@ class TestDamage:
             ({"start_ns": "0"}, b"\xff"),
             ({"start_ns": "0"}, pack_io_frame(IoFrame(1, Direction.UNKNOWN))),
             ({"start_ns": "0"}, b"\x10\x63"),
+            ({"start_ns": "0"}, b"\x08\x01\x10\x01"),
             ({"start_ns": "0"}, b"\x09" + bytes(8) + b"\x10\x01\x22\x01\xff"),
             ({"start_ns": "0"}, b"\x09" + bytes(8) + b"\x10\x01\x18\x01"),
         ],
