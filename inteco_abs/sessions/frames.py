@@ -42,23 +42,26 @@ def packed_frames(head: Capture, records: Iterable[Record]) -> Iterator[tuple[in
 
 
 def read_frames(path: Path) -> Capture:
-    """The raw frames of the session at `path`; of a cut file, those up to there.
+    """The raw frames of the session at `path`, with a warning at their end if there may have been more.
 
     Raises SessionError if it has none, if it cannot be read, or if it is damaged.
     """
     content = Content()
     messages: list[bytes] = []
+    ended = False
     with opened(path) as (file, size):
         allowance = Allowance(size)
         try:
             for entry in RecordFile(file, size):
                 if entry.opcode == Opcode.DATA_END:
+                    ended = True
                     break
                 if entry.opcode == Opcode.CHUNK:
                     messages += _messages(content, unpack_chunk(entry.data, allowance))
                 else:
                     content.take(entry)
-            return _capture(path, content, messages)
+            missing = content.metadata.get("frames", {}).get("missing", "")
+            return _capture(path, content, messages, missing if ended else "the file ends early")
         except DamagedError as error:
             raise SessionError(f"{path}: is damaged: {error}") from error
 
@@ -71,18 +74,20 @@ def _messages(content: Content, raw: bytes) -> Iterator[bytes]:
             yield from (data for _, _, data in part.messages())
 
 
-def _capture(path: Path, content: Content, messages: Iterable[bytes]) -> Capture:
+def _capture(path: Path, content: Content, messages: Iterable[bytes], missing: str) -> Capture:
     facts = content.channel_facts.get(IO_TOPIC)
     if facts is None:
-        why = content.metadata.get("frames", {}).get("missing", "record them with inteco-abs run --frames")
-        raise SessionError(f"{path}: holds no raw frames: {why}")
+        raise SessionError(f"{path}: holds no raw frames: {missing or 'record them with inteco-abs run --frames'}")
     try:
         start_ns = int(facts["start_ns"])
         board, recorded_by, clock = (facts[name] for name in _HEAD)
-        records = tuple(_record(unpack_io_frame(data), start_ns) for data in messages)
+        records = [_record(unpack_io_frame(data), start_ns) for data in messages]
     except (KeyError, ValueError, OverflowError) as error:
         raise DamagedError(f"its raw frames cannot be read: {error}") from error
-    return Capture(board, recorded_by, clock, records, str(path), start_ns)
+    if missing:
+        text = f"more messages may have passed, and are not in the session: {missing}"
+        records.append(Record(records[-1].t_s if records else 0.0, Kind.WARNING, text=text))
+    return Capture(board, recorded_by, clock, tuple(records), str(path), start_ns)
 
 
 def _record(frame: IoFrame, start_ns: int) -> Record:

@@ -154,8 +154,12 @@ class TestDamage:
         kept = frames_in(chunks[0], container) + frames_in(chunks[1], container)
         again = read_frames(tmp_path / "out.mcap")
         assert again._replace(name="", records=()) == capture._replace(name="", records=())
-        assert again.records == capture.records[:kept]
-        assert read_frames(cut).records == capture.records[:kept]
+        assert again.records[:-1] == capture.records[:kept]
+        assert "the file did not say any more" in again.records[-1].text
+        *before, warning = read_frames(cut).records
+        assert tuple(before) == capture.records[:kept]
+        assert (warning.kind, warning.t_s) == (Kind.WARNING, before[-1].t_s)
+        assert warning.text == "more messages may have passed, and are not in the session: the file ends early"
         session = read_session(tmp_path / "out.mcap")
         assert session.ticks.tobytes() == framed.session.ticks.tobytes()
         assert session.metadata["frames"]["messages"] == str(kept)
@@ -260,7 +264,9 @@ def test_a_recording_that_breaks_off_gives_the_frames_before_that(concluded, tmp
     records = (Record(0.0, Kind.OUT, None, b"o"), Record(1e-9, Kind.IN, None, b"i"))
     account = concluded(failing(head, records, "line 4 is wrong"))
     assert "line 4 is wrong" in account.trouble
-    assert read_frames(tmp_path / "told.mcap").records == records
+    *before, warning = read_frames(tmp_path / "told.mcap").records
+    assert tuple(before) == records
+    assert "not in the session: line 4 is wrong" in warning.text
 
 
 @pytest.fixture
