@@ -1,4 +1,5 @@
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -145,6 +146,24 @@ def test_a_session_that_proves_nothing_is_refused(folder, quick, run):
     steady = run("controller.name=steps").session
     with pytest.raises(SessionError, match="the brake hardly ever changes"):
         folder.add(steady, "steady", "no decisions", CONTROLLERS)
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"incomplete": "the file ends early"}, "would prove nothing: the file ends early"),
+        ({}, "would prove nothing: 0 ticks of braking"),
+        ({"beyond": "tyre_c is left out"}, "cannot be replayed: tyre_c is left out"),
+    ],
+)
+def test_a_session_without_ticks_or_with_what_is_not_known_is_refused(folder, quick, change, words):
+    before = contents(folder)
+    session = replace(quick.session, **change)
+    if not session.beyond:
+        session = replace(session, ticks=session.ticks[:0], payload=b"")
+    with pytest.raises(SessionError, match=words):
+        folder.add(session, "other", "why not", CONTROLLERS)
     assert contents(folder) == before
 
 
