@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names, key_names
-from inteco_abs.cli.shared import FILE, LOSSES, json_option, known_controllers, print_json, read_whole
+from inteco_abs.cli.shared import FILE, LOSSES, Finite, json_option, known_controllers, print_json, read_whole
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ _METRICS: Final = (
 @click.option(
     "--at",
     "at_s",
-    type=float,
+    type=Finite(),
     metavar="SECONDS",
     help="Switch that long after braking began; default: from the first tick on.",
 )
@@ -67,14 +67,14 @@ _METRICS: Final = (
     "--duty",
     default=0.01,
     show_default=True,
-    type=click.FloatRange(min=0.0),
+    type=Finite(min=0.0),
     help="How far the duty asked for may be from the log's without having left it.",
 )
 @click.option(
     "--torque",
     default=0.1,
     show_default=True,
-    type=click.FloatRange(min=0.0),
+    type=Finite(min=0.0),
     help="Likewise the torque asked for, N m.",
 )
 @click.option(

@@ -198,6 +198,24 @@ def test_what_is_not_there_is_told(command, arguments, code, words):
     assert words in said
 
 
+@pytest.mark.parametrize("number", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("what-if", "none.mcap", "--at"),
+        ("what-if", "none.mcap", "--duty"),
+        ("what-if", "none.mcap", "--torque"),
+        ("golden", "add", "none.mcap", "--reason", "why not", "--until"),
+        ("diff", "none.mcap", "none.mcap", "--rel"),
+    ],
+    ids=lambda arguments: arguments[-1],
+)
+def test_what_is_no_number_is_wrong_usage(command, arguments, number):
+    ended, _, said = command(*arguments, number)
+    assert ended == 2
+    assert f"Invalid value for '{arguments[-1]}'" in said
+
+
 @pytest.mark.parametrize(
     "verb", [("replay",), ("what-if",), ("golden", "add"), ("golden", "test"), ("golden", "update")]
 )
