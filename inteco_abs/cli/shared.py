@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 LOSSES: Final = 3
 DIFFERS: Final = 4
 INTERRUPTED: Final = 130
-FILE: Final = click.Path(path_type=Path)
+FILE: Final = click.Path(path_type=Path, readable=False)
+"""Each verb says itself what it cannot read, in its own words and with its own exit code."""
 
 
 class Finite(click.FloatRange):
