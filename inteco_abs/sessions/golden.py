@@ -133,7 +133,7 @@ class GoldenFolder:
         rows = _rows_until(session, until_s)
         _insist_on_a_test(session, session.ticks[:rows])
         payload = bytes(session.payload[: rows * TICK.size])
-        self.path.mkdir(parents=True, exist_ok=True)
+        self._make()
         part = self._part(name)
         try:
             _write_copy(session, payload, part)
@@ -205,6 +205,12 @@ class GoldenFolder:
             problem = f"{self.path} is no folder"
         if problem:
             raise ConfigError([Mistake("--name", problem)])
+
+    def _make(self) -> None:
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise SessionError(f"{self.path}: cannot be created: {error.strerror}") from error
 
     def _part(self, name: str) -> Path:
         return self.path / f".{name}.{os.getpid()}.part"

@@ -132,6 +132,14 @@ def test_what_cannot_be_added_is_told_and_changes_nothing(folder, quick, name, r
     assert contents(folder) == before
 
 
+def test_a_folder_that_cannot_be_made_is_named(tmp_path, quick):
+    (tmp_path / "file").write_text("no folder")
+    place = GoldenFolder(tmp_path / "place")
+    place.path.symlink_to("file/below")
+    with pytest.raises(SessionError, match="place: cannot be created: "):
+        place.add(quick.session, "quick", "why not", CONTROLLERS)
+
+
 def test_a_file_that_the_table_does_not_know_is_not_overwritten_either(folder, quick):
     (folder.path / "stray.mcap").write_bytes(b"mine")
     with pytest.raises(ConfigError, match="never overwritten"):
