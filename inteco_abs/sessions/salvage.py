@@ -204,7 +204,9 @@ class _Anew:
         internals = self._internals()
         with (
             only_whole(self._out) as part,
-            Recorder(part, start_ns, internals, session.get("session_id", ""), self._epoch_ns) as recorder,
+            Recorder(
+                part, start_ns, internals, session.get("session_id", ""), self._epoch_ns, durable=True
+            ) as recorder,
         ):
             self._introduce(recorder)
             self._copy(recorder)

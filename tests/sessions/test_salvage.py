@@ -1,6 +1,7 @@
 """What a recovery keeps of a session, and what it says of the rest."""
 
 import json
+import os
 import struct
 import tracemalloc
 import zlib
@@ -278,6 +279,13 @@ def test_a_line_of_the_log_that_cannot_be_read_costs_no_tick(rescue, container, 
     recovery, session = rescue(joined(container, records))
     assert len(session.ticks) == 60
     assert any("an event cannot be read" in loss for loss in recovery.losses)
+
+
+def test_the_disk_has_all_of_it_before_it_gets_its_name(short, tmp_path, monkeypatch):
+    out, at_the_last = tmp_path / "out.mcap", []
+    monkeypatch.setattr(os, "fsync", lambda number: at_the_last.append((os.fstat(number).st_size, out.exists())))
+    recover_session(short, out)
+    assert at_the_last[-1] == (out.stat().st_size, False)
 
 
 def test_gaps_are_in_the_metadata_as_numbers(rescue, container, pieces):
