@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import DIFFERS, FILE, json_option, known_controllers, print_json, read_whole
+from inteco_abs.cli.shared import DIFFERS, FILE, Finite, json_option, known_controllers, print_json, read_whole
 
 if TYPE_CHECKING:
     from inteco_abs.sessions.golden import Golden, GoldenFolder, Verdict
@@ -42,7 +42,7 @@ def golden() -> None:
     metavar="FIELD=ABS[:REL[:LEAD_S[:LAG_S]]]",
     help="As for replay; by default every bit counts.",
 )
-@click.option("--until", "until_s", type=float, metavar="SECONDS", help="Cut the copy that long after braking began.")
+@click.option("--until", "until_s", type=Finite(), metavar="SECONDS", help="Cut the copy that long after braking.")
 @_reason_option
 @_folder_option
 @json_option

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,7 +22,18 @@ if TYPE_CHECKING:
 LOSSES: Final = 3
 DIFFERS: Final = 4
 INTERRUPTED: Final = 130
-FILE: Final = click.Path(path_type=Path)
+FILE: Final = click.Path(path_type=Path, readable=False)
+"""Each verb says itself what it cannot read, in its own words and with its own exit code."""
+
+
+class Finite(click.FloatRange):
+    """A number within its range: neither infinite nor NaN, which is in every range."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number: float = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
 
 
 def json_option(function: Callable[..., Any]) -> Callable[..., Any]:

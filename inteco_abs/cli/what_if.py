@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names, key_names
-from inteco_abs.cli.shared import FILE, LOSSES, json_option, known_controllers, print_json, read_whole
+from inteco_abs.cli.shared import FILE, LOSSES, Finite, json_option, known_controllers, print_json, read_whole
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ _METRICS: Final = (
 @click.option(
     "--at",
     "at_s",
-    type=float,
+    type=Finite(),
     metavar="SECONDS",
     help="Switch that long after braking began; default: from the first tick on.",
 )
@@ -67,14 +67,14 @@ _METRICS: Final = (
     "--duty",
     default=0.01,
     show_default=True,
-    type=click.FloatRange(min=0.0),
+    type=Finite(min=0.0),
     help="How far the duty asked for may be from the log's without having left it.",
 )
 @click.option(
     "--torque",
     default=0.1,
     show_default=True,
-    type=click.FloatRange(min=0.0),
+    type=Finite(min=0.0),
     help="Likewise the torque asked for, N m.",
 )
 @click.option(
@@ -224,10 +224,15 @@ def _report(session: Session, courses: Sequence[Course], own: dict[str, Any] | N
 
 def _of_closed_loop(session: Session, closed: Continuation | None) -> dict[str, Any] | None:
     from inteco_abs.sessions.closed_loop import distance
+    from inteco_abs.signals import Reason
 
     if closed is None:
         return None
-    return {"card": {name: closed.card[name] for name in _METRICS}, "from_the_log": distance(session, closed)}
+    return {
+        "reason": Reason(int(closed.ticks["reason"][-1])).name,
+        "card": {name: closed.card[name] for name in _METRICS},
+        "from_the_log": distance(session, closed),
+    }
 
 
 def _print(report: dict[str, Any]) -> None:
@@ -241,8 +246,10 @@ def _print(report: dict[str, Any]) -> None:
             rms = ", ".join(f"{phase} {_figure(value)}" for phase, value in field["rms"].items())
             first = "" if field["tick"] is None else f", beyond {field['threshold']:g} from tick {field['tick']}"
             click.echo(f"  {field['field']:17} largest {_figure(field['largest'])}{first}; rms {rms}")
-        if each["closed_loop"] is not None:
-            click.echo(f"  simulated: {_metrics(each['closed_loop']['card'])}")
+        closed = each["closed_loop"]
+        if closed is not None:
+            ended = "" if closed["reason"] == "NONE" else f"ends in the fault {closed['reason']}; "
+            click.echo(f"  simulated: {ended}{_metrics(closed['card'])}")
     simulation = report.get("simulation")
     if simulation is None:
         click.echo("open loop: the logged counts do not react; beyond the horizon it is not what would have happened")

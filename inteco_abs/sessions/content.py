@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Self
 
@@ -147,14 +147,18 @@ class Content:
                 raise DamagedError(f"holds a message of channel {part.channel}, which nothing declares")
         if not self.understood and runs.keys() & FLAT.keys():
             self.check_schemas()
-        for run in runs.get(LOG_TOPIC, ()):
-            self.events += map(event, run.rows["log_time"].tolist(), run.rows["data"].tolist())
+        self.take_log(runs.get(LOG_TOPIC, ()))
         for run in runs.get(PARAMETERS_TOPIC, ()):
             self.parameters += map(parameters, run.rows["data"].tolist())
         batches = {topic: Batch.of(runs[topic], self.layouts[topic]) for topic in FLAT if topic in runs}
         for topic, batch in batches.items():
             self._keep(topic, batch)
         return batches
+
+    def take_log(self, runs: Iterable[Run]) -> None:
+        """Lines of the log; raises DamagedError at one that cannot be read."""
+        for run in runs:
+            self.events += map(event, run.rows["log_time"].tolist(), run.rows["data"].tolist())
 
     def check_schemas(self) -> None:
         """Find the layout of ticks and truths; raises DamagedError if it cannot be brought to that of this version."""

@@ -28,9 +28,9 @@ from inteco_abs.records.schema import TICK, TRUTH, Role
 from inteco_abs.sessions.provenance import software_facts
 from inteco_abs.sessions.reader import Session, read_session
 from inteco_abs.sessions.recorder import Recorder
-from inteco_abs.sessions.replay import CONFIG_NAME, Replay, decisions, replay, session_config
+from inteco_abs.sessions.replay import CONFIG_NAME, Replay, decisions, insist_on_known, replay, session_config
 from inteco_abs.sessions.result import result_card
-from inteco_abs.sessions.tolerance import parse_tolerances
+from inteco_abs.sessions.tolerance import Array, parse_tolerances
 from inteco_abs.sessions.what_if import since_braking_s
 from inteco_abs.signals import Phase
 
@@ -124,20 +124,20 @@ class GoldenFolder:
         """Keep a copy of `session` as `name`, without the simulation's truth, up to `until_s` after braking began.
 
         Raises ConfigError for a name that is none or taken, and without a reason; SessionError for a session that
-        proves nothing: that was cut, hardly brakes, or does not replay now.
+        proves nothing: that was cut, hardly brakes, or does not replay now, or that is not all known here.
         """
         self._check_name(name)
         _insist_on(reason)
         parse_tolerances(tolerances)
+        insist_on_known(session)
         rows = _rows_until(session, until_s)
+        _insist_on_a_test(session, session.ticks[:rows])
         payload = bytes(session.payload[: rows * TICK.size])
-        self.path.mkdir(parents=True, exist_ok=True)
+        self._make()
         part = self._part(name)
         try:
             _write_copy(session, payload, part)
-            copy = read_session(part)
-            _insist_on_a_test(session, copy)
-            found = _replay(copy, controllers, tolerances)
+            found = _replay(read_session(part), controllers, tolerances)
             if found.first is not None:
                 raise SessionError(
                     f"{session.path}: does not replay: {found.differing} ticks differ, first at tick "
@@ -206,6 +206,12 @@ class GoldenFolder:
         if problem:
             raise ConfigError([Mistake("--name", problem)])
 
+    def _make(self) -> None:
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise SessionError(f"{self.path}: cannot be created: {error.strerror}") from error
+
     def _part(self, name: str) -> Path:
         return self.path / f".{name}.{os.getpid()}.part"
 
@@ -257,14 +263,14 @@ def _rows_until(session: Session, until_s: float | None) -> int:
     return int(np.searchsorted(since_braking_s(session), until_s + 1e-9))
 
 
-def _insist_on_a_test(session: Session, copy: Session) -> None:
+def _insist_on_a_test(session: Session, ticks: Array) -> None:
     problem = ""
-    braking = int((copy.ticks["phase"] == Phase.BRAKING).sum())
+    braking = ticks[ticks["phase"] == Phase.BRAKING]
     if session.incomplete:
         problem = session.incomplete
-    elif braking < FEWEST_BRAKING_TICKS:
-        problem = f"{braking} ticks of braking: must be at least {FEWEST_BRAKING_TICKS}"
-    elif len(set(copy.ticks["brake"][copy.ticks["phase"] == Phase.BRAKING].tolist())) < 3:
+    elif len(braking) < FEWEST_BRAKING_TICKS:
+        problem = f"{len(braking)} ticks of braking: must be at least {FEWEST_BRAKING_TICKS}"
+    elif len(set(braking["brake"].tolist())) < 3:
         problem = "the brake hardly ever changes"
     if problem:
         raise SessionError(f"{session.path}: would prove nothing: {problem}")

@@ -106,6 +106,7 @@ class Recorder:
         self._truths = 0
         self._newest_ns = self.started_ns
         self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
+        self._log = set[tuple[int, int, str]]()
         self._disk = _Disk(path)
         self._file = BufferedWriter(self._disk)
         self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
@@ -219,7 +220,11 @@ class Recorder:
         self.event(stamp_ns, _WARNING, text)
 
     def event(self, stamp_ns: int, level: int, text: str) -> None:
-        """Add a line to the log at a wall clock time in ns."""
+        """Add a line to the log at a wall clock time in ns, unless it is there already."""
+        line = stamp_ns, level, text
+        if line in self._log:
+            return
+        self._log.add(line)
         seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
         stamp = integer(1, seconds) + integer(2, nanoseconds)
         data = chunk(1, stamp) + integer(2, level) + chunk(3, text) + chunk(4, "inteco-abs")

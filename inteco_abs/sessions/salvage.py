@@ -15,7 +15,7 @@ import numpy.typing as npt
 from inteco_abs.config import RigConfig, parse_config
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.records.io_frame import IO_TOPIC
-from inteco_abs.records.schema import TICK, TRUTH, Message
+from inteco_abs.records.schema import LOG_TOPIC, TICK, TRUTH, Message
 from inteco_abs.sessions.container import DamagedError, Entry, Opcode, Run, Stretch, chunk_parts, kind
 from inteco_abs.sessions.content import FLAT, Batch, Content
 from inteco_abs.sessions.migration import Layout, migrated
@@ -200,6 +200,7 @@ class _Remains:
             self.rows[topic].keep(batch.today)
             if topic == TICK.topic:
                 self.content.hash.update(batch.data)
+        self.content.take_log(runs.get(LOG_TOPIC, ()))
 
     def _topic(self, run: Run) -> str:
         """Of a message; where its channel's declaration is lost, by the layout that no other message has."""
@@ -241,7 +242,9 @@ class _Anew:
         internals = self._internals()
         with (
             only_whole(self._out) as part,
-            Recorder(part, start_ns, internals, session.get("session_id", ""), self._epoch_ns) as recorder,
+            Recorder(
+                part, start_ns, internals, session.get("session_id", ""), self._epoch_ns, durable=True
+            ) as recorder,
         ):
             self._introduce(recorder)
             self._copy(recorder)
@@ -305,12 +308,16 @@ class _Anew:
         return found
 
     def _copy(self, recorder: Recorder) -> None:
-        """Ticks in blocks, each followed by the truths of its time."""
+        """Ticks in blocks, each behind the log of its time and followed by its truths."""
         truths_ns, done = self._truths["time_ns"], 0
+        log = sorted(self._content.events, reverse=True)
         for at in range(0, len(self._ticks), _BLOCK_TICKS):
             block = self._ticks[at : at + _BLOCK_TICKS]
             last = at + _BLOCK_TICKS >= len(self._ticks)
             end = len(truths_ns) if last else int(np.searchsorted(truths_ns, block["time_ns"][-1], side="right"))
+            until_ns = self._epoch_ns + int(block["time_ns"][-1])
+            while log and (last or log[-1].unix_ns <= until_ns):
+                recorder.event(*log.pop())
             recorder.ticks(block.tobytes())
             recorder.truths(self._truths[done:end].tobytes())
             done = end

@@ -87,6 +87,11 @@ def alternative(session: Session, settings: Sequence[str], controllers: Mapping[
         for key in chosen
         if key not in _OPEN
     ]
+    mistakes += [
+        Mistake(key, f"{value!r}: is a section; name a key in it, as in controller.gains.Mk=5")
+        for key, value in chosen.items()
+        if key in _OPEN and not isinstance(value, dict)
+    ]
     if mistakes:
         raise ConfigError(mistakes)
     before = table["controller"]["name"]
@@ -128,13 +133,18 @@ def what_if(
 
     They run along from the first tick; from `at_s` after braking began on they are looked at, or always. `duty` and
     `torque_nm` are how far they may be from the log without having left it.
-    Raises SessionError if there was no braking, or if the estimator or controller raises.
+    Raises SessionError if there was no braking, if the run was over by `at_s`, or if the estimator or controller
+    raises.
     """
     insist_on_known(session)
     since_s = since_braking_s(session)
+    ahead = since_s < (-math.inf if at_s is None else at_s - 1e-9)
+    if ahead.all():
+        raise SessionError(
+            f"{session.path}: {at_s:g} s after braking began the run was over; choose at most {since_s[-1]:.3f} s"
+        )
     wishes = np.array(list(_wishes(session, config, controllers)), _DTYPE)
     logged = session.ticks[list(COMPARED)].astype(_DTYPE)
-    ahead = since_s < (-math.inf if at_s is None else at_s - 1e-9)
     wishes[ahead] = logged[ahead]
     thresholds = {"torque_demand_nm": torque_nm, "brake_wish": duty}
     found = [_divergence(session, since_s, wishes, logged, name, thresholds.get(name)) for name in COMPARED]

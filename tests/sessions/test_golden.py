@@ -1,4 +1,5 @@
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -131,6 +132,14 @@ def test_what_cannot_be_added_is_told_and_changes_nothing(folder, quick, name, r
     assert contents(folder) == before
 
 
+def test_a_folder_that_cannot_be_made_is_named(tmp_path, quick):
+    (tmp_path / "file").write_text("no folder")
+    place = GoldenFolder(tmp_path / "place")
+    place.path.symlink_to("file/below")
+    with pytest.raises(SessionError, match="place: cannot be created: "):
+        place.add(quick.session, "quick", "why not", CONTROLLERS)
+
+
 def test_a_file_that_the_table_does_not_know_is_not_overwritten_either(folder, quick):
     (folder.path / "stray.mcap").write_bytes(b"mine")
     with pytest.raises(ConfigError, match="never overwritten"):
@@ -145,6 +154,24 @@ def test_a_session_that_proves_nothing_is_refused(folder, quick, run):
     steady = run("controller.name=steps").session
     with pytest.raises(SessionError, match="the brake hardly ever changes"):
         folder.add(steady, "steady", "no decisions", CONTROLLERS)
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"incomplete": "the file ends early"}, "would prove nothing: the file ends early"),
+        ({}, "would prove nothing: 0 ticks of braking"),
+        ({"beyond": "tyre_c is left out"}, "cannot be replayed: tyre_c is left out"),
+    ],
+)
+def test_a_session_without_ticks_or_with_what_is_not_known_is_refused(folder, quick, change, words):
+    before = contents(folder)
+    session = replace(quick.session, **change)
+    if not session.beyond:
+        session = replace(session, ticks=session.ticks[:0], payload=b"")
+    with pytest.raises(SessionError, match=words):
+        folder.add(session, "other", "why not", CONTROLLERS)
     assert contents(folder) == before
 
 

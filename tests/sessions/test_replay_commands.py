@@ -101,6 +101,20 @@ def test_what_if_sweeps_and_tells_the_horizon(command, quick):
     assert "simulation" not in report
 
 
+def test_what_if_says_in_what_fault_a_simulation_ends(command, quick, tmp_path):
+    (tmp_path / "own.py").write_text(
+        "from inteco_abs.signals import BrakeDemand\n"
+        "class Own:\n"
+        "    gains = internals = ()\n"
+        "    def __init__(self, _setup): pass\n"
+        "    def update(self, _estimate, _dt_s): return BrakeDemand(float('nan'))\n"
+    )
+    asked = ("what-if", quick.path, "--controller", "own.py:Own", "--closed-loop")
+    assert "simulated: ends in the fault BAD_OUTPUT; " in command(*asked)[1]
+    closed = json.loads(command(*asked, "--json")[1])["alternatives"][0]["closed_loop"]
+    assert closed["reason"] == "BAD_OUTPUT"
+
+
 def test_what_if_says_that_open_loop_does_not_react_and_that_closed_loop_is_a_simulation(command, quick):
     code, printed, _ = command("what-if", quick.path, "--controller", "relay", "--at", "0.05")
     assert code == 0
@@ -196,6 +210,24 @@ def test_what_is_not_there_is_told(command, arguments, code, words):
     ended, _, said = command(*arguments)
     assert ended == code
     assert words in said
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("what-if", "none.mcap", "--at"),
+        ("what-if", "none.mcap", "--duty"),
+        ("what-if", "none.mcap", "--torque"),
+        ("golden", "add", "none.mcap", "--reason", "why not", "--until"),
+        ("diff", "none.mcap", "none.mcap", "--rel"),
+    ],
+    ids=lambda arguments: arguments[-1],
+)
+def test_what_is_no_number_is_wrong_usage(command, arguments, number):
+    ended, _, said = command(*arguments, number)
+    assert ended == 2
+    assert f"Invalid value for '{arguments[-1]}'" in said
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """What a recovery keeps of a session, and what it says of the rest."""
 
 import json
+import os
 import struct
 import tracemalloc
 import zlib
@@ -8,9 +9,11 @@ import zlib
 import pytest
 
 from inteco_abs.errors import ConfigError, SessionError
-from inteco_abs.sessions import TICK, read_session, recover_session, validate
+from inteco_abs.sessions import TICK, Recorder, read_session, recover_session, validate
 
 CHUNK, ATTACHMENT, METADATA, DATA_END = 6, 9, 12, 15
+EVENTS = 2
+"""Number of the log's channel."""
 
 
 @pytest.fixture
@@ -250,6 +253,39 @@ def test_parameters_are_told_anew(rescue, officially, short, tmp_path):
     facts = read_session(short).metadata["controller"]
     assert told.values["reference_slip"] == float(facts["reference_slip"])
     assert told.values["Mk"] == float(facts["gain.Mk"])
+
+
+def test_the_log_is_the_originals_with_its_warnings(tmp_path, tiny):
+    session, source = tiny.session, tmp_path / "warned.mcap"
+    half = len(session.ticks) // 2
+    with Recorder(source, int(session.ticks["time_ns"][0]), epoch_ns=session.epoch_ns) as recorder:
+        recorder.begin({})
+        recorder.ticks(session.ticks[:half].tobytes())
+        recorder.warn(session.epoch_ns + int(session.ticks["time_ns"][half]), "the disk is slow")
+        recorder.ticks(session.ticks[half:].tobytes())
+        recorder.flush()
+    recover_session(source, tmp_path / "out.mcap")
+    log = read_session(tmp_path / "out.mcap").log
+    assert log == read_session(source).log
+    assert "the disk is slow" in [event.text for event in log]
+    assert len(log) > 3
+
+
+def test_a_line_of_the_log_that_cannot_be_read_costs_no_tick(rescue, container, pieces):
+    records, chunks = pieces
+    line = container.record(5, struct.pack("<HIQQ", EVENTS, 0, 0, 0) + b"\xff")
+    raw = container.unpack(records[chunks[2]]) + bytes(line)
+    records[chunks[2]] = container.chunk(raw, len(raw), "", zlib.crc32(raw))
+    recovery, session = rescue(joined(container, records))
+    assert len(session.ticks) == 60
+    assert any("an event cannot be read" in loss for loss in recovery.losses)
+
+
+def test_the_disk_has_all_of_it_before_it_gets_its_name(short, tmp_path, monkeypatch):
+    out, at_the_last = tmp_path / "out.mcap", []
+    monkeypatch.setattr(os, "fsync", lambda number: at_the_last.append((os.fstat(number).st_size, out.exists())))
+    recover_session(short, out)
+    assert at_the_last[-1] == (out.stat().st_size, False)
 
 
 def test_gaps_are_in_the_metadata_as_numbers(rescue, container, pieces):

@@ -1,6 +1,7 @@
 """The verbs on session files: exit codes, JSON on stdout, talk on stderr."""
 
 import json
+import os
 
 import pytest
 
@@ -99,6 +100,17 @@ class TestRecover:
         assert (told["schema_version"], told["outcome"]) == (1, "recovered")
         assert told["missing_ticks"] == []
         assert any("no end" in loss for loss in told["losses"])
+
+    def test_a_pipe_is_refused_and_not_waited_for(self, verb, tmp_path):
+        os.mkfifo(tmp_path / "pipe")
+        end = os.open(tmp_path / "pipe", os.O_RDWR | os.O_NONBLOCK)
+        try:
+            os.write(end, bytes(100))
+            done = verb("recover", tmp_path / "pipe", "-o", tmp_path / "new.mcap")
+            assert (done.code, os.read(end, 100)) == (1, bytes(100))
+        finally:
+            os.close(end)
+        assert "it is no regular file" in done.err
 
     @pytest.mark.parametrize("data", [b"", b"text"])
     def test_nothing_to_recover(self, verb, altered, tmp_path, data):

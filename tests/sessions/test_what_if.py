@@ -63,6 +63,18 @@ def test_the_difference_is_what_the_law_makes_of_it(quick):
     )
 
 
+@pytest.mark.parametrize("at_s", [9.0, math.inf])
+def test_a_switch_behind_the_end_asks_nothing_and_is_refused(quick, at_s):
+    with pytest.raises(SessionError, match=r"the run was over; choose at most \d+\.\d{3} s"):
+        asked(quick.session, "controller.name=relay", at_s=at_s)
+
+
+@pytest.mark.parametrize("section", ["controller", "estimator", "model"])
+def test_a_section_is_no_key(quick, section):
+    with pytest.raises(ConfigError, match=f"{section}: 5: is a section; name a key in it"):
+        alternative(quick.session, [f"{section}=5"], CONTROLLERS)
+
+
 @pytest.mark.parametrize("at_s", [-0.1, 0.0, 0.05])
 def test_before_the_switch_it_is_the_log(quick, at_s):
     session = quick.session

@@ -24,3 +24,17 @@ def test_an_ordinary_user_runs_in_real_time_and_is_told_what_was_refused(
     if refused:
         assert "ticks will be late more often: refused were" in run.stderr
     assert json.loads(inteco_abs("replay", "stop.mcap", "--json", check=0).stdout)["differing"] == 0
+
+
+def test_a_file_that_may_not_be_read_is_wrong_and_the_others_are_looked_at(
+    command_path, untraced, tmp_path, without_privileges
+):
+    (tmp_path / "secret.mcap").touch(mode=0)
+    (tmp_path / "text.mcap").write_text("no session")
+    validate = subprocess.run(
+        [*without_privileges, command_path, "validate", "secret.mcap", "text.mcap"],
+        cwd=tmp_path, env=untraced, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert validate.returncode == 1
+    assert "secret.mcap: file: wrong: cannot be read: Permission denied" in validate.stdout
+    assert "text.mcap: file: wrong: is no MCAP file" in validate.stdout
