@@ -102,8 +102,8 @@ class Content:
     """Topic and schema by the channel's number."""
     layouts: dict[str, Layout] = field(default_factory=dict)
     """Of ticks and truths, by topic, where their channels have been understood."""
-    understood: bool = False
-    """All channels have been looked at."""
+    strange: set[int] = field(default_factory=set)
+    """Numbers of the channels of ticks and truths whose layout has not been looked at."""
     channel_facts: dict[str, dict[str, str]] = field(default_factory=dict)
     uneven: set[int] = field(default_factory=set)
     """Numbers of the channels of raw frames."""
@@ -145,7 +145,7 @@ class Content:
                 self.messages += len(part.rows)
             else:
                 raise DamagedError(f"holds a message of channel {part.channel}, which nothing declares")
-        if not self.understood and runs.keys() & FLAT.keys():
+        if runs.keys() & FLAT.keys():
             self.check_schemas()
         self.take_log(runs.get(LOG_TOPIC, ()))
         for run in runs.get(PARAMETERS_TOPIC, ()):
@@ -162,12 +162,12 @@ class Content:
 
     def check_schemas(self) -> None:
         """Find the layout of ticks and truths; raises DamagedError if it cannot be brought to that of this version."""
-        for topic, number in self.channels.values():
-            if topic in FLAT:
-                found = layout(FLAT[topic], *self.schemas.get(number, ("", b"")))
-                if self.layouts.setdefault(topic, found) is not found:
-                    raise DamagedError(f"{topic} is declared twice, with two layouts")
-        self.understood = True
+        for channel in sorted(self.strange):
+            topic, number = self.channels[channel]
+            found = layout(FLAT[topic], *self.schemas.get(number, ("", b"")))
+            if self.layouts.setdefault(topic, found) is not found:
+                raise DamagedError(f"{topic} is declared twice, with two layouts")
+            self.strange.discard(channel)
 
     def altered_attachments(self) -> list[str]:
         """Names of the attachments that are not those that were recorded, by their hashes."""
@@ -207,7 +207,7 @@ class Content:
         self.channels[number] = topic, schema
         if topic == IO_TOPIC:
             self.uneven.add(number)
-        self.understood = False
+        (self.strange.add if topic in FLAT else self.strange.discard)(number)
         self.channel_facts[topic] = text_map(facts)
 
     def _take_metadata(self, data: memoryview) -> None:

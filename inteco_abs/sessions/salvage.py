@@ -205,8 +205,7 @@ class _Remains:
     def _topic(self, run: Run) -> str:
         """Of a message; where its channel's declaration is lost, by the layout that no other message has."""
         if run.channel in self.content.channels:
-            if not self.content.understood:
-                self.content.check_schemas()
+            self.content.check_schemas()
             return self.content.channels[run.channel][0]
         size = run.rows.dtype["data"].itemsize
         return next((topic for topic, message in FLAT.items() if size == message.size), "")

@@ -9,9 +9,10 @@ import zlib
 import pytest
 
 from inteco_abs.errors import ConfigError, SessionError
-from inteco_abs.sessions import TICK, Recorder, read_session, recover_session, validate
+from inteco_abs.sessions import TICK, Recorder, content, read_session, recover_session, validate
+from inteco_abs.sessions.migration import layout
 
-CHUNK, ATTACHMENT, METADATA, DATA_END = 6, 9, 12, 15
+CHANNEL, CHUNK, ATTACHMENT, METADATA, DATA_END = 4, 6, 9, 12, 15
 EVENTS = 2
 """Number of the log's channel."""
 
@@ -245,6 +246,23 @@ def test_a_search_among_false_heads_is_given_up(altered, container, tmp_path, sh
     data = container.magic + false * 20_000
     with pytest.raises(SessionError, match="given up"):
         recover_session(altered(data + short.read_bytes()), tmp_path / "out.mcap")
+
+
+def test_a_declaration_is_looked_at_once_however_many_there_are(rescue, container, pieces, monkeypatch):
+    looked_at = []
+    monkeypatch.setattr(content, "layout", lambda *given: looked_at.append(given) or layout(*given))
+    records, chunks = pieces
+    declared = next(part for part in container.split(container.unpack(records[chunks[0]]), 0) if part.opcode == CHANNEL)
+    number = 100
+    for at in chunks:
+        raw = b""
+        for part in container.split(container.unpack(records[at]), 0):
+            raw += bytes(declared._replace(content=struct.pack("<H", number) + declared.content[2:])) + bytes(part)
+            number += 1
+        records[at] = container.chunk(raw, len(raw), "", zlib.crc32(raw))
+    assert len(rescue(container.join(records))[1].ticks) == 60
+    assert number > 200
+    assert len(looked_at) < 2 * number
 
 
 def test_parameters_are_told_anew(rescue, officially, short, tmp_path):
