@@ -69,7 +69,7 @@ def get(file: Path, name: str | None, out: Path | None, as_json: bool) -> int:
             print_json({"schema_version": 1, "session": str(file), "name": name, "path": str(path), "bytes": size})
         else:
             click.echo(f"{path}: {size} bytes")
-    return LOSSES if session.incomplete else 0
+    return LOSSES if session.incomplete or session.beyond else 0
 
 
 def _list(session: Session, as_json: bool) -> None:

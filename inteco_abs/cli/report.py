@@ -28,4 +28,4 @@ def report(files: tuple[Path, ...], out: Path | None) -> int:
     sessions = [read_whole(file, read_session) for file in files]
     write_report(sessions, page)
     click.echo(f"report: {page}", err=True)
-    return LOSSES if any(session.incomplete for session in sessions) else 0
+    return LOSSES if any(session.incomplete or session.beyond for session in sessions) else 0

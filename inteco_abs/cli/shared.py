@@ -81,7 +81,7 @@ def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
 
 
 def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
-    """Whether all of the files were whole."""
+    """Whether all of the files were whole, and all of them known here."""
     from inteco_abs.sessions import read_session
     from inteco_abs.views.figure import check_figure, draw_stops
 
@@ -89,7 +89,7 @@ def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
     sessions = [read_whole(file, read_session) for file in files]
     draw_stops(sessions, out, width)
     click.echo(f"figure: {out}", err=True)
-    return not any(session.incomplete for session in sessions)
+    return not any(session.incomplete or session.beyond for session in sessions)
 
 
 def insist_on_different(files: dict[str, Path | None]) -> None:

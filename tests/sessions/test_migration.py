@@ -114,6 +114,13 @@ def test_verbs_that_only_look_work_on_a_newer_session(later, verb, tmp_path):
     assert "tyre_c is left out" in exported.err
 
 
+@pytest.mark.parametrize("arguments", [("figure", "--out", "stop.svg"), ("report", "--out", "stop.html"), ("get",)])
+def test_a_verb_that_shows_a_newer_session_ends_with_3(later, verb, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    name, *options = arguments
+    assert verb(name, later(), *options).code == 3
+
+
 def test_a_newer_session_is_valid_as_far_as_it_is_known(later):
     inspection = validate(later(tick=table(also=[TYRE]), tyre_c=20.0))
     (finding,) = [found for found in inspection.findings if found.place == "schema"]
