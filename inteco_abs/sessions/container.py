@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from enum import IntEnum
 from functools import lru_cache
 from typing import Any, BinaryIO, Final, NamedTuple
@@ -15,6 +15,7 @@ from typing import Any, BinaryIO, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import zstandard
+from lz4.frame import LZ4FrameDecompressor
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 HEAD: Final = struct.Struct("<BQ")
@@ -235,12 +236,9 @@ def unpack_chunk(data: memoryview, allowance: Allowance, *, checked: bool = Fals
     if size > _LARGEST_CHUNK:
         raise DamagedError(f"claims {size} bytes, more than {_LARGEST_CHUNK}")
     allowance.spend(size)
-    if compression == "zstd":
-        raw = _decompressed(packed, size)
-    elif not compression:
-        raw = bytes(packed)
-    else:
-        raise DamagedError(f"is compressed with {compression!r}; this version reads zstd")
+    if compression not in _UNPACK:
+        raise DamagedError(f"is compressed with {compression!r}; this version reads zstd and lz4")
+    raw = _UNPACK[compression](packed, size)
     if checked and not crc:
         raise DamagedError("has no checksum")
     if len(raw) != size or crc not in (0, zlib.crc32(raw)):
@@ -248,7 +246,7 @@ def unpack_chunk(data: memoryview, allowance: Allowance, *, checked: bool = Fals
     return raw
 
 
-def _decompressed(packed: memoryview, size: int) -> bytes:
+def _from_zstd(packed: memoryview, size: int) -> bytes:
     try:
         # the frame's own header also claims a size, and would be believed before ours
         if zstandard.frame_content_size(packed) not in (-1, size):
@@ -256,6 +254,23 @@ def _decompressed(packed: memoryview, size: int) -> bytes:
         return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
     except zstandard.ZstdError as error:
         raise DamagedError(str(error)) from error
+
+
+def _from_lz4(packed: memoryview, size: int) -> bytes:
+    """As other programs compress anew; ours write zstd."""
+    try:
+        raw: bytes = LZ4FrameDecompressor().decompress(bytes(packed), max_length=size + 1)
+    except RuntimeError as error:
+        raise DamagedError(str(error)) from error
+    return raw
+
+
+_UNPACK: Final[dict[str, Callable[[memoryview, int], bytes]]] = {
+    "": lambda packed, _size: bytes(packed),
+    "zstd": _from_zstd,
+    "lz4": _from_lz4,
+}
+"""By the name of a chunk's compression: its bytes, never many more than it claims."""
 
 
 def chunk_parts(raw: bytes, uneven: Collection[int] = ()) -> Iterator[Entry | Run | Stretch]:

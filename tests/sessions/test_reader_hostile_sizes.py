@@ -3,6 +3,7 @@
 import struct
 import tracemalloc
 
+import lz4.frame
 import pytest
 import zstandard
 
@@ -70,6 +71,14 @@ def test_a_frame_that_unpacks_to_more_than_its_chunk_says(container, refuse):
     bomb = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(64_000_000))
     assert len(bomb) < 10_000
     assert "is damaged" in refuse(container.craft(container.chunk(bomb, 1000, "zstd")))
+
+
+@pytest.mark.parametrize(
+    "packed", [lz4.frame.compress(bytes(12_000_000)), lz4.frame.compress(b"small"), b"no frame", b""]
+)
+def test_an_lz4_frame_that_is_not_what_its_chunk_says(container, refuse, packed):
+    assert len(packed) < 100_000
+    assert "is damaged" in refuse(container.craft(container.chunk(packed, 1000, "lz4")))
 
 
 def test_a_frame_that_unpacks_to_less_than_its_chunk_says(container, refuse):
