@@ -24,11 +24,12 @@ from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
 from inteco_abs.realtime.doctor import examine
 from inteco_abs.realtime.findings import as_facts
 from inteco_abs.realtime.hearing import hearing
+from inteco_abs.realtime.histogram import Histogram
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.live import insist_on_foxglove
 from inteco_abs.realtime.loop import detail_of
 from inteco_abs.realtime.memory import RunMemory
-from inteco_abs.realtime.screen import NoScreen, Screen
+from inteco_abs.realtime.screen import Check, NoScreen, Onlooker, Screen, Unbreakable
 from inteco_abs.realtime.stow import stow
 from inteco_abs.realtime.supervisor import Supervisor
 from inteco_abs.sessions import (
@@ -86,7 +87,7 @@ class Plan:
 
 
 def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, screen: Screen | None = None) -> Account:
-    """Run one experiment and record it at `plan.out`; `screen` shows a real-time run ten times a second.
+    """Run one experiment and record it at `plan.out`; `screen` shows it, in real time ten times a second.
 
     SIGINT, SIGTERM and their like end it at the next tick, with SAFE and a complete file. Raises ConfigError or
     BoardError if it cannot start, and then leaves no file; BoardError also if SAFE could not be confirmed.
@@ -108,9 +109,9 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
         pipeline = build_pipeline(config, plan.controllers)
         if not plan.virtual:
             return _run_in_real_time(config, plan, screen or NoScreen())
-        interrupts = _Interrupts()
-        with hearing(interrupts.handle):
-            return _VirtualRun(config, plan, pipeline, interrupts).run(progress)
+        interrupts, screen = _Interrupts(), Unbreakable(screen or NoScreen())
+        with hearing(interrupts.handle), screen.listening(interrupts.handle):
+            return _VirtualRun(config, plan, pipeline, interrupts).run(progress, screen)
 
 
 def _check_live(plan: Plan) -> None:
@@ -208,12 +209,12 @@ class _VirtualRun:
         self._ring = TickRing(pack_tick, TICK.size, 2 * _SLICE_TICKS)
         self._reader = self._ring.reader()
 
-    def run(self, progress: Progress | None) -> Account:
+    def run(self, progress: Progress | None, screen: Screen) -> Account:
         plan = self._plan
         with recording(plan.wire, self._config, self._clock.now_ns, keep=plan.frames) as around:
-            return self._run(progress, around)
+            return self._run(progress, screen, around)
 
-    def _run(self, progress: Progress | None, around: Recording) -> Account:
+    def _run(self, progress: Progress | None, screen: Screen, around: Recording) -> Account:
         plan, config = self._plan, self._config
         face = face_of(Device(config, self._clock.now_ns, plan.seed, self._truths.append))
         board = board_behind(around(InProcessLink(face)), config, self._clock.now_ns)
@@ -221,8 +222,10 @@ class _VirtualRun:
         with Keeper(plan.out, self._opener(controller), self._spill()) as keeper:
             try:
                 with board:
+                    screen.passed(Check.BOARD, f"{plan.board} {board.insist()}")
                     keeper.introduce(config, self._introduction(board), plan.out)
-                    self._drive(keeper, board, progress)
+                    screen.passed(Check.RECORDER, str(plan.out))
+                    self._drive(keeper, board, progress, screen)
             except BaseException as error:
                 try:
                     self._give_up(keeper, replace(self._end(board, in_words(error)), frames=self._frames(around)))
@@ -246,7 +249,8 @@ class _VirtualRun:
     def _spill(self) -> Path | None:
         return spill_path(self._plan.out, self._config, self._session_id)
 
-    def _drive(self, keeper: Keeper, board: Board, progress: Progress | None) -> None:
+    def _drive(self, keeper: Keeper, board: Board, progress: Progress | None, screen: Screen) -> None:
+        onlooker = Onlooker(self._ring.reader(), Histogram(), self._config.loop.rate_hz)
         loop = Loop(board, self._pipeline, self._clock, self._ring, self._interrupts.stop)
         self._truths.clear()  # what the device saw while it was opened belongs to no tick
         try:
@@ -254,6 +258,9 @@ class _VirtualRun:
             while not over:
                 with self._interrupts.breaking():
                     over = loop.run(_SLICE_TICKS)
+                snapshot = onlooker.look()
+                if snapshot is not None:
+                    screen.show(snapshot)
                 if not over:
                     self._record(keeper)
                     if progress is not None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -13,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names, key_names
+from inteco_abs.cli.screens import live_options, screen_of
 from inteco_abs.cli.shared import (
     FILE,
     draw,
@@ -27,8 +26,6 @@ from inteco_abs.cli.shared import (
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 if TYPE_CHECKING:
-    from inteco_abs.experiment import Progress
-    from inteco_abs.realtime.screen import Screen, Snapshot
     from inteco_abs.sessions import Account
 
 _LIVE_PORT: Final = 8765
@@ -85,6 +82,7 @@ _LIVE_PORT: Final = 8765
     help=f"Also show the run to Lichtblick or Foxglove on this computer while it lasts; default port: {_LIVE_PORT}, "
     "0 is any that is free.",
 )
+@live_options
 @json_option
 def run(
     board: str,
@@ -100,6 +98,8 @@ def run(
     wire: Path | None,
     frames: bool,
     live_port: int | None,
+    live: str | None,
+    quiet: bool,
     as_json: bool,
 ) -> int:
     """Drive, brake, record: one stop."""
@@ -124,15 +124,12 @@ def run(
     insist_on_different({"--out": out, "--figure": figure, "--record-wire": wire})
     source, package = controllers.origin(rig.controller.name)
     plan = Plan(out, board, virtual, seed, controllers, source, wire, frames, package, live_port)
-    if virtual:
-        with _progress() as progress:
-            stop = run_stop(rig, plan, progress)
-    else:
+    if not virtual:
         _tell_of_left_rings()
-        with _screen(rig.experiment.start_speed_rad_s) as screen:
-            stop = run_stop(rig, plan, screen=screen)
+    with screen_of(rig, live, virtual=virtual, quiet=quiet) as screen:
+        stop = run_stop(rig, plan, screen=screen)
     try:
-        _tell(stop, as_json=as_json)
+        _tell(stop, as_json=as_json, quiet=quiet)
     except OSError:  # the terminal is gone: how the run ended matters more
         sys.stdout = sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115  until the process ends
         return stop.exit_code or 1
@@ -156,11 +153,13 @@ def _default_out() -> Path:
     return folder / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"
 
 
-def _tell(stop: Account, *, as_json: bool) -> None:
+def _tell(stop: Account, *, as_json: bool, quiet: bool) -> None:
     if as_json:
         print_json(stop.card)
-    else:
-        print_card(stop.card, stop.explanation)
+    elif not quiet:
+        from inteco_abs.sessions import previous_card
+
+        print_card(stop.card, stop.explanation, previous_card(stop.card))
     if stop.outcome != "completed":
         click.echo(f"inteco-abs: {stop.outcome}: {stop.explanation}", err=True)
     if stop.trouble:
@@ -168,32 +167,6 @@ def _tell(stop: Account, *, as_json: bool) -> None:
     elif stop.outcome == "completed" and stop.exit_code:
         lost = f"{stop.card['overruns']} periods overrun, {stop.card['link_errors']} exchanges failed"
         click.echo(f"inteco-abs: completed, but look at it: {lost}", err=True)
-
-
-class _Lines:
-    """Shows a run where there is no terminal: what cannot wait, and nothing else."""
-
-    def show(self, snapshot: Snapshot) -> None:
-        """Nothing: a log is no place for ten lines a second."""
-
-    def warn(self, text: str) -> None:
-        """One line."""
-        click.echo(f"inteco-abs: {text}", err=True)
-
-
-@contextmanager
-def _screen(full_speed_rad_s: float) -> Iterator[Screen]:
-    """Live picture of a real-time run on a terminal's stderr, else one line before it."""
-    if not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
-        click.echo("running in real time; Ctrl-C stops safely", err=True)
-        yield _Lines()
-        return
-    from rich.console import Console
-
-    from inteco_abs.views.dashboard import Dashboard
-
-    with Dashboard(Console(stderr=True), full_speed_rad_s) as dashboard:
-        yield dashboard
 
 
 def _tell_of_left_rings() -> None:
@@ -205,15 +178,3 @@ def _tell_of_left_rings() -> None:
             f"inteco-abs: an earlier run has left its ticks in {ring}: inteco-abs recover {ring} --out FILE",
             err=True,
         )
-
-
-@contextmanager
-def _progress() -> Iterator[Progress | None]:
-    """Phase and ticks so far of a virtual run, on a terminal's stderr."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status("starting") as status:
-        yield lambda phase, ticks: status.update(f"{phase.name.lower().replace('_', '-')}, {ticks} ticks")

@@ -63,12 +63,14 @@ def plain(text: object) -> str:
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in str(text))
 
 
-def print_card(card: Mapping[str, Any], explanation: str) -> None:
+def print_card(card: Mapping[str, Any], explanation: str, before: Mapping[str, Any] | None = None) -> None:
+    """A result card; `before` is the one to compare it with."""
     from rich.console import Console
 
     from inteco_abs.views import render_card
 
-    Console().print(render_card(card, explanation))
+    console = Console()
+    console.print(render_card(card, explanation, before, plain=console.options.ascii_only))
 
 
 def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:

@@ -114,6 +114,16 @@ class RingReader:
         self.lost += len(records) - len(whole)
         return b"".join(whole), end
 
+    def sample(self, first: int, step: int) -> tuple[bytes, int]:
+        """Every `step`-th record from number `first` on, without taking any; and the number of the next one.
+
+        For a screen: what is gone by now is left out, and not counted as lost.
+        """
+        behind = max(0, self.written - self._capacity - first)
+        numbers = range(first + -(-behind // step) * step, self.written, step)
+        records = (self._record(number) for number in numbers)
+        return b"".join(record for record in records if record is not None), numbers.start + len(numbers) * step
+
     def release(self, end: int) -> None:
         """Take what was looked at, up to number `end`: the writer may overwrite it."""
         self._words[_TAKEN] = end

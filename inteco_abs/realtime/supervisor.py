@@ -25,9 +25,9 @@ from inteco_abs.realtime.live import address
 from inteco_abs.realtime.machine import prepare, supervisor_wishes
 from inteco_abs.realtime.memory import Note, RunMemory, Word
 from inteco_abs.realtime.recorder import board_in_words, conclusion, rebuild
-from inteco_abs.realtime.screen import Screen, Snapshot, Unbreakable
-from inteco_abs.sessions import EXIT_CODES, LOSSES, TICK, Account, spill_path
-from inteco_abs.signals import EXPLANATIONS, Phase, Reason
+from inteco_abs.realtime.screen import Check, Onlooker, Screen, Snapshot, Unbreakable
+from inteco_abs.sessions import EXIT_CODES, LOSSES, Account, spill_path
+from inteco_abs.signals import EXPLANATIONS, Reason
 
 _POLL_S: Final = 0.01
 _SCREEN_S: Final = 0.1
@@ -54,17 +54,17 @@ class Supervisor:
         self._words = memory.words
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._ticks = memory.tick_reader()
-        self._first_ns = 0
+        self._onlooker = Onlooker(memory.tick_reader(), memory.histogram, job.config.loop.rate_hz)
         self._alive_s = 0.0
 
     def run(self, screen: Screen) -> Account:
         """Do the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
         screen = Unbreakable(screen)
         allowed = os.sched_getaffinity(0)
-        with hearing(self._stop):
+        with hearing(self._stop), screen.listening(self._stop):
             try:
                 self._start()
-                self._drill()
+                self._drill(screen)
                 self._let_go(screen)
                 self._watch(screen)
                 return self._account()
@@ -107,7 +107,7 @@ class Supervisor:
             self.spawn(role, "inteco_abs.realtime", role, str(self._memory.path))
         self._words[Word.LOOP_PID] = self._children["loop"].pid
 
-    def _drill(self) -> None:
+    def _drill(self, screen: Screen) -> None:
         """Before the loop may touch the board, kill a process that holds it: the guardian must be seen to take over."""
         words, drill = self._words, self._children["drill"]
         words[Word.GUARDED_PID] = drill.pid
@@ -115,6 +115,7 @@ class Supervisor:
         self._wait_for(lambda: words[Word.READY] == drill.pid, "the board opens", "drill", _START_S)
         if self._memory.image(Note.SAFE_IMAGE) is None:
             raise BoardError("the drill left nothing to make the board safe with; nothing was started")
+        screen.passed(Check.BOARD, self._job.board)
         drill.kill()
         killed_ns = time.monotonic_ns()
         self._children.pop("drill").wait()
@@ -123,19 +124,22 @@ class Supervisor:
         if report["failure"]:
             raise UnsafeError(f"the guardian failed its drill, so nothing was started: {report['failure']}")
         took_ms = (report["done_ns"] - killed_ns) * 1e-6
-        self._memory.post(Note.DRILL, {"guardian drill": f"SAFE {took_ms:.1f} ms after the kill"})
+        told = f"SAFE {took_ms:.1f} ms after the kill"
+        self._memory.post(Note.DRILL, {"guardian drill": told})
+        screen.passed(Check.GUARDIAN, told)
 
     def _let_go(self, screen: Screen) -> None:
         words, loop = self._words, self._children["loop"]
         words[Word.GUARDED_PID] = loop.pid
         self._wait_for(lambda: words[Word.READY] == loop.pid, "the loop is ready", "loop", _START_S)
         self._wait_for(lambda: words[Word.RECORDING], "the recorder is ready", "recorder", _START_S)
+        screen.passed(Check.RECORDER, self._job.session)
         if words[Word.LIVE_PORT]:
-            screen.warn(f"live view: open the connection {address(words[Word.LIVE_PORT])} in Lichtblick or Foxglove")
+            screen.note(f"live view: open the connection {address(words[Word.LIVE_PORT])} in Lichtblick or Foxglove")
         told = self._memory.note(Note.INTRODUCTION)
         refused = [setting["name"] for setting in told["settings"] if setting["refused"]]
         if refused:
-            screen.warn(f"ticks will be late more often: refused were {', '.join(refused)}; see inteco-abs doctor")
+            screen.note(f"ticks will be late more often: refused were {', '.join(refused)}; see inteco-abs doctor")
         prepare(supervisor_wishes())  # not before: the processes would inherit it
         words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
         words[Word.GO] = 1
@@ -174,11 +178,10 @@ class Supervisor:
             disk.look(screen)
             self._end_what_goes_on()
             if time.monotonic() - shown >= _SCREEN_S:
-                snapshot = self.snapshot()
-                if snapshot is not None:
-                    screen.show(snapshot)
+                self._show(screen)
                 shown = time.monotonic()
             time.sleep(_POLL_S)
+        self._show(screen)  # how it ended
         told = self._memory.note(Note.FAILURE)
         if told is not None and told["kind"] == UnsafeError.__name__:
             screen.warn(told["text"])  # now: the guardian may try for seconds yet
@@ -198,30 +201,14 @@ class Supervisor:
         if self._children[name].poll() is not None and not self._words[Word.STOP]:
             self._words[Word.STOP] = reason
 
+    def _show(self, screen: Screen) -> None:
+        snapshot = self.snapshot()
+        if snapshot is not None:
+            screen.show(snapshot)
+
     def snapshot(self) -> Snapshot | None:
-        """The newest tick, and the timing so far; None before the first."""
-        record = self._ticks.newest()
-        if record is None:
-            return None
-        tick = TICK.array(record)[0]
-        now_ns = int(tick["time_ns"])
-        wheel, road, slip, drive, brake = (
-            float(tick[name]) for name in ("wheel_speed_rad_s", "road_speed_rad_s", "slip", "drive", "brake")
-        )
-        self._first_ns = self._first_ns or now_ns
-        histogram = self._memory.histogram
-        return Snapshot(
-            Phase(int(tick["phase"])),
-            self._ticks.written,
-            (now_ns - self._first_ns) * 1e-9,
-            wheel,
-            road,
-            slip,
-            drive,
-            brake,
-            histogram.skipped,
-            (*histogram.quantiles_us((0.5, 0.99, 0.999)), histogram.greatest_us),
-        )
+        """The newest tick, what came since the last look, and the timing so far; None before the first."""
+        return self._onlooker.look()
 
     def _account(self) -> Account:
         """How the run ended, from the recorder or, if that is gone, from the memory that it would have written."""

@@ -9,6 +9,7 @@ from inteco_abs.sessions.gains import REFERENCE, changed_gains
 from inteco_abs.sessions.keeper import Keeper, check_spill, spill_path
 from inteco_abs.sessions.listing import COLUMNS, session_files, session_row, sort_rows
 from inteco_abs.sessions.output import check_output, insist_on_own, only_whole
+from inteco_abs.sessions.previous import previous_card
 from inteco_abs.sessions.reader import Session, is_session_file, read_session
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.replay import (
@@ -72,6 +73,7 @@ __all__ = [
     "only_whole",
     "pack_tick",
     "parse_tolerances",
+    "previous_card",
     "read_frames",
     "read_session",
     "recover_session",

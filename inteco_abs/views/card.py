@@ -25,17 +25,26 @@ ROWS: Final = (
     ("duty variation", "duty_variation_per_s", "{:.1f} /s", 1.0),
 )
 """Label, key of the result card, format with its unit, and factor."""
+_NEITHER: Final = frozenset({"start_speed_rad_s"})
+"""Of which neither more nor less is better."""
 _COLOURS = {"completed": "green", "interrupted": "yellow"}
 
 
-def render_card(card: Mapping[str, Any], explanation: str) -> RenderableType:
-    """The card as a panel; what was not measured is a dash."""
+def render_card(
+    card: Mapping[str, Any], explanation: str, before: Mapping[str, Any] | None = None, *, plain: bool = False
+) -> RenderableType:
+    """The card as a panel, with what differs from the card `before`; what was not measured is a dash.
+
+    `plain` uses ASCII only.
+    """
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", no_wrap=True)
     table.add_column(justify="right", no_wrap=True)
+    table.add_column(no_wrap=True)
     for label, key, form, factor in ROWS:
         value = card[key]
-        table.add_row(label, "-" if value is None else form.format(value * factor))
+        change = Text() if before is None else _change(key, value, before.get(key), form, factor, plain=plain)
+        table.add_row(label, "-" if value is None else form.format(value * factor), change)
     late = card["lateness_us"]
     table.add_row("ticks, overruns, link errors", f"{card['ticks']}, {card['overruns']}, {card['link_errors']}")
     if late["max"] is not None:
@@ -49,6 +58,23 @@ def render_card(card: Mapping[str, Any], explanation: str) -> RenderableType:
     if card["stops"] > 1:
         head.append(f", median of {card['stops']} stops")
     body: list[RenderableType] = [head, table]
+    if before is not None:
+        body.append(Text(f"compared with {before['session']}", style="dim"))
     if outcome != "completed":
         body.insert(1, Text(explanation, style=colour))
     return Panel(Group(*body), title="braking stop", subtitle=Text(str(card["session"])), expand=False)
+
+
+def _change(key: str, value: Any, earlier: Any, form: str, factor: float, *, plain: bool) -> Text:
+    """An arrow, the difference, and whether that is good: less is better for all but the start speed."""
+    if not isinstance(value, int | float) or not isinstance(earlier, int | float):
+        return Text()
+    number = form.partition(" ")[0]
+    told, difference = number.replace("{:", "{:+"), (value - earlier) * factor
+    if number.format(value * factor) == number.format(earlier * factor):
+        return Text("=", style="dim")
+    up, down = ("^", "v") if plain else ("▲", "▼")
+    text = f"{up if difference > 0.0 else down} {told.format(difference)}"
+    if key in _NEITHER:
+        return Text(text, style="dim")
+    return Text(f"{text} worse", style="yellow") if difference > 0.0 else Text(f"{text} better", style="green")

@@ -1,91 +1,348 @@
-"""A run while it happens, on a terminal: drawn by the process that the user started, from a copy of the newest tick."""
+"""A run while it happens, on a terminal: drawn by the process that the user started, from copies of its ticks.
+
+Drawn in place and not on the terminal's second screen: the traces stay when the run is over, and so does what a
+controller prints meanwhile.
+"""
 
 from __future__ import annotations
 
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
-from rich.console import Console, Group, RenderableType
+import numpy as np
+from rich.console import Console
 from rich.live import Live
-from rich.panel import Panel
-from rich.progress_bar import ProgressBar
-from rich.table import Table
 from rich.text import Text
 
-from inteco_abs.realtime.screen import Snapshot
+from inteco_abs.config import RigConfig
+from inteco_abs.realtime.screen import Check, Snapshot
 from inteco_abs.signals import Phase
+from inteco_abs.views.course import Course
+from inteco_abs.views.keys import stop_keys
+from inteco_abs.views.picture import Line, Picture, apart, length, padded
+from inteco_abs.views.plot import Axes, Curve, plot
 
-_SHOWN: Final = (Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED)
-_NARROW: Final = 60
-_BAR: Final = 28
-HINT: Final = "Ctrl-C stops safely"
-_STARTING: Final = Text("starting: first of all, the guardian has to prove itself", style="dim")
+LEAST: Final = (80, 24)
+"""Columns and rows of the smallest terminal that the whole picture is made for."""
+CTRL_C: Final = "Ctrl-C stops safely"
+KEYS: Final = "q, space or Ctrl-C stops safely"
+_BESIDE: Final = 110
+"""Columns from which on the two plots stand side by side."""
+_MOST_ROWS: Final = 19
+_ROOMY: Final = 30
+"""Rows from which on there is room for an empty one."""
+_TIMED: Final = {Phase.SPIN_UP: "{:.1f} s", Phase.BRAKING: "{:.2f} s", Phase.STOPPED: "{:.2f} s"}
+_STEPS: Final = (Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE)
+_AT_REST: Final = frozenset({Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE})
+_OVER: Final = frozenset({Phase.DONE, Phase.FAULT})
+_ROAD, _WHEEL, _SLIP, _GOOD, _BAD = "cyan", "magenta", "green", "green", "bold red"
+
+
+class _Signs(NamedTuple):
+    """Letters of a picture."""
+
+    passed: str
+    here: str
+    open: str
+    full: str
+    empty: str
+    rule: str
+    solid: str
+    dashed: str
+
+
+_UNICODE: Final = _Signs("✓", "▶", "·", "█", "░", "─", "━━", "╍╍")
+_ASCII: Final = _Signs("x", ">", ".", "#", ".", "-", "", "")
 
 
 class Dashboard:
-    """Shows snapshots on a terminal in place; one line on a narrow one. A context manager."""
+    """Shows a run on a terminal in place; in one line on a small one, or if asked to. A context manager."""
 
-    def __init__(self, console: Console, full_speed_rad_s: float) -> None:
+    def __init__(
+        self, console: Console, config: RigConfig, *, virtual: bool = False, line: bool = False, plain: bool = False
+    ) -> None:
         self._console = console
-        self._full_speed = full_speed_rad_s
+        self._plain = plain or console.options.ascii_only
+        self._config = config
+        self._virtual = virtual
+        self._only_line = line
+        self._course = Course(config.experiment.start_speed_rad_s)
+        self._passed: dict[Check, str] = {}
+        self._snapshot: Snapshot | None = None
+        self._hint = CTRL_C
+        self._size = console.size
         # no thread refreshes it: what draws is what was asked to, when it was asked
-        self._live = Live(_STARTING, console=console, auto_refresh=False, transient=True)
+        self._live = Live(console=console, auto_refresh=False)
 
     def __enter__(self) -> Self:
         self._live.start()
+        self._draw()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        # traces stay as they are; what has none has nothing to say that the result does not
+        self._hint = ""
+        self._live.transient = self.in_line or not self._course.braked()
+        if not self._live.transient:
+            self._draw()
         self._live.stop()
+
+    @contextmanager
+    def listening(self, stop: Callable[[], None]) -> Iterator[None]:
+        """While inside, q and space call `stop`, if the program has the keyboard."""
+        with stop_keys(stop, _stdin()) as can:
+            self._hint = KEYS if can else CTRL_C
+            yield
+
+    @property
+    def in_line(self) -> bool:
+        """Whether there is room, or wish, for no more than a line."""
+        width, height = self._console.size
+        return self._only_line or width < LEAST[0] or height < LEAST[1]
+
+    def passed(self, check: Check, told: str = "") -> None:
+        """Tick off what the start waited for."""
+        self._passed[check] = told if told.isprintable() else ascii(told)[1:-1]
+        self._draw()
 
     def show(self, snapshot: Snapshot) -> None:
         """Draw the newest state."""
-        narrow = self._console.width < _NARROW
-        self._live.update(in_one_line(snapshot) if narrow else panel(snapshot, self._full_speed), refresh=True)
+        self._course.add(snapshot.recent)
+        self._snapshot = snapshot
+        if snapshot.phase in _AT_REST:
+            self._passed.setdefault(Check.REST, "")
+        self._draw()
+
+    def note(self, text: str) -> None:
+        """Print what is good to know, above the live part."""
+        self._console.print(Text(text, style="yellow"))
 
     def warn(self, text: str) -> None:
         """Print what cannot wait, above the live part."""
-        self._console.print(Text(text, style="bold red"))
+        self._console.print(Text(text, style=_BAD))
+
+    def _draw(self) -> None:
+        if self._console.size != self._size:  # what was drawn has been wrapped by the terminal: begin on an empty one
+            self._size = self._console.size
+            self._console.clear()
+        self._live.update(self._line() if self.in_line else Picture(self.lines()), refresh=True)
+
+    def _line(self) -> Text:
+        if self._snapshot is not None:
+            return in_one_line(self._snapshot, self._hint)
+        check = self._awaited()
+        return one_line([(f"starting: {check.value}?" if check else "starting", "bold"), (f", {self._hint}", "")])
+
+    def _awaited(self) -> Check | None:
+        return next((check for check in self._checks() if check not in self._passed), None)
+
+    def _checks(self) -> list[Check]:
+        return [check for check in Check if not (self._virtual and check is Check.GUARDIAN)]
+
+    def lines(self) -> list[Line]:
+        """The whole picture, one row less than the terminal has at most."""
+        width, height = self._console.size
+        signs = _ASCII if self._plain else _UNICODE
+        spare: list[Line] = [[]] if height >= _ROOMY else []
+        room = height - 1 - 5 - len(spare)  # the lines around it
+        body = self._plots(width, room) if self._course.braked() else self._start(width, signs)
+        return [
+            self._title(width, signs),
+            self._phases(signs),
+            *spare,
+            *body[:room],
+            self._duties(width, signs),
+            self._timing(),
+            self._end(width, signs),
+        ]
+
+    def _title(self, width: int, signs: _Signs) -> Line:
+        config, shot = self._config, self._snapshot
+        name: Line = [
+            (signs.rule * 2, "dim"),
+            (f" {config.controller.name} on {config.estimator.name} ", "bold"),
+        ]
+        if config.experiment.stops > 1:
+            name.append((f"stop {max(self._course.stop, 1)} of {config.experiment.stops} ", ""))
+        told = f" {shot.time_s:.1f} s, {shot.ticks} ticks " if shot else " starting "
+        kind = "virtual time " if self._virtual else ""
+        right: Line = [(f"{told}{kind}", ""), (signs.rule * 2, "dim")]
+        return [*name, (signs.rule * max(1, width - length(name) - length(right)), "dim"), *right]
+
+    def _phases(self, signs: _Signs) -> Line:
+        """Every step, with the time that it took; the present one stands out by a sign and by capitals."""
+        present = self._snapshot.phase if self._snapshot else Phase.UNKNOWN
+        line: Line = []
+        for phase in _STEPS:
+            seconds = self._course.seconds_in(phase)
+            lasted = f" {_TIMED[phase].format(seconds)}" if seconds is not None and phase in _TIMED else ""
+            name = f"{named(phase)}{lasted}"
+            if phase is present:
+                line += [(" ", ""), (f" {signs.here} {named(phase).upper()}{lasted} ", "bold reverse")]
+            elif seconds is not None:
+                line.append((f"  {signs.passed} {name}", ""))
+            elif present is not Phase.FAULT:  # which nothing follows
+                line.append((f"  {name}", "dim"))
+        if present is Phase.FAULT:
+            line += [(" ", ""), (f" {signs.here} FAULT: outputs off ", "bold red reverse")]
+        return line
+
+    def _start(self, width: int, signs: _Signs) -> list[Line]:
+        """The checks, and how far the wheels are."""
+        lines: list[Line] = []
+        awaited = self._awaited()
+        for check in self._checks():
+            told = self._passed.get(check)
+            if told is not None:
+                lines.append([(f"   {signs.passed} ", _GOOD), (f"{check.value:<28}", ""), (told, "dim")])
+            elif check is awaited:
+                lines.append([(f"   {signs.here} {check.value:<28}", "bold"), ("waiting", "dim")])
+            else:
+                lines.append([(f"   {signs.open} {check.value}", "dim")])
+        return [*lines, [], *self._spin_up(width, signs), []]
+
+    def _spin_up(self, width: int, signs: _Signs) -> list[Line]:
+        seconds, plan = self._course.seconds_in(Phase.SPIN_UP), self._config.experiment
+        if seconds is None or self._snapshot is None:
+            return []
+        speed = self._snapshot.road_speed_rad_s
+        told = f" {speed:6.1f} of {plan.start_speed_rad_s:g} rad/s"
+        meter = bar(speed / plan.start_speed_rad_s, max(10, width - 3 - 3 - len(told)), signs)
+        return [
+            [
+                ("   spin-up to the start speed", "bold"),
+                (f"   {seconds:.1f} s of at most {plan.spin_up_timeout_s:g} s", "dim"),
+            ],
+            [("   ", ""), *meter, (told, "bold")],
+        ]
+
+    def _plots(self, width: int, room: int) -> list[Line]:
+        """Speeds and slip since braking began, side by side if there is room."""
+        beside = width >= _BESIDE
+        rows = min(_MOST_ROWS, room - 3 if beside else (room - 4) // 2)
+        rows -= 1 - rows % 2  # so that there is a middle one
+        each = (width - 2) // 2 if beside else width - 1
+        speeds, slip = self._speeds(each, rows), self._slip(each, rows)
+        if not beside:
+            return [*speeds, *slip]
+        return [[*padded(left, each), ("  ", ""), *right] for left, right in zip(speeds, slip, strict=True)] + [[]]
+
+    def _speeds(self, width: int, rows: int) -> list[Line]:
+        times, road, wheel, _ = self._course.columns()
+        shot = self._shown
+        head = [
+            (" speed [rad/s]  ", "bold"),
+            *self._legend("car", f"{shot.road_speed_rad_s:6.1f}", _ROAD, "*", dashed=False),
+            *self._legend("wheel", f"{shot.wheel_speed_rad_s:6.1f}", _WHEEL, "o", dashed=True),
+        ]
+        curves = [Curve(times, road, _ROAD, "*"), Curve(times, wheel, _WHEEL, "o", dashed=True)]
+        axes = Axes(self._course.span_s(), speed_top(self._config.experiment.start_speed_rad_s))
+        return [head, *plot(curves, axes, width, rows, plain=self._plain)]
+
+    def _slip(self, width: int, rows: int) -> list[Line]:
+        times, _, _, slip = self._course.columns()
+        axes, reference = Axes(self._course.span_s(), 1.0), self._config.controller.reference_slip
+        always = np.array([0.0, axes.span_s])
+        head = [
+            (" slip           ", "bold"),
+            *self._legend("slip", f"{self._shown.slip:6.3f}", _SLIP, "*", dashed=False),
+            *self._legend("reference", f"{reference:g}", "", "-", dashed=True),
+        ]
+        curves = [Curve(times, slip, _SLIP, "*"), Curve(always, np.full(2, reference), "", "-", dashed=True)]
+        return [head, *plot(curves, axes, width, rows, plain=self._plain)]
+
+    def _legend(self, name: str, value: str, style: str, mark: str, *, dashed: bool) -> Line:
+        signs = _ASCII if self._plain else _UNICODE
+        stroke = (signs.dashed if dashed else signs.solid) or mark * (1 if dashed else 2)
+        return [(f"{stroke} {name} ", style), (f"{value}   ", "bold")]
+
+    @property
+    def _shown(self) -> Snapshot:
+        if self._snapshot is None:
+            raise ValueError("nothing was shown yet")
+        return self._snapshot
+
+    def _duties(self, width: int, signs: _Signs) -> Line:
+        shot, guard = self._snapshot, self._config.guard
+        size = min(28, (width - 44) // 2)
+        line: Line = []
+        for name, duty, limit in (
+            ("drive", shot.drive if shot else 0.0, guard.drive_limit),
+            ("brake", shot.brake if shot else 0.0, guard.brake_limit),
+        ):
+            at_limit = duty >= limit and limit < 1.0
+            told = f" {duty:4.2f} " + ("limit" if at_limit else f"of {limit:g}" if limit < 1.0 else "")
+            line += [(f" {name} ", "dim"), *bar(duty, size, signs), (f"{told:<13}", "bold" if at_limit else "")]
+        return line
+
+    def _timing(self) -> Line:
+        if self._virtual:
+            return [(" virtual time: as fast as it goes, never late", "dim")]
+        return [(" ", ""), *timing(self._snapshot, self._config.period_ns * 1e-3)]
+
+    def _end(self, width: int, signs: _Signs) -> Line:
+        if self._hint:
+            return apart([(f" {self._hint}", "bold")], [("only the emergency switch cuts the power ", "dim")], width)
+        return [(signs.rule * width, "dim")]
 
 
-def in_one_line(snapshot: Snapshot) -> Text:
+def in_one_line(snapshot: Snapshot, hint: str) -> Text:
     """Phase, speeds, slip and overruns, shortened to the terminal."""
-    line = Text(no_wrap=True, overflow="ellipsis")
-    line.append(_named(snapshot.phase), style="bold")
-    line.append(f" {snapshot.road_speed_rad_s:.0f} rad/s, slip {snapshot.slip:.2f}, ")
-    line.append(f"{snapshot.overruns} overruns", style="red" if snapshot.overruns else "")
-    line.append(f", {HINT}")
-    return line
-
-
-def panel(snapshot: Snapshot, full_speed_rad_s: float) -> RenderableType:
-    """Phases, speeds, slip, duties as bars, and the timing so far."""
-    phases = Text(" > ").join(
-        Text(_named(phase), style="bold reverse" if phase is snapshot.phase else "dim") for phase in _SHOWN
+    return one_line(
+        [
+            (named(snapshot.phase), "bold"),
+            (f" {snapshot.road_speed_rad_s:.0f} rad/s, slip {snapshot.slip:.2f}, ", ""),
+            (f"{snapshot.overruns} overruns", "red" if snapshot.overruns else ""),
+            (f", {hint}" if hint else "", ""),
+        ]
     )
-    table = Table.grid(padding=(0, 2))
-    for label, value, full, form in (
-        ("road speed", snapshot.road_speed_rad_s, full_speed_rad_s, "{:6.1f} rad/s"),
-        ("wheel speed", snapshot.wheel_speed_rad_s, full_speed_rad_s, "{:6.1f} rad/s"),
-        ("slip", snapshot.slip, 1.0, "{:6.3f}"),
-        ("drive duty", snapshot.drive, 1.0, "{:6.2f}"),
-        ("brake duty", snapshot.brake, 1.0, "{:6.2f}"),
-    ):
-        bar = ProgressBar(total=full, completed=min(max(value, 0.0), full), width=_BAR, finished_style="bar.complete")
-        table.add_row(Text(label, style="dim"), bar, form.format(value))
-    title = f"{snapshot.time_s:.1f} s, {snapshot.ticks} ticks"
-    return Panel(Group(phases, table, timing(snapshot)), title=title, subtitle=HINT, expand=False)
 
 
-def timing(snapshot: Snapshot) -> Text:
-    """Lateness so far and periods missed, the latter red."""
+def one_line(line: Line) -> Text:
+    """A line that ends in three dots where the terminal does."""
+    return Text.assemble(*line, no_wrap=True, overflow="ellipsis")
+
+
+def timing(snapshot: Snapshot | None, period_us: float) -> Line:
+    """Lateness so far and periods missed: red, and louder, where a tick was a period late, or left out."""
+    if snapshot is None:
+        return [("late -", "dim")]
     p50, p99, p999, greatest = (f"{value:.0f}" if value is not None else "-" for value in snapshot.late_us)
-    line = Text(f"late p50 {p50}, p99 {p99}, p99.9 {p999}, max {greatest} us; ", style="dim")
+    too_late = (snapshot.late_us[3] or 0.0) > period_us
     missed = snapshot.overruns
-    return line.append(f"{missed} periods missed", style="bold red" if missed else "")
+    return [
+        (f"late p50 {p50}, p99 {p99}, p99.9 {p999}, ", "dim"),
+        (f"max {greatest} us{'!' if too_late else ''}", _BAD if too_late else "dim"),
+        ("; ", "dim"),
+        (f"{missed} {'period' if missed == 1 else 'periods'} missed{'!' if missed else ''}", _BAD if missed else "dim"),
+    ]
 
 
-def _named(phase: Phase) -> str:
+def bar(share: float, size: int, signs: _Signs) -> Line:
+    """A share in 0..1 as so many cells."""
+    full = round(min(max(share, 0.0), 1.0) * size) if math.isfinite(share) else 0
+    return [(signs.full * full, "bold"), (signs.empty * (size - full), "dim")]
+
+
+def speed_top(start_speed_rad_s: float) -> float:
+    """Upper end of the axis of speeds: the start speed and a little, in whole steps of 20 rad/s."""
+    return 20.0 * math.ceil(1.05 * start_speed_rad_s / 20.0)
+
+
+def named(phase: Phase) -> str:
+    """A phase as people read it."""
     return phase.name.lower().replace("_", "-")
+
+
+def _stdin() -> int:
+    """The keyboard's file descriptor; -1 if there is none."""
+    try:
+        return sys.stdin.fileno()
+    except (OSError, ValueError, AttributeError):  # closed, or a notebook's
+        return -1

@@ -18,7 +18,7 @@ from inteco_abs.errors import (
 from inteco_abs.errors import SessionError as SessionTrouble
 from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.memory import Note, Word
-from inteco_abs.realtime.screen import Snapshot
+from inteco_abs.realtime.screen import Point, Snapshot
 from inteco_abs.realtime.supervisor import Supervisor, raised_again
 from inteco_abs.sessions import TICK, pack_tick
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
@@ -93,9 +93,19 @@ class TestSnapshot:
             ring.append(tick(number))
         ring.append(tick(5, phase=Phase.BRAKING, slip=0.5))
         memory.histogram.add([1.0, 2.0, 30.0], skipped=4)
+        first = Point(FIRST_NS, 10.0, 20.0, 0.125, Phase.SPIN_UP)
         assert supervisor.snapshot() == Snapshot(
-            Phase.BRAKING, 6, 0.0, 15.0, 25.0, 0.5, 0.75, 0.25, 4, (3.0, 30.0, 30.0, 30.0)
+            Phase.BRAKING, 6, 0.0, 15.0, 25.0, 0.5, 0.75, 0.25, 4, (3.0, 30.0, 30.0, 30.0), (first,)
         )
+
+    def test_it_has_what_came_since_the_one_before_thinned_out_to_200_points_a_second(self, supervisor, ring):
+        seen = []
+        for number in range(45):
+            ring.append(tick(number))
+            if number % 7 == 0 or number == 44:
+                seen += supervisor.snapshot().recent
+        assert [point.wheel_speed_rad_s - 10.0 for point in seen] == [0.0, 10.0, 20.0, 30.0, 40.0]
+        assert [point.time_ns - FIRST_NS for point in seen] == [number * 500_000 for number in range(0, 45, 10)]
 
     def test_time_counts_from_the_first_tick_that_it_saw(self, supervisor, ring):
         ring.append(tick(0))

@@ -209,3 +209,28 @@ def test_at_most_so_many_records_are_taken_at_once():
     assert reader.take(2) == record(0) + record(1)
     assert reader.take(2) == record(2) + record(3)
     assert reader.taken == 4
+
+
+def test_a_sample_leaves_out_what_lies_between_and_goes_on_where_it_ended():
+    ring = TickRing(pack, SIZE, 100)
+    for number in range(25):
+        ring.append(number)
+    reader = ring.reader()
+    records, after = reader.sample(0, 10)
+    assert (records, after) == (b"".join(map(record, (0, 10, 20))), 30)
+    assert reader.sample(after, 10) == (b"", 30)
+    for number in range(25, 31):
+        ring.append(number)
+    assert reader.sample(after, 10) == (record(30), 40)
+    assert reader.taken == 0
+
+
+def test_a_sample_begins_with_what_the_ring_still_holds():
+    ring = TickRing(pack, SIZE, 10)
+    reader = ring.reader()
+    for number in range(35):
+        ring.append(number)
+        reader.release(number + 1)
+    records, after = reader.sample(0, 4)
+    assert (records, after) == (b"".join(map(record, (28, 32))), 36)
+    assert reader.lost == 0

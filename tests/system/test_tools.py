@@ -32,6 +32,14 @@ def test_bench_stack_prints_every_stage(untraced):
         assert stage in printed
 
 
+def test_bench_screen_prices_every_size_against_a_line(untraced):
+    printed = run("bench_screen", "1", environment=untraced).splitlines()
+    rows = {line[2:18].rstrip(): line[18:].split() for line in printed if line.startswith("  ")}
+    assert list(rows)[1:] == ["rich, one line", "our line", "80 x 24", "120 x 36", "looking"]
+    assert rows["rich, one line"][-1] == "1.0"
+    assert re.search(r"at most 10: (PASS|FAIL)$", printed[-1])
+
+
 @pytest.mark.long
 def test_bench_session_prices_writing_reading_and_replaying(untraced):
     printed = run("bench_session", "1", environment=untraced).splitlines()

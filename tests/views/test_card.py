@@ -58,9 +58,9 @@ LONG = "a-folder-with-a-long-name/" * 12 + "stop.mcap"
 WORDS = "the road wheel did not stop in time: check the brake's power and the controller's gains; " * 3
 
 
-def text_of(card, explanation="no fault", width=80, **options):
+def text_of(card, explanation="no fault", width=80, *, before=None, plain=False, **options):
     console = Console(file=io.StringIO(), width=width, **options)
-    console.print(render_card(card, explanation))
+    console.print(render_card(card, explanation, before, plain=plain))
     return console.file.getvalue()
 
 
@@ -177,3 +177,45 @@ def test_card_of_a_real_run_can_be_shown(stop):
     assert values["start speed"] == f"{stop[0].card['start_speed_rad_s']:.1f} rad/s"
     assert values["slip RMS, true"] == "-"  # a stop from 20 rad/s is over before the slip arrives
     assert values["ticks, overruns, link errors"] == f"{stop[0].card['ticks']}, 0, 0"
+
+
+class TestComparison:
+    def changes(self, **earlier):
+        text = text_of(CARD, before={**CARD, "session": "before.mcap", **earlier})
+        return {label: text.removeprefix(LINES[label]).strip() for label, text in values_in(text).items()}
+
+    def test_less_is_better_and_more_is_worse_in_words_too(self):
+        changes = self.changes(stop_time_s=1.5, slip_rms_true=0.008, lock_fraction=0.1825)
+        assert changes["stop time"] == "▼ -0.101 better"
+        assert changes["slip RMS, true"] == "▲ +0.0011 worse"
+        assert changes["wheel locked"] == "▼ -10.0 better"
+
+    def test_what_is_the_same_as_printed_is_equal(self):
+        changes = self.changes(stop_time_s=1.39941)
+        assert {label for label, change in changes.items() if change == "="} == set(LINES) - {
+            "ticks, overruns, link errors",
+            "late p50 / p99 / max",
+        }
+
+    def test_neither_start_speed_is_better(self):
+        assert self.changes(start_speed_rad_s=178.15)["start speed"] == "▲ +2.0"
+
+    @pytest.mark.parametrize("missing", METRICS)
+    def test_what_was_not_measured_is_not_compared(self, missing):
+        assert "" in self.changes(**{missing: None}).values()
+
+    def test_it_says_with_what(self):
+        assert "compared with before.mcap" in text_of(CARD, before={**CARD, "session": "before.mcap"})
+        assert "compared" not in text_of(CARD)
+
+    def test_a_plain_one_is_ascii(self):
+        before = {**CARD, "session": "before.mcap", "stop_time_s": 1.5, "band_entry_s": 0.2}
+        text = re.sub(r"[─│╭╮╰╯]", "", text_of(CARD, before=before, plain=True))  # the frame is the console's
+        assert text.isascii()
+        assert "v -0.101 better" in text
+        assert "^ +0.111 worse" in text
+
+    def test_it_fits_80_columns(self):
+        text = text_of(CARD, before={key: 0.0 if key in METRICS else value for key, value in CARD.items()})
+        assert max(map(len, text.splitlines())) <= 80
+        assert "…" not in text

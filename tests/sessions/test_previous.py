@@ -1,0 +1,83 @@
+"""What a result is compared with: the latest of its kind that lies beside it."""
+
+import os
+
+import pytest
+
+from inteco_abs.sessions import previous_card
+
+
+class Folder:
+    """Runs one after the other, a second apart whatever the clock says."""
+
+    def __init__(self, path, run_at):
+        self.path, self._run_at, self._count = path, run_at, 0
+
+    def stop(self, *settings, name="", folder=""):
+        self._count += 1
+        (self.path / folder).mkdir(exist_ok=True)
+        path = self.path / folder / (name or f"{self._count}.mcap")
+        tiny = ("experiment.start_speed_rad_s=10.0", "experiment.idle_s=0.01", "experiment.hold_s=0.0")
+        card = self._run_at(path, (*tiny, "loop.rate_hz=200.0", *settings)).stop.card
+        os.utime(path, (self._count, self._count))
+        return card
+
+
+@pytest.fixture
+def folder(tmp_path, run_at):
+    return Folder(tmp_path, run_at)
+
+
+def before(card):
+    found = previous_card(card)
+    return found and os.path.basename(found["session"])  # noqa: PTH119  it is text
+
+
+def test_it_is_the_latest_of_those_before(folder):
+    assert before(folder.stop()) is None
+    second, third = folder.stop(), folder.stop()
+    assert (before(second), before(third)) == ("1.mcap", "2.mcap")
+
+
+def test_its_card_is_whole_and_says_where_it_lies(folder):
+    first = folder.stop()
+    assert previous_card(folder.stop()) == first
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        'controller.name="relay"',
+        'estimator.name="kalman"',
+        'simulation.rig="hard:1"',
+        "controller.reference_slip=0.3",
+        "experiment.start_speed_rad_s=11.0",
+    ],
+)
+def test_another_kind_is_passed_over(folder, setting):
+    folder.stop()
+    folder.stop(setting)
+    assert before(folder.stop()) == "1.mcap"
+
+
+def test_other_folders_and_what_is_no_whole_session_are_passed_over(folder):
+    folder.stop()
+    folder.stop(folder="elsewhere")
+    (folder.path / "text.mcap").write_text("no session")
+    (folder.path / "cut.mcap").write_bytes((folder.path / "1.mcap").read_bytes()[:-200])
+    (folder.path / "gone.mcap").symlink_to("nowhere")
+    for name in ("text.mcap", "cut.mcap"):
+        os.utime(folder.path / name, (2, 2))
+    assert before(folder.stop()) == "1.mcap"
+
+
+def test_what_did_not_complete_is_compared_with_nothing(folder):
+    first = folder.stop()
+    assert before(folder.stop()) == "1.mcap"
+    assert previous_card(folder.stop() | {"outcome": "interrupted"}) is None
+    assert first["outcome"] == "completed"
+
+
+def test_a_session_that_is_not_there_has_none_before_it(folder):
+    card = folder.stop()
+    assert previous_card(card | {"session": str(folder.path / "nowhere" / "1.mcap")}) is None

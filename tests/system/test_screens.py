@@ -1,0 +1,88 @@
+"""What a run says where there is no terminal, and which letters it uses where there is one."""
+
+import pytest
+
+from inteco_abs.cli.screens import ascii_wanted, screen_of
+from inteco_abs.config import load_config
+from inteco_abs.realtime.screen import Check, Lines, NoScreen, Unbreakable
+
+
+@pytest.fixture
+def said(capsys):
+    """What goes to stderr while a run without terminal notes and warns."""
+
+    def run(wish=None, *, virtual=False, quiet=False):
+        with screen_of(load_config(), wish, virtual=virtual, quiet=quiet) as screen:
+            screen.passed(Check.BOARD)
+            screen.note("good to know")
+            screen.warn("cannot wait")
+        said = capsys.readouterr()
+        assert not said.out
+        return said.err.splitlines()
+
+    return run
+
+
+BEGIN, NOTE, WARNING = (
+    "running in real time; Ctrl-C stops safely",
+    "inteco-abs: good to know",
+    "inteco-abs: cannot wait",
+)
+
+
+@pytest.mark.parametrize(
+    ("options", "lines"),
+    [
+        ({}, [BEGIN, NOTE, WARNING]),
+        ({"wish": "full"}, [BEGIN, NOTE, WARNING]),  # there is no terminal to draw on
+        ({"virtual": True}, [NOTE, WARNING]),
+        ({"quiet": True}, [WARNING]),
+    ],
+)
+def test_without_a_terminal_there_are_lines_and_no_picture(said, options, lines):
+    assert said(**options) == lines
+
+
+@pytest.mark.parametrize(
+    ("variables", "wanted"),
+    [
+        ({}, False),
+        ({"LANG": "C"}, True),
+        ({"LANG": "C", "LC_CTYPE": "C.UTF-8"}, True),  # which Python itself has set
+        ({"LANG": "C.UTF-8"}, False),
+        ({"LANG": "de_DE.UTF-8", "LC_ALL": "POSIX"}, True),
+        ({"LANG": "C", "LC_ALL": "en_US.UTF-8"}, False),
+        ({"LANG": "C", "LC_CTYPE": "en_US.UTF-8"}, False),
+    ],
+)
+def test_the_c_locale_gets_ascii(monkeypatch, variables, wanted):
+    for name in ("LC_ALL", "LC_CTYPE", "LANG"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert ascii_wanted() == wanted
+
+
+@pytest.mark.parametrize("act", ["passed", "show", "note", "warn"])
+def test_trouble_of_a_screen_is_not_the_runs(act):
+    calls = []
+
+    class Broken(NoScreen):
+        def __getattribute__(self, name):
+            if name != "listening":
+                calls.append(name)
+                raise OSError("the terminal is gone")
+            return super().__getattribute__(name)
+
+    screen = Unbreakable(Broken())
+    getattr(screen, act)("anything")
+    getattr(screen, act)("anything")
+    assert calls == [act]
+
+
+def test_lines_say_what_they_are_told():
+    texts = []
+    screen = Lines(texts.append)
+    screen.note("one")
+    screen.warn("two")
+    assert texts == ["one", "two"]
