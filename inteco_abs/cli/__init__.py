@@ -4,6 +4,13 @@ Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 done with losses
 advice to look at, 4 replay or sessions differ, 5 safety stop, 130 interrupted.
 """
 
-from inteco_abs.cli.verbs import main
+import sys
 
-__all__ = ["main"]
+
+def main() -> None:
+    """Entry point of the command; an interrupt while it is being loaded leaves no traceback either."""
+    try:
+        from inteco_abs.cli.verbs import main as verbs  # noqa: PLC0415  see above
+    except KeyboardInterrupt:
+        sys.exit(130)
+    verbs()
