@@ -10,7 +10,7 @@ import sys
 def main() -> None:
     """Entry point of the command; an interrupt while it is being loaded leaves no traceback either."""
     try:
-        from inteco_abs.cli.verbs import main as verbs  # noqa: PLC0415  see above
+        from inteco_abs.cli.verbs import main as verbs
     except KeyboardInterrupt:
         sys.exit(130)
     verbs()
