@@ -21,6 +21,7 @@ from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline
 from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
 from inteco_abs.mock_board import Device, Truth, drawn_facts, face_of
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
+from inteco_abs.realtime.by_hand import ONLY_WATCHED, RATE_HZ, Screenside
 from inteco_abs.realtime.doctor import examine
 from inteco_abs.realtime.findings import as_facts
 from inteco_abs.realtime.hearing import hearing
@@ -60,6 +61,8 @@ _LONGEST_RING_S: Final = 120.0
 """Memory of several stops goes round: what is older is in the file, and a run without recorder ends within a second."""
 _SHORTEST_RING_S: Final = 4.0
 """Long enough for the recorder to be found dead and the run to end before the ring is full."""
+_PANEL_RING_S: Final = 30.0
+"""A screen that takes no ticks for so long is gone."""
 
 Progress = Callable[[Phase, int], None]
 """Told the phase and the number of ticks so far, between slices of a virtual run."""
@@ -132,6 +135,32 @@ def exchange_times_us(config: RigConfig, board: str) -> list[float]:
     with _processes(config, Plan(Path(), board, virtual=False), ring_ticks=1) as (_, supervisor):
         times_us: list[float] = supervisor.ask("trips")
         return times_us
+
+
+@contextmanager
+def by_hand(config: RigConfig, board: str, *, outputs: bool) -> Iterator[Screenside]:
+    """A board held by a process of its own, for a screen: entered for output, or only to be read.
+
+    Leaving ends with SAFE, read back. Raises ReadOnlyError if outputs are wanted of a board that the profile does not
+    trust, BoardError if it cannot be opened or its process has died, UnsafeError if SAFE was not confirmed.
+    """
+    check_address(board)
+    check_kind(board, config)
+    _insist_on_linux()
+    slowly = config.loop.model_copy(update={"rate_hz": min(RATE_HZ, config.loop.rate_hz)})
+    config = config.model_copy(update={"loop": slowly})
+    told = config if outputs else _only_read(config)
+    ring_ticks = round(_PANEL_RING_S * slowly.rate_hz)
+    with (
+        _processes(told, Plan(Path(), board, virtual=False), ring_ticks) as (memory, supervisor),
+        supervisor.by_hand(drill=outputs),
+    ):
+        yield Screenside(memory)
+
+
+def _only_read(config: RigConfig) -> RigConfig:
+    because = config.board.read_only or ONLY_WATCHED
+    return config.model_copy(update={"board": config.board.model_copy(update={"read_only": because})})
 
 
 def _insist_on_linux() -> None:

@@ -5,6 +5,7 @@ from importlib import import_module
 from typing import Final
 
 ROLES: Final = {
+    "by-hand": "by_hand",
     "loop": "rt",
     "drill": "drill",
     "guardian": "guardian",

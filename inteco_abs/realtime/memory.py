@@ -82,6 +82,17 @@ class Word(IntEnum):
     """1 once it has said that the ticks stay here."""
     EPOCH_NS = auto()
     """UNIX time of the monotonic clock's zero."""
+    # the panel's screen
+    WISHED_DRIVE = auto()
+    """Duty, in millionths."""
+    WISHED_BRAKE = auto()
+    KEY_SEEN_NS = auto()
+    """When the key that keeps the outputs on was last seen."""
+    LOOKS_ASKED = auto()
+    """Readings of the whole board that it has asked for."""
+    # the process that holds the board for it
+    LOOKS = auto()
+    """Which of them is in the note RESULT."""
 
 
 class Note(IntEnum):

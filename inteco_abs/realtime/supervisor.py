@@ -8,9 +8,10 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -43,6 +44,8 @@ _SAVING_S: Final = 30.0
 """For a loop's process that writes the capture of a long run; its board is safe and the session's end is told."""
 """For a loop that has to end, or to begin."""
 _GUARDIAN_WINDOW_NS: Final = 500_000_000
+_BY_HAND: Final = ("by-hand", "loop")
+"""In the loop's place."""
 
 
 class Supervisor:
@@ -81,6 +84,74 @@ class Supervisor:
             return self._memory.note(Note.RESULT)
         finally:
             self._end()
+
+    @contextmanager
+    def by_hand(self, *, drill: bool) -> Iterator[None]:
+        """While inside, a process holds the board for a screen, guarded as a loop is; nothing is recorded.
+
+        `drill`: the guardian has to prove itself first, as it does before a run. Raises what kept the board from being
+        opened, or what became of it: UnsafeError if SAFE was not confirmed.
+        """
+        words = self._words
+        with hearing(self._stop):
+            try:
+                self._await_the_mock()
+                for role, name in (("guardian", "guardian"), *((("drill", "drill"),) if drill else ()), _BY_HAND):
+                    self.spawn(name, "inteco_abs.realtime", role, str(self._memory.path))
+                loop = self._children["loop"]
+                words[Word.LOOP_PID] = loop.pid
+                if drill:
+                    self._drill()
+                words[Word.GUARDED_PID] = loop.pid
+                self._wait_for(lambda: words[Word.READY] == loop.pid, "the board opens", "loop", _START_S)
+                with self._beating():
+                    yield
+            finally:
+                if _ended(self._children.get("loop")):
+                    self._rescue_if_nobody_did()  # before the guardian is told that all is over
+                self._end()
+                self._insist_on_safe()
+        self._tell_of_the_end()
+
+    @contextmanager
+    def _beating(self) -> Iterator[None]:
+        """Beat from a thread: drawing a screen may take its time, and the outputs do not wait for it."""
+        over = threading.Event()
+
+        def beat() -> None:
+            while not over.wait(_SCREEN_S):
+                self._words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
+
+        thread = threading.Thread(target=beat, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
+    def _rescued(self) -> Any:
+        """Report of who took the board of the process that held it; None if nobody had to."""
+        words = self._words
+        return self._memory.note(Note.RESCUE) if words[Word.RESCUED_PID] == words[Word.LOOP_PID] != 0 else None
+
+    def _insist_on_safe(self) -> None:
+        """Raise UnsafeError if SAFE was not confirmed in the end, whatever else has happened."""
+        report, told = self._rescued(), self._memory.note(Note.FAILURE)
+        if report is not None and report["failure"]:
+            raise UnsafeError(f"the process that held the board {report['cause']}, and then: {report['failure']}")
+        if report is None and told is not None and told["kind"] == UnsafeError.__name__:
+            raise raised_again(told)
+
+    def _tell_of_the_end(self) -> None:
+        """Raise what the process that held the board has said in the end, or that it has died."""
+        report, told = self._rescued(), self._memory.note(Note.FAILURE)
+        if told is not None:
+            raise raised_again(told)
+        if report is not None:
+            written = self._memory.image(Note.SAFE_IMAGE) is not None
+            then = f"the {report['by']} has written SAFE and read it back" if written else "nothing had been written"
+            raise BoardError(f"the process that held the board {report['cause']}; {then}")
 
     def spawn(self, name: str, module: str, *arguments: str) -> None:
         """Start a process of the run."""
@@ -315,6 +386,10 @@ def raised_again(told: Mapping[str, Any]) -> AbsError:
     for note in told["notes"]:
         error.add_note(note)
     return error
+
+
+def _ended(child: subprocess.Popen[bytes] | None) -> bool:
+    return child is not None and child.poll() is not None
 
 
 def _gone_within(child: subprocess.Popen[bytes], most_s: float) -> bool:
