@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from inteco_abs.lab import Bench, Draft, Walk
 
 
-class _Terminal:
+class Terminal:
     """Talks on stderr and hears stdin, a terminal or a file of answers."""
 
     def __init__(self) -> None:
@@ -85,7 +85,7 @@ def probe(
     forgiving = [] if file.exists() else _forgiving(board)
     draft = Draft.open(file, board, base, [*forgiving, *settings], given=profile is not None)
     check_kind(board, draft.config)
-    walk = Walk(Visit(_bench(board, draft, virtual=virtual), draft, _Terminal(), quiet))
+    walk = Walk(Visit(_bench(board, draft, virtual=virtual), draft, Terminal(), quiet))
     _print_state(walk, file)
     try:
         walk.go(only, redo)

@@ -22,6 +22,7 @@ from inteco_abs.cli.identify import identify
 from inteco_abs.cli.layout import layout
 from inteco_abs.cli.listing import list_sessions
 from inteco_abs.cli.mock_board import mock_board
+from inteco_abs.cli.panel import panel
 from inteco_abs.cli.paper import paper
 from inteco_abs.cli.probe import probe
 from inteco_abs.cli.repeat import repeat
@@ -77,6 +78,7 @@ _VERBS: Final = (
     paper,
     doctor,
     probe,
+    panel,
     blink,
     wire,
     mock_board,

@@ -210,6 +210,12 @@ class Screenside:
         self._memory.words[Word.LOOKS_ASKED] += 1
 
     @property
+    def answered(self) -> bool:
+        """Whether the newest reading is the one that was asked for last."""
+        words = self._memory.words
+        return words[Word.LOOKS] == words[Word.LOOKS_ASKED]
+
+    @property
     def look(self) -> dict[str, Any] | None:
         """The newest reading of the whole board; None while it is being replaced."""
         told: dict[str, Any] | None = self._memory.note(Note.RESULT)

@@ -1,0 +1,60 @@
+"""The verb `inteco-abs panel`: watch and move the rig by hand."""
+
+from __future__ import annotations
+
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import click
+
+from inteco_abs.cli.completion import key_names
+from inteco_abs.cli.probe import Terminal
+from inteco_abs.cli.shared import FILE, drawn_setting, rig_option
+from inteco_abs.errors import AbsError, ConfigError, Mistake
+
+
+@click.command()
+@click.option("--board", default="sim:", show_default=True, help="Board address; sim: is the mock board.")
+@click.option("--outputs", is_flag=True, help="Let the motors be moved, once you have typed what you made sure of.")
+@rig_option
+@click.option("--config", type=FILE, help="rig.toml; every key has a default.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    shell_complete=key_names,
+    metavar="KEY=VALUE",
+    help="Over the file, as in guard.drive_limit=0.3.",
+)
+def panel(board: str, outputs: bool, drawn: str | None, config: Path | None, settings: tuple[str, ...]) -> int:
+    """Set the rig up by hand: encoders, speeds and board facts live; duties while you hold a key.
+
+    Without --outputs it only reads.
+    """
+    from inteco_abs.boards import check_address, default_profile, simulated
+    from inteco_abs.config import load_config
+    from inteco_abs.experiment import by_hand
+    from inteco_abs.lab.panel import PHRASE, REQUEST, Panel
+    from inteco_abs.lab.person import insist_on_phrase
+    from inteco_abs.mock_board import rig_check
+
+    check_address(board)
+    if drawn is not None and not simulated(board):
+        raise ConfigError([Mistake("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")])
+    rig = load_config(config, (*settings, *drawn_setting(drawn)), [rig_check], default_profile(board))
+    if find_spec("textual") is None:
+        raise AbsError("the panel needs textual: pip install 'inteco-abs[panel]'; nothing was started")
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise AbsError("the panel needs a terminal for its keys and its screen; nothing was started")
+    from inteco_abs.cli.panel_screen import PanelApp
+
+    if outputs:
+        insist_on_phrase(Terminal(), REQUEST, PHRASE)
+        click.echo("starting: first of all, the guardian has to prove itself", err=True)
+    with by_hand(rig, board, outputs=outputs) as side:
+        app = PanelApp(Panel(rig, outputs=outputs), side, board)
+        code = app.run(mouse=False)
+    if outputs:
+        click.echo("the board has confirmed that both outputs are off; wheels that turn coast for up to 48 s", err=True)
+    return app.return_code or 1 if code is None else code
