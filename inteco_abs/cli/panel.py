@@ -38,6 +38,7 @@ def panel(board: str, outputs: bool, drawn: str | None, config: Path | None, set
     from inteco_abs.lab.panel import PHRASE, REQUEST, Panel
     from inteco_abs.lab.person import insist_on_phrase
     from inteco_abs.mock_board import rig_check
+    from inteco_abs.signals import EXPLANATIONS, Reason
 
     check_address(board)
     if drawn is not None and not simulated(board):
@@ -52,9 +53,12 @@ def panel(board: str, outputs: bool, drawn: str | None, config: Path | None, set
     if outputs:
         insist_on_phrase(Terminal(), REQUEST, PHRASE)
         click.echo("starting: first of all, the guardian has to prove itself", err=True)
+    by_person = Panel(rig, outputs=outputs)
     with by_hand(rig, board, outputs=outputs) as side:
-        app = PanelApp(Panel(rig, outputs=outputs), side, board)
+        app = PanelApp(by_person, side, board)
         code = app.run(mouse=False)
     if outputs:
         click.echo("the board has confirmed that both outputs are off; wheels that turn coast for up to 48 s", err=True)
+    if by_person.reason is not Reason.NONE:
+        click.echo(f"inteco-abs: {EXPLANATIONS[by_person.reason]}", err=True)
     return app.return_code or 1 if code is None else code

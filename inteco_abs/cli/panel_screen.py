@@ -21,14 +21,14 @@ from inteco_abs.errors import UnsafeError
 from inteco_abs.lab.identity import hex_dump
 from inteco_abs.lab.panel import Output, Panel
 from inteco_abs.realtime.by_hand import Screenside
-from inteco_abs.signals import EXPLANATIONS, Command, Reason
+from inteco_abs.signals import Command, Reason
 
 _REFRESH_S: Final = 0.1
 _LOOK_EVERY: Final = 10
 """Refreshes between two looks at a board whose looks tell of alarms and cost next to nothing."""
 _BAR: Final = 20
 _STOPPED: Final = UnsafeError.exit_code
-_WATCHED_BY: Final = "A guardian watches; it is no help when computer or cable fails: hand at the emergency switch"
+_GUARDED: Final = "Guarded, but if computer or cable fails only the emergency switch helps."
 _KEYS: Final = (
     "[b]space[/] held: power   [b]↑ ↓ PgUp PgDn[/] drive   [b]→ ←[/] brake   [b]0[/] both to zero\n"
     "[b]z[/] counts to zero   [b]d[/] dump   [b]q[/] leave   any key but space takes the power away"
@@ -128,7 +128,7 @@ class PanelApp(App[int]):
         else:
             self._take_away()
             self._by_key.get(event.key, lambda: None)()
-        self._draw()
+            self._draw()
 
     def action_leave(self, code: int) -> None:
         """Power off, and away."""
@@ -140,8 +140,8 @@ class PanelApp(App[int]):
         panel, side = self._panel, self._side
         panel.see(side.ticks())
         if side.over:
-            stopped = side.reason not in (Reason.NONE, Reason.OPERATOR_STOP)
-            self.exit(_STOPPED if stopped else INTERRUPTED, message=EXPLANATIONS[side.reason] if stopped else None)
+            panel.reason = panel.reason or side.reason
+            self.exit(INTERRUPTED if panel.reason is Reason.OPERATOR_STOP else _STOPPED)
             return
         self._refreshes += 1
         if panel.config.board.kind == "pci" and self._refreshes % _LOOK_EVERY == 0:
@@ -165,7 +165,7 @@ class PanelApp(App[int]):
         if isinstance(self.screen, DumpScreen):
             return
         state = self.query_one("#state", Static)
-        state.update(f"{panel.state(time.monotonic_ns())}\n{_WATCHED_BY if panel.outputs else ''}")
+        state.update(f"{panel.state(time.monotonic_ns())}\n{_GUARDED if panel.outputs else ''}")
         state.set_class(panel.admitted != Command.SAFE, "on")
         state.set_class(panel.reason is not Reason.NONE, "lost")
         self.query_one("#wheels", Static).update(wheels_table(panel))

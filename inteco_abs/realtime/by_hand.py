@@ -59,7 +59,7 @@ class Wishes:
 
     def take_away(self) -> None:
         """Wish for both outputs off, at once."""
-        self._words[Word.KEY_SEEN_NS] = 0
+        self._words[Word.KEY_SEEN_NS] = -HELD_NS
 
     def at(self, now_ns: int) -> Command:
         """What is wished now; SAFE unless the key was seen within the last half a second."""
@@ -126,10 +126,11 @@ class Driven(Hand):
         self._wishes = Wishes(memory)
         self._guard = Guard(config)
         self._command = Command.SAFE
+        self._made_safe = False  # after a trip
         self._always = config.board.kind == "pci"  # a look costs it some microseconds, and tells of its alarms
 
     def beat(self) -> bool:
-        """One exchange; after the guard has tripped, with SAFE."""
+        """One exchange; once the guard has tripped, with SAFE, which is then read back. Raises UnsafeError if not."""
         if self._always or self._command == Command.SAFE:
             self.look()
         sample = self._board.exchange(self._command)
@@ -139,6 +140,9 @@ class Driven(Hand):
         wish = self._wishes.at(sample.time_ns)
         self._command = self._guard.admit(wish, sample, _NO_ESTIMATE)
         self._show(sample, wish, self._command, self._guard.reason, stop)
+        if self._guard.reason is not Reason.NONE and not self._made_safe:
+            self._made_safe = True
+            self._board.make_safe()
         return stop is Reason.NONE
 
 
@@ -253,6 +257,8 @@ def main(path: str) -> int:
     except AbsError as error:
         tell_failure(memory, Note.FAILURE, error)
         return error.exit_code
+    if not alive(memory.words[Word.SUPERVISOR_PID]):
+        memory.remove()  # nobody else will, and nothing in it was to be kept
     return 0
 
 

@@ -1,0 +1,262 @@
+"""What the process behind the panel does with wishes: in virtual time, with the real board, guard and shared memory."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.rtdac_usb2 import READ_REQUEST
+from inteco_abs.boards import InProcessLink, Link, board_behind
+from inteco_abs.config import load_config
+from inteco_abs.errors import LinkError, UnsafeError
+from inteco_abs.mock_board import Device, face_of
+from inteco_abs.realtime import StopWord, VirtualClock
+from inteco_abs.realtime.by_hand import HELD_NS, RATE_HZ, Driven, Screenside, Watched, read_all
+from inteco_abs.realtime.memory import Word
+from inteco_abs.signals import BoardFlags, Command, Reason
+
+PERIOD_NS = round(1e9 / RATE_HZ)
+OFF = (0.0, 0.0)
+AS_ON_A_REAL_BOARD = ("guard.missed_in_a_row=4", "guard.bucket_limit=30", "guard.brake_limit=0.7")
+
+
+class WatchedLink(Link):
+    """Keeps what is written; answers nothing while `dead`."""
+
+    def __init__(self, inner):
+        self.written = []
+        self.dead = False
+        self._inner = inner
+
+    def write(self, data):
+        self.written.append(bytes(data))
+        self._inner.write(data)
+
+    def read(self, length):
+        answer = self._inner.read(length)
+        if self.dead:
+            raise LinkError("no answer")
+        return answer
+
+    def close(self):
+        self._inner.close()
+
+
+class Bench:
+    """A board in the hands of a screen, beat by beat."""
+
+    def __init__(self, memory, *settings, profile="sim_usb2"):
+        rate = f"loop.rate_hz={RATE_HZ}"
+        self.config = load_config(settings=[rate, *AS_ON_A_REAL_BOARD, *settings], profile=profile)
+        self.clock = VirtualClock(self.config.period_ns)
+        self._beats = iter(self.clock)
+        next(self._beats)
+        self.device = Device(self.config, self.clock.now_ns, 3)
+        self.link = WatchedLink(InProcessLink(face_of(self.device)))
+        self.board = board_behind(self.link, self.config, self.clock.now_ns)
+        self.stop = StopWord()
+        self.memory = memory
+        self.side = Screenside(memory)
+        self.hand = None
+
+    def __enter__(self):
+        self.board.__enter__()
+        kind = Watched if self.config.board.read_only else Driven
+        self.hand = kind(self.board, self.config, self.memory, self.stop)
+        return self
+
+    def __exit__(self, *error):
+        self.board.__exit__(*error)
+
+    def beat(self):
+        next(self._beats)
+        return self.hand.beat()
+
+    def beats(self, seconds, wish=None):
+        """Duties at the motors after each beat, with the key held for `wish`."""
+        seen = []
+        for _ in range(round(seconds * RATE_HZ)):
+            if wish is not None:
+                self.side.wishes.keep_on(wish, self.clock.now_ns())
+            assert self.beat()
+            seen.append(self.device.duties)
+        return seen
+
+
+@pytest.fixture
+def bench(new_memory):
+    def make(*settings, **options):
+        return Bench(new_memory(5000), *settings, **options)
+
+    return make
+
+
+def test_with_no_key_nothing_is_ever_put_out(bench):
+    with bench() as rig:
+        assert set(rig.beats(1.0)) == {OFF}
+
+
+def test_the_wish_is_put_out_while_the_key_is_held(bench):
+    with bench() as rig:
+        drive, brake = rig.beats(0.3, Command(0.4, 0.2))[-1]
+        assert (drive, brake) == pytest.approx((0.4, 0.2), abs=1 / 255)
+
+
+def test_half_a_second_after_the_last_key_the_outputs_are_off(bench):
+    with bench() as rig:
+        rig.beats(0.3, Command(0.4, 0.0))
+        after = rig.beats(1.0)
+        on = sum(duties != OFF for duties in after)
+        assert on * PERIOD_NS <= HELD_NS + PERIOD_NS
+        assert set(after[on:]) == {OFF}
+
+
+def test_another_key_takes_them_away_two_beats_later_at_most(bench):
+    with bench() as rig:
+        rig.beats(0.3, Command(0.4, 0.0))
+        rig.side.wishes.take_away()
+        assert set(rig.beats(0.5)[1:]) == {OFF}
+
+
+@given(
+    now_ns=st.integers(0, 2**60),
+    seen_ns=st.integers(1, 2**60),
+    drive=st.integers(0, 100),
+    brake=st.integers(0, 100),
+)
+def test_a_wish_counts_for_half_a_second_and_is_passed_on_to_a_millionth(wishes, now_ns, seen_ns, drive, brake):
+    wishes.keep_on(Command(drive / 100, brake / 100), seen_ns)
+    for at_ns in (now_ns, seen_ns, seen_ns + HELD_NS - 1, seen_ns + HELD_NS):
+        wished = wishes.at(at_ns)
+        if abs(at_ns - seen_ns) < HELD_NS:
+            assert wished == pytest.approx((drive / 100, brake / 100), abs=1e-6)
+        else:
+            assert wished is Command.SAFE
+
+
+@pytest.fixture(scope="session")
+def wishes():
+    from inteco_abs.realtime.by_hand import Wishes
+
+    class Memory:
+        words = memoryview(bytearray(8 * len(Word))).cast("q")
+
+    return Wishes(Memory())
+
+
+def test_the_guard_has_the_last_word_on_the_duty(bench):
+    with bench() as rig:
+        assert rig.beats(0.2, Command(0.0, 1.0))[-1][1] == pytest.approx(0.7, abs=1 / 255)
+
+
+def test_what_the_guard_has_taken_away_no_key_brings_back(bench):
+    with bench("guard.over_speed_rad_s=20.0", "experiment.start_speed_rad_s=15.0") as rig:
+        rig.beats(4.0, Command(1.0, 0.0))
+        assert set(rig.beats(0.5, Command(1.0, 0.0))) == {OFF}
+        assert rig.side.ticks()[-1]["reason"] == Reason.OVER_SPEED
+
+
+def test_a_drive_that_does_not_turn_the_road_is_taken_away(bench):
+    with bench() as rig:
+        rig.device.power(on=False)
+        rig.beats(1.0, Command(0.5, 0.0))
+        assert rig.side.ticks()[-1]["reason"] == Reason.ROAD_ENCODER_FROZEN
+        rig.device.power(on=True)
+        assert rig.device.duties == OFF
+
+
+def test_who_wants_it_to_end_ends_it_with_outputs_off(bench):
+    with bench() as rig:
+        rig.beats(0.3, Command(0.4, 0.0))
+        rig.stop.request()
+        assert not rig.beat()
+        assert rig.device.duties == OFF
+    assert rig.side.ticks()[-1]["stop_request"] == Reason.OPERATOR_STOP
+
+
+def test_leaving_in_mid_drive_leaves_the_outputs_off(bench):
+    with pytest.raises(KeyboardInterrupt), bench() as rig:
+        rig.beats(0.3, Command(0.4, 0.0))
+        assert rig.device.duties != OFF
+        raise KeyboardInterrupt
+    assert rig.device.duties == OFF
+
+
+def test_a_board_that_answers_no_more_is_not_shown_as_safe(bench):
+    rig = bench()
+    with pytest.raises(UnsafeError, match="emergency switch"), rig:
+        rig.beats(0.3, Command(0.4, 0.0))
+        rig.link.dead = True
+        rig.beats(0.3, Command(0.4, 0.0))
+    reasons = rig.side.ticks()["reason"].tolist()
+    assert reasons[-1] == Reason.MISSED_EXCHANGES
+
+
+def test_two_lost_answers_do_no_harm(bench):
+    with bench() as rig:
+        rig.beats(0.3, Command(0.4, 0.0))
+        rig.link.dead = True
+        rig.beats(0.02, Command(0.4, 0.0))
+        rig.link.dead = False
+        assert rig.beats(0.3, Command(0.4, 0.0))[-1] != OFF
+        assert (rig.side.ticks()["board_flags"] != 0).sum() == 2
+
+
+class TestLooks:
+    def test_a_usb_board_is_read_as_a_whole_once_asked_and_only_with_outputs_off(self, bench):
+        with bench() as rig:
+            rig.beats(0.3, Command(0.4, 0.0))
+            rig.side.ask()
+            rig.beats(0.3, Command(0.4, 0.0))
+            assert not rig.side.answered
+            rig.side.wishes.take_away()
+            rig.beats(0.05)
+            assert rig.side.answered
+            assert rig.side.look["values"]["pwm0_prescaler"] == rig.config.board.pwm_prescaler
+            assert len(bytes.fromhex(rig.side.look["raw"])) == 504
+
+    def test_the_pci_board_tells_of_its_alarms_while_it_drives(self, bench):
+        with bench(profile="sim_pci") as rig:
+            rig.side.ask()
+            rig.beats(0.3, Command(0.4, 0.0))
+            assert rig.side.answered
+            assert {"supply", "temperature"} <= {name for name, *_ in rig.side.look["readings"]}
+
+    def test_a_look_that_fails_says_why_and_ends_nothing(self, bench):
+        with bench() as rig:
+            rig.link.dead = True
+            assert "no answer" in read_all(rig.board)["problem"]
+            rig.link.dead = False
+            assert rig.beats(0.1, Command(0.4, 0.0))[-1] != OFF
+
+
+WATCHING = 'board.read_only="the panel only watches"'
+
+
+class TestWatching:
+    def test_nothing_but_requests_is_written_whatever_is_wished(self, bench):
+        with bench(WATCHING) as rig:
+            assert set(rig.beats(0.3, Command(1.0, 1.0))) == {OFF}
+            assert set(rig.link.written) == {READ_REQUEST}
+
+    @pytest.mark.parametrize(("which", "column"), [("wheel", "wheel_count"), ("road", "road_count")])
+    def test_turns_by_hand_are_counted_with_the_profiles_sign(self, bench, which, column):
+        wiring = (WATCHING, f"board.{which}_sign=-1", f"simulation.{which}_sign=-1")
+        with bench(*wiring) as rig:
+            rig.beats(0.01)
+            rig.device.turn(which, 10, 1.0)
+            rig.beats(1.2)
+            counts = rig.side.ticks()[-1][column]
+            assert counts == pytest.approx(10 * rig.config.encoders.counts_per_turn, abs=5)
+
+    def test_lost_answers_are_flagged_and_a_hundred_of_them_end_it(self, bench):
+        with bench(WATCHING) as rig:
+            rig.link.dead = True
+            rig.beats(0.99)
+            assert set(rig.side.ticks()["board_flags"].tolist()) == {BoardFlags.STALE}
+            with pytest.raises(LinkError):
+                rig.beat()
+
+    def test_it_ends_when_somebody_wants_it(self, bench):
+        with bench(WATCHING) as rig:
+            rig.stop.request()
+            assert not rig.beat()
