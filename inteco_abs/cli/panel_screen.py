@@ -31,7 +31,7 @@ _STOPPED: Final = UnsafeError.exit_code
 _GUARDED: Final = "Guarded, but if computer or cable fails only the emergency switch helps."
 _KEYS: Final = (
     "[b]space[/] held: power   [b]↑ ↓ PgUp PgDn[/] drive   [b]→ ←[/] brake   [b]0[/] both to zero\n"
-    "[b]z[/] counts to zero   [b]d[/] dump   [b]q[/] leave   any key but space takes the power away"
+    "[b]z[/] counts to zero   [b]d[/] all of the board   [b]q[/] leave   any key but space: power off"
 )
 
 
@@ -42,15 +42,15 @@ class DumpScreen(ModalScreen[None]):
     DumpScreen > VerticalScroll { border: round $primary; background: $surface; }
     """
 
-    def __init__(self, look: dict[str, Any]) -> None:
+    def __init__(self, board: Text, look: dict[str, Any]) -> None:
         super().__init__()
-        self._look = look
+        self._texts = board, Text(f"\n{dump_text(look)}")
 
     def compose(self) -> ComposeResult:
         """One text to scroll in."""
         with VerticalScroll() as box:
-            box.border_title = "dump: arrows and PgDn scroll, any other key closes"
-            yield Static(dump_text(self._look), markup=False)
+            box.border_title = "the board as it was read: arrows and PgDn scroll, any other key closes"
+            yield from map(Static, self._texts)
 
     def on_key(self, event: Key) -> None:
         """Scroll or close."""
@@ -62,6 +62,7 @@ class DumpScreen(ModalScreen[None]):
 class PanelApp(App[int]):
     """The screen of a panel whose board is at the other end of `side`; its result is the exit code."""
 
+    TITLE = "inteco-abs panel"
     ENABLE_COMMAND_PALETTE = False
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("ctrl+c", f"leave({INTERRUPTED})", priority=True),
@@ -73,7 +74,7 @@ class PanelApp(App[int]):
     #state.lost { background: darkred; color: white; }
     #both { height: 7; }
     #both Static { border: round $primary; width: 1fr; padding: 0 1; }
-    #board { border: round $primary; height: 1fr; padding: 0 1; }
+    #board { border: round $primary; height: 1fr; padding: 0 1; scrollbar-size: 0 0; }
     #keys { dock: bottom; height: 2; padding: 0 1; }
     """
 
@@ -82,6 +83,7 @@ class PanelApp(App[int]):
         self._panel = panel
         self._side = side
         self._address = address
+        self._introduction = side.introduction
         self._refreshes = 0
         self._dump_wanted = False
         self._look: dict[str, Any] = {}
@@ -149,7 +151,7 @@ class PanelApp(App[int]):
         self._look = side.look or self._look
         if self._dump_wanted and side.answered:
             self._dump_wanted = False
-            self.push_screen(DumpScreen(self._look))
+            self.push_screen(DumpScreen(self._board_text(), self._look))
         self._draw()
 
     def _want_dump(self) -> None:
@@ -170,7 +172,10 @@ class PanelApp(App[int]):
         state.set_class(panel.reason is not Reason.NONE, "lost")
         self.query_one("#wheels", Static).update(wheels_table(panel))
         self.query_one("#outputs", Static).update(outputs_text(panel))
-        self.query_one("#facts", Static).update(board_text(panel, self._address, self._side.introduction, self._look))
+        self.query_one("#facts", Static).update(self._board_text())
+
+    def _board_text(self) -> Text:
+        return board_text(self._panel, self._address, self._introduction, self._look)
 
 
 def wheels_table(panel: Panel) -> Table:
@@ -210,17 +215,18 @@ def board_text(panel: Panel, address: str, introduction: dict[str, str], look: d
     because = introduction["read_only_because"]
     if "STILL" in because:
         text.append(f"{plain(because)}\n", style="bold red")
-    signed = f"signed by {plain(board.verified_by)} on {board.verified_on}" if board.verified_by else "NOT SIGNED"
-    text.append(f"{signed}; wiring: {_confirmed(board)}\n")
-    for one in panel.pwm(look):
-        text.append(f"{one.output}: PWM {one.channel}, {one.mode}, prescaler {one.prescaler}")
-        text.append("\n" if one.fits else f", not the profile's {board.pwm_mode}, {board.pwm_prescaler}\n")
-    text.append("PWM settings are changed in the profile: --set board.pwm_prescaler=N\n", style="dim")
-    flags = panel.flags.name or "none"
-    text.append(f"exchange flags now: {flags.lower()}; failed or slow so far: {panel.failed}\n")
     if look.get("problem"):
         text.append(f"reading the board failed: {plain(look['problem'])}\n", style="bold red")
+    flags = panel.flags.name or "none"
+    text.append(f"exchange flags now: {flags.lower()}; failed or slow so far: {panel.failed}\n")
+    found = panel.pwm(look)
+    wanted = f", not the profile's {board.pwm_mode}, {board.pwm_prescaler}"
+    pwm = [f"{o.output}: PWM {o.channel}, {o.mode}, prescaler {o.prescaler}{'' if o.fits else wanted}" for o in found]
+    text.append(("; " if all(one.fits for one in found) else "\n").join(pwm) + "\n")
     text.append_text(_readings(look.get("readings", [])))
+    text.append("PWM settings are changed in the profile: --set board.pwm_prescaler=N\n", style="dim")
+    signed = f"signed by {plain(board.verified_by)} on {board.verified_on}" if board.verified_by else "NOT SIGNED"
+    text.append(f"{signed}; wiring: {_confirmed(board)}")
     return text
 
 

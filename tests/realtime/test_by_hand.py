@@ -174,19 +174,30 @@ def test_who_wants_it_to_end_ends_it_with_outputs_off(bench):
 
 
 def test_leaving_in_mid_drive_leaves_the_outputs_off(bench):
-    with pytest.raises(KeyboardInterrupt), bench() as rig:
-        rig.beats(0.3, Command(0.4, 0.0))
-        assert rig.device.duties != OFF
-        raise KeyboardInterrupt
+    rig = bench()
+
+    def drive_and_leave():
+        with rig:
+            rig.beats(0.3, Command(0.4, 0.0))
+            assert rig.device.duties != OFF
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        drive_and_leave()
     assert rig.device.duties == OFF
 
 
 def test_a_board_that_answers_no_more_is_not_shown_as_safe(bench):
     rig = bench()
-    with pytest.raises(UnsafeError, match="emergency switch"), rig:
-        rig.beats(0.3, Command(0.4, 0.0))
-        rig.link.dead = True
-        rig.beats(0.3, Command(0.4, 0.0))
+
+    def drive_and_lose_it():
+        with rig:
+            rig.beats(0.3, Command(0.4, 0.0))
+            rig.link.dead = True
+            rig.beats(0.3, Command(0.4, 0.0))
+
+    with pytest.raises(UnsafeError, match="emergency switch"):
+        drive_and_lose_it()
     reasons = rig.side.ticks()["reason"].tolist()
     assert reasons[-1] == Reason.MISSED_EXCHANGES
 

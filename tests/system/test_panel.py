@@ -1,0 +1,217 @@
+"""The panel as a person has it: on a terminal, with motors that turn; every way in which it can end leaves SAFE."""
+
+import fcntl
+import os
+import pty
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import threading
+import time
+from contextlib import suppress
+
+import pytest
+from live import ancestor
+
+from inteco_abs.config import load_config
+from inteco_abs.errors import ReadOnlyError
+from inteco_abs.experiment import by_hand
+from inteco_abs.lab.panel import PHRASE
+from inteco_abs.realtime.memory import FOLDER, RunMemory, Word, alive
+from inteco_abs.records import TRUTH
+from inteco_abs.signals import Command
+
+pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
+PATIENCE_S = 30.0
+PAGE_UP = b"\x1b[5~"
+OFF = (0.0, 0.0)
+
+
+class Terminal:
+    """A panel on a terminal of its own, whose board can be looked at from outside."""
+
+    def __init__(self, command, folder, environment, *arguments):
+        self._before = set(FOLDER.glob("*.ring"))
+        self.shown = b""
+        self._master, slave = pty.openpty()
+        fcntl.ioctl(self._master, termios.TIOCSWINSZ, struct.pack("4H", 24, 80, 0, 0))
+        self.process = subprocess.Popen(
+            ["setsid", "--ctty", command, "panel", *arguments], cwd=folder,
+            env={**environment, "TERM": "xterm-256color"}, stdin=slave, stdout=slave, stderr=slave,
+        )  # fmt: skip
+        os.close(slave)
+        self._closed = threading.Event()
+        self._reader = threading.Thread(target=self._read)
+        self._reader.start()
+        self.memory = None
+
+    def _read(self):
+        with suppress(OSError):  # what reads from a terminal that nobody uses any more
+            while not self._closed.is_set():
+                if select.select([self._master], [], [], 0.02)[0]:
+                    self.shown += os.read(self._master, 65536)
+        os.close(self._master)
+
+    def type(self, keys):
+        os.write(self._master, keys)
+
+    def close(self):
+        """Close the window."""
+        self._closed.set()
+        self._reader.join()
+
+    def until(self, condition, what):
+        end = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < end, f"{what}: {self.shown[-2000:]!r}"
+            time.sleep(0.005)
+
+    def until_shown(self, text):
+        self.until(lambda: text.encode() in self.shown, f"{text!r} is shown")
+
+    def find_memory(self):
+        for path in set(FOLDER.glob("*.ring")) - self._before:
+            with suppress(Exception):  # just being made
+                memory = RunMemory.open(path)
+                if ancestor(memory.words[Word.SUPERVISOR_PID], self.process.pid):
+                    self.memory = memory
+                    return True
+        return False
+
+    @property
+    def duties(self):
+        """At the simulated motors, by the board's own record."""
+        record = self.memory.truth_reader().newest()
+        truth = TRUTH.array(record)[0]
+        return float(truth["drive"]), float(truth["brake"])
+
+    def drive(self):
+        """Begin as a person would, and hold the key until the motors turn."""
+        self.until_shown('emergency switch":')
+        self.type(PHRASE.encode() + b"\r")
+        self.until_shown("OFF")
+        self.until(self.find_memory, "the memory is there")
+        self.type(3 * PAGE_UP)
+        self.until(self.driven, "the drive is on")
+        assert self.duties[0] == pytest.approx(0.3, abs=0.01)
+
+    def driven(self):
+        self.type(b" ")
+        time.sleep(0.03)
+        return self.duties != OFF
+
+    def end(self):
+        """Exit code, once every process is gone or has let go of the board."""
+        code = self.process.wait(PATIENCE_S)
+        words = self.memory.words
+        self.until(lambda: not alive(words[Word.LOOP_PID]), "the board is let go of")
+        return code
+
+    def leave(self):
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        self.close()
+
+
+@pytest.fixture
+def terminal(command_path, tmp_path, untraced):
+    opened = []
+
+    def start(*arguments):
+        opened.append(Terminal(command_path, tmp_path, untraced, *arguments))
+        return opened[-1]
+
+    yield start
+    for one in opened:
+        one.leave()
+
+
+ENDS = {
+    "q": (lambda one: one.type(b"q"), 0),
+    "Ctrl-C": (lambda one: one.type(b"\x03"), 130),
+    "SIGTERM": (lambda one: one.process.terminate(), 130),
+    "window closed": (Terminal.close, None),
+    "panel killed": (lambda one: one.process.kill(), -signal.SIGKILL),
+    "board's process killed": (lambda one: os.kill(one.memory.words[Word.LOOP_PID], signal.SIGKILL), 1),
+}
+IN_SHORT = {"Ctrl-C", "window closed", "board's process killed"}
+"""The others take the same ways: q that of Ctrl-C, SIGTERM that of a hang-up, and a killed run's loop ends likewise."""
+
+
+@pytest.mark.parametrize("how", [pytest.param(how, marks=() if how in IN_SHORT else pytest.mark.long) for how in ENDS])
+def test_however_it_ends_the_outputs_are_off_and_read_back(terminal, how):
+    end, code = ENDS[how]
+    one = terminal("--outputs")
+    one.drive()
+    end(one)
+    assert one.end() == code or code is None
+    words = one.memory.words
+    by_itself = words[Word.HOLDER_PID] == 0
+    assert by_itself is (how != "board's process killed")
+    assert by_itself or words[Word.RESCUED_PID] == words[Word.LOOP_PID]
+    assert one.duties == OFF
+    assert not one.memory.path.exists()
+    if code in (0, 130):
+        one.until_shown("the board has confirmed that both outputs are off")
+
+
+def test_without_the_phrase_no_process_is_started(terminal):
+    one = terminal("--outputs")
+    one.until_shown('emergency switch":')
+    one.type(b"yes\r")
+    one.until_shown("nothing was written to the board")
+    assert one.process.wait(PATIENCE_S) == 1
+    assert not one.find_memory()
+
+
+class Trouble(Exception):  # noqa: N818  it is not ours
+    """Whatever goes wrong in a screen."""
+
+
+def drive_until(memory, side):
+    end = time.monotonic() + PATIENCE_S
+    while drive_of(memory) == 0.0:
+        assert time.monotonic() < end
+        side.wishes.keep_on(Command(0.3, 0.0), time.monotonic_ns())
+        time.sleep(0.01)
+
+
+def test_a_screen_that_fails_leaves_the_outputs_off(monkeypatch):
+    kept = []
+
+    def drive_and_fail():
+        with by_hand(load_config(), "sim:", outputs=True) as side:
+            drive_until(side._memory, side)  # the board's own record is in there
+            raise Trouble
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunMemory, "remove", kept.append)
+        with pytest.raises(Trouble):
+            drive_and_fail()
+    (memory,) = kept
+    memory.remove()
+    assert drive_of(memory) == 0.0
+    assert memory.words[Word.HOLDER_PID] == 0
+
+
+def drive_of(memory):
+    return float(TRUTH.array(memory.truth_reader().newest())[0]["drive"])
+
+
+def test_outputs_of_a_profile_that_nobody_has_signed_are_refused():
+    unsigned = load_config(settings=['board.verified_by=""'])
+    with pytest.raises(ReadOnlyError, match="nobody has verified"), by_hand(unsigned, "sim:", outputs=True):
+        raise AssertionError("it must not come so far")
+
+
+def test_without_a_terminal_nothing_is_started(main_here):
+    assert "needs a terminal" in main_here("panel", check=1).stderr
+
+
+def test_without_textual_it_says_how_to_get_it(main_here, monkeypatch):
+    monkeypatch.setitem(sys.modules, "textual", None)
+    assert "inteco-abs[panel]" in main_here("panel", check=1).stderr

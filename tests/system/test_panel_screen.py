@@ -1,0 +1,237 @@
+"""The panel's screen by itself: textual's own pilot at the keys, shared memory behind it, and no board."""
+
+import asyncio
+import os
+
+import pytest
+
+from inteco_abs.config import load_config
+from inteco_abs.lab.panel import Panel
+from inteco_abs.realtime.by_hand import HELD_NS, Screenside
+from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.records import TICK, TRUTH, pack_tick
+from inteco_abs.signals import BoardFlags, Command, Phase, Reason, Tick
+
+pytestmark = pytest.mark.untraced
+LOOK = {
+    "problem": "",
+    "values": {"pwm0_mode": 0, "pwm0_prescaler": 44, "pwm1_mode": 0, "pwm1_prescaler": 9},
+    "raw": bytes(range(32)).hex(),
+    "readings": [["supply", 11.9, "V", "confirmed"], ["alarm_bit0", 1, "1", "unknown"]],
+}
+
+
+class Stage:
+    """An app, and the other side of its memory."""
+
+    def __init__(self, memory, *settings, outputs=True, profile="sim_usb2", because=""):
+        from inteco_abs.cli.panel_screen import PanelApp
+
+        self.memory = memory
+        self.words = memory.words
+        self.words[Word.LOOP_PID] = os.getpid()
+        memory.post(Note.INTRODUCTION, {"identity": "logic 0x0103 'ABSSIM'", "read_only_because": because})
+        memory.post(Note.RESULT, LOOK)
+        self._ring = memory.tick_ring(pack_tick)
+        self.side = Screenside(memory)
+        self.panel = Panel(load_config(settings=settings, profile=profile), outputs=outputs)
+        self.app = PanelApp(self.panel, self.side, "sim:")
+
+    def tick(self, counts=(0, 0), speeds=(0.0, 0.0), duties=(0.0, 0.0), reason=Reason.NONE, flags=BoardFlags.NONE):
+        self._ring.append(
+            Tick(
+                1, 0, 0.01, *counts, flags, Reason.NONE, *speeds, 0.0, False, Phase.UNKNOWN, 0.0, 0.0, 0.0, 0.0, 0.0,
+                *duties, reason, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0,
+            )
+        )  # fmt: skip
+
+    def play(self, scene, size=(80, 24)):
+        """Run the app while `scene(pilot)` plays; what it ended with."""
+
+        async def run():
+            async with self.app.run_test(size=size) as pilot:
+                await scene(pilot)
+            return self.app.return_value
+
+        return asyncio.run(run())
+
+    def text(self):
+        """What is on the screen, in lines."""
+        lines = self.app.screen._compositor.render_strips()  # textual has no public way to it
+        return "\n".join("".join(segment.text for segment in line) for line in lines)
+
+
+@pytest.fixture
+def stage():
+    made = []
+
+    def make(*settings, **options):
+        made.append(RunMemory.create(TICK.size, 100, TRUTH.size, 1))
+        return Stage(made[-1], *settings, **options)
+
+    yield make
+    for memory in made:
+        memory.remove()
+
+
+def test_holding_space_passes_the_sliders_on_and_a_tap_does_not(stage):
+    scene = stage()
+    seen = []
+
+    async def play(pilot):
+        await pilot.press("pageup", "up", "right", "right", "space")
+        seen.append(scene.words[Word.KEY_SEEN_NS])
+        await pilot.press("space")
+        seen.append(scene.side.wishes.at(scene.words[Word.KEY_SEEN_NS]))
+
+    scene.play(play)
+    assert seen == [-HELD_NS, Command(0.11, 0.02)]
+
+
+@pytest.mark.parametrize("key", ["up", "left", "x", "z", "d", "tab", "0"])
+def test_any_other_key_takes_the_power_away(stage, key):
+    scene = stage()
+
+    async def play(pilot):
+        await pilot.press("pageup", "space", "space")
+        assert scene.words[Word.KEY_SEEN_NS] > 0
+        await pilot.press(key)
+        assert scene.words[Word.KEY_SEEN_NS] == -HELD_NS
+
+    scene.play(play)
+
+
+@pytest.mark.parametrize(("key", "code"), [("q", 0), ("ctrl+q", 0), ("ctrl+c", 130)])
+def test_leaving_takes_the_power_away_first(stage, key, code):
+    scene = stage()
+
+    async def play(pilot):
+        await pilot.press("pageup", "space", "space", key)
+
+    assert scene.play(play) == code
+    assert scene.words[Word.KEY_SEEN_NS] == -HELD_NS
+
+
+def test_who_only_watches_can_hold_what_he_will(stage):
+    scene = stage(outputs=False, because="the panel only watches")
+
+    async def play(pilot):
+        await pilot.press("pageup", "space", "space", "space")
+
+    scene.play(play)
+    assert scene.words[Word.KEY_SEEN_NS] <= 0
+
+
+@pytest.mark.parametrize("size", [(80, 24), (140, 40)])
+def test_wheels_outputs_and_board_are_on_the_screen(stage, size):
+    scene = stage("board.pwm_prescaler=44", 'board.verified_by="a lab"')
+    scene.tick((2048, -1024), (10.0, 20.0), (0.2, 0.0))
+    shown = []
+
+    async def play(pilot):
+        await pilot.press("pageup", "pageup")
+        await pilot.pause(0.15)
+        shown.append(scene.text())
+
+    scene.play(play, size)
+    (text,) = shown
+    for wanted in (
+        "POWER IS ON", "only the emergency switch", "2048", "-1024", "1.000", "-0.500", "10.0", "20.0", "191", "20 %",
+        "logic 0x0103", "signed by a lab", "unknown: drive_pwm", "drive: PWM 0, 8-bit, prescaler 44",
+        "prescaler 9, not the profile's 8-bit, 44", "supply 11.9 V", "alarm_bit0 1 (unknown)", "leave",
+    ):  # fmt: skip
+        assert wanted in text
+
+
+def test_outputs_that_an_earlier_program_left_on_are_told(stage):
+    scene = stage(outputs=False, because="it only watches. ITS PWM OUTPUTS ARE NOT ZERO. MOTOR POWER MAY STILL BE ON")
+    shown = []
+
+    async def play(pilot):
+        await pilot.pause(0.05)
+        shown.append(scene.text())
+
+    scene.play(play)
+    assert "OUTPUTS ARE NOT ZERO" in shown[0]
+    assert "WATCHING" in shown[0]
+
+
+def test_what_the_guard_has_taken_away_is_told_and_is_a_safety_stop(stage):
+    scene = stage()
+    scene.tick(reason=Reason.OVER_SPEED)
+    shown = []
+
+    async def play(pilot):
+        await pilot.pause(0.15)
+        shown.append(scene.text())
+        await pilot.press("q")
+
+    assert scene.play(play) == 5
+    assert "OFF FOR GOOD: a wheel turned faster" in shown[0]
+
+
+@pytest.mark.parametrize(
+    ("word", "reason", "code"),
+    [
+        (Word.STOP, Reason.OPERATOR_STOP, 130),
+        (Word.GUARDIAN_STOP, Reason.GUARDIAN_LOST, 5),
+        (Word.STOP, Reason.NONE, 5),
+    ],
+)
+def test_it_leaves_when_nobody_holds_the_board_any_more(stage, word, reason, code):
+    scene = stage()
+
+    async def play(pilot):
+        scene.words[word] = reason
+        scene.words[Word.LOOP_PID] = 0
+        await pilot.pause(0.25)
+
+    assert scene.play(play) == code
+
+
+def test_a_dump_is_shown_once_the_board_has_answered_and_any_key_closes_it(stage):
+    scene = stage()
+    shown = []
+
+    async def play(pilot):
+        await pilot.press("d")
+        await pilot.pause(0.15)
+        shown.append(scene.text())
+        scene.words[Word.LOOKS] = scene.words[Word.LOOKS_ASKED]
+        await pilot.pause(0.15)
+        shown.append(scene.text())
+        await pilot.press("pagedown", "x")
+        await pilot.pause(0.15)
+        shown.append(scene.text())
+
+    scene.play(play)
+    before, dump, after = shown
+    assert "00 01 02 03" in dump
+    assert "pwm1_prescaler = 9" in dump
+    assert "space" in before
+    assert "space" in after
+
+
+def test_from_z_on_counts_begin_at_zero(stage):
+    scene = stage()
+    scene.tick((777, 888))
+    shown = []
+
+    async def play(pilot):
+        await pilot.pause(0.15)
+        await pilot.press("z")
+        shown.append(scene.text())
+
+    scene.play(play)
+    assert "777" not in shown[0]
+
+
+def test_the_pci_board_is_asked_for_its_alarms_all_the_time(stage):
+    scene = stage(profile="sim_pci")
+
+    async def play(_pilot):
+        for _ in range(20):
+            scene.app.look()
+
+    scene.play(play)
+    assert scene.words[Word.LOOKS_ASKED] >= 2
