@@ -82,6 +82,8 @@ class Word(IntEnum):
     """1 once it has said that the ticks stay here."""
     EPOCH_NS = auto()
     """UNIX time of the monotonic clock's zero."""
+    UNRECORDED = auto()
+    """1 if its ticks are for a screen only, and to be kept by nobody."""
     # the panel's screen
     WISHED_DRIVE = auto()
     """Duty, in millionths."""
@@ -288,7 +290,7 @@ def is_ring(path: Path) -> bool:
 def left_rings(folder: Path = FOLDER) -> Iterator[Path]:
     """Memories of this user's runs whose every process is gone before their file was complete.
 
-    Those without a tick are removed: nothing ran. Looks at a few words of each, as a memory may be large.
+    Those without a tick, or with none to be kept, are removed. Looks at a few words of each, as a memory may be large.
     """
     for path in sorted(folder.glob(f"{_PREFIX}*{SUFFIX}")):
         try:
@@ -302,7 +304,7 @@ def left_rings(folder: Path = FOLDER) -> Iterator[Path]:
         pids = [words[word] for word in _OWNERS]
         if not pids[0] or (not words[Word.KEPT] and any(map(alive, pids))):
             continue  # just being made, or in use
-        if struct.unpack_from("<Q", head, _RINGS_AT)[0]:
+        if struct.unpack_from("<Q", head, _RINGS_AT)[0] and not words[Word.UNRECORDED]:
             yield path
         else:
             _unlink_all(path)

@@ -93,6 +93,7 @@ class Supervisor:
         opened, or what became of it: UnsafeError if SAFE was not confirmed.
         """
         words = self._words
+        words[Word.UNRECORDED] = 1
         with hearing(self._stop):
             try:
                 self._await_the_mock()

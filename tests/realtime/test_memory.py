@@ -231,6 +231,14 @@ class TestLeftRings:
         assert not list(left_rings(memory_folder))
         assert not memory.path.exists()
 
+    def test_one_whose_ticks_were_for_a_screen_only_is_removed(self, memory, memory_folder, ended):
+        memory.tick_ring(pack).append(1)
+        memory.words[Word.UNRECORDED] = 1
+        for word in PIDS:
+            memory.words[word] = ended
+        assert not list(left_rings(memory_folder))
+        assert not memory.path.exists()
+
     @pytest.mark.parametrize("word", PIDS)
     def test_a_memory_with_one_living_process_is_left_alone(self, memory, memory_folder, ended, word):
         for each in PIDS:
