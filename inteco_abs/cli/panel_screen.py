@@ -84,6 +84,7 @@ class PanelApp(App[int]):
         self._side = side
         self._address = address
         self._introduction = side.introduction
+        self._facts = Text()
         self._refreshes = 0
         self._dump_wanted = False
         self._look: dict[str, Any] = {}
@@ -167,12 +168,15 @@ class PanelApp(App[int]):
         if isinstance(self.screen, DumpScreen):
             return
         state = self.query_one("#state", Static)
-        state.update(f"{panel.state(time.monotonic_ns())}\n{_GUARDED if panel.outputs else ''}")
+        state.update(f"{panel.state(time.monotonic_ns())}\n{_GUARDED if panel.outputs else ''}", layout=False)
         state.set_class(panel.admitted != Command.SAFE, "on")
         state.set_class(panel.reason is not Reason.NONE, "lost")
-        self.query_one("#wheels", Static).update(wheels_table(panel))
-        self.query_one("#outputs", Static).update(outputs_text(panel))
-        self.query_one("#facts", Static).update(self._board_text())
+        self.query_one("#wheels", Static).update(wheels_table(panel), layout=False)
+        self.query_one("#outputs", Static).update(outputs_text(panel), layout=False)
+        facts = self._board_text()
+        if facts != self._facts:
+            self._facts = facts
+            self.query_one("#facts", Static).update(facts)
 
     def _board_text(self) -> Text:
         return board_text(self._panel, self._address, self._introduction, self._look)
