@@ -26,7 +26,7 @@ from inteco_abs.realtime.live import address
 from inteco_abs.realtime.machine import prepare, supervisor_wishes
 from inteco_abs.realtime.memory import Note, RunMemory, Word
 from inteco_abs.realtime.recorder import board_in_words, conclusion, rebuild
-from inteco_abs.realtime.screen import Check, Onlooker, Screen, Snapshot, Unbreakable
+from inteco_abs.realtime.screen import Check, NoScreen, Onlooker, Screen, Snapshot, Unbreakable
 from inteco_abs.sessions import EXIT_CODES, LOSSES, Account, spill_path
 from inteco_abs.signals import EXPLANATIONS, Reason
 
@@ -102,7 +102,7 @@ class Supervisor:
                 loop = self._children["loop"]
                 words[Word.LOOP_PID] = loop.pid
                 if drill:
-                    self._drill()
+                    self._drill(NoScreen())
                 words[Word.GUARDED_PID] = loop.pid
                 self._wait_for(lambda: words[Word.READY] == loop.pid, "the board opens", "loop", _START_S)
                 with self._beating():

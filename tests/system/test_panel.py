@@ -188,8 +188,11 @@ def test_a_screen_that_fails_leaves_the_outputs_off(monkeypatch):
             drive_until(side._memory, side)  # the board's own record is in there
             raise Trouble
 
+    def keep(memory):
+        kept.append(memory)
+
     with monkeypatch.context() as patch:
-        patch.setattr(RunMemory, "remove", kept.append)
+        patch.setattr(RunMemory, "remove", keep)
         with pytest.raises(Trouble):
             drive_and_fail()
     (memory,) = kept
