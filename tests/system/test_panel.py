@@ -24,7 +24,7 @@ from inteco_abs.realtime.memory import FOLDER, RunMemory, Word, alive
 from inteco_abs.records import TRUTH
 from inteco_abs.signals import Command
 
-pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
+pytestmark = pytest.mark.xdist_group("real time")
 PATIENCE_S = 30.0
 PAGE_UP = b"\x1b[5~"
 OFF = (0.0, 0.0)
@@ -180,6 +180,7 @@ def drive_until(memory, side):
         time.sleep(0.01)
 
 
+@pytest.mark.untraced  # processes in real time
 def test_a_screen_that_fails_leaves_the_outputs_off(monkeypatch):
     kept = []
 

@@ -12,7 +12,6 @@ from inteco_abs.realtime.memory import Note, RunMemory, Word
 from inteco_abs.records import TICK, TRUTH, pack_tick
 from inteco_abs.signals import BoardFlags, Command, Phase, Reason, Tick
 
-pytestmark = pytest.mark.untraced
 LOOK = {
     "problem": "",
     "values": {"pwm0_mode": 0, "pwm0_prescaler": 44, "pwm1_mode": 0, "pwm1_prescaler": 9},
@@ -54,6 +53,11 @@ class Stage:
             return self.app.return_value
 
         return asyncio.run(run())
+
+    async def look(self, pilot):
+        """Let the screen see what is new, now."""
+        self.app.look()
+        await pilot.pause()
 
     def text(self):
         """What is on the screen, in lines."""
@@ -130,7 +134,7 @@ def test_wheels_outputs_and_board_are_on_the_screen(stage, size):
 
     async def play(pilot):
         await pilot.press("pageup", "pageup")
-        await pilot.pause(0.15)
+        await scene.look(pilot)
         shown.append(scene.text())
 
     scene.play(play, size)
@@ -148,7 +152,7 @@ def test_outputs_that_an_earlier_program_left_on_are_told(stage):
     shown = []
 
     async def play(pilot):
-        await pilot.pause(0.05)
+        await scene.look(pilot)
         shown.append(scene.text())
 
     scene.play(play)
@@ -162,7 +166,7 @@ def test_what_the_guard_has_taken_away_is_told_and_is_a_safety_stop(stage):
     shown = []
 
     async def play(pilot):
-        await pilot.pause(0.15)
+        await scene.look(pilot)
         shown.append(scene.text())
         await pilot.press("q")
 
@@ -184,7 +188,7 @@ def test_it_leaves_when_nobody_holds_the_board_any_more(stage, word, reason, cod
     async def play(pilot):
         scene.words[word] = reason
         scene.words[Word.LOOP_PID] = 0
-        await pilot.pause(0.25)
+        await scene.look(pilot)
 
     assert scene.play(play) == code
 
@@ -195,13 +199,13 @@ def test_a_dump_is_shown_once_the_board_has_answered_and_any_key_closes_it(stage
 
     async def play(pilot):
         await pilot.press("d")
-        await pilot.pause(0.15)
+        await scene.look(pilot)
         shown.append(scene.text())
         scene.words[Word.LOOKS] = scene.words[Word.LOOKS_ASKED]
-        await pilot.pause(0.15)
+        await scene.look(pilot)
         shown.append(scene.text())
         await pilot.press("pagedown", "x")
-        await pilot.pause(0.15)
+        await scene.look(pilot)
         shown.append(scene.text())
 
     scene.play(play)
@@ -218,7 +222,7 @@ def test_from_z_on_counts_begin_at_zero(stage):
     shown = []
 
     async def play(pilot):
-        await pilot.pause(0.15)
+        await scene.look(pilot)
         await pilot.press("z")
         shown.append(scene.text())
 
