@@ -46,6 +46,9 @@ def figure(files: tuple[Path, ...], out: Path, width: str) -> int:
 
     Several sessions lie over one another, and a legend names what differs. The same sessions give the same file.
     """
+    from inteco_abs.views.figure import check_figure
+
+    check_figure(out, "--out")
     return 0 if draw(files, out, width) else LOSSES
 
 

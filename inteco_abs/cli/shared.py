@@ -83,13 +83,23 @@ def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
 def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
     """Whether all of the files were whole, and all of them known here."""
     from inteco_abs.sessions import read_session
-    from inteco_abs.views.figure import check_figure, draw_stops
+    from inteco_abs.views.figure import draw_stops
 
-    check_figure(out)
     sessions = [read_whole(file, read_session) for file in files]
     draw_stops(sessions, out, width)
     click.echo(f"figure: {out}", err=True)
     return not any(session.incomplete or session.beyond for session in sessions)
+
+
+def check_table(path: Path | None) -> None:
+    """Refuse, before anything is computed, a path where no new table can be."""
+    from inteco_abs.sessions import check_output
+
+    if path is None:
+        return
+    check_output(path, "--csv")
+    if path.suffix != ".csv":
+        raise ConfigError([Mistake("--csv", f"{path}: must end in .csv")])
 
 
 def insist_on_different(files: dict[str, Path | None]) -> None:
