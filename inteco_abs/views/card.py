@@ -29,11 +29,11 @@ _COLOURS = {"completed": "green", "interrupted": "yellow"}
 
 
 def render_card(card: Mapping[str, Any], explanation: str) -> RenderableType:
-    """The card as a panel; what was not measured is a dash."""
+    """The card as a panel; what was not measured is a dash, and of a run that never braked nothing was."""
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", no_wrap=True)
     table.add_column(justify="right", no_wrap=True)
-    for label, key, form, factor in ROWS:
+    for label, key, form, factor in ROWS if card["stops"] else ():
         value = card[key]
         table.add_row(label, "-" if value is None else form.format(value * factor))
     late = card["lateness_us"]

@@ -250,8 +250,8 @@ def test_what_one_session_does_not_know_is_shown_of_none(session, others, drawn)
 @pytest.mark.untraced
 def test_a_name_is_no_formula_and_a_long_one_is_cut(session, others, told, tmp_path):
     odd = told(others[1], "controller", name=r"$\nothing{$ " + "very " * 200 + "long")
-    for sessions in ([odd], [session, odd]):
-        draw_stops(sessions, tmp_path / "odd.svg", "one")
+    for name, sessions in (("alone.svg", [odd]), ("beside.svg", [session, odd])):
+        draw_stops(sessions, tmp_path / name, "one")
 
 
 def test_a_session_that_never_braked_is_named(session, others, tmp_path):
