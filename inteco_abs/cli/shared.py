@@ -91,6 +91,15 @@ def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
     return not any(session.incomplete or session.beyond for session in sessions)
 
 
+def check_session_file(out: Path) -> None:
+    """Refuse, before anything is started, a path where no new session can be, or where `list` would not see it."""
+    from inteco_abs.sessions import check_output
+
+    check_output(out)
+    if out.suffix != ".mcap":
+        raise ConfigError([Mistake("--out", f"{out}: must end in .mcap, by which sessions are found")])
+
+
 def check_table(path: Path | None) -> None:
     """Refuse, before anything is computed, a path where no new table can be."""
     from inteco_abs.sessions import check_output
