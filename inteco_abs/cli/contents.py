@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, json_option, plain, print_json, read_whole
+from inteco_abs.cli.shared import FILE, LOSSES, json_option, plain, print_json, read_whole, tell_of_losses
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -42,10 +42,7 @@ def export(file: Path, form: str | None, out: Path | None, as_json: bool) -> int
     else:
         for written in made.files:
             click.echo(f"{written.path}: {', '.join(written.tables)}, {written.rows} rows")
-    if incomplete:
-        click.echo(f"inteco-abs: {file}: {incomplete}; {len(made.session.ticks)} ticks are whole", err=True)
-    if beyond:
-        click.echo(f"inteco-abs: {file}: {plain(beyond)}", err=True)
+    tell_of_losses(made.session)
     return LOSSES if incomplete or beyond else 0
 
 

@@ -73,11 +73,18 @@ def print_card(card: Mapping[str, Any], explanation: str) -> None:
 
 def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
     session = reader(file)
-    if session.incomplete:
-        click.echo(f"inteco-abs: {file}: {session.incomplete}; {len(session.ticks)} ticks are whole", err=True)
-    if session.beyond:
-        click.echo(f"inteco-abs: {file}: {plain(session.beyond)}", err=True)
+    tell_of_losses(session)
     return session
+
+
+def tell_of_losses(session: Session) -> None:
+    """What a session lacks, and what to do about it."""
+    if session.incomplete:
+        ticks = len(session.ticks)
+        whole = f"{ticks} ticks are whole{', and recover makes a session of them' if ticks else ''}"
+        click.echo(f"inteco-abs: {session.path}: {session.incomplete}; {whole}", err=True)
+    if session.beyond:
+        click.echo(f"inteco-abs: {session.path}: {plain(session.beyond)}", err=True)
 
 
 def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:

@@ -280,6 +280,17 @@ class TestDiff:
         assert "did you mean rig?" in done.err
 
 
+def test_info_begins_with_how_it_ended(verb, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    rows = [line.split(maxsplit=1) for line in verb("info", "a.mcap").out.splitlines()]
+    assert [row[0] for row in rows[:3]] == ["session", "outcome", "reason"]
+    assert rows[1][1].strip() == "completed"
+
+
+def test_a_cut_session_is_said_to_be_recoverable(verb, folder):
+    assert "ticks are whole, and recover makes a session of them" in verb("info", folder / "cut.mcap").err
+
+
 def test_info_of_a_session_whose_card_is_no_json(verb, short, container, altered):
     records = []
     for record in container.split(short.read_bytes()):
