@@ -8,11 +8,11 @@ from pathlib import Path
 import click
 
 from inteco_abs.cli.completion import key_names
-from inteco_abs.cli.shared import FILE
+from inteco_abs.cli.shared import FILE, Verbs
 from inteco_abs.errors import AbsError
 
 
-@click.group()
+@click.group(cls=Verbs)
 def config() -> None:
     """Begin a rig.toml, show what holds, explain a key."""
 

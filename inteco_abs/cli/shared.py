@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, Mistake, near_match
 
 if TYPE_CHECKING:
     from inteco_abs.ensembles import Progress
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 LOSSES: Final = 3
 DIFFERS: Final = 4
 INTERRUPTED: Final = 130
+_LONGEST_SENTENCE: Final = 200
 FILE: Final = click.Path(path_type=Path, readable=False)
 """Each verb says itself what it cannot read, in its own words and with its own exit code."""
 
@@ -34,6 +35,24 @@ class Finite(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number.", param, ctx)
         return number
+
+
+class Verbs(click.Group):
+    """Group that suggests the nearest verb, and says of each its whole first sentence."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in self.commands:
+            raise click.UsageError(f"no command {args[0]!r}{near_match(args[0], self.commands)}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Wrapped, where click would cut them off."""
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [(name, self.commands[name].get_short_help_str(_LONGEST_SENTENCE)) for name in self.list_commands(ctx)]
+            )
 
 
 def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
