@@ -36,6 +36,11 @@ class Mistake(NamedTuple):
     path: str
     problem: str
 
+    @property
+    def typed(self) -> bool:
+        """Whether it names an option or an argument, not a key."""
+        return self.path.startswith("--") or self.path.isupper()
+
 
 class ConfigError(AbsError):
     """Wrong configuration or usage; `mistakes` has all of them."""
@@ -46,7 +51,8 @@ class ConfigError(AbsError):
         self.mistakes = tuple(mistakes)
         lines = [f"  {mistake.path}: {mistake.problem}" for mistake in self.mistakes]
         count = f"{len(lines)} mistakes" if len(lines) > 1 else "a mistake"
-        super().__init__("\n".join([f"the configuration has {count}; nothing was started:", *lines]))
+        place = "command line" if all(mistake.typed for mistake in self.mistakes) else "configuration"
+        super().__init__("\n".join([f"the {place} has {count}; nothing was started:", *lines]))
 
     def __reduce__(self) -> tuple[type[ConfigError], tuple[tuple[Mistake, ...]]]:
         """Made from its mistakes again, not from its text, where another process has raised it."""

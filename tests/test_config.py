@@ -245,6 +245,13 @@ def test_a_single_mistake_is_called_one():
         load_config(settings=["guard.brake_limit=2"])
 
 
+@pytest.mark.parametrize("path", ["--sort", "--set guard.brake_limit", "FILE"])
+def test_a_mistake_in_an_option_or_argument_is_one_of_the_command_line(path):
+    assert str(ConfigError([Mistake(path, "x")])).startswith("the command line has a mistake; nothing was started:\n")
+    mixed = ConfigError([Mistake(path, "x"), Mistake("guard.brake_limit", "x")])
+    assert str(mixed).startswith("the configuration has 2 mistakes;")
+
+
 def test_a_wrong_configuration_is_wrong_usage():
     with pytest.raises(AbsError) as caught:
         load_config(settings=["guard.brake_limit=2"])

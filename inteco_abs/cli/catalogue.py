@@ -75,7 +75,7 @@ def profiles(name: str | None, as_json: bool) -> int:
 
     if name is not None:
         if name not in shipped():
-            raise ConfigError([Mistake("profile", f"{name!r} is not a shipped profile{near_match(name, shipped())}")])
+            raise ConfigError([Mistake("NAME", f"{name!r} is not a shipped profile{near_match(name, shipped())}")])
         click.echo(profile_text(name), nl=False)
         return 0
     boards = {one: load_config(profile=one).board for one in shipped()}

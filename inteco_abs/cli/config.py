@@ -8,11 +8,11 @@ from pathlib import Path
 import click
 
 from inteco_abs.cli.completion import key_names
-from inteco_abs.cli.shared import FILE
-from inteco_abs.errors import AbsError, ConfigError, Mistake
+from inteco_abs.cli.shared import FILE, Verbs
+from inteco_abs.errors import AbsError
 
 
-@click.group()
+@click.group(cls=Verbs)
 def config() -> None:
     """Begin a rig.toml, show what holds, explain a key."""
 
@@ -21,13 +21,13 @@ def config() -> None:
 @click.argument("file", type=FILE, default="rig.toml")
 def init(file: Path) -> int:
     """Write a rig.toml with every key, its meaning and its default, commented out."""
+    from inteco_abs.sessions import check_output
     from inteco_abs.views.config_keys import template
 
+    check_output(file, "FILE")
     try:
         with file.open("x", encoding="utf-8") as out:
             out.write(template())
-    except FileExistsError as error:
-        raise ConfigError([Mistake(str(file), "exists already; name another file, or move it away")]) from error
     except OSError as error:
         raise AbsError(f"{file} cannot be written: {error.strerror}") from error
     click.echo(f"{file}: uncomment what is different on your rig, and use it with --config {file}", err=True)

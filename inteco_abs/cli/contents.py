@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, json_option, plain, print_json, read_whole
+from inteco_abs.cli.shared import FILE, LOSSES, json_option, plain, print_json, read_whole, tell_of_losses
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -18,17 +18,22 @@ _FORMATS: Final = ("csv", "npz", "mat", "parquet")
 
 @click.command()
 @click.argument("file", type=FILE)
-@click.option("--format", "form", type=click.Choice(_FORMATS), required=True, help="mat and parquet need an extra.")
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(_FORMATS),
+    help="mat and parquet need an extra; default: as OUT ends.",
+)
 @click.option("--out", "-o", type=FILE, help="File to write; default: FILE with the format's suffix.")
 @json_option
-def export(file: Path, form: str, out: Path | None, as_json: bool) -> int:
+def export(file: Path, form: str | None, out: Path | None, as_json: bool) -> int:
     """Write a session's ticks, states of the simulated rig and events for other programs.
 
     CSV and Parquet hold one table a file: OUT has the ticks, and the others lie beside it.
     """
     from inteco_abs.sessions import export_session
 
-    made = export_session(file, form, out or file.with_suffix(f".{form}"))
+    made = export_session(file, *_form_and_out(file, form, out))
     incomplete, beyond = made.session.incomplete, made.session.beyond
     if as_json:
         files = [{"path": str(written.path), "tables": written.tables, "rows": written.rows} for written in made.files]
@@ -37,11 +42,21 @@ def export(file: Path, form: str, out: Path | None, as_json: bool) -> int:
     else:
         for written in made.files:
             click.echo(f"{written.path}: {', '.join(written.tables)}, {written.rows} rows")
-    if incomplete:
-        click.echo(f"inteco-abs: {file}: {incomplete}; {len(made.session.ticks)} ticks are whole", err=True)
-    if beyond:
-        click.echo(f"inteco-abs: {file}: {plain(beyond)}", err=True)
+    tell_of_losses(made.session)
     return LOSSES if incomplete or beyond else 0
+
+
+def _form_and_out(file: Path, form: str | None, out: Path | None) -> tuple[str, Path]:
+    """Each follows from the other, and both together must agree: programs open a file by its name."""
+    if out is None:
+        if form is None:
+            raise ConfigError([Mistake("--format", f"is missing: {', '.join(_FORMATS)}, or --out that ends so")])
+        return form, file.with_suffix(f".{form}")
+    ending = out.suffix.removeprefix(".")
+    wanted = _FORMATS if form is None else (form,)
+    if ending not in wanted:
+        raise ConfigError([Mistake("--out", f"{out}: must end in .{', .'.join(wanted)}")])
+    return ending, out
 
 
 @click.command()

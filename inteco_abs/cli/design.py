@@ -10,7 +10,7 @@ from typing import Any, Final
 import click
 
 from inteco_abs.cli.completion import controller_names, key_names
-from inteco_abs.cli.shared import FILE, LOSSES, json_option, known_controllers, print_json
+from inteco_abs.cli.shared import FILE, LOSSES, check_table, json_option, known_controllers, print_json
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 _SLOWEST_RAD_S: Final = 10.0
@@ -85,8 +85,7 @@ def design(
     speeds = speeds or (_SLOWEST_RAD_S, max(rig.experiment.start_speed_rad_s, _SLOWEST_RAD_S + 1.0))
     slips = [0.0] if from_slip is None else [0.0, from_slip]
     _insist_on_ranges(speeds, slip_band, slips, rig.controller.reference_slip)
-    if table is not None:
-        _check_table(table)
+    check_table(table)
     if figure is not None:
         check_figure(figure)
     box = stated_box(uncertain or HARD, believed_parameters(rig.model))
@@ -127,17 +126,12 @@ def _range_mistakes(option: str, stated: tuple[float, float], least: float, most
     return []
 
 
-def _check_table(path: Path) -> None:
-    if path.suffix != ".csv":
-        raise ConfigError([Mistake("--csv", f"{path}: must end in .csv")])
-    if not path.parent.is_dir():
-        raise ConfigError([Mistake("--csv", f"{path}: the folder {path.parent} does not exist; create it first")])
-
-
 def _write_table(curves: Mapping[str, Any], path: Path) -> None:
     """One row a road speed; what has no bound is empty."""
+    from inteco_abs.sessions import only_whole
+
     try:
-        with path.open("w", encoding="utf-8", newline="") as file:
+        with only_whole(path) as part, part.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(curves)
             writer.writerows(zip(*curves.values(), strict=True))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import DIFFERS, FILE, Finite, json_option, known_controllers, print_json, read_whole
+from inteco_abs.cli.shared import DIFFERS, FILE, Finite, Verbs, json_option, known_controllers, print_json, read_whole
 
 if TYPE_CHECKING:
     from inteco_abs.sessions.golden import Golden, GoldenFolder, Verdict
@@ -24,7 +24,7 @@ def _reason_option(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--reason", required=True, help="Why; kept in the history.")(function)
 
 
-@click.group()
+@click.group(cls=Verbs)
 def golden() -> None:
     """Keep recorded runs as regression tests.
 

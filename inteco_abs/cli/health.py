@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, json_option, plain, print_card, print_json
+from inteco_abs.cli.shared import FILE, LOSSES, check_session_file, json_option, plain, print_card, print_json
 
 if TYPE_CHECKING:
     from inteco_abs.sessions import Inspection, Recovery
@@ -63,6 +63,7 @@ def recover(file: Path, out: Path, as_json: bool) -> int:
     """
     from inteco_abs.realtime.memory import is_ring
 
+    check_session_file(out)
     return _recover_ring(file, out, as_json) if is_ring(file) else _recover_file(file, out, as_json)
 
 

@@ -148,10 +148,11 @@ def _assumed(statements: tuple[str, ...]) -> dict[str, float]:
 
 
 def _check_out(path: Path) -> None:
+    from inteco_abs.sessions import check_output
+
     if path.suffix != ".toml":
         raise ConfigError([Mistake("--out", f"{path}: must end in .toml")])
-    if not path.parent.is_dir():
-        raise ConfigError([Mistake("--out", f"{path}: the folder {path.parent} does not exist; create it first")])
+    check_output(path)
 
 
 def _write(found: Identification, out: Path) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shutil
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,12 +27,28 @@ _HEADS: Final = {
     "overruns": "overruns",
     "lost_ticks": "lost",
 }
+_FIRST_TO_GO: Final = (
+    "slip_rms_estimated",
+    "estimator",
+    "rig",
+    "band_entry_s",
+    "started_utc",
+    "overruns",
+    "lost_ticks",
+    "stop_time_s",
+    "outcome",
+    "controller",
+)
+"""Columns that a narrow terminal does without."""
+_GAP: Final = "  "
 _LATEST_OF_A_DATE: Final = len("2026-01-01T12:00:00")
 
 
 @click.command("list")
 @click.argument("folder", type=FILE, default=Path())
-@click.option("--sort", "key", default="started_utc", metavar="KEY", help="Column, named as in --json; default: date.")
+@click.option(
+    "--sort", "key", default="started_utc", show_default=True, metavar="KEY", help="Column, named as in --json."
+)
 @click.option("--reverse", is_flag=True, help="Largest or latest first.")
 @click.option("--recursive", "-r", is_flag=True, help="Folders in FOLDER, too.")
 @json_option
@@ -49,18 +67,34 @@ def list_sessions(folder: Path, key: str, reverse: bool, recursive: bool, as_jso
     elif rows:
         _print(folder, rows)
     else:
-        click.echo(f"inteco-abs: {folder}: holds no sessions", err=True)
+        hint = "" if recursive else "; --recursive looks into its folders, too"
+        click.echo(f"inteco-abs: {folder}: holds no sessions{hint}", err=True)
     return LOSSES if any(row["problem"] for row in rows) else 0
 
 
 def _print(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """One line each, as wide as it is: terminals wrap, and files and pipes need not."""
-    lines = [tuple(_HEADS.values()), *(tuple(_cell(folder, row, name) for name in _HEADS) for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    """One line each, with every column in files and pipes, and as many as fit on a terminal."""
+    columns = {name: [head, *(_cell(folder, row, name) for row in rows)] for name, head in _HEADS.items()}
+    widths = {name: max(map(len, cells)) for name, cells in columns.items()}
+    left_out = _left_out(widths, shutil.get_terminal_size().columns) if sys.stdout.isatty() else []
     problems = ["", *(row["problem"] or "" for row in rows)]
-    for line, problem in zip(lines, problems, strict=True):
-        cells = "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True))
-        click.echo(f"{cells}  {plain(problem)}".rstrip())
+    for line, problem in enumerate(problems):
+        cells = (cells[line].ljust(widths[name]) for name, cells in columns.items() if name not in left_out)
+        click.echo(f"{_GAP.join(cells)}{_GAP}{plain(problem)}".rstrip())
+    if left_out:
+        names = ", ".join(_HEADS[name] for name in left_out)
+        click.echo(f"inteco-abs: left out for want of room: {names}; a wider terminal or --json has them", err=True)
+
+
+def _left_out(widths: Mapping[str, int], room: int) -> list[str]:
+    """Columns that a line of `room` letters has no place for."""
+    left_out: list[str] = []
+    for name in _FIRST_TO_GO:
+        kept = [width for column, width in widths.items() if column not in left_out]
+        if sum(kept) + len(_GAP) * (len(kept) - 1) <= room:
+            break
+        left_out.append(name)
+    return left_out
 
 
 def _cell(folder: Path, row: dict[str, Any], name: str) -> str:

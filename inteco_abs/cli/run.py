@@ -14,6 +14,7 @@ from inteco_abs.cli.completion import controller_names, estimator_names, key_nam
 from inteco_abs.cli.screens import live_options, screen_of
 from inteco_abs.cli.shared import (
     FILE,
+    check_session_file,
     draw,
     drawn_setting,
     insist_on_different,
@@ -63,7 +64,7 @@ _LIVE_PORT: Final = 8765
     help="One of `inteco-abs estimators`: moving-window, tracking, kalman, edge-time, observer, euler as in the "
     "paper, difference as by the vendor.",
 )
-@click.option("--out", type=FILE, help="Session file to write; default: sessions/stop-TIME.mcap.")
+@click.option("--out", "-o", type=FILE, help="Session file to write; default: sessions/stop-TIME.mcap.")
 @click.option("--figure", type=FILE, help="Also draw the stop: .png, .svg or .pdf.")
 @click.option("--record-wire", "wire", type=FILE, help="Also write every message to and from the board, as JSON lines.")
 @click.option(
@@ -118,9 +119,11 @@ def run(
     checks = [control_check(controllers), rig_check]
     settings = (*settings, *drawn_setting(drawn), *chosen)
     rig = load_config(config, settings, checks, default_profile(board), preferred_estimator(controllers))
-    out = out or _default_out()
     if figure is not None:
         check_figure(figure)
+    if out is not None:
+        check_session_file(out)
+    out = out or _default_out()
     insist_on_different({"--out": out, "--figure": figure, "--record-wire": wire})
     source, package = controllers.origin(rig.controller.name)
     plan = Plan(out, board, virtual, seed, controllers, source, wire, frames, package, live_port)

@@ -46,6 +46,9 @@ def figure(files: tuple[Path, ...], out: Path, width: str) -> int:
 
     Several sessions lie over one another, and a legend names what differs. The same sessions give the same file.
     """
+    from inteco_abs.views.figure import check_figure
+
+    check_figure(out, "--out")
     return 0 if draw(files, out, width) else LOSSES
 
 
@@ -76,9 +79,13 @@ def _print_summary(summary: Mapping[str, Any]) -> None:
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", no_wrap=True)
     table.add_column(overflow="fold")
-    for key in ("session", "ticks", "duration_s", "events", "frames"):
+    metadata = summary["metadata"]
+    table.add_row("session", plain(summary["session"]))
+    for key in ("outcome", "reason"):  # first, as a screen holds less than all
+        table.add_row(key, plain(metadata.get("session", {}).get(key) or "-"))
+    for key in ("ticks", "duration_s", "events", "frames"):
         table.add_row(key, plain(summary[key]))
-    for name, facts in summary["metadata"].items():
+    for name, facts in metadata.items():
         for key, value in facts.items():
             table.add_row(plain(f"{name}.{key}"), plain(value))
     for name, size in summary["attachments"].items():

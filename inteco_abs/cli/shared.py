@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, Mistake, near_match
 
 if TYPE_CHECKING:
     from inteco_abs.ensembles import Progress
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 LOSSES: Final = 3
 DIFFERS: Final = 4
 INTERRUPTED: Final = 130
+_LONGEST_SENTENCE: Final = 200
 FILE: Final = click.Path(path_type=Path, readable=False)
 """Each verb says itself what it cannot read, in its own words and with its own exit code."""
 
@@ -34,6 +35,24 @@ class Finite(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number.", param, ctx)
         return number
+
+
+class Verbs(click.Group):
+    """Group that suggests the nearest verb, and says of each its whole first sentence."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in self.commands:
+            raise click.UsageError(f"no command {args[0]!r}{near_match(args[0], self.commands)}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Wrapped, where click would cut them off."""
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [(name, self.commands[name].get_short_help_str(_LONGEST_SENTENCE)) for name in self.list_commands(ctx)]
+            )
 
 
 def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -75,23 +94,49 @@ def print_card(card: Mapping[str, Any], explanation: str, before: Mapping[str, A
 
 def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
     session = reader(file)
-    if session.incomplete:
-        click.echo(f"inteco-abs: {file}: {session.incomplete}; {len(session.ticks)} ticks are whole", err=True)
-    if session.beyond:
-        click.echo(f"inteco-abs: {file}: {plain(session.beyond)}", err=True)
+    tell_of_losses(session)
     return session
+
+
+def tell_of_losses(session: Session) -> None:
+    """What a session lacks, and what to do about it."""
+    if session.incomplete:
+        ticks = len(session.ticks)
+        whole = f"{ticks} ticks are whole{', and recover makes a session of them' if ticks else ''}"
+        click.echo(f"inteco-abs: {session.path}: {session.incomplete}; {whole}", err=True)
+    if session.beyond:
+        click.echo(f"inteco-abs: {session.path}: {plain(session.beyond)}", err=True)
 
 
 def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
     """Whether all of the files were whole, and all of them known here."""
     from inteco_abs.sessions import read_session
-    from inteco_abs.views.figure import check_figure, draw_stops
+    from inteco_abs.views.figure import draw_stops
 
-    check_figure(out)
     sessions = [read_whole(file, read_session) for file in files]
     draw_stops(sessions, out, width)
     click.echo(f"figure: {out}", err=True)
     return not any(session.incomplete or session.beyond for session in sessions)
+
+
+def check_session_file(out: Path) -> None:
+    """Refuse, before anything is started, a path where no new session can be, or where `list` would not see it."""
+    from inteco_abs.sessions import check_output
+
+    check_output(out)
+    if out.suffix != ".mcap":
+        raise ConfigError([Mistake("--out", f"{out}: must end in .mcap, by which sessions are found")])
+
+
+def check_table(path: Path | None) -> None:
+    """Refuse, before anything is computed, a path where no new table can be."""
+    from inteco_abs.sessions import check_output
+
+    if path is None:
+        return
+    check_output(path, "--csv")
+    if path.suffix != ".csv":
+        raise ConfigError([Mistake("--csv", f"{path}: must end in .csv")])
 
 
 def insist_on_different(files: dict[str, Path | None]) -> None:

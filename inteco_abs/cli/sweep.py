@@ -21,6 +21,7 @@ from inteco_abs.cli.completion import controller_names, estimator_names, key_nam
 from inteco_abs.cli.shared import (
     FILE,
     LOSSES,
+    check_table,
     insist_on_different,
     json_option,
     known_controllers,
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 _SMALLEST_SHARD: Final = 5
 _SHARDS_PER_JOB: Final = 4
 """At least, so that no process is left waiting long for the last one."""
+_NARROWEST: Final = 80
+"""Columns of a table: a narrower terminal wraps it, where cutting it off would take names and digits away."""
 
 
 @click.command()
@@ -99,8 +102,7 @@ def sweep(
     grid = combinations([*settings, *chosen], controllers, config)
     insist_on_different({"--csv": table, "--figure": figure})
     _insist_on_own_rigs(grid, draws)
-    if table is not None:
-        _check_table(table)
+    check_table(table)
     if figure is not None:
         check_figure(figure)
     _tell_of_left_out(draws)
@@ -163,14 +165,6 @@ def _insist_on_own_rigs(grid: Sequence[Combination], draws: Sequence[Draws]) -> 
         mistakes.append(Mistake("encoders.counts_per_turn", f"{shown}: these rigs have {max(drawn)}; leave it out"))
     if mistakes:
         raise ConfigError(mistakes)
-
-
-def _check_table(path: Path) -> None:
-    """Refuse, before anything is computed, what cannot be written to."""
-    if path.is_dir():
-        raise ConfigError([Mistake("--csv", f"{path}: is a folder; name a file")])
-    if not path.absolute().parent.is_dir():
-        raise ConfigError([Mistake("--csv", f"{path}: the folder {path.parent} does not exist; create it first")])
 
 
 def _tell_of_left_out(draws: Sequence[Draws]) -> None:
@@ -257,14 +251,18 @@ def _print(rows: Sequence[Row], *, as_json: bool) -> None:
 
     from inteco_abs.views.sweep import render_sweep
 
-    Console().print(render_sweep(rows))
+    console = Console()
+    console.width = max(console.width, _NARROWEST)
+    console.print(render_sweep(rows))
 
 
 def _write_csv(rows: Sequence[Row], path: Path) -> None:
+    from inteco_abs.sessions import only_whole
+
     records: list[dict[str, Any]] = [record for row in rows for record in row.records()]
     columns = dict.fromkeys(key for record in records for key in record)  # gains differ from controller to controller
     try:
-        with path.open("w", encoding="utf-8", newline="") as file:
+        with only_whole(path) as part, part.open("w", encoding="utf-8", newline="") as file:
             writer = csv.DictWriter(file, list(columns))
             writer.writeheader()
             writer.writerows(records)

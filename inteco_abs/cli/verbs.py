@@ -30,25 +30,14 @@ from inteco_abs.cli.replay import replay
 from inteco_abs.cli.report import report
 from inteco_abs.cli.run import run
 from inteco_abs.cli.sessions import figure, info
-from inteco_abs.cli.shared import INTERRUPTED
+from inteco_abs.cli.shared import INTERRUPTED, Verbs
 from inteco_abs.cli.sweep import sweep
 from inteco_abs.cli.what_if import what_if
 from inteco_abs.cli.wire import wire
-from inteco_abs.errors import AbsError, near_match
+from inteco_abs.errors import AbsError
 
 
-class _Verbs(click.Group):
-    """Group that suggests the nearest verb."""
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in self.commands:
-            raise click.UsageError(f"no command {args[0]!r}{near_match(args[0], self.commands)}", ctx)
-        return super().resolve_command(ctx, args)
-
-
-@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(cls=Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="inteco-abs")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def cli(debug: bool) -> None:

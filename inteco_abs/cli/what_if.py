@@ -142,8 +142,8 @@ def _grid(settings: Sequence[str], sweeps: Sequence[str]) -> Iterator[tuple[str,
     if count > _MOST:
         raise ConfigError([Mistake("--sweep", f"{count} alternatives: must be at most {_MOST}; give fewer values")])
     if not (settings or axes):
-        problem = "nothing was asked; name other gains, a controller or an estimator: --set controller.gains.Mk=5"
-        raise ConfigError([Mistake("what-if", problem)])
+        problem = "nothing was asked; name other gains, as controller.gains.Mk=5, or a --controller or --estimator"
+        raise ConfigError([Mistake("--set", problem)])
     for values in product(*axes):
         yield ", ".join(values or settings), [*settings, *values]
 

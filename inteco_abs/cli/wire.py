@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.shared import DIFFERS, FILE, json_option, print_json
+from inteco_abs.cli.shared import DIFFERS, FILE, Verbs, json_option, print_json
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ _PROFILES: Final = {"usb1-111": "sim_usb", "usb1-112": "usb1_0112"}
 """To begin with, by the capture's board: the driver's part does not depend on whose rig it was."""
 
 
-@click.group()
+@click.group(cls=Verbs)
 def wire() -> None:
     """Captures of what passes between a host and the board.
 

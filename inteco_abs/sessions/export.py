@@ -64,15 +64,15 @@ def export_session(source: Path, form: str, out: Path) -> Export:
         check_output(path)
     with ExitStack() as parts:
         for path, group in zip(paths, groups, strict=True):
-            _write(chosen, parts.enter_context(only_whole(path)), group, session)
+            _write(chosen, path, parts.enter_context(only_whole(path)), group, session)
     return Export(session, list(map(_written, paths, groups)))
 
 
-def _write(chosen: _Format, part: Path, group: list[Table], session: Session) -> None:
+def _write(chosen: _Format, path: Path, part: Path, group: list[Table], session: Session) -> None:
     try:
         chosen.write(part, group, session)
     except (OSError, ValueError) as error:  # scipy's own errors of arrays too large for its format are ValueErrors
-        raise SessionError(f"{part} cannot be written: {getattr(error, 'strerror', None) or error}") from error
+        raise SessionError(f"{path} cannot be written: {getattr(error, 'strerror', None) or error}") from error
 
 
 def _written(path: Path, group: list[Table]) -> Written:

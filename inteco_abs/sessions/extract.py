@@ -34,7 +34,7 @@ def extract(session: Session, name: str, out: Path) -> Path:
             with part.open("xb") as file:
                 file.write(data)
         except OSError as error:
-            raise SessionError(f"{part} cannot be written: {error.strerror}") from error
+            raise SessionError(f"{path} cannot be written: {error.strerror}") from error
     return path
 
 

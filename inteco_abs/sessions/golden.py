@@ -104,11 +104,11 @@ class GoldenFolder:
         """Those with these names, or all; raises ConfigError for a name that is none, and if there is nothing."""
         if not self._goldens:
             problem = f"{self.path} holds no golden session; add one: inteco-abs golden add FILE --reason TEXT"
-            raise ConfigError([Mistake("golden", problem)])
+            raise ConfigError([Mistake("--folder", problem)])
         unknown = [name for name in names if name not in self._goldens]
         if unknown:
             raise ConfigError(
-                [Mistake("golden", f"no {name!r} in {self.path}{near_match(name, self._goldens)}") for name in unknown]
+                [Mistake("NAMES", f"no {name!r} in {self.path}{near_match(name, self._goldens)}") for name in unknown]
             )
         return [self._goldens[name] for name in dict.fromkeys(names)] if names else list(self._goldens.values())
 

@@ -13,8 +13,8 @@ from inteco_abs.errors import ConfigError, Mistake, SessionError
 _PART: Final = ".part"
 
 
-def check_output(path: Path) -> None:
-    """Refuse, before anything is opened, a path where no new file can be.
+def check_output(path: Path, option: str = "--out") -> None:
+    """Refuse, before anything is opened, a path where no new file can be; `option` is where it was named.
 
     Raises ConfigError, or SessionError where the folder cannot be written to.
     """
@@ -29,7 +29,7 @@ def check_output(path: Path) -> None:
     except OSError as error:  # a name that no file can have
         problem = error.strerror or "cannot be a file's name"
     if problem:
-        raise ConfigError([Mistake("--out", f"{path}: {problem}")])
+        raise ConfigError([Mistake(option, f"{path}: {problem}")])
     if not os.access(path.parent, os.W_OK):
         raise SessionError(f"{path} cannot be created: the folder {path.parent} cannot be written to")
 

@@ -41,7 +41,7 @@ def render_card(
     table.add_column(style="dim", no_wrap=True)
     table.add_column(justify="right", no_wrap=True)
     table.add_column(no_wrap=True)
-    for label, key, form, factor in ROWS:
+    for label, key, form, factor in ROWS if card["stops"] else ():
         value = card[key]
         change = Text() if before is None else _change(key, value, before.get(key), form, factor, plain=plain)
         table.add_row(label, "-" if value is None else form.format(value * factor), change)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.errors import AbsError, ConfigError, Mistake
-from inteco_abs.sessions import Session
+from inteco_abs.sessions import Session, check_output, only_whole
 from inteco_abs.views.beside import PALETTE, held_rows, insist_on_distinct, labels, since_s, start_ns
 from inteco_abs.views.thinning import thin
 
@@ -75,12 +75,14 @@ class _Part(NamedTuple):
     end_s: float
 
 
-def check_figure(path: Path) -> None:
-    """Refuse a path whose figure cannot be drawn; raises ConfigError, or AbsError without matplotlib."""
+def check_figure(path: Path, option: str = "--figure") -> None:
+    """Refuse a path, named with `option`, where no figure can be drawn anew.
+
+    Raises ConfigError, SessionError where the folder cannot be written to, or AbsError without matplotlib.
+    """
     if path.suffix.removeprefix(".") not in FORMATS:
-        raise ConfigError([Mistake("--figure", f"{path}: must end in .{', .'.join(FORMATS)}")])
-    if not path.parent.is_dir():
-        raise ConfigError([Mistake("--figure", f"{path}: the folder {path.parent} does not exist; create it first")])
+        raise ConfigError([Mistake(option, f"{path}: must end in .{', .'.join(FORMATS)}")])
+    check_output(path, option)
     insist_on_matplotlib()
 
 
@@ -126,7 +128,9 @@ def save_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
     undated: dict[str, dict[str, Any]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     try:
         with rc_context({"svg.hashsalt": _SALT, "pdf.fonttype": _TRUETYPE}):
-            figure.savefig(path, dpi=dpi, metadata=undated.get(path.suffix, {}))
+            form, metadata = path.suffix.removeprefix("."), undated.get(path.suffix, {})
+            with only_whole(path) as part:
+                figure.savefig(part, format=form, dpi=dpi, metadata=metadata)
     except OSError as error:
         raise AbsError(f"{path}: the figure cannot be written: {error.strerror}") from error
 

@@ -183,4 +183,4 @@ def write_layout(viewer: str, out: Path) -> None:
         try:
             part.write_bytes(VIEWERS[viewer]())
         except OSError as error:
-            raise SessionError(f"{part} cannot be written: {error.strerror}") from error
+            raise SessionError(f"{out} cannot be written: {error.strerror}") from error

@@ -12,7 +12,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from inteco_abs.views.figure import COLOURS, check_figure, save_figure
+from inteco_abs.views.figure import COLOURS, insist_on_matplotlib, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -141,10 +141,10 @@ def _verdicts(report: Mapping[str, Any]) -> Iterator[str]:
 def draw_course(columns: Mapping[str, Any], title: str, path: Path) -> None:
     """Draw a stop to `path` (.png, .svg or .pdf) in the paper's three panels: speeds, slip, brake torque.
 
-    The estimated slip is drawn if there is one. Raises ConfigError for a path that cannot be drawn to, AbsError without
-    matplotlib.
+    The estimated slip is drawn if there is one, and a file of that name is replaced. Raises AbsError if it cannot be
+    written, or without matplotlib.
     """
-    check_figure(path)
+    insist_on_matplotlib()
     from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
 
     time_s = columns["time_s"]

@@ -14,8 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from inteco_abs.ensembles import Row
-from inteco_abs.errors import AbsError
-from inteco_abs.views.figure import check_figure
+from inteco_abs.views.figure import check_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,10 +97,7 @@ def draw_sweep(rows: Sequence[Row], path: Path) -> None:
         panel.legend(loc="best", frameon=False, fontsize="x-small")
     panels[-1].set_xlim(left=0.0)
     panels[-1].set_xlabel("slip RMS, true [1]")
-    try:
-        figure.savefig(path, dpi=150)
-    except OSError as error:
-        raise AbsError(f"{path}: the figure cannot be written: {error.strerror}") from error
+    save_figure(figure, path)
 
 
 def _shares(panel: Axes, row: Row, **look: Any) -> None:

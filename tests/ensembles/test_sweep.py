@@ -1,6 +1,8 @@
 """Grids of settings and ranges of draws, as they are named on the command line."""
 
+import errno
 import io
+import os
 
 import pytest
 from matplotlib.figure import Figure
@@ -217,7 +219,7 @@ def test_the_table_has_the_best_first_and_fits_a_terminal(rows):
 
 def test_the_figure_shows_which_share_has_which_rms_and_leaves_out_who_never_came_near(rows, monkeypatch, tmp_path):
     saved = []
-    monkeypatch.setattr(Figure, "savefig", lambda self, *_args, **_options: saved.append(self))
+    monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: (saved.append(self), file.touch()))
     draw_sweep(rows, tmp_path / "sweep.png")
     panel, other = saved[0].axes
     lines = {line.get_label(): line for line in panel.get_lines()}
@@ -229,11 +231,15 @@ def test_the_figure_shows_which_share_has_which_rms_and_leaves_out_who_never_cam
     assert len(lines["steps on moving-window, first=0.3"].get_xdata()) == 0
 
 
-def test_a_figure_that_cannot_be_written_is_an_error(rows, tmp_path):
-    path = tmp_path / "sweep.png"
-    path.mkdir()
-    with pytest.raises(AbsError, match=r"sweep\.png: the figure cannot be written"):
-        draw_sweep(rows, path)
+def test_a_figure_that_cannot_be_written_is_an_error_and_nothing_is_left(rows, monkeypatch, tmp_path):
+    def full(_self, file, **_options):
+        file.touch()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Figure, "savefig", full)
+    with pytest.raises(AbsError, match=r"sweep\.png: the figure cannot be written: No space left"):
+        draw_sweep(rows, tmp_path / "sweep.png")
+    assert not list(tmp_path.iterdir())
 
 
 def test_in_a_grid_each_controller_has_its_estimator():

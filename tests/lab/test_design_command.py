@@ -1,7 +1,9 @@
 """The verb on the command line."""
 
 import csv
+import errno
 import json
+import os
 import subprocess
 import sysconfig
 from pathlib import Path
@@ -153,7 +155,19 @@ def test_a_controller_of_the_users_own_is_known_but_not_judged(design, tmp_path)
         design("--controller", "own.py:Own")
 
 
-def test_a_table_that_cannot_be_written_is_an_error(design, tmp_path):
-    (tmp_path / "curves.csv").mkdir()
-    with pytest.raises(AbsError, match=r"curves\.csv: the table cannot be written"):
+def test_a_table_that_cannot_be_written_is_an_error_and_nothing_is_left(design, monkeypatch, tmp_path):
+    def full(*_columns):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("inteco_abs.cli.design.csv.writer", full)
+    with pytest.raises(AbsError, match=r"curves\.csv: the table cannot be written: No space left"):
         design("--csv", "curves.csv")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("option", "name"), [("--csv", "curves.csv"), ("--figure", "design.svg")])
+def test_no_file_is_overwritten(design, tmp_path, option, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(ConfigError, match=f"{option}: {name}: exists already, and files are never overwritten"):
+        design(option, name)
+    assert (tmp_path / name).read_text() == "mine"

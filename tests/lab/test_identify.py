@@ -131,6 +131,10 @@ def test_the_figure_shows_what_is_left(sessions, tmp_path):
         (("a.mcap", "--assume", "J3=5%"), "no number that is assumed; known: J1"),
         (("a.mcap", "--assume", "J1=0.05"), "must look like J1=5%"),
         (("a.mcap", "-o", "a.txt"), "must end in .toml"),
+        (
+            ("a.mcap", "-o", Path(__file__).parents[2] / "pyproject.toml"),
+            "exists already, and files are never overwritten",
+        ),
         (("--plan", "--board", "usb2:", "--rig", "hard:1"), "is a real board"),
     ],
 )

@@ -38,7 +38,23 @@ class TestList:
     def test_an_empty_folder_is_said_to_be_empty(self, verb, tmp_path):
         done = verb("list", tmp_path)
         assert (done.code, done.out) == (0, "")
-        assert "holds no sessions" in done.err
+        assert "holds no sessions; --recursive looks into its folders" in done.err
+        assert "--recursive" not in verb("list", tmp_path, "--recursive").err
+
+    def test_a_narrow_terminal_does_without_columns_and_names_them(self, verb, folder, monkeypatch):
+        monkeypatch.setenv("COLUMNS", "80")
+        wide = verb("list", folder).out
+        assert max(map(len, wide.splitlines())) > 110
+        monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+        done = verb("list", folder)
+        head, *lines = done.out.splitlines()
+        assert len(head) <= 80
+        assert "controller" in head
+        assert "rms est." not in head
+        assert {line.split()[0] for line in lines} == {"a.mcap", "b.mcap", "cut.mcap"}
+        assert done.err.startswith("inteco-abs: left out for want of room: rms est., estimator")
+        monkeypatch.setenv("COLUMNS", "200")
+        assert verb("list", folder).out == wide
 
     def test_a_column_that_is_none_is_usage(self, verb, folder):
         done = verb("list", folder, "--sort", "tick")
@@ -88,6 +104,13 @@ class TestRecover:
         assert "ticks recovered, with losses" in done.out
         assert "  lost: the data has no end" in done.out
         assert len(read_session(folder / "new.mcap").ticks) > 0
+
+    def test_a_name_under_which_list_would_not_find_it_is_refused(self, verb, folder):
+        for new in ("new.txt", "new"):
+            done = verb("recover", folder / "cut.mcap", "-o", folder / new)
+            assert done.code == 2
+            assert f"{new}: must end in .mcap" in done.err
+            assert not (folder / new).exists()
 
     def test_without(self, verb, folder):
         (folder / "index.mcap").write_bytes((folder / "a.mcap").read_bytes()[:-300])
@@ -170,6 +193,18 @@ class TestExport:
         assert [each["path"] for each in done.json["files"]] == [str(folder / "x.npz")]
         assert "ends early" in done.json["incomplete"]
 
+    def test_the_format_follows_from_the_name(self, verb, folder):
+        assert verb("export", folder / "a.mcap", "-o", folder / "x.npz").code == 0
+        assert (folder / "x.npz").read_bytes().startswith(b"PK")
+
+    def test_a_name_that_is_not_the_formats_is_refused(self, verb, folder):
+        for name, words in (("x.csv", "x.csv: must end in .npz"), ("x", "x: must end in .npz")):
+            done = verb("export", folder / "a.mcap", "--format", "npz", "-o", folder / name)
+            assert done.code == 2
+            assert words in done.err
+            assert not (folder / name).exists()
+        assert ".csv, .npz, .mat, .parquet" in verb("export", folder / "a.mcap", "-o", folder / "x.txt").err
+
     def test_a_format_that_is_none_is_usage(self, verb, folder):
         assert verb("export", folder / "a.mcap", "--format", "xls").code == 2
         assert verb("export", folder / "a.mcap").code == 2
@@ -243,6 +278,17 @@ class TestDiff:
         assert done.code == 2
         assert "did you mean gains?" in done.err
         assert "did you mean rig?" in done.err
+
+
+def test_info_begins_with_how_it_ended(verb, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    rows = [line.split(maxsplit=1) for line in verb("info", "a.mcap").out.splitlines()]
+    assert [row[0] for row in rows[:3]] == ["session", "outcome", "reason"]
+    assert rows[1][1].strip() == "completed"
+
+
+def test_a_cut_session_is_said_to_be_recoverable(verb, folder):
+    assert "ticks are whole, and recover makes a session of them" in verb("info", folder / "cut.mcap").err
 
 
 def test_info_of_a_session_whose_card_is_no_json(verb, short, container, altered):

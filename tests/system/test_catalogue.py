@@ -65,3 +65,16 @@ def test_every_estimator_is_named_in_the_help_of_run(inteco_abs):
     text = inteco_abs("run", "--help", check=0).stdout
     for name in ESTIMATORS:
         assert name in " ".join(text.split())
+
+
+@pytest.mark.parametrize("group", [(), ("config",), ("golden",), ("wire",)])
+def test_help_says_of_every_verb_its_whole_sentence(inteco_abs, monkeypatch, group):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = inteco_abs(*group, "--help", check=0).stdout
+    assert "Commands:" in text
+    assert "..." not in text.partition("Commands:")[2]
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_a_verb_of_a_group_that_is_none_is_told_with_the_nearest(inteco_abs):
+    assert "no command 'tst'; did you mean test?" in inteco_abs("golden", "tst", check=2).stderr

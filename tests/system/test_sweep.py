@@ -1,7 +1,9 @@
 """The verb `inteco-abs sweep`, as a lab uses it."""
 
 import csv
+import errno
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -98,11 +100,26 @@ def test_wrong_input_gets_one_clear_answer(monkeypatch, tmp_path, arguments, wor
 
 def test_a_table_that_cannot_be_written_is_an_error_after_the_result(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(AbsError, match=r"full: the table cannot be written: No space left on device"):
-        cli.main(["sweep", *QUICK, "--jobs", "1", "--csv", "/dev/full"], standalone_mode=False)
+
+    def full(*_arguments):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("inteco_abs.cli.sweep.csv.DictWriter", full)
+    with pytest.raises(AbsError, match=r"stops\.csv: the table cannot be written: No space left on device"):
+        cli.main(["sweep", *QUICK, "--jobs", "1", "--csv", "stops.csv"], standalone_mode=False)
+    assert not list(tmp_path.iterdir())
     printed = capsys.readouterr()
     assert "slip RMS" in printed.out
     assert printed.err.startswith("combinations: 1, stops to brake: 2;")
+
+
+def test_a_narrow_terminal_takes_no_name_and_no_digit_away(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "50")
+    cli.main(["sweep", *QUICK, "--jobs", "1"], standalone_mode=False)
+    printed = capsys.readouterr().out
+    assert "controller on" in printed
+    assert "…" not in printed
 
 
 def test_the_processes_of_a_sweep_end_with_the_command_that_was_killed(tmp_path):

@@ -101,6 +101,11 @@ def test_any_other_end_is_explained(outcome):
     assert "check the brake's power" in text
 
 
+def test_a_run_that_never_braked_has_no_lines_of_dashes():
+    never = {**CARD, "outcome": "interrupted", "stops": 0, **dict.fromkeys(METRICS)}
+    assert list(values_in(text_of(never))) == ["ticks, overruns, link errors", "late p50 / p99 / max"]
+
+
 @pytest.mark.parametrize("missing", METRICS)
 def test_what_was_not_measured_is_a_dash(missing):
     changed = [label for label, value in values_in(text_of({**CARD, missing: None})).items() if value != LINES[label]]

@@ -26,7 +26,7 @@ def drawn(monkeypatch, tmp_path):
 
     def draw(report) -> Figure:
         saved = []
-        monkeypatch.setattr(Figure, "savefig", lambda self, *_args, **_options: saved.append(self))
+        monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: (saved.append(self), file.touch()))
         draw_design(report, tmp_path / "design.png")
         (figure,) = saved
         return figure

@@ -18,8 +18,9 @@ def drawn(monkeypatch, tmp_path):
 
     def draw(*sessions, **options) -> Figure:
         saved = []
-        monkeypatch.setattr(Figure, "savefig", lambda self, *_args, **_options: saved.append(self))
+        monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: (saved.append(self), file.touch()))
         draw_stops(sessions, tmp_path / "stop.png", **options)
+        (tmp_path / "stop.png").unlink()
         (figure,) = saved
         return figure
 
@@ -61,6 +62,22 @@ def test_a_missing_folder_is_refused_and_not_made(session, tmp_path):
         with pytest.raises(ConfigError, match="missing does not exist; create it first"):
             refuse(tmp_path / "missing" / "stop.png")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_figure_that_is_there_stays(session, tmp_path):
+    path = tmp_path / "stop.svg"
+    path.write_text("mine")
+    for refuse in (check_figure, lambda path: draw_stops([session], path)):
+        with pytest.raises(
+            ConfigError, match=r"--figure: .*stop\.svg: exists already, and files are never overwritten"
+        ):
+            refuse(path)
+    assert path.read_text() == "mine"
+
+
+def test_a_mistake_is_told_under_the_option_that_has_it(tmp_path):
+    with pytest.raises(ConfigError, match=r"--out: .* must end in"):
+        check_figure(tmp_path / "stop.eps", "--out")
 
 
 def test_a_folder_with_the_name_of_a_figure_is_an_error(session, tmp_path):
@@ -233,8 +250,8 @@ def test_what_one_session_does_not_know_is_shown_of_none(session, others, drawn)
 @pytest.mark.untraced
 def test_a_name_is_no_formula_and_a_long_one_is_cut(session, others, told, tmp_path):
     odd = told(others[1], "controller", name=r"$\nothing{$ " + "very " * 200 + "long")
-    for sessions in ([odd], [session, odd]):
-        draw_stops(sessions, tmp_path / "odd.svg", "one")
+    for name, sessions in (("alone.svg", [odd]), ("beside.svg", [session, odd])):
+        draw_stops(sessions, tmp_path / name, "one")
 
 
 def test_a_session_that_never_braked_is_named(session, others, tmp_path):

@@ -49,7 +49,7 @@ def write_report(sessions: Sequence[Session], path: Path) -> None:
         try:
             part.write_text(page, encoding="utf-8")
         except OSError as error:
-            raise SessionError(f"{part} cannot be written: {error.strerror}") from error
+            raise SessionError(f"{path} cannot be written: {error.strerror}") from error
 
 
 def report_page(sessions: Sequence[Session]) -> str:
