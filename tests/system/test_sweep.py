@@ -129,7 +129,7 @@ def test_the_processes_of_a_sweep_end_with_the_command_that_was_killed(tmp_path)
     with subprocess.Popen(
         [sys.executable, "-c", code, *arguments], cwd=tmp_path, stderr=subprocess.PIPE, text=True
     ) as run:
-        greetings = (line for line in run.stderr if line == "hello\n")
+        greetings = (line for line in run.stderr if "hello" in line)  # two workers may share a line
         next(greetings)  # the command's own
         next(greetings)  # a worker's
         run.kill()
