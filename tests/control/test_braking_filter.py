@@ -12,7 +12,7 @@ from inteco_abs.control import PredictiveReaching, Setup
 from inteco_abs.control.contact import Contact
 from inteco_abs.control.estimators.braking import BrakingFilter, Spread
 from inteco_abs.control.estimators.disc import DiscFilter
-from inteco_abs.rig import EncoderVariation, RigParameters, RigVariation, Surface, adhesion
+from inteco_abs.rig import MEASURED_MAP, EncoderVariation, RigParameters, RigVariation, Surface, adhesion
 from inteco_abs.signals import Command, Estimate
 
 MASK = RigParameters.named("mask")
@@ -184,7 +184,7 @@ START, STEPS, NEGLECTED = map(np.array, zip(*STATES.values(), strict=True))
 
 def anywhere(state, covariance):
     """A filter in any state, where nothing public begins, with commands of rising duty under way."""
-    rig, disc = BrakingFilter(MASK, Spread(), COUNT_RAD, PERIOD_S), DiscFilter(COUNT_RAD, COUNT_RAD)
+    rig, disc = BrakingFilter(MASK, MEASURED_MAP, Spread(), COUNT_RAD, PERIOD_S), DiscFilter(COUNT_RAD, COUNT_RAD)
     rig.begin(disc, disc)
     for tick in range(60):
         rig.tell(0.5 + 0.005 * tick, 1)

@@ -186,13 +186,13 @@ def test_a_controller_that_fails_ends_its_own_stop_only():
     assert (summary.spreads["stop_time_s"].largest, summary.spreads["stop_time_s"].worst) == (math.inf, 1)
 
 
-@pytest.mark.parametrize("duty", [math.nan, -math.inf, None, np.float64(0.5)])
+@pytest.mark.parametrize("duty", [math.nan, -math.inf, None, np.float64("nan")])
 def test_a_duty_that_the_guard_would_not_let_pass_ends_the_stop(duty):
     stops = short_stops(RIGS[:1], maker=parts.OneDuty(duty))
     assert stops.errors[0] == "the controller asked for a duty that is not a finite number"
 
 
-@pytest.mark.parametrize(("asked", "given"), [(1.5, 1.0), (-0.5, 0.0), (1, 1.0)])
+@pytest.mark.parametrize(("asked", "given"), [(1.5, 1.0), (-0.5, 0.0), (1, 1.0), (np.float64(1.5), 1.0)])
 def test_a_duty_outside_0_to_1_is_cut_to_it(asked, given):
     config = configured("experiment.start_speed_rad_s=10")
     stops = run_stops([RigVariation()], config, maker=parts.OneDuty(asked), run_up_from_rad_s=None, traced=[0])
