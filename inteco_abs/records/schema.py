@@ -16,7 +16,7 @@ from itertools import islice, starmap
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from inteco_abs.records.descriptors import ENUM, INT32, INT64, MESSAGE, TEXT, enum, field, message, proto_file
-from inteco_abs.records.wire import chunk, integer, tag
+from inteco_abs.records.wire import chunk, fields, integer, tag
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
 
 if TYPE_CHECKING:
@@ -161,6 +161,27 @@ class Message:
             array(list(self._choices), "i8"),
             array(list(self._choices.values()), "u1"),
         )
+
+    def repacked(self, data: bytes) -> bytes:
+        """One message with the constant layout that another program encoded anew: fields left out are zero.
+
+        Bit for bit what was packed first. Raises ValueError if it has another field, one twice, or none at all.
+        """
+        widths = {
+            number: struct.calcsize(column.kind.code)
+            for number, column in zip(self._numbers, self.columns, strict=True)
+        }
+        found: dict[int, bytes] = {}
+        for number, value in fields(data):
+            raw = bytes([value & 0xFF]) if isinstance(value, int) else value
+            if number in found or len(raw) != widths.get(number):
+                raise ValueError(f"field {number} is none of {self.name}, or is there twice")
+            found[number] = raw
+        kept = zip(self._numbers, self._keys, strict=True)
+        parts = [(key, found.get(number, bytes(widths[number])), number in found) for number, key in kept]
+        if not found or len(data) != sum(len(key) + len(raw) for key, raw, there in parts if there):
+            raise ValueError(f"a {self.name} of {len(data)} bytes is none")
+        return b"".join(key + raw for key, raw, _ in parts)
 
     def descriptor(self) -> bytes:
         """FileDescriptorSet with this message and its enums, as MCAP's protobuf encoding wants it."""

@@ -67,7 +67,7 @@ class Batch(NamedTuple):
     """The ticks or truths of one chunk."""
 
     data: bytes
-    """As in the file."""
+    """As they were recorded."""
     today: bytes
     """As this version has them."""
     values: npt.NDArray[np.void]
@@ -81,13 +81,24 @@ class Batch(NamedTuple):
         """The messages of `runs`; raises DamagedError unless each of them has the layout that was `found`."""
         data = b"".join([run.rows["data"].tobytes() for run in runs])
         sizes = {run.rows.dtype["data"].itemsize for run in runs}
-        topic = found.message.topic
         if sizes != {found.message.size} or not found.well_formed(data):
-            declared = f"{found.message.name} that the file declares"
-            raise DamagedError(f"a message of {topic} has not the layout of the {declared}, or a value that it has not")
+            data = _encoded_anew(runs, found)
         sequence, log_time = (np.concatenate([run.rows[name] for run in runs]) for name in ("sequence", "log_time"))
         today = found.today(data)
-        return cls(data, today, FLAT[topic].array(today), sequence, log_time)
+        return cls(data, today, FLAT[found.message.topic].array(today), sequence, log_time)
+
+
+def _encoded_anew(runs: Sequence[Run], found: Layout) -> bytes:
+    """The messages as they were recorded, if another program has left zeros out. Raises DamagedError if not."""
+    try:
+        data = b"".join(found.message.repacked(each) for run in runs for each in run.rows["data"].tolist())
+        problem = "" if found.well_formed(data) else "has a value that it has not"
+    except ValueError as error:
+        data, problem = b"", str(error)
+    if problem:
+        declared = f"{found.message.name} that the file declares"
+        raise DamagedError(f"a message of {found.message.topic} has not the layout of the {declared}: {problem}")
+    return data
 
 
 @dataclass(slots=True)

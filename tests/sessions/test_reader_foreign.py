@@ -5,8 +5,9 @@ import lz4.frame
 import pytest
 from mcap.writer import CompressionType, Writer
 
+from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
 from inteco_abs.errors import SessionError
-from inteco_abs.sessions import TICK, read_session
+from inteco_abs.sessions import TICK, read_session, replay, session_config, validate
 
 CHUNK, DATA_END = 6, 15
 
@@ -149,3 +150,64 @@ def test_a_message_of_an_unknown_channel_is_damage(container, altered):
     message = container.record(5, (9).to_bytes(2, "little") + bytes(20) + b"data")
     with pytest.raises(SessionError, match="is damaged"):
         read_session(altered(container.craft(message)))
+
+
+@pytest.fixture
+def encoded_anew(officially, tiny, tmp_path):
+    """The tiny session as a program writes it that decodes messages and encodes them: zeros are left out."""
+
+    def write(*, finish=True):
+        told, path = officially(tiny.path), tmp_path / "anew.mcap"
+        with path.open("wb") as file:
+            writer = Writer(file, compression=CompressionType.ZSTD)
+            writer.start(library="another program")
+            schemas, channels = {}, {}
+            for schema, channel, message, decoded in told.messages:
+                if channel.id not in channels:
+                    schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    channels[channel.id] = writer.register_channel(
+                        channel.topic, channel.message_encoding, schemas[schema.id], channel.metadata
+                    )
+                data = decoded.SerializeToString(deterministic=True)
+                writer.add_message(channels[channel.id], message.log_time, data, message.log_time, message.sequence)
+            for each in told.attachments:
+                writer.add_attachment(each.create_time, each.log_time, each.name, each.media_type, each.data)
+            for each in told.metadata:
+                writer.add_metadata(each.name, dict(each.metadata))
+            writer.flush()
+            if finish:
+                writer.finish()
+        return path
+
+    return write
+
+
+def test_a_session_that_was_encoded_anew_is_read_as_it_was_recorded(encoded_anew, tiny):
+    path = encoded_anew()
+    session = read_session(path)
+    assert session.payload == tiny.session.payload
+    assert session.truth.tobytes() == tiny.session.truth.tobytes()
+    assert validate(path).verdict == "well"
+    config = session_config(session, (control_check(CONTROLLERS),))
+    assert replay(session, build_pipeline(config, CONTROLLERS)).differing == 0
+
+
+def test_without_its_end_it_is_read_too(encoded_anew, tiny):
+    session = read_session(encoded_anew(finish=False))
+    assert session.incomplete
+    assert session.payload == tiny.session.payload
+
+
+@pytest.mark.parametrize("change", ["twice", "unknown field", "another wire type", "cut", "empty"])
+def test_a_message_that_is_none_of_ours_is_not_encoded_anew(tiny, change):
+    message = bytes(tiny.session.payload[: TICK.size])
+    changed = {
+        "twice": message + message[:9],
+        "unknown field": message + b"\xf8\x07\x01",
+        "another wire type": b"\x0a\x08" + message[1:],
+        "cut": message[:-1],
+        "empty": b"",
+    }[change]
+    with pytest.raises(ValueError, match=r"field|integer|is none"):
+        TICK.repacked(changed)
+    assert TICK.repacked(message) == message
