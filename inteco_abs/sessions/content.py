@@ -92,12 +92,13 @@ def _encoded_anew(runs: Sequence[Run], found: Layout) -> bytes:
     """The messages as they were recorded, if another program has left zeros out. Raises DamagedError if not."""
     try:
         data = b"".join(found.message.repacked(each) for run in runs for each in run.rows["data"].tolist())
-        problem = "" if found.well_formed(data) else "has a value that it has not"
-    except ValueError as error:
-        data, problem = b"", str(error)
-    if problem:
+    except ValueError:
+        data = b""
+    if not data or not found.well_formed(data):
         declared = f"{found.message.name} that the file declares"
-        raise DamagedError(f"a message of {found.message.topic} has not the layout of the {declared}: {problem}")
+        raise DamagedError(
+            f"a message of {found.message.topic} has not the layout of the {declared}, or a value that it has not"
+        )
     return data
 
 
