@@ -31,9 +31,11 @@ _OWED_COUNTS: Final = 6.0
 _RUNNING_RAD_S: Final = 21.0
 """200 rpm: a road wheel this fast cannot come to rest within a few counts, whatever the brake does."""
 _ROLLING_RAD_S: Final = 31.4
-"""300 rpm: from here on the wheels' speeds are compared."""
+"""300 rpm: from here on the wheels' speeds are compared at once."""
 _ROLLING_SHARE: Final = 0.1
 """A wheel that rolls freely follows the road more closely than this."""
+_LOST_SHARE: Final = 3.0
+"""Ahead of the road by more than this share of what it still counts: no other scale does that, only lost counts."""
 _BACKWARDS_RAD_S: Final = -5.0
 _MISS_COST: Final = 3
 _RELEASED_DUTY: Final = 0.01
@@ -76,6 +78,7 @@ class Guard:
         self._drive_changed_ns = 0
         self._released = True
         self._brake_changed_ns = -_RELEASE_GRACE_NS
+        self._not_ahead_ns = 0
         self._road_moved_ns = 0
         self._road_speed_when_moved = 0.0
 
@@ -172,9 +175,17 @@ class Guard:
         """The braked wheel's encoder, by the road: it may lock under braking, but never run ahead or backwards."""
         if wheel < _BACKWARDS_RAD_S - self._slack:
             return Reason.ENCODERS_DISAGREE
-        if road < _ROLLING_RAD_S:
-            return _NONE
         ahead = self._rim_ratio * wheel - road
+        if road < _ROLLING_RAD_S:
+            return self._judge_slow_road(now_ns, road, ahead)
         most = _ROLLING_SHARE * road + self._slack
         rolling = self._released and now_ns - self._brake_changed_ns > _RELEASE_GRACE_NS
         return Reason.ENCODERS_DISAGREE if ahead > most or (rolling and ahead < -most) else _NONE
+
+    def _judge_slow_road(self, now_ns: int, road: float, ahead: float) -> Reason:
+        """No wheel keeps running ahead of a slow road: where it does, the road's encoder may have lost a channel."""
+        if road < -self._slack or ahead <= _ROLLING_SHARE * _ROLLING_RAD_S + self._slack:
+            self._not_ahead_ns = now_ns
+        if now_ns - self._not_ahead_ns <= _ROAD_STILL_NS:
+            return _NONE
+        return Reason.ROAD_ENCODER_FROZEN if ahead > _LOST_SHARE * road else Reason.ENCODERS_DISAGREE

@@ -290,6 +290,20 @@ def test_a_road_encoder_that_only_dithers_is_found_in_20_ms(watched, command, sp
     assert watched.reason in (Reason.ROAD_ENCODER_FROZEN, Reason.ENCODERS_DISAGREE)
 
 
+@pytest.mark.parametrize("road_share", [0.0, 0.1])
+def test_a_road_encoder_that_only_dithers_from_rest_on_is_found_before_the_wheel_is_fast(watched, road_share):
+    speed, ticks = 0.0, 0
+    still = watched.encoders.turn(0.0, 0.0)
+    while watched.reason is Reason.NONE:
+        ticks += 1
+        speed += 30.0 * watched.period_s
+        sample = watched.encoders.turn(speed, road_share * speed)
+        road_count = sample.road_count if road_share else still.road_count + ticks % 2
+        watched.guard.admit(DRIVE, sample._replace(road_count=road_count), SEEN)
+        assert speed < 8.0
+    assert watched.reason is Reason.ROAD_ENCODER_FROZEN
+
+
 @pytest.mark.parametrize("share", [0.5, 2.0, -1.0])
 def test_a_wheel_encoder_of_another_scale_or_sign_trips_while_rolling(watched, share):
     speed = 0.0
