@@ -85,7 +85,9 @@ class Reading(NamedTuple):
 class RtdacPci(Board):
     """The board behind `registers`, wired as `wiring` says; see `Board` for what it promises.
 
-    A tick writes both widths, the one that falls first, so that a failure in between leaves less power. Then it reads
+    A tick writes both widths, the one that falls first, so that a failure in between leaves less power; right before
+    it writes one it reads what was there, which tells whether another program has written since the tick before, or
+    the board was reset. Then it reads
     the logic's version, which tells whether this is still the board; both widths, each selected anew, which tells
     whether another program has moved the index between two accesses; and both counters. These readings cost about as
     much as the rest, some microseconds, and also make sure that the writes have arrived: a bus may post them.
@@ -106,6 +108,7 @@ class RtdacPci(Board):
         self._off: tuple[Write, ...] = tuple(write for channel in self._outputs for write in _width(channel, 0))
         self._reset = 0
         self._before = (0, 0)
+        self._written = True  # whether the board must still have them: not after an exchange that failed half-way
         self._echo = (LOGIC.offset, *(step for channel in self._outputs for step in _read(PWM_WIDTH, channel)))
         encoders = (wiring.wheel_encoder, wiring.road_encoder)
         self._look = (*self._echo, *(step for channel in encoders for step in _read(ENCODER_COUNT, channel)))
@@ -202,11 +205,20 @@ class RtdacPci(Board):
 
     def _transfer(self, command: Command) -> tuple[int, int]:
         drive, brake = new = widths(command, self._full)
-        writes = [_width(channel, width) for channel, width in zip(self._outputs, new, strict=True)]
-        if brake < self._before[1] and drive >= self._before[0]:
+        writes = [_exchanged(channel, width) for channel, width in zip(self._outputs, new, strict=True)]
+        before, self._before = self._before, new
+        if reverse := brake < before[1] and drive >= before[0]:
             writes.reverse()
-        self._before = new
-        return self._counts(self._registers.run((*writes[0], *writes[1], *self._look)), drive, brake)
+        certain, self._written = self._written, False
+        first, second, *seen = self._registers.run((*writes[0], *writes[1], *self._look))
+        counts = self._counts(seen, drive, brake)
+        self._written = True
+        had = PWM_WIDTH.decode(first), PWM_WIDTH.decode(second)
+        if certain and had != (before[::-1] if reverse else before):
+            raise LinkError(
+                f"the board had PWM widths {had[::-1] if reverse else had}, last written were {before}: is there another master, or was it reset?"
+            )
+        return counts
 
     def _write_safe(self) -> None:
         """Both widths zero, the second even if the first cannot be written; then read them back."""
@@ -256,6 +268,12 @@ _FIELDS: Final = _fields()
 
 def _width(channel: int, width: int) -> tuple[Write, Write]:
     return Write(PWM_INDEX.offset, channel), Write(PWM_WIDTH.offset, width)
+
+
+def _exchanged(channel: int, width: int) -> tuple[Step, ...]:
+    """What there was, and `width` in its place."""
+    select, write = _width(channel, width)
+    return select, PWM_WIDTH.offset, write
 
 
 def _read(register: Register, channel: int | None) -> tuple[Step, ...]:

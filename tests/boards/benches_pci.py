@@ -73,6 +73,8 @@ class RegisterLink(Link):
         self.change_answer: Callable[[bytes], bytes] = bytes
         self.change_next_answer: Callable[[bytes], bytes] | None = None
         self.change_next_value: tuple[tuple[int, int | None], Callable[[int], int]] | None = None
+        self.values_to_pass = 0
+        """As many such values come through before the one that is changed."""
         self.refuse_next: Callable[[Write | int], bool] | None = None
         self._inner = inner
         self._selected: dict[int, int] = {}
@@ -111,12 +113,14 @@ class RegisterLink(Link):
 
     def _changed(self, answer: bytes) -> bytes:
         which, change = self.change_next_value or (None, int)
-        if which not in self._asked:
+        places = [at for at, asked in enumerate(self._asked) if asked == which]
+        if len(places) <= self.values_to_pass:
+            self.values_to_pass -= len(places)
             return answer
         self.change_next_value = None
         self.failed += 1
         number, values = decode_answer(answer)
-        at = self._asked.index(which)
+        at = places[self.values_to_pass]
         return encode_answer(number, [*values[:at], change(values[at]), *values[at + 1 :]])
 
     def _count(self) -> None:
@@ -231,6 +235,7 @@ class PciBench:
         refusals = {"command not delivered": is_width, "request not delivered": lambda step: step == LOGIC.offset}
         self.link.change_next_answer = answers.get(way)
         self.link.change_next_value = values.get(way)
+        self.link.values_to_pass = 1 if "echo" in way else 0  # the first is what was there before
         self.link.refuse_next = refusals.get(way)
 
 

@@ -33,7 +33,9 @@ class TestExchange:
     def test_it_writes_both_widths_then_asks_for_version_widths_and_counters(self, new_pci_bench):
         bench = new_pci_bench()
         with bench.board:
-            assert steps_of(bench, 1.0, 0.2) == [DRIVE, Write(WIDTH, 255), BRAKE, Write(WIDTH, 51), *LOOK]
+            assert steps_of(bench, 1.0, 0.2) == [
+                DRIVE, WIDTH, Write(WIDTH, 255), BRAKE, WIDTH, Write(WIDTH, 51), *LOOK,
+            ]  # fmt: skip
 
     @pytest.mark.parametrize(
         ("before", "after", "first"),
@@ -56,11 +58,11 @@ class TestExchange:
         bench = new_pci_bench()
         with bench.board:
             bench.exchange(0.0, 0.6)
-            bench.strike({bench.link.operations + 2: LinkError("no answer")})
+            bench.strike({bench.link.operations + 4: LinkError("no answer")})
             bench.exchange(1.0, 0.0)
             assert bench.device.duties == OFF
 
-    @pytest.mark.parametrize("moment", range(18))
+    @pytest.mark.parametrize("moment", range(20))
     def test_a_master_that_moves_the_pwm_index_does_not_go_unnoticed(self, new_pci_bench, moment):
         bench = new_pci_bench()
         with bench.board:
@@ -74,6 +76,20 @@ class TestExchange:
             bench.link.before_operation = interfere
             sample = bench.exchange(0.4, 0.2)
             assert sample.board_flags is BoardFlags.STALE or bench.device.duties == (0.4, 0.2)
+
+    @pytest.mark.parametrize("widths", [(255, 0), (0, 255), (52, 102), (0, 0)])
+    def test_a_width_that_another_program_wrote_between_two_exchanges_fails_the_next_one(self, new_pci_bench, widths):
+        bench = new_pci_bench()
+        with bench.board as board:
+            bench.exchange(0.2, 0.4)
+            for channel, width in zip((DRIVE, BRAKE), widths, strict=True):
+                bench.face.face.write(*channel)
+                bench.face.face.write(WIDTH, width)
+            sample = bench.exchange(0.4, 0.2)
+            assert sample.board_flags is BoardFlags.STALE
+            assert f"the board had PWM widths {widths}, last written were (51, 102)" in str(board.last_error)
+            assert bench.device.duties == (0.4, 0.2)
+            assert bench.exchange(0.4, 0.2).board_flags is BoardFlags.NONE
 
     @pytest.mark.parametrize(("raw", "text"), [(ALL_ONES, "no board answers"), (0x50E, "0x050E"), (0, "0x0000")])
     def test_a_board_that_is_gone_or_another_fails_the_exchange(self, new_pci_bench, raw, text):
