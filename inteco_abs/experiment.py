@@ -19,7 +19,7 @@ from inteco_abs.boards.recording_link import Recording, check_recordable
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline, gains_in_force
 from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
-from inteco_abs.mock_board import Device, Truth, drawn_facts, face_of
+from inteco_abs.mock_board import Device, Face, Fault, FaultyDevice, FaultyFace, Schedule, Truth, drawn_facts, face_of
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
 from inteco_abs.realtime.by_hand import ONLY_WATCHED, RATE_HZ, Screenside
 from inteco_abs.realtime.doctor import examine
@@ -87,6 +87,8 @@ class Plan:
     """Name and version of the installed package that the controller comes from; empty if from none."""
     live_port: int | None = None
     """Where to serve a real-time run to viewers on this computer; 0 for any port that is free, None for not at all."""
+    faults: tuple[Fault, ...] = ()
+    """What the mock board does wrong."""
 
 
 def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, screen: Screen | None = None) -> Account:
@@ -99,6 +101,10 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
     check_kind(plan.board, config)
     if plan.virtual and not simulated(plan.board):
         raise ConfigError([Mistake("--virtual", f"{plan.board} is a real board, and real boards have their own time")])
+    if plan.faults and not simulated(plan.board):
+        raise ConfigError(
+            [Mistake("--inject", f"{plan.board} is a real board, and breaks by itself; only sim: can be told")]
+        )
     if plan.live_port is not None:
         _check_live(plan)
     check_output(plan.out)
@@ -221,6 +227,7 @@ def _job(config: RigConfig, plan: Plan, facts: Mapping[str, Mapping[str, str]] =
         frames=plan.frames,
         profile=profile_source(config.profile),
         live_port=plan.live_port,
+        faults=tuple(map(str, plan.faults)),
     )
 
 
@@ -232,6 +239,7 @@ class _VirtualRun:
         self._plan = plan
         self._interrupts = interrupts
         self._clock = VirtualClock(config.period_ns)
+        self._schedule = Schedule(plan.faults, self._clock.now_ns, plan.seed)
         self._truths: list[Truth] = []
         self._pipeline = pipeline
         self._session_id = str(uuid.uuid4())
@@ -245,8 +253,7 @@ class _VirtualRun:
 
     def _run(self, progress: Progress | None, screen: Screen, around: Recording) -> Account:
         plan, config = self._plan, self._config
-        face = face_of(Device(config, self._clock.now_ns, plan.seed, self._truths.append))
-        board = board_behind(around(InProcessLink(face)), config, self._clock.now_ns)
+        board = board_behind(around(InProcessLink(self._face())), config, self._clock.now_ns)
         controller = plan.controllers[config.controller.name]
         with Keeper(plan.out, self._opener(controller), self._spill()) as keeper:
             try:
@@ -264,6 +271,18 @@ class _VirtualRun:
                     error.add_note(str(second))  # the first error is what matters
                 raise
             return self._conclude(keeper, replace(self._end(board), frames=self._frames(around)))
+
+    def _face(self) -> Face:
+        told = self._config, self._clock.now_ns, self._plan.seed, self._truths.append
+        if not self._plan.faults:
+            return face_of(Device(*told))
+        clock = self._clock
+        return FaultyFace(
+            face_of,
+            FaultyDevice(*told, schedule=self._schedule),
+            wait=lambda seconds: clock.pass_ns(round(seconds * 1e9)),
+            pause=lambda seconds: clock.oversleep_ns(round(seconds * 1e9)),
+        )
 
     def _opener(self, controller: type[Controller]) -> Opener:
         now_ns = self._clock.now_ns()
@@ -321,7 +340,8 @@ class _VirtualRun:
         )
 
     def _end(self, board: Board, aborted: str = "") -> Conclusion:
-        return Conclusion(self._pipeline.reason, self._ring.written, detail_of(self._pipeline, board), aborted)
+        facts = {"injected": self._schedule.told()} if self._plan.faults else {}
+        return Conclusion(self._pipeline.reason, self._ring.written, detail_of(self._pipeline, board), aborted, facts)
 
     def _frames(self, around: Recording) -> Frames | None:
         capture = around.capture() if self._plan.frames else None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -16,8 +18,11 @@ from inteco_abs.mock_board import (
     ByteStream,
     Device,
     Face,
+    FaultyDevice,
+    FaultyFace,
     FtdiBoard,
     PtyServer,
+    Schedule,
     SocketServer,
     Truth,
     TruthLog,
@@ -28,12 +33,13 @@ from inteco_abs.mock_board import (
     face_of,
     ftdi_identity,
     parse_address,
+    parse_faults,
 )
 from inteco_abs.mock_board.usb_device import UsbDevice
 from inteco_abs.realtime.hearing import hearing
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import BOARD_PRIORITY, guardian_wishes, prepare
-from inteco_abs.realtime.memory import RunMemory, Word, alive
+from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
 from inteco_abs.records import TRUTH
 
 _LOOK_S: Final = 0.1
@@ -59,12 +65,31 @@ def main(path: str) -> int:
         with suppress(BufferError):  # nobody records: a board does not stop for that
             ring.append(truth)
 
-    face = face_of(Device(job.config, time.monotonic_ns, job.seed, observe))
+    schedule = Schedule(parse_faults(job.faults), time.monotonic_ns, job.seed)
+    face = _face(job, memory, schedule, observe)
     server = SocketServer(face, str(memory.socket))
     prepare(guardian_wishes(BOARD_PRIORITY))
-    _serve(server, memory)
+    _serve(server, memory, schedule)
     server.close()
     return 0
+
+
+def _face(job: Job, memory: RunMemory, schedule: Schedule, observe: Callable[[Truth], None]) -> Face:
+    if not job.faults:
+        return face_of(Device(job.config, time.monotonic_ns, job.seed, observe))
+    device = FaultyDevice(job.config, time.monotonic_ns, job.seed, observe, schedule=schedule)
+
+    def pause(seconds: float) -> None:
+        """The computer stands still; only the board, which is none of it, goes on once it is over."""
+        loop = memory.words[Word.LOOP_PID]
+        os.kill(loop, signal.SIGSTOP)
+        try:
+            time.sleep(seconds)
+        finally:
+            with suppress(ProcessLookupError):
+                os.kill(loop, signal.SIGCONT)
+
+    return FaultyFace(face_of, device, time.sleep, pause)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +159,7 @@ def _be_quick() -> None:
     prepare([wish for wish in guardian_wishes(BOARD_PRIORITY) if wish.name != "signals"])
 
 
-def _serve(server: SocketServer, memory: RunMemory) -> None:
+def _serve(server: SocketServer, memory: RunMemory, schedule: Schedule) -> None:
     words = memory.words
     looked = alone_since = time.monotonic()
     while not words[Word.OVER]:
@@ -143,6 +168,8 @@ def _serve(server: SocketServer, memory: RunMemory) -> None:
         if now - looked < _LOOK_S:
             continue
         looked = now
+        if schedule.times:
+            memory.post(Note.INJECTED, schedule.told())
         if server.busy or alive(words[Word.SUPERVISOR_PID]):
             alone_since = now
         elif now - alone_since > _LINGER_S:

@@ -83,6 +83,13 @@ _LIVE_PORT: Final = 8765
     help=f"Also show the run to Lichtblick or Foxglove on this computer while it lasts; default port: {_LIVE_PORT}, "
     "0 is any that is free.",
 )
+@click.option(
+    "--inject",
+    "faults",
+    multiple=True,
+    metavar="FAULT",
+    help="Let the mock board fail, as in lose@brake+20ms or road-stuck@drive+2s; `inteco-abs faults` lists all.",
+)
 @live_options
 @json_option
 def run(
@@ -99,6 +106,7 @@ def run(
     wire: Path | None,
     frames: bool,
     live_port: int | None,
+    faults: tuple[str, ...],
     live: str | None,
     quiet: bool,
     as_json: bool,
@@ -108,7 +116,7 @@ def run(
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check, preferred_estimator
     from inteco_abs.experiment import Plan, run_stop
-    from inteco_abs.mock_board import rig_check
+    from inteco_abs.mock_board import parse_faults, rig_check
     from inteco_abs.views.figure import check_figure
 
     controllers = known_controllers(controller)
@@ -126,7 +134,7 @@ def run(
     out = out or _default_out()
     insist_on_different({"--out": out, "--figure": figure, "--record-wire": wire})
     source, package = controllers.origin(rig.controller.name)
-    plan = Plan(out, board, virtual, seed, controllers, source, wire, frames, package, live_port)
+    plan = Plan(out, board, virtual, seed, controllers, source, wire, frames, package, live_port, parse_faults(faults))
     if not virtual:
         _tell_of_left_rings()
     with screen_of(rig, live, virtual=virtual, quiet=quiet) as screen:
@@ -163,6 +171,9 @@ def _tell(stop: Account, *, as_json: bool, quiet: bool) -> None:
         from inteco_abs.sessions import previous_card
 
         print_card(stop.card, stop.explanation, previous_card(stop.card))
+    for fault, times in stop.injected.items():
+        acted = "never acted: was the run over before?" if times == "0" else f"acted {times} times"
+        click.echo(f"inteco-abs: injected {fault}: {acted}", err=True)
     if stop.outcome != "completed":
         click.echo(f"inteco-abs: {stop.outcome}: {stop.explanation}", err=True)
     if stop.trouble:

@@ -16,6 +16,7 @@ from inteco_abs.cli.demo import demo
 from inteco_abs.cli.design import design
 from inteco_abs.cli.diff import diff
 from inteco_abs.cli.doctor import doctor
+from inteco_abs.cli.faults import faults
 from inteco_abs.cli.golden import golden
 from inteco_abs.cli.health import recover, validate
 from inteco_abs.cli.identify import identify
@@ -74,6 +75,7 @@ _VERBS: Final = (
     controllers,
     estimators,
     profiles,
+    faults,
     config,
     completion,
 )

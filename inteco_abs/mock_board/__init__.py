@@ -5,6 +5,7 @@ from typing import Final
 
 from inteco_abs.mock_board.device import Cable, Device, Truth
 from inteco_abs.mock_board.face import Face
+from inteco_abs.mock_board.faults import KINDS, Event, Fault, FaultyDevice, FaultyFace, Schedule, parse_faults
 from inteco_abs.mock_board.ftdi import FtdiBoard, ftdi_identity
 from inteco_abs.mock_board.pci import PciFace
 from inteco_abs.mock_board.pty_board import PtyServer
@@ -20,14 +21,20 @@ from inteco_abs.mock_board.usbip import Facts, UsbIpServer
 from inteco_abs.mock_board.usbip_address import TcpAddress, UnixAddress, parse_address
 
 __all__ = [
+    "KINDS",
     "ByteStream",
     "Cable",
     "Device",
+    "Event",
     "Face",
     "Facts",
+    "Fault",
+    "FaultyDevice",
+    "FaultyFace",
     "FtdiBoard",
     "PciFace",
     "PtyServer",
+    "Schedule",
     "SocketServer",
     "Speed",
     "TcpAddress",
@@ -45,6 +52,7 @@ __all__ = [
     "face_of",
     "ftdi_identity",
     "parse_address",
+    "parse_faults",
     "rig_check",
     "simulated_rig",
 ]

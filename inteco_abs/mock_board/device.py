@@ -241,11 +241,15 @@ class Device:
         """Move the rig on to the present."""
         now = self._now_ns()
         if now > self._time_ns:
-            drive, brake = self._duties
+            drive, brake = self._motors()
             self.plant.advance(drive, brake, (now - self._time_ns) / 1e9)
             if self._hand is not None:
                 self._turn_on(self._hand, now)
             self._time_ns = now
+
+    def _motors(self) -> tuple[float, float]:
+        """What drive and brake get of the board's duties."""
+        return self._duties
 
     def _turn_on(self, hand: _Hand, now: int) -> None:
         moved_ns = min(now, hand.end_ns) - self._time_ns

@@ -7,6 +7,7 @@ import socket
 from typing import Final
 
 from firmware_protocol.local_socket import GREETING
+from inteco_abs.errors import LinkError
 from inteco_abs.mock_board.face import Face
 
 _LARGEST: Final = 4096
@@ -56,10 +57,16 @@ class SocketServer:
             data = host.recv(_LARGEST)
         except OSError:
             data = b""
-        if not data:
-            host.close()
-            self._host = None
-            return
+        try:
+            if data:
+                self._answer(host, data)
+                return
+        except LinkError:
+            pass  # a pulled cable: the host learns it as a USB host does
+        host.close()
+        self._host = None
+
+    def _answer(self, host: socket.socket, data: bytes) -> None:
         self._face.bulk_out(data)
         while answer := self._face.bulk_in(_LARGEST):
             try:

@@ -36,21 +36,39 @@ class Clock(Protocol):
 
 
 class VirtualClock:
-    """Time that moves on by one period with each beat, and only then. Starts at 0."""
+    """Time that moves on by one period with each beat, and when told to. Starts at 0."""
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
         self._now_ns = 0
+        self._asleep_ns = 0
 
     def now_ns(self) -> int:
-        """Time of the newest beat, ns."""
+        """Time of the newest beat and what has passed since, ns."""
         return self._now_ns
 
+    def pass_ns(self, duration_ns: int) -> None:
+        """Let time pass before the next beat."""
+        self._now_ns += duration_ns
+
+    def oversleep_ns(self, duration_ns: int) -> None:
+        """Make the next beat so much late."""
+        self._asleep_ns += duration_ns
+
     def __iter__(self) -> Iterator[Beat]:
-        """Beats without waiting."""
+        """Beats without waiting, at multiples of the period; those that have passed are left out."""
+        period = self._period_ns
+        deadline = self._now_ns
         while True:
-            self._now_ns += self._period_ns
-            yield Beat(self._now_ns, 0)
+            deadline += period
+            now = self._now_ns
+            skipped = 0
+            if now > deadline:
+                skipped = (now - deadline) // period
+                deadline += skipped * period
+            self._now_ns = max(now, deadline) + self._asleep_ns
+            self._asleep_ns = 0
+            yield Beat(deadline, skipped)
 
 
 class PacedClock:

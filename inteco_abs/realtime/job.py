@@ -48,6 +48,8 @@ class Job:
     """The profile as it was written."""
     live_port: int | None = None
     """Where to serve the run to viewers; 0 for any port that is free, None for not at all."""
+    faults: tuple[str, ...] = ()
+    """What the mock board is to do wrong, as it was typed."""
 
     def post(self, memory: RunMemory) -> None:
         """Leave it for the others."""

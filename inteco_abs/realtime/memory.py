@@ -113,6 +113,8 @@ class Note(IntEnum):
     RESULT = auto()
     SURROUNDINGS = auto()
     """Packages and changes of the source tree, which take the recorder too long to be gathered twice."""
+    INJECTED = auto()
+    """How often each fault of the mock board has acted."""
     TROUBLES = auto()
     """What the recorder has to say of its disks, and which file it writes by now."""
 

@@ -227,6 +227,9 @@ def conclusion(memory: RunMemory) -> Conclusion:
     """How the run ended, as far as its memory tells."""
     written = memory.tick_reader().written
     timing = {"timing": {"late_us.histogram": json.dumps(memory.histogram.sparse())}}
+    injected = memory.note(Note.INJECTED)
+    if injected:
+        timing["injected"] = injected
     told = memory.note(Note.CONCLUSION)
     # a loop that was taken for hung or dead has nothing more to say
     if told is None or memory.words[Word.RESCUED_PID] == memory.words[Word.LOOP_PID] != 0:

@@ -87,6 +87,9 @@ class Account:
     trouble: str = ""
     """What a disk has refused, and what came of it, or why there are no raw frames; empty if nothing went wrong."""
 
+    injected: Mapping[str, str] = field(default_factory=dict)
+    """How often each fault that the mock board was told to have has acted, by its text."""
+
     @property
     def exit_code(self) -> int:
         """5 safety stop, 130 interrupted, 3 done with overruns, losses or trouble with what was to be kept, 0 done."""
@@ -194,7 +197,7 @@ class Scribe:
         told = {"last_tick": self._last_tick() if outcome != "completed" else "", "died": ", ".join(end.died)}
         self._recorder.describe("session", {name: text for name, text in told.items() if text})
         self._recorder.finish(outcome, explanation, card)
-        return Account(outcome, end.reason, explanation, card, missing)
+        return Account(outcome, end.reason, explanation, card, missing, end.facts.get("injected", {}))
 
     def _enclose_frames(self, frames: Frames) -> str:
         """What has passed between host and board, behind all ticks; if it was not kept, why."""

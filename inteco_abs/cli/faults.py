@@ -1,0 +1,35 @@
+"""The verb `inteco-abs faults`."""
+
+from __future__ import annotations
+
+import click
+
+from inteco_abs.cli.shared import json_option, print_json
+
+
+@click.command()
+@json_option
+def faults(as_json: bool) -> int:
+    """List what the mock board can do wrong, for `run --inject KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG]`."""
+    from inteco_abs.mock_board.faults import KINDS, Event
+
+    if as_json:
+        found = {
+            name: {
+                "meaning": kind.meaning,
+                "value": kind.value._asdict() if kind.value else None,
+                "lasting": kind.lasting,
+            }
+            for name, kind in KINDS.items()
+        }
+        print_json({"schema_version": 1, "faults": found, "events": [event.value for event in Event]})
+        return 0
+    usages = {name: f"{name}{kind.value.usage if kind.value else ''}" for name, kind in KINDS.items()}
+    width = max(map(len, usages.values()))
+    for name, kind in KINDS.items():
+        click.echo(f"{usages[name]:{width}}  {kind.meaning}{'; for good' if kind.lasting else ''}")
+    click.echo(
+        "\nWHEN and HOW LONG are times, as 500us, 20ms, 1.5s, or exchanges, as #40.\nEVENT is start, drive (energised for "
+        "the first time), coast (taken away) or brake.\nWithout HOW LONG a fault lasts for one exchange, or for good."
+    )
+    return 0

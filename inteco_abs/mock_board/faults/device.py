@@ -1,0 +1,91 @@
+"""The device model with faults between the board and the wheels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from inteco_abs.config import RigConfig
+from inteco_abs.mock_board.device import Device, Truth
+from inteco_abs.mock_board.faults.fault import Fault
+from inteco_abs.mock_board.faults.schedule import Schedule
+
+_COUNTER_RANGE: Final = 1 << 32
+_ENCODERS: Final = ("road", "wheel")
+_MOTORS: Final = ("drive", "brake")
+
+
+class FaultyDevice(Device):
+    """A device whose encoders and motors do what `schedule` says."""
+
+    def __init__(
+        self,
+        config: RigConfig,
+        now_ns: Callable[[], int],
+        seed: int = 0,
+        observe: Callable[[Truth], None] | None = None,
+        *,
+        schedule: Schedule,
+        **more: Any,
+    ) -> None:
+        self.schedule = schedule
+        self._held: dict[str, int] = {}
+        self._was = [0, 0]
+        self._off = [0, 0]
+        """How far the counters that are shown are from the true ones, in counts."""
+        super().__init__(config, now_ns, seed, observe, **more)
+        self._was = list(super().counts())
+
+    def counts(self) -> tuple[int, int]:
+        """Counters of road and wheel as the faulty encoders make them."""
+        true = super().counts()
+        shown = [self._count(i, name, count) for i, (name, count) in enumerate(zip(_ENCODERS, true, strict=True))]
+        self._was = list(true)
+        if self.schedule.acting("encoders-swapped"):
+            shown.reverse()
+        return _two_complement(shown[0]), _two_complement(shown[1])
+
+    def start_anew(self, settings: dict[str, int]) -> None:
+        """A brown-out: both counters at zero, and `settings` in force."""
+        self.catch_up()
+        self._off = [-count for count in super().counts()]
+        self.settings.clear()
+        self.settings.update(settings)
+        self._update_duties()
+        self.observe()
+
+    def _count(self, i: int, name: str, count: int) -> int:
+        act, step = self.schedule.acting, _two_complement(count - self._was[i])
+        if act(f"{name}-stuck"):
+            self._off[i] -= step
+        elif act(f"{name}-reversed"):
+            self._off[i] -= 2 * step
+        elif slips := act(f"{name}-slips"):
+            self._off[i] -= round(slips.value * step)
+        if jump := self.schedule.once(f"{name}-jump"):
+            self._off[i] += int(jump.value)
+        shown = count + self._off[i]
+        if act(f"{name}-dither"):
+            shown = self._held.setdefault(name, shown)
+            return shown + (count & 1)
+        if noisy := act(f"{name}-noisy"):
+            most = int(noisy.value)
+            return shown + self.schedule.random.randint(-most, most)
+        return shown
+
+    def _motors(self) -> tuple[float, float]:
+        drive, brake = super()._motors()
+        self.schedule.outputs(drive, brake)
+        if self.schedule.acting("power-off"):
+            return 0.0, 0.0
+        return self._motor("drive", drive), self._motor("brake", brake)
+
+    def _motor(self, name: str, duty: float) -> float:
+        fault: Fault | None = self.schedule.acting(f"{name}-dead", f"{name}-stuck", f"{name}-weak")
+        if fault is None:
+            return duty
+        return {"dead": 0.0, "stuck": fault.value, "weak": fault.value * duty}[fault.name.partition("-")[2]]
+
+
+def _two_complement(count: int) -> int:
+    return (count + _COUNTER_RANGE // 2) % _COUNTER_RANGE - _COUNTER_RANGE // 2

@@ -1,0 +1,154 @@
+"""One fault: what, when and for how long, as text and as a value."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple
+
+from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.mock_board.faults.kinds import KINDS, Kind
+
+_FORM: Final = re.compile(r"(?P<kind>[^=@/]+)(?:=(?P<value>[^@/]*))?@(?P<when>[^/]+)(?:/(?P<lasts>.+))?")
+_SPAN: Final = re.compile(
+    r"(?:#(?P<exchanges>[0-9]{1,9}))|(?:(?P<number>[0-9]{1,9}(?:\.[0-9]{1,9})?)(?P<unit>us|ms|s))"
+)
+_NS: Final = {"us": 1e3, "ms": 1e6, "s": 1e9}
+_EXAMPLE: Final = "as in lose@brake+20ms, road-stuck@3.5s, late=2@drive+#100/#5"
+
+
+class Event(Enum):
+    """From when on a fault is timed."""
+
+    START = "start"
+    """The board is opened."""
+    DRIVE = "drive"
+    """The drive is energised for the first time."""
+    COAST = "coast"
+    """The drive is taken away for the first time."""
+    BRAKE = "brake"
+    """The brake is energised for the first time."""
+
+
+class Span(NamedTuple):
+    """A time or a number of exchanges."""
+
+    ns: int = 0
+    exchanges: int = 0
+
+
+_AT_ONCE: Final = Span()
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Something that goes wrong `after` an event, for as long as it `lasts` (None: for good).
+
+    `value` is in the unit of its kind; NaN for kinds that have none.
+    """
+
+    name: str
+    event: Event = Event.START
+    after: Span = _AT_ONCE
+    lasts: Span | None = None
+    value: float = math.nan
+
+    @property
+    def kind(self) -> Kind:
+        """What it means."""
+        return KINDS[self.name]
+
+    @property
+    def word(self) -> str:
+        """The value, of a kind whose values are words; else empty."""
+        words = self.kind.value.words if self.kind.value else ()
+        return words[int(self.value)] if words else ""
+
+    def __str__(self) -> str:
+        default = self.kind.value.default if self.kind.value else None
+        plain = math.isnan(self.value) or self.value == default
+        value = "" if plain else f"={self.word or format(self.value, '.15g')}"
+        lasts = "" if self.lasts is None else f"/{_text(self.lasts)}"
+        return f"{self.name}{value}@{self.event.value}+{_text(self.after)}{lasts}"
+
+
+def parse_faults(texts: Iterable[str], option: str = "--inject") -> tuple[Fault, ...]:
+    """Faults as they are typed; raises ConfigError with all that are wrong, named by `option`."""
+    faults, mistakes = [], []
+    for text in texts:
+        try:
+            faults.append(parse_fault(text))
+        except ValueError as error:
+            mistakes.append(Mistake(option, f"{text[:80]!r}: {error}"))
+    if mistakes:
+        raise ConfigError(mistakes)
+    return tuple(faults)
+
+
+def parse_fault(text: str) -> Fault:
+    """`KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG]`; times as 20ms, 1.5s or #40 exchanges. Raises ValueError."""
+    form = _FORM.fullmatch(text)
+    if form is None:
+        raise ValueError(f"must be KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG], {_EXAMPLE}")
+    name = form["kind"]
+    if name not in KINDS:
+        raise ValueError(f"there is no fault {name!r}{near_match(name, KINDS)}")
+    kind = KINDS[name]
+    event, after = _moment(form["when"])
+    lasts = _span(form["lasts"]) if form["lasts"] else None if kind.lasting else Span(exchanges=1)
+    return Fault(name, event, after, lasts, _value_of(kind, name, form["value"]))
+
+
+def _moment(text: str) -> tuple[Event, Span]:
+    word, plus, rest = text.partition("+")
+    if plus or word in {event.value for event in Event}:
+        try:
+            event = Event(word)
+        except ValueError:
+            events = ", ".join(each.value for each in Event)
+            raise ValueError(f"nothing is timed from {word!r}, only from: {events}") from None
+        return event, _span(rest) if plus else Span()
+    return Event.START, _span(text)
+
+
+def _span(text: str) -> Span:
+    form = _SPAN.fullmatch(text)
+    if form is None:
+        raise ValueError(f"{text!r} is no time: say 500us, 20ms, 1.5s, or #40 for forty exchanges")
+    if form["exchanges"]:
+        return Span(exchanges=int(form["exchanges"]))
+    return Span(ns=round(float(form["number"]) * _NS[form["unit"]]))
+
+
+def _value_of(kind: Kind, name: str, text: str | None) -> float:
+    wanted = kind.value
+    if wanted is None:
+        if text is not None:
+            raise ValueError(f"{name} takes no value; leave ={text} out")
+        return math.nan
+    if text is None:
+        if wanted.default is None:
+            raise ValueError(f"{name} needs a value, as in {name}={_allowed(kind)}")
+        return wanted.default
+    if wanted.words:
+        if text not in wanted.words:
+            raise ValueError(f"{text!r}: {name} knows {', '.join(wanted.words)}")
+        return float(wanted.words.index(text))
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not wanted.low <= number <= wanted.high:
+        raise ValueError(f"{text!r}: {name} takes a number in {wanted.low:g}..{wanted.high:g} {wanted.unit}".rstrip())
+    return number
+
+
+def _allowed(kind: Kind) -> str:
+    return "0.5" if kind.value is None or kind.value.high <= 1.0 else "20"
+
+
+def _text(span: Span) -> str:
+    return f"#{span.exchanges}" if span.exchanges or not span.ns else f"{span.ns / 1e6:.15g}ms"

@@ -1,0 +1,91 @@
+"""The kinds of faults, with what they mean and the value that each takes."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+_COUNTS: Final = float(1 << 31)
+
+
+class Value(NamedTuple):
+    """The number after a fault's name, or one of a few words."""
+
+    unit: str
+    low: float = -math.inf
+    high: float = math.inf
+    default: float | None = None
+    """None: it must be given."""
+    words: tuple[str, ...] = ()
+    """If there are any, the value is one of these, and kept as its place among them."""
+
+    @property
+    def usage(self) -> str:
+        """How it is typed after the name."""
+        typed = "=" + ("|".join(self.words) or (self.unit or f"{self.low:g}..{self.high:g}").upper())
+        return typed if self.default is None else f"[{typed}]"
+
+
+class Kind(NamedTuple):
+    """One kind of fault."""
+
+    meaning: str
+    value: Value | None = None
+    lasting: bool = False
+    """Whether it lasts for good unless told otherwise; else for one exchange."""
+
+
+_BIT: Final = Value("bit", 0, 1 << 14, default=-1)
+_SHARE: Final = Value("", 0.0, 1.0)
+_NOISE: Final = Value("counts", 1, _COUNTS)
+_JUMP: Final = Value("counts", -_COUNTS, _COUNTS)
+_TIME: Final = Value("ms", 0.001, 60_000.0)
+
+ON_THE_WIRE: Final[dict[str, Kind]] = {
+    "lose": Kind("the answer is lost"),
+    "lose-command": Kind("what the host sends is lost"),
+    "late": Kind("the exchange takes so much longer", _TIME),
+    "overdue": Kind("the answer comes after its request has timed out, before the next one"),
+    "twice": Kind("the answer comes twice"),
+    "swap": Kind("the answer comes after the next one"),
+    "stale": Kind("the answer is the one before again"),
+    "corrupt": Kind("one bit of the answer flips; without a number, any", _BIT),
+    "corrupt-command": Kind("one bit of what the host sends flips", _BIT),
+    "cut": Kind("the answer ends after so many bytes", Value("bytes", 0, 2048)),
+    "splice": Kind("so many bytes of the answer are new, the rest is of the one before", Value("bytes", 1, 2048)),
+    "identity": Kind("another board's answer: its header is not the one that was identified", lasting=True),
+    "stall": Kind("the board neither hears nor answers, and holds its outputs", lasting=True),
+    "unplug": Kind("the cable is pulled, and the board holds its outputs", lasting=True),
+    "reset": Kind(
+        "the board starts anew: counters at zero, outputs as told",
+        Value("", default=0.0, words=("zero", "held", "random")),
+    ),
+    "master": Kind("another program repeats the strongest command it has heard, between ours", lasting=True),
+    "pause": Kind("the computer stands still for so long, between two exchanges", _TIME),
+}
+"""Between the host and the board."""
+
+ON_THE_RIG: Final[dict[str, Kind]] = {
+    **{
+        f"{wheel}-{name}": Kind(meaning.format(wheel), value, lasting)
+        for wheel in ("road", "wheel")
+        for name, meaning, value, lasting in (
+            ("stuck", "the {} encoder's counter stands still", None, True),
+            ("dither", "one of the {} encoder's two channels is dead: its counter goes to and fro", None, True),
+            ("reversed", "the {} encoder counts the other way", None, True),
+            ("noisy", "the {} encoder is off by up to so many counts, anew at each reading", _NOISE, True),
+            ("jump", "the {} encoder's counter is off by so many counts from now on", _JUMP, True),
+            ("slips", "the {} encoder loses this share of its counts", _SHARE, True),
+        )
+    },
+    "encoders-swapped": Kind("each encoder's plug is in the other's socket", lasting=True),
+    "drive-dead": Kind("the drive motor gets nothing", lasting=True),
+    "drive-stuck": Kind("the drive motor gets this duty, whatever the board puts out", _SHARE, lasting=True),
+    "brake-dead": Kind("the brake gets nothing", lasting=True),
+    "brake-weak": Kind("the brake gets this share of its duty", _SHARE, lasting=True),
+    "brake-stuck": Kind("the brake gets this duty, whatever the board puts out", _SHARE, lasting=True),
+    "power-off": Kind("the power interface is off: emergency switch, heat or supply", lasting=True),
+}
+"""Between the board and the wheels."""
+
+KINDS: Final = {**ON_THE_WIRE, **ON_THE_RIG}

@@ -1,0 +1,81 @@
+"""When the faults of a run act, and whether they were seen to."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+
+from inteco_abs.mock_board.faults.fault import Event, Fault
+
+
+class Schedule:
+    """Faults of one run, on the clock of the board.
+
+    Told of exchanges and of the outputs; asked by those who act. `seed` makes what is random about a fault the same
+    each time.
+    """
+
+    def __init__(self, faults: Sequence[Fault], now_ns: Callable[[], int], seed: int = 0) -> None:
+        self.random = random.Random(seed)
+        self.exchange = 0
+        """Number of exchanges that have begun."""
+        self.times = dict.fromkeys(map(str, faults), 0)
+        """How often each fault has acted, by its text: one that never has was no test of anything."""
+        self.first_ns: dict[str, int] = {}
+        """When it first did."""
+        self._faults = tuple(faults)
+        self._began: dict[int, tuple[int, int]] = {}
+        self._over: set[int] = set()
+        self._now_ns = now_ns
+        self._events = {Event.START: (now_ns(), 0)}
+
+    def outputs(self, drive: float, brake: float) -> None:
+        """What the board puts out now, as duties."""
+        if drive > 0.0:
+            self._note(Event.DRIVE)
+        elif Event.DRIVE in self._events:
+            self._note(Event.COAST)
+        if brake > 0.0:
+            self._note(Event.BRAKE)
+
+    def acting(self, *names: str) -> Fault | None:
+        """The first fault of one of these kinds that acts now, counted as seen; None if there is none."""
+        for i, fault in enumerate(self._faults):
+            if fault.name in names and self._acts(i, fault):
+                return self._seen(fault)
+        return None
+
+    def once(self, name: str) -> Fault | None:
+        """A fault that acts now and is over with it, however long it lasts."""
+        for i, fault in enumerate(self._faults):
+            if fault.name == name and i not in self._over and self._acts(i, fault):
+                self._over.add(i)
+                return self._seen(fault)
+        return None
+
+    def told(self) -> dict[str, str]:
+        """How often each fault has acted, as text."""
+        return {name: str(times) for name, times in self.times.items()}
+
+    def _seen(self, fault: Fault) -> Fault:
+        text = str(fault)
+        self.times[text] += 1
+        self.first_ns.setdefault(text, self._now_ns())
+        return fault
+
+    def _acts(self, i: int, fault: Fault) -> bool:
+        now = self._now_ns(), self.exchange
+        began = self._began.get(i)
+        if began is None:
+            event = self._events.get(fault.event)
+            if event is None or now[0] < event[0] + fault.after.ns or now[1] < event[1] + fault.after.exchanges:
+                return False
+            began = self._began[i] = now
+        lasts = fault.lasts
+        if lasts is None:
+            return True
+        return now[1] < began[1] + lasts.exchanges if lasts.exchanges else now[0] < began[0] + lasts.ns
+
+    def _note(self, event: Event) -> None:
+        if event not in self._events:
+            self._events[event] = self._now_ns(), self.exchange

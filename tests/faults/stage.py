@@ -1,0 +1,104 @@
+"""A whole stop in virtual time on a mock board that fails as told, and what the board's own record says of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+
+from inteco_abs.boards import InProcessLink, board_behind
+from inteco_abs.config import RigConfig, load_config
+from inteco_abs.control import build_pipeline
+from inteco_abs.errors import AbsError, UnsafeError
+from inteco_abs.mock_board import Fault, FaultyDevice, FaultyFace, Schedule, Truth, face_of, parse_faults
+from inteco_abs.realtime.clock import VirtualClock
+from inteco_abs.realtime.loop import Loop, StopWord
+from inteco_abs.signals import Phase, Reason, Tick
+
+AS_ON_A_REAL_BOARD = ("guard.missed_in_a_row=4", "guard.bucket_limit=30")
+"""The mock's own profile tolerates pauses of shared computers."""
+
+
+@cache
+def configured(*settings: str, profile: str = "sim_usb2") -> RigConfig:
+    return load_config(settings=[*AS_ON_A_REAL_BOARD, *settings], profile=profile)
+
+
+@dataclass
+class Ride:
+    """What became of a stop."""
+
+    period_ns: int
+    ticks: list[Tick] = field(default_factory=list)
+    truths: list[Truth] = field(default_factory=list)
+    reason: Reason = Reason.NONE
+    refused: AbsError | None = None
+    """What kept the board from being opened, or SAFE from being confirmed."""
+    duties: tuple[float, float] = (0.0, 0.0)
+    """At the device's terminals, after everything."""
+    times: dict[str, int] = field(default_factory=dict)
+    first_ns: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def unsafe(self) -> bool:
+        """Whether the user was told that motor power may still be on."""
+        return isinstance(self.refused, UnsafeError)
+
+    @property
+    def over_ns(self) -> int:
+        """Since when both outputs have been off for good, by the device's own record."""
+        last = 0
+        for truth, following in zip(self.truths, self.truths[1:], strict=False):
+            if truth.drive or truth.brake:
+                last = following.time_ns
+        return last
+
+    @property
+    def reaction_ticks(self) -> float:
+        """Periods from the first act of a fault until both outputs were off for good; 0 if they were off before."""
+        return max(0, self.over_ns - min(self.first_ns.values())) / self.period_ns
+
+    @property
+    def phases(self) -> set[Phase]:
+        return {tick.phase for tick in self.ticks}
+
+
+class Rows:
+    """A ring that keeps ticks as they are."""
+
+    def __init__(self) -> None:
+        self.ticks: list[Tick] = []
+
+    def append(self, tick: Tick) -> None:
+        self.ticks.append(tick)
+
+
+def ride(
+    config: RigConfig, faults: Sequence[str | Fault] = (), seed: int = 0, most_ticks: int = 40_000, stop_at: int = -1
+) -> Ride:
+    """One stop with `faults`; `stop_at`: tick at which the operator asks for the end."""
+    clock = VirtualClock(config.period_ns)
+    parsed = [fault if isinstance(fault, Fault) else parse_faults([fault])[0] for fault in faults]
+    schedule = Schedule(parsed, clock.now_ns, seed)
+    result = Ride(config.period_ns)
+    device = FaultyDevice(config, clock.now_ns, seed, result.truths.append, schedule=schedule)
+    face = FaultyFace(
+        face_of,
+        device,
+        lambda seconds: clock.pass_ns(round(seconds * 1e9)),
+        lambda seconds: clock.oversleep_ns(round(seconds * 1e9)),
+    )
+    board = board_behind(InProcessLink(face), config, clock.now_ns)
+    pipeline, rows, stop = build_pipeline(config), Rows(), StopWord()
+    try:
+        with board:
+            loop = Loop(board, pipeline, clock, rows, stop)
+            if stop_at >= 0 and not loop.run(stop_at):
+                stop.request()
+            loop.run(most_ticks)
+            assert pipeline.finished, f"still {pipeline.phase.name} after {most_ticks} ticks"
+    except AbsError as error:
+        result.refused = error
+    device.catch_up()
+    result.ticks, result.reason, result.duties = rows.ticks, pipeline.reason, device.duties
+    result.truths.append(device.truth())
+    result.times, result.first_ns = schedule.times, schedule.first_ns
+    return result

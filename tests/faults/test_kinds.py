@@ -1,0 +1,145 @@
+"""Each kind of fault does what it says, on each kind of board, and the stop ends as it should."""
+
+import pytest
+
+from inteco_abs.errors import ConfigError
+from inteco_abs.mock_board.faults.kinds import KINDS, ON_THE_RIG, ON_THE_WIRE
+from inteco_abs.signals import BoardFlags, Phase, Reason
+from tests.faults.stage import configured, ride
+
+R = Reason
+ONCE = {
+    # one bad exchange: noticed as one that failed, and the stop goes on
+    "lose": "", "lose-command": "", "overdue": "", "swap": "", "stale": "", "cut=9": "",
+}  # fmt: skip
+FOR_GOOD = ("identity", "stall", "unplug")
+ENDS = {
+    "road-stuck": {R.ROAD_ENCODER_FROZEN},
+    "road-dither": {R.ROAD_ENCODER_FROZEN},
+    "road-reversed": {R.ROAD_BACKWARDS, R.COUNT_JUMP},
+    "road-noisy=60": {R.COUNT_JUMP, R.ENCODERS_DISAGREE, R.ROAD_BACKWARDS, R.OVER_SPEED, R.ROAD_ENCODER_FROZEN},
+    "road-jump=2000": {R.COUNT_JUMP},
+    "road-jump=-2000": {R.COUNT_JUMP},
+    "wheel-reversed": {R.ENCODERS_DISAGREE},
+    "wheel-jump=2000": {R.COUNT_JUMP},
+    "wheel-noisy=60": {R.COUNT_JUMP, R.ENCODERS_DISAGREE, R.OVER_SPEED},
+    "drive-dead": {R.ROAD_ENCODER_FROZEN, R.SPIN_UP_TIMEOUT},
+    "power-off": {R.ROAD_ENCODER_FROZEN, R.SPIN_UP_TIMEOUT},
+    "reset=zero": {R.COUNT_JUMP},
+    "reset=held": {R.COUNT_JUMP},
+    "reset=random": {R.COUNT_JUMP},
+}
+
+
+def happened(result):
+    assert all(result.times.values()), result.times
+    return result
+
+
+def failed_exchanges(result):
+    return sum(bool(tick.board_flags & BoardFlags.STALE) for tick in result.ticks)
+
+
+def test_without_a_fault_the_stop_is_whole(short):
+    result = ride(short)
+    assert (result.reason, result.refused, result.duties) == (R.NONE, None, (0.0, 0.0))
+    assert {Phase.SPIN_UP, Phase.BRAKING, Phase.DONE} <= result.phases
+    assert failed_exchanges(result) == 0
+
+
+@pytest.mark.parametrize("name", ONCE)
+@pytest.mark.parametrize("event", ["drive+40ms", "brake+20ms"])
+def test_one_bad_exchange_is_noticed_and_outlived(short, name, event):
+    result = happened(ride(short, [f"{name}@{event}"]))
+    assert (result.reason, result.refused, result.duties) == (R.NONE, None, (0.0, 0.0))
+    assert failed_exchanges(result) >= 1 or name == "lose-command"
+
+
+@pytest.mark.parametrize("name", ["twice", "late=1"])
+def test_what_does_no_harm_is_outlived(short, name):
+    result = happened(ride(short, [f"{name}@drive+40ms"]))
+    assert (result.reason, result.refused, result.duties) == (R.NONE, None, (0.0, 0.0))
+
+
+@pytest.mark.parametrize("name", FOR_GOOD)
+@pytest.mark.parametrize("event", ["drive+40ms", "brake+20ms"])
+def test_a_board_that_is_gone_ends_the_run_in_four_exchanges_and_the_user_is_told_of_the_switch(short, name, event):
+    if short.board.kind == "pci" and name == "identity":
+        with pytest.raises(ConfigError, match="on the PCI bus says what it is in no answer"):
+            ride(short, [f"{name}@{event}"])
+        return
+    result = happened(ride(short, [f"{name}@{event}"]))
+    assert result.reason is R.MISSED_EXCHANGES
+    assert result.unsafe
+    assert failed_exchanges(result) == 4
+
+
+@pytest.mark.parametrize("name", ENDS)
+def test_a_fault_of_the_rig_ends_the_run_with_its_reason_and_outputs_off(short, name):
+    result = happened(ride(short, [f"{name}@drive+60ms"]))
+    assert result.reason in ENDS[name]
+    assert result.refused is None
+    assert result.duties == (0.0, 0.0)
+
+
+def test_a_second_program_that_repeats_an_old_command_is_noticed_and_the_user_told(short):
+    result = happened(ride(short, ["master@brake+20ms"]))
+    assert result.reason is R.MISSED_EXCHANGES
+    # a bus that anybody may write to shows what was written last; what another program does afterwards nobody sees
+    assert result.unsafe or result.duties == (0.0, 0.0) or short.board.kind == "pci"
+
+
+def test_a_computer_that_stood_still_ends_the_run_at_its_first_tick_afterwards(short):
+    result = happened(ride(short, ["pause=50@drive+60ms"]))
+    assert result.reason is R.MISSED_EXCHANGES
+    assert result.refused is None
+    assert result.duties == (0.0, 0.0)
+    assert result.reaction_ticks <= 50e6 / short.period_ns + 2
+
+
+def test_a_slow_exchange_is_flagged_and_many_end_the_run(short):
+    once = happened(ride(short, ["late=5@drive+60ms"]))
+    assert any(tick.board_flags & BoardFlags.SLOW for tick in once.ticks)
+    many = happened(ride(short, ["late=5@drive+60ms/1s"]))
+    assert many.reason is R.MISSED_EXCHANGES
+    assert many.duties == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "moves"),
+    [("brake-stuck=1", "wheel"), ("brake-dead", "brake"), ("brake-weak=0.1", "brake"), ("drive-stuck=1", "drive")],
+)
+def test_motors_get_what_the_fault_gives_them(name, moves):
+    config = configured("experiment.start_speed_rad_s=10")
+    event = "brake" if moves == "brake" else "drive"
+    result, healthy = happened(ride(config, [f"{name}@{event}"])), ride(config)
+    if moves == "brake":
+        assert len(result.ticks) > len(healthy.ticks)
+        assert max(truth.brake_torque_nm for truth in result.truths) < 1.0
+    elif moves == "wheel":
+        assert max(truth.road_speed_rad_s for truth in result.truths) < 5.0
+        assert result.reason is R.ROAD_ENCODER_FROZEN
+    else:
+        assert max(t.road_speed_rad_s for t in result.truths) > max(t.road_speed_rad_s for t in healthy.truths)
+
+
+def test_the_seed_makes_what_is_random_the_same_again(short):
+    first, again, other = (ride(short, ["corrupt@drive+20ms/#40"], seed) for seed in (1, 1, 2))
+    assert first.ticks == again.ticks
+    assert first.ticks != other.ticks
+
+
+def test_every_kind_is_tried_here():
+    tried = {name.partition("=")[0] for name in (*ONCE, *FOR_GOOD, *ENDS)} | {
+        "twice", "late", "master", "pause", "brake-stuck", "brake-dead", "brake-weak", "drive-stuck", "corrupt",
+    }  # fmt: skip
+    elsewhere = {
+        "corrupt-command",
+        "splice",
+        "road-slips",
+        "wheel-slips",
+        "wheel-stuck",
+        "wheel-dither",
+        "encoders-swapped",
+    }
+    assert tried | elsewhere == set(KINDS) == set(ON_THE_WIRE) | set(ON_THE_RIG)
