@@ -214,10 +214,11 @@ class RtdacPci(Board):
         counts = self._counts(seen, drive, brake)
         self._written = True
         had = PWM_WIDTH.decode(first), PWM_WIDTH.decode(second)
-        if certain and had != (before[::-1] if reverse else before):
-            raise LinkError(
-                f"the board had PWM widths {had[::-1] if reverse else had}, last written were {before}: is there another master, or was it reset?"
-            )
+        if reverse:
+            had = had[::-1]
+        if certain and had != before:
+            problem = f"the board had PWM widths {had}, last written were {before}"
+            raise LinkError(f"{problem}: is there another master, or was it reset?")
         return counts
 
     def _write_safe(self) -> None:

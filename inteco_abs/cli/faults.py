@@ -29,7 +29,8 @@ def faults(as_json: bool) -> int:
     for name, kind in KINDS.items():
         click.echo(f"{usages[name]:{width}}  {kind.meaning}{'; for good' if kind.lasting else ''}")
     click.echo(
-        "\nWHEN and HOW LONG are times, as 500us, 20ms, 1.5s, or exchanges, as #40.\nEVENT is start, drive (energised for "
-        "the first time), coast (taken away) or brake.\nWithout HOW LONG a fault lasts for one exchange, or for good."
+        "\nWHEN and HOW LONG are times, as 500us, 20ms, 1.5s, or exchanges, as #40.\n"
+        "EVENT is start, drive (energised for the first time), coast (taken away) or brake.\n"
+        "Without HOW LONG a fault lasts for one exchange, or for good."
     )
     return 0
