@@ -14,7 +14,7 @@ from inteco_abs.mock_board.faults.device import FaultyDevice
 from inteco_abs.mock_board.faults.fault import Fault
 from inteco_abs.mock_board.faults.schedule import Schedule
 
-_LONGEST_REQUEST: Final = 2
+_LONGEST_REQUEST: Final = 4
 """Bytes: what is longer tells the board to do something."""
 _MOST_BYTES: Final = 4096
 _PWM_BITS: Final = 16
