@@ -1,0 +1,54 @@
+"""The table of hazards is whole, says what there is, and its page is made from it."""
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from inteco_abs.mock_board.faults import parse_fault
+from inteco_abs.signals import Reason
+
+ROOT = Path(__file__).parents[2]
+HAZARDS = tomllib.loads((ROOT / "tests/faults/hazards.toml").read_text(encoding="utf-8"))["hazard"]
+INJECTIONS = [(row["number"], each) for row in HAZARDS for each in row.get("inject", ())]
+EXPLAINED = {"completes", "told", *(reason.name for reason in Reason)}
+
+
+def test_the_hazards_are_numbered_through():
+    assert [row["number"] for row in HAZARDS] == list(range(1, len(HAZARDS) + 1))
+
+
+@pytest.mark.parametrize("row", HAZARDS, ids=lambda row: str(row["number"]))
+def test_a_hazard_says_who_does_what_how_soon_and_what_proves_it(row):
+    assert row["layer"] in {"software", "board", "switch"}
+    assert row["name"]
+    assert row["does"].endswith(".")
+    assert row["bound"]
+    assert row["tests"] or row.get("inject")
+    for name in row["tests"]:
+        assert (ROOT / name).is_file() or name == "tests/system/test_wrong_inputs.py", name
+
+
+@pytest.mark.parametrize(("number", "injection"), INJECTIONS)
+def test_an_injection_can_be_read_and_ends_in_a_way_that_there_is(number, injection):
+    assert set(injection["ends"]) <= EXPLAINED, number
+    for fault in " ".join(injection["faults"]).split():
+        kind, _, lasts = fault.partition("@")
+        for at in injection["at"]:
+            parse_fault(f"{kind}@{at}{lasts}")
+    harmless = injection["ends"] == ["completes"] or "BRAKING_TIMEOUT" in injection["ends"]
+    assert harmless or {"bound_ms", "told_ms"} & set(injection), "nothing would be demanded of it"
+
+
+def test_every_reason_that_takes_outputs_away_is_a_hazards_end():
+    met = {end for _, each in INJECTIONS for end in each["ends"]}
+    elsewhere = {"NONE", "OPERATOR_STOP", "WHEELS_MOVING", "BAD_OUTPUT", "CONTROLLER_ERROR", "GUARDIAN_LOST",
+                 "SUPERVISOR_LOST", "RECORDER_LOST"}  # fmt: skip
+    assert met - {"completes", "told"} | elsewhere == {reason.name for reason in Reason}
+
+
+@pytest.mark.parametrize("tool", ["write_hazards"])
+def test_the_page_is_what_the_table_says(tool):
+    subprocess.run([sys.executable, ROOT / "tools" / tool, "--check"], check=True)

@@ -1,0 +1,87 @@
+"""Each protection, taken out, lets the campaign find what it protects from: no row of the table passes by itself."""
+
+import importlib.machinery
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+from inteco_abs.boards.board import Board
+from inteco_abs.boards.frames import FrameBoard
+from inteco_abs.boards.rtdac_pci import RtdacPci
+from inteco_abs.control.guard import Guard
+from inteco_abs.signals import Reason
+
+pytestmark = pytest.mark.untraced
+
+
+def load_campaign():
+    path = Path(__file__).parents[2] / "tools" / "fault_campaign"
+    loader = importlib.machinery.SourceFileLoader("fault_campaign", str(path))
+    module = importlib.util.module_from_spec(importlib.util.spec_from_loader(loader.name, loader))
+    sys.modules[loader.name] = module
+    loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    return load_campaign()
+
+
+def no_reason(*_):
+    return Reason.NONE
+
+
+def newest_is_any(_self, frame):
+    return frame
+
+
+def takes_any_echo(self, drive, brake):
+    """`FrameBoard._write_widths` without the comparison of what comes back."""
+    image, layout = self._image, self._layout
+    self._drive_out.codec.pack_into(image, self._drive_out.offset, drive)
+    self._brake_out.codec.pack_into(image, self._brake_out.offset, brake)
+    return self._whole(self._link.exchange(image, layout.request, layout.read.size))
+
+
+PROTECTIONS = {
+    "missed exchanges are counted": (Guard, "_count_misses", no_reason, 4),
+    "late exchanges are counted": (Guard, "_count_misses", no_reason, 5),
+    "a road that stands under drive is seen": (Guard, "_judge_road", no_reason, 33),
+    "a wheel ahead of a slow road is judged": (Guard, "_judge_slow_road", no_reason, 6),
+    "the wheel's encoder is judged": (Guard, "_judge_wheel", no_reason, 7),
+    "answers carry a number, and echo": (FrameBoard, "_write_widths", takes_any_echo, 10),
+    "a stuck brake is seen from the road": (Guard, "_judge_road", no_reason, 14),
+    "another master's command is seen": (FrameBoard, "_write_widths", takes_any_echo, 20),
+    "the header is compared": (FrameBoard, "_newest", newest_is_any, 22),
+    "leaving means SAFE": (Board, "make_safe", lambda _self: None, 28),
+}
+
+
+@pytest.mark.parametrize("name", PROTECTIONS)
+def test_without_this_protection_the_campaign_finds_a_violation(campaign, monkeypatch, name):
+    where, attribute, replacement, number = PROTECTIONS[name]
+    monkeypatch.setattr(where, attribute, replacement)
+    cases = [case for case in campaign.hazard_cases() if case.name.startswith(f"{number}:") and case.seed == 0]
+    assert any(campaign.judged(case).problem for case in cases)
+
+
+def test_without_the_comparison_on_the_bus_nobody_would_see_another_master(campaign, monkeypatch):
+    case = campaign.Case("20", ("master@coast",), profile="sim_pci", ends=("MISSED_EXCHANGES", "told"), told_ms=40.0)
+    assert not campaign.judged(case).problem
+    monkeypatch.setattr(RtdacPci, "_written", property(lambda _: False, lambda _, __: None), raising=False)
+    assert campaign.judged(case).problem
+
+
+def test_the_campaign_finds_outputs_that_are_left_on(campaign, monkeypatch):
+    def trips_and_admits(self, wish, sample, _estimate):
+        self.trip(self._judge_sample(sample))
+        return wish
+
+    case = campaign.Case("road-stuck", ("road-stuck@drive+80ms",))
+    assert not campaign.judged(case).problem
+    monkeypatch.setattr(Board, "make_safe", lambda _self: None)
+    monkeypatch.setattr(Guard, "admit", trips_and_admits)
+    assert "left on" in campaign.judged(case).problem
