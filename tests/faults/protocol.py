@@ -69,9 +69,13 @@ def steps(state: State, rules: Rules, most_kills: int) -> Iterator[State]:
         if name not in state.acted and getattr(state, name) not in IDLE:
             yield from (each._replace(acted=each.acted | {name}) for each in _ACTS[name](state, rules))
     if state.kills < most_kills:
-        for name in PROCESSES:
-            if getattr(state, name) not in ("dead", "dying"):
-                yield state._replace(**{name: "dead"}, kills=state.kills + 1)
+        alive = (name for name in PROCESSES if getattr(state, name) not in ("dead", "dying"))
+        yield from (state._replace(**{name: "dead"}, kills=state.kills + 1) for name in alive)
+    yield from _left_to_itself(state, rules)
+
+
+def _left_to_itself(state: State, rules: Rules) -> Iterator[State]:
+    """What happens without anybody's doing: pauses, the end of a killed process, time."""
     if state.loop == "driving":
         yield state._replace(loop="standing", stood_still=True)
     if state.loop == "standing":
