@@ -15,6 +15,7 @@ AbsError
 from __future__ import annotations
 
 import difflib
+import errno
 import traceback
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -22,6 +23,25 @@ from typing import Final, NamedTuple
 
 _LONGEST: Final = 2000
 """Characters of a foreign error's text that are worth keeping."""
+_ROOM: Final = "make room there, or name another place"
+_ELSEWHERE: Final = "name another place, where you may write"
+_TO_DO: Final = {
+    errno.ENOSPC: _ROOM,
+    errno.EDQUOT: _ROOM,
+    errno.EFBIG: _ROOM,
+    errno.EACCES: _ELSEWHERE,
+    errno.EPERM: _ELSEWHERE,
+    errno.EROFS: _ELSEWHERE,
+    errno.ENOENT: "create its folder first, or name another place",
+    errno.ENOTDIR: "name another place",
+    errno.EISDIR: "name a file",
+    errno.EEXIST: "choose another name",
+    errno.ENAMETOOLONG: "choose a shorter name",
+}
+"""By errno: what to do when a file cannot be written."""
+_SCREEN_COLUMNS: Final = 80
+_SCREEN_LINES: Final = 20
+"""Of a screen of 24, for mistakes: the rest is for what comes before and after them."""
 
 
 class AbsError(Exception):
@@ -52,7 +72,7 @@ class ConfigError(AbsError):
         lines = [f"  {mistake.path}: {mistake.problem}" for mistake in self.mistakes]
         count = f"{len(lines)} mistakes" if len(lines) > 1 else "a mistake"
         place = "command line" if all(mistake.typed for mistake in self.mistakes) else "configuration"
-        super().__init__("\n".join([f"the {place} has {count}; nothing was started:", *lines]))
+        super().__init__("\n".join([f"the {place} has {count}; nothing was started:", *_on_a_screen(lines)]))
 
     def __reduce__(self) -> tuple[type[ConfigError], tuple[tuple[Mistake, ...]]]:
         """Made from its mistakes again, not from its text, where another process has raised it."""
@@ -95,6 +115,17 @@ class Stopped(ProbeError):  # noqa: N818  leaving is nothing wrong
     exit_code = 130
 
 
+def _on_a_screen(lines: Sequence[str]) -> list[str]:
+    """As many of them as a person can see at once, and how many there are besides."""
+    shown, height = list[str](), 0
+    for line in lines:
+        height += -(-len(line) // _SCREEN_COLUMNS)
+        if shown and height > _SCREEN_LINES:
+            return [*shown, f"  and {len(lines) - len(shown)} more, for when these are mended"]
+        shown.append(line)
+    return shown
+
+
 def near_match(word: str, known: Iterable[str]) -> str:
     """`"; did you mean X?"`, or the known words when none is close: the tail of a message about a wrong name."""
     known = sorted(known)
@@ -102,11 +133,35 @@ def near_match(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
 
 
+def disk_in_words(error: OSError) -> str:
+    """Why a file or folder cannot be written, and what to do about it."""
+    why = error.strerror or str(error)
+    return f"{why}; {_TO_DO[error.errno]}" if error.errno in _TO_DO else why
+
+
+def near_file(path: Path) -> str:
+    """`"; did you mean X?"` for a file that is not there, if one with nearly the same name is; else empty."""
+    try:
+        names = [other.name for other in path.parent.iterdir()]
+    except OSError:
+        return ""
+    near = difflib.get_close_matches(path.name, names, n=1)
+    return f"; did you mean {path.with_name(near[0])}?" if near else ""
+
+
 def in_a_line(error: AbsError) -> str:
     """An error's text for the middle of a sentence."""
     if isinstance(error, ConfigError):
         return "; ".join(mistake.problem for mistake in error.mistakes)
     return str(error)
+
+
+def place_in(error: BaseException, file: str) -> str:
+    """`", line N"` for where `error` comes from in the code of `file`, if it does; for people who wrote that file."""
+    if isinstance(error, SyntaxError) and error.filename == file:
+        return f", line {error.lineno}"
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+    return f", line {lines[-1]}" if lines else ""
 
 
 def in_words(error: BaseException) -> str:

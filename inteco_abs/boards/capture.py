@@ -24,7 +24,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from inteco_abs.errors import CaptureError
+from inteco_abs.errors import CaptureError, disk_in_words
 
 FORMAT: Final = "inteco-abs wire"
 VERSION: Final = 1
@@ -105,7 +105,7 @@ def write_capture(path: Path, capture: Capture) -> None:
             file.writelines(_line(record) for record in capture.records)
         part.replace(path)
     except OSError as error:
-        raise CaptureError(f"{path}: the capture cannot be written: {error.strerror or error}") from error
+        raise CaptureError(f"{path}: the capture cannot be written: {disk_in_words(error)}") from error
 
 
 def read_capture(path: Path) -> Capture:

@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from inteco_abs.cli.completion import key_names
-from inteco_abs.cli.shared import FILE, Verbs
-from inteco_abs.errors import AbsError
+from inteco_abs.cli.shared import FILE, SETTING, Verbs
+from inteco_abs.errors import AbsError, disk_in_words
 
 
 @click.group(cls=Verbs)
@@ -21,22 +21,30 @@ def config() -> None:
 @click.argument("file", type=FILE, default="rig.toml")
 def init(file: Path) -> int:
     """Write a rig.toml with every key, its meaning and its default, commented out."""
-    from inteco_abs.sessions import check_output
+    from inteco_abs.sessions import check_output, only_whole
     from inteco_abs.views.config_keys import template
 
     check_output(file, "FILE")
     try:
-        with file.open("x", encoding="utf-8") as out:
-            out.write(template())
+        with only_whole(file) as part:
+            part.write_text(template(), encoding="utf-8")
     except OSError as error:
-        raise AbsError(f"{file} cannot be written: {error.strerror}") from error
+        raise AbsError(f"{file} cannot be written: {disk_in_words(error)}") from error
     click.echo(f"{file}: uncomment what is different on your rig, and use it with --config {file}", err=True)
     return 0
 
 
 @config.command()
 @click.option("--config", "file", type=FILE, help="rig.toml; every key has a default.")
-@click.option("--set", "settings", multiple=True, shell_complete=key_names, metavar="KEY=VALUE", help="Over the file.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    type=SETTING,
+    shell_complete=key_names,
+    metavar="KEY=VALUE",
+    help="Over the file.",
+)
 @click.option("--board", default="sim:", show_default=True, help="Board address: it has a profile of its own.")
 @click.option("--origin", is_flag=True, help="Say of each value that is not a default where it comes from.")
 def show(file: Path | None, settings: tuple[str, ...], board: str, origin: bool) -> int:

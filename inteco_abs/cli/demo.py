@@ -12,8 +12,7 @@ from typing import Final, NamedTuple
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.cli.shared import FILE, LOSSES, on_terminal
 
 _WIDTH: Final = 79
 
@@ -67,16 +66,12 @@ def demo(context: click.Context, folder: Path, no_wait: bool) -> int:
     Each step is a command, printed as you would type it. Nothing but the folder is written to, and no hardware is
     touched. Ends with 3 if the computer was late in the step in real time.
     """
+    from inteco_abs.sessions import made_folder
+
     folder = folder.absolute()
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise ConfigError(
-            [Mistake("--out", f"{folder}: cannot be made ({error.strerror}); name a folder that does not exist")]
-        ) from error
-    waits = not no_wait and sys.stdin.isatty()
+    waits = not no_wait and on_terminal(sys.stdin)
     worst = 0
-    with chdir(folder):
+    with made_folder(folder, new=True), chdir(folder):
         for number, step in enumerate(STEPS, 1):
             click.secho("\n" + fill(f"{number} of {len(STEPS)}: {step.why}", _WIDTH), bold=True, err=True)
             if step.needs and importlib.util.find_spec(step.needs) is None:

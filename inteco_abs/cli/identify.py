@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
 
 from inteco_abs.cli.shared import (
     FILE,
     LOSSES,
+    SETTING,
+    Finite,
     drawn_setting,
     insist_on_different,
     json_option,
@@ -18,11 +20,15 @@ from inteco_abs.cli.shared import (
     read_whole,
     rig_option,
 )
-from inteco_abs.errors import AbsError, ConfigError, Mistake
+from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
     from inteco_abs.lab.identify import Experiment, Identification, Segment
+
+
+_MOST_NAMED: Final = 12
+"""Numbers that are named together: a session without brake steps has a hundred points of the brake's map."""
 
 
 @click.command()
@@ -37,11 +43,11 @@ if TYPE_CHECKING:
 @click.option("--dry-run", is_flag=True, help="With --plan, only tell what would be done.")
 @click.option("--board", default="sim:", show_default=True, help="With --plan: board address; sim: is the mock board.")
 @click.option("--virtual", is_flag=True, help="With --plan and sim:, virtual time.")
-@click.option("--pause", "pause_s", default=10.0, show_default=True, type=click.FloatRange(0.0, 3600.0),
+@click.option("--pause", "pause_s", default=10.0, show_default=True, type=Finite(0, 3600, unit="s"),
               help="With --plan in real time: seconds between two runs, for motors to cool down.")  # fmt: skip
 @rig_option
 @click.option("--config", type=FILE, help="rig.toml; every key has a default.")
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Over the file.")
+@click.option("--set", "settings", multiple=True, type=SETTING, metavar="KEY=VALUE", help="Over the file.")
 @click.option(
     "--assume",
     multiple=True,
@@ -105,8 +111,12 @@ def _tell(found: Identification, out: Path | None, figure: Path | None, *, as_js
 
         draw_residuals(found.traces(), figure)
         click.echo(f"figure: {figure}", err=True)
+    missing: dict[str, list[str]] = {}
     for each in found.missing:
-        click.echo(f"inteco-abs: not identified: {each.name}: {each.why}", err=True)
+        missing.setdefault(each.why, []).append(each.name)
+    for why, names in missing.items():
+        others = f" and {len(names) - _MOST_NAMED} others" if len(names) > _MOST_NAMED else ""
+        click.echo(f"inteco-abs: not identified: {', '.join(names[:_MOST_NAMED])}{others}: {why}", err=True)
     if not found.fit.converged:
         click.echo("inteco-abs: the search has not come to an end: look at the residuals (--figure)", err=True)
 
@@ -159,7 +169,7 @@ def _write(found: Identification, out: Path) -> None:
     try:
         out.write_text(found.to_toml(), encoding="utf-8")
     except OSError as error:
-        raise AbsError(f"{out}: the parameters cannot be written: {error.strerror}") from error
+        raise AbsError(f"{out}: the parameters cannot be written: {disk_in_words(error)}") from error
     click.echo(f"parameters: {out}; use them with --config {out}", err=True)
 
 
@@ -188,6 +198,7 @@ def _record(
     from inteco_abs.control import control_check
     from inteco_abs.lab.identify import experiments
     from inteco_abs.mock_board import rig_check
+    from inteco_abs.sessions import made_folder
 
     check_address(board)
     if drawn is not None and not simulated(board):
@@ -203,17 +214,14 @@ def _record(
         for each, rig in planned:
             click.echo(f"{folder / each.name}.mcap: {each.shows}; {_told(rig)}")
         return 0
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise ConfigError([Mistake("--out", f"no folder {folder} can be made ({error.strerror})")]) from error
-    for number, (each, rig) in enumerate(planned):
-        if number and not virtual:
-            time.sleep(pause_s)
-        click.echo(f"{number + 1} of {len(planned)}: {each.shows}", err=True)
-        code = _run(each, rig, folder, board, virtual=virtual, seed=number)
-        if code not in {0, LOSSES}:
-            return code
+    with made_folder(folder):
+        for number, (each, rig) in enumerate(planned):
+            if number and not virtual:
+                time.sleep(pause_s)
+            click.echo(f"{number + 1} of {len(planned)}: {each.shows}", err=True)
+            code = _run(each, rig, folder, board, virtual=virtual, seed=number)
+            if code not in {0, LOSSES}:
+                return code
     click.echo(f"recorded; now: inteco-abs identify {folder}/*.mcap -o rig-parameters.toml", err=True)
     return 0
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.shared import json_option, print_json, stops_progress
-from inteco_abs.errors import AbsError, ConfigError, Mistake
+from inteco_abs.cli.shared import Whole, json_option, print_json, stops_progress
+from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 
 if TYPE_CHECKING:
     from inteco_abs.lab.paper import Reproduction
@@ -33,7 +33,7 @@ _FORMATS: Final = ("png", "pdf")
 )
 @click.option(
     "--draws",
-    type=click.IntRange(1, 1000),
+    type=Whole(1, 1000),
     default=_DRAWS,
     show_default=True,
     help="Virtual rigs of the experiment: the first of the population capped that can hold slip 0.2.",
@@ -90,7 +90,7 @@ def _write(found: Reproduction, report: Mapping[str, Any], folder: Path, command
         (path := folder / "table.md").write_text(paper_markdown(report, command), encoding="utf-8")
         yield path
     except OSError as error:
-        raise AbsError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
+        raise AbsError(f"{error.filename or folder}: cannot be written: {disk_in_words(error)}") from error
 
 
 def _write_csv(path: Path, records: Sequence[Mapping[str, Any]]) -> Path:

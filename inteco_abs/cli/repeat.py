@@ -13,8 +13,17 @@ from typing import Any, Final
 import click
 
 from inteco_abs.cli.run import run
-from inteco_abs.cli.shared import FILE, INTERRUPTED, LOSSES, insist_on_different, json_option, print_json
-from inteco_abs.errors import AbsError, ConfigError, Mistake
+from inteco_abs.cli.shared import (
+    FILE,
+    INTERRUPTED,
+    LOSSES,
+    Finite,
+    Whole,
+    insist_on_different,
+    json_option,
+    print_json,
+)
+from inteco_abs.errors import AbsError
 
 _COOL_DOWN_S: Final = 30.0
 """What the manual asks for after the brake was switched off for heat; fact sheet on the rig, section 10."""
@@ -29,12 +38,12 @@ _WORDS: Final = {
 
 
 @click.command()
-@click.argument("count", metavar="N", type=click.IntRange(1, 1000))
+@click.argument("count", metavar="N", type=Whole(1, 1000))
 @click.option("-o", "--out", "folder", type=FILE, help="Folder for the sessions; default: sessions/series-TIME.")
 @click.option(
     "--pause",
     "pause_s",
-    type=click.FloatRange(0.0, 3600.0),
+    type=Finite(0, 3600, unit="s"),
     help=f"Seconds for the brake to cool between stops; default: {_COOL_DOWN_S:g} on a real board, else 0.",
 )
 @click.option("--figure", type=FILE, help="Also draw all stops over one another: .png, .svg or .pdf.")
@@ -57,18 +66,16 @@ def repeat(
     stop (5 safety stop, 130 interrupted), 3 if stops had overruns or losses, else 0.
     """
     from inteco_abs.boards import simulated
+    from inteco_abs.sessions import made_folder
     from inteco_abs.views.figure import check_figure
 
     if figure is not None:
         check_figure(figure)
     insist_on_different({"--out": folder, "--figure": figure})
     pause_s = pause_s if pause_s is not None else 0.0 if simulated(choices["board"]) else _COOL_DOWN_S
-    folder = _made(folder or Path("sessions") / f"series-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}")
-    try:
+    folder = folder or Path("sessions") / f"series-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}"
+    with made_folder(folder, new=True):
         worst, paths = _brake(context, count, folder, pause_s, choices)
-    finally:
-        if not any(folder.iterdir()):
-            folder.rmdir()  # nothing was started
     _tell(paths, figure, as_json=as_json)
     return worst
 
@@ -99,15 +106,6 @@ def _brake(
         if code not in {0, LOSSES}:
             break
     return worst, paths
-
-
-def _made(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        problem = f"{folder}: cannot be made ({error.strerror}); name a folder that does not exist"
-        raise ConfigError([Mistake("--out", problem)]) from error
-    return folder
 
 
 def _tell(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:

@@ -14,6 +14,8 @@ from inteco_abs.cli.completion import controller_names, estimator_names, key_nam
 from inteco_abs.cli.screens import live_options, screen_of
 from inteco_abs.cli.shared import (
     FILE,
+    SETTING,
+    Whole,
     check_session_file,
     draw,
     drawn_setting,
@@ -40,7 +42,7 @@ _LIVE_PORT: Final = 8765
     "--seed",
     default=0,
     show_default=True,
-    type=click.IntRange(min=0),
+    type=Whole(0),
     help="What differs between two power-ups of the mock board.",
 )
 @rig_option
@@ -49,6 +51,7 @@ _LIVE_PORT: Final = 8765
     "--set",
     "settings",
     multiple=True,
+    type=SETTING,
     shell_complete=key_names,
     metavar="KEY=VALUE",
     help="Over the file, as in guard.brake_limit=0.7.",
@@ -78,7 +81,7 @@ _LIVE_PORT: Final = 8765
     "live_port",
     is_flag=False,
     flag_value=_LIVE_PORT,
-    type=click.IntRange(0, 65535),
+    type=Whole(0, 65535),
     metavar="[PORT]",
     help=f"Also show the run to Lichtblick or Foxglove on this computer while it lasts; default port: {_LIVE_PORT}, "
     "0 is any that is free.",
@@ -117,6 +120,7 @@ def run(
     from inteco_abs.control import control_check, preferred_estimator
     from inteco_abs.experiment import Plan, run_stop
     from inteco_abs.mock_board import parse_faults, rig_check
+    from inteco_abs.sessions import made_folder
     from inteco_abs.views.figure import check_figure
 
     controllers = known_controllers(controller)
@@ -131,13 +135,13 @@ def run(
         check_figure(figure)
     if out is not None:
         check_session_file(out)
-    out = out or _default_out()
+    out = out or Path("sessions") / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"
     insist_on_different({"--out": out, "--figure": figure, "--record-wire": wire})
     source, package = controllers.origin(rig.controller.name)
     plan = Plan(out, board, virtual, seed, controllers, source, wire, frames, package, live_port, parse_faults(faults))
     if not virtual:
         _tell_of_left_rings()
-    with screen_of(rig, live, virtual=virtual, quiet=quiet) as screen:
+    with made_folder(out.parent), screen_of(rig, live, virtual=virtual, quiet=quiet) as screen:
         stop = run_stop(rig, plan, screen=screen)
     try:
         _tell(stop, as_json=as_json, quiet=quiet)
@@ -153,17 +157,6 @@ def run(
     return stop.exit_code
 
 
-def _default_out() -> Path:
-    folder = Path("sessions")
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise ConfigError(
-            [Mistake("--out", f"no folder {folder} can be made here ({error.strerror}); name a file")]
-        ) from error
-    return folder / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"
-
-
 def _tell(stop: Account, *, as_json: bool, quiet: bool) -> None:
     if as_json:
         print_json(stop.card)
@@ -175,7 +168,8 @@ def _tell(stop: Account, *, as_json: bool, quiet: bool) -> None:
         acted = "never acted: was the run over before?" if times == "0" else f"acted {times} times"
         click.echo(f"inteco-abs: injected {fault}: {acted}", err=True)
     if stop.outcome != "completed":
-        click.echo(f"inteco-abs: {stop.outcome}: {stop.explanation}", err=True)
+        safe = f"; drive and brake are off after tick {stop.card['ticks'] - 1}" if stop.outcome == "fault" else ""
+        click.echo(f"inteco-abs: {stop.outcome}: {stop.explanation}{safe}", err=True)
     if stop.trouble:
         click.echo(f"inteco-abs: {stop.trouble}", err=True)
     elif stop.outcome == "completed" and stop.exit_code:

@@ -21,6 +21,7 @@ from inteco_abs.cli.completion import controller_names, estimator_names, key_nam
 from inteco_abs.cli.shared import (
     FILE,
     LOSSES,
+    Whole,
     check_table,
     insist_on_different,
     json_option,
@@ -28,7 +29,7 @@ from inteco_abs.cli.shared import (
     print_json,
     stops_progress,
 )
-from inteco_abs.errors import AbsError, ConfigError, Mistake
+from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 
 if TYPE_CHECKING:
     from inteco_abs.ensembles import Combination, Draws, Row
@@ -69,7 +70,7 @@ _NARROWEST: Final = 80
 )
 @click.option("--config", type=FILE, help="rig.toml; every key has a default.")
 @click.option("--no-run-up", is_flag=True, help="Begin at the start speed with rolling wheels, without drive.")
-@click.option("--jobs", type=click.IntRange(1, 1024), help="Processes; default: as many as there are cores.")
+@click.option("--jobs", type=Whole(1, 1024), help="Processes; default: as many as there are cores.")
 @click.option("--csv", "table", type=FILE, help="Also write every stop: one line each.")
 @click.option("--figure", type=FILE, help="Also draw which share of stops has which slip RMS: .png, .svg or .pdf.")
 @json_option
@@ -267,4 +268,4 @@ def _write_csv(rows: Sequence[Row], path: Path) -> None:
             writer.writeheader()
             writer.writerows(records)
     except OSError as error:
-        raise AbsError(f"{path}: the table cannot be written: {error.strerror}") from error
+        raise AbsError(f"{path}: the table cannot be written: {disk_in_words(error)}") from error

@@ -10,6 +10,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -24,7 +25,7 @@ from inteco_abs.config import (
     read_profile,
     wiring_of,
 )
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 
 _SCHEMA: Final = 1
 _SIGNATURE: Final = ("verified_by", "verified_on", "verified_logic")
@@ -51,10 +52,12 @@ class Draft:
         """The draft at `file`, or a new one from `profile`, with `settings` such as `board.drive_pwm=1` in it.
 
         `given`: the profile was asked for, so that a draft made from another is a mistake. Nothing is written yet
-        unless something is new. Raises ConfigError.
+        unless something is new. Raises ConfigError, or AbsError where the disk refuses.
         """
         if file.suffix != ".toml":
             raise ConfigError([Mistake("--draft", f"{file}: a profile's name must end in .toml")])
+        if not file.parent.is_dir():
+            raise ConfigError([Mistake("--draft", f"{file}: the folder {file.parent} does not exist; create it first")])
         if file.exists():
             draft = cls(file, read_profile(str(file)), _read_results(results_of(file)))
             parse_config(tomli_w.dumps(draft._table))
@@ -203,4 +206,6 @@ def _replace(file: Path, text: str) -> None:
             os.fsync(stream.fileno())
         new.replace(file)
     except OSError as error:
-        raise ConfigError([Mistake("--draft", f"{file} cannot be written: {error.strerror}")]) from error
+        with suppress(OSError):  # it may not even have been made
+            new.unlink()
+        raise AbsError(f"{file} cannot be written: {disk_in_words(error)}") from error

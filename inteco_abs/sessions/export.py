@@ -15,7 +15,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.lib.recfunctions import repack_fields
 
-from inteco_abs.errors import AbsError, SessionError
+from inteco_abs.errors import AbsError, SessionError, disk_in_words
 from inteco_abs.sessions.output import check_output, only_whole
 from inteco_abs.sessions.reader import Session, read_session
 from inteco_abs.sessions.tables import Table, tables
@@ -72,7 +72,8 @@ def _write(chosen: _Format, path: Path, part: Path, group: list[Table], session:
     try:
         chosen.write(part, group, session)
     except (OSError, ValueError) as error:  # scipy's own errors of arrays too large for its format are ValueErrors
-        raise SessionError(f"{path} cannot be written: {getattr(error, 'strerror', None) or error}") from error
+        why = disk_in_words(error) if isinstance(error, OSError) else error
+        raise SessionError(f"{path} cannot be written: {why}") from error
 
 
 def _written(path: Path, group: list[Table]) -> Written:

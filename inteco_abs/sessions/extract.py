@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.errors import ConfigError, Mistake, SessionError, near_match
+from inteco_abs.errors import ConfigError, Mistake, SessionError, disk_in_words, near_match
 from inteco_abs.sessions.output import check_output, only_whole
 from inteco_abs.sessions.reader import Session
 
@@ -34,7 +34,7 @@ def extract(session: Session, name: str, out: Path) -> Path:
             with part.open("xb") as file:
                 file.write(data)
         except OSError as error:
-            raise SessionError(f"{path} cannot be written: {error.strerror}") from error
+            raise SessionError(f"{path} cannot be written: {disk_in_words(error)}") from error
     return path
 
 

@@ -23,8 +23,9 @@ import tomli_w
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller, build_pipeline, control_check
-from inteco_abs.errors import ConfigError, Mistake, SessionError, near_match
+from inteco_abs.errors import ConfigError, Mistake, SessionError, disk_in_words, near_match
 from inteco_abs.records.schema import TICK, TRUTH, Role
+from inteco_abs.sessions.output import made_folder
 from inteco_abs.sessions.provenance import software_facts
 from inteco_abs.sessions.reader import Session, read_session
 from inteco_abs.sessions.recorder import Recorder
@@ -133,19 +134,19 @@ class GoldenFolder:
         rows = _rows_until(session, until_s)
         _insist_on_a_test(session, session.ticks[:rows])
         payload = bytes(session.payload[: rows * TICK.size])
-        self._make()
         part = self._part(name)
-        try:
-            _write_copy(session, payload, part)
-            found = _replay(read_session(part), controllers, tolerances)
-            if found.first is not None:
-                raise SessionError(
-                    f"{session.path}: does not replay: {found.differing} ticks differ, first at tick "
-                    f"{found.first.tick}: {found.first.field}; look at it with inteco-abs replay first"
-                )
-            return self._keep(Golden(name, rows, tuple(tolerances), (_version(reason, part, 0),)), part)
-        finally:
-            part.unlink(missing_ok=True)
+        with made_folder(self.path, "--folder"):
+            try:
+                _write_copy(session, payload, part)
+                found = _replay(read_session(part), controllers, tolerances)
+                if found.first is not None:
+                    raise SessionError(
+                        f"{session.path}: does not replay: {found.differing} ticks differ, first at tick "
+                        f"{found.first.tick}: {found.first.field}; look at it with inteco-abs replay first"
+                    )
+                return self._keep(Golden(name, rows, tuple(tolerances), (_version(reason, part, 0),)), part)
+            finally:
+                part.unlink(missing_ok=True)
 
     def test(self, names: Sequence[str], controllers: Controllers) -> list[Verdict]:
         """Replay those with these names, or all. Raises ConfigError as `chosen`."""
@@ -206,12 +207,6 @@ class GoldenFolder:
         if problem:
             raise ConfigError([Mistake("--name", problem)])
 
-    def _make(self) -> None:
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise SessionError(f"{self.path}: cannot be created: {error.strerror}") from error
-
     def _part(self, name: str) -> Path:
         return self.path / f".{name}.{os.getpid()}.part"
 
@@ -229,7 +224,7 @@ class GoldenFolder:
         except OSError as error:
             with suppress(OSError):
                 draft.unlink(missing_ok=True)
-            raise SessionError(f"{self.path}: cannot be written: {error.strerror}") from error
+            raise SessionError(f"{self.path}: cannot be written: {disk_in_words(error)}") from error
         self._goldens = goldens
         return golden
 

@@ -88,9 +88,9 @@ class Keeper:
         scribe = Scribe(self._recorder, config, introduction, session)
         try:
             scribe.introduce()
-        except SessionError:
+        except SessionError as error:
             self.discard()
-            raise
+            raise SessionError(f"{error}; the rig was not moved") from error
         self._scribe = scribe
 
     def surround(self, found: Surroundings) -> None:

@@ -47,7 +47,8 @@ def session_files(folder: Path, *, nested: bool = False) -> list[Path]:
         found = folder.rglob(f"*{SUFFIX}") if nested else folder.iterdir()
         return sorted(path for path in found if path.suffix == SUFFIX and not path.is_dir())
     except OSError as error:
-        raise SessionError(f"{folder}: cannot be listed: {error.strerror}") from error
+        hint = f"; it is a file: inteco-abs info {folder}" if folder.is_file() else ""
+        raise SessionError(f"{folder}: cannot be listed: {error.strerror}{hint}") from error
 
 
 def session_row(path: Path) -> Row:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.errors import ConfigError, Mistake, SessionError
+from inteco_abs.errors import ConfigError, Mistake, SessionError, disk_in_words
 
 _PART: Final = ".part"
+_NO_PLACE: Final = (errno.EEXIST, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ)
+"""What is wrong with a folder's name, not with the disk."""
 
 
 def check_output(path: Path, option: str = "--out") -> None:
@@ -27,11 +30,35 @@ def check_output(path: Path, option: str = "--out") -> None:
         elif not path.parent.is_dir():
             problem = f"the folder {path.parent} does not exist; create it first"
     except OSError as error:  # a name that no file can have
-        problem = error.strerror or "cannot be a file's name"
+        problem = disk_in_words(error)
     if problem:
         raise ConfigError([Mistake(option, f"{path}: {problem}")])
     if not os.access(path.parent, os.W_OK):
-        raise SessionError(f"{path} cannot be created: the folder {path.parent} cannot be written to")
+        raise SessionError(f"{path} cannot be created: the folder {path.parent} cannot be written to; name another")
+
+
+@contextmanager
+def made_folder(folder: Path, option: str = "--out", *, new: bool = False) -> Iterator[None]:
+    """With `folder`, made with its parents where there is none; of what was made, what is empty at the end goes again.
+
+    Raises ConfigError for a path where no folder can be, or of an old one where a `new` one is wanted, and
+    SessionError where the disk refuses; `option` is where it was named.
+    """
+    made = list[Path]()
+    try:
+        try:
+            made = [each for each in (folder, *folder.parents) if not each.exists()]
+            folder.mkdir(parents=True, exist_ok=not new)
+        except OSError as error:
+            if error.errno not in _NO_PLACE:
+                raise SessionError(f"the folder {folder} cannot be made: {disk_in_words(error)}") from error
+            problem = "exists already; name one that does not" if folder.is_dir() else disk_in_words(error)
+            raise ConfigError([Mistake(option, f"the folder {folder} cannot be made: {problem}")]) from error
+        yield
+    finally:
+        for each in made:
+            with suppress(OSError):  # it is not empty, or was never made
+                each.rmdir()
 
 
 def insist_on_own(path: Path, session_id: str) -> None:

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.errors import SessionError
+from inteco_abs.errors import SessionError, near_file
 from inteco_abs.records.schema import TICK, TRUTH
 from inteco_abs.sessions.container import (
     MAGIC,
@@ -28,6 +28,21 @@ from inteco_abs.sessions.container import (
 from inteco_abs.sessions.content import FLAT, LIBRARY, Content, Event, Parameters
 from inteco_abs.sessions.migration import StrangeError, migrated
 from inteco_abs.sessions.rows import Rows, RowsInMemory, RowsOnDisk
+
+_BEGINNING: Final = 64
+"""Bytes that are looked at to tell what a file is, if it is no session."""
+_OTHERS: Final = {
+    b"#ROSBAG": "a ROS bag; this program reads sessions of its own only",
+    b"SQLite format 3": "an SQLite database, as ROS 2 bags are; this program reads sessions of its own only",
+    b"\x1f\x8b": "compressed with gzip: unpack it with gunzip first",
+    b"\x28\xb5\x2f\xfd": "compressed with zstd: unpack it with unzstd first",
+    b"PK\x03\x04": "a zip archive: unpack it first",
+    b"\x89HDF": "an HDF5 file, perhaps MATLAB's; this program reads sessions of its own only",
+    b"MATLAB 5.0 MAT-file": "a MATLAB file; name the session that it was exported from",
+    b"PAR1": "a Parquet file; name the session that it was exported from",
+    b"inteco-abs ring": "what a run has left in memory: inteco-abs recover FILE --out OUT makes a session of it",
+}
+"""By their first bytes: files that people take for sessions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +94,8 @@ def read_session(path: Path, spool: Path | None = None) -> Session:
         except StrangeError as error:
             raise SessionError(f"{path}: cannot be read: {error}") from error
         except DamagedError as error:
-            raise SessionError(f"{path}: is damaged: {error}") from error
+            hint = "inteco-abs recover saves the ticks that are whole"
+            raise SessionError(f"{path}: is damaged: {error}; {hint}") from error
 
 
 @contextmanager
@@ -88,8 +104,8 @@ def opened(path: Path) -> Iterator[tuple[BinaryIO, int]]:
     with regular_file(path) as (file, size):
         head = file.read(len(MAGIC))
         if head != MAGIC:
-            begin = f"starts with {head!r}" if head else "is empty"
-            raise SessionError(f"{path}: is no MCAP file, it {begin}")
+            file.seek(0)
+            raise SessionError(f"{path}: is no MCAP file, it {_instead(file.read(_BEGINNING), len(head))}")
         file.seek(0)
         yield file, size
 
@@ -103,16 +119,32 @@ def is_session_file(path: Path) -> bool:
         return False
 
 
+def _instead(begin: bytes, shown: int) -> str:
+    """What a file is that begins so, in words; of an unknown one the first bytes."""
+    if not begin:
+        return "is empty: whatever should have written it has not begun"
+    for other, what in _OTHERS.items():
+        if begin.startswith(other):
+            return f"is {what}"
+    try:
+        text = begin.decode("utf-8", "strict" if len(begin) < _BEGINNING else "ignore").isprintable()
+    except UnicodeDecodeError:
+        text = False
+    return f"starts with {begin[:shown]!r}{', as text does' if text else ''}; sessions are what run has written"
+
+
 @contextmanager
 def regular_file(path: Path) -> Iterator[tuple[BinaryIO, int]]:
     """The file at `path` and its size, if it is one that can be read. Raises SessionError."""
     try:
         if path.exists() and not path.is_file():
-            raise SessionError(f"{path}: cannot be read: it is no regular file")
+            what = f" but a folder, which inteco-abs list {path} shows" if path.is_dir() else ""
+            raise SessionError(f"{path}: cannot be read: it is no regular file{what}")
         with path.open("rb") as file:
             yield file, os.fstat(file.fileno()).st_size
     except OSError as error:
-        raise SessionError(f"{path}: cannot be read: {error.strerror}") from error
+        near = near_file(path) if isinstance(error, FileNotFoundError) else ""
+        raise SessionError(f"{path}: cannot be read: {error.strerror}{near}") from error
 
 
 def _read(file: BinaryIO, size: int, content: Content) -> tuple[Content, str]:

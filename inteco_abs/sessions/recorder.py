@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from mcap.writer import CompressionType, Writer
 
-from inteco_abs.errors import SessionError
+from inteco_abs.errors import SessionError, disk_in_words
 from inteco_abs.records import schema
 from inteco_abs.records.io_frame import IO_NAME, IO_TOPIC, io_frame_descriptor
 from inteco_abs.records.result import RESULT, RESULT_NAME, RESULT_TOPIC, pack_result, result_descriptor
@@ -44,7 +44,7 @@ class _Disk(FileIO):
         try:
             super().__init__(path, "xb")
         except OSError as error:
-            raise SessionError(f"{path} cannot be created: {error.strerror}") from error
+            raise SessionError(f"{path} cannot be created: {disk_in_words(error)}") from error
 
     def write(self, data: Buffer, /) -> int:
         """Write some of `data`."""
@@ -70,7 +70,7 @@ class _Disk(FileIO):
             raise SessionError(f"{self.name} is gone: another file has its name")
 
     def _refused(self, error: OSError) -> SessionError:
-        return SessionError(f"{self.name} cannot be written: {error.strerror}; what it holds so far stays readable")
+        return SessionError(f"{self.name} cannot be written: {disk_in_words(error)}")
 
 
 class Recorder:

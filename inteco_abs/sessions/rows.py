@@ -9,7 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Protocol, Self
 
-from inteco_abs.errors import SessionError
+from inteco_abs.errors import SessionError, disk_in_words
 
 
 class Rows(Protocol):
@@ -58,4 +58,4 @@ class RowsOnDisk:
         self._file.close()
 
     def _no_room(self, error: OSError) -> SessionError:
-        return SessionError(f"{self._folder}: has no room for what the session unpacks to: {error.strerror}")
+        return SessionError(f"{self._folder}: has no room for what the session unpacks to: {disk_in_words(error)}")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.errors import AbsError, ConfigError, Mistake
+from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 from inteco_abs.sessions import Session, check_output, only_whole
 from inteco_abs.views.beside import PALETTE, held_rows, insist_on_distinct, labels, since_s, start_ns
 from inteco_abs.views.thinning import thin
@@ -132,7 +132,7 @@ def save_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
             with only_whole(path) as part:
                 figure.savefig(part, format=form, dpi=dpi, metadata=metadata)
     except OSError as error:
-        raise AbsError(f"{path}: the figure cannot be written: {error.strerror}") from error
+        raise AbsError(f"{path}: the figure cannot be written: {disk_in_words(error)}") from error
 
 
 @contextmanager

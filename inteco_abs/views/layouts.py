@@ -15,7 +15,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any, Final
 
-from inteco_abs.errors import SessionError
+from inteco_abs.errors import SessionError, disk_in_words
 from inteco_abs.records.schema import LOG_TOPIC, TICK, TRUTH, Column
 from inteco_abs.sessions import check_output, only_whole
 
@@ -183,4 +183,4 @@ def write_layout(viewer: str, out: Path) -> None:
         try:
             part.write_bytes(VIEWERS[viewer]())
         except OSError as error:
-            raise SessionError(f"{out} cannot be written: {error.strerror}") from error
+            raise SessionError(f"{out} cannot be written: {disk_in_words(error)}") from error

@@ -104,7 +104,7 @@ def test_a_coast_down_alone_leaves_the_brake_unknown_which_is_named(sessions, ca
     missing = {each["name"] for each in json.loads(told.out)["estimates"] if each["status"] == "not identified"}
     assert {"brake_lag", "brake_dead_time", "mu(0.2)"} <= missing
     assert "d" not in missing
-    assert "not identified: brake_lag: no session has brake steps" in told.err
+    assert "not identified: brake_lag, brake_dead_time: no session has brake steps" in told.err
     assert not {"c31", "w4", "b1"} & tomllib.loads(out.read_text())["model"]["identified"].keys()
 
 

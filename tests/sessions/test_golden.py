@@ -136,7 +136,7 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path, quick):
     (tmp_path / "file").write_text("no folder")
     place = GoldenFolder(tmp_path / "place")
     place.path.symlink_to("file/below")
-    with pytest.raises(SessionError, match="place: cannot be created: "):
+    with pytest.raises(ConfigError, match="place cannot be made: "):
         place.add(quick.session, "quick", "why not", CONTROLLERS)
 
 

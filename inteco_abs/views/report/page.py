@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import inteco_abs
-from inteco_abs.errors import AbsError, ConfigError, Mistake, SessionError
+from inteco_abs.errors import AbsError, ConfigError, Mistake, SessionError, disk_in_words
 from inteco_abs.sessions import Session, check_output, only_whole
 from inteco_abs.views.beside import held_rows, insist_on_distinct, labels
 from inteco_abs.views.figure import svg_of
@@ -49,7 +49,7 @@ def write_report(sessions: Sequence[Session], path: Path) -> None:
         try:
             part.write_text(page, encoding="utf-8")
         except OSError as error:
-            raise SessionError(f"{path} cannot be written: {error.strerror}") from error
+            raise SessionError(f"{path} cannot be written: {disk_in_words(error)}") from error
 
 
 def report_page(sessions: Sequence[Session]) -> str:
