@@ -7,10 +7,11 @@ result is stored whole in every session.
 from __future__ import annotations
 
 import operator
+import re
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
-from datetime import date
+from datetime import date, time
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -18,15 +19,15 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
 
 from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER, VENDOR_ID
 from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.quantities import number_hint, other_unit, unit_of
+from inteco_abs.toml_text import NOT_TOML, in_words, read_toml
 
 DEFAULT_PROFILE: Final = "sim_usb2"
-_LARGEST_FILE: Final = 1_000_000
 _LONGEST_VALUE: Final = 60
-_NOT_TOML: Final = (ValueError, RecursionError)
-"""What the standard reader raises: besides its own error, for absurdly long numbers and deep nesting."""
 
 Table = dict[str, Any]
 Check = Callable[[Mapping[str, Any]], Iterable[Mistake]]
@@ -421,8 +422,8 @@ def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
     """Effective configuration as stored in a session; raises ConfigError."""
     try:
         table = tomllib.loads(text)
-    except _NOT_TOML as error:
-        raise ConfigError([Mistake("config.toml", f"is not TOML: {error}")]) from error
+    except NOT_TOML as error:
+        raise ConfigError([Mistake("config.toml", f"is not TOML: {in_words(error, text)}")]) from error
     return _validate(table, checks, [])
 
 
@@ -441,20 +442,7 @@ def _validate(table: Table, checks: Iterable[Check], mistakes: list[Mistake]) ->
 
 
 def _read(file: Path) -> Table:
-    try:
-        if file.exists() and not (file.is_file() or file.is_dir()):
-            raise ConfigError([Mistake(str(file), "cannot be read: it is no regular file")])
-        data = file.read_bytes() if file.stat().st_size <= _LARGEST_FILE else None
-    except OSError as error:
-        raise ConfigError([Mistake(str(file), f"cannot be read: {error.strerror}")]) from error
-    if data is None:
-        raise ConfigError([Mistake(str(file), f"is larger than {_LARGEST_FILE} bytes; is it a configuration?")])
-    try:
-        return tomllib.loads(data.decode("utf-8"))
-    except UnicodeDecodeError as error:
-        raise ConfigError([Mistake(str(file), f"is not UTF-8 text: byte {error.start}")]) from error
-    except _NOT_TOML as error:
-        raise ConfigError([Mistake(str(file), f"is not TOML: {error}")]) from error
+    return read_toml(file, f"inteco-abs config init {file} writes one to begin with")
 
 
 def apply_setting(table: Table, setting: str) -> list[Mistake]:
@@ -467,8 +455,8 @@ def apply_setting(table: Table, setting: str) -> list[Mistake]:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()
-    except _NOT_TOML as error:
-        return [Mistake(key.strip(), f"is no value that can be used: {error}")]
+    except NOT_TOML as error:
+        return [Mistake(key.strip(), f"is no value that can be used: {in_words(error, text)}")]
     for part in path[:-1]:
         inner = table.setdefault(part, {})
         if not isinstance(inner, dict):
@@ -482,7 +470,7 @@ def _profile(name: object, mistakes: list[Mistake]) -> Table:
     if isinstance(name, str) and name in profiles():
         return tomllib.loads(profile_text(name))
     if isinstance(name, str) and name.endswith(".toml"):
-        return _read(Path(name))
+        return read_toml(Path(name), "inteco-abs profiles lists those that ship, inteco-abs probe makes one of a board")
     if not isinstance(name, str):
         return _profile(DEFAULT_PROFILE, mistakes)  # the model below says what is wrong with it
     mistakes.append(
@@ -603,6 +591,10 @@ def _brake_map_mistakes(identified: Table) -> Iterator[Mistake]:
 
 
 _LIMITS: Final = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+_CEILINGS: Final = {"guard.over_speed_rad_s": "the rig's own limit, which no configuration can raise"}
+_NUMBER: Final = re.compile(r"[+-]?[0-9.]+(e[+-]?[0-9]+)?", re.IGNORECASE)
+_NUMERIC: Final = ("int_", "float_", "finite_")
+"""How pydantic calls its findings about what should be a number."""
 
 
 def _in_words(detail: Any) -> Mistake:
@@ -614,13 +606,33 @@ def _in_words(detail: Any) -> Mistake:
         return Mistake(path, f"unknown key{near_match(str(location[-1]), _known_keys(location[:-1]))}")
     if kind == "missing":
         return Mistake(path, "is missing; a profile normally provides it")
+    if kind == "model_type":
+        return Mistake(path, f"{_short(value)}: must be a section, as [{path}] with its keys below")
     allowed = limits(location)
-    wanted = f"must be {allowed}" if allowed else detail["msg"][0].lower() + detail["msg"][1:]
-    return Mistake(path, f"{_short(value)}: {wanted}")
+    message = detail["msg"].replace("Input should be", "must be")
+    wanted = f"must be {allowed}" if allowed else message[0].lower() + message[1:]
+    ceiling = f" ({_CEILINGS[path]})" if path in _CEILINGS and kind == "less_than_equal" else ""
+    return Mistake(path, f"{_short(value)}: {wanted}{ceiling}{_meant(location, value, kind)}")
+
+
+def _meant(location: Sequence[Any], value: object, kind: str) -> str:
+    """What may have been meant by a value that is no number, or one in another unit; empty if there is no guess."""
+    unit = unit_of(str(location[-1]))
+    if isinstance(value, str):
+        if not kind.startswith(_NUMERIC):
+            return ""
+        return "; write it without quotes" if _NUMBER.fullmatch(value) else number_hint(value, unit)
+    field = _field_at(location)
+    if field is None or field.annotation is not float or isinstance(value, bool) or not isinstance(value, int | float):
+        return ""
+    low, high = (_bounds(field, *names) for names in (("ge", "gt"), ("le", "lt")))
+    return other_unit(value, unit, low[0], high[0]) if low and high else ""
 
 
 def _short(value: object) -> str:
-    text = repr(value)
+    """As it stands in the file, cut short."""
+    text = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
+    text = value.isoformat() if isinstance(value, date | time) else text
     return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
 
 
@@ -637,17 +649,22 @@ def _known_keys(location: Sequence[Any]) -> Iterable[str]:
     return model.model_fields if model is not None else ()
 
 
+def _field_at(location: Sequence[Any]) -> FieldInfo | None:
+    model = _model_at(location[:-1])
+    return model.model_fields.get(location[-1]) if model is not None and isinstance(location[-1], str) else None
+
+
+def _bounds(field: FieldInfo, *names: str) -> list[float]:
+    """What a field's rules say of some of `_LIMITS`."""
+    found = (getattr(rule, name, None) for rule in field.metadata for name in names)
+    return [bound for bound in found if bound is not None]
+
+
 def limits(location: Sequence[Any]) -> str:
     """Type and range of the field at `location`, as in "a number at least 0 and below 1"; empty if not so simple."""
-    model = _model_at(location[:-1])
-    field = model.model_fields.get(location[-1]) if model is not None and isinstance(location[-1], str) else None
+    field = _field_at(location)
     names = {float: "a number", int: "a whole number", str: "text"}
     if field is None or field.annotation not in names:
         return ""
-    bounds = [
-        f"{words} {getattr(rule, limit):.12g}"
-        for rule in field.metadata
-        for limit, words in _LIMITS.items()
-        if getattr(rule, limit, None) is not None
-    ]
+    bounds = [f"{words} {bound:.12g}" for limit, words in _LIMITS.items() for bound in _bounds(field, limit)]
     return " ".join([names[field.annotation], " and ".join(bounds)]).strip()

@@ -1,0 +1,66 @@
+"""Numbers as people write them: with a comma, with their unit, or in another unit than the wanted one."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Final
+
+_NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_WITH_COMMA: Final = re.compile(r"([+-]?\d+),(\d+)\s*[^\d,]*")
+_WITH_UNIT: Final = re.compile(rf"({_NUMBER})\s*([^\W\d_].*|%)")
+_FACTORS: Final[dict[str, dict[str, float]]] = {
+    "rad/s": {"rpm": math.pi / 30.0, "1/min": math.pi / 30.0},
+    "s": {"ms": 1e-3, "us": 1e-6, "min": 60.0},
+    "Hz": {"kHz": 1e3},
+    "": {"%": 1e-2},
+}
+"""By the wanted unit: what others are in it; of a share, the unit is none."""
+_FAR: Final = 3.0
+"""Times beyond a limit from which on another unit is likelier than a number that is too large."""
+_LARGEST: Final = 1e12
+"""Larger numbers are in no unit."""
+_ENDINGS: Final = {"_rad_s": "rad/s", "_per_s": "1/s", "_hz": "Hz", "_nm": "N m", "_s": "s"}
+
+
+def unit_of(key: str) -> str:
+    """Unit that the name of a key ends with, as in `rate_hz`; empty if with none."""
+    return next((unit for ending, unit in _ENDINGS.items() if key.endswith(ending)), "")
+
+
+def number_hint(text: str, unit: str = "") -> str:
+    """What to write in place of a text that is no number, as the tail of a message; empty if there is no guess."""
+    text = text.strip()
+    comma = _WITH_COMMA.fullmatch(text)
+    if comma is not None:
+        whole = f" or {comma[1]}{comma[2]}" if len(comma[2]) == 3 else ""
+        return f"; a comma is no decimal point: write {comma[1]}.{comma[2]}{whole}"
+    found = _WITH_UNIT.fullmatch(text)
+    if found is None:
+        return ""
+    factor = _FACTORS.get(unit, {}).get(found[2])
+    if factor is not None:
+        return f"; write the number alone{_in(unit)}: {float(found[1]) * factor:.4g}"
+    without = f"{_in(unit)}, without {found[2]!r}" if found[2] != unit else ""
+    return f"; write the number alone{without}"
+
+
+def other_unit(value: float, unit: str, low: float, high: float) -> str:
+    """Unit that a number looks like which is far from `low`..`high`, as the tail of a message; empty if like none.
+
+    A share looks like per cent only where 1 is the most.
+    """
+    if low / _FAR <= value <= high * _FAR or not abs(value) <= _LARGEST or (not unit and high > 1.0):
+        return ""
+    for name, factor in _FACTORS.get(unit, {}).items():
+        if low <= value * factor <= high and factor < 1.0:
+            return f"; looks like {name}: {value:.4g} {name} is {value * factor:.4g} {unit}".rstrip()
+    if unit == "Hz" and value > 0.0:
+        for name, meant in (("kHz", value * 1e3), ("a period in s", 1.0 / value)):
+            if low <= meant <= high:
+                return f"; looks like {name}: that is {meant:.4g} Hz"
+    return ""
+
+
+def _in(unit: str) -> str:
+    return f" in {unit}" if unit else ""

@@ -1,0 +1,104 @@
+"""TOML as people write it: read whole, and what is wrong with it in words, with its line."""
+
+from __future__ import annotations
+
+import codecs
+import re
+import tomllib
+from pathlib import Path
+from typing import Any, Final
+
+from inteco_abs.errors import ConfigError, Mistake, near_file
+from inteco_abs.quantities import number_hint
+
+NOT_TOML: Final = (ValueError, RecursionError)
+"""What the standard reader raises: besides its own error, for absurdly long numbers and deep nesting."""
+_LARGEST_FILE: Final = 1_000_000
+_LONGEST_LINE: Final = 60
+_PLACE: Final = re.compile(r"\(at line (\d+), column \d+\)")
+_TWICE: Final = ("Cannot overwrite a value", "Cannot declare", "Cannot mutate")
+_WORD: Final = re.compile(r"[^\W\d][\w.:-]*")
+
+
+def read_toml(file: Path, if_missing: str) -> dict[str, Any]:
+    """What stands in `file`; `if_missing` is what to do if there is none. Raises ConfigError."""
+    data = _bytes(file, if_missing)
+    problem = _problem_of(data)
+    if problem:
+        raise ConfigError([Mistake(str(file), problem)])
+    text = data.decode("utf-8")
+    try:
+        return tomllib.loads(text)
+    except NOT_TOML as error:
+        raise ConfigError([Mistake(str(file), f"is not TOML: {in_words(error, text)}")]) from error
+
+
+def in_words(error: ValueError | RecursionError, text: str) -> str:
+    """What the standard reader has raised at `text`: the place, the line itself, and what may have been meant."""
+    if isinstance(error, RecursionError):
+        return "its lists or tables are nested too deeply"
+    if not isinstance(error, tomllib.TOMLDecodeError):
+        return "it holds a number of absurdly many digits"
+    place = _PLACE.search(str(error))
+    if place is None:
+        return str(error)
+    number, lines = int(place[1]), text.splitlines()
+    line = lines[number - 1].strip() if number <= len(lines) else ""
+    if not line:
+        return str(error)
+    again = str(error).startswith(_TWICE)
+    meant = _first_place(lines, number) if again else _meant(line)
+    return f"{error}: {line[:_LONGEST_LINE]!r}{meant}"
+
+
+def _bytes(file: Path, if_missing: str) -> bytes:
+    problem = ""
+    try:
+        if file.is_dir():
+            problem = "is a folder; name a file"
+        elif not file.exists():
+            problem = f"cannot be read: No such file or directory{near_file(file) or f'; {if_missing}'}"
+        elif not file.is_file():
+            problem = "cannot be read: it is no regular file; name one"
+        elif file.stat().st_size > _LARGEST_FILE:
+            problem = f"is larger than {_LARGEST_FILE} bytes; is it a configuration?"
+        else:
+            return file.read_bytes()
+    except OSError as error:
+        raise ConfigError([Mistake(str(file), f"cannot be read: {error.strerror}")]) from error
+    raise ConfigError([Mistake(str(file), problem)])
+
+
+def _problem_of(data: bytes) -> str:
+    """What keeps bytes from being the text of a configuration; empty if nothing does."""
+    if not data.strip():
+        return "is empty; leave it out to have every default, or begin one with inteco-abs config init"
+    if data.startswith(codecs.BOM_UTF8):
+        return "begins with a byte-order mark; save it as UTF-8 without one"
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        return f"is not UTF-8 text: byte {error.start} is 0x{data[error.start]:02X}; save it as UTF-8"
+    zero = data.find(b"\0")
+    return f"is no text: byte {zero} is zero; is it a configuration?" if zero >= 0 else ""
+
+
+def _meant(line: str) -> str:
+    """For a value that is no TOML: a number with a comma or a unit, or text without its quotes."""
+    value = line.partition("=")[2].partition("#")[0].strip()
+    if _WORD.fullmatch(value):
+        return f'; text stands between quotes: "{value}"'
+    return number_hint(value)
+
+
+def _first_place(lines: list[str], number: int) -> str:
+    """Where the key or section of line `number` stood before, if that is plain to see."""
+    wanted = _name(lines[number - 1])
+    for earlier in range(number - 2, -1, -1):
+        if _name(lines[earlier]) == wanted:
+            return f"; line {earlier + 1} has it already: {lines[earlier].strip()[:_LONGEST_LINE]!r}"
+    return ""
+
+
+def _name(line: str) -> str:
+    return "".join(line.partition("=")[0].partition("#")[0].split())
