@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
-from typing import Any
+from typing import Any, Final
 
 from inteco_abs.config import Check, EstimatorConfig, LoopConfig, RigConfig
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
 from inteco_abs.control.estimators import ESTIMATORS, Estimator
 from inteco_abs.control.pipeline import Pipeline
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, Mistake, near_match, place_in
 from inteco_abs.rig import believed_brake, believed_parameters
+
+_LARGEST: Final = 1e300
+"""Of the numbers that are worth comparing with a range; what is wrong with others is told elsewhere."""
 
 
 def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Pipeline:
@@ -53,7 +55,9 @@ def _blamed_on(config: RigConfig) -> Iterator[None]:
     try:
         yield
     except (Exception, SystemExit) as error:
-        problem = f"{config.controller.name} cannot be made: {type(error).__name__}: {error}"
+        name = config.controller.name
+        where = place_in(error, name.rpartition(":")[0])
+        problem = f"{name}{where} cannot be made: {type(error).__name__}: {error}"
         raise ConfigError([Mistake("controller.name", problem)]) from error
 
 
@@ -137,7 +141,7 @@ def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterat
         path, gain = f"controller.gains.{name}", known.get(name)
         if gain is None:
             yield Mistake(path, f"unknown gain{near_match(name, known) if known else '; the controller has none'}")
-        elif isinstance(value, int | float) and abs(value) < math.inf and not gain.low <= value <= gain.high:
+        elif isinstance(value, int | float) and abs(value) <= _LARGEST and not gain.low <= value <= gain.high:
             unit = "" if gain.unit == "1" else f" {gain.unit}"
             yield Mistake(path, f"{value!r}: must be in {gain.low:g}..{gain.high:g}{unit} ({gain.meaning})")
 

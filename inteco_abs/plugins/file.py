@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import Final
 
 from inteco_abs.control import Controller
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, Mistake, near_file, near_match
 from inteco_abs.plugins.shape import foreign_code, insist_on_controller
 
 FROM_FILE: Final = ".py:"
@@ -26,18 +26,19 @@ def load_controller(name: str, source: bytes | None = None) -> tuple[type[Contro
     try:
         source = path.read_bytes() if source is None else source
     except OSError as error:
-        raise _mistake(f"{file}: cannot be read: {error.strerror}") from error
+        hint = near_file(path) or "; name a file as in law.py:Class"
+        raise _mistake(f"{file}: cannot be read: {error.strerror}{hint}") from error
     module = ModuleType(f"inteco_abs_user_{path.stem}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses and pickles look their module up there
     with foreign_code(_PATH, file):
         # the very bytes that the session keeps, and no cached older version of them
-        exec(compile(source, str(path), "exec"), vars(module))  # noqa: S102  the user named this file to be run
+        exec(compile(source, file, "exec"), vars(module))  # noqa: S102  the user named this file to be run
     kind = getattr(module, class_name, None)
     if not isinstance(kind, type):
         classes = [key for key, value in vars(module).items() if isinstance(value, type)]
         raise _mistake(f"{file} has no class {class_name!r}{near_match(class_name, classes)}")
-    return insist_on_controller(_PATH, kind, class_name), source
+    return insist_on_controller(_PATH, kind, name), source
 
 
 def _mistake(problem: str) -> ConfigError:

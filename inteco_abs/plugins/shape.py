@@ -10,19 +10,25 @@ from contextlib import contextmanager, redirect_stdout
 from typing import Any, Final
 
 from inteco_abs.control import Controller, Gain
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, Mistake, place_in
 
 _MOST_INTERNALS: Final = 4
 
 
 @contextmanager
 def foreign_code(path: str, what: str) -> Iterator[None]:
-    """Around code of others, which may raise anything: ConfigError then. Its prints go to stderr."""
+    """Around code of others in the file `what`, or a package: may raise anything, ConfigError then.
+
+    Its prints go to stderr.
+    """
     try:
         with redirect_stdout(sys.stderr):  # they must not mix with a result card
             yield
     except (Exception, SystemExit) as error:
-        raise ConfigError([Mistake(path, f"{what}: {type(error).__name__}: {error}")]) from error
+        told = str(error)
+        if isinstance(error, SyntaxError) and error.filename == what:
+            told = error.msg  # its text names file and line once more
+        raise ConfigError([Mistake(path, f"{what}{place_in(error, what)}: {type(error).__name__}: {told}")]) from error
 
 
 def insist_on_controller(path: str, kind: object, name: str) -> type[Controller]:
