@@ -56,7 +56,9 @@ def check_address(uri: str) -> None:
     scheme = SCHEMES.get(name) if colon else None
     if scheme is None:
         known = "; ".join(f"{one}: is {scheme.what}" for one, scheme in SCHEMES.items())
-        raise ConfigError([Mistake("--board", f"{uri!r} is no board address of this version; {known}")])
+        meant = f"usb:{uri}" if uri.startswith("/dev/") else f"{uri}:" if uri in SCHEMES else ""
+        hint = f"; did you mean {meant}?" if meant else ""
+        raise ConfigError([Mistake("--board", f"{uri!r} is no board address of this version{hint or ';'} {known}")])
     if scheme.rest.fullmatch(rest) is None:
         raise ConfigError([Mistake("--board", f"{uri!r}: {scheme.wanted}")])
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import click
 
-from inteco_abs.cli.shared import FILE
+from inteco_abs.cli.shared import FILE, Finite
 from inteco_abs.errors import BoardError, ConfigError, Mistake
 
 
 @click.command()
 @click.option("--board", default="usb2:", show_default=True, help="Board address, as in usb2:123.")
-@click.option("--seconds", default=3.0, show_default=True, type=click.FloatRange(0.1, 60.0), help="How long.")
+@click.option("--seconds", default=3.0, show_default=True, type=Finite(0.1, 60, unit="s"), help="How long.")
 @click.option("--config", type=FILE, help="rig.toml with the board's ids.")
 def blink(board: str, seconds: float, config: Path | None) -> int:
     """Light the middle LED of an RT-DAC/USB2, to see which board it is; its outputs are not concerned."""

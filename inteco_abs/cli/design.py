@@ -10,8 +10,8 @@ from typing import Any, Final
 import click
 
 from inteco_abs.cli.completion import controller_names, key_names
-from inteco_abs.cli.shared import FILE, LOSSES, check_table, json_option, known_controllers, print_json
-from inteco_abs.errors import AbsError, ConfigError, Mistake
+from inteco_abs.cli.shared import FILE, LOSSES, SETTING, Finite, check_table, json_option, known_controllers, print_json
+from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 
 _SLOWEST_RAD_S: Final = 10.0
 _FASTEST_RAD_S: Final = 245.0
@@ -25,6 +25,7 @@ _LEAST_SLIP: Final = 0.01
     "--set",
     "settings",
     multiple=True,
+    type=SETTING,
     shell_complete=key_names,
     metavar="KEY=VALUE",
     help="Over the file, as in controller.gains.Mq=4.",
@@ -40,16 +41,20 @@ _LEAST_SLIP: Final = 0.01
     "measured brake map, for which b2=1.2 stands.",
 )
 @click.option(
-    "--speeds", nargs=2, type=float, metavar="LOW HIGH", help="Road speeds, rad/s; default: 10 to the start of braking."
+    "--speeds",
+    nargs=2,
+    type=Finite(),
+    metavar="LOW HIGH",
+    help="Road speeds, rad/s; default: 10 to the start of braking.",
 )
 @click.option(
     "--slip-band",
     nargs=2,
-    type=float,
+    type=Finite(),
     metavar="LOW HIGH",
     help="Conditions of sliding for these slips, not only the reference.",
 )
-@click.option("--from-slip", type=float, help="Also judge reaching from this slip.")
+@click.option("--from-slip", type=Finite(), help="Also judge reaching from this slip.")
 @click.option("--csv", "table", type=FILE, help="Also write all curves over the road speed: .csv.")
 @click.option("--figure", type=FILE, help="Also draw them: .png, .svg or .pdf.")
 @json_option
@@ -136,7 +141,7 @@ def _write_table(curves: Mapping[str, Any], path: Path) -> None:
             writer.writerow(curves)
             writer.writerows(zip(*curves.values(), strict=True))
     except OSError as error:
-        raise AbsError(f"{path}: the table cannot be written: {error.strerror}") from error
+        raise AbsError(f"{path}: the table cannot be written: {disk_in_words(error)}") from error
 
 
 def _print_report(report: Mapping[str, Any]) -> None:

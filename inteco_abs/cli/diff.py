@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @click.argument("a", type=FILE)
 @click.argument("b", type=FILE)
 @click.option("--only", multiple=True, metavar="SECTION", help="Compare this, and what other --only name.")
-@click.option("--rel", type=Finite(0.0, 1.0), default=0.0, help="Metrics and signals this near are equal.")
+@click.option("--rel", type=Finite(0, 1), default=0.0, help="Metrics and signals this near are equal.")
 @json_option
 def diff(a: Path, b: Path, only: tuple[str, ...], rel: float, as_json: bool) -> int:
     """Say what changed from session A to session B.

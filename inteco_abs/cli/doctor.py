@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, json_option, print_json
+from inteco_abs.cli.shared import FILE, LOSSES, Finite, json_option, print_json
 from inteco_abs.errors import BoardError, ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -17,7 +17,11 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.option(
-    "--seconds", default=2.0, show_default=True, type=float, help="Length of the wake-up test; 60 tells more."
+    "--seconds",
+    default=2.0,
+    show_default=True,
+    type=Finite(unit="s"),
+    help="Length of the wake-up test; 60 tells more.",
 )
 @click.option(
     "--sessions", type=FILE, default=Path("sessions"), show_default=True, help="Where sessions will be written."

@@ -42,7 +42,9 @@ def golden() -> None:
     metavar="FIELD=ABS[:REL[:LEAD_S[:LAG_S]]]",
     help="As for replay; by default every bit counts.",
 )
-@click.option("--until", "until_s", type=Finite(), metavar="SECONDS", help="Cut the copy that long after braking.")
+@click.option(
+    "--until", "until_s", type=Finite(unit="s"), metavar="SECONDS", help="Cut the copy that long after braking."
+)
 @_reason_option
 @_folder_option
 @json_option

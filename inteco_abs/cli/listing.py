@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, json_option, plain, print_json
+from inteco_abs.cli.shared import FILE, LOSSES, json_option, on_terminal, plain, print_json
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
 _HEADS: Final = {
@@ -76,7 +76,7 @@ def _print(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
     """One line each, with every column in files and pipes, and as many as fit on a terminal."""
     columns = {name: [head, *(_cell(folder, row, name) for row in rows)] for name, head in _HEADS.items()}
     widths = {name: max(map(len, cells)) for name, cells in columns.items()}
-    left_out = _left_out(widths, shutil.get_terminal_size().columns) if sys.stdout.isatty() else []
+    left_out = _left_out(widths, shutil.get_terminal_size().columns) if on_terminal(sys.stdout) else []
     problems = ["", *(row["problem"] or "" for row in rows)]
     for line, problem in enumerate(problems):
         cells = (cells[line].ljust(widths[name]) for name, cells in columns.items() if name not in left_out)

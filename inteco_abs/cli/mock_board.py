@@ -10,8 +10,8 @@ from typing import Final, TextIO
 
 import click
 
-from inteco_abs.cli.shared import FILE, drawn_setting, rig_option
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.cli.shared import FILE, Finite, Whole, drawn_setting, rig_option
+from inteco_abs.errors import ConfigError, Mistake, disk_in_words
 
 _MOCK_PROFILES: Final = {"usb2": "sim_usb2", "usb": "sim_usb"}
 
@@ -36,15 +36,13 @@ _MOCK_PROFILES: Final = {"usb2": "sim_usb2", "usb": "sim_usb"}
     metavar="[LINK]",
     help="Be a serial port instead, and make the symbolic link LINK to it.",
 )
-@click.option("--serial", default=900_000_001, show_default=True, type=int, help="Its decimal serial number.")
-@click.option(
-    "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="What differs between two power-ups."
-)
+@click.option("--serial", default=900_000_001, show_default=True, type=Whole(), help="Its decimal serial number.")
+@click.option("--seed", default=0, show_default=True, type=Whole(0), help="What differs between two power-ups.")
 @rig_option
 @click.option("--config", type=FILE, help="rig.toml; every key has a default.")
 @click.option("--truth", metavar="FILE", help="Write the rig's true state there as JSON lines; - is stdout.")
 @click.option(
-    "--truth-hz", default=20.0, show_default=True, type=click.FloatRange(0.1, 1000.0), help="How many lines a second."
+    "--truth-hz", default=20.0, show_default=True, type=Finite(0.1, 1000, unit="Hz"), help="How many lines a second."
 )
 def mock_board(
     kind: str | None,
@@ -65,7 +63,7 @@ def mock_board(
     from inteco_abs.simulator import Mock, serve_pty, serve_usbip
 
     if (address is None) == (link is None):
-        raise ConfigError([Mistake("mock-board", "name one of --usbip, a USB device, and --pty, a serial port")])
+        raise ConfigError([Mistake("--usbip, --pty", "name one of them: to be a USB device, or a serial port")])
     kind = kind or ("usb2" if link is None else "usb")
     _insist_on_plug(kind, at_pty=link is not None)
     rig = load_config(config, drawn_setting(drawn), [rig_check], _MOCK_PROFILES[kind])
@@ -101,6 +99,6 @@ def _truth_file(name: str | None) -> Iterator[TextIO | None]:
     try:
         file = Path(name).open("w", encoding="utf-8")  # noqa: SIM115  closed below; what is raised inside is not ours
     except OSError as error:
-        raise ConfigError([Mistake("--truth", f"{name}: cannot be written: {error.strerror}")]) from error
+        raise ConfigError([Mistake("--truth", f"{name}: cannot be written: {disk_in_words(error)}")]) from error
     with file:
         yield file

@@ -10,7 +10,7 @@ import click
 
 from inteco_abs.cli.completion import key_names
 from inteco_abs.cli.probe import Terminal
-from inteco_abs.cli.shared import FILE, drawn_setting, rig_option
+from inteco_abs.cli.shared import FILE, SETTING, drawn_setting, on_terminal, rig_option
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 
@@ -23,6 +23,7 @@ from inteco_abs.errors import AbsError, ConfigError, Mistake
     "--set",
     "settings",
     multiple=True,
+    type=SETTING,
     shell_complete=key_names,
     metavar="KEY=VALUE",
     help="Over the file, as in guard.drive_limit=0.3.",
@@ -46,8 +47,8 @@ def panel(board: str, outputs: bool, drawn: str | None, config: Path | None, set
     rig = load_config(config, (*settings, *drawn_setting(drawn)), [rig_check], default_profile(board))
     if find_spec("textual") is None:
         raise AbsError("the panel needs textual: pip install 'inteco-abs[panel]'; nothing was started")
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise AbsError("the panel needs a terminal for its keys and its screen; nothing was started")
+    if not (on_terminal(sys.stdin) and on_terminal(sys.stderr)):
+        raise AbsError("the panel needs a terminal for its keys and its screen: run it in one; nothing was started")
     from inteco_abs.cli.panel_screen import PanelApp
 
     if outputs:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import select
 import sys
+from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.cli.shared import SETTING, on_terminal
+from inteco_abs.errors import ConfigError, Mistake, Stopped
 
 if TYPE_CHECKING:
     from inteco_abs.lab import Bench, Draft, Walk
@@ -28,14 +31,36 @@ class Terminal:
 
     def show(self, text: str) -> None:
         """Over the line before, on a terminal only."""
-        if sys.stderr.isatty():
+        if on_terminal(sys.stderr):
             click.echo(f"\r\033[K  {text}", nl=False, err=True)
             self._showing = True
 
     def ask(self, question: str) -> str:
-        """One line; the end of the input is an interruption."""
-        answer: str = click.prompt(question, default="", show_default=False, prompt_suffix=" ", err=True)
+        """One line. Raises Stopped where the input has ended."""
+        try:
+            answer: str = click.prompt(question, default="", show_default=False, prompt_suffix=" ", err=True)
+        except click.Abort as abort:
+            if isinstance(abort.__context__, EOFError):
+                raise Stopped("standard input has no more answers; the same command goes on from here") from None
+            raise
         return answer.strip()
+
+
+def _insist_on_answers() -> None:
+    """Raise ConfigError if nobody will ever answer: no terminal, and nothing on standard input."""
+    if sys.stdin is not None and (sys.stdin.isatty() or not _ended(sys.stdin)):
+        return
+    problem = "is missing: nobody can answer questions here; run it on a terminal, or do only steps 1 to 3, which read"
+    raise ConfigError([Mistake("--yes-read-only", problem)])
+
+
+def _ended(stream: TextIO) -> bool:
+    """Whether nothing will ever come. Who has yet to write into a pipe may take their time."""
+    try:
+        ready = select.select([stream], [], [], 0.0)[0]
+    except (OSError, ValueError):  # no stream of the system's
+        return False
+    return bool(ready) and isinstance(stream.buffer, BufferedReader) and not stream.buffer.peek(1)
 
 
 @click.command()
@@ -52,7 +77,7 @@ class Terminal:
 @click.option("--step", "only", default="", metavar="N|NAME", help="Do this step alone.")
 @click.option("--redo", default="", metavar="N|NAME", help="Do this step again, then what is left.")
 @click.option("--yes-read-only", "quiet", is_flag=True, help="Do steps 1 to 3, which only read, without questions.")
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Put into the draft first.")
+@click.option("--set", "settings", multiple=True, type=SETTING, metavar="KEY=VALUE", help="Put into the draft first.")
 @click.option("--virtual", is_flag=True, help="With sim:, virtual time.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object in the end.")
 def probe(
@@ -70,17 +95,21 @@ def probe(
 
     Goes on where it was left. Steps 1 to 4 only read.
     """
-    from inteco_abs.boards import check_address, check_kind
+    from inteco_abs.boards import check_address, check_kind, simulated
     from inteco_abs.lab import Draft, Walk
     from inteco_abs.lab.step import Visit
     from inteco_abs.lab.walk import find_step
 
     check_address(board)
+    if virtual and not simulated(board):
+        raise ConfigError([Mistake("--virtual", f"{board} is a real board, and real boards have their own time")])
     for name in (only, redo):
         if name:
             find_step(name)
     if only and redo:
         raise ConfigError([Mistake("--redo", "goes on after its step, --step does not: name one of them")])
+    if not quiet:
+        _insist_on_answers()
     base = profile or _real_profile(board)
     forgiving = [] if file.exists() else _forgiving(board)
     draft = Draft.open(file, board, base, [*forgiving, *settings], given=profile is not None)
@@ -123,9 +152,6 @@ def _bench(board: str, draft: Draft, *, virtual: bool) -> Bench:
 
     if simulated(board):
         return MockBench(draft.config, virtual=virtual)
-    if virtual:
-        problem = f"{board} is a real board, and real boards have their own time"
-        raise ConfigError([Mistake("--virtual", problem)])
     return RealBench(board)
 
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from inteco_abs.cli.shared import on_terminal
+
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
     from inteco_abs.realtime.screen import Screen
@@ -29,7 +31,7 @@ def live_options(function: Callable[..., Any]) -> Callable[..., Any]:
 @contextmanager
 def screen_of(config: RigConfig, wish: str | None, *, virtual: bool, quiet: bool) -> Iterator[Screen]:
     """Live picture on a terminal's stderr; elsewhere, or if nobody wants it, a line before the run in real time."""
-    if quiet or wish == "none" or not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
+    if quiet or wish == "none" or not on_terminal(sys.stderr) or os.environ.get("TERM") == "dumb":
         if not (quiet or virtual):
             click.echo("running in real time; Ctrl-C stops safely", err=True)
         from inteco_abs.realtime.screen import Lines
@@ -40,7 +42,7 @@ def screen_of(config: RigConfig, wish: str | None, *, virtual: bool, quiet: bool
 
     from inteco_abs.views.dashboard import Dashboard
 
-    line = wish == "line" or (wish is None and not sys.stdout.isatty())
+    line = wish == "line" or (wish is None and not on_terminal(sys.stdout))
     console, plain = Console(stderr=True, highlight=False), ascii_wanted()
     with Dashboard(console, config, virtual=virtual, line=line, plain=plain) as dashboard:
         yield dashboard

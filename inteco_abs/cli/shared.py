@@ -8,11 +8,12 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TextIO
 
 import click
 
 from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.quantities import number_hint
 
 if TYPE_CHECKING:
     from inteco_abs.ensembles import Progress
@@ -28,13 +29,61 @@ FILE: Final = click.Path(path_type=Path, readable=False)
 
 
 class Finite(click.FloatRange):
-    """A number within its range: neither infinite nor NaN, which is in every range."""
+    """A number in `unit` within its range: neither infinite nor NaN, which is in every range."""
+
+    def __init__(self, least: float | None = None, most: float | None = None, *, unit: str = "") -> None:
+        super().__init__(least, most)
+        self._unit = unit
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        number: float = super().convert(value, param, ctx)
-        if not math.isfinite(number):
-            self.fail(f"{value} is not a finite number.", param, ctx)
+        try:
+            number, hint = float(value), ""
+        except ValueError:
+            number, hint = math.nan, number_hint(value, self._unit)
+        if not (math.isfinite(number) and _within(number, self)):
+            self.fail(f"{value!r}: must be {_wanted('a number', self, self._unit)}{hint}", param, ctx)
         return number
+
+
+class Whole(click.IntRange):
+    """A whole number within its range."""
+
+    def __init__(self, least: int | None = None, most: int | None = None) -> None:
+        super().__init__(least, most)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        try:
+            number = int(value)
+        except ValueError:
+            self.fail(f"{value!r}: must be {_wanted('a whole number', self)}{number_hint(value)}", param, ctx)
+        if not _within(number, self):
+            self.fail(f"{value!r}: must be {_wanted('a whole number', self)}", param, ctx)
+        return number
+
+
+class _Setting(click.types.StringParamType):
+    """KEY=VALUE. Looked at here only for its =, as a value in an argument of its own is nobody's otherwise."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        text = str(value)
+        if "=" not in text:
+            self.fail(f"{text!r} has no =: must look like guard.brake_limit=0.7, in one word.", param, ctx)
+        return text
+
+
+SETTING: Final = _Setting()
+
+
+def _within(number: float, limits: click.IntRange | click.FloatRange) -> bool:
+    return (limits.min is None or number >= limits.min) and (limits.max is None or number <= limits.max)
+
+
+def _wanted(what: str, limits: click.IntRange | click.FloatRange, unit: str = "") -> str:
+    if limits.max is not None:
+        return f"{what} in {limits.min}..{limits.max} {unit}".rstrip()
+    if limits.min is not None:
+        return f"{what} of at least {limits.min} {unit}".rstrip()
+    return f"{what}, in {unit}" if unit else what
 
 
 class Verbs(click.Group):
@@ -53,6 +102,11 @@ class Verbs(click.Group):
             formatter.write_dl(
                 [(name, self.commands[name].get_short_help_str(_LONGEST_SENTENCE)) for name in self.list_commands(ctx)]
             )
+
+
+def on_terminal(stream: TextIO | None) -> bool:
+    """Whether a person is at the other end; a stream that the shell has closed is None."""
+    return stream is not None and stream.isatty()
 
 
 def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -155,9 +209,12 @@ def known_controllers(name: str | None) -> Controllers:
     from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
 
     if name is None or FROM_FILE not in name:
-        if name is not None and name.endswith(".py"):
-            raise ConfigError([Mistake("--controller", f"{name}: name the class too, as in {name}:Class")])
-        return Controllers()
+        controllers = Controllers()
+        if name is not None and name not in controllers:
+            file = name if name.endswith(".py") else f"{name}.py"
+            if name == file or Path(file).is_file():
+                raise ConfigError([Mistake("--controller", f"{name}: name the class too, as in {file}:Class")])
+        return controllers
     kind, source = load_controller(name)
     return Controllers({name: (kind, Origin(source))})
 
@@ -165,7 +222,7 @@ def known_controllers(name: str | None) -> Controllers:
 @contextmanager
 def stops_progress() -> Iterator[Progress | None]:
     """A bar on a terminal's stderr."""
-    if not sys.stderr.isatty():
+    if not on_terminal(sys.stderr):
         yield None
         return
     from rich.console import Console

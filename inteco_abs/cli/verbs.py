@@ -102,7 +102,8 @@ def main() -> None:
         code = INTERRUPTED
     except OSError as error:  # the output went away: a closed pipe, a full disk
         sys.stdout = sys.stderr
-        click.echo(f"inteco-abs: the output cannot be written: {error.strerror}", err=True)
+        what = f"{error.filename}:" if error.filename else "the output cannot be written:"
+        click.echo(f"inteco-abs: {what} {error.strerror or error}", err=True)
         code = 1
     except Exception as error:  # the top of the process: a bug must not look like the user's mistake
         if debug:

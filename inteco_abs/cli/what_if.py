@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names, key_names
-from inteco_abs.cli.shared import FILE, LOSSES, Finite, json_option, known_controllers, print_json, read_whole
+from inteco_abs.cli.shared import FILE, LOSSES, SETTING, Finite, json_option, known_controllers, print_json, read_whole
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ _METRICS: Final = (
     "--set",
     "settings",
     multiple=True,
+    type=SETTING,
     shell_complete=key_names,
     metavar="KEY=VALUE",
     help="Over the session's own, as in controller.gains.Mk=5: keys of controller, estimator and model.",
@@ -59,7 +60,7 @@ _METRICS: Final = (
 @click.option(
     "--at",
     "at_s",
-    type=Finite(),
+    type=Finite(unit="s"),
     metavar="SECONDS",
     help="Switch that long after braking began; default: from the first tick on.",
 )
@@ -67,14 +68,14 @@ _METRICS: Final = (
     "--duty",
     default=0.01,
     show_default=True,
-    type=Finite(min=0.0),
+    type=Finite(0),
     help="How far the duty asked for may be from the log's without having left it.",
 )
 @click.option(
     "--torque",
     default=0.1,
     show_default=True,
-    type=Finite(min=0.0),
+    type=Finite(0, unit="N m"),
     help="Likewise the torque asked for, N m.",
 )
 @click.option(

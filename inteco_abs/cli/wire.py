@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.shared import DIFFERS, FILE, Verbs, json_option, print_json
+from inteco_abs.cli.shared import DIFFERS, FILE, SETTING, Verbs, Whole, json_option, print_json
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def moved(file: Path, as_json: bool) -> int:
 @click.argument("second", type=FILE)
 @click.option(
     "--numbering-pwm",
-    type=click.IntRange(min=0),
+    type=Whole(0),
     metavar="CHANNEL",
     help="Ignore the prescaler of this PWM channel, by which our frames are numbered.",
 )
@@ -167,7 +167,14 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
 @wire.command()
 @click.argument("file", type=FILE)
 @click.option("--config", type=FILE, help="rig.toml that names the board's profile.")
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Over the file, as in profile=usb1_0111.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    type=SETTING,
+    metavar="KEY=VALUE",
+    help="Over the file, as in profile=usb1_0111.",
+)
 @json_option
 def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: bool) -> int:
     """Let our driver do what the capture shows, and compare every message; ends with exit code 4 if they differ."""
