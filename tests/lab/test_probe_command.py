@@ -114,29 +114,6 @@ def test_a_step_is_done_again_on_demand(probe, whole_script):
     assert "4 wheels: done" in run.stderr
 
 
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (["--board", "usb3:"], "usb3:"),
-        (["--draft", "lab.ini"], "must end in .toml"),
-        (["--draft", "no/such/folder/lab.toml"], "cannot be written"),
-        (["--profile", "usb2_generic"], "not a shipped profile"),
-        (["--step", "moters"], "did you mean motors"),
-        (["--step", "6"], "comes after"),
-        (["--redo", "9"], "no step"),
-        (["--step", "1", "--redo", "2"], "name one of them"),
-        (["--set", "board.drive_pwm"], "must look like"),
-        (["--set", "simulation.road_encoder=1"], "another encoder"),
-        (["--board", "usb2:", "--virtual"], "own time"),
-        (["--board", "usb2:", "--profile", "usb1_0111"], "another profile"),
-    ],
-)
-def test_wrong_usage_ends_with_two(probe, arguments, word):
-    run = probe(*arguments)
-    assert run.returncode == 2, run.stderr
-    assert word in run.stderr
-
-
 def test_a_real_board_that_is_not_there_fails_the_first_step(probe):
     run = probe("--board", "pci:", "--yes-read-only")
     assert run.returncode == 1

@@ -3,11 +3,15 @@ import os
 import subprocess
 import sys
 import sysconfig
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from wrong_inputs import Answers, Place
 
 from inteco_abs.cli import main
+from inteco_abs.config import load_config
+from inteco_abs.experiment import Plan, run_stop
 
 COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
 
@@ -74,3 +78,22 @@ def card(inteco_abs):
         return json.loads(run.stdout)
 
     return stop
+
+
+@pytest.fixture(scope="session")
+def whole_stop(tmp_path_factory):
+    """Bytes of the session of a short stop."""
+    path = tmp_path_factory.mktemp("stop") / "stop.mcap"
+    run_stop(load_config(settings=["experiment.start_speed_rad_s=20"]), Plan(path))
+    return path.read_bytes()
+
+
+@pytest.fixture
+def answers(main_here, tmp_path, monkeypatch, request):
+    """Types the rows of `wrong_inputs` in an empty folder."""
+    with ExitStack() as stack:
+
+        def opened(path):
+            return stack.enter_context(Path(path).open())
+
+        yield Answers(main_here, Place(tmp_path, monkeypatch, lambda: request.getfixturevalue("whole_stop"), opened))

@@ -45,14 +45,6 @@ def test_the_files_to_install_come_alone_ready_for_tee(inteco_abs, option):
     assert {"rules": 'TAG+="uaccess"', "limits": "memlock unlimited"}[option] in alone.stdout
 
 
-@pytest.mark.parametrize("seconds", ["0.1", "61", "nan", "-1"])
-def test_a_test_that_is_too_short_or_too_long_is_refused(inteco_abs, seconds):
-    run = inteco_abs("doctor", "--seconds", seconds, check=2)
-    assert "--seconds" in run.stderr
-    assert "0.2..60 s" in run.stderr
-    assert run.stdout == ""
-
-
 def test_what_lies_in_the_users_folder_is_not_run(inteco_abs, tmp_path):
     (tmp_path / "json.py").write_text("raise SystemExit(9)\n")
     wakes = json.loads(inteco_abs(*QUICK, "--json").stdout)["findings"][-1]

@@ -62,22 +62,6 @@ def test_an_interrupt_while_the_brake_cools_ends_the_series(main_here, monkeypat
     assert len(json.loads(run.stdout)["stops"]) == 1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("0", *QUICK), "0"),
-        (("2", *QUICK, "-o", "."), "does not exist"),
-        (("2", *QUICK, "-o", "series", "--controller", "quantum"), "quantum"),
-        (("2", *QUICK, "-o", "series", "--figure", "all.bmp"), ".png"),
-        (("2", *QUICK, "--out", "x", "--record-wire", "y"), "--record-wire"),
-    ],
-)
-def test_wrong_input_leaves_nothing_behind(main_here, tmp_path, arguments, words):
-    run = main_here("repeat", *arguments, check=2)
-    assert words in run.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_statistics_are_those_of_numpy():
     generator = np.random.default_rng(1)
     values = generator.normal(1.4, 0.1, 12)
