@@ -30,13 +30,12 @@ def live_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @contextmanager
 def screen_of(config: RigConfig, wish: str | None, *, virtual: bool, quiet: bool) -> Iterator[Screen]:
-    """Live picture on a terminal's stderr; elsewhere, or if nobody wants it, a line before the run in real time."""
+    """Live picture on a terminal's stderr; elsewhere, or if nobody wants it, a line where a run in real time begins."""
     if quiet or wish == "none" or not on_terminal(sys.stderr) or os.environ.get("TERM") == "dumb":
-        if not (quiet or virtual):
-            click.echo("running in real time; Ctrl-C stops safely", err=True)
         from inteco_abs.realtime.screen import Lines
 
-        yield Lines(_say, noting=not quiet)
+        begun = (lambda: None) if quiet or virtual else _say_what_stops
+        yield Lines(_say, noting=not quiet, begun=begun)
         return
     from rich.console import Console
 
@@ -53,6 +52,10 @@ def ascii_wanted() -> bool:
     # LC_CTYPE=C.UTF-8 is Python's own answer to that locale, if nothing else was set
     chosen = (os.environ.get("LC_ALL"), os.environ.get("LC_CTYPE", "").replace("C.UTF-8", ""), os.environ.get("LANG"))
     return next(filter(None, chosen), "") in {"C", "POSIX"}
+
+
+def _say_what_stops() -> None:
+    click.echo("running in real time; Ctrl-C stops safely", err=True)
 
 
 def _say(text: str) -> None:

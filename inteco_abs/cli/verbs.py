@@ -83,6 +83,15 @@ for _verb in _VERBS:
     cli.add_command(_verb)
 
 
+def _told(error: OSError) -> str:
+    """What the system has refused; of the working folder and of standard output it tells no name."""
+    if error.filename:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, FileNotFoundError):
+        return "the folder in which this was typed does not exist any more; change to another"
+    return f"the output cannot be written: {error.strerror or error}"
+
+
 def main() -> None:
     """Entry point of the command: maps every way to end to its exit code, without a traceback."""
     debug = "--debug" in sys.argv
@@ -100,10 +109,9 @@ def main() -> None:
     except (KeyboardInterrupt, click.Abort):
         click.echo("inteco-abs: interrupted", err=True)
         code = INTERRUPTED
-    except OSError as error:  # the output went away: a closed pipe, a full disk
+    except OSError as error:  # above all the output that went away: a closed pipe, a full disk
         sys.stdout = sys.stderr
-        what = f"{error.filename}:" if error.filename else "the output cannot be written:"
-        click.echo(f"inteco-abs: {what} {error.strerror or error}", err=True)
+        click.echo(f"inteco-abs: {_told(error)}", err=True)
         code = 1
     except Exception as error:  # the top of the process: a bug must not look like the user's mistake
         if debug:

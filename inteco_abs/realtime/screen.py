@@ -134,8 +134,15 @@ class NoScreen:
 class Lines(NoScreen):
     """Where there is no terminal: a log is no place for ten lines a second, but for what has to be said."""
 
-    def __init__(self, say: Callable[[str], None], *, noting: bool = True) -> None:
-        self._say, self._noting = say, noting
+    def __init__(
+        self, say: Callable[[str], None], *, noting: bool = True, begun: Callable[[], None] = lambda: None
+    ) -> None:
+        self._say, self._noting, self._begun = say, noting, begun
+
+    def passed(self, check: Check, told: str = "") -> None:  # noqa: ARG002  a log needs no more than that it goes on
+        """With the board's answer there is a run; what is refused before never began."""
+        if check is Check.BOARD:
+            self._begun()
 
     def note(self, text: str) -> None:
         """One line, unless warnings only are wanted."""

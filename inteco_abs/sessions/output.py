@@ -52,7 +52,7 @@ def made_folder(folder: Path, option: str = "--out", *, new: bool = False) -> It
         except OSError as error:
             if error.errno not in _NO_PLACE:
                 raise SessionError(f"the folder {folder} cannot be made: {disk_in_words(error)}") from error
-            problem = "exists already; name one that does not" if folder.is_dir() else disk_in_words(error)
+            problem = "exists already; name a folder that does not exist" if folder.is_dir() else disk_in_words(error)
             raise ConfigError([Mistake(option, f"the folder {folder} cannot be made: {problem}")]) from error
         yield
     finally:

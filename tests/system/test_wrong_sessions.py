@@ -1,5 +1,8 @@
 """Wrong sessions and captures, packages that are not there, and places where nothing can be written."""
 
+import errno
+import os
+
 import pytest
 from mcap.writer import Writer
 from wrong_inputs import Row, file, folder, full_disk, ids, session, without
@@ -15,6 +18,16 @@ def flipped(data):
     changed = bytearray(data)
     changed[len(data) // 2] ^= 0x10
     return bytes(changed)
+
+
+def gone(place):
+    """The working folder has been removed by somebody else."""
+
+    def cwd():
+        raise FileNotFoundError(errno.ENOENT, "No such file or directory")
+
+    place.patch.chdir(place.folder)  # while there is one
+    place.patch.setattr(os, "getcwd", cwd)
 
 
 def foreign(place):
@@ -109,6 +122,8 @@ OUTPUTS = [
         "name another place"),
     Row("no folder of sessions", "run --virtual", 2, ("sessions cannot be made",), "choose another name",
         (file("sessions"),)),
+    Row("a folder that is gone", "run --virtual", 1, ("does not exist any more",), "change to another", (gone,)),
+    Row("a tour in a folder that is gone", "demo", 1, ("does not exist any more",), "change to another", (gone,)),
     Row("a figure of no format", "run --figure stop.bmp", 2, ("stop.bmp",), ".png"),
     Row("no folder for a figure", "run --figure nowhere/stop.png", 2, ("nowhere",), "create it first"),
     Row("one name for two", "run --virtual --out x.mcap --record-wire x.mcap", 2, ("--record-wire",
@@ -125,9 +140,9 @@ OUTPUTS = [
         "choose another name",
         (session(),)),
     Row("a series that exists", "repeat 2 --virtual -o series", 2, ("series", "exists already"),
-        "name one that does not",
+        "name a folder that does not exist",
         (folder("series"),)),
-    Row("a tour that exists", "demo -o tour", 2, ("tour", "exists already"), "name one that does not",
+    Row("a tour that exists", "demo -o tour", 2, ("tour", "exists already"), "name a folder that does not exist",
         (folder("tour"),)),
     Row("a plan's folder that is a file", "identify --plan --virtual -o plan", 2, ("plan",), "choose another name",
         (file("plan"),)),
