@@ -126,11 +126,9 @@ def _instead(begin: bytes, shown: int) -> str:
     for other, what in _OTHERS.items():
         if begin.startswith(other):
             return f"is {what}"
-    try:
-        text = begin.decode("utf-8", "strict" if len(begin) < _BEGINNING else "ignore").isprintable()
-    except UnicodeDecodeError:
-        text = False
-    return f"starts with {begin[:shown]!r}{', as text does' if text else ''}; sessions are what run has written"
+    letters = begin.decode("utf-8", "replace")
+    text = ", as text does" if all(letter.isprintable() or letter.isspace() for letter in letters) else ""
+    return f"starts with {begin[:shown]!r}{text}; sessions are what run has written"
 
 
 @contextmanager
