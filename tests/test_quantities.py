@@ -5,6 +5,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from inteco_abs.quantities import number_hint, other_unit, unit_of
 
 UNITS = ["", "s", "rad/s", "Hz", "N m", "1/s"]

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import subprocess
 
 import pytest
 from mcap.writer import Writer
@@ -207,3 +208,19 @@ def test_a_disk_that_is_full_gets_one_clear_answer_and_no_half_a_file(answers, w
         prepare(answers.place)
     with full_disk():
         answers.to(row._replace(given=()))
+
+
+def test_a_disk_that_fills_up_during_a_run_is_told_and_leaves_a_readable_file(
+    command_path, inteco_abs, untraced, tmp_path
+):
+    # a limit on file size is the disk that a test can fill
+    run = subprocess.run(
+        ["sh", "-c", f"ulimit -f 300; exec {command_path} run --virtual --seed 1 --out stop.mcap"],
+        cwd=tmp_path, env=untraced, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert run.returncode == 1
+    assert "cannot be written: File too large; make room there" in run.stderr
+    assert "Traceback" not in run.stderr
+    info = inteco_abs("info", "stop.mcap", check=3)
+    assert "ends early" in info.stderr
+    assert "ticks are whole" in info.stderr

@@ -123,11 +123,15 @@ class Answers:
         assert height <= LINES, f"{height} lines: {answer.stderr}"
         if not row.runs:
             assert answer.stdout == ""
-        assert self._files() == before | {Path(name) for name in row.leaves}
+        after = self._files()
+        assert {name: after.get(name) for name in before} == before
+        assert after.keys() - before.keys() == {Path(name) for name in row.leaves}
         assert all(device.duties == (0.0, 0.0) for device in self._devices)
         assert row.runs or not any(device.truth().road_speed_rad_s for device in self._devices)
         return answer
 
     def _files(self):
-        found = self.place.folder.rglob("*")
-        return {path.relative_to(self.place.folder) for path in found}
+        """What the folder holds: content by path, of folders None."""
+        folder = self.place.folder
+        found = folder.rglob("*")
+        return {path.relative_to(folder): path.read_bytes() if path.is_file() else None for path in found}
