@@ -7,7 +7,18 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"```(\w+)\n(.*?)```", README, re.DOTALL)
+CAPTURED = {source.name for source in (ROOT / "docs/source").glob("*.md")}
+"""Pages whose commands tools/capture_reference runs."""
+GENERATED = {"hazards.md"}
+"""Pages that another tool writes, which a step of tools/check judges."""
+PAGES = {
+    page: page.read_text(encoding="utf-8")
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    if page.name not in GENERATED
+}
+READ_ON = "".join(text for page, text in PAGES.items() if page.name not in CAPTURED)
+"""README, then the pages to read on in."""
+BLOCKS = re.findall(r"```(\w+)\n(.*?)```", READ_ON, re.DOTALL)
 COMMANDS = [line.removeprefix("$ ") for kind, text in BLOCKS if kind == "console" for line in text.splitlines()]
 FILES = {text.split("\n", 1)[0].removeprefix("# "): text for kind, text in BLOCKS if kind in {"toml", "python"}}
 ENDS = {
@@ -41,7 +52,7 @@ def ends_of(command):
     return {0} if "--virtual" in command else next((codes for part, codes in ENDS.items() if part in command), {0})
 
 
-def test_every_command_of_the_readme_runs(clone, untraced):
+def test_every_command_of_the_readme_and_of_the_pages_to_read_on_in_runs(clone, untraced):
     assert CHECK_ITSELF in COMMANDS
     for command in COMMANDS:
         if command == CHECK_ITSELF:
@@ -68,10 +79,24 @@ def test_the_figures_in_the_readmes_table_are_those_of_the_program(card):
             assert result[name] == pytest.approx(float(text), abs=0.6 * last_digit)
 
 
-def test_every_link_of_the_readme_leads_somewhere():
-    for target in re.findall(r"\]\(([^)]+)\)", README):
-        assert (ROOT / target).exists(), target
+def anchors(text):
+    """What its headings are called by, as GitHub does."""
+    headings = re.findall(r"^#+ (.+)$", re.sub(r"```.*?```", "", text, flags=re.DOTALL), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-def test_the_picture_is_a_picture():
-    assert (ROOT / "tools/images/stop.png").read_bytes().startswith(b"\x89PNG")
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_leads_somewhere(page):
+    for target in re.findall(r"\]\((?!https?:)([^)]+)\)", re.sub(r"```.*?```", "", PAGES[page], flags=re.DOTALL)):
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        assert file.exists(), target
+        assert not anchor or anchor in anchors(PAGES[file]), target
+
+
+@pytest.mark.parametrize("picture", sorted((ROOT / "tools/images").iterdir()), ids=lambda picture: picture.name)
+def test_every_picture_is_one_not_too_large_and_shown(picture):
+    data = picture.read_bytes()
+    assert data.startswith(b"\x89PNG")
+    assert len(data) < 200_000
+    assert any(f"images/{picture.name})" in text for text in PAGES.values())
