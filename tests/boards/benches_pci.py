@@ -73,8 +73,8 @@ class RegisterLink(Link):
         self.change_answer: Callable[[bytes], bytes] = bytes
         self.change_next_answer: Callable[[bytes], bytes] | None = None
         self.change_next_value: tuple[tuple[int, int | None], Callable[[int], int]] | None = None
-        self.values_to_pass = 0
-        """As many such values come through before the one that is changed."""
+        self.change_after: tuple[int, int | None] | None = None
+        """What must have been asked for before that."""
         self.refuse_next: Callable[[Write | int], bool] | None = None
         self._inner = inner
         self._selected: dict[int, int] = {}
@@ -113,14 +113,16 @@ class RegisterLink(Link):
 
     def _changed(self, answer: bytes) -> bytes:
         which, change = self.change_next_value or (None, int)
-        places = [at for at, asked in enumerate(self._asked) if asked == which]
-        if len(places) <= self.values_to_pass:
-            self.values_to_pass -= len(places)
+        for at, asked in enumerate(self._asked):
+            if asked == which and self.change_after is None:
+                break
+            if asked == self.change_after:
+                self.change_after = None
+        else:
             return answer
         self.change_next_value = None
         self.failed += 1
         number, values = decode_answer(answer)
-        at = places[self.values_to_pass]
         return encode_answer(number, [*values[:at], change(values[at]), *values[at + 1 :]])
 
     def _count(self) -> None:
@@ -235,7 +237,7 @@ class PciBench:
         refusals = {"command not delivered": is_width, "request not delivered": lambda step: step == LOGIC.offset}
         self.link.change_next_answer = answers.get(way)
         self.link.change_next_value = values.get(way)
-        self.link.values_to_pass = 1 if "echo" in way else 0  # the first is what was there before
+        self.link.change_after = version if "echo" in way else None  # what is read before it was there before
         self.link.refuse_next = refusals.get(way)
 
 

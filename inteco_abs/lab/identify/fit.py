@@ -116,7 +116,8 @@ def fit(segments: Sequence[Segment], beliefs: Beliefs) -> Fit:
     left = tuple(problem.left(found))
     real = [np.full(len(each), _effective_deviation(each) / problem.noise) for _, each in left]
     scattered = jacobian[:, free] * np.concatenate([*real, np.ones(len(whole))])[:, None]
-    covariance[np.ix_(free, free)] += inverse @ (scattered.T @ scattered) @ inverse
+    pulls = _pulls(left, jacobian[:, free], problem.noise)
+    covariance[np.ix_(free, free)] += inverse @ (scattered.T @ scattered + pulls.T @ pulls) @ inverse
     return Fit(beliefs, whole[:count], covariance[:count, :count], before, left, converged)
 
 
@@ -211,6 +212,21 @@ class _Problem:
         wheel, road = angles(segment, self._beliefs, [self._beliefs.values(row) for row in listed], speeds)
         per_rad = segment.counts_per_turn / (2.0 * math.pi)
         return {"wheel": wheel * per_rad, "road": road * per_rad}
+
+
+def _pulls(left: Sequence[tuple[Channel, Floats]], jacobian: Floats, noise: float) -> Floats:
+    """Where each segment would draw the numbers by itself; in sum, nowhere. A row for each segment.
+
+    What the model has wrong draws segments apart: the covariance that has segments, not samples, as what is independent.
+    """
+    rows: dict[int, Floats] = {}
+    place = 0
+    for channel, residual in left:
+        part = jacobian[place : place + len(residual)].T @ (residual / noise)
+        place += len(residual)
+        rows[id(channel.segment)] = rows.get(id(channel.segment), np.zeros_like(part)) + part
+    count = len(rows)
+    return np.array(list(rows.values())) * math.sqrt(count / max(count - 1, 1))
 
 
 def _effective_deviation(left: Floats) -> float:

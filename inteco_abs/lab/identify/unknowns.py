@@ -85,7 +85,7 @@ class Beliefs:
             Unknown("a", k.a, 1.0),
             Unknown("p", k.p, 0.1),
             Unknown("lag", lag, 0.05, log=False),
-            Unknown("dead_time", 0.01, 0.02, log=False),
+            Unknown("dead_time", 0.01, 1.0),
             *(Unknown(torque_name(duty), measured_torque(duty), 3.0, log=False) for duty in self.levels),
         )
 
