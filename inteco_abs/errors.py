@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import difflib
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -93,6 +93,17 @@ class Stopped(ProbeError):  # noqa: N818  leaving is nothing wrong
     """The person has left the walk, which can go on later."""
 
     exit_code = 130
+
+
+def refusals(conditions: Iterable[Callable[[], object]]) -> list[AbsError]:
+    """Everything that conditions have to say, each of which raises what is wrong; empty if all of them hold."""
+    found = []
+    for condition in conditions:
+        try:
+            condition()
+        except AbsError as error:
+            found.append(error)
+    return found
 
 
 def near_match(word: str, known: Iterable[str]) -> str:
