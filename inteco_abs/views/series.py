@@ -14,7 +14,7 @@ from inteco_abs.errors import AbsError
 from inteco_abs.sessions import Session
 from inteco_abs.sessions.series import Spread
 from inteco_abs.views.beside import held_rows, since_s, start_ns
-from inteco_abs.views.figure import check_figure, save_figure
+from inteco_abs.views.figure import check_figure, save_figure, slip_top
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,7 +62,7 @@ def draw_series(sessions: Sequence[Session], path: Path) -> None:
         panel.set_ylabel(label)
         panel.grid(alpha=0.3)
     panels[0].legend(loc="upper right", frameon=False, fontsize="small", title="stop")
-    panels[1].set_ylim(0.0, 1.02)
+    panels[1].set_ylim(0.0, slip_top(session.ticks[held_rows(session.ticks)] for session in braked))
     panels[-1].set_xlabel("time since braking began [s]")
     save_figure(figure, path)
 
