@@ -118,7 +118,7 @@ def conditions(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
     if plan.faults:
         yield partial(_check_faults, plan.board)
     if plan.live_port is not None:
-        yield partial(_check_live, plan)
+        yield partial(_check_live, plan.live_port, virtual=plan.virtual)
     yield partial(check_spill, config)
     if plan.frames:
         yield partial(check_recordable, "--frames", config)
@@ -151,11 +151,11 @@ def _insist_on_origin(config: RigConfig, plan: Plan) -> None:
         raise ConfigError([Mistake("controller.name", problem)])
 
 
-def _check_live(plan: Plan) -> None:
-    if plan.virtual:
+def _check_live(port: int, *, virtual: bool) -> None:
+    if virtual:
         problem = "a run in virtual time is over before anybody could look; leave one of the two out"
         raise ConfigError([Mistake("--foxglove", f"{problem}, or open the session file in the viewer")])
-    insist_on_foxglove()
+    insist_on_foxglove(port)
 
 
 def exchange_times_us(config: RigConfig, board: str) -> list[float]:

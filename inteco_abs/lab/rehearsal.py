@@ -130,8 +130,8 @@ def _judge_rate(spread: Quantiles, config: RigConfig, look: Look) -> None:
                 "loop.rate_hz to less; inteco-abs doctor --board tells more"
             )
         )
-    elif MORE_THAN_A_READ * spread.p99 > period_us:
+    elif MORE_THAN_A_READ * spread.max > period_us:
         look.cautions.append(
-            f"readings take up to {spread.p99:.0f} us (99 %), and whole exchanges about {MORE_THAN_A_READ:g} times as "
-            f"long: a run may find that they do not fit into the period of {period_us:g} us"
+            f"the slowest reading took {spread.max:.0f} us, a whole exchange takes about {MORE_THAN_A_READ:g} times "
+            f"as long: a run, which measures a thousand, may find that the period of {period_us:g} us is too short"
         )

@@ -91,7 +91,7 @@ def _board(board: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         wheel, road = board["moved_counts"]
         yield "at rest", f"upper wheel {wheel:+d} counts, lower wheel {road:+d}"
     if board["read_us"] is not None:
-        yield "readings", f"p50 {board['read_us']['p50']:.0f} us, p99 {board['read_us']['p99']:.0f} us"
+        yield "readings", f"p50 {board['read_us']['p50']:.0f} us, max {board['read_us']['max']:.0f} us"
 
 
 def _grid() -> Table:
