@@ -137,9 +137,8 @@ def _check_time(config: RigConfig, plan: Plan) -> None:
 
 def _check_faults(board: str) -> None:
     if not simulated(board):
-        raise ConfigError(
-            [Mistake("--inject", f"{board} is a real board, and breaks by itself; only sim: can be told")]
-        )
+        problem = f"{board} is a real board, and breaks by itself; only sim: can be told"
+        raise ConfigError([Mistake("--inject", problem)])
 
 
 def _insist_on_origin(config: RigConfig, plan: Plan) -> None:

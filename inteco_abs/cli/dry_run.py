@@ -176,6 +176,8 @@ def _cautions(planned: Sequence[Planned]) -> Iterator[str]:
             f"experiment.drive_duty = {config.experiment.drive_duty:g} is more than guard.drive_limit, which makes it "
             f"{config.guard.drive_limit:g}"
         )
+    if plan.faults:
+        yield f"looked at was a board without faults; the run has {', '.join(map(str, plan.faults))}"
     disk = _disk(planned)
     if disk["free_bytes"] < disk["bytes"]:
         yield (

@@ -159,6 +159,11 @@ def test_a_duty_that_the_guard_cuts_is_noted(told):
     assert "guard.drive_limit, which makes it 0.5" in report["cautions"][0]
 
 
+def test_faults_to_be_injected_are_told_and_not_acted_out(told):
+    report = told(*VIRTUAL, "--inject", "unplug@brake")
+    assert "a board without faults; the run has unplug@brake" in report["cautions"][0]
+
+
 def test_a_series_tells_all_its_stops_with_their_pauses(told, main_here, tmp_path):
     report = told("repeat", 3, "--virtual", "--dry-run", "--pause", 10, "-o", "series")
     (run,) = report["runs"]
