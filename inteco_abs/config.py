@@ -242,6 +242,11 @@ class ExperimentConfig(_Section):
     stops: Annotated[int, Field(ge=1, le=1000)] = 1
     """How often all of this is done, one stop after the other, in one session."""
 
+    @property
+    def longest_s(self) -> float:
+        """The longest that all of it can take before the sequence ends it, s."""
+        return self.stops * (2.0 * self.idle_s + self.spin_up_timeout_s + self.braking_timeout_s + self.hold_s)
+
 
 class EstimatorConfig(_Section):
     name: str = "moving-window"

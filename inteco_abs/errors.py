@@ -17,7 +17,7 @@ from __future__ import annotations
 import difflib
 import errno
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -124,6 +124,17 @@ def _on_a_screen(lines: Sequence[str]) -> list[str]:
             return [*shown, f"  and {len(lines) - len(shown)} more, for when these are mended"]
         shown.append(line)
     return shown
+
+
+def refusals(conditions: Iterable[Callable[[], object]]) -> list[AbsError]:
+    """Everything that conditions have to say, each of which raises what is wrong; empty if all of them hold."""
+    found = []
+    for condition in conditions:
+        try:
+            condition()
+        except AbsError as error:
+            found.append(error)
+    return found
 
 
 def near_match(word: str, known: Iterable[str]) -> str:

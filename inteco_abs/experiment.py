@@ -97,22 +97,9 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
     SIGINT, SIGTERM and their like end it at the next tick, with SAFE and a complete file. Raises ConfigError or
     BoardError if it cannot start, and then leaves no file; BoardError also if SAFE could not be confirmed.
     """
-    check_address(plan.board)
-    check_kind(plan.board, config)
-    if plan.virtual and not simulated(plan.board):
-        raise ConfigError([Mistake("--virtual", f"{plan.board} is a real board, and real boards have their own time")])
-    if plan.faults and not simulated(plan.board):
-        raise ConfigError(
-            [Mistake("--inject", f"{plan.board} is a real board, and breaks by itself; only sim: can be told")]
-        )
-    if plan.live_port is not None:
-        _check_live(plan)
     check_output(plan.out)
-    check_spill(config)
-    if plan.frames:
-        check_recordable("--frames", config)
-    if plan.wire is not None:
-        check_target(plan.wire)
+    for condition in conditions(config, plan):
+        condition()
     # a controller's prints must not mix with the result card
     with redirect_stdout(sys.stderr):
         pipeline = build_pipeline(config, plan.controllers)
@@ -123,11 +110,51 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
             return _VirtualRun(config, plan, pipeline, interrupts).run(progress, screen)
 
 
-def _check_live(plan: Plan) -> None:
-    if plan.virtual:
+def conditions(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
+    """What has to hold before anything is opened, besides a place for the session; each raises AbsError if not."""
+    yield partial(check_address, plan.board)
+    yield partial(check_kind, plan.board, config)
+    yield partial(_check_time, config, plan)
+    if plan.faults:
+        yield partial(_check_faults, plan.board)
+    if plan.live_port is not None:
+        yield partial(_check_live, plan.live_port, virtual=plan.virtual)
+    yield partial(check_spill, config)
+    if plan.frames:
+        yield partial(check_recordable, "--frames", config)
+    if plan.wire is not None:
+        yield partial(check_target, plan.wire)
+
+
+def _check_time(config: RigConfig, plan: Plan) -> None:
+    """Whether the run can take place in the time that it asks for."""
+    if not plan.virtual:
+        _insist_on_linux()
+        _insist_on_origin(config, plan)
+    elif not simulated(plan.board):
+        raise ConfigError([Mistake("--virtual", f"{plan.board} is a real board, and real boards have their own time")])
+
+
+def _check_faults(board: str) -> None:
+    if not simulated(board):
+        problem = f"{board} is a real board, and breaks by itself; only sim: can be told"
+        raise ConfigError([Mistake("--inject", problem)])
+
+
+def _insist_on_origin(config: RigConfig, plan: Plan) -> None:
+    if config.controller.name not in CONTROLLERS and not (plan.controller_source or plan.controller_package):
+        problem = (
+            f"{config.controller.name!r}: in real time a controller must come from a file, as file.py:Class, "
+            "or from an installed package"
+        )
+        raise ConfigError([Mistake("controller.name", problem)])
+
+
+def _check_live(port: int, *, virtual: bool) -> None:
+    if virtual:
         problem = "a run in virtual time is over before anybody could look; leave one of the two out"
         raise ConfigError([Mistake("--foxglove", f"{problem}, or open the session file in the viewer")])
-    insist_on_foxglove()
+    insist_on_foxglove(port)
 
 
 def exchange_times_us(config: RigConfig, board: str) -> list[float]:
@@ -143,6 +170,13 @@ def exchange_times_us(config: RigConfig, board: str) -> list[float]:
         return times_us
 
 
+def conditions_by_hand(config: RigConfig, board: str) -> Iterator[Callable[[], object]]:
+    """What has to hold before a board is opened for a screen; each raises AbsError if not."""
+    yield partial(check_address, board)
+    yield partial(check_kind, board, config)
+    yield _insist_on_linux
+
+
 @contextmanager
 def by_hand(config: RigConfig, board: str, *, outputs: bool) -> Iterator[Screenside]:
     """A board held by a process of its own, for a screen: entered for output, or only to be read.
@@ -150,9 +184,8 @@ def by_hand(config: RigConfig, board: str, *, outputs: bool) -> Iterator[Screens
     Leaving ends with SAFE, read back. Raises ReadOnlyError if outputs are wanted of a board that the profile does not
     trust, BoardError if it cannot be opened or its process has died, UnsafeError if SAFE was not confirmed.
     """
-    check_address(board)
-    check_kind(board, config)
-    _insist_on_linux()
+    for condition in conditions_by_hand(config, board):
+        condition()
     slowly = config.loop.model_copy(update={"rate_hz": min(RATE_HZ, config.loop.rate_hz)})
     config = config.model_copy(update={"loop": slowly})
     told = config if outputs else _only_read(config)
@@ -175,15 +208,8 @@ def _insist_on_linux() -> None:
 
 
 def _run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> Account:
-    _insist_on_linux()
-    if config.controller.name not in CONTROLLERS and not (plan.controller_source or plan.controller_package):
-        problem = (
-            f"{config.controller.name!r}: in real time a controller must come from a file, as file.py:Class, "
-            "or from an installed package"
-        )
-        raise ConfigError([Mistake("controller.name", problem)])
     doctor = {"doctor": as_facts(examine(plan.out.absolute().parent))}
-    with _processes(config, plan, _ring_ticks(config), doctor) as (memory, supervisor):
+    with _processes(config, plan, ring_ticks(config), doctor) as (memory, supervisor):
         try:
             return supervisor.run(screen)
         except BaseException:
@@ -382,11 +408,9 @@ def _facts(config: RigConfig, plan: Plan) -> dict[str, dict[str, str]]:
     return {**facts, "drawn_rig": drawn} if drawn else facts
 
 
-def _ring_ticks(config: RigConfig) -> int:
-    """Ticks that the ring is to hold: all of the longest possible stop, if nothing else is asked for."""
-    plan = config.experiment
-    longest_s = 2.0 * plan.idle_s + plan.spin_up_timeout_s + plan.braking_timeout_s + plan.hold_s
-    whole_s = min(plan.stops * longest_s + _SPARE_S, _LONGEST_RING_S)
+def ring_ticks(config: RigConfig) -> int:
+    """Ticks that the ring in real time is to hold: all of the longest possible run, if nothing else is asked for."""
+    whole_s = min(config.experiment.longest_s + _SPARE_S, _LONGEST_RING_S)
     seconds = max(config.loop.ring_s, _SHORTEST_RING_S) if config.loop.ring_s else whole_s
     return round(seconds * config.loop.rate_hz)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
@@ -81,7 +82,7 @@ class Board(ABC):
 
     @abstractmethod
     def survey(self, names: Collection[str] = ()) -> Survey:
-        """Read an entered board once, outputs and trust aside: the named fields, or all; writes nothing.
+        """Read a board that was entered, or is only read, once, trust aside: the named fields, or all; writes nothing.
 
         Raises LinkError if the board does not answer in its protocol, BoardError if it has no field of such a name.
         """
@@ -137,6 +138,18 @@ class Board(ABC):
             self._ready = False
             self._close()
 
+    @contextmanager
+    def reading(self) -> Iterator[Self]:
+        """Instead of entering it: a board that is identified and read, and never written to, whoever has signed.
+
+        `insist` tells whether entering it would allow outputs; `exchange` is refused. Lets go of the board in the end.
+        """
+        try:
+            self.identity = self.identify()
+            yield self
+        finally:
+            self._close()
+
     def exchange(self, command: Command) -> Sample:
         """Write `command`, then read the board, once.
 
@@ -156,8 +169,8 @@ class Board(ABC):
         now = self._now_ns()
         wheel_before, road_before = self._raw
         self._raw = wheel, road
-        self._wheel_count += _step(wheel, wheel_before)
-        self._road_count += _step(road, road_before)
+        self._wheel_count += count_step(wheel, wheel_before)
+        self._road_count += count_step(road, road_before)
         return self._sample(now, _GOOD if now - start <= self._period_ns else _SLOW)
 
     def make_safe(self) -> None:
@@ -204,7 +217,7 @@ class Board(ABC):
         return Sample(tick, now, dt_s, self._wheel_count, self._road_count, flags)
 
     def insist(self) -> Identity:
-        """Identity of an entered board that may be driven; raises ReadOnlyError saying what the lab has to do."""
+        """Identity of a board that may be driven; raises ReadOnlyError saying what the lab has to do."""
         identity = self.identity
         if identity is None or identity.read_only_because:
             because = identity.read_only_because if identity else "it was not identified"
@@ -217,7 +230,7 @@ class Board(ABC):
         return BoardError("the board is not open")
 
 
-def _step(raw: int, before: int) -> int:
+def count_step(raw: int, before: int) -> int:
     """Signed difference of two readings of a 32-bit counter that wraps."""
     step = raw - before
     if -_HALF_RANGE <= step < _HALF_RANGE:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 
+from inteco_abs.cli.completion import controller_names, estimator_names
 from inteco_abs.cli.shared import json_option, print_json
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
@@ -19,12 +20,19 @@ _WIDTH: Final = 19
 
 
 @click.command()
+@click.argument("name", required=False, shell_complete=controller_names)
 @json_option
-def controllers(as_json: bool) -> int:
-    """List the controllers that ship, then those of installed packages, with their gains."""
+def controllers(name: str | None, as_json: bool) -> int:
+    """List the controllers that ship, then those of installed packages, with their gains; or tell all about NAME.
+
+    NAME may be your own as file.py:Class, too.
+    """
     from inteco_abs.control import CONTROLLERS
     from inteco_abs.plugins import packaged_controllers
 
+    if name is not None:
+        _tell_controller(name, as_json=as_json)
+        return 0
     usable, broken = [(name, kind, "") for name, kind in CONTROLLERS.items()], []
     for offer in packaged_controllers().values():
         try:
@@ -38,20 +46,24 @@ def controllers(as_json: bool) -> int:
         }
         print_json({"schema_version": 1, "controllers": found, "broken": broken})
         return 0
-    for name, kind, package in usable:
-        click.echo(f"{name:{_WIDTH}} {_summary(kind)}{f' [{package}]' if package else ''}")
+    for each, kind, package in usable:
+        click.echo(f"{each:{_WIDTH}} {_summary(kind)}{f' [{package}]' if package else ''}")
         _list(kind.gains)
-    for each in broken:
-        click.echo(f"{each['name']:{_WIDTH}} broken: {each['problem']}")
+    for fault in broken:
+        click.echo(f"{fault['name']:{_WIDTH}} broken: {fault['problem']}")
     return 0
 
 
 @click.command()
+@click.argument("name", required=False, shell_complete=estimator_names)
 @json_option
-def estimators(as_json: bool) -> int:
-    """List the estimators of wheel speeds and slip, with what can be set of each in the section [estimator]."""
+def estimators(name: str | None, as_json: bool) -> int:
+    """List the estimators of wheel speeds and slip, with what can be set of each; or tell all about NAME."""
     from inteco_abs.control import ESTIMATORS
 
+    if name is not None:
+        _tell_estimator(name, as_json=as_json)
+        return 0
     if as_json:
         found = {
             name: {"summary": kind.summary, "parameters": [each._asdict() for each in kind.parameters]}
@@ -59,10 +71,64 @@ def estimators(as_json: bool) -> int:
         }
         print_json({"schema_version": 1, "estimators": found})
         return 0
-    for name, kind in ESTIMATORS.items():
-        click.echo(f"{name:{_WIDTH}} {kind.summary}")
+    for each, kind in ESTIMATORS.items():
+        click.echo(f"{each:{_WIDTH}} {kind.summary}")
         _list(kind.parameters)
     return 0
+
+
+def _tell_controller(name: str, *, as_json: bool) -> None:
+    from inteco_abs.cli.shared import known_controllers
+    from inteco_abs.plugins import FROM_FILE
+
+    known = known_controllers(name)
+    if name not in known:
+        raise ConfigError([Mistake("NAME", f"no controller {name!r}{near_match(name, known)}")])
+    kind = known[name]
+    one = _About(name, _docstring(kind), kind.gains, kind.internals, getattr(kind, "estimator", ""))
+    values = {gain.name: gain.default for gain in kind.gains}
+    named = {} if FROM_FILE in name else {"name": name}  # code of the user's own runs only if the command line names it
+    _tell(one, {"controller": {**named, **({"gains": values} if values else {})}}, as_json=as_json)
+
+
+def _tell_estimator(name: str, *, as_json: bool) -> None:
+    from inteco_abs.control import ESTIMATORS
+
+    if name not in ESTIMATORS:
+        raise ConfigError([Mistake("NAME", f"no estimator {name!r}{near_match(name, ESTIMATORS)}")])
+    kind = ESTIMATORS[name]
+    one = _About(name, f"{kind.summary}.\n\n{_docstring(kind.works)}", kind.parameters)
+    values = {each.name: each.default for each in kind.parameters}
+    _tell(one, {"estimator": {"name": name, **values}}, as_json=as_json)
+
+
+class _About(NamedTuple):
+    """Everything about a controller or an estimator."""
+
+    name: str
+    text: str
+    numbers: Sequence[Gain | Parameter]
+    internals: Sequence[str] = ()
+    estimator: str = ""
+
+
+def _tell(one: _About, toml: Mapping[str, Any], *, as_json: bool) -> None:
+    import tomli_w
+
+    lines = tomli_w.dumps(toml)
+    internals = [name for name in one.internals if name]
+    if as_json:
+        numbers = [each._asdict() for each in one.numbers]
+        told = {"name": one.name, "text": one.text, "numbers": numbers, "internals": internals, "toml": lines}
+        print_json({"schema_version": 1, **told, "estimator": one.estimator or None})
+        return
+    click.echo(f"{one.name}\n\n{one.text}\n")
+    if one.estimator:
+        click.echo(f"works with the estimator {one.estimator} only, and has it if none is chosen\n")
+    _list(one.numbers, indent=2)
+    if internals:
+        click.echo(f"\nin a session, c0 and those after it are {', '.join(internals)}")
+    click.echo(f"\nin rig.toml, with the defaults:\n\n{lines.rstrip()}" if lines else "")
 
 
 @click.command()
@@ -98,13 +164,19 @@ def profiles(name: str | None, as_json: bool) -> int:
     return 0
 
 
-def _list(numbers: Sequence[Gain | Parameter]) -> None:
+def _list(numbers: Sequence[Gain | Parameter], indent: int = _WIDTH + 3) -> None:
     """One line each: name, default, range, unit, meaning."""
     values = [f"{each.name} = {each.default:g}" for each in numbers]
     width = max(map(len, ["", *values]))
     for value, each in zip(values, numbers, strict=True):
         unit = "" if each.unit == "1" else f" {each.unit}"
-        click.echo(f"{'':{_WIDTH}}   {value:{width}}  {each.low:g}..{each.high:g}{unit}: {each.meaning}")
+        click.echo(f"{'':{indent}}{value:{width}}  {each.low:g}..{each.high:g}{unit}: {each.meaning}")
+
+
+def _docstring(kind: type) -> str:
+    import inspect
+
+    return inspect.getdoc(kind) or "no description"
 
 
 def _summary(kind: type) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from inteco_abs.cli.completion import key_names
-from inteco_abs.cli.shared import FILE, SETTING, Verbs
+from inteco_abs.cli.shared import FILE, SETTING, Verbs, json_option, print_json
 from inteco_abs.errors import AbsError, disk_in_words
 
 
@@ -47,8 +47,9 @@ def init(file: Path) -> int:
 )
 @click.option("--board", default="sim:", show_default=True, help="Board address: it has a profile of its own.")
 @click.option("--origin", is_flag=True, help="Say of each value that is not a default where it comes from.")
-def show(file: Path | None, settings: tuple[str, ...], board: str, origin: bool) -> int:
-    """Print the configuration that a run would have, whole, as TOML."""
+@json_option
+def show(file: Path | None, settings: tuple[str, ...], board: str, origin: bool, as_json: bool) -> int:
+    """Print the configuration that a run would have, whole, as TOML; --json always has the origins."""
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.cli.shared import known_controllers
     from inteco_abs.config import load_config, origins
@@ -60,7 +61,11 @@ def show(file: Path | None, settings: tuple[str, ...], board: str, origin: bool)
     profile = default_profile(board)
     known = known_controllers(None)
     rig = load_config(file, settings, [control_check(known), rig_check], profile, preferred_estimator(known))
-    found = origins(file, settings, profile) if origin else {}
+    found = origins(file, settings, profile) if origin or as_json else {}
+    if as_json:
+        values = rig.model_dump(mode="json", exclude_none=True)
+        print_json({"schema_version": 1, "config": values, "origins": found})
+        return 0
     click.echo(with_origins(rig, found), nl=False)
     return 0
 
@@ -68,15 +73,21 @@ def show(file: Path | None, settings: tuple[str, ...], board: str, origin: bool)
 @config.command()
 @click.argument("key", shell_complete=key_names)
 @click.option("--board", default="sim:", show_default=True, help="Board address: it has a profile of its own.")
-def explain(key: str, board: str) -> int:
+@json_option
+def explain(key: str, board: str, as_json: bool) -> int:
     """Say what KEY means, its range and default; for a section, as guard, list its keys."""
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import read_profile
     from inteco_abs.views.config_keys import explain as in_words
+    from inteco_abs.views.config_keys import facts
 
     check_address(board)
     profile = default_profile(board)
-    click.echo(in_words(key, {**read_profile(profile), "profile": profile}))
+    below = {**read_profile(profile), "profile": profile}
+    if as_json:
+        print_json({"schema_version": 1, "keys": facts(key, below)})
+        return 0
+    click.echo(in_words(key, below))
     return 0
 
 

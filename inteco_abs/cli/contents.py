@@ -29,7 +29,8 @@ _FORMATS: Final = ("csv", "npz", "mat", "parquet")
 def export(file: Path, form: str | None, out: Path | None, as_json: bool) -> int:
     """Write a session's ticks, states of the simulated rig and events for other programs.
 
-    CSV and Parquet hold one table a file: OUT has the ticks, and the others lie beside it.
+    CSV and Parquet hold one table a file: OUT has the ticks, and the others lie beside it. Every column's unit and
+    meaning are in the file, or with CSV in one beside it, as stop.columns.csv beside stop.csv.
     """
     from inteco_abs.sessions import export_session
 

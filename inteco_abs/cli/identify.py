@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import click
 
+from inteco_abs.cli.dry_run import Planned, dry_run_option, rehearse
 from inteco_abs.cli.shared import (
     FILE,
     LOSSES,
@@ -24,7 +26,7 @@ from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
-    from inteco_abs.lab.identify import Experiment, Identification, Segment
+    from inteco_abs.lab.identify import Identification, Segment
 
 
 _MOST_NAMED: Final = 12
@@ -40,7 +42,7 @@ _MOST_NAMED: Final = 12
     type=FILE,
     help="Parameter file to write (.toml), for --config of run, design and sweep; with --plan, the sessions' folder.",
 )
-@click.option("--dry-run", is_flag=True, help="With --plan, only tell what would be done.")
+@dry_run_option
 @click.option("--board", default="sim:", show_default=True, help="With --plan: board address; sim: is the mock board.")
 @click.option("--virtual", is_flag=True, help="With --plan and sim:, virtual time.")
 @click.option("--pause", "pause_s", default=10.0, show_default=True, type=Finite(0, 3600, unit="s"),
@@ -86,7 +88,9 @@ def identify(
     if not plan and not files:
         raise ConfigError([Mistake("SESSION", "name at least one session, or --plan to record what is needed")])
     if plan:
-        return _record(board, virtual, drawn, config, settings, out, pause_s, dry_run=dry_run)
+        return _record(board, virtual, drawn, config, settings, out, pause_s, dry_run=dry_run, as_json=as_json)
+    if dry_run:
+        raise ConfigError([Mistake("--dry-run", "is for --plan; what is recorded is read, and nothing is moved")])
     assumed = _assumed(assume)
     rig = load_config(config, settings, [control_check()])
     insist_on_different({"--out": out, "--figure": figure})
@@ -191,14 +195,16 @@ def _record(
     pause_s: float,
     *,
     dry_run: bool,
+    as_json: bool,
 ) -> int:
     """Every run of the plan, until one does not end well; the exit code of the last one."""
     from inteco_abs.boards import check_address, default_profile, simulated
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check
+    from inteco_abs.experiment import Plan
     from inteco_abs.lab.identify import experiments
     from inteco_abs.mock_board import rig_check
-    from inteco_abs.sessions import made_folder
+    from inteco_abs.sessions import check_folder, check_output, made_folder
 
     check_address(board)
     if drawn is not None and not simulated(board):
@@ -209,33 +215,32 @@ def _record(
         checks = [control_check(), rig_check]
         return load_config(config, [*settings, *drawn_setting(drawn), *more], checks, default_profile(board))
 
-    planned = [(each, configured(*each.settings)) for each in experiments(configured().guard.brake_limit)]
+    planned = [
+        Planned(
+            configured(*each.settings), Plan(folder / f"{each.name}.mcap", board, virtual, number), shows=each.shows
+        )
+        for number, each in enumerate(experiments(configured().guard.brake_limit))
+    ]
+    pause_s = 0.0 if virtual else pause_s
     if dry_run:
-        for each, rig in planned:
-            click.echo(f"{folder / each.name}.mcap: {each.shows}; {_told(rig)}")
-        return 0
+        places = [partial(check_output, each.plan.out) for each in planned] if folder.is_dir() else []
+        return rehearse(planned, [partial(check_folder, folder), *places], pause_s=pause_s, as_json=as_json)
     with made_folder(folder):
-        for number, (each, rig) in enumerate(planned):
-            if number and not virtual:
+        for number, each in enumerate(planned):
+            if number:
                 time.sleep(pause_s)
             click.echo(f"{number + 1} of {len(planned)}: {each.shows}", err=True)
-            code = _run(each, rig, folder, board, virtual=virtual, seed=number)
+            code = _run(each)
             if code not in {0, LOSSES}:
                 return code
     click.echo(f"recorded; now: inteco-abs identify {folder}/*.mcap -o rig-parameters.toml", err=True)
     return 0
 
 
-def _told(rig: RigConfig) -> str:
-    plan, gains = rig.experiment, rig.controller.gains
-    duties = f"brake {gains['first']:g}" + (f" and up by {gains['rise']:g}" if gains["rise"] else "")
-    return f"drive {plan.drive_duty:g} to {plan.start_speed_rad_s:g} rad/s, then {duties}, {rig.loop.rate_hz:g} Hz"
+def _run(each: Planned) -> int:
+    from inteco_abs.experiment import run_stop
 
-
-def _run(each: Experiment, rig: RigConfig, folder: Path, board: str, *, virtual: bool, seed: int) -> int:
-    from inteco_abs.experiment import Plan, run_stop
-
-    stop = run_stop(rig, Plan(folder / f"{each.name}.mcap", board, virtual, seed))
+    stop = run_stop(each.config, each.plan)
     if stop.exit_code:
-        click.echo(f"inteco-abs: {each.name}: {stop.outcome}: {stop.explanation}", err=True)
+        click.echo(f"inteco-abs: {each.plan.out.stem}: {stop.outcome}: {stop.explanation}", err=True)
     return stop.exit_code

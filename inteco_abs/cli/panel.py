@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from inteco_abs.cli.completion import key_names
+from inteco_abs.cli.dry_run import rehearse_by_hand
 from inteco_abs.cli.probe import Terminal
 from inteco_abs.cli.shared import FILE, SETTING, drawn_setting, on_terminal, rig_option
 from inteco_abs.errors import AbsError, ConfigError, Mistake
@@ -28,7 +29,10 @@ from inteco_abs.errors import AbsError, ConfigError, Mistake
     metavar="KEY=VALUE",
     help="Over the file, as in guard.drive_limit=0.3.",
 )
-def panel(board: str, outputs: bool, drawn: str | None, config: Path | None, settings: tuple[str, ...]) -> int:
+@click.option("--dry-run", is_flag=True, help="With --outputs, only tell whether it would begin, and its limits.")
+def panel(
+    board: str, outputs: bool, drawn: str | None, config: Path | None, settings: tuple[str, ...], dry_run: bool
+) -> int:
     """Set the rig up by hand: encoders, speeds and board facts live; duties while you hold a key.
 
     Without --outputs it only reads.
@@ -45,10 +49,12 @@ def panel(board: str, outputs: bool, drawn: str | None, config: Path | None, set
     if drawn is not None and not simulated(board):
         raise ConfigError([Mistake("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")])
     rig = load_config(config, (*settings, *drawn_setting(drawn)), [rig_check], default_profile(board))
-    if find_spec("textual") is None:
-        raise AbsError("the panel needs textual: pip install 'inteco-abs[panel]'; nothing was started")
-    if not (on_terminal(sys.stdin) and on_terminal(sys.stderr)):
-        raise AbsError("the panel needs a terminal for its keys and its screen: run it in one; nothing was started")
+    if dry_run and not outputs:
+        raise ConfigError([Mistake("--dry-run", "is for --outputs: without them the panel only reads")])
+    if dry_run:
+        return rehearse_by_hand(rig, board, (_insist_on_textual, _insist_on_terminal))
+    _insist_on_textual()
+    _insist_on_terminal()
     from inteco_abs.cli.panel_screen import PanelApp
 
     if outputs:
@@ -63,3 +69,13 @@ def panel(board: str, outputs: bool, drawn: str | None, config: Path | None, set
     if by_person.reason is not Reason.NONE:
         click.echo(f"inteco-abs: {EXPLANATIONS[by_person.reason]}", err=True)
     return app.return_code or 1 if code is None else code
+
+
+def _insist_on_textual() -> None:
+    if find_spec("textual") is None:
+        raise AbsError("the panel needs textual: pip install 'inteco-abs[panel]'; nothing was started")
+
+
+def _insist_on_terminal() -> None:
+    if not (on_terminal(sys.stdin) and on_terminal(sys.stderr)):
+        raise AbsError("the panel needs a terminal for its keys and its screen: run it in one; nothing was started")

@@ -79,6 +79,7 @@ def _ended(stream: TextIO) -> bool:
 @click.option("--yes-read-only", "quiet", is_flag=True, help="Do steps 1 to 3, which only read, without questions.")
 @click.option("--set", "settings", multiple=True, type=SETTING, metavar="KEY=VALUE", help="Put into the draft first.")
 @click.option("--virtual", is_flag=True, help="With sim:, virtual time.")
+@click.option("--dry-run", is_flag=True, help="Only tell the steps, and what each may do to the rig; opens no board.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object in the end.")
 def probe(
     board: str,
@@ -89,6 +90,7 @@ def probe(
     quiet: bool,
     settings: tuple[str, ...],
     virtual: bool,
+    dry_run: bool,
     as_json: bool,
 ) -> int:
     """Commission a board: find out how the rig is wired, in steps of rising risk, and write a profile.
@@ -108,6 +110,9 @@ def probe(
             find_step(name)
     if only and redo:
         raise ConfigError([Mistake("--redo", "goes on after its step, --step does not: name one of them")])
+    if dry_run:
+        _tell_steps(as_json=as_json)
+        return 0
     if not quiet:
         _insist_on_answers()
     base = profile or _real_profile(board)
@@ -124,6 +129,21 @@ def probe(
         if as_json:
             click.echo(json.dumps(_report(walk, draft, board), allow_nan=False))
     return 0
+
+
+def _tell_steps(*, as_json: bool) -> None:
+    """Every step before any is done; no draft is begun."""
+    from inteco_abs.lab import STEPS
+
+    steps = [
+        {"step": number, "name": step.name, "does": step.does, "risk": step.risk}
+        for number, step in enumerate(STEPS, 1)
+    ]
+    if as_json:
+        click.echo(json.dumps({"schema_version": 1, "steps": steps}))
+        return
+    for step in steps:
+        click.echo(f"{step['step']} {step['name']}: {step['does']}\n    risk: {step['risk']}")
 
 
 def _real_profile(board: str) -> str:

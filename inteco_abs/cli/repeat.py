@@ -6,13 +6,15 @@ import time
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from datetime import datetime
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any, Final
 
 import click
 
-from inteco_abs.cli.run import run
+from inteco_abs.cli.dry_run import Condition, Planned, dry_run_option, refuse_together, rehearse
+from inteco_abs.cli.run import planned_run, run
 from inteco_abs.cli.shared import (
     FILE,
     INTERRUPTED,
@@ -23,12 +25,14 @@ from inteco_abs.cli.shared import (
     json_option,
     print_json,
 )
-from inteco_abs.errors import AbsError
+from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 _COOL_DOWN_S: Final = 30.0
 """What the manual asks for after the brake was switched off for heat; fact sheet on the rig, section 10."""
-_OWN: Final = ("out", "figure", "as_json", "wire", "frames")
-"""Options of `run` that are for one stop."""
+_OWN: Final = ("out", "figure", "as_json", "wire", "frames", "dry_run")
+"""Options of `run` that are for one stop, or that a series has of its own."""
+_NOT_PLANNED: Final = ("live", "quiet")
+"""Options of `run` that say nothing of what is done."""
 _WORDS: Final = {
     0: "completed",
     LOSSES: "completed, with overruns or losses",
@@ -47,6 +51,7 @@ _WORDS: Final = {
     help=f"Seconds for the brake to cool between stops; default: {_COOL_DOWN_S:g} on a real board, else 0.",
 )
 @click.option("--figure", type=FILE, help="Also draw all stops over one another: .png, .svg or .pdf.")
+@dry_run_option
 @json_option
 @click.pass_context
 def repeat(
@@ -56,6 +61,7 @@ def repeat(
     folder: Path | None,
     pause_s: float | None,
     figure: Path | None,
+    dry_run: bool,
     as_json: bool,
     **choices: Any,
 ) -> int:
@@ -69,11 +75,14 @@ def repeat(
     from inteco_abs.sessions import made_folder
     from inteco_abs.views.figure import check_figure
 
-    if figure is not None:
-        check_figure(figure)
-    insist_on_different({"--out": folder, "--figure": figure})
+    places: list[Condition] = [partial(check_figure, figure)] if figure is not None else []
+    places.append(partial(insist_on_different, {"--out": folder, "--figure": figure}))
     pause_s = pause_s if pause_s is not None else 0.0 if simulated(choices["board"]) else _COOL_DOWN_S
     folder = folder or Path("sessions") / f"series-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}"
+    if dry_run:
+        return _rehearse(count, folder, pause_s, places, choices, as_json=as_json)
+    for condition in places:
+        condition()
     with made_folder(folder, new=True):
         worst, paths = _brake(context, count, folder, pause_s, choices)
     _tell(paths, figure, as_json=as_json)
@@ -95,7 +104,7 @@ def _brake(
                 time.sleep(pause_s)
             except KeyboardInterrupt:
                 return INTERRUPTED, paths
-        path = folder / f"stop-{number + 1:0{len(str(count))}}.mcap"
+        path = _session(folder, number + 1, count)
         stop = {**choices, "seed": choices["seed"] + number, "out": path, "as_json": True}
         with redirect_stdout(StringIO()):  # one card each would be too much
             code = context.invoke(run, **stop)
@@ -106,6 +115,30 @@ def _brake(
         if code not in {0, LOSSES}:
             break
     return worst, paths
+
+
+def _rehearse(
+    count: int, folder: Path, pause_s: float, places: list[Condition], choices: Mapping[str, Any], *, as_json: bool
+) -> int:
+    places.insert(0, partial(_check_new, folder))
+    options = {name: value for name, value in choices.items() if name not in _NOT_PLANNED}
+    try:
+        rig, plan = planned_run(**options, out=_session(folder, 1, count))
+    except ConfigError as error:
+        raise refuse_together(places, error) from error
+    return rehearse([Planned(rig, plan, count)], places, pause_s=pause_s, as_json=as_json)
+
+
+def _check_new(folder: Path) -> None:
+    from inteco_abs.sessions import check_folder
+
+    if folder.exists():
+        raise ConfigError([Mistake("--out", f"{folder}: exists already; name a folder that does not exist")])
+    check_folder(folder)
+
+
+def _session(folder: Path, number: int, count: int) -> Path:
+    return folder / f"stop-{number:0{len(str(count))}}.mcap"
 
 
 def _tell(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:

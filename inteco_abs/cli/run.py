@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import sys
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names, key_names
+from inteco_abs.cli.dry_run import Condition, Planned, dry_run_option, refuse_together, rehearse
 from inteco_abs.cli.screens import live_options, screen_of
 from inteco_abs.cli.shared import (
     FILE,
@@ -29,6 +31,10 @@ from inteco_abs.cli.shared import (
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from inteco_abs.config import RigConfig
+    from inteco_abs.experiment import Plan
     from inteco_abs.sessions import Account
 
 _LIVE_PORT: Final = 8765
@@ -94,6 +100,7 @@ _LIVE_PORT: Final = 8765
     help="Let the mock board fail, as in lose@brake+20ms or road-stuck@drive+2s; `inteco-abs faults` lists all.",
 )
 @live_options
+@dry_run_option
 @json_option
 def run(
     board: str,
@@ -112,36 +119,30 @@ def run(
     faults: tuple[str, ...],
     live: str | None,
     quiet: bool,
+    dry_run: bool,
     as_json: bool,
 ) -> int:
     """Drive, brake, record: one stop."""
-    from inteco_abs.boards import check_address, default_profile, simulated
-    from inteco_abs.config import load_config
-    from inteco_abs.control import control_check, preferred_estimator
-    from inteco_abs.experiment import Plan, run_stop
-    from inteco_abs.mock_board import parse_faults, rig_check
-    from inteco_abs.sessions import made_folder
-    from inteco_abs.views.figure import check_figure
+    from inteco_abs.experiment import run_stop
+    from inteco_abs.sessions import check_folder, made_folder
 
-    controllers = known_controllers(controller)
-    chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
-    check_address(board)
-    if drawn is not None and not simulated(board):
-        raise ConfigError([Mistake("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")])
-    checks = [control_check(controllers), rig_check]
-    settings = (*settings, *drawn_setting(drawn), *chosen)
-    rig = load_config(config, settings, checks, default_profile(board), preferred_estimator(controllers))
-    if figure is not None:
-        check_figure(figure)
-    if out is not None:
-        check_session_file(out)
-    out = out or Path("sessions") / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"
-    insist_on_different({"--out": out, "--figure": figure, "--record-wire": wire})
-    source, package = controllers.origin(rig.controller.name)
-    plan = Plan(out, board, virtual, seed, controllers, source, wire, frames, package, live_port, parse_faults(faults))
+    places = list(_places(out, figure, wire))
+    try:
+        rig, plan = planned_run(
+            board, virtual, seed, drawn, config, settings, controller, estimator, out, wire, frames, live_port, faults
+        )
+    except ConfigError as error:
+        if dry_run:
+            raise refuse_together(places, error) from error
+        raise
+    if dry_run:
+        folder = () if out else (partial(check_folder, plan.out.parent),)
+        return rehearse([Planned(rig, plan)], [*folder, *places], as_json=as_json)
+    for condition in places:
+        condition()
     if not virtual:
         _tell_of_left_rings()
-    with made_folder(out.parent), screen_of(rig, live, virtual=virtual, quiet=quiet) as screen:
+    with made_folder(plan.out.parent), screen_of(rig, live, virtual=virtual, quiet=quiet) as screen:
         stop = run_stop(rig, plan, screen=screen)
     try:
         _tell(stop, as_json=as_json, quiet=quiet)
@@ -155,6 +156,53 @@ def run(
             click.echo(f"inteco-abs: {error}", err=True)
             return stop.exit_code or error.exit_code
     return stop.exit_code
+
+
+def planned_run(
+    board: str,
+    virtual: bool,
+    seed: int,
+    drawn: str | None,
+    config: Path | None,
+    settings: tuple[str, ...],
+    controller: str | None,
+    estimator: str | None,
+    out: Path | None,
+    wire: Path | None = None,
+    frames: bool = False,
+    live_port: int | None = None,
+    faults: tuple[str, ...] = (),
+) -> tuple[RigConfig, Plan]:
+    """What the options of a run come to; nothing is opened or made. Raises ConfigError."""
+    from inteco_abs.boards import check_address, default_profile, simulated
+    from inteco_abs.config import load_config
+    from inteco_abs.control import control_check, preferred_estimator
+    from inteco_abs.experiment import Plan
+    from inteco_abs.mock_board import parse_faults, rig_check
+
+    controllers = known_controllers(controller)
+    chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
+    check_address(board)
+    if drawn is not None and not simulated(board):
+        raise ConfigError([Mistake("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")])
+    checks = [control_check(controllers), rig_check]
+    settings = (*settings, *drawn_setting(drawn), *chosen)
+    rig = load_config(config, settings, checks, default_profile(board), preferred_estimator(controllers))
+    source, package = controllers.origin(rig.controller.name)
+    out = out or Path("sessions") / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"
+    injected = parse_faults(faults)
+    return rig, Plan(out, board, virtual, seed, controllers, source, wire, frames, package, live_port, injected)
+
+
+def _places(out: Path | None, figure: Path | None, wire: Path | None) -> Iterator[Condition]:
+    """Conditions on the files that were named."""
+    from inteco_abs.views.figure import check_figure
+
+    if figure is not None:
+        yield partial(check_figure, figure)
+    if out is not None:
+        yield partial(check_session_file, out)
+    yield partial(insist_on_different, {"--out": out, "--figure": figure, "--record-wire": wire})
 
 
 def _tell(stop: Account, *, as_json: bool, quiet: bool) -> None:

@@ -237,35 +237,21 @@ def _of_closed_loop(session: Session, closed: Continuation | None) -> dict[str, 
 
 
 def _print(report: dict[str, Any]) -> None:
-    for each in report["alternatives"]:
-        horizon_s = each["horizon_s"]
-        leaves = (
-            "never leaves the log" if horizon_s is None else f"leaves the log {horizon_s:.4f} s after braking began"
-        )
-        click.echo(f"{each['name']}: {leaves}")
-        for field in each["open_loop"]:
-            rms = ", ".join(f"{phase} {_figure(value)}" for phase, value in field["rms"].items())
-            first = "" if field["tick"] is None else f", beyond {field['threshold']:g} from tick {field['tick']}"
-            click.echo(f"  {field['field']:17} largest {_figure(field['largest'])}{first}; rms {rms}")
-        closed = each["closed_loop"]
-        if closed is not None:
-            ended = "" if closed["reason"] == "NONE" else f"ends in the fault {closed['reason']}; "
-            click.echo(f"  simulated: {ended}{_metrics(closed['card'])}")
+    from rich.console import Console
+
+    from inteco_abs.views.what_if import render_what_if
+
+    Console(markup=False, highlight=False).print(render_what_if(report))
     simulation = report.get("simulation")
     if simulation is None:
         click.echo("open loop: the logged counts do not react; beyond the horizon it is not what would have happened")
         return
-    click.echo(f"log: {_metrics(simulation['log'])}")
     own = simulation["own_error"]
     error = "not at hand" if own is None else ", ".join(f"{name} {_figure(value)}" for name, value in own.items())
     click.echo(
         f"closed loop: a SIMULATION of the rig {simulation['rig']} from tick {simulation['from_tick']} on, its state "
         f"from the {simulation['state_from']}; with the session's own controller it leaves the log by: {error}"
     )
-
-
-def _metrics(card: dict[str, Any]) -> str:
-    return ", ".join(f"{name} {_figure(value)}" for name, value in card.items() if value is not None)
 
 
 def _figure(value: float | None) -> str:

@@ -15,7 +15,7 @@ _NONE: Final = Reason.NONE
 _SPIN_UP, _BRAKING, _STOPPED = Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED
 _START_WINDOW_S: Final = 0.020
 _STOP_WINDOW_S: Final = 0.050
-_REST_COUNTS: Final = 4
+REST_COUNTS: Final = 4
 """Counts that a resting wheel may move, from a nudged table, before it counts as turning."""
 _FOUR_FLOATS: Final = (float, float, float, float)
 _NUMBERS: Final[type] = Real
@@ -84,7 +84,7 @@ class Sequence:
 
     def _wait(self, sample: Sample, elapsed_s: float) -> Wish:
         wheel, road = self._rest
-        moved = max(abs(sample.wheel_count - wheel), abs(sample.road_count - road)) > _REST_COUNTS
+        moved = max(abs(sample.wheel_count - wheel), abs(sample.road_count - road)) > REST_COUNTS
         if elapsed_s >= self._config.idle_s and not moved:
             self._enter(Phase.ARMED if self.phase is Phase.IDLE else Phase.SPIN_UP, sample)
         return Wish(Command.SAFE, _NO_DEMAND, Reason.WHEELS_MOVING if moved else _NONE)

@@ -23,12 +23,12 @@ class MockBench(Bench):
     Its time is virtual, so that a busy computer is never late; unless `virtual`, it is also never ahead of real time.
     """
 
-    def __init__(self, config: RigConfig, *, virtual: bool) -> None:
+    def __init__(self, config: RigConfig, *, virtual: bool, seed: int = 0) -> None:
         super().__init__("sim:")
         self._paced = not virtual
         self._due_s = 0.0
         self._now_ns = 0
-        self.device = Device(config, self.now_ns)
+        self.device = Device(config, self.now_ns, seed)
         self._face = face_of(self.device)
 
     def devices(self, config: RigConfig) -> list[Found]:

@@ -11,7 +11,7 @@ from inteco_abs.realtime.latency import quantiles
 
 READS: Final = 1000
 _MOST_FAILED: Final = 10
-_MORE_THAN_A_READ: Final = 1.5
+MORE_THAN_A_READ: Final = 1.5
 """A tick has three transfers, a reading two; the exact time is measured when a run begins."""
 _MARGIN: Final = 1.2
 """As where a run begins."""
@@ -58,7 +58,7 @@ def kept_rate(wanted_hz: float, read_us: float) -> float:
 
     Raises ProbeError if none does.
     """
-    possible_hz = 1e6 / (_MARGIN * _MORE_THAN_A_READ * read_us)
+    possible_hz = 1e6 / (_MARGIN * MORE_THAN_A_READ * read_us)
     if wanted_hz <= possible_hz:
         return wanted_hz
     for rate_hz in _RATES_HZ:

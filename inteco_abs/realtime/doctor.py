@@ -19,6 +19,7 @@ from inteco_abs.realtime import permissions
 from inteco_abs.realtime.findings import Check, Computer, Finding, Judgement, amber, green, look, red
 from inteco_abs.realtime.machine import parse_cpus
 from inteco_abs.realtime.plugged import plugged_in
+from inteco_abs.sessions import nearest_folder
 
 _CPUS: Final = "sys/devices/system/cpu"
 _CPU_LATENCY: Final = "dev/cpu_dma_latency"
@@ -57,7 +58,7 @@ def write_speed(folder: Path) -> Finding:
     """How fast a session could be written to `folder`: writes 16 MiB, waits for the disk, leaves nothing behind."""
     data = os.urandom(_CHUNK_BYTES)  # some file systems compress
     try:
-        with tempfile.TemporaryFile(dir=_existing(folder), buffering=0) as file:
+        with tempfile.TemporaryFile(dir=nearest_folder(folder), buffering=0) as file:
             start = time.perf_counter()
             for _ in range(_TRIAL_BYTES // _CHUNK_BYTES):
                 file.write(data)
@@ -213,7 +214,7 @@ def _load(computer: Computer) -> Judgement:
 
 
 def _free_space(folder: Path) -> Judgement:
-    free = shutil.disk_usage(_existing(folder)).free
+    free = shutil.disk_usage(nearest_folder(folder)).free
     found = f"{_size(free)} in {folder}, {_duration(free / _SESSION_BYTES_PER_S)} of recording"
     fix = "make room, or choose another folder with --sessions"
     if free >= _LAB_DAY_S * _SESSION_BYTES_PER_S:
@@ -228,12 +229,6 @@ def _shared_memory(computer: Computer) -> Judgement:
     if free >= _LONG_RUN_S * _RING_BYTES_PER_S:
         return green(found)
     return amber(found, fix) if free >= _SHORTEST_RUN_S * _RING_BYTES_PER_S else red(found, fix)
-
-
-def _existing(folder: Path) -> Path:
-    """The folder itself, or the nearest above it that exists already."""
-    folder = folder.absolute()
-    return next(place for place in (folder, *folder.parents) if place.is_dir())
 
 
 def _size(count: int) -> str:

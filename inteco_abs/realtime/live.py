@@ -7,6 +7,7 @@ recording is whole. Protocol: foxglove.sdk.v1; fact sheet on sessions and views,
 from __future__ import annotations
 
 import importlib.util
+import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,10 +25,23 @@ PERIOD_S: Final = 0.01
 _SHOWN: Final = ("time_ns", "tick")
 
 
-def insist_on_foxglove() -> None:
-    """Raise AbsError if what serves is not installed."""
+def insist_on_foxglove(port: int) -> None:
+    """Raise AbsError if what serves is not installed, or cannot have that port now."""
     if importlib.util.find_spec("foxglove") is None:
         raise AbsError("--foxglove needs foxglove-sdk: pip install 'inteco-abs[foxglove]'; nothing was started")
+    with socket.socket() as trial:
+        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the server does: a port just left is free
+        try:
+            trial.bind((HOST, port))
+        except OSError as error:
+            raise _not_served(port, error.strerror or str(error)) from error
+
+
+def _not_served(port: int, why: str) -> AbsError:
+    return AbsError(
+        f"--foxglove: {address(port)} cannot be served: {why}; name another port, or 0 for any that is free; "
+        "nothing was started"
+    )
 
 
 def address(port: int) -> str:
@@ -71,10 +85,7 @@ class _View:
                 name="inteco-abs", host=HOST, port=port, context=self._context, session_id=session_id
             )
         except (RuntimeError, OSError) as error:
-            raise AbsError(
-                f"--foxglove: {address(port)} cannot be served: {error}; name another port, or 0 for any that is free; "
-                "nothing was started"
-            ) from error
+            raise _not_served(port, str(error)) from error
         self.port: int = self._server.port
         self._over = Event()
         self._thread = Thread(target=self._serve, daemon=True)

@@ -9,6 +9,7 @@ import json
 import mmap
 import os
 import select
+import shutil
 import struct
 import time
 import uuid
@@ -139,6 +140,27 @@ _NOTES, _HISTOGRAM_AT = _note_places()
 _RINGS_AT: Final = -(-(_HISTOGRAM_AT + Histogram.BYTES) // 4096) * 4096
 
 
+def run_bytes(tick_bytes: int, tick_capacity: int, truth_bytes: int, truth_capacity: int) -> int:
+    """Size of the memory of a run with so many records of such sizes."""
+    return _RINGS_AT + ring_bytes(tick_bytes, tick_capacity) + ring_bytes(truth_bytes, truth_capacity)
+
+
+def insist_on_room(size: int) -> None:
+    """Raise SessionError unless the system has so many bytes of shared memory now; takes none of it."""
+    try:
+        free = shutil.disk_usage(FOLDER).free
+    except OSError as error:
+        raise _no_room(size, error.strerror or str(error)) from error
+    if free < size:
+        raise _no_room(size, f"{free / 1e6:.0f} MB are free")
+
+
+def _no_room(size: int, why: str) -> SessionError:
+    return SessionError(
+        f"the run needs {size / 1e6:.0f} MB of shared memory in {FOLDER}: {why}; free some, or set loop.ring_s to less"
+    )
+
+
 class RunMemory:
     """Shared memory of one run; `create` it once, `open` it in every other process."""
 
@@ -158,7 +180,7 @@ class RunMemory:
     @classmethod
     def create(cls, tick_bytes: int, tick_capacity: int, truth_bytes: int, truth_capacity: int) -> Self:
         """New memory for so many records of such sizes. Raises SessionError if there is not enough."""
-        size = _RINGS_AT + ring_bytes(tick_bytes, tick_capacity) + ring_bytes(truth_bytes, truth_capacity)
+        size = run_bytes(tick_bytes, tick_capacity, truth_bytes, truth_capacity)
         path = FOLDER / f"{_PREFIX}{uuid.uuid4()}{SUFFIX}"
         try:
             file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
@@ -169,10 +191,7 @@ class RunMemory:
                 os.close(file)
         except OSError as error:
             _unlink(path)
-            raise SessionError(
-                f"the run needs {size / 1e6:.0f} MB of shared memory in {FOLDER}: {error.strerror}; "
-                "free some, or set loop.ring_s to less"
-            ) from error
+            raise _no_room(size, error.strerror or str(error)) from error
         except BaseException:
             _unlink(path)
             raise

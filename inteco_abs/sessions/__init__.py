@@ -8,7 +8,14 @@ from inteco_abs.sessions.frames import Frames, read_frames
 from inteco_abs.sessions.gains import REFERENCE, changed_gains
 from inteco_abs.sessions.keeper import Keeper, check_spill, spill_path
 from inteco_abs.sessions.listing import COLUMNS, session_files, session_row, sort_rows
-from inteco_abs.sessions.output import check_output, insist_on_own, made_folder, only_whole
+from inteco_abs.sessions.output import (
+    check_folder,
+    check_output,
+    insist_on_own,
+    made_folder,
+    nearest_folder,
+    only_whole,
+)
 from inteco_abs.sessions.previous import previous_card
 from inteco_abs.sessions.reader import Session, is_session_file, read_session
 from inteco_abs.sessions.recorder import Recorder
@@ -62,6 +69,7 @@ __all__ = [
     "attached",
     "before_the_gap",
     "changed_gains",
+    "check_folder",
     "check_output",
     "check_spill",
     "diff_sessions",
@@ -71,6 +79,7 @@ __all__ = [
     "insist_on_own",
     "is_session_file",
     "made_folder",
+    "nearest_folder",
     "only_whole",
     "pack_tick",
     "parse_tolerances",

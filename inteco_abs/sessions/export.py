@@ -18,7 +18,7 @@ from numpy.lib.recfunctions import repack_fields
 from inteco_abs.errors import AbsError, SessionError, disk_in_words
 from inteco_abs.sessions.output import check_output, only_whole
 from inteco_abs.sessions.reader import Session, read_session
-from inteco_abs.sessions.tables import Table, tables
+from inteco_abs.sessions.tables import Table, columns_of, tables
 
 _BLOCK_ROWS: Final = 1 << 14
 
@@ -44,13 +44,16 @@ class _Format(NamedTuple):
     one_table_a_file: bool
     package: str = ""
     """What it needs beyond the base install."""
+    has_units: bool = True
+    """Whether units and meanings have a place in its files; else they are a table of their own."""
 
 
 def export_session(source: Path, form: str, out: Path) -> Export:
     """Write the session at `source` to `out` in one of `FORMATS`, by way of the disk: an hour needs little memory.
 
     Where a file holds one table only, `out` has the ticks, and what else there is lies beside it, as `stop.truth.csv`
-    beside `stop.csv`. Raises ConfigError, SessionError, or AbsError where the format's package is not installed.
+    beside `stop.csv`; so do units and meanings, where the format has no place for them. Raises ConfigError,
+    SessionError, or AbsError where the format's package is not installed.
     """
     chosen = FORMATS[form]
     if chosen.package and importlib.util.find_spec(chosen.package) is None:
@@ -58,6 +61,8 @@ def export_session(source: Path, form: str, out: Path) -> Export:
     check_output(out)
     session = read_session(source, out.parent)
     found = tables(session)
+    if not chosen.has_units:
+        found.append(columns_of(found))
     groups = [[table] for table in found] if chosen.one_table_a_file else [found]
     paths = [out, *(out.with_name(f"{out.stem}.{group[0].name}{out.suffix}") for group in groups[1:])]
     for path in paths[1:]:
@@ -157,7 +162,7 @@ def _blocks(table: Table) -> Iterator[tuple[int, int]]:
 
 
 FORMATS: Final[dict[str, _Format]] = {
-    "csv": _Format(_csv, one_table_a_file=True),
+    "csv": _Format(_csv, one_table_a_file=True, has_units=False),
     "npz": _Format(_npz, one_table_a_file=False),
     "mat": _Format(_mat, one_table_a_file=False, package="scipy"),
     "parquet": _Format(_parquet, one_table_a_file=True, package="pyarrow"),

@@ -61,6 +61,25 @@ def made_folder(folder: Path, option: str = "--out", *, new: bool = False) -> It
                 each.rmdir()
 
 
+def check_folder(folder: Path, option: str = "--out") -> None:
+    """Refuse a folder that cannot be made, parents and all, or not be written to; makes nothing.
+
+    Raises ConfigError, or SessionError where the rights are missing.
+    """
+    above = nearest_folder(folder)
+    blocked = next((place for place in (folder, *folder.parents) if place.exists() and not place.is_dir()), None)
+    if blocked is not None:
+        raise ConfigError([Mistake(option, f"{folder}: {blocked} is no folder; choose another name")])
+    if not os.access(above, os.W_OK):
+        raise SessionError(f"nothing can be made in {folder}: the folder {above} cannot be written to")
+
+
+def nearest_folder(path: Path) -> Path:
+    """The folder at `path`, or the nearest above it that exists already."""
+    path = path.absolute()
+    return next(place for place in (path, *path.parents) if place.is_dir())
+
+
 def insist_on_own(path: Path, session_id: str) -> None:
     """Raise SessionError if at `path` there is anything but a beginning of the session with that id."""
     try:

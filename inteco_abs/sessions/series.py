@@ -6,19 +6,20 @@ from collections.abc import Mapping, Sequence
 from statistics import fmean, stdev
 from typing import Any, Final, NamedTuple
 
-METRICS: Final = (
-    "start_speed_rad_s",
-    "reaching_time_s",
-    "band_entry_s",
-    "stop_time_s",
-    "stop_distance_m",
-    "slip_rms_true",
-    "slip_rms_estimated",
-    "lock_fraction",
-    "torque_variation_nm_per_s",
-    "duty_variation_per_s",
-)
-"""Keys of the card; their units are in the names, without one they are shares of 1."""
+UNITS: Final = {
+    "start_speed_rad_s": "rad/s",
+    "reaching_time_s": "s",
+    "band_entry_s": "s",
+    "stop_time_s": "s",
+    "stop_distance_m": "m",
+    "slip_rms_true": "1",
+    "slip_rms_estimated": "1",
+    "lock_fraction": "1",
+    "torque_variation_nm_per_s": "N m/s",
+    "duty_variation_per_s": "1/s",
+}
+"""Of the card's metrics that are told of a series; a share is one of 1."""
+METRICS: Final = tuple(UNITS)
 
 
 class Spread(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -19,11 +20,19 @@ _EVENT_COLUMNS: Final = {
 }
 
 
+_COLUMN_COLUMNS: Final = {
+    "table": "which file the column is in",
+    "column": "its name there",
+    "unit": "of its values, as in UCUM",
+    "meaning": "what they are",
+}
+
+
 class Table(NamedTuple):
     """Everything of one kind in a session, in the order of time."""
 
     name: str
-    """`tick`, `truth` or `events`."""
+    """`tick`, `truth` or `events`; `columns` of these."""
     rows: npt.NDArray[np.void]
     units: dict[str, str]
     """By column, as in UCUM; `1` has no dimension, `text` is none."""
@@ -39,6 +48,15 @@ def tables(session: Session) -> list[Table]:
     """`tick`, then `truth` and `events` where there are any."""
     found = [_of_message("tick", TICK, session.ticks), _of_message("truth", TRUTH, session.truth), _events(session)]
     return [table for table in found if table.name == "tick" or len(table.rows)]
+
+
+def columns_of(found: Sequence[Table]) -> Table:
+    """What the columns of tables are, as a table, for formats that have no other place for it."""
+    lines = [(table.name, name, unit, table.meanings[name]) for table in found for name, unit in table.units.items()]
+    widths = [max(map(len, texts)) for texts in zip(*lines, strict=True)]
+    names = tuple(_COLUMN_COLUMNS)
+    rows = np.array(lines, [(name, f"<U{width}") for name, width in zip(names, widths, strict=True)])
+    return Table("columns", rows, dict.fromkeys(names, "text"), dict(_COLUMN_COLUMNS))
 
 
 def to_pandas(session: Session, table: str = "tick") -> Any:

@@ -49,14 +49,35 @@ def explain(path: str, below: Mapping[str, Any]) -> str:
 
     Raises ConfigError for what is neither.
     """
+    mine, within = _asked(path)
+    if within:
+        return "\n".join(_in_short(key) for key in mine + within)
+    return "\n\n".join(_in_full(key, below) for key in mine)
+
+
+def facts(path: str, below: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The same for programs: path, type and range, default, what the profile says, and meaning of each key."""
+    mine, within = _asked(path)
+    return [
+        {
+            "path": key.path,
+            "kind": key.kind,
+            "default": key.default,
+            "profile": str(value) if isinstance(value := _value_in(below, key.path), date) else value,
+            "meaning": key.meaning,
+        }
+        for key in mine + within
+    ]
+
+
+def _asked(path: str) -> tuple[list[Key], list[Key]]:
+    """The key itself, as often as it is there, and those within it; raises ConfigError if there is nothing."""
     keys = all_keys()
     asked = path.strip().strip(".[]")
     mine = [key for key in keys if key.path == asked]
     within = [key for key in keys if key.path.startswith(f"{asked}.")]
-    if mine and not within:
-        return "\n\n".join(_in_full(key, below) for key in mine)
-    if within:
-        return "\n".join(_in_short(key) for key in mine + within)
+    if mine or within:
+        return mine, within
     paths = [key.path for key in keys]
     sections = [name.rpartition(".")[0] for name in paths]
     tails = [name for name in paths if name.rpartition(".")[2] == asked]
@@ -126,12 +147,18 @@ def _in_full(key: Key, below: Mapping[str, Any]) -> str:
     lines = [key.path, *(f"  {line}" for line in _wrapped(key.meaning)), f"  {key.kind}"]
     if key.default is not None:
         lines.append(f"  default {_toml(key.default)}")
-    value: Any = below
-    for part in key.path.split("."):
-        value = value.get(part) if isinstance(value, dict) else None
+    value = _value_in(below, key.path)
     if value is not None and value != key.default:
         lines.append(f"  profile {below.get('profile', '')}: {_toml(value)}")
     return "\n".join(lines)
+
+
+def _value_in(table: Mapping[str, Any], path: str) -> Any:
+    """What a table says at a dotted path; None if nothing."""
+    value: Any = table
+    for part in path.split("."):
+        value = value.get(part) if isinstance(value, dict) else None
+    return value
 
 
 def _in_short(key: Key) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -45,6 +46,12 @@ _DRAWN: Final[Sequence[str]] = (
 )
 _AT_REST_RAD_S: Final = 1.0
 """Road speed below which slip says nothing: a difference of counts over next to none."""
+_ROLLING_RAD_S: Final = 10.0
+"""As the result card's share of time with a locked wheel has it, and the slip from which a wheel counts as locked."""
+_LOCKED: Final = 0.9
+_WHOLE_SLIP: Final = 1.02
+_SLIP_AIR: Final = 1.2
+_SLIP_STEP: Final = 0.05
 _SALT: Final = "inteco-abs"
 """Of the names inside an SVG, which are random otherwise."""
 
@@ -161,7 +168,7 @@ def _drawn(sessions: Sequence[Session], width: Width, most: int | None = None) -
         _name_sessions(figure, axes[0], parts, width)
     axes[0].set_ylabel("speed [rad/s]")
     axes[0].set_ylim(bottom=0.0)
-    axes[1].set_ylim(0.0, 1.02)
+    axes[1].set_ylim(0.0, slip_top([rows for part in parts for rows in _slip_rows(part, parts)]))
     axes[2].set_ylim(-0.2, 10.0)
     axes[2].set_xlabel("time since braking began [s]")
     for panel in axes:
@@ -170,6 +177,40 @@ def _drawn(sessions: Sequence[Session], width: Width, most: int | None = None) -
             panel.legend(loc="upper right", frameon=False, fontsize="small")
         panel.set_xlim(-_BEFORE_S, max(part.end_s for part in parts))
     return figure
+
+
+def slip_top(stops: Iterable[Array]) -> float:
+    """Upper end of a slip axis, from 0 on, for ticks or truths of stops that share it.
+
+    All there is if a wheel has locked, and else what the slip comes to, with some air, so that a stop which holds its
+    reference is no thin line. What counts is the road above 10 rad/s: in the end every slip is anything.
+    """
+    highest = 0.0
+    for rows in stops:
+        rolling = rows[rows["road_speed_rad_s"] > _ROLLING_RAD_S]
+        for name in ("slip", "slip_reference"):
+            if name in (rows.dtype.names or ()):
+                highest = float(np.fmax.reduce(rolling[name], initial=highest))
+    if not 0.0 < highest <= _LOCKED:
+        return _WHOLE_SLIP
+    return min(_SLIP_STEP * math.ceil(_SLIP_AIR * highest / _SLIP_STEP), _WHOLE_SLIP)
+
+
+def _slip_rows(part: _Part, parts: Sequence[_Part]) -> Iterator[Array]:
+    """What is seen of a part in the panel of slip: alone, estimated and true; beside others, one of them."""
+    drawn = [part.ticks]
+    if len(parts) == 1:
+        drawn.append(part.truth)
+    elif _true(parts):
+        drawn = [part.truth, part.ticks[["time_ns", "road_speed_rad_s", "slip_reference"]]]
+    for rows in drawn:
+        time_s = since_s(rows, part.start_ns)
+        yield rows[(time_s >= -_BEFORE_S) & (time_s <= part.end_s)]
+
+
+def _true(parts: Sequence[_Part]) -> bool:
+    """Whether the true slip and torque are known of all, for a fair comparison."""
+    return all(len(part.truth) for part in parts)
 
 
 def _slip(rows: Array) -> Array:
@@ -230,8 +271,8 @@ def _alone(axes: Sequence[Axes], part: _Part) -> None:
 
 
 def _beside(axes: Sequence[Axes], parts: Sequence[_Part]) -> None:
-    """Each session in its colour and dash; the true slip and torque if they are known of all, for a fair comparison."""
-    true = all(len(part.truth) for part in parts)
+    """Each session in its colour and dash."""
+    true = _true(parts)
     speeds, slip, torque = axes
     for part, colour, dash in zip(parts, PALETTE, _DASHES, strict=False):
         ticks = part.ticks

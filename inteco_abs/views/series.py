@@ -12,9 +12,10 @@ from rich.table import Table
 
 from inteco_abs.errors import AbsError
 from inteco_abs.sessions import Session
-from inteco_abs.sessions.series import Spread
+from inteco_abs.sessions.series import UNITS, Spread
 from inteco_abs.views.beside import held_rows, since_s, start_ns
-from inteco_abs.views.figure import check_figure, save_figure
+from inteco_abs.views.card import ROWS
+from inteco_abs.views.figure import check_figure, save_figure, slip_top
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,11 +34,20 @@ def render_series(spreads: Mapping[str, Spread]) -> Table:
     """A line for each metric: of how many stops, their spread, and by how much it drifts from stop to stop."""
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("metric", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
     for heading in _HEADINGS:
         table.add_column(heading, justify="right", no_wrap=True)
+    labels = {key: label for label, key, *_ in ROWS}
     for name, (stops, *numbers) in spreads.items():
-        table.add_row(name, str(stops), *("-" if number is None else f"{number:.3g}" for number in numbers))
+        table.add_row(labels[name], UNITS[name], str(stops), *map(_number, numbers))
     return table
+
+
+def _number(value: float | None) -> str:
+    """Three digits, and no exponent for a large one."""
+    if value is None:
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
 
 
 def draw_series(sessions: Sequence[Session], path: Path) -> None:
@@ -62,7 +72,7 @@ def draw_series(sessions: Sequence[Session], path: Path) -> None:
         panel.set_ylabel(label)
         panel.grid(alpha=0.3)
     panels[0].legend(loc="upper right", frameon=False, fontsize="small", title="stop")
-    panels[1].set_ylim(0.0, 1.02)
+    panels[1].set_ylim(0.0, slip_top(session.ticks[held_rows(session.ticks)] for session in braked))
     panels[-1].set_xlabel("time since braking began [s]")
     save_figure(figure, path)
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
 
 from inteco_abs.sessions import Session
 from inteco_abs.sessions.closed_loop import Continuation
@@ -28,6 +32,18 @@ _PANELS: Final = (
     ("brake_wish", "brake duty asked for [1]", (-0.02, 1.05)),
 )
 _MARGIN_S: Final = 0.1
+_WISHES: Final = {"slip": "slip, 1", "torque_demand_nm": "torque, N m", "brake_wish": "brake duty, 1"}
+_PHASES: Final = {"spin-up": "SPIN_UP", "braking": "BRAKING", "stopped": "STOPPED"}
+_CARD: Final = {
+    "reaching_time_s": "reached\ns",
+    "stop_time_s": "stop\ns",
+    "stop_distance_m": "stop\nm",
+    "slip_rms_true": "slip RMS\ntrue",
+    "slip_rms_estimated": "slip RMS\nestim.",
+    "lock_fraction": "locked\n1",
+    "duty_variation_per_s": "duty\n1/s",
+}
+"""Keys of the result card that are told, by their headings with units."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +53,49 @@ class Course:
     name: str
     open_loop: WhatIf
     closed_loop: Continuation | None
+
+
+def render_what_if(report: Mapping[str, Any]) -> RenderableType:
+    """How far each alternative leaves the log, and from when on; then, if it was simulated, what came of it."""
+    parts: list[RenderableType] = [_divergences(report["alternatives"])]
+    if "simulation" in report:
+        parts.append(_simulated(report["simulation"]["log"], report["alternatives"]))
+        ends = ((each["name"], each["closed_loop"]["reason"]) for each in report["alternatives"])
+        parts += [Text(f"{name}: ends in the fault {reason}", "red") for name, reason in ends if reason != "NONE"]
+    return Group(*parts)
+
+
+def _divergences(alternatives: Sequence[Mapping[str, Any]]) -> Table:
+    table = Table(title="wishes on the logged counts, against the log", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("alternative", overflow="fold")
+    for heading in ("leaves log\nafter s", "largest\ndifference", *(f"rms\n{name}" for name in _PHASES)):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for each in alternatives:
+        table.add_row(Text(each["name"]))
+        for field in each["open_loop"]:
+            # a slip is believed, not wished for: it is told, and leaves nothing
+            left = "" if field["threshold"] is None else _since(field["time_s"])
+            numbers = (field["largest"], *(field["rms"].get(phase) for phase in _PHASES.values()))
+            table.add_row(f"  {_WISHES[field['field']]}", left, *map(_number, numbers))
+    return table
+
+
+def _since(time_s: float | None) -> str:
+    return "never" if time_s is None else f"{time_s:.4f}"
+
+
+def _simulated(log: Mapping[str, Any], alternatives: Sequence[Mapping[str, Any]]) -> Table:
+    table = Table(title="simulated from there on", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("alternative", overflow="fold")
+    for heading in _CARD.values():
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, card in (("log", log), *((each["name"], each["closed_loop"]["card"]) for each in alternatives)):
+        table.add_row(Text(name), *(_number(card[key]) for key in _CARD))
+    return table
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
 
 
 def draw_what_if(session: Session, courses: Sequence[Course], path: Path) -> None:

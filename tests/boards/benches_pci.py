@@ -113,13 +113,14 @@ class RegisterLink(Link):
 
     def _changed(self, answer: bytes) -> bytes:
         which, change = self.change_next_value or (None, int)
-        for at, asked in enumerate(self._asked):
-            if asked == which and self.change_after is None:
-                break
-            if asked == self.change_after:
-                self.change_after = None
-        else:
+        first = 0
+        if self.change_after is not None:
+            if self.change_after not in self._asked:
+                return answer
+            first, self.change_after = self._asked.index(self.change_after), None
+        if which not in self._asked[first:]:
             return answer
+        at = self._asked.index(which, first)
         self.change_next_value = None
         self.failed += 1
         number, values = decode_answer(answer)

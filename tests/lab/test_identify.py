@@ -143,16 +143,6 @@ def test_wrong_usage_says_what_to_do(arguments, told):
         identify(*arguments)
 
 
-def test_a_dry_run_tells_every_run_and_starts_none(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert identify("--plan", "--dry-run", "--set", "guard.brake_limit=0.7") == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == len(experiments(0.7))
-    assert lines[0].startswith("identification/coast.mcap: run-up and coast-down to standstill; drive 1 to 180 rad/s")
-    assert not any("brake 0.8" in line for line in lines)
-    assert not list(Path().iterdir())
-
-
 def test_the_plan_is_recorded_run_by_run_and_ends_with_the_first_that_is_stopped(tmp_path, capsys):
     late = ("--set", "experiment.spin_up_timeout_s=0.1")
     assert identify("--plan", "--virtual", *late, "-o", tmp_path) == 5

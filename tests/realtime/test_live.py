@@ -137,6 +137,16 @@ def test_a_port_that_is_taken_is_named_with_what_to_do(memory, job):
     assert memory.words[Word.LIVE_PORT] == 0
 
 
+def test_a_taken_port_is_told_before_a_run_begins_and_a_free_one_stays_free():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(AbsError, match=f"ws://127.0.0.1:{port} cannot be served: .* name another port, or 0"):
+            insist_on_foxglove(port)
+    for _ in range(2):
+        insist_on_foxglove(port)
+    insist_on_foxglove(0)
+
+
 def test_trouble_while_serving_ends_the_view_and_nothing_else(memory, job, loop, monkeypatch, capfd):
     def fail(*_args, **_options):
         raise RuntimeError("no more room")
@@ -165,7 +175,7 @@ def test_it_is_gone_afterwards(memory, job, until):
 def test_a_missing_extra_is_named(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
     with pytest.raises(AbsError, match=r"--foxglove needs foxglove-sdk: pip install 'inteco-abs\[foxglove\]'"):
-        insist_on_foxglove()
+        insist_on_foxglove(0)
 
 
 def test_a_run_in_virtual_time_has_nothing_to_look_at(tmp_path):

@@ -50,7 +50,8 @@ def test_events_are_on_the_clock_of_the_ticks(quick):
 
 def test_csv(exported):
     expected, files = exported("csv")
-    assert [path.name for path in files.values()] == ["stop.csv", "stop.truth.csv", "stop.events.csv"]
+    names = ["stop.csv", "stop.truth.csv", "stop.events.csv", "stop.columns.csv"]
+    assert [path.name for path in files.values()] == names
     for name, table in expected.items():
         with files[name].open(encoding="utf-8", newline="") as file:
             head, *lines = list(csv.reader(file))
@@ -61,6 +62,19 @@ def test_csv(exported):
             read = list(values) if wanted.dtype.kind == "U" else np.array(values, float).astype(wanted.dtype)
             exact = [int(v) for v in values] if wanted.dtype.kind in "iu" else read
             assert same(exact, wanted), column
+
+
+def test_csv_has_unit_and_meaning_of_every_column_in_a_file_beside_it(exported):
+    expected, files = exported("csv")
+    with files["columns"].open(encoding="utf-8", newline="") as file:
+        found = [(row["table"], row["column"], row["unit"], row["meaning"]) for row in csv.DictReader(file)]
+    assert found == [
+        (table.name, name, unit, table.meanings[name])
+        for table in expected.values()
+        for name, unit in table.units.items()
+    ]
+    assert ("tick", "brake_torque_nm") not in [row[:2] for row in found]
+    assert ("truth", "brake_torque_nm", "N.m") in [row[:3] for row in found]
 
 
 def test_npz(exported):
@@ -105,7 +119,7 @@ def test_a_cut_session_is_exported_as_far_as_it_goes(quick, altered, tmp_path, f
 @pytest.mark.parametrize("form", FORMATS)
 def test_a_session_without_truth_or_events_has_no_such_tables(altered, short, tmp_path, form):
     made = export_session(altered(short.read_bytes()[:3000]), form, tmp_path / f"empty.{form}")
-    assert [written.tables for written in made.files] == [("tick",)]
+    assert [written.tables for written in made.files] == [("tick",), *([("columns",)] if form == "csv" else [])]
     assert made.files[0].rows == 0
 
 

@@ -110,7 +110,7 @@ def test_what_if_says_in_what_fault_a_simulation_ends(command, quick, tmp_path):
         "    def update(self, _estimate, _dt_s): return BrakeDemand(float('nan'))\n"
     )
     asked = ("what-if", quick.path, "--controller", "own.py:Own", "--closed-loop")
-    assert "simulated: ends in the fault BAD_OUTPUT; " in command(*asked)[1]
+    assert "own.py:Own: ends in the fault BAD_OUTPUT" in command(*asked)[1]
     closed = json.loads(command(*asked, "--json")[1])["alternatives"][0]["closed_loop"]
     assert closed["reason"] == "BAD_OUTPUT"
 
@@ -118,12 +118,26 @@ def test_what_if_says_in_what_fault_a_simulation_ends(command, quick, tmp_path):
 def test_what_if_says_that_open_loop_does_not_react_and_that_closed_loop_is_a_simulation(command, quick):
     code, printed, _ = command("what-if", quick.path, "--controller", "relay", "--at", "0.05")
     assert code == 0
-    assert "leaves the log 0.0500 s after braking began" in printed
+    (duty,) = (line.split() for line in printed.splitlines() if "brake duty, 1" in line)
+    assert duty[3] == "0.0500"
     assert "the logged counts do not react" in printed
     code, printed, _ = command("what-if", quick.path, "--estimator", "kalman", "--closed-loop")
     assert code == 0
     assert "a SIMULATION of the rig mask" in printed
     assert "leaves the log by: road_speed_rad_s 0, slip 0, brake 0" in printed
+
+
+def test_what_if_tells_a_line_for_each_wish_and_the_log_first_of_what_was_simulated(command, quick):
+    sweep = ("what-if", quick.path, "--sweep", "controller.gains.Mk=2,20", "--closed-loop")
+    wishes, _, simulated = command(*sweep)[1].partition("closed loop: a")[0].partition("simulated from there on")
+    report = json.loads(command(*sweep, "--json")[1])
+    torques = [line.split() for line in wishes.splitlines() if "torque, N m" in line]
+    assert torques[0][3] == "never"
+    for told, each in zip(torques, report["alternatives"], strict=True):
+        assert told[4] == f"{each['open_loop'][1]['largest']:.3g}"
+    rows = [line.split() for line in simulated.splitlines() if " log " in line or " controller.gains" in line]
+    assert [row[0] for row in rows] == ["log", "controller.gains.Mk=2", "controller.gains.Mk=20"]
+    assert rows[0][2] == f"{report['simulation']['log']['stop_time_s']:.3g}"
 
 
 def test_what_if_draws(command, quick, tmp_path):

@@ -1,10 +1,11 @@
+import inspect
 import json
 import tomllib
 
 import pytest
 
 from inteco_abs.config import EstimatorConfig, load_config, profiles
-from inteco_abs.control import CONTROLLERS, ESTIMATORS
+from inteco_abs.control import CONTROLLERS, ESTIMATORS, control_check, gains_in_force, preferred_estimator
 from inteco_abs.errors import ConfigError
 
 
@@ -65,6 +66,49 @@ def test_every_estimator_is_named_in_the_help_of_run(inteco_abs):
     text = inteco_abs("run", "--help", check=0).stdout
     for name in ESTIMATORS:
         assert name in " ".join(text.split())
+
+
+def toml_of(text):
+    return tomllib.loads(text.partition("in rig.toml, with the defaults:")[2])
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_one_controller_is_told_whole_with_lines_that_set_it(inteco_abs, tmp_path, name):
+    text = inteco_abs("controllers", name, check=0).stdout
+    assert inspect.getdoc(CONTROLLERS[name]) in text
+    for gain in CONTROLLERS[name].gains:
+        assert f"{gain.name} = {gain.default:g}" in text
+        assert gain.meaning in text
+    (tmp_path / "rig.toml").write_text(text.partition("in rig.toml, with the defaults:")[2])
+    rig = load_config(tmp_path / "rig.toml", checks=[control_check()], follows=preferred_estimator())
+    assert (rig.controller.name, rig.controller.gains) == (name, gains_in_force(rig))
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_one_estimator_is_told_whole_with_lines_that_set_it(inteco_abs, name):
+    text = inteco_abs("estimators", name, check=0).stdout
+    assert ESTIMATORS[name].summary in text
+    assert inspect.getdoc(ESTIMATORS[name].works) in text
+    values = {each.name: each.default for each in ESTIMATORS[name].parameters}
+    assert toml_of(text) == {"estimator": {"name": name, **values}}
+
+
+def test_what_a_controller_needs_is_told_with_it(inteco_abs):
+    assert "works with the estimator observer only" in inteco_abs("controllers", "predictive-reaching", check=0).stdout
+    told = json.loads(inteco_abs("controllers", "predictive-reaching", "--json", check=0).stdout)
+    assert (told["name"], told["estimator"]) == ("predictive-reaching", "observer")
+
+
+def test_a_file_of_ones_own_is_told_without_a_line_that_would_run_it(inteco_abs, tmp_path):
+    law = "class Law:\n    'Mine.'\n    gains = internals = ()\n    def update(self, estimate, dt_s): ...\n"
+    (tmp_path / "law.py").write_text(law)
+    told = json.loads(inteco_abs("controllers", "law.py:Law", "--json", check=0).stdout)
+    assert (told["text"], tomllib.loads(told["toml"])) == ("Mine.", {"controller": {}})
+
+
+@pytest.mark.parametrize(("verb", "name", "near"), [("controllers", "pid", "pi"), ("estimators", "kalmann", "kalman")])
+def test_one_that_does_not_exist_is_named_with_the_nearest(inteco_abs, verb, name, near):
+    assert f"did you mean {near}?" in inteco_abs(verb, name, check=2).stderr
 
 
 @pytest.mark.parametrize("group", [(), ("config",), ("golden",), ("wire",)])

@@ -154,3 +154,23 @@ def test_bash_completes(command_path, words, offered):
         ["bash", "-c", script], env={**os.environ, "PATH": path}, capture_output=True, text=True, timeout=60, check=True
     )
     assert shell.stdout.split() == offered
+
+
+def test_what_is_shown_as_json_is_the_configuration_with_its_origins(said, tmp_path):
+    (tmp_path / "rig.toml").write_text("[guard]\nbrake_limit = 0.6\n")
+    arguments = ("--config", str(tmp_path / "rig.toml"), "--set", "loop.rate_hz=1000.0")
+    told = json.loads(said("config", "show", *arguments, "--json"))
+    shown = tomllib.loads(said("config", "show", *arguments))
+    assert {**told["config"], "board": None} == {**shown, "board": None}
+    assert told["config"]["board"]["verified_on"] == str(shown["board"]["verified_on"])
+    assert told["origins"]["guard.brake_limit"] == str(tmp_path / "rig.toml")
+    assert told["origins"]["loop.rate_hz"] == "command line"
+
+
+def test_every_key_is_explained_as_json_with_what_the_profile_says(said):
+    for key in all_keys():
+        found = json.loads(said("config", "explain", key.path, "--json"))["keys"]
+        assert key.path in {one["path"] for one in found}
+        assert key.meaning in {one["meaning"] for one in found}
+    (limit,) = json.loads(said("config", "explain", "guard.missed_in_a_row", "--json"))["keys"]
+    assert (limit["default"], limit["profile"]) == (4, load_config().guard.missed_in_a_row)

@@ -1,14 +1,17 @@
 """The verb `inteco-abs repeat`."""
 
 import json
+from io import StringIO
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from inteco_abs.cli import repeat
 from inteco_abs.sessions import read_session
-from inteco_abs.sessions.series import METRICS, statistics
+from inteco_abs.sessions.series import METRICS, UNITS, Spread, statistics
+from inteco_abs.views.series import render_series
 
 QUICK = ("--virtual", "--set", "experiment.start_speed_rad_s=20", "--set", "experiment.hold_s=0.05")
 
@@ -45,7 +48,7 @@ def test_a_safety_stop_ends_the_series_and_the_rest_is_told(main_here, tmp_path)
     assert run.returncode == 5
     assert "stop-2.mcap: safety stop" in run.stderr
     assert sorted(path.name for path in (tmp_path / "series").iterdir()) == ["stop-1.mcap", "stop-2.mcap"]
-    assert "stop_time_s" in run.stdout
+    assert "stop time" in run.stdout
     assert (tmp_path / "all.svg").read_text().startswith("<?xml")
 
 
@@ -60,6 +63,19 @@ def test_an_interrupt_while_the_brake_cools_ends_the_series(main_here, monkeypat
     run = main_here("repeat", 3, *QUICK, "-o", "series", "--pause", 7, "--json")
     assert (run.returncode, slept) == (130, [7.0])
     assert len(json.loads(run.stdout)["stops"]) == 1
+
+
+def test_every_metric_of_a_series_has_its_name_and_unit_on_eighty_columns():
+    values = {name: Spread(12, 12345.6, 0.00123, 1234.5, 12345.6, -0.00123) for name in METRICS}
+    console = Console(width=80, file=StringIO())
+    console.print(render_series(values))
+    text = console.file.getvalue()
+    assert "…" not in text
+    for words in ("start speed", "rad/s", "torque variation", "N m/s", "slip RMS, estimated", "1/s"):
+        assert words in text
+    suffixes = {"rad/s": "_rad_s", "s": "_s", "m": "_m", "N m/s": "_nm_per_s", "1/s": "_per_s"}
+    for name, unit in UNITS.items():
+        assert name.endswith(suffixes.get(unit, ""))
 
 
 def test_statistics_are_those_of_numpy():

@@ -71,8 +71,13 @@ def test_info_tells_how_the_run_ended_and_with_what(card, inteco_abs):
     assert info["metadata"]["controller"]["gain.Mk"] == "2.0"
     assert info["metadata"]["integrity"]["payload_sha256"] == result["payload_sha256"]
     assert info["attachments"]["config.toml"] > 0
-    text = inteco_abs("info", "stop.mcap", check=0).stdout
-    assert "session.outcome" in text
+    screen, everything = (inteco_abs("info", "stop.mcap", *more, check=0).stdout for more in ((), ("--all",)))
+    assert len(screen.splitlines()) <= 24
+    assert f"{result['stop_time_s']:.3f} s" in screen
+    assert "Mk=2.0" in screen
+    assert "session.outcome" not in screen
+    assert "session.outcome" in everything
+    assert everything.startswith(screen.rpartition("--all prints")[0])
 
 
 @pytest.mark.untraced

@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -6,7 +7,7 @@ from matplotlib.figure import Figure
 
 from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.signals import Phase
-from inteco_abs.views.figure import FORMATS, WIDTHS, check_figure, draw_stops, svg_of
+from inteco_abs.views.figure import FORMATS, WIDTHS, check_figure, draw_stops, slip_top, svg_of
 
 DUTY = "brake duty, right axis"
 MAGIC = {"png": b"\x89PNG\r\n\x1a\n", "svg": b"<?xml", "pdf": b"%PDF-"}
@@ -169,14 +170,44 @@ def test_the_panels_share_the_time_from_just_before_braking_to_the_end(session, 
         assert panel.get_xlim() == pytest.approx((-0.2, end_s))
 
 
-def test_everything_drawn_lies_within_its_panel(session, drawn):
-    for panel in drawn(session).axes:
+def test_everything_drawn_lies_within_its_panel_and_slip_as_long_as_the_road_rolls(session, drawn):
+    axes = drawn(session).axes
+    assert slip_top([session.ticks, session.truth]) == axes[1].get_ylim()[1]
+    for panel in (axes[0], *axes[2:]):
         (left, right), (low, high) = panel.get_xlim(), panel.get_ylim()
         for line in (line for line in panel.get_lines() if len(line.get_xdata())):
             x, y = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
             shown = y[(x >= left) & (x <= right) & np.isfinite(y)]
             assert low <= shown.min(), line.get_label()
             assert shown.max() <= high, line.get_label()
+
+
+def rolling(slips, reference=0.2):
+    """Ticks with these slips at 50 rad/s, and a last one at rest whose slip is anything."""
+    ticks = np.zeros(len(slips) + 1, [("road_speed_rad_s", float), ("slip", float), ("slip_reference", float)])
+    ticks["slip"], ticks["slip_reference"] = [*slips, 1.0], reference
+    ticks["road_speed_rad_s"][:-1] = 50.0
+    return ticks
+
+
+@pytest.mark.parametrize(
+    ("slips", "top"),
+    [
+        ([0.0, 0.21, 0.2], 0.3),
+        ([0.0, 0.1], 0.25),
+        ([0.0, 0.44], 0.55),
+        ([0.0, 0.89], 1.02),
+        ([0.0, 0.95], 1.02),
+        ([math.nan, math.nan], 0.25),
+        ([], 1.02),
+    ],
+)
+def test_slip_has_the_whole_axis_where_a_wheel_locks_and_else_as_much_as_it_needs(slips, top):
+    assert slip_top([rolling(slips)]) == pytest.approx(top)
+
+
+def test_sessions_that_lie_over_one_another_have_one_axis_of_slip():
+    assert slip_top([rolling([0.2]), rolling([0.44])]) == slip_top([rolling([0.44])])
 
 
 def test_every_line_is_named_in_a_legend_or_by_the_colour_of_its_axis(session, drawn):

@@ -62,36 +62,43 @@ ESTIMATORS: Final[dict[str, EstimatorKind]] = {
         "The paper's backward difference over one period",
         (),
         _euler,
+        MovingWindow,
     ),
     "moving-window": EstimatorKind(
         "Mean speed over a window of samples",
         (parameter("window_s", "s", "length of the window; the speed lags by half of it"),),
         _moving_window,
+        MovingWindow,
     ),
     "difference": EstimatorKind(
         "The vendor's demonstrations: difference over T0, held for T0, behind a dead zone of 0.05 m/s",
         (parameter("window_s", "s", "T0; the speed lags by as much in the mean"),),
         _difference,
+        HeldDifference,
     ),
     "edge-time": EstimatorKind(
         "Angle between edges over the time between them, known to a sample as no board stamps edges",
         (parameter("window_s", "s", "least time between the two edges; the speed lags by half of it"),),
         _on_both_wheels(_edge_time),
+        EdgeTime,
     ),
     "tracking": EstimatorKind(
         "A model wheel that follows the counted angle through a spring and a damper",
         (parameter("natural_frequency_rad_s", "rad/s", "quicker and noisier if higher; at most rate_hz/10"),),
         _on_both_wheels(_tracking),
+        TrackingLoop,
     ),
     "kalman": EstimatorKind(
         "Kalman filter of angle, speed and acceleration for a wheel whose jerk is white noise",
         (parameter("jerk_density", "rad2/s5", "quicker and noisier if higher"),),
         _on_both_wheels(_kalman),
+        KalmanFilter,
     ),
     "observer": EstimatorKind(
         "Extended Kalman filter of wheels, brake and contact, which learns the encoders' discs in the run-up",
         (),
         _observer,
+        Observer,
     ),
 }
 """What there is to choose from, by the name on the command line."""

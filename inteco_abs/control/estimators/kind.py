@@ -30,6 +30,8 @@ class EstimatorKind(NamedTuple):
     """In one line."""
     parameters: tuple[Parameter, ...]
     make: Maker
+    works: type
+    """The class behind it, whose docstring says how."""
 
     def __call__(self, config: RigConfig, parameters: RigParameters) -> Estimator:
         return self.make(config, parameters)

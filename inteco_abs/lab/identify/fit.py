@@ -217,7 +217,7 @@ class _Problem:
 def _pulls(left: Sequence[tuple[Channel, Floats]], jacobian: Floats, noise: float) -> Floats:
     """Where each segment would draw the numbers by itself; in sum, nowhere. A row for each segment.
 
-    What the model has wrong draws segments apart: the covariance that has segments, not samples, as what is independent.
+    What the model has wrong draws segments apart: their covariance takes segments, not samples, as independent.
     """
     rows: dict[int, Floats] = {}
     place = 0

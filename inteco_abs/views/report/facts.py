@@ -10,7 +10,7 @@ from inteco_abs.sessions.result import card_of
 from inteco_abs.views.beside import gains_of
 from inteco_abs.views.card import ROWS
 
-_NOTHING: Final = "–"
+NOTHING: Final = "–"
 _LATENESS: Final = (("late, p50", "p50"), ("late, p99", "p99"), ("late, p99.9", "p999"), ("late, most", "max"))
 _COUNTS: Final = (
     ("stops", "stops"),
@@ -64,7 +64,7 @@ def _controller(session: Session) -> dict[str, str]:
 
 def _facts(title: str, told: Sequence[Mapping[str, str]]) -> Facts:
     keys = dict.fromkeys(key for each in told for key in each)
-    return Facts(title, [_row(key, [each.get(key) or _NOTHING for each in told]) for key in keys])
+    return Facts(title, [_row(key, [each.get(key) or NOTHING for each in told]) for key in keys])
 
 
 def _row(name: str, values: Sequence[str]) -> Row:
@@ -73,7 +73,7 @@ def _row(name: str, values: Sequence[str]) -> Row:
 
 def _number(value: Any, form: str, factor: float = 1.0) -> str:
     known = isinstance(value, int | float) and not isinstance(value, bool)
-    return form.format(value * factor) if known else _NOTHING
+    return form.format(value * factor) if known else NOTHING
 
 
 def _table(value: Any) -> Mapping[str, Any]:

@@ -1,0 +1,280 @@
+"""`--dry-run`: all that a run does before its first write to the board, and everything that it would refuse."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import redirect_stdout
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import click
+
+from inteco_abs.cli.shared import print_json
+from inteco_abs.errors import AbsError, ConfigError, refusals
+
+if TYPE_CHECKING:
+    from inteco_abs.config import RigConfig
+    from inteco_abs.experiment import Plan
+    from inteco_abs.lab import Bench
+    from inteco_abs.lab.rehearsal import Look
+
+Condition = Callable[[], object]
+"""Raises AbsError unless it holds."""
+_MCAP_BYTES: Final = 31
+"""Around each record of a session, before compression; fact sheet on sessions, section 4.2."""
+
+
+class Planned(NamedTuple):
+    """One run, and how often it is to be done."""
+
+    config: RigConfig
+    plan: Plan
+    times: int = 1
+    shows: str = ""
+    """What it is for, where there are several."""
+
+
+def dry_run_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option(
+        "--dry-run",
+        is_flag=True,
+        help="Only read the board, and tell what would be done and everything that would be refused. Ends with 0 if it "
+        "would begin, else 1, or 2 for what was typed or configured.",
+    )(function)
+
+
+def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: float = 0.0, as_json: bool) -> int:
+    """Tell what these runs would do and what they would refuse; `own` are the verb's own conditions.
+
+    Nothing is written, neither to the board nor to a disk. Exit code 0 if the first run would begin; else 2 if it is
+    for what was typed or configured, 1 for everything else.
+    """
+    from inteco_abs.lab.rehearsal import look_at
+
+    config, plan = planned[0][:2]
+    refused = refusals([*own, *_conditions(planned)])
+    look = look_at(_bench(config, plan.board, plan.seed), config)
+    refused += look.refused
+    report = {
+        "schema_version": 1,
+        "would_begin": not refused,
+        "refused": _told(refused),
+        "cautions": [*look.cautions, *_cautions(planned)],
+        **_report(planned, look, pause_s),
+    }
+    if as_json:
+        print_json(report)
+    else:
+        _print(report)
+    return _exit_code(refused)
+
+
+def rehearse_by_hand(config: RigConfig, board: str, own: Iterable[Condition]) -> int:
+    """Tell whether a person could move the rig by hand, as `rehearse` does of runs."""
+    from inteco_abs.experiment import conditions_by_hand
+    from inteco_abs.lab.rehearsal import look_at
+
+    refused = refusals([*own, *conditions_by_hand(config, board)])
+    look = look_at(_bench(config, board), config, rest=False)
+    refused += look.refused
+    _print(
+        {
+            "refused": _told(refused),
+            "cautions": look.cautions,
+            "board": _board(board, look),
+            "runs": [],
+            "guard": config.guard.model_dump(),
+            "needs": [],
+            "computer": _computer(Path()),
+        }
+    )
+    return _exit_code(refused)
+
+
+def refuse_together(own: Iterable[Condition], error: ConfigError) -> ConfigError:
+    """What is wrong with a configuration, and what else was typed wrong."""
+    others = [one for one in refusals(own) if isinstance(one, ConfigError)]
+    return ConfigError(list(dict.fromkeys(mistake for each in (*others, error) for mistake in each.mistakes)))
+
+
+def _exit_code(refused: Iterable[AbsError]) -> int:
+    return max((2 if isinstance(error, ConfigError) else 1 for error in refused), default=0)
+
+
+def _conditions(planned: Sequence[Planned]) -> Iterator[Condition]:
+    from inteco_abs.experiment import conditions
+
+    for config, plan, *_ in planned:
+        yield from conditions(config, plan)
+        yield partial(_build, config, plan)
+        if not plan.virtual:
+            yield partial(_insist_on_memory, config, plan)
+
+
+def _build(config: RigConfig, plan: Plan) -> None:
+    from inteco_abs.control import build_pipeline
+
+    with redirect_stdout(sys.stderr):  # what a user's controller prints is not the report
+        build_pipeline(config, plan.controllers)
+
+
+def _insist_on_memory(config: RigConfig, plan: Plan) -> None:
+    from inteco_abs.realtime.memory import insist_on_room
+
+    insist_on_room(_memory_bytes(config, plan))
+
+
+def _memory_bytes(config: RigConfig, plan: Plan) -> int:
+    """Of shared memory for a run in real time; in virtual time, what a whole run takes of this process."""
+    from inteco_abs.experiment import ring_ticks
+    from inteco_abs.realtime.memory import run_bytes
+    from inteco_abs.sessions import TICK, TRUTH
+
+    if plan.virtual:
+        return _ticks(config) * (TICK.size + TRUTH.size)
+    return run_bytes(TICK.size, ring_ticks(config), TRUTH.size, ring_ticks(config))
+
+
+def _ticks(config: RigConfig) -> int:
+    return round(config.experiment.longest_s * config.loop.rate_hz)
+
+
+def _disk_bytes(config: RigConfig, plan: Plan) -> int:
+    """The most that a session takes, compression left out."""
+    from inteco_abs.boards import simulated
+    from inteco_abs.sessions import TICK, TRUTH
+
+    records = (TICK.size, TRUTH.size) if simulated(plan.board) else (TICK.size,)
+    return _ticks(config) * sum(size + _MCAP_BYTES for size in records)
+
+
+def _bench(config: RigConfig, board: str, seed: int = 0) -> Bench:
+    from inteco_abs.boards import simulated
+    from inteco_abs.lab import MockBench, RealBench
+
+    return MockBench(config, virtual=True, seed=seed) if simulated(board) else RealBench(board)
+
+
+def _told(refused: Iterable[AbsError]) -> list[dict[str, str]]:
+    """One entry for each mistake, and each only once: several runs may have the same."""
+    found = []
+    for error in refused:
+        mistakes = error.mistakes if isinstance(error, ConfigError) else [("", str(error))]
+        found += [{"error": type(error).__name__, "where": where, "problem": problem} for where, problem in mistakes]
+    return [one for number, one in enumerate(found) if one not in found[:number]]
+
+
+def _cautions(planned: Sequence[Planned]) -> Iterator[str]:
+    """What keeps no run from beginning, and is better known before."""
+    from inteco_abs.views.rehearsal import size
+
+    config, plan = planned[0][:2]
+    if config.experiment.drive_duty > config.guard.drive_limit:
+        yield (
+            f"experiment.drive_duty = {config.experiment.drive_duty:g} is more than guard.drive_limit, which makes it "
+            f"{config.guard.drive_limit:g}"
+        )
+    if plan.faults:
+        yield f"looked at was a board without faults; the run has {', '.join(map(str, plan.faults))}"
+    disk = _disk(planned)
+    if disk["free_bytes"] < disk["bytes"]:
+        yield (
+            f"{disk['where']} has {size(disk['free_bytes'])} left, and {size(disk['bytes'])} may be needed: ticks "
+            "that find no room stay in memory and must be recovered from there"
+        )
+    if not plan.virtual:
+        yield "not tried, as it takes writing: whether the board takes its PWM settings, and the guardian's drill"
+
+
+def _disk(planned: Sequence[Planned]) -> dict[str, Any]:
+    import shutil
+
+    from inteco_abs.sessions import nearest_folder
+
+    folder = nearest_folder(planned[0].plan.out.parent)
+    needed = sum(each.times * _disk_bytes(each.config, each.plan) for each in planned)
+    return {"what": "disk", "where": str(folder), "bytes": needed, "free_bytes": shutil.disk_usage(folder).free}
+
+
+def _memory(planned: Sequence[Planned]) -> dict[str, Any]:
+    import shutil
+
+    from inteco_abs.realtime.memory import FOLDER
+
+    needed = max(_memory_bytes(each.config, each.plan) for each in planned)
+    if planned[0].plan.virtual or not FOLDER.is_dir():
+        return {"what": "memory", "where": "this process", "bytes": needed, "free_bytes": None}
+    free = shutil.disk_usage(FOLDER).free
+    return {"what": "shared memory", "where": str(FOLDER), "bytes": needed, "free_bytes": free}
+
+
+def _report(planned: Sequence[Planned], look: Look, pause_s: float) -> dict[str, Any]:
+    """What would be done, and with what."""
+    config, plan = planned[0][:2]
+    guard, runs = config.guard, sum(each.times for each in planned)
+    driven_s = sum(each.times * each.config.experiment.longest_s for each in planned)
+    return {
+        "board": _board(plan.board, look),
+        "virtual": plan.virtual,
+        "runs": [_run(each) for each in planned],
+        "pause_s": pause_s,
+        "longest_s": driven_s + (runs - 1) * pause_s,
+        "guard": guard.model_dump(),
+        "needs": [_disk(planned), _memory(planned)],
+        "computer": None if plan.virtual else _computer(plan.out.absolute().parent),
+    }
+
+
+def _board(board: str, look: Look) -> dict[str, Any]:
+    identity = look.identity
+    return {
+        "address": board,
+        "identity": None if identity is None else identity.facts(),
+        "says": None if identity is None else str(identity),
+        "outputs_allowed": identity is not None and not identity.read_only_because,
+        "moved_counts": look.moved,
+        "read_us": None if look.read_us is None else look.read_us._asdict(),
+    }
+
+
+def _run(each: Planned) -> dict[str, Any]:
+    from inteco_abs.lab.rehearsal import course
+
+    config = each.config
+    return {
+        "session": str(each.plan.out),
+        "shows": each.shows,
+        "times": each.times,
+        "stops": config.experiment.stops,
+        "controller": config.controller.name,
+        "estimator": config.estimator.name,
+        "rate_hz": config.loop.rate_hz,
+        "drive": min(config.experiment.drive_duty, config.guard.drive_limit),
+        "start_speed_rad_s": config.experiment.start_speed_rad_s,
+        "phases": [part._asdict() for part in course(config)],
+        "longest_s": config.experiment.longest_s,
+        "most_ticks": _ticks(config),
+    }
+
+
+def _computer(folder: Path) -> dict[str, Any]:
+    """The doctor's findings of a few milliseconds, in short."""
+    from inteco_abs.realtime.doctor import examine
+    from inteco_abs.realtime.findings import Verdict, worst
+
+    findings = examine(folder)
+    return {
+        "verdict": worst(findings),
+        **{verdict.value: sum(one.verdict is verdict for one in findings) for verdict in Verdict},
+        "not_fit": [one._asdict() for one in findings if one.verdict is Verdict.RED],
+    }
+
+
+def _print(report: dict[str, Any]) -> None:
+    from rich.console import Console
+
+    from inteco_abs.views.rehearsal import render_rehearsal
+
+    Console(markup=False, highlight=False).print(render_rehearsal(report))

@@ -1,0 +1,216 @@
+"""`--dry-run` of everything that moves hardware: what would be done, all that stands against it, and nothing done."""
+
+import json
+from types import SimpleNamespace
+
+import pytest
+
+from inteco_abs.config import load_config
+from inteco_abs.lab import STEPS, MockBench
+from inteco_abs.lab.identify import experiments
+from inteco_abs.realtime import memory
+
+VIRTUAL = ("run", "--virtual", "--dry-run")
+UNTRUSTED = ("--set", "profile=usb2_generic_0103")
+
+
+@pytest.fixture
+def told(main_here):
+    """The report of a dry run."""
+
+    def run(*arguments, check=0):
+        return json.loads(main_here(*arguments, "--json", check=check).stdout)
+
+    return run
+
+
+def test_a_run_that_would_begin_tells_its_course_and_leaves_no_trace(main_here, tmp_path):
+    text = " ".join(main_here(*VIRTUAL, check=0).stdout.split())
+    assert "SPIN_UP at most 20 s: drive 1 until the road wheel turns at 180 rad/s" in text
+    assert "reaching-law on moving-window, reference slip 0.2, brake at most 1" in text
+    assert "sim: logic 0x0103 'ABSSIM' of 20260101: outputs may be used" in text
+    assert "session sessions/stop-" in text
+    assert text.endswith("It would begin. This was a dry run: nothing was written to the board or to a disk.")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_in_real_time_tells_of_memory_and_computer_and_takes_no_memory(told, tmp_path):
+    before = set(memory.FOLDER.glob("*"))
+    report = told("run", "--dry-run")
+    disk, shared = report["needs"]
+    assert shared["what"] == "shared memory"
+    assert shared["bytes"] > report["runs"][0]["most_ticks"] * 250
+    assert disk["bytes"] > report["runs"][0]["most_ticks"] * 250
+    assert report["computer"]["verdict"] in {"green", "amber", "red"}
+    assert report["longest_s"] == load_config().experiment.longest_s
+    assert set(memory.FOLDER.glob("*")) <= before
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("profile", ["sim_usb2", "sim_usb", "sim_pci"])
+def test_no_message_to_a_board_of_any_kind_writes_a_setting(main_here, monkeypatch, profile):
+    benches = []
+
+    class Kept(MockBench):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            self.device.settings = Untouched(self.device.settings)
+            benches.append(self)
+
+    monkeypatch.setattr("inteco_abs.lab.MockBench", Kept)
+    main_here(*VIRTUAL, "--set", f"profile={profile}", check=0)
+    (bench,) = benches
+    assert bench.device.settings.written == set()
+
+
+class Untouched(dict):
+    """Settings of a device; says which were written."""
+
+    def __init__(self, settings):
+        super().__init__(settings)
+        self.written = set()
+
+    def __setitem__(self, name, value):
+        self.written.add(name)
+        super().__setitem__(name, value)
+
+    def update(self, *arguments, **values):
+        self.written |= dict(*arguments, **values).keys()
+        super().update(*arguments, **values)
+
+
+def test_everything_that_would_be_refused_is_told_at_once(told, tmp_path):
+    (tmp_path / "there.mcap").write_bytes(b"")
+    (tmp_path / "there.jsonl").write_bytes(b"")
+    files = ("--out", "there.mcap", "--figure", "stop.bmp", "--record-wire", "there.jsonl")
+    report = told(*VIRTUAL, *UNTRUSTED, *files, "--foxglove", "--set", "session.spill=nowhere", check=2)
+    assert not report["would_begin"]
+    assert {one["where"] for one in report["refused"]} == {"--out", "--figure", "--foxglove", "session.spill", ""}
+    others = [one["problem"] for one in report["refused"] if not one["where"]]
+    assert any("there.jsonl: exists already" in text for text in others)
+    assert any("opens for reading only" in text for text in others)
+    assert {path.name for path in tmp_path.iterdir()} == {"there.mcap", "there.jsonl"}
+
+
+REFUSED = {
+    "a profile that nobody has signed": (UNTRUSTED, 1),
+    "a real board in virtual time": (("--board", "usb:/dev/nowhere"), 2),
+    "no second place": (("--set", "session.spill=nowhere"), 2),
+    "a capture of a board on the bus": (("--set", "profile=sim_pci", "--frames"), 2),
+    "no folder": (("--out", "nowhere/stop.mcap"), 2),
+    "another suffix": (("--out", "stop.bag"), 2),
+    "one file for two": (("--out", "stop.mcap", "--record-wire", "stop.mcap"), 2),
+}
+
+
+@pytest.mark.parametrize("arguments", REFUSED.values(), ids=REFUSED)
+def test_what_it_refuses_a_run_refuses_with_the_same_words_and_exit_code(main_here, told, arguments):
+    options, code = arguments
+    run = main_here("run", "--virtual", *options, check=code)
+    report = told(*VIRTUAL, *options, check=code)
+    assert any(one["problem"] in run.stderr for one in report["refused"])
+
+
+@pytest.mark.parametrize("board", ["usb:/dev/nowhere", "pci:0000:7f:1f.7"])
+def test_a_board_that_is_not_there_is_refused_as_by_a_run(told, tmp_path, board):
+    report = told("run", "--board", board, "--dry-run", check=1)
+    assert report["board"]["identity"] is None
+    assert len(report["refused"]) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+REFUSES = """
+class Law:
+    gains = internals = ()
+    def __init__(self, setup):
+        print("hello")
+        raise ValueError("no")
+    def update(self, estimate, dt_s): ...
+"""
+
+
+def test_a_controller_that_cannot_be_made_is_refused_and_its_prints_are_not_the_report(told, tmp_path):
+    (tmp_path / "law.py").write_text(REFUSES)
+    report = told(*VIRTUAL, "--controller", "law.py:Law", check=2)
+    assert "cannot be made: ValueError: no" in report["refused"][0]["problem"]
+    assert [path.name for path in tmp_path.iterdir()] == ["law.py"]
+
+
+def test_mistakes_in_the_configuration_come_with_those_on_the_command_line(main_here):
+    run = main_here(*VIRTUAL, "--set", "guard.brake_limit=7", "--figure", "stop.bmp", check=2)
+    assert "has 2 mistakes" in run.stderr
+    assert "guard.brake_limit: 7" in run.stderr
+    assert "--figure" in run.stderr
+
+
+def test_too_little_memory_is_refused(told, monkeypatch):
+    monkeypatch.setattr(memory.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=1_000_000))
+    (refused,) = told("run", "--dry-run", check=1)["refused"]
+    assert "of shared memory in /dev/shm: 1 MB are free; free some, or set loop.ring_s to less" in refused["problem"]
+
+
+def test_a_disk_without_room_for_the_whole_session_is_noted(told, monkeypatch):
+    monkeypatch.setattr(memory.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=1_000_000))
+    assert "stay in memory and must be recovered" in told(*VIRTUAL)["cautions"][0]
+
+
+def test_a_duty_that_the_guard_cuts_is_noted(told):
+    report = told(*VIRTUAL, "--set", "guard.drive_limit=0.5")
+    assert "guard.drive_limit, which makes it 0.5" in report["cautions"][0]
+
+
+def test_faults_to_be_injected_are_told_and_not_acted_out(told):
+    report = told(*VIRTUAL, "--inject", "unplug@brake")
+    assert "a board without faults; the run has unplug@brake" in report["cautions"][0]
+
+
+def test_a_series_tells_all_its_stops_with_their_pauses(told, main_here, tmp_path):
+    report = told("repeat", 3, "--virtual", "--dry-run", "--pause", 10, "-o", "series")
+    (run,) = report["runs"]
+    assert (run["times"], run["session"]) == (3, "series/stop-1.mcap")
+    assert report["longest_s"] == 3 * run["longest_s"] + 20.0
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "series").mkdir()
+    text = " ".join(main_here("repeat", 3, "--virtual", "--dry-run", "-o", "series", check=2).stdout.split())
+    assert "--out: series: exists already; name a folder that does not exist" in text
+
+
+def test_the_plan_of_an_identification_tells_every_session_that_is_there_already(told, tmp_path):
+    plan = ("identify", "--plan", "--virtual", "--dry-run")
+    assert [run["session"] for run in told(*plan)["runs"]][:2] == [
+        "identification/coast.mcap",
+        "identification/stair.mcap",
+    ]
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "identification").mkdir()
+    for name in ("stair", "stop-060"):
+        (tmp_path / "identification" / f"{name}.mcap").write_bytes(b"")
+    refused = [one["problem"] for one in told(*plan, check=2)["refused"]]
+    assert [text.partition(".mcap")[0] for text in refused] == ["identification/stair", "identification/stop-060"]
+
+
+def test_a_plan_is_printed_run_by_run(main_here):
+    text = " ".join(main_here("identify", "--plan", "--virtual", "--dry-run", check=0).stdout.split())
+    for each in experiments(load_config().guard.brake_limit):
+        assert f"identification/{each.name}.mcap {each.shows};" in text
+
+
+def test_sessions_that_are_only_read_need_no_dry_run(main_here):
+    assert "is for --plan" in main_here("identify", "a.mcap", "--dry-run", check=2).stderr
+
+
+def test_a_panel_tells_whether_it_would_begin(main_here):
+    run = main_here("panel", "--outputs", "--dry-run", check=1)
+    text = " ".join(run.stdout.split())
+    assert "brake at most 1, drive at most 1" in text
+    assert "outputs may be used" in text
+    assert "refused the panel needs a terminal" in text
+    assert "the panel only reads" in main_here("panel", "--dry-run", check=2).stderr
+
+
+def test_the_walk_tells_its_steps_and_begins_no_draft(main_here, told, tmp_path):
+    text = main_here("probe", "--dry-run", check=0).stdout
+    for step in STEPS:
+        assert step.risk in text
+    assert [step["name"] for step in told("probe", "--dry-run")["steps"]] == [step.name for step in STEPS]
+    assert list(tmp_path.iterdir()) == []
