@@ -215,7 +215,19 @@ def drive_until(memory, side):
         time.sleep(0.01)
 
 
-@pytest.mark.untraced  # processes in real time
+@pytest.fixture
+def processes_in_real_time(monkeypatch):
+    """What is started here is not traced.
+
+    Near standstill the rig's steps are cut in proportion to its speed: the first 10 ms of driving take 5 ms to compute,
+    but 46 ms under the tracer, and a link waits 10 ms for an answer. Until the wheels turn, SAFE would be the
+    guardian's to confirm.
+    """
+    for name in [name for name in os.environ if name.startswith("COV")]:
+        monkeypatch.delenv(name)
+
+
+@pytest.mark.usefixtures("processes_in_real_time")
 def test_a_screen_that_fails_leaves_the_outputs_off(monkeypatch):
     kept = []
 
