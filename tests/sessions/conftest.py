@@ -20,6 +20,7 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from tracing import untraced
 
 import inteco_abs.experiment
 from inteco_abs.cli import main
@@ -47,16 +48,6 @@ class Run(NamedTuple):
     @property
     def session(self) -> Session:
         return read_session(self.path)
-
-
-def untraced(compute, *arguments):
-    """What it gives, computed without coverage's tracer: thousands of ticks on lines that other tests reach too."""
-    tracer = sys.gettrace()
-    sys.settrace(None)
-    try:
-        return compute(*arguments)
-    finally:
-        sys.settrace(tracer)
 
 
 def _run(path, settings, *, seed=1, controllers=CONTROLLERS, progress=None, traced=False, **plan) -> Run:
