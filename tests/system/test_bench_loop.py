@@ -36,6 +36,7 @@ def test_every_row_is_printed_with_finite_numbers(untraced):
     assert "nan" not in text
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("real time")
 def test_without_a_compiler_there_are_no_ratios_to_c(untraced, tmp_path):
     told = json.loads(bench({**untraced, "PATH": str(tmp_path)}, "--json"))
