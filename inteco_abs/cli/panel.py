@@ -55,19 +55,23 @@ def panel(
         return rehearse_by_hand(rig, board, (_insist_on_textual, _insist_on_terminal))
     _insist_on_textual()
     _insist_on_terminal()
-    from inteco_abs.cli.panel_screen import PanelApp
+    from inteco_abs.cli.panel_screen import ARM_AGAIN, PanelApp
 
     if outputs:
         insist_on_phrase(Terminal(), REQUEST, PHRASE)
-        click.echo("starting: first of all, the guardian has to prove itself", err=True)
-    by_person = Panel(rig, outputs=outputs)
-    with by_hand(rig, board, outputs=outputs) as side:
-        app = PanelApp(by_person, side, board)
-        code = app.run(mouse=False)
-    if outputs:
-        click.echo("the board has confirmed that both outputs are off; wheels that turn coast for up to 48 s", err=True)
-    if by_person.reason is not Reason.NONE:
-        click.echo(f"inteco-abs: {EXPLANATIONS[by_person.reason]}", err=True)
+    code: int | None = ARM_AGAIN
+    while code == ARM_AGAIN:
+        if outputs:
+            click.echo("starting: first of all, the guardian has to prove itself", err=True)
+        by_person = Panel(rig, outputs=outputs)
+        with by_hand(rig, board, outputs=outputs) as side:
+            app = PanelApp(by_person, side, board)
+            code = app.run(mouse=False)
+        if outputs:
+            told = "the board has confirmed that both outputs are off; wheels that turn coast for up to 48 s"
+            click.echo(told, err=True)
+        if by_person.reason is not Reason.NONE:
+            click.echo(f"inteco-abs: {EXPLANATIONS[by_person.reason]}", err=True)
     return app.return_code or 1 if code is None else code
 
 

@@ -19,15 +19,17 @@ from inteco_abs.cli.shared import INTERRUPTED, plain
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import UnsafeError
 from inteco_abs.lab.identity import hex_dump
-from inteco_abs.lab.panel import Output, Panel
+from inteco_abs.lab.panel import AGAIN, Output, Panel
 from inteco_abs.realtime.by_hand import Screenside
-from inteco_abs.signals import Command, Reason
+from inteco_abs.signals import EXPLANATIONS, Command, Reason
 
 _REFRESH_S: Final = 0.1
 _LOOK_EVERY: Final = 10
 """Refreshes between two looks at a board whose looks tell of alarms and cost next to nothing."""
 _BAR: Final = 20
 _STOPPED: Final = UnsafeError.exit_code
+ARM_AGAIN: Final = -1
+"""What the screen ends with when the person wants everything anew; no exit code."""
 _GUARDED: Final = "Guarded, but if computer or cable fails only the emergency switch helps."
 _KEYS: Final = (
     "[b]space[/] held: power   [b]↑ ↓ PgUp PgDn[/] drive   [b]→ ←[/] brake   [b]0[/] both to zero\n"
@@ -59,8 +61,32 @@ class DumpScreen(ModalScreen[None]):
             self.dismiss()
 
 
+class AgainScreen(ModalScreen[bool]):
+    """Asks whether outputs that the guard has taken away are to be armed again; y alone is a yes."""
+
+    CSS = """
+    AgainScreen { align: center middle; }
+    AgainScreen > Static { border: heavy $error; background: $surface; width: 76; height: auto; padding: 0 1; }
+    """
+
+    def __init__(self, reason: Reason) -> None:
+        super().__init__()
+        self._reason = reason
+
+    def compose(self) -> ComposeResult:
+        """Why, and what will happen."""
+        box = Static(f"The guard has taken the outputs away: {EXPLANATIONS[self._reason]}.\n\n{AGAIN}", markup=False)
+        box.border_title = "arm again?"
+        yield box
+
+    def on_key(self, event: Key) -> None:
+        """The dead man's key is no answer either."""
+        event.stop()
+        self.dismiss(event.key == "y")
+
+
 class PanelApp(App[int]):
-    """The screen of a panel whose board is at the other end of `side`; its result is the exit code."""
+    """The screen of a panel whose board is at the other end of `side`; its result is the exit code, or ARM_AGAIN."""
 
     TITLE = "inteco-abs panel"
     ENABLE_COMMAND_PALETTE = False
@@ -98,6 +124,7 @@ class PanelApp(App[int]):
             "0": panel.to_zero,
             "z": panel.zero_counts,
             "d": self._want_dump,
+            "r": self._ask_again,
             "q": lambda: self.action_leave(0),
         }
 
@@ -122,7 +149,7 @@ class PanelApp(App[int]):
 
     def on_key(self, event: Key) -> None:
         """The dead man's key counts by when it came in; every other one takes the power away first."""
-        if isinstance(self.screen, DumpScreen):
+        if isinstance(self.screen, ModalScreen):
             return
         if event.key == "space":
             seen_ns = int(event.time * 1e9)
@@ -159,13 +186,17 @@ class PanelApp(App[int]):
         self._side.ask()
         self._dump_wanted = True
 
+    def _ask_again(self) -> None:
+        if self._panel.tripped:
+            self.push_screen(AgainScreen(self._panel.reason), lambda yes: self.exit(ARM_AGAIN) if yes else None)
+
     def _take_away(self) -> None:
         self._panel.release()
         self._side.wishes.take_away()
 
     def _draw(self) -> None:
         panel = self._panel
-        if isinstance(self.screen, DumpScreen):
+        if isinstance(self.screen, ModalScreen):
             return
         state = self.query_one("#state", Static)
         state.update(f"{panel.state(time.monotonic_ns())}\n{_GUARDED if panel.outputs else ''}", layout=False)

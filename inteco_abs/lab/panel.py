@@ -19,6 +19,11 @@ REQUEST: Final = (
     "the emergency switch stops the motors.\nKeep hair, sleeves and fingers away; close the cover; lower the balance "
     "lever."
 )
+AGAIN: Final = (
+    "Look at the rig and mend what is wrong. Then press y to arm again: the board is let go of, opened and identified "
+    "anew, behind a guardian that has proved itself anew. Counts and sliders begin at zero, and nothing turns until "
+    "you hold the space bar.\nAny other key leaves the outputs off."
+)
 _MODES: Final = ("8-bit", "12-bit")
 _RPM: Final = 9.549296585513721
 """60 / (2 pi)."""
@@ -71,7 +76,7 @@ class Panel:
         self.admitted = Command.SAFE
         """What the guard has let through last."""
         self.reason = Reason.NONE
-        """Why the guard has taken the outputs away, for good."""
+        """Why the guard has taken the outputs away; they come back only by arming anew."""
         self.flags = BoardFlags.NONE
         """Of the newest exchange."""
         self.failed = 0
@@ -81,6 +86,11 @@ class Panel:
         self._counts = (0, 0)
         self._zero = (0, 0)
         self._speeds = (0.0, 0.0)
+
+    @property
+    def tripped(self) -> bool:
+        """Whether the guard has taken the outputs away, so that they may be armed again."""
+        return self.outputs and self.reason is not Reason.NONE
 
     @property
     def wish(self) -> Command:
@@ -156,7 +166,7 @@ class Panel:
         if not self.outputs:
             return "WATCHING: nothing is written to the board; start with --outputs to move the motors"
         if self.reason is not Reason.NONE:
-            return f"OFF FOR GOOD: {EXPLANATIONS[self.reason]}. Leave with q and start again"
+            return f"TAKEN AWAY: {EXPLANATIONS[self.reason]}. r: arm again"
         if self.admitted != Command.SAFE:
             return "POWER IS ON: let the key go to take it away"
         if self.held(now_ns):

@@ -8,6 +8,7 @@ import sys
 import zlib
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from tracing import untraced
 
 import inteco_abs.experiment
 from inteco_abs.cli import main
@@ -48,10 +50,11 @@ class Run(NamedTuple):
         return read_session(self.path)
 
 
-def _run(path, settings, *, seed=1, controllers=CONTROLLERS, progress=None, **plan) -> Run:
+def _run(path, settings, *, seed=1, controllers=CONTROLLERS, progress=None, traced=False, **plan) -> Run:
     config = load_config(settings=settings, checks=[control_check(controllers)])
-    stop = run_stop(config, Plan(out=path, seed=seed, controllers=controllers, **plan), progress)
-    return Run(path, stop, config)
+    what = Plan(out=path, seed=seed, controllers=controllers, **plan)
+    run = partial(untraced, run_stop) if what.virtual and not traced else run_stop
+    return Run(path, run(config, what, progress), config)
 
 
 @pytest.fixture(scope="session")
@@ -271,7 +274,7 @@ def replayed():
 
     def again(session, controllers=CONTROLLERS, tolerances=None):
         config = session_config(session, (control_check(controllers),))
-        return replay(session, build_pipeline(config, controllers), tolerances)
+        return untraced(replay, session, build_pipeline(config, controllers), tolerances)
 
     return again
 

@@ -19,12 +19,15 @@ def gone_on(session, *settings, at_s=0.0, controllers=CONTROLLERS):
 @pytest.mark.parametrize(
     "settings",
     [
-        (),
-        ("simulation.rig=hard:17",),
-        ("simulation.rig=rough:4", "controller.name=boundary-layer", "estimator.name=kalman"),
-        ("experiment.stops=2",),
+        pytest.param((), id="published"),
+        pytest.param(("simulation.rig=hard:17",), id="drawn", marks=pytest.mark.untraced),
+        pytest.param(
+            ("simulation.rig=rough:4", "controller.name=boundary-layer", "estimator.name=kalman"),
+            id="rough",
+            marks=pytest.mark.untraced,
+        ),
+        pytest.param(("experiment.stops=2",), id="stops", marks=pytest.mark.untraced),
     ],
-    ids=["published", "drawn", "rough", "stops"],
 )
 def test_with_its_own_controller_a_virtual_run_goes_on_to_the_last_bit(run, settings):
     session = run(*settings, seed=3).session

@@ -2,6 +2,7 @@ import errno
 import math
 import os
 import shutil
+from functools import partial
 
 import pytest
 
@@ -45,6 +46,12 @@ class Unbuildable(Broken):
 
     def __init__(self, _setup) -> None:
         raise ValueError("no such table")
+
+
+@pytest.fixture
+def run(run):
+    """With the tracer on: what a run does in trouble is tested here and nowhere else."""
+    return partial(run, traced=True)
 
 
 def mine(kind):

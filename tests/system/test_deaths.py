@@ -1,6 +1,7 @@
 """Every process of a real-time run killed, stopped or left alone: SAFE at the board, and not a tick lost."""
 
 import fcntl
+import json
 import os
 import random
 import re
@@ -11,6 +12,7 @@ import termios
 import time
 
 import pytest
+import tracing
 from live import LiveRun, safe_after_ns
 from ordeal import KINDS, RUNS, ordeal, table
 
@@ -56,10 +58,13 @@ def assert_nothing_lost(run, replayed):
 
 
 @pytest.fixture
-def replayed(inteco_abs, untraced):
-    import json
+def replayed(main_here):
+    """Replays a session in this process: what matters is another one than the run's."""
 
-    return lambda path: json.loads(inteco_abs("replay", path, "--json", check=0, environment=untraced).stdout)
+    def again(path):
+        return json.loads(tracing.untraced(main_here, "replay", path, "--json").stdout)
+
+    return again
 
 
 def assert_left_nothing_behind(run):
@@ -150,8 +155,16 @@ def test_a_controller_that_never_returns_is_ended_by_the_guardian(live, tmp_path
     assert_left_nothing_behind(run)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=lambda number: number.name)
-@pytest.mark.parametrize(("role", "reason"), [("guardian", Reason.GUARDIAN_LOST), ("recorder", Reason.RECORDER_LOST)])
+@pytest.mark.parametrize(
+    ("role", "reason", "number"),
+    [
+        # each role and each signal once; the rest with those that take long
+        ("guardian", Reason.GUARDIAN_LOST, signal.SIGSTOP),
+        ("recorder", Reason.RECORDER_LOST, signal.SIGKILL),
+        pytest.param("guardian", Reason.GUARDIAN_LOST, signal.SIGKILL, marks=pytest.mark.long),
+        pytest.param("recorder", Reason.RECORDER_LOST, signal.SIGSTOP, marks=pytest.mark.long),
+    ],
+)
 def test_without_guardian_or_recorder_the_loop_stops_safely(live, replayed, role, reason, number):
     run = live()
     run.until_tick(TURNING)
@@ -315,8 +328,16 @@ def test_a_disk_that_goes_on_refusing_leaves_the_ticks_in_memory(live, inteco_ab
     assert replayed(again)["ticks"] == run.ticks.written
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP],
-                         ids=lambda number: number.name)  # fmt: skip
+# realtime.hearing gives all of them one handler in one loop; SIGINT comes from a keyboard below
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGTERM,
+        signal.SIGTSTP,
+        *(pytest.param(each, marks=pytest.mark.long) for each in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)),
+    ],
+    ids=lambda number: number.name,
+)
 def test_a_signal_ends_a_run_with_a_complete_session(live, replayed, number):
     run = live()
     run.until_tick(TURNING)

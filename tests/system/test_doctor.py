@@ -28,8 +28,8 @@ def test_the_doctor_gives_every_finding_as_json(inteco_abs, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_doctor_gives_every_finding_as_text(inteco_abs):
-    run = inteco_abs(*QUICK)
+def test_the_doctor_gives_every_finding_as_text(main_here):
+    run = main_here(*QUICK)
     assert run.returncode in {0, 3}
     for name in ALWAYS:
         assert f"{name} " in run.stdout
@@ -38,10 +38,10 @@ def test_the_doctor_gives_every_finding_as_text(inteco_abs):
 
 
 @pytest.mark.parametrize("option", ["rules", "limits"])
-def test_the_files_to_install_come_alone_ready_for_tee(inteco_abs, option):
-    alone = inteco_abs("doctor", f"--{option}", check=0)
+def test_the_files_to_install_come_alone_ready_for_tee(main_here, option):
+    alone = main_here("doctor", f"--{option}", check=0)
     assert alone.stderr == ""
-    assert alone.stdout == json.loads(inteco_abs(*QUICK, "--json").stdout)[option]
+    assert alone.stdout == json.loads(main_here(*QUICK, "--json").stdout)[option]
     assert {"rules": 'TAG+="uaccess"', "limits": "memlock unlimited"}[option] in alone.stdout
 
 

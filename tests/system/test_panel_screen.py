@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import time
 
 import pytest
 
@@ -35,6 +36,7 @@ class Stage:
         self.side = Screenside(memory)
         self.panel = Panel(load_config(settings=settings, profile=profile), outputs=outputs)
         self.app = PanelApp(self.panel, self.side, "sim:")
+        self._seen_s = time.monotonic()
 
     def tick(self, counts=(0, 0), speeds=(0.0, 0.0), duties=(0.0, 0.0), reason=Reason.NONE, flags=BoardFlags.NONE):
         self._ring.append(
@@ -53,6 +55,16 @@ class Stage:
             return self.app.return_value
 
         return asyncio.run(run())
+
+    async def space(self, pilot, times=1):
+        """The space bar, seen so often and each time at one instant, however long the screen takes over it."""
+        from textual.events import Key
+
+        for _ in range(times):
+            event = Key("space", " ")
+            event.time = self._seen_s
+            self.app.post_message(event)
+        await pilot.pause()
 
     async def look(self, pilot):
         """Let the screen see what is new, now."""
@@ -83,9 +95,10 @@ def test_holding_space_passes_the_sliders_on_and_a_tap_does_not(stage):
     seen = []
 
     async def play(pilot):
-        await pilot.press("pageup", "up", "right", "right", "space")
+        await pilot.press("pageup", "up", "right", "right")
+        await scene.space(pilot)
         seen.append(scene.words[Word.KEY_SEEN_NS])
-        await pilot.press("space")
+        await scene.space(pilot)
         seen.append(scene.side.wishes.at(scene.words[Word.KEY_SEEN_NS]))
 
     scene.play(play)
@@ -97,7 +110,8 @@ def test_any_other_key_takes_the_power_away(stage, key):
     scene = stage()
 
     async def play(pilot):
-        await pilot.press("pageup", "space", "space")
+        await pilot.press("pageup")
+        await scene.space(pilot, 2)
         assert scene.words[Word.KEY_SEEN_NS] > 0
         await pilot.press(key)
         assert scene.words[Word.KEY_SEEN_NS] == -HELD_NS
@@ -110,7 +124,10 @@ def test_leaving_takes_the_power_away_first(stage, key, code):
     scene = stage()
 
     async def play(pilot):
-        await pilot.press("pageup", "space", "space", key)
+        await pilot.press("pageup")
+        await scene.space(pilot, 2)
+        assert scene.words[Word.KEY_SEEN_NS] > 0
+        await pilot.press(key)
 
     assert scene.play(play) == code
     assert scene.words[Word.KEY_SEEN_NS] == -HELD_NS
@@ -120,7 +137,8 @@ def test_who_only_watches_can_hold_what_he_will(stage):
     scene = stage(outputs=False, because="the panel only watches")
 
     async def play(pilot):
-        await pilot.press("pageup", "space", "space", "space")
+        await pilot.press("pageup")
+        await scene.space(pilot, 3)
 
     scene.play(play)
     assert scene.words[Word.KEY_SEEN_NS] <= 0
@@ -171,7 +189,69 @@ def test_what_the_guard_has_taken_away_is_told_and_is_a_safety_stop(stage):
         await pilot.press("q")
 
     assert scene.play(play) == 5
-    assert "OFF FOR GOOD: a wheel turned faster" in shown[0]
+    assert "TAKEN AWAY: a wheel turned faster" in shown[0]
+    assert "r: arm again" in shown[0]
+
+
+def test_r_and_then_y_end_it_to_begin_anew(stage):
+    from inteco_abs.cli.panel_screen import ARM_AGAIN
+
+    scene = stage()
+    scene.tick(reason=Reason.OVER_SPEED)
+    shown = []
+
+    async def play(pilot):
+        await scene.look(pilot)
+        await pilot.press("r")
+        shown.append(scene.text())
+        await scene.look(pilot)
+        await pilot.press("y")
+
+    assert scene.play(play) == ARM_AGAIN
+    assert scene.words[Word.KEY_SEEN_NS] == -HELD_NS
+    for wanted in ("arm again?", "a wheel turned faster", "identified", "press y"):
+        assert wanted in shown[0]
+
+
+@pytest.mark.parametrize("key", ["space", "enter", "r", "escape", "q"])
+def test_any_other_answer_leaves_it_as_it_is(stage, key):
+    scene = stage()
+    scene.tick(reason=Reason.OVER_SPEED)
+    shown = []
+
+    async def play(pilot):
+        await scene.look(pilot)
+        await pilot.press("r", key)
+        await scene.look(pilot)
+        shown.append(scene.text())
+        await pilot.press("q")
+
+    assert scene.play(play) == 5
+    assert "TAKEN AWAY" in shown[0]
+    assert "arm again?" not in shown[0]
+
+
+@pytest.mark.parametrize("outputs", [True, False])
+def test_while_nothing_was_taken_away_there_is_nothing_to_arm_again(stage, outputs):
+    scene = stage(outputs=outputs)
+
+    async def play(pilot):
+        await pilot.press("r", "y", "q")
+
+    assert scene.play(play) == 0
+
+
+def test_it_leaves_although_it_asks_when_nobody_holds_the_board_any_more(stage):
+    scene = stage()
+    scene.tick(reason=Reason.OVER_SPEED)
+
+    async def play(pilot):
+        await scene.look(pilot)
+        await pilot.press("r")
+        scene.words[Word.LOOP_PID] = 0
+        await scene.look(pilot)
+
+    assert scene.play(play) == 5
 
 
 @pytest.mark.parametrize(

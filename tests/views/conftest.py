@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import pytest
+from tracing import untraced
 
 from inteco_abs.cli import main
 from inteco_abs.config import load_config
@@ -16,7 +17,7 @@ QUICK = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experim
 
 def _recorded(folder, name, *settings):
     path = folder / name
-    return run_stop(load_config(settings=(*QUICK, *settings)), Plan(out=path, seed=1)), read_session(path)
+    return untraced(run_stop, load_config(settings=(*QUICK, *settings)), Plan(out=path, seed=1)), read_session(path)
 
 
 @pytest.fixture(scope="session")
