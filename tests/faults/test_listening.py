@@ -1,0 +1,67 @@
+"""What listens does so on this computer only, unless told; and nothing that is read is ever run."""
+
+import ast
+import ipaddress
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+import inteco_abs
+from inteco_abs.config import load_config
+from inteco_abs.control import control_check
+from inteco_abs.errors import AbsError
+from inteco_abs.mock_board import Device, UsbBoard, UsbHost, UsbIdentity, UsbIpServer, face_of, parse_address
+
+PACKAGE = Path(inteco_abs.__file__).parent
+RUNS_CODE = {"eval", "exec", "compile", "__import__"}
+USERS_OWN_FILE = {"plugins/file.py"}
+"""Where a controller's file is run that the user has named on the command line, or that is kept in his session."""
+UNPICKLES = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml"}
+
+
+def listening_sockets():
+    """Local addresses of the TCP sockets on which this process listens."""
+    for descriptor in os.listdir("/proc/self/fd"):
+        try:
+            with socket.socket(fileno=os.dup(int(descriptor))) as found:
+                if found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and found.family == socket.AF_INET:
+                    yield found.getsockname()[0]
+        except OSError:
+            continue
+
+
+@pytest.mark.parametrize("address", ["", ":0"])
+def test_the_mock_board_on_usbip_listens_on_the_loopback_interface(address):
+    face = face_of(Device(load_config(), lambda: 0))
+    server = UsbIpServer(UsbHost(UsbBoard(face, UsbIdentity())), parse_address(address)._replace(port=0))
+    before = list(listening_sockets())
+    server.bind()
+    try:
+        opened = list(listening_sockets())
+    finally:
+        server.close()
+        server.serve(lambda: None)
+    assert len(opened) == len(before) + 1
+    assert all(ipaddress.ip_address(each).is_loopback for each in opened)
+
+
+@pytest.mark.parametrize("file", sorted(PACKAGE.rglob("*.py")), ids=lambda file: str(file.relative_to(PACKAGE)))
+def test_no_module_unpickles_or_runs_what_it_reads(file):
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names = {each.name.partition(".")[0] for each in node.names}
+            names.add((getattr(node, "module", None) or "").partition(".")[0])
+            assert not names & UNPICKLES
+        called = isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id
+        if called and called in RUNS_CODE:
+            assert str(file.relative_to(PACKAGE)) in USERS_OWN_FILE
+
+
+@pytest.mark.parametrize(
+    "text", ["profile=!!python/object/apply:os.system", "controller.name=os:system", "profile=/etc"]
+)
+def test_a_configuration_names_data_never_code(text):
+    with pytest.raises(AbsError):
+        load_config(settings=[text], checks=[control_check()])

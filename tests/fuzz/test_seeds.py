@@ -1,0 +1,47 @@
+"""What fuzzing begins with, and what it once found, goes through each target without a complaint."""
+
+import importlib.machinery
+import importlib.util
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+SEEDS = [file for file in sorted(HERE.glob("*/*")) if file.parent.name != "__pycache__"]
+
+
+@pytest.fixture(scope="module")
+def fuzz():
+    loader = importlib.machinery.SourceFileLoader("fuzz", str(HERE.parents[1] / "tools" / "fuzz"))
+    module = importlib.util.module_from_spec(importlib.util.spec_from_loader(loader.name, loader))
+    sys.modules[loader.name] = module
+    loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("seed", SEEDS, ids=lambda file: f"{file.parent.name}-{file.name}")
+def test_a_seed_is_taken_or_refused_as_it_should_be(fuzz, seed, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os, "chdir", lambda _: None)
+    monkeypatch.setattr(sys, "stdout", sys.stdout)
+    monkeypatch.setattr(fuzz, "SCRATCH", tmp_path)
+    fuzz.TARGETS[seed.parent.name]()(seed.read_bytes())
+
+
+def test_every_target_has_a_seed(fuzz):
+    assert {seed.parent.name for seed in SEEDS} == set(fuzz.TARGETS)
+
+
+def test_a_target_that_fails_is_found(fuzz, monkeypatch):
+    def fails():
+        def target(data):
+            if data:
+                raise ZeroDivisionError
+
+        return target
+
+    monkeypatch.setitem(fuzz.TARGETS, "injections", fails)
+    with pytest.raises(ZeroDivisionError):
+        fuzz.one("injections", HERE / "injections" / "late")
