@@ -23,9 +23,9 @@ UNPICKLES = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "ya
 
 def listening_sockets():
     """Local addresses of the TCP sockets on which this process listens."""
-    for descriptor in os.listdir("/proc/self/fd"):
+    for descriptor in list(Path("/proc/self/fd").iterdir()):
         try:
-            with socket.socket(fileno=os.dup(int(descriptor))) as found:
+            with socket.socket(fileno=os.dup(int(descriptor.name))) as found:
                 if found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and found.family == socket.AF_INET:
                     yield found.getsockname()[0]
         except OSError:
