@@ -116,7 +116,8 @@ class PciFace:
 
     def read(self, offset: int) -> int:
         """The 32 bits that the host reads at `offset`."""
-        if self._unseen:  # one command writes two widths, and is shown to those who watch the rig once
+        # one command writes two widths, and reads what was there: to those who watch the rig it is shown once
+        if self._unseen and offset not in _PWM:
             self._unseen = False
             self.device.observe()
         if offset in _FIXED:

@@ -45,6 +45,7 @@ def made_folder(folder: Path, option: str = "--out", *, new: bool = False) -> It
     SessionError where the disk refuses; `option` is where it was named.
     """
     made = list[Path]()
+    Path.cwd()  # raises where the folder in which this was typed is gone
     try:
         try:
             made = [each for each in (folder, *folder.parents) if not each.exists()]

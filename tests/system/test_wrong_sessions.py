@@ -66,7 +66,7 @@ INPUTS = [
     Row("cut", "get stop.mcap config.toml --out c.toml --json", 3, ("ends early", "ticks are whole"),
         "recover makes a session",
         (session(change=cut),), ("c.toml",), runs=True),
-    Row("cut before its first tick", "replay stop.mcap", 1, ("ends early", "0 ticks"), "holds no config.toml",
+    Row("cut before its first tick", "replay stop.mcap", 1, ("ends early", "0 ticks"), "holds no",
         (session(change=lambda data: data[:3000]),)),
     Row("a flipped bit", "replay stop.mcap", 1, ("stop.mcap: is damaged",), "inteco-abs recover saves",
         (session(change=flipped),)),
