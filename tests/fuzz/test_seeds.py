@@ -25,7 +25,6 @@ def fuzz():
 def test_a_seed_is_taken_or_refused_as_it_should_be(fuzz, seed, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "chdir", lambda _: None)
-    monkeypatch.setattr(sys, "stdout", sys.stdout)
     monkeypatch.setattr(fuzz, "SCRATCH", tmp_path)
     fuzz.TARGETS[seed.parent.name]()(seed.read_bytes())
 
