@@ -16,7 +16,7 @@ from inteco_abs.lab.identify.unknowns import ASSUMED, Beliefs, torque_name
 
 Wheel = Literal["wheel", "road"]
 
-_ROUNDS: Final = ((300.0, 20), (30.0, 20), (5.0, 20), (1.0, 200))
+_ROUNDS: Final = ((300.0, 20), (30.0, 20), (5.0, 20), (1.0, 60))
 """Deviation of every residual in counts, and most evaluations: the first, in which little is known, must not trust the
 counts too finely, and only the last need come to an end."""
 _TOLERANCE: Final = 1e-4
