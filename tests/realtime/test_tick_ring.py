@@ -234,3 +234,14 @@ def test_a_sample_begins_with_what_the_ring_still_holds():
     records, after = reader.sample(0, 4)
     assert (records, after) == (b"".join(map(record, (28, 32))), 36)
     assert reader.lost == 0
+
+
+def test_the_room_is_what_can_be_appended_before_anything_is_taken():
+    ring = TickRing(pack, SIZE, 4)
+    reader = ring.reader()
+    for left in (4, 3, 2, 1):
+        assert reader.room == left
+        ring.append(left)
+    assert reader.room == 0
+    reader.take(3)
+    assert reader.room == 3
