@@ -1,0 +1,69 @@
+"""`run --inject`: the mock board fails as told, the run ends as it should, and the session says what was done to it."""
+
+import pytest
+
+from inteco_abs.sessions import read_session
+
+QUICK = ("-q", "--set", "experiment.start_speed_rad_s=20")
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "words"),
+    [
+        ("lose@brake+20ms", 3, "1 exchanges failed"),
+        ("road-stuck@drive+400ms", 5, "the road wheel's encoder loses counts"),
+        ("unplug@drive+200ms", 5, "MOTOR POWER MAY STILL BE ON"),
+        ("reset=held@drive+400ms", 5, "an encoder count changed faster than any wheel can turn"),
+    ],
+)
+def test_a_fault_ends_a_virtual_run_as_it_should_and_is_in_the_session(main_here, tmp_path, fault, code, words):
+    stop = main_here("run", "--virtual", *QUICK, "--inject", fault, "--out", "stop.mcap", check=code)
+    assert words in stop.stderr
+    session = read_session(tmp_path / "stop.mcap")
+    [(name, times)] = session.metadata["injected"].items()
+    assert name.startswith(fault)
+    assert int(times) >= 1
+    assert code == 5 or f"injected {name}: acted {times} times" in stop.stderr
+
+
+def test_a_fault_that_never_acts_is_told(main_here):
+    stop = main_here("run", "--virtual", *QUICK, "--inject", "lose@100s", check=0)
+    assert "never acted: was the run over before?" in stop.stderr
+
+
+def test_a_real_board_is_told_nothing(main_here, tmp_path):
+    stop = main_here("run", "--board", "usb2:", "--inject", "lose@1s", check=2)
+    assert "only sim: can be told" in stop.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_be_injected_is_told_all_at_once(main_here):
+    stop = main_here("run", "--virtual", "--inject", "loose@1s", "--inject", "late@1s", check=2)
+    assert "did you mean lose?" in stop.stderr
+    assert "late needs a value" in stop.stderr
+
+
+def test_the_kinds_are_listed(main_here):
+    listed = main_here("faults", check=0).stdout
+    assert "road-stuck" in listed
+    assert "reset[=zero|held|random]" in listed
+
+
+@pytest.mark.xdist_group("real time")
+def test_a_run_in_real_time_meets_its_faults_and_says_so(inteco_abs, untraced, tmp_path):
+    stop = inteco_abs(
+        "run", *QUICK, "--inject", "lose@brake+20ms/#3", "--inject", "pause=20@drive+300ms", "--out", "stop.mcap",
+        environment=untraced,
+    )  # fmt: skip
+    assert stop.returncode == 3, stop.stderr
+    told = read_session(tmp_path / "stop.mcap").metadata["injected"]
+    assert told["lose@brake+20ms/#3"] == "3"
+    assert told["pause=20@drive+300ms/#1"] == "1"
+    assert "injected lose@brake+20ms/#3: acted 3 times" in stop.stderr
+
+
+@pytest.mark.xdist_group("real time")
+def test_a_cable_that_is_pulled_in_real_time_is_told_at_once(inteco_abs, untraced):
+    stop = inteco_abs("run", *QUICK, "--inject", "unplug@drive+300ms", environment=untraced)
+    assert stop.returncode == 5, stop.stderr
+    assert "MOTOR POWER MAY STILL BE ON" in stop.stderr
