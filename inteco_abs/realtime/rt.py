@@ -7,6 +7,7 @@ import resource
 import sys
 import time
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -28,15 +29,30 @@ _NONE: Final = Reason.NONE
 _GUARDIAN_WINDOW_NS: Final = 250_000_000
 _STALL_NS: Final = 100_000_000
 """A tick so late is a pause of the computer: as long as five periods of the slowest loop, well within the window."""
+_NAP_NS: Final = 50_000_000
+"""No suspension is so short."""
 _STOP, _GUARDIAN_STOP, _GUARDIAN_BEAT = int(Word.STOP), int(Word.GUARDIAN_STOP), int(Word.GUARDIAN_BEAT_NS)
 _REASONS: Final = {int(reason): reason for reason in Reason}
 
 
-class SharedStop:
-    """What the other processes want of the loop: the supervisor's word, the guardian's, and a guardian alive."""
+def asleep_ns() -> int:
+    """How long the computer has been suspended so far: the monotonic clock stands still meanwhile, the other does not.
 
-    def __init__(self, memory: RunMemory) -> None:
+    A pause between the two readings makes it less, never more.
+    """
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()
+
+
+class SharedStop:
+    """What the other processes want of the loop: the supervisor's word, the guardian's, and a guardian alive.
+
+    A computer that was suspended has missed exchanges, though no clock of the loop's has seen it.
+    """
+
+    def __init__(self, memory: RunMemory, asleep_ns: Callable[[], int] = asleep_ns) -> None:
         self._words = memory.words
+        self._asleep_ns = asleep_ns
+        self._may_sleep_ns = asleep_ns() + _NAP_NS
         self._before_ns = 0
         self._trusted_ns = 0
 
@@ -46,6 +62,8 @@ class SharedStop:
         word = words[_STOP] or words[_GUARDIAN_STOP]
         if word:
             return _REASONS[word]
+        if self._asleep_ns() > self._may_sleep_ns:
+            return Reason.MISSED_EXCHANGES
         if now_ns - self._before_ns > _STALL_NS:  # the computer stood still, and the guardian with it
             self._trusted_ns = now_ns
         self._before_ns = now_ns

@@ -1,7 +1,10 @@
 """When the loop believes that its guardian is gone, at any rate of the loop."""
 
+import time
+
 import pytest
 
+from inteco_abs.realtime import rt
 from inteco_abs.realtime.memory import Word
 from inteco_abs.realtime.rt import SharedStop
 from inteco_abs.signals import Reason
@@ -41,3 +44,22 @@ def test_after_a_pause_of_the_whole_computer_the_guardian_gets_its_window_again(
 def test_what_the_others_want_is_passed_on(stop, memory, word, reason):
     memory.words[word] = reason
     assert stop.wanted(START_NS) is reason
+
+
+def test_a_computer_that_was_suspended_ends_the_run_at_the_first_tick_though_no_period_seems_missed(memory):
+    memory.words[Word.GUARDIAN_BEAT_NS] = START_NS
+    slept = [3_600_000_000_000]  # before this run
+    stop = SharedStop(memory, lambda: slept[0])
+    assert stop.wanted(START_NS) is Reason.NONE
+    slept[0] += 20_000_000  # clocks are not read at the same instant
+    assert stop.wanted(START_NS + 500_000) is Reason.NONE
+    slept[0] += 2_000_000_000
+    assert stop.wanted(START_NS + 1_000_000) is Reason.MISSED_EXCHANGES
+    assert stop.wanted(START_NS + 1_500_000) is Reason.MISSED_EXCHANGES
+
+
+def test_a_pause_between_the_two_clocks_is_no_suspension(monkeypatch):
+    before_ns = rt.asleep_ns()
+    monotonic_ns = time.monotonic_ns
+    monkeypatch.setattr(time, "monotonic_ns", lambda: monotonic_ns() + 200_000_000)
+    assert rt.asleep_ns() < before_ns
