@@ -1,18 +1,20 @@
 """Open driver, controller and laboratory for the Inteco anti-lock braking rig."""
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from inteco_abs.notebook import Rig, Session, connect, open_session, run_stop
 
-__version__ = version("inteco-abs")
+    __version__: str
+
 __all__ = ["Rig", "Session", "__version__", "connect", "open_session", "run_stop"]
 
 
 def __getattr__(name: str) -> Any:
-    """What notebooks use, when they ask: the command starts without it."""
+    """What notebooks use, and the version, when they ask: the command starts without them."""
+    if name == "__version__":
+        return import_module("importlib.metadata").version("inteco-abs")
     if name in __all__:
         return getattr(import_module("inteco_abs.notebook"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

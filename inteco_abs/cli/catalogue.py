@@ -126,6 +126,8 @@ def _tell(one: _About, toml: Mapping[str, Any], *, as_json: bool) -> None:
     if one.estimator:
         click.echo(f"works with the estimator {one.estimator} only, and has it if none is chosen\n")
     _list(one.numbers, indent=2)
+    if not one.numbers:
+        click.echo("  nothing to set")
     if internals:
         click.echo(f"\nin a session, c0 and those after it are {', '.join(internals)}")
     click.echo(f"\nin rig.toml, with the defaults:\n\n{lines.rstrip()}" if lines else "")

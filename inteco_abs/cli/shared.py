@@ -35,6 +35,10 @@ class Finite(click.FloatRange):
         super().__init__(least, most)
         self._unit = unit
 
+    def _describe_range(self) -> str:
+        """For the help; without limits click would say x<=None."""
+        return "" if self.min is None and self.max is None else super()._describe_range()
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         try:
             number, hint = float(value), ""

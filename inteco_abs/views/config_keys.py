@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import date
 from typing import Any, Final, Literal, NamedTuple, get_args, get_origin
 
@@ -35,6 +36,8 @@ class Key(NamedTuple):
     default: Any
     """None where there is none."""
     meaning: str
+    of: str = ""
+    """The controller whose gain it is, if it is one: several have gains of one name."""
 
 
 def all_keys() -> list[Key]:
@@ -78,11 +81,19 @@ def _asked(path: str) -> tuple[list[Key], list[Key]]:
     within = [key for key in keys if key.path.startswith(f"{asked}.")]
     if mine or within:
         return mine, within
-    paths = [key.path for key in keys]
-    sections = [name.rpartition(".")[0] for name in paths]
-    tails = [name for name in paths if name.rpartition(".")[2] == asked]
-    hint = f"; did you mean {' or '.join(dict.fromkeys(tails))}?" if tails else near_match(asked, [*paths, *sections])
-    raise ConfigError([Mistake(path, f"is no key of rig.toml{hint}")])
+    raise ConfigError([Mistake(path or "KEY", f"is no key of rig.toml{_hint(asked, keys)}")])
+
+
+def _hint(asked: str, keys: Iterable[Key]) -> str:
+    """Keys that end so, else what is nearly called so, else what there is at the top."""
+    paths = dict.fromkeys(key.path for key in keys)
+    sections = dict.fromkeys(section for path in paths if (section := path.rpartition(".")[0]))
+    tails = [path for path in paths if path.rpartition(".")[2] == asked]
+    if tails:
+        return f"; did you mean {' or '.join(tails)}?"
+    known = [*paths, *sections]
+    near = difflib.get_close_matches(asked, known, n=1)
+    return near_match(asked, known if near else {path.partition(".")[0] for path in paths})
 
 
 def template() -> str:
@@ -129,7 +140,7 @@ def _gains() -> Iterator[Key]:
         for gain in controller.gains:
             unit = "" if gain.unit == "1" else f" {gain.unit}"
             kind = f"a number at least {gain.low:g} and at most {gain.high:g}{unit}"
-            yield Key(f"{_GAINS}.{gain.name}", kind, gain.default, f"of {name}: {gain.meaning}")
+            yield Key(f"{_GAINS}.{gain.name}", kind, gain.default, f"of {name}: {gain.meaning}", name)
 
 
 def _kind(field: FieldInfo) -> str:
@@ -163,7 +174,7 @@ def _value_in(table: Mapping[str, Any], path: str) -> Any:
 
 def _in_short(key: Key) -> str:
     default = "" if key.default is None else f" = {_toml(key.default)}"
-    return f"{key.path}{default}: {key.kind}"
+    return f"{key.path}{default}: {key.kind}{f', of {key.of}' if key.of else ''}"
 
 
 def _wrapped(text: str) -> list[str]:

@@ -65,6 +65,7 @@ def test_a_fault_is_read(text, fault):
         ("brake-stuck=1.5@1s", "a number in 0..1"),
         ("reset=hot@1s", "reset knows zero, held, random"),
         ("lose@1", "'1' is no time"),
+        ("lose@braek", "and the events are: start, drive, coast, brake"),
         ("lose@1h", "'1h' is no time"),
         ("lose@#-1", "'#-1' is no time"),
         ("lose@lunch+1s", "nothing is timed from 'lunch', only from: start, drive, coast, brake"),

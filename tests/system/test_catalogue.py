@@ -90,6 +90,7 @@ def test_one_estimator_is_told_whole_with_lines_that_set_it(inteco_abs, name):
     assert ESTIMATORS[name].summary in text
     assert inspect.getdoc(ESTIMATORS[name].works) in text
     values = {each.name: each.default for each in ESTIMATORS[name].parameters}
+    assert ("nothing to set" in text) is (not values)
     assert toml_of(text) == {"estimator": {"name": name, **values}}
 
 
@@ -118,6 +119,11 @@ def test_help_says_of_every_verb_its_whole_sentence(inteco_abs, monkeypatch, gro
     assert "Commands:" in text
     assert "..." not in text.partition("Commands:")[2]
     assert max(map(len, text.splitlines())) <= 80
+
+
+def test_help_gives_a_number_without_limits_no_range(inteco_abs):
+    assert "--seconds" in (text := inteco_abs("doctor", "--help", check=0).stdout)
+    assert "None" not in text
 
 
 def test_a_verb_of_a_group_that_is_none_is_told_with_the_nearest(inteco_abs):

@@ -94,6 +94,14 @@ def test_a_gain_is_explained_for_every_controller_that_has_it(said):
         assert (f"of {name}:" in text) is any(gain.name == "Mq" for gain in controller.gains)
 
 
+def test_a_list_of_gains_says_whose_each_is(said):
+    lines = said("config", "explain", "controller.gains").splitlines()
+    assert [line.rpartition(", of ")[2] for line in lines if line.startswith("controller.gains.Mk ")] == [
+        name for name, controller in CONTROLLERS.items() if any(gain.name == "Mk" for gain in controller.gains)
+    ]
+    assert len(set(lines)) == len(lines)
+
+
 @pytest.mark.parametrize("section", ["guard", "[guard]", "board"])
 def test_a_section_lists_its_keys(said, section):
     name = section.strip("[]")
@@ -108,8 +116,8 @@ def test_a_section_lists_its_keys(said, section):
     [
         ("brake_limit", "did you mean guard.brake_limit?"),
         ("gard", "did you mean guard?"),
-        ("", "is no key"),
-        ("x.y", "is no key"),
+        ("", "KEY: is no key of rig.toml; known: board, controller, "),
+        ("nonsense", "is no key of rig.toml; known: board, controller, encoders, estimator, experiment, guard, "),
     ],
 )
 def test_an_unknown_key_is_told_with_the_nearest(said, asked, hint):

@@ -26,7 +26,8 @@ _SAMPLES: Final = 3
 class Observer:
     """A filter per wheel while the wheels roll, which learns the encoders' discs; one of the whole rig while it brakes.
 
-    It brakes from when the drive is off while the road turns. Only then is there an outlook.
+    Braking begins when the drive is off while the road turns. Only from then on is there an outlook: what the
+    controller looks ahead with.
     """
 
     __slots__ = ("_angles", "_braking", "_discs", "_filter", "_parameters", "_period_s", "_samples")

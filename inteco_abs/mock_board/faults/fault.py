@@ -104,14 +104,17 @@ def parse_fault(text: str) -> Fault:
 
 def _moment(text: str) -> tuple[Event, Span]:
     word, plus, rest = text.partition("+")
+    events = ", ".join(each.value for each in Event)
     if plus or word in {event.value for event in Event}:
         try:
             event = Event(word)
         except ValueError:
-            events = ", ".join(each.value for each in Event)
             raise ValueError(f"nothing is timed from {word!r}, only from: {events}") from None
         return event, _span(rest) if plus else Span()
-    return Event.START, _span(text)
+    try:
+        return Event.START, _span(text)
+    except ValueError as error:
+        raise ValueError(f"{error}; and the events are: {events}") from None
 
 
 def _span(text: str) -> Span:
