@@ -55,6 +55,10 @@ class Whole(click.IntRange):
     def __init__(self, least: int | None = None, most: int | None = None) -> None:
         super().__init__(least, most)
 
+    def _describe_range(self) -> str:
+        """The same of whole numbers."""
+        return "" if self.min is None and self.max is None else super()._describe_range()
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
         try:
             number = int(value)

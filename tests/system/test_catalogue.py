@@ -121,8 +121,9 @@ def test_help_says_of_every_verb_its_whole_sentence(inteco_abs, monkeypatch, gro
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_help_gives_a_number_without_limits_no_range(inteco_abs):
-    assert "--seconds" in (text := inteco_abs("doctor", "--help", check=0).stdout)
+@pytest.mark.parametrize(("verb", "option"), [("doctor", "--seconds"), ("mock-board", "--serial")])
+def test_help_gives_a_number_without_limits_no_range(inteco_abs, verb, option):
+    assert option in (text := inteco_abs(verb, "--help", check=0).stdout)
     assert "None" not in text
 
 
