@@ -173,7 +173,8 @@ class Onlooker:
         wheel, road, slip, drive, brake = (
             float(tick[name]) for name in ("wheel_speed_rad_s", "road_speed_rad_s", "slip", "drive", "brake")
         )
-        self._first_ns = self._first_ns or now_ns
+        recent = self._recent()
+        self._first_ns = self._first_ns or (recent[0].time_ns if recent else now_ns)
         histogram = self._histogram
         return Snapshot(
             Phase(int(tick["phase"])),
@@ -186,7 +187,7 @@ class Onlooker:
             brake,
             histogram.skipped,
             (*histogram.quantiles_us((0.5, 0.99, 0.999)), histogram.greatest_us),
-            self._recent(),
+            recent,
         )
 
     def _recent(self) -> tuple[Point, ...]:
