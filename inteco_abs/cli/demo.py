@@ -79,10 +79,18 @@ def demo(context: click.Context, folder: Path, no_wait: bool) -> int:
                 continue
             click.echo(f"$ inteco-abs {step.command}", err=True)
             if waits:
-                click.prompt("Enter", default="", show_default=False, prompt_suffix=" ", err=True)
+                _wait()
             code = context.find_root().command.main(shlex.split(step.command), "inteco-abs", standalone_mode=False)
             if code not in (0, LOSSES):
                 return int(code)
             worst = max(worst, code)
     click.secho(f"\nAll of it is in {folder}. `inteco-abs --help` lists the commands.", bold=True, err=True)
     return worst
+
+
+def _wait() -> None:
+    try:
+        click.prompt("Enter", default="", show_default=False, prompt_suffix=" ", err=True)
+    except click.Abort:
+        click.echo(err=True)  # the prompt's line is not over, and what comes next is not part of it
+        raise

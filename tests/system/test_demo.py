@@ -1,5 +1,6 @@
 """The verb `inteco-abs demo`; README's commands run the tour itself."""
 
+import io
 import json
 
 import pytest
@@ -41,3 +42,11 @@ def test_a_step_that_fails_ends_the_tour_with_its_code(main_here, monkeypatch):
     run = main_here("demo", "--no-wait")
     assert run.returncode == 1
     assert "two." not in run.stderr
+
+
+@pytest.mark.usefixtures("short")
+def test_leaving_at_a_question_ends_its_line(main_here, monkeypatch):
+    monkeypatch.setattr(module, "on_terminal", lambda _stream: True)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    run = main_here("demo", check=130)
+    assert run.stderr.endswith("Enter \ninteco-abs: interrupted\n")
