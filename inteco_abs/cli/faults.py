@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from typing import TYPE_CHECKING, Any
+
 import click
 
 from inteco_abs.cli.shared import json_option, print_json
+
+if TYPE_CHECKING:
+    from inteco_abs.mock_board.faults.kinds import Value
 
 
 @click.command()
@@ -17,7 +23,7 @@ def faults(as_json: bool) -> int:
         found = {
             name: {
                 "meaning": kind.meaning,
-                "value": kind.value._asdict() if kind.value else None,
+                "value": _facts(kind.value) if kind.value else None,
                 "lasting": kind.lasting,
             }
             for name, kind in KINDS.items()
@@ -34,3 +40,9 @@ def faults(as_json: bool) -> int:
         "Without HOW LONG a fault lasts for one exchange, or for good."
     )
     return 0
+
+
+def _facts(value: Value) -> dict[str, Any]:
+    """JSON has no infinity: a word has no limits."""
+    facts = value._asdict()
+    return {name: None if isinstance(fact, float) and math.isinf(fact) else fact for name, fact in facts.items()}

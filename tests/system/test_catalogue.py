@@ -7,6 +7,7 @@ import pytest
 from inteco_abs.config import EstimatorConfig, load_config, profiles
 from inteco_abs.control import CONTROLLERS, ESTIMATORS, control_check, gains_in_force, preferred_estimator
 from inteco_abs.errors import ConfigError
+from inteco_abs.mock_board.faults import KINDS
 
 
 @pytest.fixture
@@ -129,3 +130,11 @@ def test_help_gives_a_number_without_limits_no_range(inteco_abs, verb, option):
 
 def test_a_verb_of_a_group_that_is_none_is_told_with_the_nearest(inteco_abs):
     assert "no command 'tst'; did you mean test?" in inteco_abs("golden", "tst", check=2).stderr
+
+
+def test_every_fault_is_told_as_json_with_what_its_value_may_be(inteco_abs):
+    told = json.loads(inteco_abs("faults", "--json", check=0).stdout)
+    assert told["faults"].keys() == KINDS.keys()
+    assert (told["faults"]["late"]["value"]["low"], told["faults"]["late"]["value"]["unit"]) == (0.001, "ms")
+    assert (told["faults"]["reset"]["value"]["low"], told["faults"]["reset"]["value"]["words"][0]) == (None, "zero")
+    assert told["events"] == ["start", "drive", "coast", "brake"]
