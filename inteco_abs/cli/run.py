@@ -16,6 +16,7 @@ from inteco_abs.cli.dry_run import Condition, Planned, dry_run_option, refuse_to
 from inteco_abs.cli.screens import live_options, screen_of
 from inteco_abs.cli.shared import (
     FILE,
+    INTERRUPTED,
     SETTING,
     Whole,
     check_session_file,
@@ -155,6 +156,12 @@ def run(
         except AbsError as error:  # how the run ended matters more than its picture
             click.echo(f"inteco-abs: {error}", err=True)
             return stop.exit_code or error.exit_code
+        except KeyboardInterrupt:
+            session = stop.card["session"]
+            click.echo(
+                f"inteco-abs: interrupted while drawing; {session} is whole: inteco-abs figure {session}", err=True
+            )
+            return stop.exit_code or INTERRUPTED
     return stop.exit_code
 
 

@@ -40,7 +40,7 @@ STEPS: Final = (
     ),
     Step(
         "header",
-        "reads who the board is; writes logic_version and application_names",
+        "reads who the board is; puts logic_version and application_names into the profile",
         "none: one READ request",
         "one program at a time; check cable and permissions; name the board's kind in --board",
         read_header,
@@ -48,7 +48,7 @@ STEPS: Final = (
     ),
     Step(
         "reads",
-        "reads a thousand times for rate and jitter; writes loop.rate_hz",
+        "reads a thousand times for rate and jitter; puts loop.rate_hz into the profile",
         "none: READ requests",
         "plug the board straight into the computer; close other programs",
         measure_reads,
@@ -56,7 +56,7 @@ STEPS: Final = (
     ),
     Step(
         "wheels",
-        "watches the encoders while you turn each wheel by hand; writes encoders, signs and counts per turn",
+        "watches the encoders while you turn each wheel by hand; puts encoders, signs and counts into the profile",
         "none from the board: READ requests; your hands are at the wheels, so the power interface is off",
         "check the encoders' cable; turn one wheel at a time, with the lever lifted",
         turn_wheels,

@@ -1,6 +1,9 @@
 import json
+from importlib import import_module
 
 import pytest
+
+from inteco_abs.sessions import read_session
 
 pytestmark = pytest.mark.untraced  # the same code runs traced elsewhere, and a run of the command is long
 
@@ -130,3 +133,14 @@ def test_a_changed_gain_in_the_file_is_found_by_replay(card, inteco_abs, tmp_pat
     run = inteco_abs("replay", "changed.mcap")
     assert run.returncode == 1  # the checksum speaks first
     assert "damaged" in run.stderr
+
+
+def test_ctrl_c_while_the_figure_is_drawn_says_that_the_session_is_whole(main_here, monkeypatch, tmp_path):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(import_module("inteco_abs.cli.run"), "draw", interrupted)
+    quick = ("-q", "--set", "experiment.start_speed_rad_s=20")
+    stop = main_here("run", "--virtual", *quick, "--out", "stop.mcap", "--figure", "stop.png", check=130)
+    assert "interrupted while drawing; stop.mcap is whole: inteco-abs figure stop.mcap" in stop.stderr
+    assert read_session(tmp_path / "stop.mcap").incomplete == ""
