@@ -99,6 +99,8 @@ def parse_fault(text: str) -> Fault:
     kind = KINDS[name]
     event, after = _moment(form["when"])
     lasts = _span(form["lasts"]) if form["lasts"] else None if kind.lasting else Span(exchanges=1)
+    if lasts == _AT_ONCE:
+        raise ValueError(f"/{form['lasts']}: a fault that lasts for no time never acts; leave it out, or say how long")
     return Fault(name, event, after, lasts, _value_of(kind, name, form["value"]))
 
 
