@@ -98,6 +98,17 @@ class TestExchange:
             board.make_safe()
             assert bench.exchange().board_flags is BoardFlags.NONE
 
+    def test_where_safe_came_through_is_not_known_nobody_else_is_blamed(self, new_pci_bench):
+        bench = new_pci_bench()
+        with bench.board as board:
+            bench.exchange(0.2, 0.4)
+            first = bench.link.operations
+            bench.strike({number: LinkError("no answer") for number in range(first, first + 30)})
+            with pytest.raises(UnsafeError):
+                board.make_safe()
+            bench.strike({})
+            assert bench.exchange().board_flags is BoardFlags.NONE
+
     @pytest.mark.parametrize("widths", [(255, 0), (0, 255)])
     def test_a_width_that_another_program_wrote_after_safe_fails_the_next_exchange(self, new_pci_bench, widths):
         bench = new_pci_bench()
