@@ -10,7 +10,7 @@ from inteco_abs.errors import ConfigError
 from inteco_abs.mock_board.faults import KINDS, Event, Fault, Span, parse_fault, parse_faults
 
 SPANS = st.one_of(
-    st.builds(Span, exchanges=st.just(0), ns=st.integers(0, 10**12).map(lambda ns: ns - ns % 1000)),
+    st.builds(Span, exchanges=st.just(0), ns=st.integers(0, 10**14).map(lambda ns: ns - ns % 1000)),
     st.builds(Span, ns=st.just(0), exchanges=st.integers(1, 10**6)),
 )
 
@@ -69,6 +69,7 @@ def test_a_fault_is_read(text, fault):
         ("lose@braek", "and the events are: start, drive, coast, brake"),
         ("lose@1h", "'1h' is no time"),
         ("lose@#-1", "'#-1' is no time"),
+        ("lose@1000000s", "longer than any run: at most 100000s"),
         ("lose@lunch+1s", "nothing is timed from 'lunch', only from: start, drive, coast, brake"),
         ("lose@brake/1e9s", "is no time"),
         ("stall@brake/0s", "lasts for no time never acts"),
