@@ -161,4 +161,7 @@ def _allowed(kind: Kind) -> str:
 
 
 def _text(span: Span) -> str:
-    return f"#{span.exchanges}" if span.exchanges or not span.ns else f"{span.ns / 1e6:.15g}ms"
+    if span.exchanges or not span.ns:
+        return f"#{span.exchanges}"
+    ms, ns = divmod(span.ns, 10**6)
+    return f"{ms}.{ns:06}".rstrip("0").rstrip(".") + "ms"
