@@ -43,6 +43,7 @@ from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
 from inteco_abs.records import TRUTH
 
 _LOOK_S: Final = 0.1
+_CATCH_UP_S: Final = 0.005
 _LINGER_S: Final = 1.0
 """How long the board stays without supervisor and host: the guardian may be about to come."""
 
@@ -66,30 +67,50 @@ def main(path: str) -> int:
             ring.append(truth)
 
     schedule = Schedule(parse_faults(job.faults), time.monotonic_ns, job.seed)
-    face = _face(job, memory, schedule, observe)
+    standstill = _Standstill(memory)
+    face = _face(job, standstill, schedule, observe)
     server = SocketServer(face, str(memory.socket))
     prepare(guardian_wishes(BOARD_PRIORITY))
-    _serve(server, memory, schedule)
+    _serve(server, memory, schedule, lambda: standstill.keep(face))
     server.close()
     return 0
 
 
-def _face(job: Job, memory: RunMemory, schedule: Schedule, observe: Callable[[Truth], None]) -> Face:
+def _face(job: Job, standstill: _Standstill, schedule: Schedule, observe: Callable[[Truth], None]) -> Face:
     if not job.faults:
         return face_of(Device(job.config, time.monotonic_ns, job.seed, observe))
     device = FaultyDevice(job.config, time.monotonic_ns, job.seed, observe, schedule=schedule)
+    return FaultyFace(face_of, device, time.sleep, standstill.wish)
 
-    def pause(seconds: float) -> None:
-        """The computer stands still; only the board, which is none of it, goes on once it is over."""
-        loop = memory.words[Word.LOOP_PID]
-        os.kill(loop, signal.SIGSTOP)
-        try:
-            time.sleep(seconds)
-        finally:
-            with suppress(ProcessLookupError):
-                os.kill(loop, signal.SIGCONT)
 
-    return FaultyFace(face_of, device, time.sleep, pause)
+class _Standstill:
+    """The computer stands still, between two exchanges; only rig and board, which are none of it, go on."""
+
+    def __init__(self, memory: RunMemory) -> None:
+        self._words = memory.words
+        self._seconds = 0.0
+
+    def wish(self, seconds: float) -> None:
+        """Stand still for so long once the exchange that goes on is over: amid it, it would be a slow board."""
+        self._seconds = seconds
+
+    def keep(self, face: Face) -> None:
+        """Let whoever holds the board stand still if that is wished, once `face` has answered him."""
+        if not self._seconds or not isinstance(face, FaultyFace) or not face.answered:
+            return
+        seconds, self._seconds = self._seconds, 0.0
+        holder = self._words[Word.HOLDER_PID]
+        if not alive(holder):
+            return
+        with suppress(ProcessLookupError):
+            os.kill(holder, signal.SIGSTOP)
+            try:
+                end = time.monotonic() + seconds
+                while (left := end - time.monotonic()) > 0.0:
+                    time.sleep(min(left, _CATCH_UP_S))
+                    face.device.catch_up()
+            finally:
+                os.kill(holder, signal.SIGCONT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,15 +180,17 @@ def _be_quick() -> None:
     prepare([wish for wish in guardian_wishes(BOARD_PRIORITY) if wish.name != "signals"])
 
 
-def _serve(server: SocketServer, memory: RunMemory, schedule: Schedule) -> None:
+def _serve(server: SocketServer, memory: RunMemory, schedule: Schedule, stand_still: Callable[[], None]) -> None:
     words = memory.words
     looked = alone_since = time.monotonic()
+    told: tuple[int, bool] | None = None
     while not words[Word.OVER]:
         server.step()
-        now = time.monotonic()
-        if now - looked < _LOOK_S:
-            continue
-        looked = now
+        stand_still()
+        now, news = time.monotonic(), (len(schedule.first_ns), server.busy)
+        if now - looked < _LOOK_S and news == told:
+            continue  # a fault's first act may end the run, and is told before the next exchange
+        looked, told = now, news
         if schedule.times:
             memory.post(Note.INJECTED, schedule.told())
         if server.busy or alive(words[Word.SUPERVISOR_PID]):

@@ -140,8 +140,9 @@ class Board(ABC):
 
     @contextmanager
     def reading(self) -> Iterator[Self]:
-        """Instead of entering it: a board that is identified and read, and never written to, whoever has signed.
+        """Instead of entering it: a board that is identified and read, whoever has signed.
 
+        Nothing is written to it but which of its channels is asked for, where the reading itself takes that (PCI).
         `insist` tells whether entering it would allow outputs; `exchange` is refused. Lets go of the board in the end.
         """
         try:

@@ -224,6 +224,7 @@ class RtdacPci(Board):
     def _write_safe(self) -> None:
         """Both widths zero, the second even if the first cannot be written; then read them back."""
         failure: LinkError | None = None
+        self._before, self._written = (0, 0), False
         for at in range(0, len(self._off), 2):
             try:
                 self._registers.run(self._off[at : at + 2])
@@ -232,6 +233,7 @@ class RtdacPci(Board):
         if failure is not None:
             raise failure
         self._check(self._registers.run(self._echo), 0, 0)
+        self._written = True
 
     def _counts(self, values: Sequence[int], drive: int, brake: int) -> tuple[int, int]:
         """Counters of wheel and road, from the answer to `_look`."""

@@ -114,6 +114,8 @@ def _first_facts(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "gains", ", ".join([f"reference_slip={told('controller', 'reference_slip') or '-'}", *gains])
     yield "board", f"{told('rig', 'board', 'logic_version', 'application_name')}, profile {told('rig', 'profile')}"
     yield "rig", f"{place}, {time}"
+    if faults := metadata.get("injected"):
+        yield "injected", ", ".join(f"{fault} acted {times} times" for fault, times in faults.items())
     yield "software", f"inteco-abs {told('software', 'version')} {commit}, Python {told('software', 'python')}"
     yield "host", told("host", "hostname", "os", "kernel") or "-"
     yield "files", ", ".join(summary["attachments"]) or "none"

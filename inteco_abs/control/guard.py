@@ -178,6 +178,7 @@ class Guard:
         ahead = self._rim_ratio * wheel - road
         if road < _ROLLING_RAD_S:
             return self._judge_slow_road(now_ns, road, ahead)
+        self._not_ahead_ns = now_ns  # on a fast road it trips at once or not at all
         most = _ROLLING_SHARE * road + self._slack
         rolling = self._released and now_ns - self._brake_changed_ns > _RELEASE_GRACE_NS
         return Reason.ENCODERS_DISAGREE if ahead > most or (rolling and ahead < -most) else _NONE

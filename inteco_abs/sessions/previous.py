@@ -28,7 +28,7 @@ def previous_card(card: Mapping[str, Any]) -> dict[str, Any] | None:
     """Card of the latest completed session of the same kind in the folder of this card's; None if there is none.
 
     Of the same kind: controller, estimator, board, rig, reference slip and, within 1 %, start speed. What did not
-    complete is compared with nothing.
+    complete is compared with nothing, and nothing with a run whose mock board was told to fail.
     """
     if card["outcome"] != _COMPLETED:
         return None
@@ -63,6 +63,7 @@ def _newest_first(mine: Path) -> Iterator[Path]:
 def _card_at_a_glance(path: Path) -> dict[str, Any] | None:
     try:
         with opened(path) as (file, size):
-            return stored_card(metadata_at_a_glance(file, size))
+            metadata = metadata_at_a_glance(file, size)
+            return None if metadata.get("injected") else stored_card(metadata)
     except (SessionError, DamagedError):
         return None

@@ -91,6 +91,34 @@ class TestExchange:
             assert bench.device.duties == (0.4, 0.2)
             assert bench.exchange(0.4, 0.2).board_flags is BoardFlags.NONE
 
+    def test_what_safe_has_written_is_nobody_elses_doing(self, new_pci_bench):
+        bench = new_pci_bench()
+        with bench.board as board:
+            bench.exchange(0.2, 0.4)
+            board.make_safe()
+            assert bench.exchange().board_flags is BoardFlags.NONE
+
+    def test_where_safe_came_through_is_not_known_nobody_else_is_blamed(self, new_pci_bench):
+        bench = new_pci_bench()
+        with bench.board as board:
+            bench.exchange(0.2, 0.4)
+            first = bench.link.operations
+            bench.strike({number: LinkError("no answer") for number in range(first, first + 30)})
+            with pytest.raises(UnsafeError):
+                board.make_safe()
+            bench.strike({})
+            assert bench.exchange().board_flags is BoardFlags.NONE
+
+    @pytest.mark.parametrize("widths", [(255, 0), (0, 255)])
+    def test_a_width_that_another_program_wrote_after_safe_fails_the_next_exchange(self, new_pci_bench, widths):
+        bench = new_pci_bench()
+        with bench.board as board:
+            board.make_safe()
+            for channel, width in zip((DRIVE, BRAKE), widths, strict=True):
+                bench.face.face.write(*channel)
+                bench.face.face.write(WIDTH, width)
+            assert bench.exchange().board_flags is BoardFlags.STALE
+
     @pytest.mark.parametrize(("raw", "text"), [(ALL_ONES, "no board answers"), (0x50E, "0x050E"), (0, "0x0000")])
     def test_a_board_that_is_gone_or_another_fails_the_exchange(self, new_pci_bench, raw, text):
         bench = new_pci_bench()

@@ -85,3 +85,11 @@ def test_the_campaign_finds_outputs_that_are_left_on(campaign, monkeypatch):
     monkeypatch.setattr(Board, "make_safe", lambda _self: None)
     monkeypatch.setattr(Guard, "admit", trips_and_admits)
     assert "left on" in campaign.judged(case).problem
+
+
+@pytest.mark.parametrize("profile", ["sim_usb2", "sim_usb", "sim_pci"])
+def test_the_campaign_finds_a_pulled_cable_of_which_nobody_is_told(campaign, monkeypatch, profile):
+    case = campaign.Case("unplug", ("unplug@brake+20ms",), profile=profile)
+    assert not campaign.judged(case).problem
+    monkeypatch.setattr(Board, "make_safe", lambda _self: None)
+    assert "left on" in campaign.judged(case).problem

@@ -4,6 +4,7 @@ import os
 
 import pytest
 
+from inteco_abs.mock_board import parse_faults
 from inteco_abs.sessions import previous_card
 
 
@@ -13,12 +14,12 @@ class Folder:
     def __init__(self, path, run_at):
         self.path, self._run_at, self._count = path, run_at, 0
 
-    def stop(self, *settings, name="", folder=""):
+    def stop(self, *settings, name="", folder="", faults=()):
         self._count += 1
         (self.path / folder).mkdir(exist_ok=True)
         path = self.path / folder / (name or f"{self._count}.mcap")
         tiny = ("experiment.start_speed_rad_s=10.0", "experiment.idle_s=0.01", "experiment.hold_s=0.0")
-        card = self._run_at(path, (*tiny, "loop.rate_hz=200.0", *settings)).stop.card
+        card = self._run_at(path, (*tiny, "loop.rate_hz=200.0", *settings), faults=parse_faults(faults)).stop.card
         os.utime(path, (self._count, self._count))
         return card
 
@@ -68,6 +69,12 @@ def test_other_folders_and_what_is_no_whole_session_are_passed_over(folder):
     (folder.path / "gone.mcap").symlink_to("nowhere")
     for name in ("text.mcap", "cut.mcap"):
         os.utime(folder.path / name, (2, 2))
+    assert before(folder.stop()) == "1.mcap"
+
+
+def test_a_run_whose_board_was_told_to_fail_is_passed_over(folder):
+    folder.stop()
+    assert folder.stop(faults=["brake-weak=0.9@brake"])["outcome"] == "completed"
     assert before(folder.stop()) == "1.mcap"
 
 

@@ -26,6 +26,11 @@ def test_a_fault_ends_a_virtual_run_as_it_should_and_is_in_the_session(main_here
     assert code == 5 or f"injected {name}: acted {times} times" in stop.stderr
 
 
+def test_info_tells_what_was_injected(main_here):
+    main_here("run", "--virtual", *QUICK, "--inject", "lose@brake+20ms", "--out", "stop.mcap", check=3)
+    assert "lose@brake+20ms/#1 acted 1 times" in main_here("info", "stop.mcap", check=0).stdout
+
+
 def test_a_fault_that_never_acts_is_told(main_here):
     stop = main_here("run", "--virtual", *QUICK, "--inject", "lose@100s", check=0)
     assert "never acted: was the run over before?" in stop.stderr

@@ -55,6 +55,11 @@ class FaultyFace:
         self._before = b""
         self._strongest = (0.0, b"")
 
+    @property
+    def answered(self) -> bool:
+        """Whether the board has answered in the exchange that goes on."""
+        return self._answered
+
     def bulk_out(self, data: bytes | bytearray) -> None:
         """What the host writes, if it arrives."""
         command = len(data) > _LONGEST_REQUEST

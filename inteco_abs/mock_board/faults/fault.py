@@ -17,6 +17,8 @@ _SPAN: Final = re.compile(
     r"(?:#(?P<exchanges>[0-9]{1,9}))|(?:(?P<number>[0-9]{1,9}(?:\.[0-9]{1,9})?)(?P<unit>us|ms|s))"
 )
 _NS: Final = {"us": 1e3, "ms": 1e6, "s": 1e9}
+_LONGEST_NS: Final = 100_000 * 10**9
+"""Said in milliseconds, as faults are told to another process, it still is a number that is read."""
 _EXAMPLE: Final = "as in lose@brake+20ms, road-stuck@3.5s, late=2@drive+#100/#5"
 
 
@@ -99,6 +101,8 @@ def parse_fault(text: str) -> Fault:
     kind = KINDS[name]
     event, after = _moment(form["when"])
     lasts = _span(form["lasts"]) if form["lasts"] else None if kind.lasting else Span(exchanges=1)
+    if lasts == _AT_ONCE:
+        raise ValueError(f"/{form['lasts']}: a fault that lasts for no time never acts; leave it out, or say how long")
     return Fault(name, event, after, lasts, _value_of(kind, name, form["value"]))
 
 
@@ -123,7 +127,10 @@ def _span(text: str) -> Span:
         raise ValueError(f"{text!r} is no time: say 500us, 20ms, 1.5s, or #40 for forty exchanges")
     if form["exchanges"]:
         return Span(exchanges=int(form["exchanges"]))
-    return Span(ns=round(float(form["number"]) * _NS[form["unit"]]))
+    ns = round(float(form["number"]) * _NS[form["unit"]])
+    if ns > _LONGEST_NS:
+        raise ValueError(f"{text!r} is longer than any run: at most {_LONGEST_NS * 1e-9:g}s")
+    return Span(ns=ns)
 
 
 def _value_of(kind: Kind, name: str, text: str | None) -> float:
@@ -154,4 +161,7 @@ def _allowed(kind: Kind) -> str:
 
 
 def _text(span: Span) -> str:
-    return f"#{span.exchanges}" if span.exchanges or not span.ns else f"{span.ns / 1e6:.15g}ms"
+    if span.exchanges or not span.ns:
+        return f"#{span.exchanges}"
+    ms, ns = divmod(span.ns, 10**6)
+    return f"{ms}.{ns:06}".rstrip("0").rstrip(".") + "ms"

@@ -1,0 +1,64 @@
+"""The mock board's process of a run in real time, and what it tells of the faults that it acts out."""
+
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from inteco_abs.boards import open_board
+from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.signals import BoardFlags, Command
+
+PATIENCE_S = 30.0
+LONG_MS = 1000
+"""Many times what a host waits for an answer."""
+
+
+def stands_still(process):
+    """Whether a signal has stopped it."""
+    return Path(f"/proc/{process.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0] == "T"
+
+
+@pytest.fixture
+def board_with(memory, job_of, child):
+    """Starts the board's process with faults, a child in the place of whoever holds the board; both, and the board."""
+
+    def start(*faults):
+        job = replace(job_of(memory), faults=faults)
+        job.post(memory)
+        holder = child()
+        memory.words[Word.HOLDER_PID] = memory.words[Word.LOOP_PID] = holder.pid
+        child(sys.executable, "-m", "inteco_abs.simulator", memory.path, start_new_session=True)
+        memory.wait(memory.socket.exists, PATIENCE_S)
+        return holder, open_board(job.address, job.config, time.monotonic_ns)
+
+    return start
+
+
+def test_a_fault_that_has_acted_is_told_before_the_next_exchange(memory, board_with):
+    _, board = board_with("lose@drive+#1")
+    with board:
+        flags = [board.exchange(Command(0.1, 0.0)).board_flags for _ in range(4)]
+        assert memory.note(Note.INJECTED) == {"lose@drive+#1/#1": "1"}
+    assert BoardFlags.STALE in flags
+
+
+def test_a_pause_stops_whoever_holds_the_board_after_his_exchange_not_amid_it(memory, board_with):
+    holder, board = board_with(f"pause={LONG_MS}@drive")
+    with board:
+        board.exchange(Command(0.1, 0.0))
+        assert not board.exchange(Command(0.1, 0.0)).board_flags & BoardFlags.STALE
+        memory.wait(lambda: stands_still(holder), PATIENCE_S)
+        assert stands_still(holder)
+        memory.wait(lambda: not stands_still(holder), PATIENCE_S)
+        assert not stands_still(holder)
+
+
+def test_a_pause_is_survived_by_the_board_if_nobody_holds_it_any_more(board_with):
+    holder, board = board_with("pause=1@drive")
+    holder.kill()
+    holder.wait()
+    with board:
+        assert [bool(board.exchange(Command(0.1, 0.0)).board_flags & BoardFlags.STALE) for _ in range(3)] == [False] * 3
