@@ -37,7 +37,8 @@ def faults(as_json: bool) -> int:
     click.echo(
         "\nWHEN and HOW LONG are times, as 500us, 20ms, 1.5s, or exchanges, as #40.\n"
         "EVENT is start, drive (energised for the first time), coast (taken away) or brake.\n"
-        "Without HOW LONG a fault lasts for one exchange, or for good."
+        "Without HOW LONG a fault lasts for one exchange, or for good.\n"
+        "In real time the guardian's drill comes first, and counts: time from drive, coast or brake there."
     )
     return 0
 

@@ -184,8 +184,11 @@ class Guard:
         return Reason.ENCODERS_DISAGREE if ahead > most or (rolling and ahead < -most) else _NONE
 
     def _judge_slow_road(self, now_ns: int, road: float, ahead: float) -> Reason:
-        """No wheel keeps running ahead of a slow road: where it does, the road's encoder may have lost a channel."""
-        if road < -self._slack or ahead <= _ROLLING_SHARE * _ROLLING_RAD_S + self._slack:
+        """Under drive no wheel keeps running ahead of a slow road; where it does, the road's encoder may be to blame.
+
+        Without drive a hand may turn it, with the lever up.
+        """
+        if not self._driving or road < -self._slack or ahead <= _ROLLING_SHARE * _ROLLING_RAD_S + self._slack:
             self._not_ahead_ns = now_ns
         if now_ns - self._not_ahead_ns <= _ROAD_STILL_NS:
             return _NONE

@@ -17,6 +17,10 @@ from inteco_abs.lab.reading import read_patiently
 from inteco_abs.realtime.latency import Quantiles, quantiles
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
+PCI_INDEX: Final = (
+    "a board on the PCI bus is told in two of its registers which channel is read: the only writes, but no time for "
+    "them while another program drives it"
+)
 _BEAT_NS: Final = 1_000_000
 """Between two readings, where the loop's period is not longer."""
 
@@ -61,6 +65,8 @@ def look_at(bench: Bench, config: RigConfig, *, rest: bool = True) -> Look:
                 _watch(bench, board, config, look)
     except AbsError as error:
         look.refused.append(error)
+    if config.board.kind == "pci":
+        look.cautions.append(PCI_INDEX)
     return look
 
 

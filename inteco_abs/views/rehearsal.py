@@ -28,7 +28,9 @@ def render_rehearsal(report: Mapping[str, Any]) -> RenderableType:
 def _verdict(report: Mapping[str, Any]) -> Text:
     count = len(report["refused"])
     if not count:
-        return Text("It would begin. This was a dry run: nothing was written to the board or to a disk.", "green")
+        return Text(
+            "It would begin. This was a dry run: no output or setting was written, and nothing to a disk.", "green"
+        )
     reasons = "for this reason" if count == 1 else f"for these {count} reasons"
     return Text(f"It would not begin, {reasons}. This was a dry run: nothing was started.", "bold red")
 

@@ -228,8 +228,12 @@ def test_a_wheel_at_rest_on_a_slow_road_is_no_fault(watched):
 def test_a_wheel_that_keeps_running_ahead_of_a_slow_road_trips_50_ms_later(encoders, rate_hz):
     watched = Watched(encoders, "estimator.window_s=0.02", rate_hz=rate_hz)
     watched.run_up(20.0)
-    assert 0.050 <= watched.keep(30.0, 20.0, OFF, 1.0) <= 0.060
+    assert 0.050 <= watched.keep(30.0, 20.0, DRIVE, 1.0) <= 0.060
     assert watched.reason is Reason.ENCODERS_DISAGREE
+
+
+def test_a_wheel_that_a_hand_turns_over_a_road_at_rest_is_no_fault(watched):
+    assert watched.keep(6.0, 0.0, OFF, 1.0) == 1.0
 
 
 def test_a_wheel_that_runs_ahead_as_a_road_becomes_slow_has_its_50_ms_too(encoders):
@@ -237,7 +241,7 @@ def test_a_wheel_that_runs_ahead_as_a_road_becomes_slow_has_its_50_ms_too(encode
     watched.run_up(60.0)
     assert watched.keep(63.3, 60.0, OFF, 0.3) == 0.3
     for road in (55.0, 50.0, 45.0, 40.0, 35.0, 30.0, 25.0, 20.0):  # in the mean over five periods 30 rad/s
-        watched.see(road + 3.3, road, OFF)
+        watched.see(road + 3.3, road, DRIVE)
     assert watched.reason is Reason.NONE
 
 

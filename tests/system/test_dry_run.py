@@ -30,7 +30,7 @@ def test_a_run_that_would_begin_tells_its_course_and_leaves_no_trace(main_here, 
     assert "reaching-law on moving-window, reference slip 0.2, brake at most 1" in text
     assert "sim: logic 0x0103 'ABSSIM' of 20260101: outputs may be used" in text
     assert "session sessions/stop-" in text
-    assert text.endswith("It would begin. This was a dry run: nothing was written to the board or to a disk.")
+    assert text.endswith("It would begin. This was a dry run: no output or setting was written, and nothing to a disk.")
     assert list(tmp_path.iterdir()) == []
 
 
