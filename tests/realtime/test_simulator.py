@@ -11,6 +11,8 @@ from inteco_abs.boards import open_board
 from inteco_abs.realtime.memory import Note, Word
 from inteco_abs.signals import BoardFlags, Command
 
+pytestmark = [pytest.mark.untraced, pytest.mark.xdist_group("real time")]
+
 PATIENCE_S = 30.0
 LONG_MS = 1000
 """Many times what a host waits for an answer."""
