@@ -194,9 +194,11 @@ class TestFailures:
         link.close()
 
     def test_a_board_that_goes_while_it_is_waited_for_is_said_to_be_gone(self, board, link):
-        threading.Timer(0.05, board.go).start()
+        timer = threading.Timer(0.05, board.go)
+        timer.start()
         with pytest.raises(LinkError, match="is gone"):
             link.read(150)
+        timer.join()  # it may still have the other end to close
 
     def test_a_closed_link_is_a_link_error(self, link):
         link.close()
