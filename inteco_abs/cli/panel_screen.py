@@ -167,6 +167,8 @@ class PanelApp(App[int]):
 
     def look(self) -> None:
         """See what is new, and show it; leave when nobody holds the board any more."""
+        if not self.is_running:
+            return  # textual stops an app's timers only after it has taken the screen away
         panel, side = self._panel, self._side
         panel.see(side.ticks())
         if side.over:

@@ -119,6 +119,17 @@ def test_any_other_key_takes_the_power_away(stage, key):
     scene.play(play)
 
 
+def test_a_look_that_comes_after_the_screen_has_gone_shows_nothing(stage):
+    scene = stage()
+
+    async def play(pilot):
+        await pilot.press("q")
+
+    assert scene.play(play) == 0
+    scene.tick(counts=(5, 5))
+    scene.app.look()
+
+
 @pytest.mark.parametrize(("key", "code"), [("q", 0), ("ctrl+q", 0), ("ctrl+c", 130)])
 def test_leaving_takes_the_power_away_first(stage, key, code):
     scene = stage()
