@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 import uuid
@@ -19,7 +20,19 @@ from inteco_abs.boards.recording_link import Recording, check_recordable
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline, gains_in_force
 from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
-from inteco_abs.mock_board import Device, Face, Fault, FaultyDevice, FaultyFace, Schedule, Truth, drawn_facts, face_of
+from inteco_abs.mock_board import (
+    BY_PROCESS,
+    Device,
+    Face,
+    Fault,
+    FaultyDevice,
+    FaultyFace,
+    FaultyHost,
+    Schedule,
+    Truth,
+    drawn_facts,
+    face_of,
+)
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
 from inteco_abs.realtime.by_hand import ONLY_WATCHED, RATE_HZ, Screenside
 from inteco_abs.realtime.doctor import examine
@@ -116,7 +129,7 @@ def conditions(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
     yield partial(check_kind, plan.board, config)
     yield partial(_check_time, config, plan)
     if plan.faults:
-        yield partial(_check_faults, plan.board)
+        yield partial(_check_faults, plan)
     if plan.live_port is not None:
         yield partial(_check_live, plan.live_port, virtual=plan.virtual)
     yield partial(check_spill, config)
@@ -135,10 +148,17 @@ def _check_time(config: RigConfig, plan: Plan) -> None:
         raise ConfigError([Mistake("--virtual", f"{plan.board} is a real board, and real boards have their own time")])
 
 
-def _check_faults(board: str) -> None:
-    if not simulated(board):
-        problem = f"{board} is a real board, and breaks by itself; only sim: can be told"
+def _check_faults(plan: Plan) -> None:
+    if not simulated(plan.board):
+        problem = f"{plan.board} is a real board, and breaks by itself; only sim: can be told"
         raise ConfigError([Mistake("--inject", problem)])
+    if plan.virtual:
+        problem = "a run in virtual time has no such process; leave --virtual out"
+        mistakes = [
+            Mistake("--inject", f"{fault.name}: {problem}") for fault in plan.faults if fault.name in BY_PROCESS
+        ]
+        if mistakes:
+            raise ConfigError(mistakes)
 
 
 def _insist_on_origin(config: RigConfig, plan: Plan) -> None:
@@ -266,6 +286,7 @@ class _VirtualRun:
         self._interrupts = interrupts
         self._clock = VirtualClock(config.period_ns)
         self._schedule = Schedule(plan.faults, self._clock.now_ns, plan.seed)
+        self._host = FaultyHost(self._schedule, plan.out, lambda name: os.getpid() if name == "recorder" else 0)
         self._truths: list[Truth] = []
         self._pipeline = pipeline
         self._session_id = str(uuid.uuid4())
@@ -274,7 +295,7 @@ class _VirtualRun:
 
     def run(self, progress: Progress | None, screen: Screen) -> Account:
         plan = self._plan
-        with recording(plan.wire, self._config, self._clock.now_ns, keep=plan.frames) as around:
+        with self._host, recording(plan.wire, self._config, self._clock.now_ns, keep=plan.frames) as around:
             return self._run(progress, screen, around)
 
     def _run(self, progress: Progress | None, screen: Screen, around: Recording) -> Account:
@@ -308,6 +329,7 @@ class _VirtualRun:
             FaultyDevice(*told, schedule=self._schedule),
             wait=lambda seconds: clock.pass_ns(round(seconds * 1e9)),
             pause=lambda seconds: clock.oversleep_ns(round(seconds * 1e9)),
+            begun=self._host.act,
         )
 
     def _opener(self, controller: type[Controller]) -> Opener:

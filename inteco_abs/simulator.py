@@ -20,6 +20,7 @@ from inteco_abs.mock_board import (
     Face,
     FaultyDevice,
     FaultyFace,
+    FaultyHost,
     FtdiBoard,
     PtyServer,
     Schedule,
@@ -71,8 +72,26 @@ def main(path: str) -> int:
     face = _face(job, standstill, schedule, observe)
     server = SocketServer(face, str(memory.socket))
     prepare(guardian_wishes(BOARD_PRIORITY))
-    _serve(server, memory, schedule, lambda: standstill.keep(face))
+    with FaultyHost(schedule, Path(job.out), lambda name: _pid_of(name, memory)) as host:
+
+        def between() -> None:
+            host.act()
+            standstill.keep(face)
+
+        _serve(server, memory, schedule, between if job.faults else lambda: None)
     server.close()
+    return 0
+
+
+def _pid_of(name: str, memory: RunMemory) -> int:
+    """Process of the run in `memory`; 0 if there is none."""
+    if name == "supervisor":
+        return memory.words[Word.SUPERVISOR_PID]
+    ours = f"inteco_abs.realtime\0{name}\0{memory.path}\0".encode()
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if (process / "cmdline").read_bytes().endswith(ours):
+                return int(process.name)
     return 0
 
 
@@ -180,13 +199,13 @@ def _be_quick() -> None:
     prepare([wish for wish in guardian_wishes(BOARD_PRIORITY) if wish.name != "signals"])
 
 
-def _serve(server: SocketServer, memory: RunMemory, schedule: Schedule, stand_still: Callable[[], None]) -> None:
+def _serve(server: SocketServer, memory: RunMemory, schedule: Schedule, between: Callable[[], None]) -> None:
     words = memory.words
     looked = alone_since = time.monotonic()
     told: tuple[int, bool] | None = None
     while not words[Word.OVER]:
         server.step()
-        stand_still()
+        between()
         now, news = time.monotonic(), (len(schedule.first_ns), server.busy)
         if now - looked < _LOOK_S and news == told:
             continue  # a fault's first act may end the run, and is told before the next exchange

@@ -5,7 +5,17 @@ from typing import Final
 
 from inteco_abs.mock_board.device import Cable, Device, Truth
 from inteco_abs.mock_board.face import Face
-from inteco_abs.mock_board.faults import KINDS, Event, Fault, FaultyDevice, FaultyFace, Schedule, parse_faults
+from inteco_abs.mock_board.faults import (
+    BY_PROCESS,
+    KINDS,
+    Event,
+    Fault,
+    FaultyDevice,
+    FaultyFace,
+    FaultyHost,
+    Schedule,
+    parse_faults,
+)
 from inteco_abs.mock_board.ftdi import FtdiBoard, ftdi_identity
 from inteco_abs.mock_board.pci import PciFace
 from inteco_abs.mock_board.pty_board import PtyServer
@@ -21,6 +31,7 @@ from inteco_abs.mock_board.usbip import Facts, UsbIpServer
 from inteco_abs.mock_board.usbip_address import TcpAddress, UnixAddress, parse_address
 
 __all__ = [
+    "BY_PROCESS",
     "KINDS",
     "ByteStream",
     "Cable",
@@ -31,6 +42,7 @@ __all__ = [
     "Fault",
     "FaultyDevice",
     "FaultyFace",
+    "FaultyHost",
     "FtdiBoard",
     "PciFace",
     "PtyServer",

@@ -3,7 +3,7 @@
 import pytest
 
 from inteco_abs.errors import ConfigError
-from inteco_abs.mock_board.faults.kinds import KINDS, ON_THE_RIG, ON_THE_WIRE
+from inteco_abs.mock_board.faults.kinds import KINDS, ON_THE_HOST, ON_THE_RIG, ON_THE_WIRE
 from inteco_abs.signals import BoardFlags, Phase, Reason
 from tests.faults.stage import configured, ride
 
@@ -97,6 +97,15 @@ def test_a_computer_that_stood_still_ends_the_run_at_its_first_tick_afterwards(s
     assert result.reaction_ticks <= 50e6 / short.period_ns + 2
 
 
+@pytest.mark.parametrize("event", ["drive+60ms", "brake"])
+def test_a_computer_that_has_slept_takes_the_power_away_with_its_first_answer(short, event):
+    result = happened(ride(short, [f"sleep=500@{event}"]))
+    assert result.reason in {R.COUNT_JUMP, R.OVER_SPEED}
+    assert result.refused is None
+    assert result.duties == (0.0, 0.0)
+    assert result.reaction_ticks <= 500e6 / short.period_ns + 2
+
+
 def test_a_slow_exchange_is_flagged_and_many_end_the_run(short):
     once = happened(ride(short, ["late=5@drive+60ms"]))
     assert any(tick.board_flags & BoardFlags.SLOW for tick in once.ticks)
@@ -131,7 +140,8 @@ def test_the_seed_makes_what_is_random_the_same_again(short):
 
 def test_every_kind_is_tried_here():
     tried = {name.partition("=")[0] for name in (*ONCE, *FOR_GOOD, *ENDS)} | {
-        "twice", "late", "master", "pause", "brake-stuck", "brake-dead", "brake-weak", "drive-stuck", "corrupt",
+        "twice", "late", "master", "pause", "sleep", "corrupt",
+        "brake-stuck", "brake-dead", "brake-weak", "drive-stuck",
     }  # fmt: skip
     elsewhere = {
         "corrupt-command",
@@ -141,5 +151,6 @@ def test_every_kind_is_tried_here():
         "wheel-stuck",
         "wheel-dither",
         "encoders-swapped",
+        *ON_THE_HOST,
     }
-    assert tried | elsewhere == set(KINDS) == set(ON_THE_WIRE) | set(ON_THE_RIG)
+    assert tried | elsewhere == set(KINDS) == set(ON_THE_WIRE) | set(ON_THE_RIG) | set(ON_THE_HOST)

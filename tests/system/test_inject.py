@@ -14,6 +14,8 @@ QUICK = ("-q", "--set", "experiment.start_speed_rad_s=20")
         ("road-stuck@drive+400ms", 5, "the road wheel's encoder loses counts"),
         ("unplug@drive+200ms", 5, "MOTOR POWER MAY STILL BE ON"),
         ("reset=held@drive+400ms", 5, "an encoder count changed faster than any wheel can turn"),
+        ("sleep=500@drive+400ms", 5, "an encoder count changed faster than any wheel can turn"),
+        ("file-gone@drive+100ms", 3, "is gone"),
     ],
 )
 def test_a_fault_ends_a_virtual_run_as_it_should_and_is_in_the_session(main_here, tmp_path, fault, code, words):
@@ -39,6 +41,20 @@ def test_a_fault_that_never_acts_is_told(main_here):
 def test_a_real_board_is_told_nothing(main_here, tmp_path):
     stop = main_here("run", "--board", "usb2:", "--inject", "lose@1s", check=2)
     assert "only sim: can be told" in stop.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_when_nothing_takes_the_run_the_seed_that_gives_it_again_is_told(main_here, tmp_path):
+    stop = main_here("run", "--virtual", *QUICK, "--inject", "disk-full@brake", "--out", "stop.mcap")
+    assert stop.returncode != 0
+    assert "The run is lost; --seed" in stop.stderr
+    whole = main_here("run", "--virtual", *QUICK, "--out", "whole.mcap", check=0)
+    assert len(read_session(tmp_path / "whole.mcap").ticks) > 0, whole.stderr
+
+
+def test_in_virtual_time_there_is_no_process_to_be_killed(main_here, tmp_path):
+    stop = main_here("run", "--virtual", "--inject", "loop-killed@1s", "--inject", "guardian-frozen@1s", check=2)
+    assert stop.stderr.count("leave --virtual out") == 2
     assert list(tmp_path.iterdir()) == []
 
 
@@ -72,3 +88,31 @@ def test_a_cable_that_is_pulled_in_real_time_is_told_at_once(inteco_abs, untrace
     stop = inteco_abs("run", *QUICK, "--inject", "unplug@drive+300ms", environment=untraced)
     assert stop.returncode == 5, stop.stderr
     assert "MOTOR POWER MAY STILL BE ON" in stop.stderr
+
+
+@pytest.mark.xdist_group("real time")
+@pytest.mark.parametrize(
+    ("fault", "codes", "words"),
+    [
+        ("loop-frozen@drive+300ms", {5}, "the guardian made its board safe"),
+        ("disk-full@drive+300ms/200ms", {3}, "cannot be written: File too large"),
+        pytest.param("loop-killed@brake+20ms", {5}, "the guardian made its board safe", marks=pytest.mark.long),
+        pytest.param("guardian-killed@drive+300ms", {5}, "guardian", marks=pytest.mark.long),
+        pytest.param("guardian-frozen@drive+300ms/1000ms", {5}, "guardian", marks=pytest.mark.long),
+        pytest.param("recorder-killed@drive+300ms", {5}, "recorder", marks=pytest.mark.long),
+        pytest.param("recorder-frozen@drive+300ms/300ms", {0, 3}, "", marks=pytest.mark.long),
+        pytest.param(
+            "supervisor-frozen@drive+#0/2000ms", {5}, "nobody could have stopped the run", marks=pytest.mark.long
+        ),
+        pytest.param("file-gone@drive+300ms", {3}, "is gone", marks=pytest.mark.long),
+    ],
+)
+def test_a_computer_that_fails_in_real_time_ends_the_run_as_it_should(
+    inteco_abs, untraced, tmp_path, fault, codes, words
+):
+    stop = inteco_abs("run", *QUICK, "--inject", fault, "--out", "stop.mcap", environment=untraced)
+    assert stop.returncode in codes, stop.stderr
+    assert words in stop.stderr
+    [(name, times)] = read_session(tmp_path / "stop.mcap").metadata["injected"].items()
+    assert name.startswith(fault)
+    assert times == "1"

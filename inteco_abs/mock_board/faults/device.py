@@ -33,7 +33,8 @@ class FaultyDevice(Device):
         self._was = [0, 0]
         self._off = [0, 0]
         """How far the counters that are shown are from the true ones, in counts."""
-        super().__init__(config, now_ns, seed, observe, **more)
+        self._slept_ns = 0
+        super().__init__(config, lambda: now_ns() + self._slept_ns, seed, observe, **more)
         self._was = list(super().counts())
 
     def counts(self) -> tuple[int, int]:
@@ -44,6 +45,10 @@ class FaultyDevice(Device):
         if self.schedule.acting("encoders-swapped"):
             shown.reverse()
         return _two_complement(shown[0]), _two_complement(shown[1])
+
+    def sleep(self, seconds: float) -> None:
+        """So much time passes here, and none on the host's clock."""
+        self._slept_ns += round(seconds * 1e9)
 
     def start_anew(self, settings: dict[str, int]) -> None:
         """A brown-out: both counters at zero, and `settings` in force."""

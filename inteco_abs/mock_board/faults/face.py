@@ -23,9 +23,9 @@ _PWM_BITS: Final = 16
 class FaultyFace:
     """What `schedule` lets through of what a host and the board `make_face(device)` say to each other.
 
-    `wait` lets so many seconds pass in an exchange, `pause` lets the host stand still for so many after it. An
-    exchange is what the host sends and the answer that it then takes. Raises LinkError where the cable is pulled,
-    ConfigError for a fault that this kind of board cannot show.
+    `wait` lets so many seconds pass in an exchange, `pause` lets the host stand still for so many after it; `begun` is
+    told that one begins. An exchange is what the host sends and the answer that it then takes. Raises LinkError where
+    the cable is pulled, ConfigError for a fault that this kind of board cannot show.
     """
 
     def __init__(
@@ -34,6 +34,7 @@ class FaultyFace:
         device: FaultyDevice,
         wait: Callable[[float], None],
         pause: Callable[[float], None],
+        begun: Callable[[], None] = lambda: None,
     ) -> None:
         self.device: Device = device
         self.rejected = 0
@@ -41,7 +42,7 @@ class FaultyFace:
         self._schedule: Schedule = device.schedule
         self._make_face = make_face
         self._face = make_face(device)
-        self._wait, self._pause = wait, pause
+        self._wait, self._pause, self._begun = wait, pause, begun
         self._identity_at = _identity_at(device)
         self._answered = True
         self._commanded = False
@@ -92,8 +93,11 @@ class FaultyFace:
         schedule.exchange += 1
         self._sent.extend(self._overdue)
         self._overdue.clear()
+        self._begun()
         if fault := schedule.once("pause"):
             self._pause(fault.value * 1e-3)
+        if fault := schedule.once("sleep"):
+            self._faulty.sleep(fault.value * 1e-3)
         if fault := schedule.acting("late"):
             self._wait(fault.value * 1e-3)
         if fault := schedule.once("reset"):

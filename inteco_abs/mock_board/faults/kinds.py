@@ -88,4 +88,22 @@ ON_THE_RIG: Final[dict[str, Kind]] = {
 }
 """Between the board and the wheels."""
 
-KINDS: Final = {**ON_THE_WIRE, **ON_THE_RIG}
+PROCESSES: Final = ("loop", "recorder", "guardian", "supervisor")
+"""Of a run in real time."""
+BY_PROCESS: Final[dict[str, Kind]] = {
+    f"{process}-{name}": Kind(meaning.format(process), lasting=lasting)
+    for process in PROCESSES
+    for name, meaning, lasting in (
+        ("killed", "the {}'s process is killed; in real time", False),
+        ("frozen", "the {}'s process stands still; in real time", True),
+    )
+}
+ON_THE_HOST: Final[dict[str, Kind]] = {
+    "sleep": Kind("the computer sleeps for so long: its clock stands still, rig and board go on", _TIME),
+    "disk-full": Kind("whoever writes the session finds no room for it on any disk", lasting=True),
+    "file-gone": Kind("the session's file is removed while it is being written"),
+    **BY_PROCESS,
+}
+"""With the computer."""
+
+KINDS: Final = {**ON_THE_WIRE, **ON_THE_RIG, **ON_THE_HOST}

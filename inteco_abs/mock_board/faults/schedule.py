@@ -23,7 +23,7 @@ class Schedule:
         """How often each fault has acted, by its text: one that never has was no test of anything."""
         self.first_ns: dict[str, int] = {}
         """When it first did."""
-        self._faults = tuple(faults)
+        self._numbered = tuple(enumerate(faults))
         self._began: dict[int, tuple[int, int]] = {}
         self._over: set[int] = set()
         self._now_ns = now_ns
@@ -40,18 +40,22 @@ class Schedule:
 
     def acting(self, *names: str) -> Fault | None:
         """The first fault of one of these kinds that acts now, counted as seen; None if there is none."""
-        for i, fault in enumerate(self._faults):
+        for i, fault in self._numbered:
             if fault.name in names and self._acts(i, fault):
                 return self._seen(fault)
         return None
 
     def once(self, name: str) -> Fault | None:
         """A fault that acts now and is over with it, however long it lasts."""
-        for i, fault in enumerate(self._faults):
+        for i, fault in self._numbered:
             if fault.name == name and i not in self._over and self._acts(i, fault):
                 self._over.add(i)
                 return self._seen(fault)
         return None
+
+    def lasting(self, name: str) -> bool:
+        """Whether a fault that has begun `once` is not over yet."""
+        return any(fault.name == name and i in self._began and self._acts(i, fault) for i, fault in self._numbered)
 
     def told(self) -> dict[str, str]:
         """How often each fault has acted, as text."""
