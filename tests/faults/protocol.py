@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 WINDOW = 3
 """Polls that a heartbeat may be missing."""
+BOUND = 4 * WINDOW
+"""Polls: a loop that stands still, whose guardian dies as it takes over, so that the supervisor has to."""
 
 
 class Rules(NamedTuple):

@@ -1,11 +1,9 @@
 import pytest
 
-from tests.faults.protocol import WINDOW, Rules, explore
+from tests.faults.protocol import BOUND, Rules, explore
 
 pytestmark = pytest.mark.untraced
 
-BOUND = 4 * WINDOW
-"""Polls: a loop that stands still, whose guardian dies as it takes over, so that the supervisor has to."""
 SECOND_LINE = {"loop_waits_for_the_guardian", "supervisor_watches"}
 """Somebody else sees to it, too, if only later."""
 
