@@ -15,6 +15,6 @@ def keep(title: str, text: str) -> None:
     before = FILE.read_text(encoding="utf-8") if FILE.exists() else HEAD
     head, *sections = re.split(r"^## ", before, flags=re.MULTILINE)
     kept = {name: body for name, _, body in (section.partition("\n") for section in sections)}
-    kept[title] = f"\n{text.strip()}\n\n"
-    parts = (f"## {name}\n{body}" for name, body in kept.items())
-    FILE.write_text(f"{head.rstrip()}\n\n{''.join(parts)}".rstrip() + "\n", encoding="utf-8")
+    kept[title] = text
+    parts = (f"## {name}\n\n{body.strip()}\n" for name, body in kept.items())
+    FILE.write_text("\n".join([f"{head.strip()}\n", *parts]), encoding="utf-8")
