@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple, Protocol
 
@@ -52,8 +52,7 @@ _WIDTH_UNITS: Final = {Kind.TEXT: 8, Kind.HEX: 4}
 """Bits per character, for the kinds that are text."""
 
 
-@dataclass(frozen=True, slots=True)
-class Bits:
+class Bits(NamedTuple):
     """`width` bits from bit `low` of word `word`; they are bits `shift` and up of the value."""
 
     word: int
@@ -67,6 +66,13 @@ class Bits:
 
 
 Layout = tuple[Bits, ...]
+"""Parts of a value without a gap, low part first."""
+
+
+def _width(layout: Layout) -> int:
+    """Bits of the whole value."""
+    highest = layout[-1]
+    return highest.shift + highest.width
 
 
 def bits(word: int, low: int, width: int) -> Layout:
@@ -102,13 +108,15 @@ class Field:
 
     def range(self, layout: Layout) -> tuple[int, int]:
         """Smallest and largest integer that fits `layout`."""
-        width = sum(part.width for part in layout)
+        width = _width(layout)
         if self.kind is Kind.SIGNED:
             return -(1 << (width - 1)), (1 << (width - 1)) - 1
         return 0, (1 << width) - 1
 
     def to_bits(self, value: Value, layout: Layout) -> int:
         """Unsigned integer that carries `value`; raises ProtocolError with name, value and range."""
+        if self.kind is Kind.UNSIGNED and type(value) is int and not value >> _width(layout):
+            return value  # most values by far
         if self.kind is Kind.TEXT:
             return self._text_to_bits(value, layout)
         if self.kind is Kind.HEX:
@@ -116,21 +124,21 @@ class Field:
         low, high = self.range(layout)
         if type(value) is not int or not low <= value <= high:
             raise ProtocolError(f"{self.name} = {value!r}: must be an integer in {low}..{high}")
-        return value & ((1 << sum(part.width for part in layout)) - 1)
+        return value & ((1 << _width(layout)) - 1)
 
     def from_bits(self, raw: int, layout: Layout) -> Value:
         """Value carried by the unsigned integer `raw`."""
-        width = sum(part.width for part in layout)
+        if self.kind is Kind.UNSIGNED:
+            return raw
+        width = _width(layout)
         if self.kind is Kind.SIGNED:
             return raw - (1 << width) if raw >> (width - 1) else raw
         if self.kind is Kind.TEXT:
             return raw.to_bytes(width // 8, "big").rstrip(b"\0").decode("latin-1")
-        if self.kind is Kind.HEX:
-            return f"{raw:0{width // 4}X}"
-        return raw
+        return f"{raw:0{width // 4}X}"
 
     def _text_to_bits(self, value: Value, layout: Layout) -> int:
-        length = sum(part.width for part in layout) // 8
+        length = _width(layout) // 8
         try:
             text = value.encode("latin-1") if isinstance(value, str) else None
         except UnicodeEncodeError:
@@ -140,7 +148,7 @@ class Field:
         return int.from_bytes(text.ljust(length, b"\0"), "big")
 
     def _hex_to_bits(self, value: Value, layout: Layout) -> int:
-        digits = sum(part.width for part in layout) // 4
+        digits = _width(layout) // 4
         # int() would also take signs, underscores and other scripts' digits
         if not isinstance(value, str) or len(value) != digits or not set(value) <= set("0123456789ABCDEF"):
             raise ProtocolError(f"{self.name} = {value!r}: must be {digits} hex digits, such as {'20110606'[:digits]}")
@@ -245,7 +253,7 @@ class FrameTable:
             width, unit = sum(part.width for part in layout), _WIDTH_UNITS.get(field.kind, 1)
             if not width or width % unit:
                 raise TableError(f"{title}: {field.name} has {width} bits, must be a multiple of {unit}")
-            self._framed[field.name] = (field, tuple(replace(part, word=part.word + data_from) for part in layout))
+            self._framed[field.name] = (field, tuple(part._replace(word=part.word + data_from) for part in layout))
         self.fixed = dict(fixed or {})
         if not self.fixed.keys() <= self.fields.keys():
             raise TableError(f"{title}: fixed fields {sorted(self.fixed)} are not all declared")
@@ -277,8 +285,8 @@ class FrameTable:
         for name, value in {**self.fixed, **values}.items() if self.fixed else values.items():
             field, layout = self._find(name)
             raw = field.to_bits(value, layout)
-            for part in layout:
-                frame[part.word] |= (raw >> part.shift & part.mask) << part.low
+            for word, low, width, shift in layout:
+                frame[word] |= (raw >> shift & (1 << width) - 1) << low
         self._check_fixed(frame)
         return self._words.pack(*frame)
 
@@ -358,8 +366,8 @@ class FrameTable:
 
 def _gather(words: Sequence[int], layout: Layout) -> int:
     raw = 0
-    for part in layout:
-        raw |= (words[part.word] >> part.low & part.mask) << part.shift
+    for word, low, width, shift in layout:
+        raw |= (words[word] >> low & (1 << width) - 1) << shift
     return raw
 
 
