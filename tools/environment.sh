@@ -38,7 +38,8 @@ if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ] || ! "$venv/bin/python" -c '' 
     fi
     rm -rf "$venv"
     "$python" -m venv "$venv" || exit 1
-    pip="$venv/bin/python -m pip install -qq --disable-pip-version-check --no-input"
+    # what is compiled is what is used, when it is: half of the time goes into the rest
+    pip="$venv/bin/python -m pip install -qq --disable-pip-version-check --no-input --no-compile"
     $pip --require-hashes --only-binary :all: -r "tools/$environment.lock" >&2 || exit 1
     $pip --no-deps --no-build-isolation --no-index --editable . >&2 || exit 1
     echo "$wanted" >"$stamp"

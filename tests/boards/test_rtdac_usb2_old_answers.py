@@ -67,6 +67,7 @@ def test_the_sample_after_it_is_not_an_exchange_old(old, fault, times):
     assert (sample.road_count, sample.wheel_count) == (road - start[0], wheel - start[1])
 
 
+@pytest.mark.untraced
 @given(faults=st.lists(st.sampled_from([None, "late", "twice", "lost"]), max_size=30))
 def test_every_good_sample_is_of_its_own_exchange(new_usb2_bench, faults):
     bench = new_usb2_bench()

@@ -172,6 +172,7 @@ class TestByteStream:
         assert cut.face.rejected == whole.face.rejected
         assert cut.face.device.settings == whole.face.device.settings
 
+    @pytest.mark.untraced
     @given(script=st.lists(messages.filter(lambda m: m in (DUMMY, READ_REQUEST) or len(m) == FRAME_BYTES)))
     def test_whole_messages_arrive_as_they_were_sent(self, script):
         twin, stream = Mock().face, ByteStream(Mock().face)

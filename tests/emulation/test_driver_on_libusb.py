@@ -42,6 +42,7 @@ def driven():
     return drive
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("engine", "links"),
     [("one-by-one", {"UsbLink"}), ("queued", {"QueuedUsbLink"}), ("faster", {"UsbLink", "QueuedUsbLink"})],

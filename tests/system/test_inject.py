@@ -7,6 +7,7 @@ from inteco_abs.sessions import read_session
 QUICK = ("-q", "--set", "experiment.start_speed_rad_s=20")
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("fault", "code", "words"),
     [

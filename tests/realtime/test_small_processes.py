@@ -1,0 +1,20 @@
+"""The processes that hold a board load nothing that they do not need: it would cost start, memory and page faults."""
+
+import subprocess
+import sys
+
+import pytest
+
+NEEDLESS = {"numpy", "mcap", "rich", "click", "inteco_abs.sessions"}
+
+
+@pytest.mark.untraced
+@pytest.mark.parametrize("module", ["rt", "guardian", "drill", "by_hand"])
+def test_a_process_that_holds_a_board_is_small(module):
+    told = subprocess.run(
+        [sys.executable, "-c", f"import sys, inteco_abs.realtime.{module}; print(*sys.modules)"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert NEEDLESS.isdisjoint(told.stdout.split())
