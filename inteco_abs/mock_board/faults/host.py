@@ -63,6 +63,8 @@ class FaultyHost:
         _send(self._frozen.pop(name), signal.SIGCONT)
 
     def _take_room(self, pid: int) -> None:
+        if pid <= 0:  # 0 would be ourselves
+            return
         with suppress(ProcessLookupError):
             before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
             resource.prlimit(pid, resource.RLIMIT_FSIZE, (_NOTHING_MORE, before[1]))
