@@ -77,13 +77,18 @@ def _print(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
     columns = {name: [head, *(_cell(folder, row, name) for row in rows)] for name, head in _HEADS.items()}
     widths = {name: max(map(len, cells)) for name, cells in columns.items()}
     left_out = _left_out(widths, shutil.get_terminal_size().columns) if on_terminal(sys.stdout) else []
-    problems = ["", *(row["problem"] or "" for row in rows)]
-    for line, problem in enumerate(problems):
+    remarks = ["", *map(_remark, rows)]
+    for line, remark in enumerate(remarks):
         cells = (cells[line].ljust(widths[name]) for name, cells in columns.items() if name not in left_out)
-        click.echo(f"{_GAP.join(cells)}{_GAP}{plain(problem)}".rstrip())
+        click.echo(f"{_GAP.join(cells)}{_GAP}{plain(remark)}".rstrip())
     if left_out:
         names = ", ".join(_HEADS[name] for name in left_out)
         click.echo(f"inteco-abs: left out for want of room: {names}; a wider terminal or --json has them", err=True)
+
+
+def _remark(row: dict[str, Any]) -> str:
+    injected = f"told to fail: {row['injected']}" if row["injected"] else ""
+    return "; ".join(filter(None, (row["problem"], injected)))
 
 
 def _left_out(widths: Mapping[str, int], room: int) -> list[str]:

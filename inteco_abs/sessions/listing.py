@@ -33,10 +33,11 @@ COLUMNS: Final = (
     "stop_time_s",
     "overruns",
     "lost_ticks",
+    "injected",
     "problem",
 )
 """Keys of a row; what a session does not say is None."""
-_OF_THE_CARD: Final = COLUMNS[7:-1]
+_OF_THE_CARD: Final = COLUMNS[7:-2]
 
 Row = dict[str, Any]
 
@@ -98,6 +99,7 @@ def _row(path: Path, metadata: Metadata, card: Mapping[str, Any]) -> Row:
         "board": rig.get("board"),
         "rig": rig.get("drawn"),
         **{name: _number(card.get(name)) for name in _OF_THE_CARD},
+        "injected": ", ".join(metadata.get("injected", {})) or None,
         "problem": newer(metadata) or None,
     }
 

@@ -1,8 +1,11 @@
 """`run --inject`: the mock board fails as told, the run ends as it should, and the session says what was done to it."""
 
+import json
+
 import pytest
 
 from inteco_abs.sessions import read_session
+from inteco_abs.views.report.cautions import warnings_of
 
 QUICK = ("-q", "--set", "experiment.start_speed_rad_s=20")
 
@@ -32,6 +35,15 @@ def test_a_fault_ends_a_virtual_run_as_it_should_and_is_in_the_session(main_here
 def test_info_tells_what_was_injected(main_here):
     main_here("run", "--virtual", *QUICK, "--inject", "lose@brake+20ms", "--out", "stop.mcap", check=3)
     assert "lose@brake+20ms/#1 acted 1 times" in main_here("info", "stop.mcap", check=0).stdout
+
+
+def test_list_and_report_tell_what_was_injected(main_here, tmp_path):
+    main_here("run", "--virtual", *QUICK, "--inject", "lose@brake+20ms", "--out", "stop.mcap", check=3)
+    (row,) = json.loads(main_here("list", ".", "--json", check=0).stdout)["sessions"]
+    assert (row["injected"], row["problem"]) == ("lose@brake+20ms/#1", None)
+    assert "told to fail: lose@brake+20ms/#1" in main_here("list", ".", check=0).stdout
+    (caution, *_) = warnings_of(read_session(tmp_path / "stop.mcap"))
+    assert caution == "The mock board was told to fail: lose@brake+20ms/#1 (acted 1 times)."
 
 
 def test_a_fault_that_never_acts_is_told(main_here):

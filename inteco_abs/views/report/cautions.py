@@ -19,7 +19,15 @@ _MOST_EVENTS: Final = 10
 
 def warnings_of(session: Session) -> list[str]:
     """In the order of weight; none for a stop that went well."""
-    return [*_end(session), *_guard(session), *_losses(session), *_machine(session), *_source(session), *_log(session)]
+    told = *_injected(session), *_end(session), *_guard(session)
+    return [*told, *_losses(session), *_machine(session), *_source(session), *_log(session)]
+
+
+def _injected(session: Session) -> Iterator[str]:
+    faults = session.metadata.get("injected", {})
+    if faults:
+        acted = ", ".join(f"{fault} (acted {times} times)" for fault, times in faults.items())
+        yield f"The mock board was told to fail: {acted}."
 
 
 def outcome_of(session: Session) -> str:
