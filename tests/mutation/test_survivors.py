@@ -1,0 +1,39 @@
+"""The explanations of surviving mutants, which tools/mutate believes."""
+
+import importlib.machinery
+import importlib.util
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def mutate():
+    path = Path(__file__).parents[2] / "tools" / "mutate"
+    loader = importlib.machinery.SourceFileLoader("mutate", str(path))
+    module = importlib.util.module_from_spec(importlib.util.spec_from_loader(loader.name, loader))
+    sys.modules[loader.name] = module
+    loader.exec_module(module)
+    return module
+
+
+def test_every_survivor_that_is_explained_is_still_a_change_of_a_line(mutate):
+    explained = Counter((each["module"], each["text"], each["change"]) for each in mutate.explanations())
+    made = {
+        (mutant.module, mutant.text, mutant.change)
+        for module in {module for module, _, _ in explained}
+        for mutant in mutate.mutants_of(module)
+    }
+    assert set(explained) - made == set()
+    assert max(explained.values()) == 1
+
+
+def test_every_survivor_that_is_explained_has_a_reason(mutate):
+    assert [each for each in mutate.explanations() if not each["why"].strip()] == []
+
+
+def test_the_scores_are_kept_for_every_module(mutate):
+    rows = mutate.SCORES.read_text(encoding="utf-8").splitlines()
+    assert [row.split(" | ")[0] for row in rows if row.startswith("| inteco_abs.")] == [f"| {m}" for m in mutate.TESTS]
