@@ -117,7 +117,7 @@ class Guard:
 
     def _judge_sample(self, sample: Sample) -> Reason:
         _, now_ns, dt_s, wheel_count, road_count, flags = sample
-        if flags or dt_s > self._late_s or self._bucket or self._in_a_row:
+        if flags or dt_s >= self._late_s or self._bucket or self._in_a_row:
             missed = self._count_misses(sample)
             if missed is not _NONE or flags:
                 return missed  # a stale or slow sample does not say where the wheels were when
@@ -161,8 +161,8 @@ class Guard:
         still_ns = now_ns - self._road_moved_ns
         driven = self._driving and now_ns - self._drive_changed_ns > _DRIVING_GRACE_NS + _ROAD_STILL_NS
         before = self._road_speed_when_moved
-        owed = before * still_ns * 1e-9 * self._counts_per_rad if before > _RUNNING_RAD_S else 0.0
-        if owed > _OWED_COUNTS or (driven and still_ns > _ROAD_STILL_NS):
+        owed = before * still_ns * 1e-9 * self._counts_per_rad
+        if (before > _RUNNING_RAD_S and owed > _OWED_COUNTS) or (driven and still_ns > _ROAD_STILL_NS):
             return Reason.ROAD_ENCODER_FROZEN
         # counts that come and go, as from a single channel, look like movement but not like a road that brakes
         then_ns, earlier = self._road_speeds[0] if self._road_speeds else (now_ns, road)

@@ -1,3 +1,5 @@
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -111,6 +113,14 @@ def test_the_bucket_gains_three_for_a_miss_loses_one_for_a_good_exchange_and_nev
         if trips:
             assert at_rest.guard.reason is Reason.MISSED_EXCHANGES
             break
+
+
+@pytest.mark.parametrize(("periods", "good"), [(1.5, 3), (math.nextafter(1.5, 0.0), 10)])
+def test_a_sample_half_a_period_late_is_a_miss_whether_or_not_there_was_one_before(periods, good):
+    guard = Guard(CONFIG)
+    samples = [Sample(tick, tick * PERIOD_NS, periods * PERIOD_NS * 1e-9, 0, 0) for tick in range(10)]
+    admitted = [guard.admit(Command(0.1, 0.0), sample, SEEN) for sample in samples]
+    assert admitted == [Command(0.1, 0.0)] * good + [Command.SAFE] * (10 - good)
 
 
 @given(st.lists(st.floats(-0.45, 0.45), min_size=1, max_size=200))
