@@ -51,8 +51,8 @@ class Sequence:
         self._left = self._config.stops - 1  # stops still to be done after this one
         self._as_made = deepcopy(controller) if self._left else controller
         counts, rate = config.encoders.counts_per_turn, config.loop.rate_hz
-        self._start_speed = SpeedWindow(counts, max(1, round(_START_WINDOW_S * rate)))
-        self._stop_speed = SpeedWindow(counts, max(1, round(_STOP_WINDOW_S * rate)))
+        self._start_speed = SpeedWindow(counts, round(_START_WINDOW_S * rate))
+        self._stop_speed = SpeedWindow(counts, round(_STOP_WINDOW_S * rate))
         self._since_ns = -1
         self._rest = (0, 0)
         self._held = _NO_DEMAND

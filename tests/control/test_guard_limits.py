@@ -131,6 +131,13 @@ def test_a_road_may_lose_in_20_ms_what_the_hardest_stop_and_late_time_stamps_mak
     assert after_a_loss_of(math.floor(most) + 1) is FROZEN
 
 
+def test_what_a_road_loses_is_reckoned_over_20_ms():
+    guarded = Counted()
+    assert guarded.turn(0, 50, 60, BRAKE) is Reason.NONE
+    assert guarded.turn(0, 30, 10, BRAKE) is Reason.NONE
+    assert guarded.turn(0, 20, 10, BRAKE) is FROZEN  # 30 counts of 50 in 10 ms, where 25 may be lost in 20 ms
+
+
 def test_a_wheel_on_a_fast_road_may_be_a_tenth_and_two_counts_ahead_or_behind(rate_hz):
     def with_wheel_at(counts):
         guarded = Counted(rate_hz=rate_hz)
