@@ -2,7 +2,7 @@ import math
 from collections import deque
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from inteco_abs.control import MovingWindow, SpeedWindow, TwoWheels
@@ -76,6 +76,7 @@ tracks = st.lists(st.tuples(st.integers(-1000, 10_000_000), counts, counts), min
 
 
 @given(lengths, turns, tracks)
+@example(length=1, per_turn=2048, track=[(0, 0, 0), (1, 5, 7)])
 def test_both_wheels_at_once_have_the_speeds_of_each_to_the_last_bit(length, per_turn, track):
     both, wheel, road = SpeedWindows(per_turn, length), SpeedWindow(per_turn, length), SpeedWindow(per_turn, length)
     time_ns = 0

@@ -225,13 +225,14 @@ def test_a_sample_leaves_out_what_lies_between_and_goes_on_where_it_ended():
     assert reader.taken == 0
 
 
-def test_a_sample_begins_with_what_the_ring_still_holds():
+@pytest.mark.parametrize("first", [0, 20])
+def test_a_sample_begins_with_what_the_ring_still_holds(first):
     ring = TickRing(pack, SIZE, 10)
     reader = ring.reader()
     for number in range(35):
         ring.append(number)
         reader.release(number + 1)
-    records, after = reader.sample(0, 4)
+    records, after = reader.sample(first, 4)
     assert (records, after) == (b"".join(map(record, (28, 32))), 36)
     assert reader.lost == 0
 
@@ -245,3 +246,22 @@ def test_the_room_is_what_can_be_appended_before_anything_is_taken():
     assert reader.room == 0
     reader.take(3)
     assert reader.room == 3
+
+
+@pytest.mark.parametrize(("record_bytes", "words"), [(1, 1), (8, 1), (9, 2), (5, 1)])
+def test_the_counters_have_64_bytes_and_each_record_whole_words_between_two_numbers(record_bytes, words):
+    assert ring_bytes(record_bytes, 3) == 64 + 3 * 8 * (words + 2)
+
+
+def test_the_oldest_record_is_seen_without_taking_it():
+    ring = TickRing(pack, SIZE, 3)
+    reader = ring.reader()
+    assert reader.oldest() is None
+    ring.append(1)
+    ring.append(2)
+    assert reader.oldest() == record(1)
+    assert reader.take() == record(1) + record(2)
+    assert reader.oldest() is None
+    ring.append(3)
+    words_of(ring)[0] = 2  # packed, but not published
+    assert reader.oldest() is None
