@@ -233,7 +233,4 @@ class Board(ABC):
 
 def count_step(raw: int, before: int) -> int:
     """Signed difference of two readings of a 32-bit counter that wraps."""
-    step = raw - before
-    if -_HALF_RANGE <= step < _HALF_RANGE:
-        return step
-    return step - _COUNTER_RANGE if step > 0 else step + _COUNTER_RANGE
+    return (raw - before + _HALF_RANGE) % _COUNTER_RANGE - _HALF_RANGE

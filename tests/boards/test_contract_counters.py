@@ -14,6 +14,7 @@ class TestCounters:
     @example(start=(2**31 - 1, -(2**31)), moves=[(1, -1), (-1, 1)])
     @example(start=(-1, 0), moves=[(1, -1), (-1, 1)])
     @example(start=(0, 0), moves=[(2**31 - 1, -(2**31) + 1)] * 5)
+    @example(start=(0, -(2**31)), moves=[(-(2**31), -(2**31))])
     def test_counts_are_the_sum_of_all_steps_across_the_32_bit_wrap(self, new_bench, start, moves):
         bench = new_bench()
         wheel, road = start
