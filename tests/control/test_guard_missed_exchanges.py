@@ -129,6 +129,16 @@ def test_ticks_that_are_late_or_early_by_less_than_half_a_period_are_no_misses(j
     assert all(at_rest.exchange(GOOD, jitter) for jitter in jitters)
 
 
+@pytest.mark.parametrize(("periods", "admitted"), [(1, 3), (2, 3), (3, 1), (4, 1), (5, 0)])
+def test_a_slow_exchange_is_one_miss_or_as_many_as_the_periods_that_it_overran(periods, admitted):
+    guard = Guard(CONFIG)
+    dt_s = periods * PERIOD_NS * 1e-9
+    samples = [Sample(tick, tick * PERIOD_NS, dt_s, 0, 0, BoardFlags.SLOW) for tick in range(5)]
+    commands = [guard.admit(Command(0.1, 0.0), sample, SEEN) for sample in samples]
+    assert commands == [Command(0.1, 0.0)] * admitted + [Command.SAFE] * (5 - admitted)
+    assert guard.reason is Reason.MISSED_EXCHANGES
+
+
 def test_the_limits_are_the_configured_ones():
     config = load_config(settings=["guard.missed_in_a_row=7", "guard.bucket_limit=1000"])
     assert AtRest(config).good_until_trip([STALE] * 20) == 6
