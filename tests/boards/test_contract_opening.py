@@ -22,7 +22,10 @@ class TestOpening:
         identity = new_bench().board.identify()
         assert identity[:3] == (version, name, date) == new_bench.identity
         assert not identity.read_only_because
-        assert all(part in str(identity) for part in (f"0x{version:04X}", name, date))
+        told = f"logic 0x{version:04X}" + (f" {name!r}" if name else "") + (f" of {date}" if date else "")
+        assert str(identity) == told
+        facts = {"logic_version": f"0x{version:04X}", "application_name": name, "synthesis_date": date}
+        assert identity.facts() == facts
 
     def test_the_identity_is_kept_from_entering_on(self, new_bench):
         bench = new_bench()
