@@ -65,6 +65,14 @@ def test_a_step_of_counts_is_forgotten_after_one_length(length, jump):
     assert at_jump[length] == 0.0
 
 
+def test_a_window_that_was_cleared_begins_anew():
+    window = SpeedWindow(2048, 5)
+    window.update(0, 0)
+    assert window.update(500_000, 20) > 0.0
+    window.clear()
+    assert window.update(1_000_000, 40) == 0.0
+
+
 @pytest.mark.parametrize("later_ns", [1_000_000, 999_999])
 def test_no_time_between_two_samples_gives_no_speed_instead_of_a_division_by_zero(later_ns):
     window = SpeedWindow(2048, 1)

@@ -101,6 +101,19 @@ def test_a_chunk_of_another_session_gives_no_tick(rescue, container, pieces, tin
     assert any("two clocks do not go together" in loss for loss in recovery.losses)
 
 
+@pytest.mark.parametrize(("log_time", "words"), [(2**63, "of no date"), (2**63 - 1, "two clocks do not go together")])
+def test_a_chunk_whose_times_no_clock_shows_gives_no_tick(rescue, container, pieces, log_time, words):
+    records, chunks = pieces
+    dated = b"".join(
+        bytes(e if e.opcode != 5 else container.record(5, e.content[:6] + struct.pack("<Q", log_time) + e.content[14:]))
+        for e in container.split(container.unpack(records[chunks[3]]), 0)
+    )
+    records[chunks[3]] = container.chunk(dated, len(dated), "", zlib.crc32(dated))
+    recovery, session = rescue(joined(container, records))
+    assert session.ticks["tick"].tolist() == [*range(20), *range(30, 60)]
+    assert any(words in loss for loss in recovery.losses)
+
+
 def test_a_chunk_that_is_refused_in_its_middle_leaves_no_trace(rescue, container, pieces):
     records, chunks = pieces
     entries = container.split(container.unpack(records[chunks[6]]), 0)
