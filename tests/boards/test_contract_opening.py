@@ -34,6 +34,15 @@ class TestOpening:
             assert board is bench.board
             assert board.identity == board.identify()
 
+    def test_an_answer_that_an_earlier_program_has_left_is_none_of_ours(self, new_bench):
+        bench = new_bench()
+        bench.device.show(0, 0)
+        bench.read_along()
+        with bench.board:
+            bench.device.show(70, 30)
+            sample = bench.exchange()
+        assert (sample.wheel_count, sample.road_count) == (70, 30)
+
     def test_entering_reads_before_it_writes(self, new_bench):
         bench = new_bench()
         with bench.board:

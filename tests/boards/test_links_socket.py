@@ -232,6 +232,23 @@ class TestMessages:
             link.read(FRAME_BYTES)
         assert 0.009 < time.monotonic() - before < PATIENCE_S
 
+    def test_the_kernel_waits_for_the_board_for_10_ms_and_no_longer(self, path, monkeypatch):
+        made = []
+
+        class Kept(socket.socket):
+            def setsockopt(self, *option):
+                super().setsockopt(*option)
+                made.append(self)
+
+        board = Scripted(path, GREETING)
+        monkeypatch.setattr(links.socket, "socket", Kept)
+        link = SocketLink(path)
+        told = [made[0].getsockopt(socket.SOL_SOCKET, o, 16) for o in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO)]
+        link.close()
+        board.close()
+        for seconds, microseconds in map(struct.Struct("ll").unpack, told):
+            assert (seconds, 10_000 <= microseconds < 20_000) == (0, True)  # the kernel counts its own ticks
+
     def test_an_answer_that_comes_after_the_time_out_is_still_there(self, mute):
         link, board = mute
         with pytest.raises(LinkError):

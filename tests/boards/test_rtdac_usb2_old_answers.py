@@ -16,13 +16,19 @@ class OldAnswers(Link):
         self._link = link
         self._arrived = []
         self.late = self.twice = self.lost = 0
+        self._newest = b""
+
+    def repeat(self, times):
+        """Have the newest answer come so often before the next one."""
+        self._arrived += [self._newest] * times
 
     def write(self, data):
         self._link.write(data)
 
     def read(self, length):
         if not self._arrived:
-            self._arrived.append(self._link.read(length))
+            self._newest = self._link.read(length)
+            self._arrived.append(self._newest)
             if self.lost:
                 self.lost -= 1
                 self._arrived.pop()
@@ -65,6 +71,15 @@ def test_the_sample_after_it_is_not_an_exchange_old(old, fault, times):
     assert getattr(link, fault) == 0
     assert sample.board_flags is BoardFlags.NONE
     assert (sample.road_count, sample.wheel_count) == (road - start[0], wheel - start[1])
+
+
+@pytest.mark.parametrize(("times", "flags"), [(99, BoardFlags.NONE), (100, BoardFlags.STALE)])
+def test_old_answers_are_dropped_until_there_are_a_hundred_of_them(old, times, flags):
+    bench, link = old
+    with bench.board:
+        bench.exchange(1.0)
+        link.repeat(times)
+        assert bench.exchange(1.0).board_flags is flags
 
 
 @pytest.mark.untraced
