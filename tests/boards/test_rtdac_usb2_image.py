@@ -160,3 +160,11 @@ def test_a_board_that_does_not_take_its_settings_is_not_opened(new_usb2_bench, c
     assert all(changed(bench.frames_sent[0], frame) <= NUMBER_BYTES for frame in bench.frames_sent)
     assert bench.device.duties == (0.0, 0.0)
     assert bench.link.closed
+
+
+def test_channel_0_may_carry_the_number_where_it_drives_nothing(new_usb2_bench):
+    bench = new_usb2_bench("board.drive_pwm=2", "board.numbering_pwm=0")
+    with bench.board:
+        bench.exchange()
+        bench.exchange()
+        assert [sent["pwm0_prescaler"] for sent in bench.settings_sent] == [1, 2, 3]

@@ -108,3 +108,29 @@ def test_a_wiring_without_its_channels_is_a_mistake_in_the_configuration(key, va
 def test_a_logic_without_tables_is_a_mistake_in_the_configuration():
     with pytest.raises(ConfigError, match=r"0x0999.*0x0111, 0x0112"):
         Usb0111Bench("board.logic_version=0x0999")
+
+
+def test_an_answer_that_has_come_too_late_is_not_taken_for_the_next_one(new_usb_bench):
+    bench = new_usb_bench()
+    bench.device.show(1000, 2000)
+    with bench.board:
+        bench.exchange(0.5)
+        bench.face.next_answer = "after the deadline"
+        assert bench.exchange(0.5).board_flags is BoardFlags.STALE
+        bench.device.show(1070, 2030)
+        sample = bench.exchange(0.5)
+    assert sample.board_flags is BoardFlags.NONE
+    assert (sample.wheel_count, sample.road_count) == (70, 30)
+
+
+def test_only_after_a_failed_exchange_are_late_answers_looked_for(new_usb_bench):
+    def operations():
+        before = bench.link.operations
+        bench.exchange(0.5)
+        return bench.link.operations - before
+
+    bench = new_usb_bench()
+    with bench.board:
+        assert [operations() for _ in range(3)] == [3] * 3  # settings, request, answer
+        bench.fail_next("no answer")
+        assert [operations(), operations() > 3, operations()] == [3, True, 3]

@@ -425,3 +425,12 @@ class TestWithTheMock:
         with pytest.raises(BoardError, match=r"port: no symbolic link .* can be made there: File exists"):
             PtyServer(stream, path)
         assert path.read_text() == "mine"
+
+
+@pytest.mark.parametrize(("complaint", "within"), [("", "10 ms"), ("each answer waits 16 ms", "100 ms")])
+def test_only_an_answer_from_a_slow_chip_is_waited_for_longer(board, monkeypatch, complaint, within):
+    monkeypatch.setattr(serial_link, "quicken", lambda _path: complaint)
+    link = SerialLink(board.path)
+    with pytest.raises(LinkError, match=f"did not answer within {within}"):
+        link.read(150)
+    link.close()

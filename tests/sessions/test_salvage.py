@@ -53,6 +53,7 @@ def test_damage_in_the_middle_costs_its_own_chunk_only(rescue, container, pieces
     assert recovery.missing == ((20, 29),)
     assert any("fails its checksum" in loss or "chunk" in loss for loss in recovery.losses)
     assert "ticks 20..29 are missing" in recovery.losses
+    assert not any("hash" in loss for loss in recovery.losses)
     assert recovery.card["lost_ticks"] == 10
 
 
@@ -101,6 +102,71 @@ def test_a_chunk_of_another_session_gives_no_tick(rescue, container, pieces, tin
     assert any("two clocks do not go together" in loss for loss in recovery.losses)
 
 
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+
+
+def retold(container, record, change):
+    """The chunk after `change` of each tick's values, with its times and its checksum right."""
+    parts = container.split(container.unpack(record), 0)
+    for at, part in enumerate(parts):
+        if part.opcode == 5 and len(part.content) == MESSAGE_HEAD.size + TICK.size:
+            channel, sequence, log_time, _ = MESSAGE_HEAD.unpack_from(part.content)
+            (row,) = rows = TICK.array(bytearray(part.content[MESSAGE_HEAD.size :]))
+            epoch_ns = log_time - int(row["time_ns"])
+            change(row)
+            times = [epoch_ns + int(row["time_ns"])] * 2
+            parts[at] = container.record(5, MESSAGE_HEAD.pack(channel, sequence, *times) + rows.tobytes())
+    raw = b"".join(map(bytes, parts))
+    return container.chunk(raw, len(raw), "", zlib.crc32(raw))
+
+
+@pytest.mark.parametrize(
+    ("number", "told", "later_ns", "kept"),
+    [
+        (20, 19, 0, False),
+        (20, 20, 0, True),
+        (25, 24, 0, False),
+        (25, 25, -5_000_000, True),
+        (25, 25, -5_000_001, False),
+    ],
+)
+def test_a_chunk_whose_ticks_do_not_follow_one_another_is_refused(
+    rescue, container, pieces, number, told, later_ns, kept
+):
+    def change(row):
+        if row["tick"] == number:
+            row["tick"] = told
+            row["time_ns"] = int(row["time_ns"]) + later_ns
+
+    records, chunks = pieces
+    records[chunks[3]] = retold(container, records[chunks[3]], change)
+    recovery, session = rescue(joined(container, records))
+    assert (len(session.ticks) == 60) is kept
+    assert any("repeats what was there before" in loss for loss in recovery.losses) is not kept
+
+
+def test_of_a_whole_session_nothing_is_said_to_be_lost(rescue, short):
+    assert rescue(short.read_bytes())[0].losses == ()
+
+
+def test_ticks_that_are_not_those_that_were_recorded_are_named(rescue, container, pieces):
+    def change(row):
+        row["brake_wish"] += 0.5
+
+    records, chunks = pieces
+    records[chunks[3]] = retold(container, records[chunks[3]], change)
+    recovery, _ = rescue(container.join(records))
+    assert recovery.losses == ("the ticks do not match the hash that was recorded with them",)
+
+
+def test_ticks_whose_hash_is_lost_are_said_to_be_perhaps_not_all(rescue, container, pieces):
+    records, _ = pieces
+    kept = [record for record in records if record.opcode != METADATA or b"payload_sha256" not in record.content]
+    assert len(kept) < len(records)
+    recovery, _ = rescue(container.join(kept))
+    assert "no hash says that these are all of the ticks" in recovery.losses
+
+
 @pytest.mark.parametrize(("log_time", "words"), [(2**63, "of no date"), (2**63 - 1, "two clocks do not go together")])
 def test_a_chunk_whose_times_no_clock_shows_gives_no_tick(rescue, container, pieces, log_time, words):
     records, chunks = pieces
@@ -136,6 +202,17 @@ def test_metadata_attachments_and_times_are_the_originals(rescue, short):
     assert session.metadata["recovery"]["outcome"] == "completed"
     assert session.metadata["session"]["outcome"] == recovery.card["outcome"] == "recovered"
     assert session.log == whole.log
+
+
+def test_the_controllers_internals_keep_their_names(rescue, short, tmp_path):
+    names = ["s", "sigma", "", "c3"]
+    session = read_session(short)
+    with Recorder(tmp_path / "named.mcap", int(session.ticks["time_ns"][0]), names) as recorder:
+        recorder.begin({})
+        recorder.ticks(session.ticks.tobytes())
+        recorder.flush()
+    recovered = rescue((tmp_path / "named.mcap").read_bytes())[1]
+    assert json.loads(recovered.channels[TICK.topic]["internals"]) == names
 
 
 def test_the_metrics_are_those_of_the_original(quick, altered, tmp_path):
