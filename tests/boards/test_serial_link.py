@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import tty
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -265,6 +266,21 @@ class TestPorts:
         monkeypatch.setattr(serial, "Serial", refuse)
         with pytest.raises(BoardError, match=words):
             SerialLink(board.path)
+
+    def test_a_group_without_a_name_is_told_by_its_number(self, monkeypatch, board):
+        def nameless(number):
+            raise KeyError(number)
+
+        monkeypatch.setattr(serial, "Serial", denied)
+        monkeypatch.setattr(serial_link.grp, "getgrgid", nameless)
+        with pytest.raises(BoardError, match=f"its group is {Path(board.path).stat().st_gid};"):
+            SerialLink(board.path)
+
+    def test_what_an_earlier_program_has_left_is_dropped_before_the_board_is_identified(self, board, link):
+        board.say(b"old")
+        link.prepare(3)
+        board.say(b"new")
+        assert link.read(3) == b"new"
 
 
 def plug_in(monkeypatch, *paths, other="/dev/ttyS0"):

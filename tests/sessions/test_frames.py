@@ -1,6 +1,7 @@
 """The raw frames of a run in its session: as the capture of the same run has them, and in nobody's way."""
 
 import shutil
+import zlib
 from contextlib import nullcontext
 
 import pytest
@@ -189,6 +190,18 @@ class TestDamage:
         recovery = recover_session(altered(container.join(records)), tmp_path / "out.mcap")
         assert f"{framed.session.frames} raw frames are missing" in recovery.losses
         assert read_session(tmp_path / "out.mcap").metadata["frames"] == {"messages": "0"}
+
+    def test_recover_of_a_whole_session_loses_no_frame(self, framed, tmp_path):
+        assert recover_session(framed.path, tmp_path / "out.mcap").losses == ()
+
+    def test_a_single_frame_that_comes_twice_is_kept_once(self, framed, capture, chunks, container, altered, tmp_path):
+        records = container.split(framed.path.read_bytes())
+        first = next(at for at, record in enumerate(records) if record.at == chunks[0].at)
+        newest = bytes(container.split(container.unpack(records[first]), 0)[-1])
+        records.insert(first + 1, container.chunk(newest, len(newest), "", zlib.crc32(newest)))
+        recovery = recover_session(altered(container.join(records)), tmp_path / "out.mcap")
+        assert any("repeats what was there before" in loss for loss in recovery.losses)
+        assert read_frames(tmp_path / "out.mcap").records == capture.records
 
     def test_frames_that_come_twice_are_kept_once(self, framed, capture, chunks, container, altered, tmp_path):
         records = container.split(framed.path.read_bytes())
