@@ -443,10 +443,10 @@ class TestWithTheMock:
         assert path.read_text() == "mine"
 
 
-@pytest.mark.parametrize(("complaint", "within"), [("", "10 ms"), ("each answer waits 16 ms", "100 ms")])
+@pytest.mark.parametrize(("complaint", "within"), [("", "90 ms"), ("each answer waits 16 ms", "100 ms")])
 def test_only_an_answer_from_a_slow_chip_is_waited_for_longer(board, monkeypatch, complaint, within):
     monkeypatch.setattr(serial_link, "quicken", lambda _path: complaint)
-    link = SerialLink(board.path)
+    link = SerialLink(board.path, 0.09)
     with pytest.raises(LinkError, match=f"did not answer within {within}"):
         link.read(150)
     link.close()

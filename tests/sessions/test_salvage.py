@@ -204,6 +204,17 @@ def test_metadata_attachments_and_times_are_the_originals(rescue, short):
     assert session.log == whole.log
 
 
+def test_truths_behind_the_last_tick_are_kept(rescue, short, tmp_path):
+    session = read_session(short)
+    with Recorder(tmp_path / "long.mcap", int(session.ticks["time_ns"][0])) as recorder:
+        recorder.begin({})
+        recorder.ticks(session.ticks[:50].tobytes())
+        recorder.truths(session.truth.tobytes())
+        recorder.flush()
+    recovered = rescue((tmp_path / "long.mcap").read_bytes())[1]
+    assert (len(recovered.ticks), len(recovered.truth)) == (50, 60)
+
+
 def test_the_controllers_internals_keep_their_names(rescue, short, tmp_path):
     names = ["s", "sigma", "", "c3"]
     session = read_session(short)
