@@ -167,6 +167,16 @@ class TestOpening:
                 board.survey()
         assert set(bench.steps) == {VERSION}
 
+    @pytest.mark.parametrize(("on", "warned"), [("pwm0_width", True), ("pwm1_width", True), ("pwm0_prescaler", False)])
+    def test_each_output_that_is_on_is_warned_of_where_nothing_may_be_written(self, new_pci_bench, on, warned):
+        bench = new_pci_bench('board.verified_by=""', earlier={on: 255})
+        assert ("ITS PWM OUTPUTS ARE NOT ZERO" in bench.board.identify().read_only_because) is warned
+
+    def test_a_survey_has_the_registers_as_they_came(self, new_pci_bench):
+        with new_pci_bench(earlier={"encoder_reset": 4}).board as board:
+            survey = board.survey(["logic_version", "encoder_reset", "pwm1_prescaler"])
+        assert survey.raw == struct.pack("<3I", 0x50F, 4, 44)
+
     def test_where_no_board_answers_it_is_a_link_error_and_nothing_is_written(self, new_pci_bench):
         bench = new_pci_bench()
         bench.link.change_answer = lambda answer: answer[:4] + b"\xff" * 4

@@ -443,6 +443,10 @@ class TestWithTheMock:
         assert path.read_text() == "mine"
 
 
+def test_an_answer_is_waited_for_far_shorter_than_a_loop_may_be_silent():
+    assert load_config().guard.silence_s >= 5 * serial_link.TIMEOUT_S
+
+
 @pytest.mark.parametrize(("complaint", "within"), [("", "90 ms"), ("each answer waits 16 ms", "100 ms")])
 def test_only_an_answer_from_a_slow_chip_is_waited_for_longer(board, monkeypatch, complaint, within):
     monkeypatch.setattr(serial_link, "quicken", lambda _path: complaint)

@@ -57,6 +57,12 @@ def test_damage_in_the_middle_costs_its_own_chunk_only(rescue, container, pieces
     assert recovery.card["lost_ticks"] == 10
 
 
+def test_first_ticks_that_are_missing_are_counted_from_0(rescue, container, pieces):
+    records, chunks = pieces
+    records[chunks[1]] = spoilt(records[chunks[1]])
+    assert rescue(joined(container, records))[0].missing == ((0, 9),)
+
+
 def test_a_length_that_leads_elsewhere_is_not_followed(rescue, container, pieces):
     records, chunks = pieces
     data = bytearray(joined(container, records))
@@ -146,7 +152,20 @@ def test_a_chunk_whose_ticks_do_not_follow_one_another_is_refused(
 
 
 def test_of_a_whole_session_nothing_is_said_to_be_lost(rescue, short):
-    assert rescue(short.read_bytes())[0].losses == ()
+    recovery, _ = rescue(short.read_bytes())
+    assert recovery.losses == ()
+    assert recovery.card["explanation"] == "made of what is whole in altered.mcap"
+
+
+def test_data_whose_own_checksum_is_wrong_are_not_said_to_be_whole(rescue, container, pieces):
+    records, _ = pieces
+    at = next(at for at, record in enumerate(records) if record.opcode == DATA_END)
+    records[at] = container.record(DATA_END, struct.pack("<I", 12345))
+    recovery, session = rescue(joined(container, records))
+    (loss,) = recovery.losses
+    assert "checksum" in loss
+    assert loss in recovery.card["explanation"]
+    assert len(session.ticks) == 60
 
 
 def test_ticks_that_are_not_those_that_were_recorded_are_named(rescue, container, pieces):
