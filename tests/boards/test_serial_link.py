@@ -444,7 +444,7 @@ class TestWithTheMock:
 
 
 def test_an_answer_is_waited_for_far_shorter_than_a_loop_may_be_silent():
-    assert load_config().guard.silence_s >= 5 * serial_link.TIMEOUT_S
+    assert load_config(profile="usb1_0111").guard.silence_s >= 5 * serial_link.TIMEOUT_S
 
 
 @pytest.mark.parametrize(("complaint", "within"), [("", "90 ms"), ("each answer waits 16 ms", "100 ms")])

@@ -131,6 +131,8 @@ def retold(container, record, change):
     [
         (20, 19, 0, False),
         (20, 20, 0, True),
+        (20, 20, -5_000_000, True),
+        (20, 20, -5_000_001, False),
         (25, 24, 0, False),
         (25, 25, -5_000_000, True),
         (25, 25, -5_000_001, False),
