@@ -11,6 +11,7 @@ import pytest
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.sessions import TICK, Recorder, content, read_session, recover_session, validate
 from inteco_abs.sessions.migration import layout
+from inteco_abs.sessions.recorder import utc
 
 CHANNEL, CHUNK, ATTACHMENT, METADATA, DATA_END = 4, 6, 9, 12, 15
 EVENTS = 2
@@ -51,7 +52,7 @@ def test_damage_in_the_middle_costs_its_own_chunk_only(rescue, container, pieces
     recovery, session = rescue(joined(container, records))
     assert session.ticks["tick"].tolist() == [*range(20), *range(30, 60)]
     assert recovery.missing == ((20, 29),)
-    assert any("fails its checksum" in loss or "chunk" in loss for loss in recovery.losses)
+    assert any("chunk: fails its checksum" in loss for loss in recovery.losses)
     assert "ticks 20..29 are missing" in recovery.losses
     assert not any("hash" in loss for loss in recovery.losses)
     assert recovery.card["lost_ticks"] == 10
@@ -253,6 +254,12 @@ def test_the_metrics_are_those_of_the_original(quick, altered, tmp_path):
     changed = {"session", "outcome", "reason", "explanation"}
     kept = {key: value for key, value in quick.stop.card.items() if key not in changed}
     assert {key: recovery.card[key] for key in kept} == kept
+
+
+def test_a_session_that_was_cut_has_ended_with_its_last_tick(rescue, cut_short):
+    recovery, session = rescue(cut_short)
+    assert any(f"..{len(cut_short) - 1}: " in loss for loss in recovery.losses)
+    assert session.metadata["session"]["ended_utc"] == utc(session.epoch_ns + int(session.ticks["time_ns"][-1]))
 
 
 def test_what_the_recovery_wrote_opens_officially(rescue, officially, cut_short, tmp_path):
