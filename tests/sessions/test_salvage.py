@@ -9,7 +9,7 @@ import zlib
 import pytest
 
 from inteco_abs.errors import ConfigError, SessionError
-from inteco_abs.sessions import TICK, Recorder, content, read_session, recover_session, validate
+from inteco_abs.sessions import TICK, Recorder, content, read_session, recover_session, salvage, validate
 from inteco_abs.sessions.migration import layout
 from inteco_abs.sessions.recorder import utc
 
@@ -224,6 +224,36 @@ def test_metadata_attachments_and_times_are_the_originals(rescue, short):
     assert session.metadata["recovery"]["outcome"] == "completed"
     assert session.metadata["session"]["outcome"] == recovery.card["outcome"] == "recovered"
     assert session.log == whole.log
+
+
+def test_a_single_tick_that_is_missing_is_named(rescue, short, tmp_path):
+    session = read_session(short)
+    with Recorder(tmp_path / "gap.mcap", int(session.ticks["time_ns"][0])) as recorder:
+        recorder.begin({})
+        recorder.ticks(session.ticks[:30].tobytes())
+        recorder.ticks(session.ticks[31:].tobytes())
+        recorder.flush()
+    assert rescue((tmp_path / "gap.mcap").read_bytes())[0].missing == ((30, 30),)
+
+
+@pytest.mark.parametrize("ticks", [60, 20, 7])
+def test_in_however_many_blocks_it_is_copied_nothing_is_left_out(rescue, short, tmp_path, monkeypatch, ticks):
+    monkeypatch.setattr(salvage, "_BLOCK_TICKS", ticks)
+    session = read_session(short)
+    times = session.epoch_ns + session.ticks["time_ns"].astype(int)
+    with Recorder(tmp_path / "told.mcap", int(session.ticks["time_ns"][0]), epoch_ns=session.epoch_ns) as recorder:
+        recorder.begin({})
+        recorder.ticks(session.ticks.tobytes())
+        recorder.truths(session.truth.tobytes())
+        for at in (5, 30, 59):
+            recorder.warn(int(times[at]) + 1, f"after tick {at}")
+        recorder.flush()
+    recovered = rescue((tmp_path / "told.mcap").read_bytes())[1]
+    assert recovered.ticks.tobytes() == session.ticks.tobytes()
+    assert recovered.truth.tobytes() == session.truth.tobytes()
+    assert [event.text for event in recovered.log if "after" in event.text] == [
+        f"after tick {at}" for at in (5, 30, 59)
+    ]
 
 
 def test_truths_behind_the_last_tick_are_kept(rescue, short, tmp_path):
