@@ -141,7 +141,7 @@ class TestLeaving:
         with pytest.raises(LinkError, match="gone") as error:
             loop(self.fail)
         assert "cannot be renamed" in error.value.__notes__[0]
-        with pytest.raises(CaptureError, match="cannot be written"):
+        with pytest.raises(CaptureError, match="cannot be renamed"):
             loop()
 
 
