@@ -3,10 +3,7 @@
 import errno
 import os
 import subprocess
-import tempfile
 import threading
-import time
-from pathlib import Path
 
 import pytest
 
@@ -22,39 +19,14 @@ pytestmark = [pytest.mark.untraced, pytest.mark.xdist_group("real time")]
 
 ROLES = ("board", "guardian", "recorder", "drill", "loop")
 MODULES = {"inteco_abs.simulator", "inteco_abs.realtime"}
-PATIENCE_S = 10.0
 
 
-@pytest.fixture
-def memories(monkeypatch):
-    """Memory of every run, in order, which stays readable when its file is gone."""
-    made, create = [], memory.RunMemory.create.__func__
-
-    def remembered(kind, *sizes):
-        made.append(create(kind, *sizes))
-        return made[-1]
-
-    with tempfile.TemporaryDirectory(prefix="abs-", dir=memory.FOLDER) as folder:
-        monkeypatch.setattr(memory, "FOLDER", Path(folder))
-        monkeypatch.setattr(memory.RunMemory, "create", classmethod(remembered))
-        yield made
-        assert list(Path(folder).iterdir()) == []
-
-
-def processes():
-    """Processes of ours that are there."""
-    children = Path(f"/proc/self/task/{os.getpid()}/children").read_text(encoding="ascii").split()
-    return [pid for pid in children if b"inteco_abs" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-
-
-def assert_nothing_is_left_on(memories):
+def assert_nothing_is_left_on(memories, left_processes):
     truths = TRUTH.array(memories[-1].truth_reader().look(0)[0])
     assert not truths["drive"].any()
     assert not truths["brake"].any()
-    end = time.monotonic() + PATIENCE_S
-    while processes() and time.monotonic() < end:
-        time.sleep(0.02)
-    assert processes() == []
+    assert left_processes() == []
+    assert list(memory.FOLDER.iterdir()) == []
 
 
 def refuse(monkeypatch, k):
@@ -74,12 +46,14 @@ def refuse(monkeypatch, k):
 @pytest.mark.parametrize(
     "role", [pytest.param(role, marks=[] if role in {"board", "guardian"} else pytest.mark.long) for role in ROLES]
 )
-def test_a_process_that_cannot_be_started_is_named_and_nothing_is_started(monkeypatch, tmp_path, memories, role):
+def test_a_process_that_cannot_be_started_is_named_and_nothing_is_started(
+    monkeypatch, tmp_path, memories, left_processes, role
+):
     refuse(monkeypatch, ROLES.index(role))
     with pytest.raises(BoardError, match=f"the {role} process cannot be started: {os.strerror(errno.EAGAIN)}"):
         run_stop(load_config(settings=SHORTEST), Plan(tmp_path / "stop.mcap", virtual=False))
     assert list(tmp_path.iterdir()) == []
-    assert_nothing_is_left_on(memories)
+    assert_nothing_is_left_on(memories, left_processes)
 
 
 @pytest.fixture
@@ -100,7 +74,7 @@ def test_a_thread_that_cannot_be_started_is_an_error_of_ours(memories):
 
 @pytest.mark.long
 @pytest.mark.usefixtures("no_threads")
-def test_a_panel_whose_thread_cannot_be_started_leaves_outputs_off_and_says_so(memories):
+def test_a_panel_whose_thread_cannot_be_started_leaves_outputs_off_and_says_so(memories, left_processes):
     with pytest.raises(BoardError, match="no thread can be started"), by_hand(load_config(), "sim:", outputs=False):
         pytest.fail("it was entered")
-    assert_nothing_is_left_on(memories)
+    assert_nothing_is_left_on(memories, left_processes)
