@@ -286,6 +286,8 @@ class Supervisor:
         account = self._rebuild(failure["text"] if failure else "")
         if account is None:
             told = failure or memory.note(Note.FAILURE)
+            if told is None and memory.words[Word.STOP] == Reason.OPERATOR_STOP:
+                raise KeyboardInterrupt  # who records had nothing to do any more, and went
             why = EXPLANATIONS[Reason(memory.words[Word.GUARDIAN_STOP] or memory.words[Word.STOP])]
             raise raised_again(told) if told else SessionError(f"the run ended before its first tick: {why}")
         return account

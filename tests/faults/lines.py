@@ -1,5 +1,6 @@
 """The lines of ours that a piece of work executes, and something done just before the n-th execution of one of them."""
 
+import linecache
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Callable
@@ -17,6 +18,10 @@ class Line(NamedTuple):
 
     code: CodeType
     number: int
+
+    @property
+    def text(self) -> str:
+        return linecache.getline(self.code.co_filename, self.number)
 
     def __str__(self) -> str:
         return f"{Path(self.code.co_filename).relative_to(OURS)}:{self.number}"
