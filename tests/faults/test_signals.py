@@ -7,19 +7,19 @@ import pytest
 from inteco_abs.realtime.supervisor import Supervisor
 from inteco_abs.sessions import TRUTH
 from tests.faults.lines import Counting, Line
-from tests.faults.lives import INTERRUPTED, SIGNALS, Command, strike_each
+from tests.faults.lives import INTERRUPTED, SIGNALS, Lives, strike_each
 
 pytestmark = pytest.mark.untraced
 
 
-def strike(command, record_property, names, share):
-    found = strike_each(command, names, share)
+def strike(lives, record_property, names, share):
+    found = strike_each(lives, names, share)
     record_property("told", f"{', '.join(names)}: {found}")
     assert not found.bad, "\n".join(found.bad)
 
 
 def test_a_signal_before_any_line_of_a_run_leaves_outputs_off_and_no_cut_session(tmp_path, record_property):
-    strike(Command(tmp_path), record_property, SIGNALS, 0.008)
+    strike(Lives(tmp_path), record_property, SIGNALS, 0.008)
 
 
 @pytest.mark.long
@@ -27,7 +27,7 @@ def test_a_signal_before_any_line_of_a_run_leaves_outputs_off_and_no_cut_session
     ("profile", "name"), [*(("sim_usb2", name) for name in SIGNALS), ("sim_usb", "SIGTERM"), ("sim_pci", "SIGINT")]
 )
 def test_a_signal_before_every_line_of_a_run_does_likewise(tmp_path, record_property, profile, name):
-    strike(Command(tmp_path, "--set", f"profile={profile}"), record_property, [name], 1.0)
+    strike(Lives(tmp_path, "--set", f"profile={profile}"), record_property, [name], 1.0)
 
 
 class TestInRealTime:
@@ -41,7 +41,7 @@ class TestInRealTime:
         """A life with a signal before a line of the supervisor's process, and what was amiss."""
 
         def live(line, name):
-            life = Command(tmp_path, virtual=False).struck(line, 1, SIGNALS[name])
+            life = Lives(tmp_path, virtual=False).struck(line, 1, SIGNALS[name])
             truth = memories[-1].truth_reader().newest()
             duties = TRUTH.array(truth)[["drive", "brake"]][0].item() if truth else (0.0, 0.0)
             # the mock board ends by itself with the process that the user started, which is the tests' own here
@@ -64,7 +64,7 @@ class TestInRealTime:
     def test_a_signal_before_a_line_of_the_supervisor_leaves_outputs_off(self, strike, tmp_path, record_property):
         counting, draw = Counting(), random.Random(4)
         for tracing in (None, counting):
-            Command(tmp_path, virtual=False).live(tracing)
+            Lives(tmp_path, virtual=False).live(tracing)
             (tmp_path / "stop.mcap").unlink()
         lines = [line for line in counting.times if str(line).partition(":")[0] in self.FILES]
         found = [strike(line, draw.choice(["SIGINT", "SIGINT twice"])) for line in draw.sample(lines, 40)]
