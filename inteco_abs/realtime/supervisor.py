@@ -72,7 +72,7 @@ class Supervisor:
                 self._watch(screen)
                 return self._account()
             finally:
-                self._end()
+                self.end()
                 os.sched_setaffinity(0, allowed)
 
     def ask(self, role: str) -> Any:
@@ -83,7 +83,7 @@ class Supervisor:
             self._wait_for(lambda: self._memory.note(Note.RESULT) is not None, "the answer comes", role, _START_S)
             return self._memory.note(Note.RESULT)
         finally:
-            self._end()
+            self.end()
 
     @contextmanager
     def by_hand(self, *, drill: bool) -> Iterator[None]:
@@ -111,7 +111,7 @@ class Supervisor:
             finally:
                 if _ended(self._children.get("loop")):
                     self._rescue_if_nobody_did()  # before the guardian is told that all is over
-                self._end()
+                self.end()
                 self._insist_on_safe()
         self._tell_of_the_end()
 
@@ -339,8 +339,8 @@ class Supervisor:
         memory.post(Note.RESCUE, {**report, "done_ns": time.monotonic_ns()})
         words[Word.RESCUED_PID] = pid
 
-    def _end(self) -> None:
-        """Leave nothing behind: neither a process nor a held board."""
+    def end(self) -> None:
+        """Leave nothing behind: neither a process nor a held board. May be called again."""
         words = self._words
         loop = self._children.get("loop")
         if loop is not None and loop.poll() is None:

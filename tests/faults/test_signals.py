@@ -4,6 +4,8 @@ import random
 
 import pytest
 
+from inteco_abs.experiment import _processes
+from inteco_abs.realtime import memory
 from inteco_abs.realtime.supervisor import Supervisor
 from inteco_abs.sessions import TRUTH
 from tests.faults.lines import Counting, Line
@@ -30,6 +32,12 @@ def test_a_signal_before_every_line_of_a_run_does_likewise(tmp_path, record_prop
     strike(Lives(tmp_path, "--set", f"profile={profile}"), record_property, [name], 1.0)
 
 
+def line_of(function, text):
+    code = function.__code__
+    (line,) = {each for *_, n in code.co_lines() if n and text in (each := Line(code, n)).text}
+    return line
+
+
 class TestInRealTime:
     """The process that the user started, and hears the signals; the board is another's, which keeps its own record."""
 
@@ -53,14 +61,19 @@ class TestInRealTime:
         return live
 
     def test_who_interrupts_just_before_the_loop_is_let_go_is_told_so(self, strike):
-        code = Supervisor._let_go.__code__
-        lines = {Line(code, number) for *_, number in code.co_lines() if number}
-        (line,) = (each for each in lines if "prepare(supervisor_wishes())" in each.text)
-        life, problem = strike(line, "SIGINT")
+        life, problem = strike(line_of(Supervisor._let_go, "prepare(supervisor_wishes())"), "SIGINT")
         assert not problem
         assert (life.struck, life.code) == (True, INTERRUPTED)
 
+    def test_who_interrupts_before_the_supervisor_works_leaves_no_mock_board(self, strike, left_processes):
+        life, problem = strike(line_of(_processes.__wrapped__, "yield memory, supervisor"), "SIGINT")
+        assert not problem
+        assert (life.struck, life.code) == (True, INTERRUPTED)
+        assert left_processes() == []
+        assert list(memory.FOLDER.iterdir()) == []
+
     @pytest.mark.long
+    @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of a mock board
     def test_a_signal_before_a_line_of_the_supervisor_leaves_outputs_off(self, strike, tmp_path, record_property):
         counting, draw = Counting(), random.Random(4)
         for tracing in (None, counting):
