@@ -250,9 +250,12 @@ def _processes(
             job = replace(job, address=f"{plan.board}{memory.socket}")
         job.post(memory)
         supervisor = Supervisor(memory, job)
-        if simulated(plan.board):
-            supervisor.spawn("board", "inteco_abs.simulator", str(memory.path))
-        yield memory, supervisor
+        try:
+            if simulated(plan.board):
+                supervisor.spawn("board", "inteco_abs.simulator", str(memory.path))
+            yield memory, supervisor
+        finally:
+            supervisor.end()  # its own work may not have begun when an interrupt comes
     finally:
         memory.remove()
 

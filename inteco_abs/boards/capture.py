@@ -19,7 +19,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -80,16 +80,19 @@ class Capture(NamedTuple):
 def check_target(path: Path) -> None:
     """Raise CaptureError unless a new capture can be made at `path`; captures are never overwritten."""
     problem = ""
-    if path.exists():
-        problem = "exists already, and captures are never overwritten; choose another name"
-    elif not path.parent.is_dir():
-        problem = f"the folder {path.parent} does not exist; create it first"
+    try:
+        if path.exists():
+            problem = "exists already, and captures are never overwritten; choose another name"
+        elif not path.parent.is_dir():
+            problem = f"the folder {path.parent} does not exist; create it first"
+    except OSError as error:
+        problem = disk_in_words(error)
     if problem:
         raise CaptureError(f"{path}: {problem}")
 
 
 def write_capture(path: Path, capture: Capture) -> None:
-    """Write the file, under another name until it is whole. Raises CaptureError."""
+    """Write the file, under another name until it is whole; of a part of it nothing is left. Raises CaptureError."""
     head = {
         "format": FORMAT,
         "version": VERSION,
@@ -103,9 +106,16 @@ def write_capture(path: Path, capture: Capture) -> None:
         with part.open("w", encoding="utf-8") as file:
             file.write(json.dumps(head) + "\n")
             file.writelines(_line(record) for record in capture.records)
+    except BaseException as error:
+        with suppress(OSError):  # it is not there, or cannot be removed either
+            part.unlink()
+        if isinstance(error, OSError):
+            raise CaptureError(f"{path}: the capture cannot be written: {disk_in_words(error)}") from error
+        raise
+    try:
         part.replace(path)
     except OSError as error:
-        raise CaptureError(f"{path}: the capture cannot be written: {disk_in_words(error)}") from error
+        raise CaptureError(f"{part} is complete but cannot be renamed to {path}: {disk_in_words(error)}") from error
 
 
 def read_capture(path: Path) -> Capture:

@@ -8,9 +8,10 @@ import sys
 
 
 def main() -> None:
-    """Entry point of the command; an interrupt while it is being loaded leaves no traceback either."""
+    """Entry point of the command; an interrupt while it is being loaded or left leaves no traceback either."""
     try:
         from inteco_abs.cli.verbs import main as verbs
+
+        verbs()
     except KeyboardInterrupt:
         sys.exit(130)
-    verbs()

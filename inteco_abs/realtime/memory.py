@@ -189,32 +189,32 @@ class RunMemory:
                 os.pwrite(file, _HEADER.pack(_MAGIC, tick_bytes, tick_capacity, truth_bytes, truth_capacity), 0)
             finally:
                 os.close(file)
+            memory = cls.open(path)
         except OSError as error:
             _unlink(path)
             raise _no_room(size, error.strerror or str(error)) from error
         except BaseException:
             _unlink(path)
             raise
-        memory = cls.open(path)
         memory.words[Word.SUPERVISOR_PID] = os.getpid()
         memory.words[Word.EPOCH_NS] = time.time_ns() - time.monotonic_ns()
         return memory
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Memory of a run that exists; raises SessionError if it is none."""
+        """Memory of a run that exists; raises SessionError if it is none, or cannot be had."""
         try:
             file = os.open(path, os.O_RDWR)
+            try:
+                size = os.fstat(file).st_size
+                if size < _RINGS_AT or os.pread(file, len(_MAGIC), 0) != _MAGIC:
+                    raise SessionError(f"{path}: is no tick ring of this version")
+                # every page now: the loop must not meet a page fault
+                mapping = mmap.mmap(file, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
+            finally:
+                os.close(file)
         except OSError as error:
-            raise SessionError(f"{path}: {error.strerror}") from error
-        try:
-            size = os.fstat(file).st_size
-            if size < _RINGS_AT or os.pread(file, len(_MAGIC), 0) != _MAGIC:
-                raise SessionError(f"{path}: is no tick ring of this version")
-            # every page now: the loop must not meet a page fault
-            mapping = mmap.mmap(file, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
-        finally:
-            os.close(file)
+            raise SessionError(f"{path}: {error.strerror or error}") from error
         _, tick_bytes, ticks, truth_bytes, truths = _HEADER.unpack_from(mapping)
         if size != _RINGS_AT + ring_bytes(tick_bytes, ticks) + ring_bytes(truth_bytes, truths):
             raise SessionError(f"{path}: has {size} bytes, which is not what its header says: it was cut")

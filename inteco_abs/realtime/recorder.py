@@ -10,16 +10,14 @@ import json
 import os
 import time
 import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from threading import Event, Thread
 from typing import Any, Final
 
 from inteco_abs.boards import STILL_ON
 from inteco_abs.errors import AbsError, SessionError
+from inteco_abs.realtime.beating import beating
 from inteco_abs.realtime.frames import frames_of
 from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.job import Job
@@ -87,8 +85,9 @@ def _record(memory: RunMemory, job: Job) -> None:
         keeper.introduce(job.config, introduction, Path(job.session))
         memory.truth_reader().take()  # what the board did while it was opened belongs to no tick
         words[Word.RECORDER_BEAT_NS] = time.monotonic_ns()
-        words[Word.RECORDING] = 1
-        with _beating(memory):
+        # whatever the disk does: it may take seconds, and the rings have room for that
+        with beating(memory, Word.RECORDER_BEAT_NS, _FLUSH_S):
+            words[Word.RECORDING] = 1
             keeper.surround(surroundings())  # not before: it takes a tenth of a second, and the rings have room
             memory.post(Note.SURROUNDINGS, keeper.introduction.surroundings.as_note())
             _Drain(memory, keeper).until_the_end()
@@ -122,24 +121,6 @@ class _Trouble:
         self._texts.append(text)
         self._memory.post(Note.TROUBLES, {"texts": self._texts, "file": str(path)})
         self._memory.words[Word.TROUBLES] = len(self._texts)
-
-
-@contextmanager
-def _beating(memory: RunMemory) -> Iterator[None]:
-    """A sign of life, whatever the disk does: it may take seconds, and the rings have room for that."""
-    over = Event()
-
-    def beat() -> None:
-        while not over.wait(_FLUSH_S):
-            memory.words[Word.RECORDER_BEAT_NS] = time.monotonic_ns()
-
-    thread = Thread(target=beat, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
 
 
 class _Drain:

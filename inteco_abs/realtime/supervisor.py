@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -18,6 +17,7 @@ from typing import Any, Final
 
 from inteco_abs import errors
 from inteco_abs.errors import AbsError, BoardError, SessionError, UnsafeError, in_a_line
+from inteco_abs.realtime.beating import NO_MORE, beating
 from inteco_abs.realtime.disk_watch import DiskWatch
 from inteco_abs.realtime.guardian import rescue
 from inteco_abs.realtime.hearing import hearing
@@ -72,7 +72,7 @@ class Supervisor:
                 self._watch(screen)
                 return self._account()
             finally:
-                self._end()
+                self.end()
                 os.sched_setaffinity(0, allowed)
 
     def ask(self, role: str) -> Any:
@@ -83,7 +83,7 @@ class Supervisor:
             self._wait_for(lambda: self._memory.note(Note.RESULT) is not None, "the answer comes", role, _START_S)
             return self._memory.note(Note.RESULT)
         finally:
-            self._end()
+            self.end()
 
     @contextmanager
     def by_hand(self, *, drill: bool) -> Iterator[None]:
@@ -105,31 +105,15 @@ class Supervisor:
                     self._drill(NoScreen())
                 words[Word.GUARDED_PID] = loop.pid
                 self._wait_for(lambda: words[Word.READY] == loop.pid, "the board opens", "loop", _START_S)
-                with self._beating():
+                # drawing a screen may take its time, and the outputs do not wait for it
+                with beating(self._memory, Word.SUPERVISOR_BEAT_NS, _SCREEN_S):
                     yield
             finally:
                 if _ended(self._children.get("loop")):
                     self._rescue_if_nobody_did()  # before the guardian is told that all is over
-                self._end()
+                self.end()
                 self._insist_on_safe()
         self._tell_of_the_end()
-
-    @contextmanager
-    def _beating(self) -> Iterator[None]:
-        """Beat from a thread: drawing a screen may take its time, and the outputs do not wait for it."""
-        over = threading.Event()
-
-        def beat() -> None:
-            while not over.wait(_SCREEN_S):
-                self._words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
-
-        thread = threading.Thread(target=beat, daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            over.set()
-            thread.join()
 
     def _rescued(self) -> Any:
         """Report of who took the board of the process that held it; None if nobody had to."""
@@ -155,15 +139,19 @@ class Supervisor:
             raise BoardError(f"the process that held the board {report['cause']}; {then}")
 
     def spawn(self, name: str, module: str, *arguments: str) -> None:
-        """Start a process of the run."""
-        self._children[name] = subprocess.Popen(  # noqa: S603  our own modules
-            # -P: a signal.py that lies in the user's folder is not the one that is meant
-            [sys.executable, "-P", "-m", module, *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=_stderr(),  # what a controller prints must not mix with the result card
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-            start_new_session=True,  # Ctrl-C and a closed terminal reach the supervisor only
-        )
+        """Start a process of the run. Raises BoardError if the system refuses."""
+        try:
+            self._children[name] = subprocess.Popen(  # noqa: S603  our own modules
+                # -P: a signal.py that lies in the user's folder is not the one that is meant
+                [sys.executable, "-P", "-m", module, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=_stderr(),  # what a controller prints must not mix with the result card
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                start_new_session=True,  # Ctrl-C and a closed terminal reach the supervisor only
+            )
+        except OSError as error:
+            why = error.strerror or error
+            raise BoardError(f"the {name} process cannot be started: {why}; {NO_MORE}") from error
 
     def _stop(self) -> None:
         """The operator wants the run to end; whoever was first is the reason."""
@@ -298,6 +286,8 @@ class Supervisor:
         account = self._rebuild(failure["text"] if failure else "")
         if account is None:
             told = failure or memory.note(Note.FAILURE)
+            if told is None and memory.words[Word.STOP] == Reason.OPERATOR_STOP:
+                raise KeyboardInterrupt  # who records had nothing to do any more, and went
             why = EXPLANATIONS[Reason(memory.words[Word.GUARDIAN_STOP] or memory.words[Word.STOP])]
             raise raised_again(told) if told else SessionError(f"the run ended before its first tick: {why}")
         return account
@@ -349,8 +339,8 @@ class Supervisor:
         memory.post(Note.RESCUE, {**report, "done_ns": time.monotonic_ns()})
         words[Word.RESCUED_PID] = pid
 
-    def _end(self) -> None:
-        """Leave nothing behind: neither a process nor a held board."""
+    def end(self) -> None:
+        """Leave nothing behind: neither a process nor a held board. May be called again."""
         words = self._words
         loop = self._children.get("loop")
         if loop is not None and loop.poll() is None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Self
 
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import AbsError, ConfigError, Mistake, SessionError, in_a_line
+from inteco_abs.errors import AbsError, ConfigError, Mistake, SessionError, disk_in_words, in_a_line
 from inteco_abs.sessions.output import insist_on_own, only_whole
 from inteco_abs.sessions.recorder import Recorder
 from inteco_abs.sessions.scribe import Account, Conclusion, Introduction, Scribe
@@ -24,8 +24,14 @@ Say = Callable[[str, Path], None]
 def check_spill(config: RigConfig) -> None:
     """Refuse, before anything is opened, a second place that is none. Raises ConfigError."""
     folder = config.session.spill
-    if folder and not Path(folder).expanduser().is_dir():
-        raise ConfigError([Mistake("session.spill", f"{folder}: is no folder; create it first")])
+    problem = ""
+    try:
+        if folder and not Path(folder).expanduser().is_dir():
+            problem = "is no folder; create it first"
+    except OSError as error:
+        problem = disk_in_words(error)
+    if problem:
+        raise ConfigError([Mistake("session.spill", f"{folder}: {problem}")])
 
 
 def spill_path(out: Path, config: RigConfig, session_id: str) -> Path | None:
@@ -33,7 +39,11 @@ def spill_path(out: Path, config: RigConfig, session_id: str) -> Path | None:
     if not config.session.spill:
         return None
     path = Path(config.session.spill).expanduser().absolute() / out.name
-    return path.with_name(f"{out.stem}-{session_id[:8]}{out.suffix}") if path.exists() else path
+    try:
+        taken = path.exists()
+    except OSError:  # nobody knows
+        taken = True
+    return path.with_name(f"{out.stem}-{session_id[:8]}{out.suffix}") if taken else path
 
 
 class Keeper:
@@ -89,7 +99,8 @@ class Keeper:
         try:
             scribe.introduce()
         except SessionError as error:
-            self.discard()
+            with suppress(SessionError):  # a disk that takes nothing may give nothing back either
+                self.discard()
             raise SessionError(f"{error}; the rig was not moved") from error
         self._scribe = scribe
 
@@ -131,7 +142,7 @@ class Keeper:
         raise SessionError(f"{'; '.join(self._troubles)}; nor could the file be made anew at the end")
 
     def discard(self) -> None:
-        """Remove the file: nothing ran, so there is nothing to keep."""
+        """Remove the file: nothing ran, so there is nothing to keep. Raises SessionError if it cannot be removed."""
         self._recorder.discard()
 
     @property

@@ -100,7 +100,8 @@ def only_whole(out: Path) -> Iterator[Path]:
     try:
         yield part
     except BaseException:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # it is not there, or cannot be removed either
+            part.unlink()
         raise
     try:
         part.replace(out)

@@ -53,6 +53,13 @@ class _Disk(FileIO):
         except OSError as error:
             raise self._refused(error) from error
 
+    def close(self) -> None:
+        """Let go of it; what a disk has refused only now is told now."""
+        try:
+            super().close()
+        except OSError as error:
+            raise self._refused(error) from error
+
     def sync(self) -> None:
         """Wait until the disk has it for good."""
         try:
@@ -63,10 +70,10 @@ class _Disk(FileIO):
     def insist_on_its_place(self) -> None:
         """Raise SessionError if the file is not where it was made: writing to it then goes well, and to nowhere."""
         try:
-            found = self.path.stat()
+            found, ours = self.path.stat(), os.fstat(self.fileno())
         except OSError as error:
             raise SessionError(f"{self.name} is gone: {error.strerror}") from error
-        if not os.path.samestat(found, os.fstat(self.fileno())):
+        if not os.path.samestat(found, ours):
             raise SessionError(f"{self.name} is gone: another file has its name")
 
     def _refused(self, error: OSError) -> SessionError:
@@ -262,10 +269,13 @@ class Recorder:
         self._writer.add_message(channel, self._newest_ns, pack_result(card), self._newest_ns)
 
     def discard(self) -> None:
-        """Remove the file: nothing ran, so there is nothing to keep."""
+        """Remove the file: nothing ran, so there is nothing to keep. Raises SessionError if it cannot be removed."""
         with suppress(SessionError):  # what could not be written is not wanted any more
             self._file.close()
-        self.path.unlink(missing_ok=True)
+        try:
+            self.path.unlink(missing_ok=True)
+        except OSError as error:
+            raise SessionError(f"{self.path} has no tick and cannot be removed: {error.strerror}") from error
 
     def _settle(self) -> None:
         self._file.flush()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mmap
 import os
 import tempfile
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Protocol, Self
@@ -19,7 +20,7 @@ class Rows(Protocol):
         """More of them; raises SessionError where there is no room."""
 
     def contents(self) -> bytes | memoryview:
-        """All of them."""
+        """All of them; raises SessionError where they cannot be had."""
 
 
 class RowsInMemory(BytesIO):
@@ -48,14 +49,18 @@ class RowsOnDisk:
             raise self._no_room(error) from error
 
     def contents(self) -> bytes | memoryview:
-        size = os.fstat(self._file.fileno()).st_size
-        return memoryview(mmap.mmap(self._file.fileno(), size, access=mmap.ACCESS_READ)) if size else b""
+        try:
+            size = os.fstat(self._file.fileno()).st_size
+            return memoryview(mmap.mmap(self._file.fileno(), size, access=mmap.ACCESS_READ)) if size else b""
+        except OSError as error:
+            raise self._no_room(error) from error
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        self._file.close()
+        with suppress(OSError):  # who is through with it need not know what the disk has to say
+            self._file.close()
 
     def _no_room(self, error: OSError) -> SessionError:
         return SessionError(f"{self._folder}: has no room for what the session unpacks to: {disk_in_words(error)}")

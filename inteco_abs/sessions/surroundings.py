@@ -80,12 +80,15 @@ def _named(package: Distribution) -> str:
 def changes(folder: Path, most_bytes: int = MOST_DIFF_BYTES) -> tuple[bytes, bool]:
     """How the tracked files of the source tree around `folder` differ from its commit, and whether that was cut.
 
-    Nothing where there is no source tree, no git, or no difference.
+    Nothing where there is no source tree, no git that can be started, or no difference.
     """
     if not is_source_tree(folder):
         return b"", False
     command = git_says(folder, "diff", "--no-ext-diff", "--no-textconv", "HEAD")
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as git:  # noqa: S603  fixed words
-        diff = git.stdout.read(most_bytes + 1) if git.stdout else b""
-        git.kill()  # whatever else it has to say
+    try:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as git:  # noqa: S603  fixed
+            diff = git.stdout.read(most_bytes + 1) if git.stdout else b""
+            git.kill()  # whatever else it has to say
+    except OSError:  # a computer that can start no process can still record
+        return b"", False
     return diff[:most_bytes], len(diff) > most_bytes

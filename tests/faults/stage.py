@@ -15,6 +15,11 @@ from inteco_abs.signals import Phase, Reason, Tick
 
 AS_ON_A_REAL_BOARD = ("guard.missed_in_a_row=4", "guard.bucket_limit=30")
 """The mock's own profile tolerates pauses of shared computers."""
+SHORTEST = (
+    "loop.rate_hz=250", "experiment.start_speed_rad_s=10", "experiment.idle_s=0.01", "experiment.hold_s=0.01",
+    "controller.name=relay", "experiment.spin_up_timeout_s=1", "experiment.braking_timeout_s=1",
+)  # fmt: skip
+"""A stop of a hundred ticks, with all phases."""
 
 
 @cache

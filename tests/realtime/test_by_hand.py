@@ -1,85 +1,18 @@
 """What the process behind the panel does with wishes: in virtual time, with the real board, guard and shared memory."""
 
 import pytest
+from hand_bench import Bench
 from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb2 import READ_REQUEST
-from inteco_abs.boards import InProcessLink, Link, board_behind
-from inteco_abs.config import load_config
 from inteco_abs.errors import LinkError, UnsafeError
-from inteco_abs.mock_board import Device, face_of
-from inteco_abs.realtime import StopWord, VirtualClock
-from inteco_abs.realtime.by_hand import HELD_NS, RATE_HZ, Driven, Screenside, Watched, read_all
+from inteco_abs.realtime.by_hand import HELD_NS, RATE_HZ, read_all
 from inteco_abs.realtime.memory import Word
 from inteco_abs.signals import BoardFlags, Command, Reason
 
 PERIOD_NS = round(1e9 / RATE_HZ)
 OFF = (0.0, 0.0)
-AS_ON_A_REAL_BOARD = ("guard.missed_in_a_row=4", "guard.bucket_limit=30", "guard.brake_limit=0.7")
-
-
-class WatchedLink(Link):
-    """Keeps what is written; answers nothing while `dead`."""
-
-    def __init__(self, inner):
-        self.written = []
-        self.dead = False
-        self._inner = inner
-
-    def write(self, data):
-        self.written.append(bytes(data))
-        self._inner.write(data)
-
-    def read(self, length):
-        answer = self._inner.read(length)
-        if self.dead:
-            raise LinkError("no answer")
-        return answer
-
-    def close(self):
-        self._inner.close()
-
-
-class Bench:
-    """A board in the hands of a screen, beat by beat."""
-
-    def __init__(self, memory, *settings, profile="sim_usb2"):
-        rate = f"loop.rate_hz={RATE_HZ}"
-        self.config = load_config(settings=[rate, *AS_ON_A_REAL_BOARD, *settings], profile=profile)
-        self.clock = VirtualClock(self.config.period_ns)
-        self._beats = iter(self.clock)
-        next(self._beats)
-        self.device = Device(self.config, self.clock.now_ns, 3)
-        self.link = WatchedLink(InProcessLink(face_of(self.device)))
-        self.board = board_behind(self.link, self.config, self.clock.now_ns)
-        self.stop = StopWord()
-        self.memory = memory
-        self.side = Screenside(memory)
-        self.hand = None
-
-    def __enter__(self):
-        self.board.__enter__()
-        kind = Watched if self.config.board.read_only else Driven
-        self.hand = kind(self.board, self.config, self.memory, self.stop)
-        return self
-
-    def __exit__(self, *error):
-        self.board.__exit__(*error)
-
-    def beat(self):
-        next(self._beats)
-        return self.hand.beat()
-
-    def beats(self, seconds, wish=None):
-        """Duties at the motors after each beat, with the key held for `wish`."""
-        seen = []
-        for _ in range(round(seconds * RATE_HZ)):
-            if wish is not None:
-                self.side.wishes.keep_on(wish, self.clock.now_ns())
-            assert self.beat()
-            seen.append(self.device.duties)
-        return seen
 
 
 @pytest.fixture

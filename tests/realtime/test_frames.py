@@ -140,8 +140,8 @@ class TestLeaving:
         ended[0].frames.mkdir()
         with pytest.raises(LinkError, match="gone") as error:
             loop(self.fail)
-        assert "cannot be written" in error.value.__notes__[0]
-        with pytest.raises(CaptureError, match="cannot be written"):
+        assert "cannot be renamed" in error.value.__notes__[0]
+        with pytest.raises(CaptureError, match="cannot be renamed"):
             loop()
 
 
