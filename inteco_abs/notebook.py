@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields
 from datetime import datetime
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, SupportsFloat
 
 from inteco_abs import sessions
 from inteco_abs.boards import check_address, check_kind, default_profile, simulated
@@ -124,7 +124,8 @@ class Rig:
         An interrupt ends the run safely. Raises ConfigError or BoardError if it cannot start.
         """
         chosen: dict[str, Any] = dict(settings or {})
-        chosen |= {f"controller.gains.{name}": float(value) for name, value in (gains or {}).items()}
+        for name, value in (gains or {}).items():  # numpy's numbers, too; what is none is refused by the configuration
+            chosen[f"controller.gains.{name}"] = float(value) if isinstance(value, SupportsFloat) else value
         if estimator is not None:
             chosen["estimator.name"] = estimator
         config = self.config(controller, **chosen)
