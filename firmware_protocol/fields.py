@@ -241,6 +241,7 @@ class FrameTable:
         self._count = size // self._word_bytes
         self._noun = "byte" if word_bits == BYTE_BITS else "word"
         self._words = struct.Struct(f"<{self._count}{'B' if word_bits == BYTE_BITS else 'H'}")
+        self._places: dict[str, Place] = {}  # those that were asked for
         self._framed: dict[str, tuple[Field, Layout]] = {}  # layouts that count from the frame's first word
         owner: dict[tuple[int, int], str] = {}
         if command is not None:
@@ -337,6 +338,12 @@ class FrameTable:
         16 or 32 bits; and, in frames of bytes, any value cut over consecutive bytes from bit 0. Any other raises
         TableError. Unnamed bits above a field's width in its word are not masked.
         """
+        found = self._places.get(name)
+        if found is None:
+            found = self._places[name] = self._place(name)
+        return found
+
+    def _place(self, name: str) -> Place:
         field, layout = self._find(name)
         own = {part.word for part in layout}
         shared = any(own & {part.word for part in other} for f, other in self._framed.values() if f is not field)

@@ -124,7 +124,8 @@ class Rig:
         An interrupt ends the run safely. Raises ConfigError or BoardError if it cannot start.
         """
         chosen: dict[str, Any] = dict(settings or {})
-        for name, value in (gains or {}).items():  # numpy's numbers, too; what is none is refused by the configuration
+        given: Mapping[str, object] = gains or {}
+        for name, value in given.items():  # numpy's numbers, too; what is none is refused by the configuration
             chosen[f"controller.gains.{name}"] = float(value) if isinstance(value, SupportsFloat) else value
         if estimator is not None:
             chosen["estimator.name"] = estimator

@@ -56,7 +56,6 @@ def test_the_file_is_what_the_format_says(tmp_path):
     assert answer == {"t": 0.00125, "dir": "in", "ep": 132, "hex": "00" * 504}
 
 
-@pytest.mark.untraced
 @given(st.lists(messages, max_size=5))
 def test_messages_keep_their_bytes_and_their_nanoseconds(tmp_path_factory, records):
     path = tmp_path_factory.mktemp("x") / "x.jsonl"

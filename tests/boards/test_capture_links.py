@@ -236,7 +236,6 @@ def test_notes_and_control_transfers_are_not_replayed():
     assert link.read(3) == b"ans"
 
 
-@pytest.mark.untraced
 def test_differences_beyond_the_list_are_counted():
     link = CaptureLink(capture_of(*[out(encode_send({}))] * 60))
     for _ in range(60):

@@ -14,7 +14,6 @@ def changed(frame, other):
     return {at for at in range(150) if frame[at] != other[at]}
 
 
-@pytest.mark.untraced
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(data=st.data())
 def test_settings_that_the_wiring_does_not_own_stay_as_the_board_has_them(new_usb_bench, data):

@@ -202,7 +202,6 @@ def test_a_stop_request_at_the_very_first_tick_is_obeyed():
     assert_only_safe_from_now_on(pipeline, tick)
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("flag", [BoardFlags.STALE, BoardFlags.SLOW])
 @pytest.mark.parametrize("phase", ACTIVE)
 def test_samples_that_cannot_be_trusted_change_neither_phase_nor_estimate_nor_wish(experiment, phase, flag):

@@ -42,7 +42,6 @@ def driven():
     return drive
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("engine", "links"),
     [("one-by-one", {"UsbLink"}), ("queued", {"QueuedUsbLink"}), ("faster", {"UsbLink", "QueuedUsbLink"})],

@@ -66,7 +66,6 @@ def test_over_pyusb_in_process(in_process, name):
     assert in_process.board.jtag_transfers == 0
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("speed", [Speed.HIGH], ids=["high"])
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_over_usbip(over_usbip, name):
@@ -91,7 +90,6 @@ def all_of(engine, task="all"):
         return client(engine, task, {"LD_PRELOAD": "libumockdev-preload.so.0", "UMOCKDEV_DIR": empty})
 
 
-@pytest.mark.untraced
 @real_libusb
 @pytest.mark.usefixtures("preload")
 @pytest.mark.parametrize("engine", ENGINES)
@@ -101,7 +99,6 @@ def test_over_real_libusb(engine, name):
     assert failure is None, failure
 
 
-@pytest.mark.untraced
 @real_libusb
 @pytest.mark.usefixtures("preload")
 @pytest.mark.parametrize("engine", ENGINES)

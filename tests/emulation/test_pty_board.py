@@ -140,7 +140,6 @@ def test_without_a_link_it_names_its_terminal():
     assert process.returncode == 0, stderr
 
 
-@pytest.mark.untraced
 def test_a_whole_stop_in_real_time_over_the_port_replays_without_a_difference(live, mock):
     run = live()
     code, card, stderr = run.end()
@@ -158,7 +157,6 @@ def test_a_whole_stop_in_real_time_over_the_port_replays_without_a_difference(li
     assert json.loads(replayed.stdout)["differing"] == 0
 
 
-@pytest.mark.untraced
 def test_a_loop_that_is_killed_leaves_the_port_to_the_guardian_who_makes_the_board_safe(live, mock):
     run = live()
     run.until_tick(TRIP_TICKS)
@@ -170,7 +168,6 @@ def test_a_loop_that_is_killed_leaves_the_port_to_the_guardian_who_makes_the_boa
     mock.until(lambda truth: truth["drive"] == truth["brake"] == 0.0)
 
 
-@pytest.mark.untraced
 def test_a_board_that_is_unplugged_in_a_run_is_said_loudly(live, mock):
     run = live()
     run.until_tick(TRIP_TICKS)
@@ -182,7 +179,6 @@ def test_a_board_that_is_unplugged_in_a_run_is_said_loudly(live, mock):
     assert "MOTOR POWER MAY STILL BE ON: press the emergency switch" in stderr
 
 
-@pytest.mark.untraced
 def test_a_board_that_is_not_there_is_said_in_words_and_nothing_is_started(tmp_path):
     process = subprocess.run(
         [COMMAND, "run", "--board", f"usb:{tmp_path}/nowhere", "--set", "profile=sim_usb"],

@@ -59,7 +59,6 @@ def check_list(speed):
     return run("check_list", speed)
 
 
-@pytest.mark.untraced
 @pytest.mark.xdist_group("real libusb")
 @pytest.mark.parametrize("name", CHECKS)
 def test_check(speed, name):
@@ -67,7 +66,6 @@ def test_check(speed, name):
     assert failure is None, failure
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("task", ["read_while_another_thread_writes", "unplug_during_a_blocked_read"])
 def test_threads(task, speed):
     assert run(task, speed) == {task: None}

@@ -134,7 +134,6 @@ def test_without_run_up_wheels_roll_at_the_start_speed_and_braking_begins_at_onc
     assert (trace.road_speed_rad_s[0], trace.slip[0], trace.brake[0]) == (40.0, pytest.approx(0.0, abs=1e-12), 0.7)
 
 
-@pytest.mark.untraced
 def test_the_ideal_estimator_knows_the_true_slip():
     stops = short_stops(config=configured("experiment.start_speed_rad_s=40", "estimator.name=ideal"), traced=[1])
     trace = stops.traces[1]

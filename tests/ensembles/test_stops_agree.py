@@ -25,7 +25,6 @@ def assert_same(trace, ticks):
         np.testing.assert_array_equal(getattr(trace, name), expected, err_msg=name)
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("run_up", [165.0, None])
 @pytest.mark.parametrize(
     ("population", "settings"),

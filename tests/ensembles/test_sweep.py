@@ -162,7 +162,6 @@ def rows():
     return sweep(grid(*settings), [parse_draws("hard:3-4"), parse_draws("rough:5")], run_up=False)
 
 
-@pytest.mark.untraced
 def test_every_configuration_brakes_every_range_of_draws(rows):
     names = ["steps on moving-window, first=0.3", "steps on moving-window, first=1.0", "relay on moving-window"]
     expected = [(draws, name) for draws in ("hard:3-4", "rough:5") for name in names]
@@ -205,7 +204,6 @@ def test_without_run_up_or_with_it_the_start_speed_is_the_configured_one():
     assert with_run_up["stop_time_s"][0] == pytest.approx(without["stop_time_s"][0], rel=0.1)
 
 
-@pytest.mark.untraced
 def test_the_table_has_the_best_first_and_fits_a_terminal(rows):
     console = Console(width=80, record=True, file=io.StringIO())
     console.print(render_sweep(rows))

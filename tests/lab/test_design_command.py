@@ -36,7 +36,6 @@ def design(tmp_path, monkeypatch, capsys):
     return run
 
 
-@pytest.mark.untraced
 def test_the_installed_command_ends_with_3_when_there_is_advice_and_with_2_when_it_is_used_wrongly():
     def run(*arguments):
         return subprocess.run([COMMAND, "design", *arguments], capture_output=True, text=True, timeout=60, check=False)

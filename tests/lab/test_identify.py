@@ -70,7 +70,6 @@ def true_values():
     }
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("name", true_values())
 def test_the_interval_holds_the_true_number(identified, name):
     estimate, slack = identified[1][name], 1.5  # 95 % is not always
@@ -101,7 +100,6 @@ def test_the_parameter_file_is_a_configuration_for_all_that_believes_in_a_model(
     assert model.identified.drive_no_load_speed_rad_s == estimates["drive_no_load_speed"]["value"]
 
 
-@pytest.mark.untraced
 def test_a_coast_down_alone_leaves_the_brake_unknown_which_is_named(sessions, capsys):
     out = sessions["coast"].with_name("coast.toml")
     assert identify(sessions["coast"], "--json", "-o", out) == 3
@@ -113,7 +111,6 @@ def test_a_coast_down_alone_leaves_the_brake_unknown_which_is_named(sessions, ca
     assert not {"c31", "w4", "b1"} & tomllib.loads(out.read_text())["model"]["identified"].keys()
 
 
-@pytest.mark.untraced
 def test_a_better_known_inertia_makes_the_interval_narrower(sessions, capsys):
     def half_width(*arguments):
         identify(sessions["coast"], "--json", *arguments)
@@ -124,7 +121,6 @@ def test_a_better_known_inertia_makes_the_interval_narrower(sessions, capsys):
     assert known == pytest.approx(half_width() / 5.0, rel=0.1)
 
 
-@pytest.mark.untraced
 def test_the_figure_shows_what_is_left(sessions, tmp_path):
     identify(sessions["coast"], "--figure", tmp_path / "left.png")
     assert (tmp_path / "left.png").stat().st_size > 10_000

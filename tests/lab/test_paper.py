@@ -24,7 +24,6 @@ def medians(report, condition, pairing=""):
     return row(report, condition, pairing)["median"]
 
 
-@pytest.mark.untraced
 def test_the_simulation_is_the_expected_one(report):
     simulation = report["simulation"]
     assert simulation["reaching_time_bound_s"] == pytest.approx(0.1682, abs=5e-5)

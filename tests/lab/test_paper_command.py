@@ -52,7 +52,6 @@ def table(path):
         return list(csv.DictReader(file))
 
 
-@pytest.mark.untraced
 def test_every_file_is_there_and_of_its_kind(told):
     folder, facts = told
     expected = {*TABLES, *(f"{name}.{suffix}" for name in FIGURES for suffix in MAGIC)}
@@ -153,7 +152,6 @@ def test_draws_out_of_range_are_wrong_usage(draws):
     assert "--draws" in done.stderr
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize(("package", "extra"), [("numba", "lab"), ("matplotlib", "figures")])
 def test_a_missing_extra_is_named_and_nothing_is_written(tmp_path, package, extra):
     done = python(f"import sys; sys.modules[{package!r}] = None; {COMMAND}", tmp_path)

@@ -104,7 +104,6 @@ def test_an_unsigned_draft_does_not_run(probe):
     assert "reading only" in run.stderr
 
 
-@pytest.mark.untraced
 def test_reading_steps_need_no_answers_and_the_rest_follows_later(probe, whole_script):
     first = probe("--virtual", "--yes-read-only", "--json")
     assert first.returncode == 0, first.stderr

@@ -421,7 +421,6 @@ class TestTheOthers:
         run.until_polled(10)
         assert run.words[Word.GUARDIAN_STOP] == 0
 
-    @pytest.mark.untraced
     @pytest.mark.parametrize(
         ("silent", "beating", "reason"),
         [

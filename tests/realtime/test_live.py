@@ -109,7 +109,6 @@ def test_ticks_come_once_each_and_at_most_a_hundred_a_second(memory, job, loop):
     assert memory.tick_reader().taken == 0
 
 
-@pytest.mark.untraced
 def test_the_channel_outlives_the_garbage_collector(memory, job, loop):
     with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
         loop.reach(viewer)

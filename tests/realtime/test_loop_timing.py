@@ -95,7 +95,6 @@ def test_the_recorded_times_add_up_to_the_time_that_passed(scripted_loop, with_f
     with_fake_time(run_with)
 
 
-@pytest.mark.untraced
 def test_the_real_stack_records_the_pauses_of_a_busy_computer(new_stack, fake_time):
     stack = new_stack(beats=PacedClock(PERIOD_NS))
     with stack.board:

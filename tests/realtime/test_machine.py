@@ -206,7 +206,6 @@ class TestProcesses:
             assert value
             assert (value == "default") == bool(refused)
 
-    @pytest.mark.untraced
     @every_process
     def test_every_refusal_says_what_to_do(self, prepared, wishes):
         settings, _ = prepared[wishes]

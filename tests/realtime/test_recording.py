@@ -220,7 +220,6 @@ def crash(new_memory, job_of):
 
 
 class TestWrappedRing:
-    @pytest.mark.untraced
     @pytest.mark.parametrize("extra", CUT_RECORDS, ids=len)
     @pytest.mark.parametrize("flushed", [EVERYTHING, 1300])
     def test_ticks_of_the_cut_file_and_of_the_ring_are_joined_without_gap_or_repeat(self, crash, flushed, extra):
@@ -487,7 +486,6 @@ def recording(new_memory, job_of, child, until):
 
 
 class TestRecorderProcess:
-    @pytest.mark.untraced
     def test_everything_that_the_loop_leaves_is_in_the_file_when_it_has_ended(self, recording, until):
         recording.ready()
         assert recording.job.path.exists()
@@ -555,7 +553,6 @@ class TestRecorderProcess:
         assert recording.process.wait(30) != 0
         assert "is a folder" in recording.memory.note(Note.RECORDER_FAILURE)["text"]
 
-    @pytest.mark.untraced
     def test_a_recorder_that_is_killed_loses_nothing_that_rebuild_does_not_find(self, recording, until):
         recording.ready()
         for part in range(3):
@@ -597,7 +594,6 @@ class TestDisk:
         recording.ticks(50)
         assert recording.memory.tick_reader().taken == 100
 
-    @pytest.mark.untraced
     def test_a_slow_disk_is_no_lost_recorder_and_no_lost_tick(self, new_memory, job_of, child, until):
         memory = new_memory(2000, 2000)
         slow = Recording(memory, job_of(memory), child, until, SLOW)
@@ -623,7 +619,6 @@ class TestDisk:
         until(lambda: recording.words[Word.TROUBLES], "it says so")
         return recording.memory.note(Note.TROUBLES)
 
-    @pytest.mark.untraced
     def test_a_disk_that_refuses_is_told_at_once_and_nothing_leaves_the_ring(self, recording, until):
         recording.ready()
         recording.ticks(100)
@@ -641,7 +636,6 @@ class TestDisk:
         assert "is gone" in result["trouble"]
         assert recording.session().payload == recording.payload
 
-    @pytest.mark.untraced
     def test_a_disk_that_goes_on_refusing_is_the_recorders_failure_and_the_ring_has_everything(
         self, recording, until, tmp_path
     ):
@@ -659,7 +653,6 @@ class TestDisk:
         assert (account.card["ticks"], session.payload) == (200, recording.payload)
         assert "died" not in session.metadata["session"]
 
-    @pytest.mark.untraced
     @pytest.mark.parametrize("killed", [False, True], ids=["whole", "killed later"])
     def test_the_second_place_has_everything_also_what_the_ring_has_not_any_more(
         self, new_memory, job_of, child, until, tmp_path, killed

@@ -87,7 +87,6 @@ def test_road_at_rest_stays_below_the_drives_breakaway(parameters):
     assert (plant.wheel_speed, plant.road_speed, plant.road_angle) == (0.0, 0.0, 0.0)
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("above", [1.1, 1.5, 2.0, 5.0])
 def test_both_wheels_roll_off_together_above_the_drives_breakaway(parameters, above):
     k = parameters

@@ -115,7 +115,6 @@ def test_a_second_signal_while_the_file_is_completed_is_harmless(
     assert outer_signals == []
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("patience_s", [0.0, LONG_S], ids=["at once", "late"])
 def test_a_second_signal_while_the_outputs_are_made_safe_does_not_keep_them_on(
     run, devices, replayed, at_phase, monkeypatch, outer_signals, patience_s

@@ -127,7 +127,6 @@ def test_what_if_says_that_open_loop_does_not_react_and_that_closed_loop_is_a_si
     assert "leaves the log by: road_speed_rad_s 0, slip 0, brake 0" in printed
 
 
-@pytest.mark.untraced
 def test_what_if_tells_a_line_for_each_wish_and_the_log_first_of_what_was_simulated(command, quick):
     sweep = ("what-if", quick.path, "--sweep", "controller.gains.Mk=2,20", "--closed-loop")
     wishes, _, simulated = command(*sweep)[1].partition("closed loop: a")[0].partition("simulated from there on")

@@ -137,7 +137,6 @@ def test_the_schema_knows_every_section(said):
     assert schema["$defs"]["GuardConfig"]["properties"]["brake_limit"]["maximum"] == 1.0
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("words", "offered"),
     [

@@ -76,7 +76,6 @@ def assert_left_nothing_behind(run):
     assert not run.memory.socket.exists()
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(3, 200))])
 def test_a_loop_that_is_killed_at_any_moment_leaves_safe_and_every_tick(live, replayed, seed):
     moment = random.Random(seed)
@@ -95,7 +94,6 @@ def test_a_loop_that_is_killed_at_any_moment_leaves_safe_and_every_tick(live, re
     assert_left_nothing_behind(run)
 
 
-@pytest.mark.untraced
 def test_a_loop_that_is_killed_leaves_no_raw_frames_and_the_session_says_so(live, replayed):
     run = live("--frames")
     run.until_tick(TURNING)
@@ -109,7 +107,6 @@ def test_a_loop_that_is_killed_leaves_no_raw_frames_and_the_session_says_so(live
     assert_left_nothing_behind(run)
 
 
-@pytest.mark.untraced
 def test_without_a_recorder_the_raw_frames_are_in_the_session_too(live, replayed):
     run = live("--frames")
     run.until_tick(TURNING)
@@ -121,7 +118,6 @@ def test_without_a_recorder_the_raw_frames_are_in_the_session_too(live, replayed
     assert not run.memory.frames.exists()
 
 
-@pytest.mark.untraced
 def test_a_loop_that_hangs_is_killed_by_the_guardian(live, replayed):
     run = live()
     run.until_tick(TURNING)
@@ -146,7 +142,6 @@ class Law:
 """
 
 
-@pytest.mark.untraced
 def test_a_controller_that_never_returns_is_ended_by_the_guardian(live, tmp_path):
     (tmp_path / "law.py").write_text(HANGING)
     run = live("--controller", "law.py:Law")
@@ -160,7 +155,6 @@ def test_a_controller_that_never_returns_is_ended_by_the_guardian(live, tmp_path
     assert_left_nothing_behind(run)
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("role", "reason", "number"),
     [
@@ -187,7 +181,6 @@ def test_without_guardian_or_recorder_the_loop_stops_safely(live, replayed, role
     assert_left_nothing_behind(run)
 
 
-@pytest.mark.untraced
 def test_without_supervisor_the_run_stops_safely_and_the_recorder_finishes_the_file(live, replayed):
     run = live()
     run.until_tick(TURNING)
@@ -201,7 +194,6 @@ def test_without_supervisor_the_run_stops_safely_and_the_recorder_finishes_the_f
     assert safe_after_ns(session, struck_ns) < GENEROUS_NS
 
 
-@pytest.mark.untraced
 def test_a_supervisor_that_is_stopped_counts_as_gone(live, replayed):
     run = live("--set", "experiment.start_speed_rad_s=90")
     run.until_tick(TURNING)
@@ -214,7 +206,6 @@ def test_a_supervisor_that_is_stopped_counts_as_gone(live, replayed):
     assert_left_nothing_behind(run)
 
 
-@pytest.mark.untraced
 def test_loop_and_guardian_killed_at_once_leave_the_supervisor(live, replayed):
     """Nobody is promised this: with all three gone only the emergency switch is left."""
     run = live()
@@ -229,7 +220,6 @@ def test_loop_and_guardian_killed_at_once_leave_the_supervisor(live, replayed):
     assert_left_nothing_behind(run)
 
 
-@pytest.mark.untraced
 def test_a_board_that_is_gone_is_said_loudly(live):
     run = live()
     run.until_tick(TURNING)
@@ -241,7 +231,6 @@ def test_a_board_that_is_gone_is_said_loudly(live):
     assert_left_nothing_behind(run)
 
 
-@pytest.mark.untraced
 def test_everything_killed_at_once_leaves_every_tick_in_memory(live, inteco_abs, replayed, tmp_path):
     run = live()
     run.until_tick(TURNING)
@@ -280,7 +269,6 @@ def test_whoever_dies_whenever_every_tick_is_kept(command_path, tmp_path, untrac
     assert any(each.kept for each in found)
 
 
-@pytest.mark.untraced
 def test_the_next_run_tells_of_what_a_crash_has_left(live, tmp_path):
     run = live()
     run.until_tick(TURNING)
@@ -297,7 +285,6 @@ def no_more_room(run, role):
     resource.prlimit(run.pid(role), resource.RLIMIT_FSIZE, (10_000, 10_000))
 
 
-@pytest.mark.untraced
 def test_a_disk_that_refuses_ends_no_run_and_the_file_is_made_from_memory(live, replayed):
     run = live()
     run.until_tick(TURNING)
@@ -310,7 +297,6 @@ def test_a_disk_that_refuses_ends_no_run_and_the_file_is_made_from_memory(live, 
     assert_left_nothing_behind(run)
 
 
-@pytest.mark.untraced
 def test_when_the_folder_vanishes_the_run_goes_on_and_its_session_is_in_the_second_place(live, replayed, tmp_path):
     spill = tmp_path / "spill"
     spill.mkdir()
@@ -326,7 +312,6 @@ def test_when_the_folder_vanishes_the_run_goes_on_and_its_session_is_in_the_seco
     assert_left_nothing_behind(run)
 
 
-@pytest.mark.untraced
 def test_a_disk_that_goes_on_refusing_leaves_the_ticks_in_memory(live, inteco_abs, replayed, tmp_path):
     run = live()
     run.until_tick(TURNING)
@@ -344,7 +329,6 @@ def test_a_disk_that_goes_on_refusing_leaves_the_ticks_in_memory(live, inteco_ab
 
 
 # realtime.hearing gives all of them one handler in one loop; SIGINT comes from a keyboard below
-@pytest.mark.untraced
 @pytest.mark.parametrize(
     "number",
     [
@@ -384,7 +368,6 @@ def terminal():
     os.close(theirs)
 
 
-@pytest.mark.untraced
 def test_control_c_twice_ends_in_safe_once(live, replayed, terminal):
     keyboard, _, options = terminal
     run = live(**options)
@@ -398,7 +381,6 @@ def test_control_c_twice_ends_in_safe_once(live, replayed, terminal):
     assert_left_nothing_behind(run)
 
 
-@pytest.mark.untraced
 def test_a_terminal_that_is_closed_ends_the_run_safely(live, replayed, terminal):
     _, close, options = terminal
     run = live(**options)

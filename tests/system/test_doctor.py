@@ -11,7 +11,6 @@ ALWAYS = {
 }  # fmt: skip
 
 
-@pytest.mark.untraced
 def test_the_doctor_gives_every_finding_as_json(inteco_abs, tmp_path):
     run = inteco_abs(*QUICK, "--json")
     report = json.loads(run.stdout)
@@ -46,7 +45,6 @@ def test_the_files_to_install_come_alone_ready_for_tee(main_here, option):
     assert {"rules": 'TAG+="uaccess"', "limits": "memlock unlimited"}[option] in alone.stdout
 
 
-@pytest.mark.untraced
 def test_what_lies_in_the_users_folder_is_not_run(inteco_abs, tmp_path):
     (tmp_path / "json.py").write_text("raise SystemExit(9)\n")
     wakes = json.loads(inteco_abs(*QUICK, "--json").stdout)["findings"][-1]

@@ -40,7 +40,6 @@ def run_with(command_path, tmp_path, untraced):
     return start
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("statement", ["os.fork()", "os.fork() and time.sleep(0)"])
 def test_a_forked_controller_makes_no_second_host(run_with, statement):
     run, code, card, message = run_with(statement)
@@ -51,7 +50,6 @@ def test_a_forked_controller_makes_no_second_host(run_with, statement):
     assert card["link_errors"] == 0
 
 
-@pytest.mark.untraced
 def test_the_parent_of_a_fork_that_leaves_is_a_death(run_with):
     run, code, card, message = run_with("os.fork() and os._exit(0)")
     assert (code, card["outcome"]) == (5, "aborted"), message
@@ -60,7 +58,6 @@ def test_the_parent_of_a_fork_that_leaves_is_a_death(run_with):
     assert len(session.ticks) == run.ticks.written
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("kind", ["threading.Thread", "multiprocessing.Process"])
 def test_what_a_controller_leaves_running_does_not_hold_the_end(run_with, kind):
     run, code, card, message = run_with(f"{kind}(target=time.sleep, args=(600,)).start()")
@@ -72,7 +69,6 @@ def test_what_a_controller_leaves_running_does_not_hold_the_end(run_with, kind):
     assert run.session().incomplete == ""
 
 
-@pytest.mark.untraced
 def test_an_error_with_a_book_for_its_text_is_the_controllers_all_the_same(run_with):
     run, code, card, _ = run_with("raise ValueError('long ' * 50_000)")
     assert (code, card["outcome"], card["reason"]) == (5, "fault", "CONTROLLER_ERROR")

@@ -10,7 +10,6 @@ from inteco_abs.views.report.cautions import warnings_of
 QUICK = ("-q", "--set", "experiment.start_speed_rad_s=20")
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("fault", "code", "words"),
     [

@@ -109,7 +109,6 @@ def test_without_a_name_the_session_lands_in_the_sessions_folder(rig, tmp_path, 
     assert rig.run_stop().path.parent.name == "sessions"
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("wrong", "error", "words"),
     [

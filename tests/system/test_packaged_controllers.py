@@ -104,7 +104,6 @@ def recorded(command_path, tmp_path_factory):
     return folder / "stop.mcap", run.stdout
 
 
-@pytest.mark.untraced
 def test_it_runs_by_its_name_and_is_kept_with_package_gains_and_source(recorded):
     path, printed = recorded
     assert json.loads(printed)["controller"] == "threshold"
@@ -121,7 +120,6 @@ def test_a_replay_finds_it_by_the_name_in_the_session(inteco_abs, site, recorded
     assert again.stderr == "imported\n"
 
 
-@pytest.mark.untraced
 def test_a_replay_without_the_package_is_refused_with_its_name(inteco_abs, recorded):
     without = inteco_abs("replay", recorded[0], check=2)
     assert "'threshold' of the package abs-threshold 1.2, which is not installed" in without.stderr
@@ -240,7 +238,6 @@ def test_a_broken_one_is_refused_with_its_reason(here, source, words):
     assert words in problem
 
 
-@pytest.mark.untraced
 def test_a_broken_one_is_listed_as_broken_and_hinders_no_other(inteco_abs, site):
     site.install()
     site.install("abs-broken", "0.1", ["broken = broken_law:Law", "worse = 7"], broken_law="import no_such_module\n")

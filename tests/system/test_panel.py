@@ -151,7 +151,6 @@ IN_SHORT = {"Ctrl-C", "window closed", "board's process killed"}
 """The others take the same ways: q that of Ctrl-C, SIGTERM that of a hang-up, and a killed run's loop ends likewise."""
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("how", [pytest.param(how, marks=() if how in IN_SHORT else pytest.mark.long) for how in ENDS])
 def test_however_it_ends_the_outputs_are_off_and_read_back(terminal, how):
     end, code = ENDS[how]
@@ -169,7 +168,6 @@ def test_however_it_ends_the_outputs_are_off_and_read_back(terminal, how):
         one.until_shown("the board has confirmed that both outputs are off")
 
 
-@pytest.mark.untraced
 def test_what_the_guard_has_taken_away_comes_back_by_arming_anew_and_by_nothing_less(terminal):
     one = terminal("--outputs", "--set", "guard.over_speed_rad_s=20", "--set", "experiment.start_speed_rad_s=15")
     one.drive()
@@ -255,7 +253,6 @@ def drive_of(memory):
     return float(TRUTH.array(memory.truth_reader().newest())[0]["drive"])
 
 
-@pytest.mark.untraced
 def test_outputs_of_a_profile_that_nobody_has_signed_are_refused():
     unsigned = load_config(settings=['board.verified_by=""'])
     with pytest.raises(ReadOnlyError, match="nobody has verified"), by_hand(unsigned, "sim:", outputs=True):

@@ -224,7 +224,6 @@ def test_r_and_then_y_end_it_to_begin_anew(stage):
         assert wanted in shown[0]
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("key", ["space", "enter", "r", "escape", "q"])
 def test_any_other_answer_leaves_it_as_it_is(stage, key):
     scene = stage()

@@ -44,7 +44,6 @@ def test_a_loop_that_is_killed_leaves_safe_behind(command_path, tmp_path, untrac
         run.memory.remove()
 
 
-@pytest.mark.untraced
 def test_without_a_board_the_command_says_where_it_looked(inteco_abs, tmp_path):
     run = inteco_abs("run", "--board", "pci:7f:1f.7", "--out", "stop.mcap")
     assert run.returncode == 1

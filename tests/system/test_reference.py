@@ -68,7 +68,6 @@ def texts_of_the_product():
                 yield node.value
 
 
-@pytest.mark.untraced
 def test_every_message_that_is_quoted_is_still_in_the_product():
     quoted = re.findall(r"^> (?!\*\*)(.+)$", TROUBLE, re.MULTILINE)
     texts = [re.sub(r"\s+", " ", text) for text in texts_of_the_product()]

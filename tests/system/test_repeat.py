@@ -31,7 +31,6 @@ class Law:
 """
 
 
-@pytest.mark.untraced
 def test_each_stop_is_that_of_run_with_its_own_seed(main_here, tmp_path):
     told = json.loads(main_here("repeat", 3, *QUICK, "--seed", 5, "-o", "series", "--json", check=0).stdout)
     for number in range(3):

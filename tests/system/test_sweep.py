@@ -32,7 +32,6 @@ class Own:
 """
 
 
-@pytest.mark.untraced
 def test_controllers_gains_and_estimators_are_compared_on_populations(inteco_abs, tmp_path):
     (tmp_path / "own.py").write_text(OWN)
     run = inteco_abs(
@@ -63,7 +62,6 @@ def test_controllers_gains_and_estimators_are_compared_on_populations(inteco_abs
     assert (tmp_path / "rms.svg").read_text().startswith("<?xml")
 
 
-@pytest.mark.untraced
 def test_stops_that_fail_are_told_and_the_others_scored(inteco_abs, tmp_path):
     (tmp_path / "own.py").write_text(OWN)
     run = inteco_abs("sweep", *QUICK, "--controller", "own.py:Own", "--set", "controller.gains.duty=0.5,0.8", check=3)
@@ -124,7 +122,6 @@ def test_a_narrow_terminal_takes_no_name_and_no_digit_away(monkeypatch, tmp_path
     assert "…" not in printed
 
 
-@pytest.mark.untraced
 def test_the_processes_of_a_sweep_end_with_the_command_that_was_killed(tmp_path):
     (tmp_path / "own.py").write_text(OWN)
     code = "from inteco_abs.cli import main; main()"
@@ -164,7 +161,6 @@ class Law:
 """
 
 
-@pytest.mark.untraced
 def test_ctrl_c_ends_the_workers_whatever_they_do(command_path, tmp_path):
     (tmp_path / "law.py").write_text(HANGING)
     sweep = subprocess.Popen(

@@ -41,7 +41,6 @@ def test_formats_are_those_that_are_tested():
     assert set(FORMATS) == set(MAGIC)
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("suffix", MAGIC)
 def test_the_file_is_what_its_name_says(session, tmp_path, suffix):
     path = tmp_path / f"stop.{suffix}"

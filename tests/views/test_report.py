@@ -128,7 +128,6 @@ class TestPage:
 
 @pytest.mark.usefixtures("without_matplotlib")
 class TestOddSessions:
-    @pytest.mark.untraced
     def test_one_tick_of_a_real_rig_is_a_page_with_plots(self, session):
         one = page_of(replace(session, ticks=session.ticks[:1], truth=session.truth[:0]))
         assert "The run ended before braking" in one.words
@@ -183,7 +182,6 @@ class TestVerb:
         (tmp_path / "notes.txt").write_text("text")
         return tmp_path
 
-    @pytest.mark.untraced
     def test_several_sessions_are_a_comparison(self, verb, here):
         done = verb("report", "stop.mcap", "gains.mcap")
         assert (done.code, done.out, done.err) == (0, "", "report: comparison.html\n")

@@ -77,7 +77,6 @@ def test_what_float32_cannot_hold_stays_finite(value):
     assert np.sign(few[1]) == np.sign(value)
 
 
-@pytest.mark.untraced
 def test_nothing_stays_nothing():
     few = thin({"x": np.zeros(0)}, np.zeros(0), np.zeros(0, bool), 10)
     assert len(few.time_s) == len(few.columns["x"]) == 0
