@@ -147,6 +147,7 @@ def test_the_effective_configuration_of_every_profile_survives_its_text(name):
     assert_survives(load_config(settings=[f"profile={name}"]))
 
 
+@pytest.mark.untraced
 @given(
     brake_limit=st.floats(0.0, 1.0, exclude_min=True),
     window_s=st.floats(0.001, 0.5),

@@ -56,6 +56,7 @@ def test_the_file_is_what_the_format_says(tmp_path):
     assert answer == {"t": 0.00125, "dir": "in", "ep": 132, "hex": "00" * 504}
 
 
+@pytest.mark.untraced
 @given(st.lists(messages, max_size=5))
 def test_messages_keep_their_bytes_and_their_nanoseconds(tmp_path_factory, records):
     path = tmp_path_factory.mktemp("x") / "x.jsonl"
@@ -108,6 +109,7 @@ def test_a_wrong_line_is_named_with_its_value(record, word):
     assert word in str(refusal.value)
 
 
+@pytest.mark.untraced
 @given(st.text(max_size=60) | st.recursive(st.none() | st.integers() | st.text(), st.lists).map(json.dumps))
 def test_any_line_is_a_record_or_one_clear_error(line):
     for given_lines in ([line], [json.dumps(HEAD), line]):

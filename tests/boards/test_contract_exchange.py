@@ -17,6 +17,7 @@ class TestExchange:
         assert sample.dt_s == bench.config.period_ns / 1e9
         assert sample.board_flags is BoardFlags.NONE
 
+    @pytest.mark.untraced
     def test_driving_turns_both_wheels_and_the_counts_follow_them(self, new_bench):
         bench = new_bench(seed=11)
         road_start, wheel_start = bench.device.counts()
@@ -30,6 +31,7 @@ class TestExchange:
         for counts in ([s.wheel_count for s in samples], [s.road_count for s in samples]):
             assert counts == sorted(counts)
 
+    @pytest.mark.untraced
     def test_braking_slows_the_wheels_down(self, new_bench):
         bench = new_bench()
         with bench.board:

@@ -36,6 +36,7 @@ def since_the_first(readings):
     return [tuple(now - then for now, then in zip(reading, start, strict=True)) for reading in readings]
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("name", ["hard:17", "rough:0", "slow:3", "capped:8", "nominal:1"])
 def test_the_plant_is_the_drawn_one_with_each_command_from_the_instant_of_its_write(new_mock, name):
     truths = []
@@ -75,6 +76,7 @@ def test_each_reading_has_noise_of_its_own_also_at_one_instant(new_mock):
     assert len(set(at_rest)) > len({road for road, _ in at_rest})
 
 
+@pytest.mark.untraced
 def test_another_power_up_of_the_same_rig_has_other_noise_and_the_same_physics(new_mock):
     mocks = [new_mock(RIG, seed=seed) for seed in (0, 1, 2**64 + 1)]
     paths = [since_the_first(list(exchanges(mock))) for mock in mocks]
@@ -83,6 +85,7 @@ def test_another_power_up_of_the_same_rig_has_other_noise_and_the_same_physics(n
     assert len({(mock.device.plant.road_angle, mock.device.plant.wheel_angle) for mock in mocks}) == 1
 
 
+@pytest.mark.untraced
 def test_an_encoder_the_other_way_round_counts_down(new_mock):
     ways = [new_mock(RIG, cable=Cable(road_sign=sign)) for sign in (1, -1)]
     forwards, backwards = (since_the_first(list(exchanges(mock))) for mock in ways)

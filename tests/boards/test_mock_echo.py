@@ -65,6 +65,7 @@ def test_settings_are_echoed_in_the_encoding_of_the_read_frame(mock, wire, pair)
     }
 
 
+@pytest.mark.untraced
 @given(words=st.lists(st.integers(0, 0x7FFF), min_size=251, max_size=251))
 def test_every_setting_of_any_frame_is_echoed(new_mock, wire, words):
     mock, frame = new_mock(), wire.frame(dict(enumerate(words, 1)))

@@ -23,6 +23,7 @@ def test_a_timer_counts_at_20_mhz(mock, elapsed_ns, ticks):
     assert timers(mock) == (ticks, ticks)
 
 
+@pytest.mark.untraced
 @given(elapsed_ns=st.integers(0, 10**13))
 def test_a_timer_wraps_at_32_bits(new_mock, elapsed_ns):
     mock = started(new_mock())

@@ -239,6 +239,7 @@ class TestSafe:
         bench.board.rescue(struct.pack("<8I", *(word for write in left for word in write)))
         assert bench.steps[:5] == [*left, VERSION]
 
+    @pytest.mark.untraced
     def test_two_faults_at_any_two_moments_of_the_end_never_leave_an_output_on(self, new_pci_bench):
         pairs = 0
         for one, other in combinations(range(30), 2):

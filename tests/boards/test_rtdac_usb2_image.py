@@ -24,6 +24,7 @@ def owned_by_default(earlier):
     }
 
 
+@pytest.mark.untraced
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(earlier=st.fixed_dictionaries(SETTINGS))
 def test_settings_that_the_wiring_does_not_own_stay_as_the_board_has_them(new_usb2_bench, earlier):
@@ -92,6 +93,7 @@ def test_another_wiring_owns_other_channels(new_usb2_bench):
     assert {name: sent[name] for name in expected} == expected
 
 
+@pytest.mark.untraced
 @given(commands=st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)), min_size=1, max_size=20))
 def test_in_a_run_only_the_two_widths_and_the_number_change_and_it_ends_as_it_began(new_usb2_bench, commands):
     bench = new_usb2_bench(earlier={"pin_output": 0x155, "da1_output": 77})

@@ -51,6 +51,7 @@ def test_the_header_names_logic_and_application(mock):
     assert answer[2:8] == b"\0MISBA"
 
 
+@pytest.mark.untraced
 @given(data=st.data(), logic=st.sampled_from(sorted(LOGICS)))
 def test_every_setting_of_any_frame_is_echoed(data, logic):
     sent = data.draw(settings_of(logic))
@@ -171,6 +172,7 @@ class TestByteStream:
         assert cut.face.rejected == whole.face.rejected
         assert cut.face.device.settings == whole.face.device.settings
 
+    @pytest.mark.untraced
     @given(script=st.lists(whole_messages))
     def test_whole_messages_arrive_as_they_were_sent(self, script):
         twin, stream = Mock().face, ByteStream(Mock().face)

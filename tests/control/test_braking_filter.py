@@ -138,6 +138,7 @@ def test_a_ripple_of_the_load_over_a_turn_is_found_bit_by_bit(stop, phase):
         assert math.remainder(math.atan2(cosine, sine) - phase, math.tau) == pytest.approx(0.0, abs=0.25)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("step", [-0.15, 0.15])
 def test_a_step_of_the_roads_grip_is_followed_within_20_ms(stop, step):
     moments = stop(quiet(grip_step=step, grip_step_after_s=0.5))

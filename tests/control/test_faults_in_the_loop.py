@@ -82,6 +82,7 @@ def test_a_fault_takes_the_outputs_away_in_time_and_with_its_reason(experiment, 
     assert 0 <= (last.time_ns - fault.since.time_ns) * 1e-9 <= within_s
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("after", [20, 150])
 def test_a_frozen_wheel_encoder_while_braking_is_taken_for_a_locked_wheel_and_the_run_still_ends(experiment, after):
     moments = experiment(*QUICK).run(tamper=Fault(Phase.BRAKING, after, frozen_wheel))

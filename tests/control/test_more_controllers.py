@@ -121,6 +121,7 @@ class TestSmithRelay:
         released = next(n for n in range(1000) if relay.update(seen(0.0), 0.001).brake == 0.0)
         assert released == pytest.approx(0.2 / 0.011, abs=2)
 
+    @pytest.mark.untraced
     @given(st.lists(st.floats(0.0, 0.4), min_size=60, max_size=200))
     def test_a_command_is_forgotten_once_it_has_acted(self, slips):
         relay = self.make()

@@ -159,6 +159,7 @@ def test_drive_and_brake_are_never_on_together_nor_in_the_wrong_phase(quick_run)
     assert (first.drive, first.brake) == Command.SAFE
 
 
+@pytest.mark.untraced
 def test_the_nominal_stop_has_the_expected_quality(nominal_run):
     braking = [moment for moment in nominal_run if moment.tick.phase is Phase.BRAKING]
     begin_s = braking[0].tick.time_ns * 1e-9
@@ -202,6 +203,7 @@ def test_a_stop_request_at_the_very_first_tick_is_obeyed():
     assert_only_safe_from_now_on(pipeline, tick)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("flag", [BoardFlags.STALE, BoardFlags.SLOW])
 @pytest.mark.parametrize("phase", ACTIVE)
 def test_samples_that_cannot_be_trusted_change_neither_phase_nor_estimate_nor_wish(experiment, phase, flag):

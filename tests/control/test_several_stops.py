@@ -119,12 +119,14 @@ def test_the_brake_is_held_after_every_stop_as_long_as_configured(three):
         assert {tick.brake for tick in stop[Phase.STOPPED]} == {stop[Phase.STOPPED][0].brake}
 
 
+@pytest.mark.untraced
 def test_stops_without_a_hold_follow_one_another_too(played):
     moments = played(3, "experiment.hold_s=0.0")
     assert {moment.tick.reason for moment in moments} == {Reason.NONE}
     assert len(stops_of(moments)) == 3
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_every_shipped_controller_makes_the_same_stop_again(experiment, controller):
     moments = experiment(*QUICK, "experiment.stops=2", f"controller.name={controller}").run()

@@ -56,6 +56,7 @@ def test_it_says_which_rig_is_drawn_for_it():
         assert what.startswith("mock RT-DAC/USB2 with rig rough:3 04b4:8613, serial number 900000007, at ")
 
 
+@pytest.mark.untraced
 def test_the_driver_runs_the_rig_in_it_over_usbip(served):
     _, (what, *_) = served
     host, port = re.search(r"at (\S+):(\d+)", what).groups()

@@ -18,6 +18,7 @@ COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
 TOLD = {"idVendor": "04b4", "idProduct": "8613", "manufacturer": "InTeCo", "product": "RT-DAC/USB2", "serial": "77"}
 
 
+@pytest.mark.untraced
 @pytest.mark.usefixtures("preload")
 @pytest.mark.xdist_group("real libusb")
 def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_it(tmp_path):

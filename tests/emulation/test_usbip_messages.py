@@ -362,6 +362,7 @@ def test_large_transfers_both_ways(server):
     peer.ask(submit(3, IN, 4, len(data)), returned(3, 0, len(data), data))
 
 
+@pytest.mark.untraced
 def test_silent_visitors_have_to_go(serve, host, monkeypatch):
     monkeypatch.setattr("inteco_abs.mock_board.usbip._PATIENCE_S", 0.05)
     with serve(host) as (_, address):

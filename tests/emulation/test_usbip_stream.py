@@ -2,6 +2,7 @@
 
 import struct
 
+import pytest
 from drill import new_host
 from hypothesis import given
 from hypothesis import strategies as st
@@ -55,6 +56,7 @@ def answers(pieces):
     return b"".join(heard), False
 
 
+@pytest.mark.untraced
 @given(streams, st.integers(1, 100))
 def test_commands_in_pieces(data, size):
     whole = answers([data])

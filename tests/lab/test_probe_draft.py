@@ -98,6 +98,7 @@ def test_a_draft_edited_into_nonsense_is_refused_with_its_key(lab):
         lab.session()
 
 
+@pytest.mark.untraced
 def test_results_are_kept_beside_the_draft(lab):
     lab.all_done()
     kept = json.loads((lab.file.parent / "lab.probe.json").read_text())

@@ -19,6 +19,7 @@ def at(lab, scripts):
     return prepare
 
 
+@pytest.mark.untraced
 def test_the_dead_zone_is_found(lab, at):
     at("motors").go(only="motors")
     found = lab.draft.results["motors"]
@@ -44,6 +45,7 @@ def test_a_board_that_does_not_take_the_mode_fails_the_echo_test(lab, at):
     assert lab.outcomes()["echo"] == "failed"
 
 
+@pytest.mark.untraced
 def test_an_emergency_switch_that_does_not_cut_is_noticed(lab, at):
     walk = at("motors", switch=lambda device: lambda _on: device.power(on=True))
     with pytest.raises(ProbeError, match="although the emergency switch is pressed"):
@@ -64,6 +66,7 @@ def test_swapped_pwm_channels_show_as_a_drive_that_does_nothing(lab, at):
     assert lab.bench.device.duties == (0.0, 0.0)
 
 
+@pytest.mark.untraced
 def test_a_brake_that_is_not_there_is_noticed_at_the_limit(lab, at):
     walk = at("motors", "simulation.brake_pwm=3")
     with pytest.raises(ProbeError, match=r"the brake did nothing up to 0\.70"):
@@ -71,6 +74,7 @@ def test_a_brake_that_is_not_there_is_noticed_at_the_limit(lab, at):
     assert lab.bench.device.duties == (0.0, 0.0)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize(("key", "name"), [("road_sign", "lower"), ("wheel_sign", "upper")])
 def test_a_wheel_that_was_turned_the_wrong_way_round_is_found_out_by_the_drive(lab, scripts, key, name):
     lab.done_until("wheels", [f"simulation.{key}=-1"])

@@ -128,6 +128,7 @@ def test_a_signal_while_outputs_are_on_ends_in_safe(lab, scripts, step, number):
     assert lab.draft.config.board.verified_by == ""
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("step", ["echo", "motors"])
 def test_a_link_that_fails_for_a_while_ends_in_safe(lab, scripts, step):
     lab.done_until(step)

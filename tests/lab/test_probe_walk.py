@@ -25,6 +25,7 @@ def wiring(config):
     )
 
 
+@pytest.mark.untraced
 def test_a_vendors_rig_is_commissioned_from_end_to_end(lab, whole_script):
     lab.session(*whole_script).go()
     config = load_config(profile=str(lab.file))
@@ -59,6 +60,7 @@ def test_a_signed_draft_opens_the_board_for_output(lab):
         assert not board.identity.read_only_because
 
 
+@pytest.mark.untraced
 def test_the_unsigned_draft_opens_it_for_reading_only(lab):
     lab.done_until("sign")
     with lab.bench.open(load_config(profile=str(lab.file))) as board:

@@ -23,6 +23,7 @@ def test_wide_settings_are_cut_at_16_bits_on_read_and_at_15_on_send(name, word, 
     assert sent[word : word + 2] == [value % 2**15, value // 2**15]
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("channel", range(8))
 @settings(deadline=None)
 @given(prescaler=st.integers(0, 2**16 - 1), mode=st.integers(0, 1))

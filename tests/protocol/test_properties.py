@@ -29,6 +29,7 @@ def test_the_board_understands_every_value_the_host_sends(values):
     assert decode_send(encode_send(values)) == {**decode_send(encode_send({})), **values}
 
 
+@pytest.mark.untraced
 @whole_table
 @given(values=values_of(READ))
 def test_the_host_reads_every_value_the_board_answers(values):

@@ -331,6 +331,7 @@ class TestDeath:
         assert run.words[Word.GUARDING_PID] == 0
         run.guard(child().pid)
 
+    @pytest.mark.untraced
     def test_after_one_rescue_it_guards_the_next_process(self, run, child):
         for _ in range(3):
             process = child()
@@ -421,6 +422,7 @@ class TestTheOthers:
         run.until_polled(10)
         assert run.words[Word.GUARDIAN_STOP] == 0
 
+    @pytest.mark.untraced
     @pytest.mark.parametrize(
         ("silent", "beating", "reason"),
         [

@@ -26,6 +26,7 @@ def test_the_run_goes_through_all_phases(new_stack, whole_run):
     assert set(rows["board_flags"].tolist()) == {BoardFlags.NONE}
 
 
+@pytest.mark.untraced
 @settings(max_examples=12)
 @given(lengths=st.lists(st.integers(0, 400), min_size=1, max_size=20).filter(any))
 def test_slices_give_the_same_records_as_one_run(new_stack, whole_run, lengths):

@@ -198,6 +198,7 @@ the_guardian = pytest.mark.parametrize("wishes", ["guardian_wishes"])
 
 
 class TestProcesses:
+    @pytest.mark.untraced
     @every_process
     def test_every_wish_is_reported_with_its_value_or_why_not(self, prepared, wishes):
         settings, _ = prepared[wishes]
@@ -206,6 +207,7 @@ class TestProcesses:
             assert value
             assert (value == "default") == bool(refused)
 
+    @pytest.mark.untraced
     @every_process
     def test_every_refusal_says_what_to_do(self, prepared, wishes):
         settings, _ = prepared[wishes]

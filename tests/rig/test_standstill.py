@@ -71,6 +71,7 @@ def test_both_wheels_at_rest_stay_at_exactly_zero(parameters):
     assert (plant.wheel_speed, plant.road_speed, plant.wheel_angle, plant.road_angle) == (0.0, 0.0, 0.0, 0.0)
 
 
+@pytest.mark.untraced
 def test_a_stop_ends_at_exactly_zero_and_stays_there(parameters):
     plant = Plant(parameters, 10.0, 10.0)
     plant.advance(0.0, 0.6, 1.0)
@@ -87,6 +88,7 @@ def test_road_at_rest_stays_below_the_drives_breakaway(parameters):
     assert (plant.wheel_speed, plant.road_speed, plant.road_angle) == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("above", [1.1, 1.5, 2.0, 5.0])
 def test_both_wheels_roll_off_together_above_the_drives_breakaway(parameters, above):
     k = parameters
@@ -116,6 +118,7 @@ def test_road_at_rest_gives_way_to_a_spinning_wheel_unless_held(mask, paper_of, 
     assert accelerations(x1, 0.0, 0.0, 0.0, stiff).road_acceleration == 0.0
 
 
+@pytest.mark.untraced
 def test_locked_wheel_holds_the_road_against_the_drive(parameters):
     plant = Plant(parameters, 0.0, 0.0)
     plant.advance(0.0, 1.0, 0.5)

@@ -16,6 +16,7 @@ def message(channel, size, number):
     return struct.pack("<BQ", Opcode.MESSAGE, len(content)) + content
 
 
+@pytest.mark.untraced
 @given(MESSAGES, st.booleans())
 def test_runs_are_the_messages_in_order(groups, between):
     written = []

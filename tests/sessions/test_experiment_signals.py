@@ -94,6 +94,7 @@ def test_a_second_signal_at_once_is_harmless(run, devices, replayed, at_phase, o
     assert outer_signals == []
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("patience_s", [0.0, LONG_S], ids=["at once", "late"])
 def test_a_second_signal_while_the_file_is_completed_is_harmless(
     run, devices, replayed, at_phase, monkeypatch, outer_signals, patience_s
@@ -115,6 +116,7 @@ def test_a_second_signal_while_the_file_is_completed_is_harmless(
     assert outer_signals == []
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("patience_s", [0.0, LONG_S], ids=["at once", "late"])
 def test_a_second_signal_while_the_outputs_are_made_safe_does_not_keep_them_on(
     run, devices, replayed, at_phase, monkeypatch, outer_signals, patience_s
@@ -150,6 +152,7 @@ class Hanging:
             time.sleep(LONG_S)
 
 
+@pytest.mark.untraced
 def test_a_second_late_signal_breaks_into_a_controller_that_never_returns(
     run, devices, replayed, tmp_path, outer_signals
 ):

@@ -107,6 +107,7 @@ def test_a_file_cut_anywhere_never_gives_a_wrong_tick(reading, chunked):
     assert variants.incomplete > 30
 
 
+@pytest.mark.untraced
 def test_a_cut_file_keeps_the_ticks_of_every_whole_chunk(reading, container, chunked):
     variants = reading(chunked)
     middles = [(record.at + record.end) // 2 for record in container.split(variants.data) if record.opcode == CHUNK]

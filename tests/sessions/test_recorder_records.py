@@ -147,6 +147,7 @@ def test_source_of_a_users_controller_is_attached(run):
     assert session.metadata["controller"]["source_sha256"] == hashlib.sha256(source).hexdigest()
 
 
+@pytest.mark.untraced
 def test_what_explains_the_run_comes_before_the_first_tick(chunked):
     records = records_of(chunked.path)
     before = records[: ticks_of(records)[0]]

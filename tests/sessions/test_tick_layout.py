@@ -112,6 +112,7 @@ def test_numpy_reads_the_same_bits_and_packing_them_again_changes_nothing(values
     assert TICK.pack(row) == data
 
 
+@pytest.mark.untraced
 @given(messages=st.lists(rows(TICK), min_size=2, max_size=4))
 def test_messages_back_to_back_are_rows_of_one_array(messages):
     data = b"".join(map(TICK.pack, messages))

@@ -3,6 +3,8 @@ import signal
 import subprocess
 import time
 
+import pytest
+
 HANGING = """
 class Law:
     gains = ()
@@ -16,6 +18,7 @@ class Law:
 """
 
 
+@pytest.mark.untraced
 def test_a_controller_that_never_returns_is_broken_into_by_a_second_signal(command_path, inteco_abs, tmp_path):
     (tmp_path / "law.py").write_text(HANGING)
     process = subprocess.Popen(

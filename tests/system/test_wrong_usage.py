@@ -113,6 +113,7 @@ def test_wrong_usage_gets_one_clear_answer(answers, row):
     answers.to(row)
 
 
+@pytest.mark.untraced
 @pytest.mark.parametrize("name", ["nearly a verb", "a decimal comma", "questions that nobody answers"])
 def test_the_installed_command_answers_and_ends_likewise(inteco_abs, answers, name):
     (row,) = (row for row in ROWS if row.name == name)

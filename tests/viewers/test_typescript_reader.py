@@ -50,6 +50,7 @@ def opened(path, in_typescript):
     return read_session(path), in_typescript(path)
 
 
+@pytest.mark.untraced
 def test_messages_are_as_many(opened):
     session, theirs = opened
     expected = {TICK.topic: len(session.ticks), "/abs/event": session.events, "/abs/params": 1}
