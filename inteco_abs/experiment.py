@@ -6,7 +6,7 @@ import os
 import sys
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -22,6 +22,7 @@ from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline
 from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
 from inteco_abs.mock_board import (
     BY_PROCESS,
+    CLOCK_STEP,
     Device,
     Face,
     Fault,
@@ -153,12 +154,14 @@ def _check_faults(plan: Plan) -> None:
         problem = f"{plan.board} is a real board, and breaks by itself; only sim: can be told"
         raise ConfigError([Mistake("--inject", problem)])
     if plan.virtual:
+        impossible: Collection[str] = BY_PROCESS
         problem = "a run in virtual time has no such process; leave --virtual out"
-        mistakes = [
-            Mistake("--inject", f"{fault.name}: {problem}") for fault in plan.faults if fault.name in BY_PROCESS
-        ]
-        if mistakes:
-            raise ConfigError(mistakes)
+    else:
+        impossible = {CLOCK_STEP}
+        problem = "nobody's real clock is set; add --virtual"
+    mistakes = [Mistake("--inject", f"{fault.name}: {problem}") for fault in plan.faults if fault.name in impossible]
+    if mistakes:
+        raise ConfigError(mistakes)
 
 
 def _insist_on_origin(config: RigConfig, plan: Plan) -> None:

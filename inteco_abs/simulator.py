@@ -78,7 +78,10 @@ def main(path: str) -> int:
             host.act()
             standstill.keep(face)
 
-        _serve(server, memory, schedule, between if job.faults else lambda: None)
+        def awaited() -> bool:  # a supervisor that stands still asks for nothing; leaving lets it go on
+            return not host.frozen("supervisor") and alive(memory.words[Word.SUPERVISOR_PID])
+
+        _serve(server, memory, schedule, between if job.faults else lambda: None, awaited)
     server.close()
     return 0
 
@@ -199,7 +202,13 @@ def _be_quick() -> None:
     prepare([wish for wish in guardian_wishes(BOARD_PRIORITY) if wish.name != "signals"])
 
 
-def _serve(server: SocketServer, memory: RunMemory, schedule: Schedule, between: Callable[[], None]) -> None:
+def _serve(
+    server: SocketServer,
+    memory: RunMemory,
+    schedule: Schedule,
+    between: Callable[[], None],
+    awaited: Callable[[], bool],
+) -> None:
     words = memory.words
     looked = alone_since = time.monotonic()
     told: tuple[int, bool] | None = None
@@ -212,7 +221,7 @@ def _serve(server: SocketServer, memory: RunMemory, schedule: Schedule, between:
         looked, told = now, news
         if schedule.times:
             memory.post(Note.INJECTED, schedule.told())
-        if server.busy or alive(words[Word.SUPERVISOR_PID]):
+        if server.busy or awaited():
             alone_since = now
         elif now - alone_since > _LINGER_S:
             return

@@ -7,6 +7,7 @@ from inteco_abs.mock_board.device import Cable, Device, Truth
 from inteco_abs.mock_board.face import Face
 from inteco_abs.mock_board.faults import (
     BY_PROCESS,
+    CLOCK_STEP,
     KINDS,
     Event,
     Fault,
@@ -32,6 +33,7 @@ from inteco_abs.mock_board.usbip_address import TcpAddress, UnixAddress, parse_a
 
 __all__ = [
     "BY_PROCESS",
+    "CLOCK_STEP",
     "KINDS",
     "ByteStream",
     "Cable",

@@ -1,6 +1,7 @@
 """`run --inject`: the mock board fails as told, the run ends as it should, and the session says what was done to it."""
 
 import json
+import time
 
 import pytest
 
@@ -70,6 +71,24 @@ def test_in_virtual_time_there_is_no_process_to_be_killed(main_here, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("step_s", [3600, -3600, 1, -1000000000])
+def test_a_wall_clock_that_steps_changes_no_tick(main_here, tmp_path, step_s):
+    seed = ("--virtual", *QUICK, "--seed", "1")
+    before_ns = time.time_ns()
+    main_here("run", *seed, "--inject", f"clock-step={step_s}@brake", "--out", "stepped.mcap", check=0)
+    main_here("run", *seed, "--out", "even.mcap", check=0)
+    stepped, even = read_session(tmp_path / "stepped.mcap"), read_session(tmp_path / "even.mcap")
+    assert list(stepped.metadata["injected"].values()) == ["1"]
+    assert bytes(stepped.payload) == bytes(even.payload)
+    assert abs(time.time_ns() - before_ns) < 600e9, "the wall clock was not set back"
+
+
+def test_nobodys_real_clock_is_set(main_here, tmp_path):
+    stop = main_here("run", *QUICK, "--inject", "clock-step=1@brake", check=2)
+    assert "clock-step: nobody's real clock is set; add --virtual" in stop.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_cannot_be_injected_is_told_all_at_once(main_here):
     stop = main_here("run", "--virtual", "--inject", "loose@1s", "--inject", "late@1s", check=2)
     assert "did you mean lose?" in stop.stderr
@@ -116,6 +135,7 @@ def test_a_cable_that_is_pulled_in_real_time_is_told_at_once(inteco_abs, untrace
         pytest.param(
             "supervisor-frozen@drive+#0/2000ms", {5}, "nobody could have stopped the run", marks=pytest.mark.long
         ),
+        ("supervisor-frozen@drive+300ms", {5}, "nobody could have stopped the run"),
         pytest.param("file-gone@drive+300ms", {3}, "is gone", marks=pytest.mark.long),
     ],
 )

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import resource
 import signal
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, Self
 
-from inteco_abs.mock_board.faults.kinds import PROCESSES
+from inteco_abs.mock_board.faults.kinds import CLOCK_STEP, PROCESSES
 from inteco_abs.mock_board.faults.schedule import Schedule
 
 _NOTHING_MORE: Final = 0
@@ -20,7 +21,8 @@ _NOTHING_MORE: Final = 0
 class FaultyHost:
     """Does to the processes of a run what `schedule` says, and to the one that writes its session at `file`.
 
-    `pid_of` knows them by name; 0 for one that is not there. Leaving the context ends all that lasts.
+    `pid_of` knows them by name; 0 for one that is not there. The wall clock that steps is this process's. Leaving the
+    context ends all that lasts.
     """
 
     def __init__(self, schedule: Schedule, file: Path, pid_of: Callable[[str], int]) -> None:
@@ -30,6 +32,8 @@ class FaultyHost:
         self._frozen: dict[str, int] = {}
         self._full: tuple[int, tuple[int, int]] | None = None
         """Process whose disk is full, and how long its files may be otherwise."""
+        self._wall_ns = time.time_ns
+        """The computer's own."""
 
     def __enter__(self) -> Self:
         return self
@@ -38,6 +42,7 @@ class FaultyHost:
         for name in tuple(self._frozen):
             self._thaw(name)
         self._give_room()
+        time.time_ns = self._wall_ns
 
     def act(self) -> None:
         """Do what is due by now, and end what is over; to be called often."""
@@ -45,10 +50,16 @@ class FaultyHost:
             self._do_to(name)
         if self._schedule.once("file-gone"):
             self._file.unlink(missing_ok=True)
+        if step := self._schedule.once(CLOCK_STEP):
+            self._step_clock(round(step.value * 1e9))
         if self._full is None and self._schedule.once("disk-full"):
             self._take_room(self._pid_of("recorder"))
         elif self._full is not None and not self._schedule.lasting("disk-full"):
             self._give_room()
+
+    def frozen(self, name: str) -> bool:
+        """Whether that process stands still for us."""
+        return name in self._frozen
 
     def _do_to(self, name: str) -> None:
         if self._schedule.once(f"{name}-killed"):
@@ -61,6 +72,10 @@ class FaultyHost:
 
     def _thaw(self, name: str) -> None:
         _send(self._frozen.pop(name), signal.SIGCONT)
+
+    def _step_clock(self, step_ns: int) -> None:
+        before = time.time_ns
+        time.time_ns = lambda: before() + step_ns
 
     def _take_room(self, pid: int) -> None:
         if pid <= 0:  # 0 would be ourselves

@@ -40,6 +40,7 @@ _SHARE: Final = Value("", 0.0, 1.0)
 _NOISE: Final = Value("counts", 1, _COUNTS)
 _JUMP: Final = Value("counts", -_COUNTS, _COUNTS)
 _TIME: Final = Value("ms", 0.001, 60_000.0)
+_STEP: Final = Value("s", -1e9, 1e9)
 
 ON_THE_WIRE: Final[dict[str, Kind]] = {
     "lose": Kind("the answer is lost"),
@@ -98,10 +99,13 @@ BY_PROCESS: Final[dict[str, Kind]] = {
         ("frozen", "the {}'s process stands still; in real time", True),
     )
 }
+CLOCK_STEP: Final = "clock-step"
+"""Only in virtual time: the wall clock of a real computer is everybody's."""
 ON_THE_HOST: Final[dict[str, Kind]] = {
     "sleep": Kind("the computer sleeps for so long: its clock stands still, rig and board go on", _TIME),
     "disk-full": Kind("whoever writes the session finds no room for it on any disk", lasting=True),
     "file-gone": Kind("the session's file is removed while it is being written"),
+    CLOCK_STEP: Kind("the computer's wall clock jumps by so long; in virtual time", _STEP),
     **BY_PROCESS,
 }
 """With the computer."""
