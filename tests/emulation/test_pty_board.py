@@ -168,6 +168,7 @@ def test_a_loop_that_is_killed_leaves_the_port_to_the_guardian_who_makes_the_boa
     mock.until(lambda truth: truth["drive"] == truth["brake"] == 0.0)
 
 
+@pytest.mark.long
 def test_a_board_that_is_unplugged_in_a_run_is_said_loudly(live, mock):
     run = live()
     run.until_tick(TRIP_TICKS)

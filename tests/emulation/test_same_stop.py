@@ -60,8 +60,7 @@ def assert_same(ticks, reference):
     assert not told, told
 
 
-@pytest.mark.untraced
-@pytest.mark.parametrize("link", ["pyusb", "USB/IP"])
+@pytest.mark.parametrize("link", ["pyusb", pytest.param("USB/IP", marks=pytest.mark.long)])
 def test_a_whole_stop_is_the_same_over_every_link_of_this_process(link):
     reference = in_process()
     assert TICK.array(reference)["phase"][-1] == Phase.DONE
@@ -92,9 +91,8 @@ def over_libusb(tmp_path, preload):  # noqa: ARG001  its absence is told there
     return ticks
 
 
-@pytest.mark.untraced
 @pytest.mark.xdist_group("real libusb")
-@pytest.mark.parametrize("link", ["libusb, one by one", "libusb, queued"])
+@pytest.mark.parametrize("link", ["libusb, queued", pytest.param("libusb, one by one", marks=pytest.mark.long)])
 def test_a_short_stop_is_the_same_over_real_libusb(over_libusb, link):
     assert_same(over_libusb(link, *SHORT), in_process(*SHORT))
 

@@ -66,6 +66,7 @@ def test_more_commands_on_their_way_than_at_first_have_room():
         assert_same(batch, scalars)
 
 
+@pytest.mark.long
 def test_the_kernel_agrees_before_it_is_compiled_as_well():
     script = Path(__file__).with_name("one_by_one.py")
     # plain numpy warns of the 64-bit products that wrap, as they are meant to

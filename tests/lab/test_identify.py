@@ -111,6 +111,7 @@ def test_a_coast_down_alone_leaves_the_brake_unknown_which_is_named(sessions, ca
     assert not {"c31", "w4", "b1"} & tomllib.loads(out.read_text())["model"]["identified"].keys()
 
 
+@pytest.mark.long
 def test_a_better_known_inertia_makes_the_interval_narrower(sessions, capsys):
     def half_width(*arguments):
         identify(sessions["coast"], "--json", *arguments)

@@ -62,6 +62,7 @@ def test_every_file_is_there_and_of_its_kind(told):
             assert (folder / f"{name}.{suffix}").read_bytes().startswith(magic)
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_another_process_writes_the_same_bytes_and_leaves_other_files_alone(told, tmp_path):
     folder, _ = told

@@ -72,6 +72,7 @@ def test_no_false_trip_of_a_strict_guard(run, name):
     assert (made.stop.outcome, made.stop.explanation) == ("completed", "no fault")
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_a_rig_in_real_time_is_the_same_rig(tmp_path, run_at, replayed):
     made = run_at(tmp_path / "stop.mcap", (*PACED, RIG), virtual=False)

@@ -68,11 +68,11 @@ def main_here(tmp_path, monkeypatch, capsys):
 
 
 @pytest.fixture
-def card(inteco_abs):
+def card(main_here):
     """Runs one stop in virtual time and gives its result card."""
 
     def stop(*arguments, out="stop.mcap", seed=1):
-        run = inteco_abs(
+        run = main_here(
             "run", "--board", "sim:", "--virtual", "--seed", seed, "--out", out, "--json", *arguments, check=0
         )
         return json.loads(run.stdout)

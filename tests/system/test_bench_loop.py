@@ -21,6 +21,7 @@ def bench(environment, *arguments):
     return process.stdout
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("real time")
 def test_every_row_is_printed_with_finite_numbers(untraced):
     text = bench(untraced)

@@ -40,7 +40,9 @@ def run_with(command_path, tmp_path, untraced):
     return start
 
 
-@pytest.mark.parametrize("statement", ["os.fork()", "os.fork() and time.sleep(0)"])
+@pytest.mark.parametrize(
+    "statement", ["os.fork()", pytest.param("os.fork() and time.sleep(0)", marks=pytest.mark.long)]
+)
 def test_a_forked_controller_makes_no_second_host(run_with, statement):
     run, code, card, message = run_with(statement)
     assert code in (0, 3), message
@@ -50,6 +52,7 @@ def test_a_forked_controller_makes_no_second_host(run_with, statement):
     assert card["link_errors"] == 0
 
 
+@pytest.mark.long
 def test_the_parent_of_a_fork_that_leaves_is_a_death(run_with):
     run, code, card, message = run_with("os.fork() and os._exit(0)")
     assert (code, card["outcome"]) == (5, "aborted"), message
@@ -58,7 +61,7 @@ def test_the_parent_of_a_fork_that_leaves_is_a_death(run_with):
     assert len(session.ticks) == run.ticks.written
 
 
-@pytest.mark.parametrize("kind", ["threading.Thread", "multiprocessing.Process"])
+@pytest.mark.parametrize("kind", ["multiprocessing.Process", pytest.param("threading.Thread", marks=pytest.mark.long)])
 def test_what_a_controller_leaves_running_does_not_hold_the_end(run_with, kind):
     run, code, card, message = run_with(f"{kind}(target=time.sleep, args=(600,)).start()")
     assert (code, card["outcome"]) in ((0, "completed"), (3, "completed"), (5, "fault")), message
@@ -69,6 +72,7 @@ def test_what_a_controller_leaves_running_does_not_hold_the_end(run_with, kind):
     assert run.session().incomplete == ""
 
 
+@pytest.mark.long
 def test_an_error_with_a_book_for_its_text_is_the_controllers_all_the_same(run_with):
     run, code, card, _ = run_with("raise ValueError('long ' * 50_000)")
     assert (code, card["outcome"], card["reason"]) == (5, "fault", "CONTROLLER_ERROR")
@@ -76,7 +80,9 @@ def test_an_error_with_a_book_for_its_text_is_the_controllers_all_the_same(run_w
     assert run.session().ticks["reason"][-1] == Reason.CONTROLLER_ERROR
 
 
-@pytest.mark.parametrize("name", ["signal", "struct", "numpy"])
+@pytest.mark.parametrize(
+    "name", ["struct", *(pytest.param(name, marks=pytest.mark.long) for name in ("signal", "numpy"))]
+)
 def test_a_file_of_the_users_is_not_taken_for_a_library(command_path, tmp_path, untraced, name):
     (tmp_path / f"{name}.py").write_text("raise SystemExit('not the library')")
     run = LiveRun(command_path, tmp_path, untraced)
@@ -85,6 +91,7 @@ def test_a_file_of_the_users_is_not_taken_for_a_library(command_path, tmp_path, 
     assert card["outcome"] == "completed"
 
 
+@pytest.mark.long
 def test_a_loop_that_is_stopped_before_its_first_tick_is_ended(command_path, tmp_path, untraced):
     run = LiveRun(command_path, tmp_path, untraced, begun=False)
     run.until(lambda: run.words[Word.READY] == run.words[Word.LOOP_PID] != 0)
@@ -115,6 +122,7 @@ def test_a_guardian_that_stands_still_is_replaced_when_the_loop_dies(command_pat
     assert safe_after_ns(run.session(), struck_ns) < 3_000_000_000
 
 
+@pytest.mark.long
 def test_many_stops_do_not_ask_for_all_the_memory_of_the_computer(command_path, tmp_path, untraced):
     run = LiveRun(command_path, tmp_path, untraced, "--set", "experiment.stops=1000")
     assert RunMemory.open(run.memory.path).tick_capacity <= 240_000

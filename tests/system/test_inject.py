@@ -114,6 +114,7 @@ def test_a_run_in_real_time_meets_its_faults_and_says_so(inteco_abs, untraced, t
     assert "injected lose@brake+20ms/#3: acted 3 times" in stop.stderr
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("real time")
 def test_a_cable_that_is_pulled_in_real_time_is_told_at_once(inteco_abs, untraced):
     stop = inteco_abs("run", *QUICK, "--inject", "unplug@drive+300ms", environment=untraced)
@@ -126,7 +127,7 @@ def test_a_cable_that_is_pulled_in_real_time_is_told_at_once(inteco_abs, untrace
     ("fault", "codes", "words"),
     [
         ("loop-frozen@drive+300ms", {5}, "the guardian made its board safe"),
-        ("disk-full@drive+300ms/200ms", {3}, "cannot be written: File too large"),
+        pytest.param("disk-full@drive+300ms/200ms", {3}, "cannot be written: File too large", marks=pytest.mark.long),
         pytest.param("loop-killed@brake+20ms", {5}, "the guardian made its board safe", marks=pytest.mark.long),
         pytest.param("guardian-killed@drive+300ms", {5}, "guardian", marks=pytest.mark.long),
         pytest.param("guardian-frozen@drive+300ms/1000ms", {5}, "guardian", marks=pytest.mark.long),
@@ -135,7 +136,7 @@ def test_a_cable_that_is_pulled_in_real_time_is_told_at_once(inteco_abs, untrace
         pytest.param(
             "supervisor-frozen@drive+#0/2000ms", {5}, "nobody could have stopped the run", marks=pytest.mark.long
         ),
-        ("supervisor-frozen@drive+300ms", {5}, "nobody could have stopped the run"),
+        pytest.param("supervisor-frozen@drive+300ms", {5}, "nobody could have stopped the run", marks=pytest.mark.long),
         pytest.param("file-gone@drive+300ms", {3}, "is gone", marks=pytest.mark.long),
     ],
 )

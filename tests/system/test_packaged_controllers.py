@@ -138,6 +138,7 @@ def test_a_replay_with_a_broken_package_says_why(inteco_abs, site, recorded):
     assert "No module named 'no_such_module'" in again.stderr
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("real time")
 def test_it_runs_in_real_time(command_path, site, untraced, tmp_path):
     site.install()

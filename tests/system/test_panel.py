@@ -147,8 +147,8 @@ ENDS = {
     "panel killed": (lambda one: one.process.kill(), -signal.SIGKILL),
     "board's process killed": (lambda one: os.kill(one.memory.words[Word.LOOP_PID], signal.SIGKILL), 1),
 }
-IN_SHORT = {"Ctrl-C", "window closed", "board's process killed"}
-"""The others take the same ways: q that of Ctrl-C, SIGTERM that of a hang-up, and a killed run's loop ends likewise."""
+IN_SHORT = {"Ctrl-C", "board's process killed"}
+"""The others take the same ways: q and hang-ups that of Ctrl-C, and a killed run's loop ends likewise."""
 
 
 @pytest.mark.parametrize("how", [pytest.param(how, marks=() if how in IN_SHORT else pytest.mark.long) for how in ENDS])

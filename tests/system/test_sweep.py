@@ -122,6 +122,7 @@ def test_a_narrow_terminal_takes_no_name_and_no_digit_away(monkeypatch, tmp_path
     assert "…" not in printed
 
 
+@pytest.mark.long
 def test_the_processes_of_a_sweep_end_with_the_command_that_was_killed(tmp_path):
     (tmp_path / "own.py").write_text(OWN)
     code = "from inteco_abs.cli import main; main()"
