@@ -60,7 +60,10 @@ def test_a_fault_is_read(text, fault):
         ("lose", "must be KIND"),
         ("loose@1s", "no fault 'loose'; did you mean lose?"),
         ("lose=3@1s", "lose takes no value"),
-        ("late@1s", "late needs a value, as in late=20"),
+        ("late@1s", "late needs a value, as in late=20: a number in 0.001..60000 ms"),
+        ("corrupt=1.5@1s", "'1.5': corrupt takes a whole number in 0..16384 bit"),
+        ("cut=3.7@1s", "'3.7': cut takes a whole number in 0..2048 bytes"),
+        ("road-jump=1e12@1s", "a whole number in -2147483648..2147483648 counts"),
         ("late=nan@1s", "a number in 0.001..60000 ms"),
         ("late=x@1s", "a number in 0.001..60000 ms"),
         ("brake-stuck=1.5@1s", "a number in 0..1"),
@@ -93,6 +96,7 @@ def test_all_that_is_wrong_is_said_at_once():
 def test_every_kind_has_a_meaning_and_an_example_that_is_read(name):
     kind = KINDS[name]
     wanted = kind.value
-    value = "" if wanted is None else f"={wanted.words[0] if wanted.words else format(max(wanted.low, 0.5), 'g')}"
+    number = "1" if wanted and wanted.whole else "0.5"
+    value = "" if wanted is None else f"={wanted.words[0] if wanted.words else number}"
     assert kind.meaning
     assert parse_fault(f"{name}{value}@drive+1s").name == name

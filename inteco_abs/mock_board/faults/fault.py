@@ -10,7 +10,7 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from inteco_abs.errors import ConfigError, Mistake, near_match
-from inteco_abs.mock_board.faults.kinds import KINDS, Kind
+from inteco_abs.mock_board.faults.kinds import KINDS, Kind, Value
 
 _FORM: Final = re.compile(r"(?P<kind>[^=@/]+)(?:=(?P<value>[^@/]*))?@(?P<when>[^/]+)(?:/(?P<lasts>.+))?")
 _SPAN: Final = re.compile(
@@ -141,7 +141,7 @@ def _value_of(kind: Kind, name: str, text: str | None) -> float:
         return math.nan
     if text is None:
         if wanted.default is None:
-            raise ValueError(f"{name} needs a value, as in {name}={_allowed(kind)}")
+            raise ValueError(f"{name} needs a value, as in {name}={_example(wanted)}: {wanted.allowed}")
         return wanted.default
     if wanted.words:
         if text not in wanted.words:
@@ -151,13 +151,13 @@ def _value_of(kind: Kind, name: str, text: str | None) -> float:
         number = float(text)
     except ValueError:
         number = math.nan
-    if not wanted.low <= number <= wanted.high:
-        raise ValueError(f"{text!r}: {name} takes a number in {wanted.low:g}..{wanted.high:g} {wanted.unit}".rstrip())
+    if not wanted.low <= number <= wanted.high or (wanted.whole and number % 1.0):
+        raise ValueError(f"{text!r}: {name} takes {wanted.allowed}")
     return number
 
 
-def _allowed(kind: Kind) -> str:
-    return "0.5" if kind.value is None or kind.value.high <= 1.0 else "20"
+def _example(value: Value) -> str:
+    return "0.5" if value.high <= 1.0 else "20"
 
 
 def _text(span: Span) -> str:

@@ -25,6 +25,17 @@ class Value(NamedTuple):
         typed = "=" + ("|".join(self.words) or (self.unit or f"{self.low:g}..{self.high:g}").upper())
         return typed if self.default is None else f"[{typed}]"
 
+    @property
+    def whole(self) -> bool:
+        """Whether a fraction would mean nothing."""
+        return self.unit in {"bit", "bytes", "counts"}
+
+    @property
+    def allowed(self) -> str:
+        """What it may be."""
+        number = "a whole number" if self.whole else "a number"
+        return f"{number} in {self.low:.15g}..{self.high:.15g} {self.unit}".rstrip()
+
 
 class Kind(NamedTuple):
     """One kind of fault."""
