@@ -15,3 +15,7 @@ def main() -> None:
         verbs()
     except KeyboardInterrupt:
         sys.exit(130)
+    except RuntimeError as error:
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        sys.exit(130)  # so Python 3.11 calls an interrupt that comes while a class is being made

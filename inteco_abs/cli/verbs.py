@@ -114,7 +114,7 @@ def main() -> None:
         click.echo(f"inteco-abs: {_told(error)}", err=True)
         code = 1
     except Exception as error:  # the top of the process: a bug must not look like the user's mistake
-        if debug:
+        if debug or isinstance(error.__cause__, KeyboardInterrupt):
             raise
         click.echo(
             f"inteco-abs: internal error, please report it: {type(error).__name__}: {error}\n"

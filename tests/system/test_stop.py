@@ -138,3 +138,15 @@ def test_ctrl_c_while_the_figure_is_drawn_says_that_the_session_is_whole(main_he
     stop = main_here("run", "--virtual", *quick, "--out", "stop.mcap", "--figure", "stop.png", check=130)
     assert "interrupted while drawing; stop.mcap is whole: inteco-abs figure stop.mcap" in stop.stderr
     assert read_session(tmp_path / "stop.mcap").incomplete == ""
+
+
+def test_ctrl_c_while_a_class_is_being_made_is_an_interrupt(main_here, monkeypatch):
+    class Name:
+        def __set_name__(self, _owner, _name):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(
+        import_module("inteco_abs.experiment"), "run_stop", lambda *_, **__: type("Loaded", (), {"name": Name()})
+    )
+    stop = main_here("run", "--virtual", "--out", "stop.mcap", check=130)
+    assert "internal error" not in stop.stderr
