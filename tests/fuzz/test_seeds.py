@@ -44,3 +44,14 @@ def test_a_target_that_fails_is_found(fuzz, monkeypatch):
     monkeypatch.setitem(fuzz.TARGETS, "injections", fails)
     with pytest.raises(ZeroDivisionError):
         fuzz.one("injections", HERE / "injections" / "late")
+
+
+@pytest.mark.untraced
+def test_fuzzing_leaves_nothing_behind(fuzz, monkeypatch, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.setenv("TMPDIR", str(elsewhere))
+    monkeypatch.setattr(fuzz, "MEMORY", tmp_path)
+    executions, _, _ = fuzz.fuzzed("configuration", 0.1)
+    assert executions
+    assert list(tmp_path.rglob("*")) == [elsewhere]
