@@ -1,5 +1,6 @@
 """The table of hazards is whole, says what there is, and its page is made from it."""
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -47,6 +48,15 @@ def test_every_reason_that_takes_outputs_away_is_a_hazards_end():
     elsewhere = {"NONE", "OPERATOR_STOP", "WHEELS_MOVING", "BAD_OUTPUT", "CONTROLLER_ERROR", "GUARDIAN_LOST",
                  "SUPERVISOR_LOST", "RECORDER_LOST"}  # fmt: skip
     assert met - {"completes", "told"} | elsewhere == {reason.name for reason in Reason}
+
+
+def test_a_fault_on_the_page_can_be_typed_as_it_stands_there():
+    page = (ROOT / "docs/hazards.md").read_text(encoding="utf-8")
+    cells = [line.split(" | ")[-1] for line in page.splitlines() if line.startswith("| ")][1:]
+    faults = [fault for cell in cells for entry in re.findall(r"`([^`]+)`", cell) for fault in entry.split()]
+    assert faults
+    for fault in faults:
+        parse_fault(fault)
 
 
 @pytest.mark.parametrize("tool", ["write_hazards"])
