@@ -320,6 +320,10 @@ class _VirtualRun:
                     self._give_up(keeper, replace(self._end(board, in_words(error)), frames=self._frames(around)))
                     if self._pipeline.reason is not Reason.NONE:
                         error.add_note(f"the run had been stopped: {EXPLANATIONS[self._pipeline.reason]}")
+                    for fault, times in self._schedule.told().items():
+                        error.add_note(f"injected {fault}: acted {times} times")
+                    if self._ring.written:
+                        error.add_note(f"the session is in {keeper.path}")
                 except SessionError as second:
                     error.add_note(str(second))  # the first error is what matters
                 raise

@@ -32,6 +32,13 @@ def test_a_fault_ends_a_virtual_run_as_it_should_and_is_in_the_session(main_here
     assert code == 5 or f"injected {name}: acted {times} times" in stop.stderr
 
 
+def test_where_the_session_is_and_what_was_injected_is_told_where_safe_was_not_confirmed(main_here):
+    stop = main_here("run", "--virtual", *QUICK, "--inject", "unplug@drive+200ms", "--out", "stop.mcap", check=5)
+    assert stop.stderr.startswith("inteco-abs: SAFE could not be confirmed")
+    assert "injected unplug@drive+200ms: acted" in stop.stderr
+    assert "the session is in stop.mcap" in stop.stderr
+
+
 def test_info_tells_what_was_injected(main_here):
     main_here("run", "--virtual", *QUICK, "--inject", "lose@brake+20ms", "--out", "stop.mcap", check=3)
     assert "lose@brake+20ms/#1 acted 1 times" in main_here("info", "stop.mcap", check=0).stdout
