@@ -4,12 +4,13 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 raw_counts = st.integers(-(2**31), 2**31 - 1)
 steps = st.integers(-(2**31) + 1, 2**31 - 1) | st.integers(-300, 300)
 
 
 class TestCounters:
-    @pytest.mark.untraced
     @given(start=st.tuples(raw_counts, raw_counts), moves=st.lists(st.tuples(steps, steps), max_size=20))
     @example(start=(2**31 - 1, -(2**31)), moves=[(1, -1), (-1, 1)])
     @example(start=(-1, 0), moves=[(1, -1), (-1, 1)])

@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from inteco_abs.errors import BoardError, LinkError
 from inteco_abs.signals import Command
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 FULL = {"8-bit": 255, "12-bit": 4095}
 ROUNDING = 1e-9
 duties = st.floats(0.0, 1.0)
@@ -14,7 +16,6 @@ modes = pytest.mark.parametrize("mode", FULL)
 
 
 class TestDuties:
-    @pytest.mark.untraced
     @modes
     @given(drive=duties, brake=duties)
     @example(drive=0.5, brake=math.nextafter(1.0, 0.0))
@@ -30,7 +31,6 @@ class TestDuties:
             assert 0 <= width <= full
             assert width <= duty * full + ROUNDING < width + 1
 
-    @pytest.mark.untraced
     @modes
     def test_a_duty_that_is_a_whole_number_of_widths_is_exact(self, new_bench, mode):
         bench, full = new_bench(f"board.pwm_mode={mode}"), FULL[mode]

@@ -6,6 +6,8 @@ from hypothesis import strategies as st
 
 from inteco_abs.signals import BoardFlags
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 
 class TestExchange:
     def test_the_first_sample_is_tick_zero_at_count_zero(self, new_bench):
@@ -17,7 +19,6 @@ class TestExchange:
         assert sample.dt_s == bench.config.period_ns / 1e9
         assert sample.board_flags is BoardFlags.NONE
 
-    @pytest.mark.untraced
     def test_driving_turns_both_wheels_and_the_counts_follow_them(self, new_bench):
         bench = new_bench(seed=11)
         road_start, wheel_start = bench.device.counts()
@@ -31,7 +32,6 @@ class TestExchange:
         for counts in ([s.wheel_count for s in samples], [s.road_count for s in samples]):
             assert counts == sorted(counts)
 
-    @pytest.mark.untraced
     def test_braking_slows_the_wheels_down(self, new_bench):
         bench = new_bench()
         with bench.board:
@@ -58,7 +58,6 @@ class TestExchange:
             sample = bench.exchange(1.0, periods=2000.0)
         assert (sample.wheel_count, sample.road_count) == (0, 0)
 
-    @pytest.mark.untraced
     @given(periods=st.lists(st.floats(0.0, 50.0), min_size=1, max_size=12))
     def test_ticks_count_up_and_times_are_the_clocks(self, new_bench, periods):
         bench = new_bench()

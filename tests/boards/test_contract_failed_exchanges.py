@@ -5,6 +5,8 @@ from hypothesis import strategies as st
 from inteco_abs.errors import LinkError
 from inteco_abs.signals import BoardFlags
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 
 class TestFailedExchanges:
     def test_a_failed_exchange_gives_a_stale_sample_with_the_counts_held(self, new_bench, way):
@@ -64,7 +66,6 @@ class TestFailedExchanges:
         assert (first.tick, first.board_flags, first.wheel_count, first.road_count) == (0, BoardFlags.STALE, 0, 0)
         assert (second.tick, second.board_flags) == (1, BoardFlags.NONE)
 
-    @pytest.mark.untraced
     def test_any_number_of_failures_raises_nothing(self, new_bench):
         bench = new_bench()
         with bench.board as board:
@@ -76,7 +77,6 @@ class TestFailedExchanges:
         assert {(s.wheel_count, s.road_count) for s in samples} == {(good.wheel_count, good.road_count)}
         assert board.link_errors == 1000
 
-    @pytest.mark.untraced
     @given(st.data())
     def test_samples_of_any_mix_of_good_and_failed_exchanges(self, new_bench, ways_to_fail, data):
         script = data.draw(st.lists(st.none() | st.sampled_from(ways_to_fail), max_size=25))

@@ -5,6 +5,8 @@ import pytest
 from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, UnsafeError
 from inteco_abs.signals import Command
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 
 def widths(bench, settings):
     return [settings[f"pwm{channel}_width"] for channel in range(bench.channels)]
@@ -91,7 +93,6 @@ class TestOpening:
         assert bench.link.closed
         assert not bench.acts
 
-    @pytest.mark.untraced
     def test_a_board_that_keeps_its_outputs_on_is_not_opened_and_names_the_emergency_switch(self, new_bench, both_on):
         bench = new_bench(earlier=both_on)
         bench.ignore_commands()
@@ -117,7 +118,6 @@ class TestOpening:
         assert bench.acts == acts
         assert bench.device.duties == (0.0, 0.0)
 
-    @pytest.mark.untraced
     def test_an_exchange_after_a_failed_opening_is_refused(self, new_bench):
         bench = new_bench()
         bench.ignore_commands()

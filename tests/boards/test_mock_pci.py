@@ -11,6 +11,8 @@ from firmware_protocol.registers import Write
 from inteco_abs.config import load_config
 from inteco_abs.mock_board import Cable, Device, PciFace
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 VERSION, WINDOW, ROAD_VELOCITY, WHEEL_VELOCITY = 0x00, 0x50, 0x54, 0x58
 PWM_INDEX, PWM_MODE, PWM_PRESCALER, PWM_WIDTH = 0x60, 0x64, 0x68, 0x6C
 ENCODER_INDEX, ENCODER_RESET, ENCODER_COUNT = 0x80, 0x84, 0x88

@@ -2,6 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 PINS = {"pin_mode": 0b100100}
 
 
@@ -19,7 +21,6 @@ def life(mock, commands):
 lives = st.lists(st.tuples(st.integers(0, 255), st.integers(0, 255), st.integers(0, 3_000_000)), max_size=15)
 
 
-@pytest.mark.untraced
 @given(commands=lives, seed=st.integers(0, 2**64))
 def test_the_same_seed_gives_the_same_answers_to_the_last_bit(new_mock, commands, seed):
     assert life(new_mock(seed=seed), commands) == life(new_mock(seed=seed), commands)
@@ -30,7 +31,6 @@ def test_different_seeds_power_up_with_different_counters(new_mock):
     assert len(counters) == 50
 
 
-@pytest.mark.untraced
 def test_different_seeds_stop_the_wheels_at_different_places_between_two_edges(new_mock):
     paths = set()
     for seed in range(20):

@@ -8,6 +8,8 @@ from usb_monitor import BULK, CONTROL, LINUX_USB, LINUX_USB_MMAPPED, USBPCAP, Us
 from inteco_abs.boards.urbs import LINK_TYPES, Urb, decode
 from inteco_abs.errors import CaptureError
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 REAL_USBMON = bytes.fromhex(
     "c019d7510188ffff 53028028 0200 00 3c 9a48865800000000 d9340800 8dffffff 12000000 00000000 8006000100001200"
     "00000000 00000000 00020000 00000000"

@@ -9,12 +9,13 @@ from firmware_protocol.rtdac_usb import logic_of
 from inteco_abs.errors import BoardError, ConfigError
 from inteco_abs.signals import BoardFlags
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 
 def changed(frame, other):
     return {at for at in range(150) if frame[at] != other[at]}
 
 
-@pytest.mark.untraced
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(data=st.data())
 def test_settings_that_the_wiring_does_not_own_stay_as_the_board_has_them(new_usb_bench, data):
@@ -51,7 +52,6 @@ def test_in_a_run_only_two_widths_and_the_number_change():
     assert set().union(*(changed(frames[0], frame) for frame in frames)) == {25, 26, 30, 31, 37}
 
 
-@pytest.mark.untraced
 def test_every_data_byte_has_seven_bits(new_usb_bench):
     bench = new_usb_bench("board.pwm_mode=12-bit", "board.pwm_prescaler=65535")
     with bench.board:

@@ -10,6 +10,8 @@ from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError
 from inteco_abs.mock_board import ByteStream, Device, UsbFace, face_of
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 LOGICS = {
     0x0111: ("profile=sim_usb",),
     0x0112: ("profile=sim_usb", "board.logic_version=0x0112", "board.numbering_pwm=-1"),
@@ -51,7 +53,6 @@ def test_the_header_names_logic_and_application(mock):
     assert answer[2:8] == b"\0MISBA"
 
 
-@pytest.mark.untraced
 @given(data=st.data(), logic=st.sampled_from(sorted(LOGICS)))
 def test_every_setting_of_any_frame_is_echoed(data, logic):
     sent = data.draw(settings_of(logic))
@@ -172,7 +173,6 @@ class TestByteStream:
         assert cut.face.rejected == whole.face.rejected
         assert cut.face.device.settings == whole.face.device.settings
 
-    @pytest.mark.untraced
     @given(script=st.lists(whole_messages))
     def test_whole_messages_arrive_as_they_were_sent(self, script):
         twin, stream = Mock().face, ByteStream(Mock().face)

@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from inteco_abs.control import BrakingModel
 from inteco_abs.rig import RigParameters, accelerations, adhesion
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 SETS = {name: RigParameters.named(name) for name in ("mask", "table")}
 MODELS = {name: BrakingModel(parameters) for name, parameters in SETS.items()}
 

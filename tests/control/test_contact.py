@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from inteco_abs.control.contact import Contact
 from inteco_abs.rig import RigParameters, accelerations, adhesion
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 SETS = {name: RigParameters.named(name) for name in ("mask", "table")}
 parameters = pytest.mark.parametrize("k", SETS.values(), ids=SETS.keys())
 SLIPS = st.floats(0.002, 0.98)

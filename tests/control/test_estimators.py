@@ -10,6 +10,8 @@ from inteco_abs.control import ESTIMATORS, SpeedWindow, TwoWheels, control_check
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import BoardFlags, Estimate, Sample
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 MASK = RigParameters.named("mask")
 PERIOD_S = 0.0005
 WINDOWS = ("euler", "moving-window")
@@ -47,7 +49,6 @@ def test_estimates_are_valid_from_the_second_sample_on_and_the_observers_from_th
     assert [each.valid for each in seen] == [False] * first + [True] * (50 - first)
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("name", sorted(ESTIMATORS))
 @given(st.lists(st.tuples(st.integers(-1000, 10**7), LOST_COUNTS, LOST_COUNTS), min_size=1, max_size=40))
 def test_the_slip_is_in_0_to_1_whatever_the_counts_and_times(name, track):

@@ -8,6 +8,8 @@ from inteco_abs.config import load_config
 from inteco_abs.control import Guard
 from inteco_abs.signals import BoardFlags, Command, Estimate, Reason, Sample
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 CONFIG = load_config(settings=["guard.missed_in_a_row=4", "guard.bucket_limit=30"])
 SEEN = Estimate(0.0, 0.0, 0.0, valid=True)
 PERIOD_NS = CONFIG.period_ns

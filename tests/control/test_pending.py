@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from inteco_abs.control.estimators.ahead import LONGEST_DEAD_TIME_S, Pending
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 PERIOD_S = 0.0005
 SEEDS = st.integers(0, 2**32 - 1)
 DEAD_TIMES = st.floats(0.002, LONGEST_DEAD_TIME_S)

@@ -21,6 +21,8 @@ from inteco_abs.signals import (
     Timing,
 )
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 QUICK = ("experiment.start_speed_rad_s=60.0", "experiment.hold_s=0.05", "experiment.idle_s=0.02")
 ACTIVE = [Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED]
 INPUTS = Tick._fields[: Tick._fields.index("wheel_speed_rad_s")]
@@ -94,7 +96,6 @@ def test_two_runs_give_identical_ticks(experiment, quick_run):
     assert list(map(exact, again)) == list(map(exact, quick_run))
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("settings", [(), ("controller.name=relay",), ("estimator.name=euler",)], ids=str)
 def test_recorded_samples_replay_to_identical_ticks(experiment, settings):
     run = experiment(*QUICK, *settings)
@@ -159,7 +160,6 @@ def test_drive_and_brake_are_never_on_together_nor_in_the_wrong_phase(quick_run)
     assert (first.drive, first.brake) == Command.SAFE
 
 
-@pytest.mark.untraced
 def test_the_nominal_stop_has_the_expected_quality(nominal_run):
     braking = [moment for moment in nominal_run if moment.tick.phase is Phase.BRAKING]
     begin_s = braking[0].tick.time_ns * 1e-9
@@ -203,7 +203,6 @@ def test_a_stop_request_at_the_very_first_tick_is_obeyed():
     assert_only_safe_from_now_on(pipeline, tick)
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("flag", [BoardFlags.STALE, BoardFlags.SLOW])
 @pytest.mark.parametrize("phase", ACTIVE)
 def test_samples_that_cannot_be_trusted_change_neither_phase_nor_estimate_nor_wish(experiment, phase, flag):
@@ -295,7 +294,6 @@ def test_an_estimator_that_raises_ends_the_run_and_its_error_is_kept(call):
     assert_only_safe_from_now_on(pipeline, tick)
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize(
     "answer",
     [
@@ -320,7 +318,6 @@ def test_a_controller_that_answers_with_something_else_ends_the_run_instead_of_t
     assert (last.drive, last.brake) == Command.SAFE
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("brake", [math.nan, math.inf, None, True, "0.5", np.float64("nan"), np.ones(1)], ids=repr)
 def test_a_duty_that_is_no_finite_number_is_never_sent(experiment, brake):
     run = experiment(*QUICK, pipeline=with_controller(at_call(20, lambda: BrakeDemand(brake))))
@@ -330,7 +327,6 @@ def test_a_duty_that_is_no_finite_number_is_never_sent(experiment, brake):
     assert run.pipeline.error is None
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("brake", [1, np.float64(0.5), np.float32(0.5), np.int64(1), Fraction(1, 2)], ids=repr)
 def test_a_duty_may_be_any_kind_of_number(experiment, brake):
     run = experiment(*QUICK, pipeline=with_controller(lambda _call: BrakeDemand(brake)))
@@ -339,7 +335,6 @@ def test_a_duty_may_be_any_kind_of_number(experiment, brake):
     assert {(type(tick.brake_wish), tick.brake_wish) for tick in ticks} == {(float, 0.0), (float, float(brake))}
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize(
     "demand",
     [

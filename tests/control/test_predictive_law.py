@@ -11,6 +11,8 @@ from inteco_abs.control.contact import Contact
 from inteco_abs.rig import RigParameters, adhesion, measured_torque
 from inteco_abs.signals import BrakeDemand, Estimate, Outlook
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 MASK = RigParameters.named("mask")
 CONTACT = Contact(MASK)
 SETUP = Setup(0.2, MASK, 5.0)

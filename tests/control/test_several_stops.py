@@ -9,6 +9,8 @@ from inteco_abs.control import CONTROLLERS, Gain, Sequence, build_pipeline
 from inteco_abs.errors import ConfigError
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 QUICK = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
 ONE_STOP = [Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED]
 
@@ -57,7 +59,6 @@ def three(played):
     return played(3)
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("stops", [1, 2, 3, 7])
 def test_the_phases_come_in_order_as_often_as_there_are_stops(played, stops):
     moments = played(stops)
@@ -119,14 +120,12 @@ def test_the_brake_is_held_after_every_stop_as_long_as_configured(three):
         assert {tick.brake for tick in stop[Phase.STOPPED]} == {stop[Phase.STOPPED][0].brake}
 
 
-@pytest.mark.untraced
 def test_stops_without_a_hold_follow_one_another_too(played):
     moments = played(3, "experiment.hold_s=0.0")
     assert {moment.tick.reason for moment in moments} == {Reason.NONE}
     assert len(stops_of(moments)) == 3
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_every_shipped_controller_makes_the_same_stop_again(experiment, controller):
     moments = experiment(*QUICK, "experiment.stops=2", f"controller.name={controller}").run()

@@ -10,6 +10,8 @@ from inteco_abs.control.windows import SpeedWindows
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import Sample
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 TURN = 2.0 * math.pi
 
 lengths = st.integers(1, 40)

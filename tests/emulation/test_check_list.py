@@ -3,6 +3,8 @@
 import pytest
 from check_list import CHECKS
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 
 @pytest.mark.parametrize("name", CHECKS)
 def test_check(bench, name):

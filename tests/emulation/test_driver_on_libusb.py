@@ -15,7 +15,7 @@ from inteco_abs.mock_board import Device, Usb2Face, UsbBoard, UsbHost, UsbIdenti
 
 HERE = Path(__file__).parent
 
-pytestmark = [pytest.mark.xdist_group("real libusb"), pytest.mark.usefixtures("preload")]
+pytestmark = [pytest.mark.xdist_group("real libusb"), pytest.mark.usefixtures("preload"), pytest.mark.untraced]
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from live import LiveRun
 
 from inteco_abs.realtime.memory import Word
 
-pytestmark = pytest.mark.xdist_group("real time")
+pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 
 COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
 UNTRACED = {key: value for key, value in os.environ.items() if not key.startswith("COV")}

@@ -19,7 +19,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 
 
-pytestmark = pytest.mark.usefixtures("preload")
+pytestmark = [pytest.mark.usefixtures("preload"), pytest.mark.untraced]
 
 
 def run(task, speed, *, replugged=False, prefix=(), **tree):

@@ -10,6 +10,8 @@ from inteco_abs.errors import BoardError, LinkError
 from inteco_abs.mock_board import Device, Speed, Usb2Face, UsbBoard, UsbHost, UsbIdentity
 from inteco_abs.signals import BoardFlags, Command
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 SERIAL = 900_000_123
 PERIOD_NS = 500_000
 

@@ -12,6 +12,8 @@ from inteco_abs.rig import RigVariation, draw
 from inteco_abs.sessions import read_session
 from inteco_abs.signals import Phase
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 
 def configured(*settings):
     return load_config(settings=settings, checks=[control_check()])

@@ -14,6 +14,8 @@ from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.rig import POPULATIONS, draw, torque_to_spare
 from inteco_abs.views.sweep import draw_sweep, render_sweep
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 
 def grid(*settings, file=None):
     return combinations(settings, CONTROLLERS, file)

@@ -7,6 +7,8 @@ from inteco_abs.mock_board.faults.kinds import KINDS, ON_THE_HOST, ON_THE_RIG, O
 from inteco_abs.signals import BoardFlags, Phase, Reason
 from tests.faults.stage import configured, ride
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 R = Reason
 ONCE = {
     # one bad exchange: noticed as one that failed, and the stop goes on
@@ -47,7 +49,6 @@ def test_without_a_fault_the_stop_is_whole(short):
     assert failed_exchanges(result) == 0
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("name", ONCE)
 @pytest.mark.parametrize("event", ["drive+40ms", "brake+20ms"])
 def test_one_bad_exchange_is_noticed_and_outlived(short, name, event):
@@ -75,7 +76,6 @@ def test_a_board_that_is_gone_ends_the_run_in_four_exchanges_and_the_user_is_tol
     assert failed_exchanges(result) == 4
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("name", ENDS)
 def test_a_fault_of_the_rig_ends_the_run_with_its_reason_and_outputs_off(short, name):
     result = happened(ride(short, [f"{name}@drive+60ms"]))
@@ -116,7 +116,6 @@ def test_a_slow_exchange_is_flagged_and_many_end_the_run(short):
     assert many.duties == (0.0, 0.0)
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize(
     ("name", "moves"),
     [("brake-stuck=1", "wheel"), ("brake-dead", "brake"), ("brake-weak=0.1", "brake"), ("drive-stuck=1", "drive")],
@@ -135,7 +134,6 @@ def test_motors_get_what_the_fault_gives_them(name, moves):
         assert max(t.road_speed_rad_s for t in result.truths) > max(t.road_speed_rad_s for t in healthy.truths)
 
 
-@pytest.mark.untraced
 def test_the_seed_makes_what_is_random_the_same_again(short):
     first, again, other = (ride(short, ["corrupt@drive+20ms/#40"], seed) for seed in (1, 1, 2))
     assert first.ticks == again.ticks

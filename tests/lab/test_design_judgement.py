@@ -12,6 +12,8 @@ from inteco_abs.errors import ConfigError
 from inteco_abs.lab.design import judge_gains, stated_box
 from inteco_abs.rig import RigParameters
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 MASK = RigParameters.named("mask")
 RANGE = (10.0, 180.0)
 CAPPED = "guard.brake_limit=0.7"

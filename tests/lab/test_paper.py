@@ -7,7 +7,7 @@ from inteco_abs.ensembles import parse_draws
 from inteco_abs.lab.paper import conditions
 
 PERIOD_S = 0.0005
-pytestmark = pytest.mark.xdist_group("paper")
+pytestmark = [pytest.mark.xdist_group("paper"), pytest.mark.untraced]
 
 
 @pytest.fixture(scope="module")

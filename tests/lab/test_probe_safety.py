@@ -8,6 +8,8 @@ import pytest
 from inteco_abs.boards import STILL_ON
 from inteco_abs.errors import LinkError, ProbeError, ReadOnlyError, UnsafeError
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 READING = ["list", "header", "reads", "wheels"]
 
 
@@ -41,7 +43,6 @@ def test_without_the_phrase_nothing_is_written(lab, step, answer):
     assert lab.outcomes()[step] == "failed"
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("step", ["echo", "motors"])
 def test_the_phrase_is_taken_in_any_case_and_spacing(lab, scripts, step):
     lab.done_until(step)
@@ -66,7 +67,6 @@ def test_the_typed_confirmation_never_gets_into_the_draft(lab):
     assert "typed confirmation" not in text
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("step", ["echo", "motors"])
 def test_the_first_and_the_last_thing_written_are_safe(lab, scripts, step):
     lab.done_until(step)
@@ -96,7 +96,6 @@ def test_the_echo_test_leaves_the_profiles_own_settings(lab, scripts):
     assert tried == {(0, 44), (1, 2)}
 
 
-@pytest.mark.untraced
 def test_motors_are_driven_gently(lab, scripts):
     lab.done_until("motors")
     lab.session(*scripts["motors"]).go(only="motors")
@@ -104,7 +103,6 @@ def test_motors_are_driven_gently(lab, scripts):
     assert lab.bench.largest[1] <= 0.5
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("step", ["echo", "motors"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGTSTP])
 def test_a_signal_while_outputs_are_on_ends_in_safe(lab, scripts, step, number):
@@ -128,7 +126,6 @@ def test_a_signal_while_outputs_are_on_ends_in_safe(lab, scripts, step, number):
     assert lab.draft.config.board.verified_by == ""
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("step", ["echo", "motors"])
 def test_a_link_that_fails_for_a_while_ends_in_safe(lab, scripts, step):
     lab.done_until(step)

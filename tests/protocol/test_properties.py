@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from firmware_protocol import Kind, ProtocolError
 from firmware_protocol.rtdac_usb2 import READ, SEND, decode_read, decode_send, encode_read, encode_send
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 whole_table = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 no_deadline = settings(deadline=None)
 frames = st.binary(min_size=504, max_size=504)
@@ -29,7 +31,6 @@ def test_the_board_understands_every_value_the_host_sends(values):
     assert decode_send(encode_send(values)) == {**decode_send(encode_send({})), **values}
 
 
-@pytest.mark.untraced
 @whole_table
 @given(values=values_of(READ))
 def test_the_host_reads_every_value_the_board_answers(values):

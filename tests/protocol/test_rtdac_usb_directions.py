@@ -4,6 +4,8 @@ from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb import decode_read, decode_send, encode_read, encode_send, logic_of
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 each_logic = pytest.mark.parametrize("logic", [0x0111, 0x0112], ids=hex)
 
 

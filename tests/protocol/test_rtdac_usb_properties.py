@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from firmware_protocol import Kind, ProtocolError
 from firmware_protocol.rtdac_usb import LOGICS, decode_read, decode_send, encode_read, encode_send, logic_of
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 whole_table = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 each_logic = pytest.mark.parametrize("logic", sorted(LOGICS), ids=hex)
 frames = st.binary(min_size=150, max_size=150)

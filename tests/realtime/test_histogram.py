@@ -5,6 +5,8 @@ from hypothesis import strategies as st
 
 from inteco_abs.realtime import Histogram
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 LAST = 2047
 lateness_us = st.floats(-50.0, 3000.0) | st.floats(0.0, 20.0) | st.integers(0, 2100).map(float)
 shares = st.lists(st.floats(0.0, 1.0, exclude_min=True), max_size=5).map(sorted)

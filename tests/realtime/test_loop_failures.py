@@ -3,6 +3,8 @@ import pytest
 from inteco_abs.errors import BoardError
 from inteco_abs.signals import BoardFlags, Command, Phase, Reason
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 ON = Command(0.8, 0.6)
 ERRORS = [ZeroDivisionError("in the pipeline"), KeyboardInterrupt(), SystemExit(2), MemoryError()]
 

@@ -6,6 +6,8 @@ from hypothesis import strategies as st
 
 from inteco_abs.signals import Command
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 commands = st.builds(Command, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 
 

@@ -5,6 +5,8 @@ from hypothesis import strategies as st
 from inteco_abs.realtime import StopWord
 from inteco_abs.signals import BoardFlags, Command, Phase, Reason
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 
 @pytest.fixture(scope="module")
 def whole_run(new_stack):
@@ -26,7 +28,6 @@ def test_the_run_goes_through_all_phases(new_stack, whole_run):
     assert set(rows["board_flags"].tolist()) == {BoardFlags.NONE}
 
 
-@pytest.mark.untraced
 @settings(max_examples=12)
 @given(lengths=st.lists(st.integers(0, 400), min_size=1, max_size=20).filter(any))
 def test_slices_give_the_same_records_as_one_run(new_stack, whole_run, lengths):

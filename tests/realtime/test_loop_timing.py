@@ -5,6 +5,8 @@ from hypothesis import strategies as st
 from inteco_abs.realtime import PacedClock
 from inteco_abs.signals import UNTIMED, Command, Timing
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 PERIOD_NS = 500_000
 READS_US = 0.5
 """What looking at the clock a few times takes on a fake clock."""

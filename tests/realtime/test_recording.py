@@ -32,6 +32,8 @@ from inteco_abs.sessions import (
 )
 from inteco_abs.signals import Phase, Reason
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 EVERYTHING = 1 << 30
 CUT_RECORDS = (b"", b"\x06", b"\x06" + bytes([99]) * 7, struct.pack("<BQ", 6, 5000) + bytes(30))
 """What a recorder may leave at the end of a file when it is killed while it writes a chunk."""
@@ -220,7 +222,6 @@ def crash(new_memory, job_of):
 
 
 class TestWrappedRing:
-    @pytest.mark.untraced
     @pytest.mark.parametrize("extra", CUT_RECORDS, ids=len)
     @pytest.mark.parametrize("flushed", [EVERYTHING, 1300])
     def test_ticks_of_the_cut_file_and_of_the_ring_are_joined_without_gap_or_repeat(self, crash, flushed, extra):
@@ -388,7 +389,6 @@ class TestRecover:
         assert len(read_session(tmp_path / "saved.mcap").ticks) == whole.ticks
         assert not whole.memory.path.exists()
 
-    @pytest.mark.untraced
     @pytest.mark.parametrize("word", [Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID])
     def test_a_run_that_still_goes_on_is_left_alone(self, whole, tmp_path, ended, word):
         whole.memory.words[Word.SUPERVISOR_PID] = ended
@@ -488,7 +488,6 @@ def recording(new_memory, job_of, child, until):
 
 
 class TestRecorderProcess:
-    @pytest.mark.untraced
     def test_everything_that_the_loop_leaves_is_in_the_file_when_it_has_ended(self, recording, until):
         recording.ready()
         assert recording.job.path.exists()
@@ -510,7 +509,6 @@ class TestRecorderProcess:
         assert sum(recording.memory.histogram.sparse().values()) == 600
         assert recording.memory.path.exists()
 
-    @pytest.mark.untraced
     def test_after_a_loop_that_died_it_waits_to_be_told_what_became_of_the_board(self, recording):
         recording.ready()
         recording.ticks(50)
@@ -526,7 +524,6 @@ class TestRecorderProcess:
         assert "made its board safe in 4.2 ms" in result["explanation"]
         assert recording.session().payload == recording.payload
 
-    @pytest.mark.untraced
     def test_a_loop_that_ends_before_its_first_tick_leaves_no_file(self, recording):
         recording.ready()
         recording.loop.kill()
@@ -534,13 +531,11 @@ class TestRecorderProcess:
         assert not recording.job.path.exists()
         assert recording.memory.note(Note.RECORDER_FAILURE) is None
 
-    @pytest.mark.untraced
     def test_a_loop_that_never_was_ready_leaves_no_file(self, recording):
         recording.loop.kill()
         assert recording.end() is None
         assert not recording.job.path.exists()
 
-    @pytest.mark.untraced
     def test_when_nobody_waits_for_the_result_it_removes_the_memory_itself(self, recording, child):
         supervisor = child()
         recording.words[Word.SUPERVISOR_PID] = supervisor.pid
@@ -553,7 +548,6 @@ class TestRecorderProcess:
         assert not recording.memory.path.exists()
         assert len(recording.session().ticks) == 20
 
-    @pytest.mark.untraced
     def test_a_file_that_cannot_be_made_is_told_and_ends_it(self, recording):
         recording.job.path.mkdir()
         recording.memory.post(Note.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
@@ -561,7 +555,6 @@ class TestRecorderProcess:
         assert recording.process.wait(30) != 0
         assert "is a folder" in recording.memory.note(Note.RECORDER_FAILURE)["text"]
 
-    @pytest.mark.untraced
     def test_a_recorder_that_is_killed_loses_nothing_that_rebuild_does_not_find(self, recording, until):
         recording.ready()
         for part in range(3):
@@ -594,7 +587,6 @@ sys.exit(main(sys.argv[1]))
 
 
 class TestDisk:
-    @pytest.mark.untraced
     def test_what_is_not_in_the_file_stays_in_the_ring(self, recording, until):
         recording.ready()
         recording.ticks(100)
@@ -604,7 +596,6 @@ class TestDisk:
         recording.ticks(50)
         assert recording.memory.tick_reader().taken == 100
 
-    @pytest.mark.untraced
     def test_a_slow_disk_is_no_lost_recorder_and_no_lost_tick(self, new_memory, job_of, child, until):
         memory = new_memory(2000, 2000)
         slow = Recording(memory, job_of(memory), child, until, SLOW)
@@ -630,7 +621,6 @@ class TestDisk:
         until(lambda: recording.words[Word.TROUBLES], "it says so")
         return recording.memory.note(Note.TROUBLES)
 
-    @pytest.mark.untraced
     def test_a_disk_that_refuses_is_told_at_once_and_nothing_leaves_the_ring(self, recording, until):
         recording.ready()
         recording.ticks(100)
@@ -648,7 +638,6 @@ class TestDisk:
         assert "is gone" in result["trouble"]
         assert recording.session().payload == recording.payload
 
-    @pytest.mark.untraced
     def test_a_disk_that_goes_on_refusing_is_the_recorders_failure_and_the_ring_has_everything(
         self, recording, until, tmp_path
     ):
@@ -666,7 +655,6 @@ class TestDisk:
         assert (account.card["ticks"], session.payload) == (200, recording.payload)
         assert "died" not in session.metadata["session"]
 
-    @pytest.mark.untraced
     @pytest.mark.parametrize("killed", [False, True], ids=["whole", "killed later"])
     def test_the_second_place_has_everything_also_what_the_ring_has_not_any_more(
         self, new_memory, job_of, child, until, tmp_path, killed

@@ -21,6 +21,8 @@ from inteco_abs.rig import (
 )
 from inteco_abs.signals import Command
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 STATE = ("wheel_speed", "road_speed", "wheel_angle", "road_angle", "brake_torque")
 MEASURED = [(0.45, 0.17), (0.526, 1.40), (0.58, 2.84), (0.70, 4.83), (0.85, 5.97), (1.0, 9.37)]
 
@@ -205,7 +207,6 @@ def test_grip_steps_after_braking_began_and_ends_with_the_drive(mask):
     assert (before - plant.road_speed) / 0.0005 == pytest.approx(decelerations[198], rel=0.01)
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("population", POPULATIONS)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_halving_the_step_converges_for_drawn_rigs_down_to_standstill(population, seed):

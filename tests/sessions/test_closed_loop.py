@@ -10,6 +10,8 @@ from inteco_abs.sessions.closed_loop import continued, distance
 from inteco_abs.sessions.what_if import alternative, braking_row
 from inteco_abs.signals import BrakeDemand, Phase
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 
 def gone_on(session, *settings, at_s=0.0, controllers=CONTROLLERS):
     other = alternative(session, settings, controllers)

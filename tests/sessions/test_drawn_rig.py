@@ -7,6 +7,8 @@ from inteco_abs.rig import draw, settled_torque
 from inteco_abs.sessions import Conclusion, Introduction, Recorder, Scribe, read_session
 from inteco_abs.signals import Reason
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 QUICK = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
 PACED = ("loop.rate_hz=200.0", "experiment.start_speed_rad_s=10.0", "experiment.idle_s=0.01", "experiment.hold_s=0.0")
 RIG = "simulation.rig=hard:17"
@@ -73,7 +75,6 @@ def test_no_false_trip_of_a_strict_guard(run, name):
 
 
 @pytest.mark.long
-@pytest.mark.untraced
 def test_a_rig_in_real_time_is_the_same_rig(tmp_path, run_at, replayed):
     made = run_at(tmp_path / "stop.mcap", (*PACED, RIG), virtual=False)
     session = made.session

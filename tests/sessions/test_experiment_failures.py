@@ -17,6 +17,8 @@ from inteco_abs.realtime.recorder import recover_run
 from inteco_abs.sessions import Recorder, read_session
 from inteco_abs.signals import EXPLANATIONS, BrakeDemand, Phase, Reason
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 
 class Broken:
     """Controller that raises at its tenth update."""

@@ -6,6 +6,8 @@ import pytest
 from inteco_abs.sessions import Account
 from inteco_abs.signals import Phase, Reason
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 PACED = ("loop.rate_hz=200.0", "experiment.start_speed_rad_s=10.0", "experiment.idle_s=0.01", "experiment.hold_s=0.0")
 
 
@@ -22,7 +24,6 @@ def test_the_board_on_the_pci_bus_gives_the_payload_of_the_one_on_usb(run, quick
     assert pci.session.truth.tobytes() == quick.session.truth.tobytes()
 
 
-@pytest.mark.untraced
 def test_another_seed_gives_another_payload(run, quick):
     hashes = {run(name=f"{seed}.mcap", seed=seed).stop.card["payload_sha256"] for seed in range(4)}
     assert len(hashes) == 4
@@ -76,7 +77,6 @@ def test_a_run_in_another_thread_needs_no_signals(run, quick, outer_signals):
     assert outer_signals == []
 
 
-@pytest.mark.untraced
 def test_a_run_in_real_time_replays_bit_for_bit(tmp_path, run_at, replayed):
     made = run_at(tmp_path / "stop.mcap", PACED, virtual=False)
     session = made.session

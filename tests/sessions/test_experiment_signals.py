@@ -11,7 +11,7 @@ from inteco_abs.errors import ReadOnlyError
 from inteco_abs.sessions import Recorder, read_session
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
-pytestmark = pytest.mark.usefixtures("outer_signals")
+pytestmark = [pytest.mark.usefixtures("outer_signals"), pytest.mark.untraced]
 
 LONG_S = 1.1
 """Longer than a signal may remain unanswered before another one breaks into the loop."""
@@ -94,7 +94,6 @@ def test_a_second_signal_at_once_is_harmless(run, devices, replayed, at_phase, o
     assert outer_signals == []
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("patience_s", [0.0, LONG_S], ids=["at once", "late"])
 def test_a_second_signal_while_the_file_is_completed_is_harmless(
     run, devices, replayed, at_phase, monkeypatch, outer_signals, patience_s
@@ -116,7 +115,6 @@ def test_a_second_signal_while_the_file_is_completed_is_harmless(
     assert outer_signals == []
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("patience_s", [0.0, LONG_S], ids=["at once", "late"])
 def test_a_second_signal_while_the_outputs_are_made_safe_does_not_keep_them_on(
     run, devices, replayed, at_phase, monkeypatch, outer_signals, patience_s
@@ -152,7 +150,6 @@ class Hanging:
             time.sleep(LONG_S)
 
 
-@pytest.mark.untraced
 def test_a_second_late_signal_breaks_into_a_controller_that_never_returns(
     run, devices, replayed, tmp_path, outer_signals
 ):

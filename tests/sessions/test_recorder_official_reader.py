@@ -11,6 +11,8 @@ from inteco_abs.records.result import RESULT_NAME, pack_result, result_descripto
 from inteco_abs.sessions import TICK, TRUTH
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 INFO, ERROR = 2, 4
 TOPICS = {
     "/abs/tick": "inteco_abs.v1.Tick",

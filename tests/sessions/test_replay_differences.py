@@ -12,6 +12,8 @@ from inteco_abs.records.schema import Role
 from inteco_abs.sessions import TICK, Difference, Recorder, changed_gains, read_session
 from inteco_abs.signals import Phase, Reason
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 OUTPUTS = [column for column in TICK.columns if column.role is Role.OUTPUT]
 REAL = [column.name for column in OUTPUTS if column.kind.code == "d"]
 WHOLE = [column.name for column in OUTPUTS if column.kind.code != "d"]

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from inteco_abs.sessions import TICK, TRUTH, pack_tick
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 NAN = math.nan
 LARGEST, SMALLEST, DENORMAL = 1.7976931348623157e308, 2.2250738585072014e-308, 5e-324
 FLOAT_LARGEST, FLOAT_DENORMAL = 3.4028234663852886e38, 1.401298464324817e-45
@@ -112,7 +114,6 @@ def test_numpy_reads_the_same_bits_and_packing_them_again_changes_nothing(values
     assert TICK.pack(row) == data
 
 
-@pytest.mark.untraced
 @given(messages=st.lists(rows(TICK), min_size=2, max_size=4))
 def test_messages_back_to_back_are_rows_of_one_array(messages):
     data = b"".join(map(TICK.pack, messages))

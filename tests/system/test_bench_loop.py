@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 SCRIPT = Path(__file__).parents[2] / "tools" / "bench_loop"
 ROWS = ("C, sleeps", "C, spins too", "our loop alone", "our loop as shipped", "threads instead")
 STAGES = ("exchange", "estimate", "decide", "guard", "make the tick", "pack", "loop", "whole tick", "floor")

@@ -19,7 +19,7 @@ from ordeal import KINDS, RUNS, ordeal, table
 from inteco_abs.realtime.memory import Word
 from inteco_abs.signals import Phase, Reason
 
-pytestmark = pytest.mark.xdist_group("real time")
+pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 
 GENEROUS_NS = 2_000_000_000
 """No promise: what even a machine under load must keep. Figures come from tools/bench_deaths."""

@@ -9,7 +9,7 @@ from live import LiveRun, safe_after_ns
 from inteco_abs.realtime.memory import FOLDER, RunMemory, Word
 from inteco_abs.signals import Reason
 
-pytestmark = pytest.mark.xdist_group("real time")
+pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 
 LAW = """
 import multiprocessing, os, threading, time

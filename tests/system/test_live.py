@@ -11,7 +11,7 @@ from inteco_abs.sessions import TICK
 
 SHORT = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
 
-pytestmark = pytest.mark.xdist_group("real time")
+pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 
 
 def test_a_viewer_sees_ticks_that_are_in_the_session_and_the_session_is_whole(command_path, tmp_path, untraced):

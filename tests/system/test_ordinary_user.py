@@ -3,7 +3,7 @@ import subprocess
 
 import pytest
 
-pytestmark = pytest.mark.xdist_group("real time")
+pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 
 
 def test_an_ordinary_user_runs_in_real_time_and_is_told_what_was_refused(

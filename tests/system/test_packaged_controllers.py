@@ -15,6 +15,8 @@ from inteco_abs.errors import ConfigError
 from inteco_abs.plugins import Controllers, packaged_controllers
 from inteco_abs.sessions import read_session
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 LAW = '''
 from pathlib import Path
 from inteco_abs.control import Gain

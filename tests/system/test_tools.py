@@ -9,6 +9,8 @@ import pytest
 from inteco_abs.control import ESTIMATORS
 from inteco_abs.control.estimators.braking import Spread
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 TOOLS = Path(__file__).parent.parent.parent / "tools"
 
 
