@@ -9,6 +9,8 @@ from inteco_abs.lab.design import judge_gains, stated_box
 from inteco_abs.rig import RigParameters
 from inteco_abs.views.design_figure import draw_design
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 
 def report_of(*settings, uncertain=("mu=10%", "J1=5%")):
     box = stated_box(uncertain, RigParameters.named("mask"))

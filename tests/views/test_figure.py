@@ -9,6 +9,8 @@ from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.signals import Phase
 from inteco_abs.views.figure import FORMATS, WIDTHS, check_figure, draw_stops, slip_top, svg_of
 
+pytestmark = pytest.mark.untraced  # other tests reach these lines, too
+
 DUTY = "brake duty, right axis"
 MAGIC = {"png": b"\x89PNG\r\n\x1a\n", "svg": b"<?xml", "pdf": b"%PDF-"}
 
@@ -223,7 +225,6 @@ def test_the_title_names_controller_and_estimator(session, drawn):
     assert drawn(session).get_suptitle() == "reaching-law on moving-window"
 
 
-@pytest.mark.untraced
 @pytest.mark.parametrize("suffix", ["svg", "pdf"])
 def test_the_same_sessions_give_the_same_file(session, others, tmp_path, suffix):
     files = [tmp_path / f"{name}.{suffix}" for name in ("first", "second")]
@@ -278,7 +279,6 @@ def test_what_one_session_does_not_know_is_shown_of_none(session, others, drawn)
     )
 
 
-@pytest.mark.untraced
 def test_a_name_is_no_formula_and_a_long_one_is_cut(session, others, told, tmp_path):
     odd = told(others[1], "controller", name=r"$\nothing{$ " + "very " * 200 + "long")
     for name, sessions in (("alone.svg", [odd]), ("beside.svg", [session, odd])):
@@ -291,7 +291,6 @@ def test_a_session_that_never_braked_is_named(session, others, tmp_path):
         draw_stops([session, early], tmp_path / "stop.png")
 
 
-@pytest.mark.untraced
 def test_the_printed_figure_has_the_same_lines_in_fewer_points(session, tmp_path):
     draw_stops([session], tmp_path / "all.svg")
     printed = svg_of([session])
