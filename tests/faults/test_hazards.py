@@ -45,7 +45,7 @@ def test_an_injection_can_be_read_and_ends_in_a_way_that_there_is(number, inject
 
 def test_every_reason_that_takes_outputs_away_is_a_hazards_end():
     met = {end for _, each in INJECTIONS for end in each["ends"]}
-    elsewhere = {"NONE", "OPERATOR_STOP", "WHEELS_MOVING", "BAD_OUTPUT", "CONTROLLER_ERROR", "GUARDIAN_LOST",
+    elsewhere = {"NONE", "OPERATOR_STOP", "BAD_OUTPUT", "CONTROLLER_ERROR", "GUARDIAN_LOST",
                  "SUPERVISOR_LOST", "RECORDER_LOST"}  # fmt: skip
     assert met - {"completes", "told"} | elsewhere == {reason.name for reason in Reason}
 
