@@ -369,6 +369,21 @@ class TestHang:
         assert run.until_rescued(process.pid)["cause"] == "hung"
         assert process.wait(30) == -signal.SIGKILL
 
+    def test_one_that_takes_long_to_end_keeps_its_board_until_then(self, run, child, monkeypatch):
+        """Two hosts must not write to the board, and on the PCI bus nothing keeps the second one out."""
+        process, asked, kill = child(), threading.Event(), os.kill
+        run.hold(process.pid)
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "kill", lambda pid, number: asked.set() if pid == process.pid else kill(pid, number))
+            run.memory.tick_ring(tick).append(0)
+            run.until(asked.is_set, "it is to be killed")
+            run.until_polled(5)
+            assert run.face.written == []
+            assert run.words[Word.RESCUED_PID] == 0
+        process.kill()
+        assert run.until_rescued(process.pid)["cause"] == "hung"
+        assert run.device.duties == OFF
+
     def test_one_that_has_not_ticked_yet_is_given_all_the_time_it_needs(self, run, child):
         process = child()
         run.hold(process.pid)
