@@ -16,9 +16,10 @@ from inteco_abs.errors import (
     UnsafeError,
 )
 from inteco_abs.errors import SessionError as SessionTrouble
+from inteco_abs.realtime import supervisor as supervisor_module
 from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.memory import Note, Word
-from inteco_abs.realtime.screen import Point, Snapshot
+from inteco_abs.realtime.screen import NoScreen, Point, Snapshot
 from inteco_abs.realtime.supervisor import Supervisor, raised_again
 from inteco_abs.sessions import TICK, pack_tick
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
@@ -135,3 +136,43 @@ class TestSnapshot:
     def test_every_phase_can_be_shown(self, supervisor, ring, phase):
         ring.append(tick(0, phase=phase))
         assert supervisor.snapshot().phase is phase
+
+
+class TestDrill:
+    """Before every run a process that holds the board is killed, and what becomes of it decides."""
+
+    @pytest.fixture
+    def staged(self, memory, job_of, child, monkeypatch):
+        """A supervisor whose processes only sleep; of the drill's, its words and what is posted tell the end."""
+        for name, most_s in (("_END_S", 0.0), ("_DRILL_S", 0.1), ("_START_S", 0.1)):
+            monkeypatch.setattr(supervisor_module, name, most_s)
+
+        class Staged(Supervisor):
+            def spawn(self, name, *_words):
+                self._children[name] = process = child()
+                if name == "drill":
+                    memory.words[Word.GUARDING_PID] = memory.words[Word.READY] = process.pid
+                    memory.words[Word.RESCUED_PID] = process.pid if memory.note(Note.RESCUE) else 0
+
+        return Staged(memory, job_of(memory))
+
+    @pytest.mark.parametrize(
+        ("image", "failure", "refusal"),
+        [
+            (b"all zero", "no board", "failed its drill, so nothing was started: no board"),
+            (b"all zero", None, "the guardian takes over: not within"),
+            (None, "", "the drill left nothing to make the board safe with"),
+        ],
+        ids=["SAFE was not confirmed", "nobody took over", "there is no image"],
+    )
+    def test_a_guardian_that_was_not_seen_to_make_safe_keeps_the_loop_from_the_board(
+        self, memory, staged, image, failure, refusal
+    ):
+        if image is not None:
+            memory.post(Note.SAFE_IMAGE, image)
+        if failure is not None:
+            memory.post(Note.RESCUE, {"failure": failure, "done_ns": 0})
+        with pytest.raises(BoardError, match=refusal):
+            staged.run(NoScreen())
+        assert memory.words[Word.GO] == 0
+        assert memory.words[Word.GUARDED_PID] != memory.words[Word.LOOP_PID] != 0
