@@ -138,6 +138,13 @@ class TestSnapshot:
         assert supervisor.snapshot().phase is phase
 
 
+def test_no_key_of_the_users_terminal_reaches_the_processes_that_it_starts(supervisor):
+    supervisor.spawn("drill", "code")
+    pid = supervisor._children["drill"].pid
+    assert os.getsid(pid) == pid
+    supervisor.end()
+
+
 class TestDrill:
     """Before every run a process that holds the board is killed, and what becomes of it decides."""
 
@@ -176,3 +183,28 @@ class TestDrill:
             staged.run(NoScreen())
         assert memory.words[Word.GO] == 0
         assert memory.words[Word.GUARDED_PID] != memory.words[Word.LOOP_PID] != 0
+
+
+class TestLastResort:
+    """Loop and guardian are both gone, and the board was held."""
+
+    @pytest.mark.parametrize("guardian", ["dead", "silent"])
+    def test_the_supervisor_makes_the_board_safe_and_tells_so(self, memory, job_of, child, monkeypatch, guardian):
+        class Staged(Supervisor):
+            def spawn(self, name, *_words):
+                self._children[name] = child()
+                memory.words[Word.LOOP_PID] = memory.words[Word.HOLDER_PID] = self._children[name].pid
+
+        rescued = []
+        monkeypatch.setattr(supervisor_module, "_END_S", 0.0)
+        monkeypatch.setattr(supervisor_module, "rescue", lambda memory, _job: rescued.append(memory))
+        supervisor = Staged(memory, job_of(memory))
+        for name in ("guardian", "loop"):
+            supervisor.spawn(name)
+        if guardian == "dead":
+            supervisor._children["guardian"].kill()
+        supervisor.end()
+        assert rescued == [memory]
+        report = memory.note(Note.RESCUE)
+        assert (report["by"], report["failure"]) == ("supervisor", "")
+        assert memory.words[Word.RESCUED_PID] == memory.words[Word.LOOP_PID]
