@@ -391,6 +391,17 @@ class TestHang:
         assert process.poll() is None
         assert run.device.duties == BOTH
 
+    def test_one_that_is_still_there_long_after_it_was_told_to_end_is_killed(self, new_run, child, monkeypatch):
+        monkeypatch.setattr(guardian_module, "_PATIENCE_NS", WINDOW_NS)
+        run, process = new_run(AS_ON_A_REAL_BOARD), child()
+        run.hold(process.pid)
+        run.until_polled(20)
+        assert process.poll() is None
+        run.words[Word.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST
+        assert run.until_rescued(process.pid)["cause"] == "hung"
+        assert process.wait(30) == -signal.SIGKILL
+        assert run.device.duties == OFF
+
     def test_one_that_does_not_hold_the_board_any_more_may_be_silent(self, run, child):
         process = child()
         run.hold(process.pid)
