@@ -11,6 +11,7 @@ from inteco_abs.boards.board import Board
 from inteco_abs.boards.frames import FrameBoard
 from inteco_abs.boards.rtdac_pci import RtdacPci
 from inteco_abs.control.guard import Guard
+from inteco_abs.errors import UnsafeError
 from inteco_abs.signals import Reason
 
 pytestmark = pytest.mark.untraced
@@ -92,4 +93,26 @@ def test_the_campaign_finds_a_pulled_cable_of_which_nobody_is_told(campaign, mon
     case = campaign.Case("unplug", ("unplug@brake+20ms",), profile=profile)
     assert not campaign.judged(case).problem
     monkeypatch.setattr(Board, "make_safe", lambda _self: None)
+    assert "left on" in campaign.judged(case).problem
+
+
+@pytest.mark.parametrize("kind", ["lose", "lose-command", "overdue", "stale", "identity", "cut=13", "stall", "unplug"])
+def test_the_campaign_finds_a_link_without_one_good_exchange_that_is_noticed_late(campaign, monkeypatch, kind):
+    def notices_late(self, sample):
+        self._in_a_row += bool(sample.board_flags)
+        return Reason.MISSED_EXCHANGES if self._in_a_row > 2 * campaign.FOR_GOOD_BOUND else Reason.NONE
+
+    case = campaign.Case(kind, (f"{kind}@drive+#10/600s",))
+    assert not campaign.judged(case).problem
+    monkeypatch.setattr(Guard, "_count_misses", notices_late)
+    assert f"ticks of {campaign.FOR_GOOD_BOUND}" in campaign.judged(case).problem
+
+
+def test_the_campaign_finds_a_board_that_is_given_up_though_it_answers(campaign, monkeypatch):
+    def gives_up(_self):
+        raise UnsafeError
+
+    case = campaign.Case("lose", ("lose@drive+#10/#1",))
+    assert not campaign.judged(case).problem
+    monkeypatch.setattr(FrameBoard, "_write_safe", gives_up)
     assert "left on" in campaign.judged(case).problem
