@@ -40,9 +40,9 @@ _RESCUE_S: Final = 8.0
 _FINISH_S: Final = 30.0
 _END_S: Final = 3.0
 _PATIENCE_S: Final = 2.0
+"""For a loop that has to end, or to begin."""
 _SAVING_S: Final = 30.0
 """For a loop's process that writes the capture of a long run; its board is safe and the session's end is told."""
-"""For a loop that has to end, or to begin."""
 _GUARDIAN_WINDOW_NS: Final = 500_000_000
 _BY_HAND: Final = ("by-hand", "loop")
 """In the loop's place."""
