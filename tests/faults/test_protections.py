@@ -116,3 +116,11 @@ def test_the_campaign_finds_a_board_that_is_given_up_though_it_answers(campaign,
     assert not campaign.judged(case).problem
     monkeypatch.setattr(FrameBoard, "_write_safe", gives_up)
     assert "left on" in campaign.judged(case).problem
+
+
+@pytest.mark.parametrize("profile", ["sim_usb2", "sim_pci"])
+def test_the_campaign_finds_another_master_of_whom_nobody_is_told(campaign, monkeypatch, profile):
+    case = campaign.Case("master", ("master@brake+#2/600s",), profile=profile)
+    assert not campaign.judged(case).problem
+    monkeypatch.setattr(Board, "make_safe", lambda _self: None)
+    assert "left on, and nobody was told" in campaign.judged(case).problem
