@@ -274,6 +274,15 @@ def test_the_estimator_is_told_what_the_exchange_of_its_sample_wrote():
     assert len(set(told)) > 1
 
 
+def test_a_controller_that_wants_to_exit_ends_the_run_and_not_the_loop(experiment):
+    def leave(_call):
+        raise SystemExit(0)
+
+    run = experiment(*QUICK, pipeline=with_controller(leave))
+    last = run.run()[-1].tick
+    assert (last.phase, last.reason) == (Phase.FAULT, Reason.CONTROLLER_ERROR)
+
+
 @pytest.mark.parametrize("call", [1, 2, 300])
 def test_an_estimator_that_raises_ends_the_run_and_its_error_is_kept(call):
     config = load_config()
