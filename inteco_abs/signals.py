@@ -60,7 +60,9 @@ class Reason(IntEnum):
 EXPLANATIONS: Final[dict[Reason, str]] = {
     Reason.NONE: "no fault",
     Reason.OPERATOR_STOP: "the operator stopped the run",
-    Reason.WHEELS_MOVING: "a wheel moved before the start: wait until both stand still; if a motor turns it, press the emergency switch",
+    Reason.WHEELS_MOVING: (
+        "a wheel moved before the start: wait until both stand still; if a motor turns it, press the emergency switch"
+    ),
     Reason.SPIN_UP_TIMEOUT: "the start speed was not reached in time: check the drive's power and the emergency switch",
     Reason.BRAKING_TIMEOUT: "the road wheel did not stop in time: check the brake's power and the controller's gains",
     Reason.BAD_OUTPUT: "the controller asked for a duty that is not a finite number",
