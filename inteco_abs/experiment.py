@@ -424,10 +424,9 @@ class _VirtualRun:
             ring = stow(job, keeper.introduction, end, *keeper.everything)
         except SessionError as second:
             out, seed = self._plan.out, self._plan.seed
-            beginning = f" once {out}, its beginning, is removed" if out.exists() else ""
             return SessionError(
                 f"{error}; nor can it be kept in memory ({second}). "
-                f"The run is lost; --seed {seed} gives the same again{beginning}"
+                f"The run is lost; --seed {seed} gives the same again once {out}, if it is there, is removed"
             )
         trouble = SessionError(
             f"the run has ended, but {error}. Its ticks are kept in {ring}: inteco-abs recover {ring} --out FILE"

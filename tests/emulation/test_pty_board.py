@@ -157,6 +157,7 @@ def test_a_whole_stop_in_real_time_over_the_port_replays_without_a_difference(li
     assert json.loads(replayed.stdout)["differing"] == 0
 
 
+@pytest.mark.long
 def test_a_loop_that_is_killed_leaves_the_port_to_the_guardian_who_makes_the_board_safe(live, mock):
     run = live()
     run.until_tick(TRIP_TICKS)

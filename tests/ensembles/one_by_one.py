@@ -1,4 +1,4 @@
-"""The same rigs as scalar plants, one by one, beside a batch. Run as a script, it compares a few for a short stop."""
+"""The same rigs as scalar plants, one by one, beside a batch. As a script, it compares a few for a part of a stop."""
 
 import random
 import sys
@@ -120,10 +120,11 @@ def compare_regime(wheel, road, drive, brake, tick_s, ticks):
 
 
 if __name__ == "__main__":
+    part = int(sys.argv[1])
     drawn = [draw(population, 7) for population in POPULATIONS]
-    compare([*drawn, *rigs_of_all_kinds()], ticks=130, every=7, full_from=80)
+    compare([*drawn, *rigs_of_all_kinds()], ticks=130 // part, every=7, full_from=80 // part)
     compare([RigVariation(), drawn[2]], ticks=160, every=7, full_from=10, road_speed=10.0, look_every=50)
     for wheel, road, drive, brake in REGIMES:
-        ticks = 28 if abs(wheel) + abs(road) > 1.0 else 6  # the first ticks from rest take hundreds of steps each
+        ticks = (28 if abs(wheel) + abs(road) > 1.0 else 6) // part  # from rest the first take hundreds of steps each
         compare_regime(wheel, road, drive, brake, tick_s=0.0021, ticks=ticks)
     sys.exit("the same")

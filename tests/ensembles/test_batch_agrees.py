@@ -66,11 +66,11 @@ def test_more_commands_on_their_way_than_at_first_have_room():
         assert_same(batch, scalars)
 
 
-@pytest.mark.long
-def test_the_kernel_agrees_before_it_is_compiled_as_well():
+@pytest.mark.parametrize("part", [5, pytest.param(1, marks=pytest.mark.long)])
+def test_the_kernel_agrees_before_it_is_compiled_as_well(part):
     script = Path(__file__).with_name("one_by_one.py")
     # plain numpy warns of the 64-bit products that wrap, as they are meant to
-    command = [sys.executable, "-W", "ignore:overflow", str(script)]
+    command = [sys.executable, "-W", "ignore:overflow", str(script), str(part)]
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.stderr == "the same\n"

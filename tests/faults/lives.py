@@ -137,9 +137,7 @@ def problems(lives: Lives, life: Life) -> Iterator[str]:
     # a second interrupt in what is being thrown away already is Python's to tell of, and the first one was heard
     if ("Traceback" in life.said and "Exception ignored in" not in life.said) or "internal error" in life.said:
         yield life.said
-    if life.code is None:
-        return  # killed, as the system does it, where nothing is open
-    if life.code not in {0, INTERRUPTED}:
+    if life.code not in {None, 0, INTERRUPTED}:  # None: killed, as the system does it, where nothing is open
         yield f"ended with exit code {life.code}: {life.said}"
     for path in lives.folder.iterdir():
         if path.name != "stop.mcap":

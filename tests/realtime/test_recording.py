@@ -32,8 +32,6 @@ from inteco_abs.sessions import (
 )
 from inteco_abs.signals import Phase, Reason
 
-pytestmark = pytest.mark.untraced  # other tests reach these lines, too
-
 EVERYTHING = 1 << 30
 CUT_RECORDS = (b"", b"\x06", b"\x06" + bytes([99]) * 7, struct.pack("<BQ", 6, 5000) + bytes(30))
 """What a recorder may leave at the end of a file when it is killed while it writes a chunk."""

@@ -119,6 +119,7 @@ def test_without_a_recorder_the_raw_frames_are_in_the_session_too(live, replayed
     assert not run.memory.frames.exists()
 
 
+@pytest.mark.long
 def test_a_loop_that_hangs_is_killed_by_the_guardian(live, replayed):
     run = live()
     run.until_tick(TURNING)

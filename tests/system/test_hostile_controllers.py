@@ -101,6 +101,7 @@ def test_a_loop_that_is_stopped_before_its_first_tick_is_ended(command_path, tmp
     assert not run.memory.path.exists()
 
 
+@pytest.mark.long
 def test_without_a_guardian_that_takes_over_nothing_is_started(command_path, tmp_path, untraced):
     run = LiveRun(command_path, tmp_path, untraced, begun=False)
     run.strike("guardian", signal.SIGSTOP)  # while it is being loaded

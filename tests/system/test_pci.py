@@ -7,7 +7,7 @@ import signal
 import pytest
 from live import LiveRun, safe_after_ns
 
-pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
+pytestmark = pytest.mark.xdist_group("real time")
 
 PCI = ("--set", "profile=sim_pci")
 QUICK = ("--set", "experiment.start_speed_rad_s=30", "--set", "experiment.hold_s=0.1")

@@ -162,6 +162,7 @@ def test_a_zoom_in_one_plot_is_a_zoom_in_all(browser, page):
     assert browser.ranges("timing") == pytest.approx(whole)
 
 
+@pytest.mark.long
 def test_the_cursor_tells_the_values_of_all_plots(browser, page, session):
     browser.show(page)
     browser.point_at("speeds")
@@ -174,6 +175,7 @@ def test_the_cursor_tells_the_values_of_all_plots(browser, page, session):
     assert near.min() * 0.9995 <= told[1] <= near.max() * 1.0005
 
 
+@pytest.mark.long
 def test_an_entry_of_a_legend_hides_its_line(browser, page):
     browser.show(page)
     hide = "document.querySelector('#speeds button.key').click()"
@@ -184,7 +186,7 @@ def test_an_entry_of_a_legend_hides_its_line(browser, page):
     assert of_colour(browser.picture("speeds"), RED) == shown
 
 
-@pytest.mark.parametrize("width", [1280, 420])
+@pytest.mark.parametrize("width", [1280, pytest.param(420, marks=pytest.mark.long)])
 def test_plots_follow_the_page_into_the_dark_and_back(browser, page, width):
     browser.show(page, "light", width)
     for scheme in ("light", "dark", "light"):
@@ -197,6 +199,7 @@ def test_plots_follow_the_page_into_the_dark_and_back(browser, page, width):
     assert browser.run("return document.documentElement.scrollWidth") <= width
 
 
+@pytest.mark.long
 def test_paper_gets_the_figure_in_place_of_the_plots(browser, page):
     browser.show(page)
     browser.command("Emulation.setEmulatedMedia", media="print")
