@@ -13,6 +13,11 @@ SETTINGS = {
 }
 
 
+@pytest.mark.parametrize("width", range(1, 17))
+def test_a_mask_has_a_one_for_each_bit(width):
+    assert Bits(0, 3, width).mask == int("1" * width, 2)
+
+
 @pytest.mark.parametrize("width", [0, 1, 255, 4095])
 @pytest.mark.parametrize("channel", range(8))
 def test_a_width_packed_in_place_is_what_encode_makes_and_touches_nothing_else(channel, width):
