@@ -26,6 +26,8 @@ from tests.faults.lines import OURS, Counting, Line, Strike, Tracing
 from tests.faults.stage import SHORTEST
 
 INTERRUPTED = 130
+FEWER = 10
+"""Executions that a line may have fewer of in another life."""
 SIGNALS = {
     "SIGINT": (signal.SIGINT,),
     "SIGTERM": (signal.SIGTERM,),
@@ -119,11 +121,18 @@ class Lives:
         return life
 
     def struck(self, line: Line, n: int, numbers: tuple[int, ...]) -> Life:
-        """The same with signals before the `n`-th execution of `line`."""
-        self.clear()
-        strike = Strike(line, n, *(partial(os.kill, os.getpid(), number) for number in numbers))
-        life = self.live(strike)
-        life.struck = strike.struck
+        """The same with signals before the `n`-th execution of `line`.
+
+        What the session tells of the computer may be shorter than when executions were counted: then before the newest
+        one that there is.
+        """
+        for number in range(n, max(0, n - FEWER), -1):
+            self.clear()
+            strike = Strike(line, number, *(partial(os.kill, os.getpid(), each) for each in numbers))
+            life = self.live(strike)
+            life.struck = strike.struck
+            if life.struck:
+                break
         return life
 
 
