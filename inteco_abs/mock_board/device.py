@@ -19,6 +19,9 @@ from inteco_abs.rig import Encoder, Plant
 from inteco_abs.rig.generator import WORD, mixed
 
 _COUNTER_RANGE: Final = 1 << 32
+MINIMUM_SUPPLY_V: Final = 12.3
+MAXIMUM_CELSIUS: Final = 80.0
+"""Of the PCI board, on the manual's screens (fact sheet on the boards, 5.2); taken for those of all boards here."""
 _TIMER_HZ: Final = 20_000_000  # INFERRED from another rig's driver on this board; timers are not used by this project
 
 
@@ -72,6 +75,22 @@ class Cable:
     def of(cls, simulation: SimulationConfig) -> Cable:
         """As the configuration wires the simulated rig."""
         return cls(**{each.name: getattr(simulation, each.name) for each in fields(cls)})
+
+
+class PowerInterface(NamedTuple):
+    """What a board measures of the power interface between itself and the motors."""
+
+    supply_v: float = 24.0
+    """A guess."""
+    temperature_celsius: float = 21.0
+    """On the manual's screens."""
+    alarms: int = 0b111
+    """All three flags are on in the manual's screens, while nothing is wrong and the motor turns (K2)."""
+
+    @property
+    def works(self) -> bool:
+        """Whether the motors get what the board puts out; which of board and interface refuses it is the same here."""
+        return self.supply_v >= MINIMUM_SUPPLY_V and self.temperature_celsius <= MAXIMUM_CELSIUS
 
 
 class _Hand(NamedTuple):
@@ -155,6 +174,11 @@ class Device:
         self._duties = (0.0, 0.0)
         self._powered = True
         self._hand: _Hand | None = None
+
+    @property
+    def power_interface(self) -> PowerInterface:
+        """What there is to be measured of it now."""
+        return PowerInterface()
 
     @property
     def duties(self) -> tuple[float, float]:

@@ -11,8 +11,6 @@ from firmware_protocol.register_messages import decode_request, encode_answer
 from firmware_protocol.registers import REGISTER_BITS
 from firmware_protocol.rtdac_pci import (
     ALARM_BIT0,
-    ALARM_BIT2,
-    ALARM_SUPPLY,
     ENCODER_CHANNELS,
     ENCODER_COUNT,
     ENCODER_INDEX,
@@ -42,7 +40,7 @@ from firmware_protocol.rtdac_pci import (
     VELOCITY_WINDOW,
     WHEEL_VELOCITY,
 )
-from inteco_abs.mock_board.device import Device
+from inteco_abs.mock_board.device import MAXIMUM_CELSIUS, MINIMUM_SUPPLY_V, Device
 
 _WORD: Final = (1 << REGISTER_BITS) - 1
 _COUNTS: Final = 0x04
@@ -51,6 +49,10 @@ _WINDOW: Final = 200_000
 """5 ms: INFERRED, as whole counts in it are all velocities on the manual's screens (K3)."""
 _RESISTOR_LOW, _RESISTOR_HIGH = 140, 150
 """1641 and 1758 rpm, on the manual's screens."""
+_SUPPLY_SCALE_V: Final = 92_000
+"""Supply in volts times what its register shows."""
+_PULSE: Final = 1000
+"""Length of the temperature sensor's low pulse, a guess: only the quotient of the two tells the temperature."""
 _FIXED: Final = {
     LOGIC.offset: LOGIC_VERSION,
     _COUNTS: _CHANNEL_COUNTS,
@@ -60,13 +62,9 @@ _FIXED: Final = {
     RESISTOR1_HIGH.offset: _RESISTOR_HIGH,
     RESISTOR2_LOW.offset: _RESISTOR_LOW,
     RESISTOR2_HIGH.offset: _RESISTOR_HIGH,
-    MINIMUM_SUPPLY.offset: 7480,  # 12.3 V, likewise
-    MAXIMUM_TEMPERATURE.offset: 80,  # likewise
-    SUPPLY.offset: 3833,  # 24.0 V: a guess
-    TEMPERATURE_HIGH.offset: 535,
-    TEMPERATURE_LOW.offset: 1000,  # together 21 degC, on the manual's screens
-    # all three are on in the manual's screens, while nothing is wrong and the motor turns (K2)
-    ALARM_BIT0.offset: ALARM_BIT0.mask | ALARM_SUPPLY.mask | ALARM_BIT2.mask,
+    MINIMUM_SUPPLY.offset: round(_SUPPLY_SCALE_V / MINIMUM_SUPPLY_V),
+    MAXIMUM_TEMPERATURE.offset: round(MAXIMUM_CELSIUS),
+    TEMPERATURE_LOW.offset: _PULSE,
 }
 _PWM: Final = {PWM_MODE.offset: PWM_MODE, PWM_PRESCALER.offset: PWM_PRESCALER, PWM_WIDTH.offset: PWM_WIDTH}
 _INDEXES: Final = {PWM_INDEX.offset: PWM_INDEX, ENCODER_INDEX.offset: ENCODER_INDEX}
@@ -76,8 +74,8 @@ class PciFace:
     """Registers of the board: what the host writes and reads, one by one or as messages in the place of a bus.
 
     Offsets that nobody has described read 0. Writes there, to registers that no source writes, and of a channel that
-    is not there are dropped, as are malformed messages; `rejected` counts them. The protection of the FPGA is not
-    modelled: how its flags are to be read is unknown (K1, K2).
+    is not there are dropped, as are malformed messages; `rejected` counts them. Supply and temperature
+    are shown as they are, but no alarm flag follows them: how the FPGA's flags are to be read is unknown (K1, K2).
     """
 
     def __init__(self, device: Device) -> None:
@@ -92,6 +90,9 @@ class PciFace:
             ROAD_VELOCITY.offset: lambda: _lines(device.plant.road_speed),
             WHEEL_VELOCITY.offset: lambda: _lines(device.plant.wheel_speed),
             RESISTOR1_IN_SERIES.offset: self._resistors,
+            SUPPLY.offset: self._supply,
+            TEMPERATURE_HIGH.offset: lambda: round((235 - device.power_interface.temperature_celsius) / 400 * _PULSE),
+            ALARM_BIT0.offset: lambda: device.power_interface.alarms,
         }
 
     def bulk_out(self, data: bytes | bytearray) -> None:
@@ -154,6 +155,10 @@ class PciFace:
         road, wheel = self.device.counts()
         cable = self.device.cable
         return {cable.road_encoder: road, cable.wheel_encoder: wheel}.get(self._selected[ENCODER_INDEX.offset], 0)
+
+    def _supply(self) -> int:
+        volts = self.device.power_interface.supply_v
+        return round(_SUPPLY_SCALE_V / volts) if volts > 0.0 else 0
 
     def _resistors(self) -> int:
         """Both start-up resistors: in series until the road wheel is fast, and again once it is slow."""

@@ -2,7 +2,9 @@
 
 import pytest
 
+from inteco_abs.boards import InProcessLink, board_behind
 from inteco_abs.errors import ConfigError
+from inteco_abs.mock_board import FaultyDevice, FaultyFace, Schedule, face_of, parse_faults
 from inteco_abs.mock_board.faults.kinds import KINDS, ON_THE_HOST, ON_THE_RIG, ON_THE_WIRE
 from inteco_abs.signals import BoardFlags, Phase, Reason
 from tests.faults.stage import configured, ride
@@ -27,6 +29,8 @@ ENDS = {
     "wheel-noisy=60": {R.COUNT_JUMP, R.ENCODERS_DISAGREE, R.OVER_SPEED},
     "drive-dead": {R.ROAD_ENCODER_FROZEN, R.SPIN_UP_TIMEOUT},
     "power-off": {R.ROAD_ENCODER_FROZEN, R.SPIN_UP_TIMEOUT},
+    "supply=12.2": {R.ROAD_ENCODER_FROZEN, R.SPIN_UP_TIMEOUT},
+    "heat=80.1": {R.ROAD_ENCODER_FROZEN, R.SPIN_UP_TIMEOUT},
     "reset=zero": {R.COUNT_JUMP},
     "reset=held": {R.COUNT_JUMP},
     "reset=random": {R.COUNT_JUMP},
@@ -57,7 +61,7 @@ def test_one_bad_exchange_is_noticed_and_outlived(short, name, event):
     assert failed_exchanges(result) >= 1 or name == "lose-command"
 
 
-@pytest.mark.parametrize("name", ["twice", "late=1"])
+@pytest.mark.parametrize("name", ["twice", "late=1", "supply=12.3", "heat=80"])
 def test_what_does_no_harm_is_outlived(short, name):
     result = happened(ride(short, [f"{name}@drive+40ms"]))
     assert (result.reason, result.refused, result.duties) == (R.NONE, None, (0.0, 0.0))
@@ -82,6 +86,30 @@ def test_a_fault_of_the_rig_ends_the_run_with_its_reason_and_outputs_off(short, 
     assert result.reason in ENDS[name]
     assert result.refused is None
     assert result.duties == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("flags", [1, 2, 4, 7])
+def test_on_alarm_flags_nothing_rests_and_only_one_kind_of_board_has_them(short, flags):
+    faults = [f"alarm={flags}@drive+60ms"]
+    if short.board.kind != "pci":
+        with pytest.raises(ConfigError, match="only a board on the PCI bus is known to have such flags"):
+            ride(short, faults)
+        return
+    result = happened(ride(short, faults))
+    assert (result.reason, result.refused, result.duties) == (R.NONE, None, (0.0, 0.0))
+
+
+@pytest.mark.parametrize("fault", ["supply=0", "supply=10.5", "heat=-40", "heat=95", "heat=150", "alarm=5"])
+def test_what_the_board_measures_is_told_by_its_driver(fault):
+    config, (name, value) = configured(profile="sim_pci"), fault.split("=")
+    schedule = Schedule(parse_faults([f"{fault}@start"]), lambda: 0, 0)
+    device = FaultyDevice(config, lambda: 0, schedule=schedule)
+    with board_behind(InProcessLink(FaultyFace(face_of, device, pytest.fail, pytest.fail)), config, lambda: 0) as board:
+        told = {reading.name: reading.value for reading in board.readings()}
+    assert told["supply"] == pytest.approx(float(value) if name == "supply" else 24.0, abs=0.01)
+    assert told["temperature"] == pytest.approx(float(value) if name == "heat" else 21.0, abs=0.2)
+    flags = [told["alarm_bit0"], told["alarm_supply"], told["alarm_bit2"]]
+    assert flags == ([0, 1, 0] if name == "alarm" else [1, 1, 1])
 
 
 def test_a_second_program_that_repeats_an_old_command_is_noticed_and_the_user_told(short):
@@ -142,7 +170,7 @@ def test_the_seed_makes_what_is_random_the_same_again(short):
 
 def test_every_kind_is_tried_here():
     tried = {name.partition("=")[0] for name in (*ONCE, *FOR_GOOD, *ENDS)} | {
-        "twice", "late", "master", "pause", "sleep", "corrupt",
+        "twice", "late", "master", "pause", "sleep", "corrupt", "alarm",
         "brake-stuck", "brake-dead", "brake-weak", "drive-stuck",
     }  # fmt: skip
     elsewhere = {

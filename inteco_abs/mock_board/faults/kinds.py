@@ -28,7 +28,7 @@ class Value(NamedTuple):
     @property
     def whole(self) -> bool:
         """Whether a fraction would mean nothing."""
-        return self.unit in {"bit", "bytes", "counts"}
+        return self.unit in {"bit", "bits", "bytes", "counts"}
 
     @property
     def allowed(self) -> str:
@@ -52,6 +52,9 @@ _NOISE: Final = Value("counts", 1, _COUNTS)
 _JUMP: Final = Value("counts", -_COUNTS, _COUNTS)
 _TIME: Final = Value("ms", 0.001, 60_000.0)
 _STEP: Final = Value("s", -1e9, 1e9)
+_SUPPLY: Final = Value("V", 0.0, 30.0)
+_HEAT: Final = Value("degC", -40.0, 150.0)
+_ALARMS: Final = Value("bits", 1, 7)
 
 ON_THE_WIRE: Final[dict[str, Kind]] = {
     "lose": Kind("the answer is lost"),
@@ -96,7 +99,10 @@ ON_THE_RIG: Final[dict[str, Kind]] = {
     "brake-dead": Kind("the brake gets nothing", lasting=True),
     "brake-weak": Kind("the brake gets this share of its duty", _SHARE, lasting=True),
     "brake-stuck": Kind("the brake gets this duty, whatever the board puts out", _SHARE, lasting=True),
-    "power-off": Kind("the power interface is off: emergency switch, heat or supply", lasting=True),
+    "power-off": Kind("the power interface is off: emergency switch or mains", lasting=True),
+    "supply": Kind("the motors' supply has so many volts: below 12.3 V they get nothing", _SUPPLY, lasting=True),
+    "heat": Kind("the power interface is so hot: above 80 degC the motors get nothing", _HEAT, lasting=True),
+    "alarm": Kind("these of the PCI board's alarm flags, 1, 2 and 4 added up, say the opposite", _ALARMS, lasting=True),
 }
 """Between the board and the wheels."""
 
