@@ -19,7 +19,7 @@ from inteco_abs.boards.capture import check_target
 from inteco_abs.boards.recording_link import Recording, check_recordable
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline, gains_in_force
-from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, in_words
+from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, UnsafeError, in_words
 from inteco_abs.mock_board import (
     BY_PROCESS,
     CLOCK_STEP,
@@ -109,7 +109,8 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
     """Run one experiment and record it at `plan.out`; `screen` shows it, in real time ten times a second.
 
     SIGINT, SIGTERM and their like end it at the next tick, with SAFE and a complete file. Raises ConfigError or
-    BoardError if it cannot start, and then leaves no file; BoardError also if SAFE could not be confirmed.
+    BoardError if it cannot start, and then leaves no file. A run that ends without SAFE having been confirmed is told
+    as `aborted`, with a warning on the screen; by UnsafeError only if there is no session of it.
     """
     check_output(plan.out)
     for condition in conditions(config, plan):
@@ -316,17 +317,14 @@ class _VirtualRun:
                     screen.passed(Check.RECORDER, str(plan.out))
                     self._drive(keeper, board, progress, screen)
             except BaseException as error:
-                try:
-                    self._give_up(keeper, replace(self._end(board, in_words(error)), frames=self._frames(around)))
-                    if self._pipeline.reason is not Reason.NONE:
-                        error.add_note(f"the run had been stopped: {EXPLANATIONS[self._pipeline.reason]}")
-                    for fault, times in self._schedule.told().items():
-                        error.add_note(f"injected {fault}: acted {times} times")
-                    if self._ring.written:
-                        error.add_note(f"the session is in {keeper.path}")
-                except SessionError as second:
-                    error.add_note(str(second))  # the first error is what matters
-                raise
+                unsafe = isinstance(error, UnsafeError)
+                if unsafe:
+                    screen.warn(str(error))  # now: whoever reads on has read this
+                words = str(error) if unsafe else in_words(error)
+                account = self._given_up(keeper, replace(self._end(board, words), frames=self._frames(around)), error)
+                if account is None or not unsafe:
+                    raise
+                return account  # as in real time
             return self._conclude(keeper, replace(self._end(board), frames=self._frames(around)))
 
     def _face(self) -> Face:
@@ -405,11 +403,22 @@ class _VirtualRun:
         capture = around.capture() if self._plan.frames else None
         return None if capture is None else lambda: nullcontext((capture, capture.records))
 
-    def _give_up(self, keeper: Keeper, end: Conclusion) -> None:
-        if self._ring.written:
-            self._conclude(keeper, end)
-        else:
-            keeper.discard()
+    def _given_up(self, keeper: Keeper, end: Conclusion, error: BaseException) -> Account | None:
+        """What was recorded until `error`, which is told the rest; None if nothing was, or no disk takes it."""
+        account = None
+        try:
+            if self._ring.written:
+                account = self._conclude(keeper, end)
+                error.add_note(f"the session is in {keeper.path}")
+            else:
+                keeper.discard()
+        except SessionError as second:
+            error.add_note(str(second))  # the first error is what matters
+        if self._pipeline.reason is not Reason.NONE:
+            error.add_note(f"the run had been stopped: {EXPLANATIONS[self._pipeline.reason]}")
+        for fault, times in self._schedule.told().items():
+            error.add_note(f"injected {fault}: acted {times} times")
+        return account
 
     def _conclude(self, keeper: Keeper, end: Conclusion) -> Account:
         """As the keeper does; what no disk takes is left in memory, and said where, as a SessionError."""

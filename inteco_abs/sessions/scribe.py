@@ -188,7 +188,7 @@ class Scribe:
         outcome = end.outcome
         parts = [EXPLANATIONS[end.reason]] if end.reason is not Reason.NONE or not end.aborted else []
         explanation = "; ".join([*parts, end.aborted] if end.aborted else parts)
-        if end.detail:
+        if end.detail not in explanation:  # the link's last error is what kept SAFE from being confirmed, too
             explanation += f": {end.detail}"
         missing = "" if end.frames is None else self._enclose_frames(end.frames)
         card = self._card(outcome, end, explanation)

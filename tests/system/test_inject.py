@@ -33,10 +33,28 @@ def test_a_fault_ends_a_virtual_run_as_it_should_and_is_in_the_session(main_here
 
 
 def test_where_the_session_is_and_what_was_injected_is_told_where_safe_was_not_confirmed(main_here):
-    stop = main_here("run", "--virtual", *QUICK, "--inject", "unplug@drive+200ms", "--out", "stop.mcap", check=5)
+    stop = main_here("run", "--virtual", *QUICK[1:], "--inject", "unplug@drive+200ms", "--out", "stop.mcap", check=5)
     assert stop.stderr.startswith("inteco-abs: SAFE could not be confirmed")
+    assert "press the emergency switch" in stop.stderr.splitlines()[0]
     assert "injected unplug@drive+200ms: acted" in stop.stderr
-    assert "the session is in stop.mcap" in stop.stderr
+    assert "ABORTED" in stop.stdout
+    assert "stop.mcap" in stop.stdout
+
+
+def test_where_safe_was_not_confirmed_there_is_a_card_as_json_too(main_here, tmp_path):
+    wish = ("--inject", "unplug@drive+200ms", "--out", "stop.mcap", "--json", "--quiet")
+    stop = main_here("run", "--virtual", *QUICK, *wish, check=5)
+    card = json.loads(stop.stdout)
+    assert (card["outcome"], card["session"]) == ("aborted", "stop.mcap")
+    assert card["ticks"] == len(read_session(tmp_path / "stop.mcap").ticks)
+    assert "press the emergency switch" in card["explanation"]
+    assert stop.stderr.startswith("inteco-abs: SAFE could not be confirmed")
+
+
+def test_before_the_first_tick_it_is_an_error_and_no_file(main_here, tmp_path):
+    stop = main_here("run", "--virtual", *QUICK, "--inject", "lose-command@start/600s", "--out", "stop.mcap", check=5)
+    assert "press the emergency switch" in stop.stderr
+    assert not (tmp_path / "stop.mcap").exists()
 
 
 def test_info_tells_what_was_injected(main_here):
