@@ -6,7 +6,7 @@ import os
 import sys
 import time
 import uuid
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -23,6 +23,7 @@ from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, Un
 from inteco_abs.mock_board import (
     BY_PROCESS,
     CLOCK_STEP,
+    ON_THE_HOST,
     Device,
     Face,
     Fault,
@@ -33,6 +34,7 @@ from inteco_abs.mock_board import (
     Truth,
     drawn_facts,
     face_of,
+    insist_on_possible,
 )
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
 from inteco_abs.realtime.by_hand import ONLY_WATCHED, RATE_HZ, Screenside
@@ -131,7 +133,7 @@ def conditions(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
     yield partial(check_kind, plan.board, config)
     yield partial(_check_time, config, plan)
     if plan.faults:
-        yield partial(_check_faults, plan)
+        yield partial(_check_faults, config, plan)
     if plan.live_port is not None:
         yield partial(_check_live, plan.live_port, virtual=plan.virtual)
     yield partial(check_spill, config)
@@ -150,19 +152,26 @@ def _check_time(config: RigConfig, plan: Plan) -> None:
         raise ConfigError([Mistake("--virtual", f"{plan.board} is a real board, and real boards have their own time")])
 
 
-def _check_faults(plan: Plan) -> None:
-    if not simulated(plan.board):
-        problem = f"{plan.board} is a real board, and breaks by itself; only sim: can be told"
-        raise ConfigError([Mistake("--inject", problem)])
+def _check_faults(config: RigConfig, plan: Plan) -> None:
+    _insist_on_mock_board(plan.board)
     if plan.virtual:
-        impossible: Collection[str] = BY_PROCESS
-        problem = "a run in virtual time has no such process; leave --virtual out"
+        impossible = dict.fromkeys(BY_PROCESS, "a run in virtual time has no such process; leave --virtual out")
     else:
-        impossible = {CLOCK_STEP}
-        problem = "nobody's real clock is set; add --virtual"
-    mistakes = [Mistake("--inject", f"{fault.name}: {problem}") for fault in plan.faults if fault.name in impossible]
-    if mistakes:
-        raise ConfigError(mistakes)
+        impossible = {CLOCK_STEP: "nobody's real clock is set; add --virtual"}
+    impossible["alarm"] = "a run reads no such flags; inteco-abs panel --inject shows them"
+    insist_on_possible(plan.faults, config.board.kind, impossible)
+
+
+def _check_faults_by_hand(config: RigConfig, board: str, faults: Sequence[Fault]) -> None:
+    _insist_on_mock_board(board)
+    impossible = dict.fromkeys(ON_THE_HOST, "the panel records nothing; inteco-abs run --inject has this")
+    insist_on_possible(faults, config.board.kind, impossible)
+
+
+def _insist_on_mock_board(board: str) -> None:
+    if not simulated(board):
+        problem = f"{board} is a real board, and breaks by itself; only sim: can be told"
+        raise ConfigError([Mistake("--inject", problem)])
 
 
 def _insist_on_origin(config: RigConfig, plan: Plan) -> None:
@@ -194,28 +203,31 @@ def exchange_times_us(config: RigConfig, board: str) -> list[float]:
         return times_us
 
 
-def conditions_by_hand(config: RigConfig, board: str) -> Iterator[Callable[[], object]]:
+def conditions_by_hand(config: RigConfig, board: str, faults: Sequence[Fault] = ()) -> Iterator[Callable[[], object]]:
     """What has to hold before a board is opened for a screen; each raises AbsError if not."""
     yield partial(check_address, board)
     yield partial(check_kind, board, config)
+    if faults:
+        yield partial(_check_faults_by_hand, config, board, faults)
     yield _insist_on_linux
 
 
 @contextmanager
-def by_hand(config: RigConfig, board: str, *, outputs: bool) -> Iterator[Screenside]:
+def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault, ...] = ()) -> Iterator[Screenside]:
     """A board held by a process of its own, for a screen: entered for output, or only to be read.
 
-    Leaving ends with SAFE, read back. Raises ReadOnlyError if outputs are wanted of a board that the profile does not
-    trust, BoardError if it cannot be opened or its process has died, UnsafeError if SAFE was not confirmed.
+    `faults` are what the mock board does wrong. Leaving ends with SAFE, read back. Raises ReadOnlyError if outputs are
+    wanted of a board that the profile does not trust, BoardError if it cannot be opened or its process has died,
+    UnsafeError if SAFE was not confirmed.
     """
-    for condition in conditions_by_hand(config, board):
+    for condition in conditions_by_hand(config, board, faults):
         condition()
     slowly = config.loop.model_copy(update={"rate_hz": min(RATE_HZ, config.loop.rate_hz)})
     config = config.model_copy(update={"loop": slowly})
     told = config if outputs else _only_read(config)
     ring_ticks = round(_PANEL_RING_S * slowly.rate_hz)
     with (
-        _processes(told, Plan(Path(), board, virtual=False), ring_ticks) as (memory, supervisor),
+        _processes(told, Plan(Path(), board, virtual=False, faults=faults), ring_ticks) as (memory, supervisor),
         supervisor.by_hand(drill=outputs),
     ):
         yield Screenside(memory)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from inteco_abs.experiment import Plan
     from inteco_abs.lab import Bench
     from inteco_abs.lab.rehearsal import Look
+    from inteco_abs.mock_board import Fault
 
 Condition = Callable[[], object]
 """Raises AbsError unless it holds."""
@@ -71,12 +72,12 @@ def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: f
     return _exit_code(refused)
 
 
-def rehearse_by_hand(config: RigConfig, board: str, own: Iterable[Condition]) -> int:
+def rehearse_by_hand(config: RigConfig, board: str, faults: Sequence[Fault], own: Iterable[Condition]) -> int:
     """Tell whether a person could move the rig by hand, as `rehearse` does of runs."""
     from inteco_abs.experiment import conditions_by_hand
     from inteco_abs.lab.rehearsal import look_at
 
-    refused = refusals([*own, *conditions_by_hand(config, board)])
+    refused = refusals([*own, *conditions_by_hand(config, board, faults)])
     look = look_at(_bench(config, board), config, rest=False)
     refused += look.refused
     _print(

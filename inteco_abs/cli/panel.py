@@ -29,9 +29,22 @@ from inteco_abs.errors import AbsError, ConfigError, Mistake
     metavar="KEY=VALUE",
     help="Over the file, as in guard.drive_limit=0.3.",
 )
+@click.option(
+    "--inject",
+    "faults",
+    multiple=True,
+    metavar="FAULT",
+    help="Let the mock board fail, as in wheel-stuck@5s; `inteco-abs faults` lists all.",
+)
 @click.option("--dry-run", is_flag=True, help="With --outputs, only tell whether it would begin, and its limits.")
 def panel(
-    board: str, outputs: bool, drawn: str | None, config: Path | None, settings: tuple[str, ...], dry_run: bool
+    board: str,
+    outputs: bool,
+    drawn: str | None,
+    config: Path | None,
+    settings: tuple[str, ...],
+    faults: tuple[str, ...],
+    dry_run: bool,
 ) -> int:
     """Set the rig up by hand: encoders, speeds and board facts live; duties while you hold a key.
 
@@ -42,17 +55,18 @@ def panel(
     from inteco_abs.experiment import by_hand
     from inteco_abs.lab.panel import PHRASE, REQUEST, Panel
     from inteco_abs.lab.person import insist_on_phrase
-    from inteco_abs.mock_board import rig_check
+    from inteco_abs.mock_board import parse_faults, rig_check
     from inteco_abs.signals import EXPLANATIONS, Reason
 
     check_address(board)
     if drawn is not None and not simulated(board):
         raise ConfigError([Mistake("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")])
     rig = load_config(config, (*settings, *drawn_setting(drawn)), [rig_check], default_profile(board))
+    injected = parse_faults(faults)
     if dry_run and not outputs:
         raise ConfigError([Mistake("--dry-run", "is for --outputs: without them the panel only reads")])
     if dry_run:
-        return rehearse_by_hand(rig, board, (_insist_on_textual, _insist_on_terminal))
+        return rehearse_by_hand(rig, board, injected, (_insist_on_textual, _insist_on_terminal))
     _insist_on_textual()
     _insist_on_terminal()
     from inteco_abs.cli.panel_screen import ARM_AGAIN, PanelApp
@@ -64,7 +78,7 @@ def panel(
         if outputs:
             click.echo("starting: first of all, the guardian has to prove itself", err=True)
         by_person = Panel(rig, outputs=outputs)
-        with by_hand(rig, board, outputs=outputs) as side:
+        with by_hand(rig, board, outputs=outputs, faults=injected) as side:
             app = PanelApp(by_person, side, board)
             code = app.run(mouse=False)
         if outputs:

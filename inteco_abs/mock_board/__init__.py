@@ -9,12 +9,14 @@ from inteco_abs.mock_board.faults import (
     BY_PROCESS,
     CLOCK_STEP,
     KINDS,
+    ON_THE_HOST,
     Event,
     Fault,
     FaultyDevice,
     FaultyFace,
     FaultyHost,
     Schedule,
+    insist_on_possible,
     parse_faults,
 )
 from inteco_abs.mock_board.ftdi import FtdiBoard, ftdi_identity
@@ -35,6 +37,7 @@ __all__ = [
     "BY_PROCESS",
     "CLOCK_STEP",
     "KINDS",
+    "ON_THE_HOST",
     "ByteStream",
     "Cable",
     "Device",
@@ -65,10 +68,14 @@ __all__ = [
     "drawn_facts",
     "face_of",
     "ftdi_identity",
+    "insist_on_possible",
     "parse_address",
     "parse_faults",
+    "pci",
     "rig_check",
     "simulated_rig",
+    "usb",
+    "usb2",
 ]
 
 _FACES: Final[dict[str, Callable[[Device], Face]]] = {"usb2": Usb2Face, "usb": UsbFace, "pci": PciFace}

@@ -21,7 +21,7 @@ from inteco_abs.rig.generator import WORD, mixed
 _COUNTER_RANGE: Final = 1 << 32
 MINIMUM_SUPPLY_V: Final = 12.3
 MAXIMUM_CELSIUS: Final = 80.0
-"""Of the PCI board, on the manual's screens (fact sheet on the boards, 5.2); taken for those of all boards here."""
+"""The PCI board's limits on the manual's screens (fact sheet on the boards, 5.2)."""
 _TIMER_HZ: Final = 20_000_000  # INFERRED from another rig's driver on this board; timers are not used by this project
 
 
@@ -89,7 +89,10 @@ class PowerInterface(NamedTuple):
 
     @property
     def works(self) -> bool:
-        """Whether the motors get what the board puts out; which of board and interface refuses it is the same here."""
+        """Whether the motors get what the board puts out.
+
+        INFERRED from the PCI board's limits for all boards: where the power interface has its own is unknown.
+        """
         return self.supply_v >= MINIMUM_SUPPLY_V and self.temperature_celsius <= MAXIMUM_CELSIUS
 
 

@@ -74,8 +74,8 @@ class PciFace:
     """Registers of the board: what the host writes and reads, one by one or as messages in the place of a bus.
 
     Offsets that nobody has described read 0. Writes there, to registers that no source writes, and of a channel that
-    is not there are dropped, as are malformed messages; `rejected` counts them. Supply and temperature
-    are shown as they are, but no alarm flag follows them: how the FPGA's flags are to be read is unknown (K1, K2).
+    is not there are dropped, as are malformed messages; `rejected` counts them. Supply and temperature are
+    shown as they are, but no alarm flag follows them: how the FPGA's flags are to be read is unknown (K1, K2).
     """
 
     def __init__(self, device: Device) -> None:

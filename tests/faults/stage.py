@@ -8,7 +8,16 @@ from inteco_abs.boards import InProcessLink, board_behind
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import build_pipeline
 from inteco_abs.errors import AbsError, UnsafeError
-from inteco_abs.mock_board import Fault, FaultyDevice, FaultyFace, Schedule, Truth, face_of, parse_faults
+from inteco_abs.mock_board import (
+    Fault,
+    FaultyDevice,
+    FaultyFace,
+    Schedule,
+    Truth,
+    face_of,
+    insist_on_possible,
+    parse_faults,
+)
 from inteco_abs.realtime.clock import VirtualClock
 from inteco_abs.realtime.loop import Loop, StopWord
 from inteco_abs.signals import Phase, Reason, Tick
@@ -41,6 +50,8 @@ class Ride:
     """At the device's terminals, after everything."""
     times: dict[str, int] = field(default_factory=dict)
     first_ns: dict[str, int] = field(default_factory=dict)
+    exchanges: int = 0
+    """With the board, from its opening until it was let go of."""
 
     @property
     def unsafe(self) -> bool:
@@ -82,6 +93,7 @@ def ride(
     """One stop with `faults`; `stop_at`: tick at which the operator asks for the end."""
     clock = VirtualClock(config.period_ns)
     parsed = [fault if isinstance(fault, Fault) else parse_faults([fault])[0] for fault in faults]
+    insist_on_possible(parsed, config.board.kind)
     schedule = Schedule(parsed, clock.now_ns, seed)
     result = Ride(config.period_ns)
     device = FaultyDevice(config, clock.now_ns, seed, result.truths.append, schedule=schedule)
@@ -106,4 +118,5 @@ def ride(
     result.ticks, result.reason, result.duties = rows.ticks, pipeline.reason, device.duties
     result.truths.append(device.truth())
     result.times, result.first_ns = schedule.times, schedule.first_ns
+    result.exchanges = schedule.exchange
     return result

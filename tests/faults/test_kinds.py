@@ -88,17 +88,6 @@ def test_a_fault_of_the_rig_ends_the_run_with_its_reason_and_outputs_off(short, 
     assert result.duties == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("flags", [1, 2, 4, 7])
-def test_on_alarm_flags_nothing_rests_and_only_one_kind_of_board_has_them(short, flags):
-    faults = [f"alarm={flags}@drive+60ms"]
-    if short.board.kind != "pci":
-        with pytest.raises(ConfigError, match="only a board on the PCI bus is known to have such flags"):
-            ride(short, faults)
-        return
-    result = happened(ride(short, faults))
-    assert (result.reason, result.refused, result.duties) == (R.NONE, None, (0.0, 0.0))
-
-
 @pytest.mark.parametrize("fault", ["supply=0", "supply=10.5", "heat=-40", "heat=95", "heat=150", "alarm=5"])
 def test_what_the_board_measures_is_told_by_its_driver(fault):
     config, (name, value) = configured(profile="sim_pci"), fault.split("=")

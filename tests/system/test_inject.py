@@ -114,6 +114,42 @@ def test_nobodys_real_clock_is_set(main_here, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+PCI = ("--set", "profile=sim_pci")
+
+
+@pytest.mark.parametrize("way", [(), ("--virtual",), ("--dry-run",), ("--virtual", "--dry-run")], ids=" ".join)
+@pytest.mark.parametrize(
+    ("board", "fault", "said"),
+    [
+        (PCI, "identity@1s", "identity: a board on the PCI bus says what it is in no answer"),
+        (PCI, "alarm=2@1s", "alarm: a run reads no such flags; inteco-abs panel --inject shows them"),
+        ((), "alarm=2@1s", "alarm: a run reads no such flags"),
+    ],
+)
+def test_what_this_board_or_a_run_cannot_show_is_refused_however_it_is_asked_for(
+    main_here, tmp_path, board, fault, said, way
+):
+    refused = main_here("run", *QUICK, *board, *way, "--inject", fault, "--out", "stop.mcap", check=2)
+    assert said in " ".join((refused.stdout + refused.stderr).split())
+    assert "Traceback" not in refused.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--inject", "alarm=2@1s"), "only boards on the PCI bus are known to have flags: --set profile=sim_pci"),
+        (("--inject", "loop-killed@1s"), "loop-killed: the panel records nothing; inteco-abs run --inject has this"),
+        (("--inject", "disk-full@1s", *PCI), "disk-full: the panel records nothing"),
+        (("--inject", "alarm=9@1s", *PCI), "alarm takes a whole number in 1..7 bits"),
+        (("--inject", "lose@1s", "--board", "usb2:"), "usb2: is a real board, and breaks by itself"),
+    ],
+)
+def test_what_the_panel_cannot_be_told_to_meet_is_refused(main_here, arguments, said):
+    refused = main_here("panel", "--outputs", "--dry-run", *arguments, check=2)
+    assert said in " ".join((refused.stdout + refused.stderr).split())
+
+
 def test_what_cannot_be_injected_is_told_all_at_once(main_here):
     stop = main_here("run", "--virtual", "--inject", "loose@1s", "--inject", "late@1s", check=2)
     assert "did you mean lose?" in stop.stderr

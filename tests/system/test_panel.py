@@ -194,6 +194,14 @@ def test_what_the_guard_has_taken_away_comes_back_by_arming_anew_and_by_nothing_
     assert one.duties == OFF
 
 
+def test_alarm_flags_and_a_low_supply_are_shown(terminal):
+    pci = terminal("--set", "profile=sim_pci", "--inject", "alarm=2@start", "--inject", "supply=11.5@start")
+    pci.until_shown("supply 11.5 V")
+    pci.until_shown("alarm_supply 0")
+    pci.type(b"q")
+    assert pci.process.wait(PATIENCE_S) == 0
+
+
 def test_without_the_phrase_no_process_is_started(terminal):
     one = terminal("--outputs")
     one.until_shown('emergency switch":')

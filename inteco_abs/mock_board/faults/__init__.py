@@ -1,16 +1,17 @@
-"""What may go wrong between host, board and rig: one vocabulary, for tests and for `inteco-abs run --inject`."""
+"""What may go wrong between host, board and rig: one vocabulary, for tests and for `inteco-abs run --inject` and that of the panel."""
 
 from inteco_abs.mock_board.faults.device import FaultyDevice
 from inteco_abs.mock_board.faults.face import FaultyFace
-from inteco_abs.mock_board.faults.fault import Event, Fault, Span, parse_fault, parse_faults
+from inteco_abs.mock_board.faults.fault import Event, Fault, Span, insist_on_possible, parse_fault, parse_faults
 from inteco_abs.mock_board.faults.host import FaultyHost
-from inteco_abs.mock_board.faults.kinds import BY_PROCESS, CLOCK_STEP, KINDS, Kind
+from inteco_abs.mock_board.faults.kinds import BY_PROCESS, CLOCK_STEP, KINDS, ON_THE_HOST, Kind
 from inteco_abs.mock_board.faults.schedule import Schedule
 
 __all__ = [
     "BY_PROCESS",
     "CLOCK_STEP",
     "KINDS",
+    "ON_THE_HOST",
     "Event",
     "Fault",
     "FaultyDevice",
@@ -19,6 +20,7 @@ __all__ = [
     "Kind",
     "Schedule",
     "Span",
+    "insist_on_possible",
     "parse_fault",
     "parse_faults",
 ]

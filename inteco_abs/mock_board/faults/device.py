@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import ConfigError, Mistake
 from inteco_abs.mock_board.device import Device, PowerInterface, Truth
 from inteco_abs.mock_board.faults.fault import Fault
 from inteco_abs.mock_board.faults.schedule import Schedule
@@ -35,10 +34,8 @@ class FaultyDevice(Device):
         self._off = [0, 0]
         """How far the counters that are shown are from the true ones, in counts."""
         self._slept_ns = 0
+        self._power_may_fail = any(fault.startswith(("supply=", "heat=")) for fault in schedule.times)
         super().__init__(config, lambda: now_ns() + self._slept_ns, seed, observe, **more)
-        if self.kind != "pci" and any(text.startswith("alarm=") for text in schedule.times):
-            said = "alarm: only a board on the PCI bus is known to have such flags; --set profile=sim_pci takes one"
-            raise ConfigError([Mistake("--inject", said)])
         self._was = list(super().counts())
 
     def counts(self) -> tuple[int, int]:
@@ -53,14 +50,8 @@ class FaultyDevice(Device):
     @property
     def power_interface(self) -> PowerInterface:
         """What there is to be measured of it now."""
-        act, measured = self.schedule.acting, super().power_interface
-        if supply := act("supply"):
-            measured = measured._replace(supply_v=supply.value)
-        if heat := act("heat"):
-            measured = measured._replace(temperature_celsius=heat.value)
-        if alarm := act("alarm"):
-            measured = measured._replace(alarms=measured.alarms ^ int(alarm.value))
-        return measured
+        measured, alarm = self._supplied(), self.schedule.acting("alarm")
+        return measured._replace(alarms=measured.alarms ^ int(alarm.value)) if alarm else measured
 
     def sleep(self, seconds: float) -> None:
         """So much time passes here, and none on the host's clock."""
@@ -97,10 +88,17 @@ class FaultyDevice(Device):
     def _motors(self) -> tuple[float, float]:
         drive, brake = super()._motors()
         self.schedule.outputs(drive, brake)
-        act = self.schedule.acting
-        if act("power-off") or (act("supply", "heat", "alarm") and not self.power_interface.works):
+        if self.schedule.acting("power-off") or (self._power_may_fail and not self._supplied().works):
             return 0.0, 0.0
         return self._motor("drive", drive), self._motor("brake", brake)
+
+    def _supplied(self) -> PowerInterface:
+        act, supplied = self.schedule.acting, super().power_interface
+        if supply := act("supply"):
+            supplied = supplied._replace(supply_v=supply.value)
+        if heat := act("heat"):
+            supplied = supplied._replace(temperature_celsius=heat.value)
+        return supplied
 
     def _motor(self, name: str, duty: float) -> float:
         fault: Fault | None = self.schedule.acting(f"{name}-dead", f"{name}-stuck", f"{name}-weak")

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 from firmware_protocol import rtdac_usb, rtdac_usb2
-from inteco_abs.errors import ConfigError, LinkError, Mistake
+from inteco_abs.errors import LinkError
 from inteco_abs.mock_board.device import Device
 from inteco_abs.mock_board.face import Face
 from inteco_abs.mock_board.faults.device import FaultyDevice
@@ -25,7 +25,7 @@ class FaultyFace:
 
     `wait` lets so many seconds pass in an exchange, `pause` lets the host stand still for so many after it; `begun` is
     told that one begins. An exchange is what the host sends and the answer that it then takes. Raises LinkError where
-    the cable is pulled, ConfigError for a fault that this kind of board cannot show.
+    the cable is pulled.
     """
 
     def __init__(
@@ -177,6 +177,4 @@ def _identity_at(device: FaultyDevice) -> int:
         return rtdac_usb2.READ.place("logic_version").offset
     if device.kind == "usb":
         return rtdac_usb.HEADER_BYTES - 1
-    if "identity" in {text.partition("@")[0] for text in device.schedule.times}:
-        raise ConfigError([Mistake("--inject", "identity: a board on the PCI bus says what it is in no answer")])
-    return 0
+    return 0  # on the PCI bus no answer has it

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
 from inteco_abs.errors import ConfigError, Mistake, near_match
-from inteco_abs.mock_board.faults.kinds import KINDS, Kind, Value
+from inteco_abs.mock_board.faults.kinds import KINDS, NOT_ON, Kind, Value
 
 _FORM: Final = re.compile(r"(?P<kind>[^=@/]+)(?:=(?P<value>[^@/]*))?@(?P<when>[^/]+)(?:/(?P<lasts>.+))?")
 _SPAN: Final = re.compile(
@@ -90,6 +90,19 @@ def parse_faults(texts: Iterable[str], option: str = "--inject") -> tuple[Fault,
     return tuple(faults)
 
 
+def insist_on_possible(
+    faults: Iterable[Fault], board: str, impossible: Mapping[str, str] | None = None, option: str = "--inject"
+) -> None:
+    """Raise ConfigError for those that this kind of board, as in `board.kind`, cannot have.
+
+    `impossible` are other kinds that cannot be, and why.
+    """
+    why = {name: text for name, (boards, text) in NOT_ON.items() if board in boards} | dict(impossible or {})
+    mistakes = [Mistake(option, f"{fault.name}: {why[fault.name]}") for fault in faults if fault.name in why]
+    if mistakes:
+        raise ConfigError(mistakes)
+
+
 def parse_fault(text: str) -> Fault:
     """`KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG]`; times as 20ms, 1.5s or #40 exchanges. Raises ValueError."""
     form = _FORM.fullmatch(text)
@@ -157,7 +170,7 @@ def _value_of(kind: Kind, name: str, text: str | None) -> float:
 
 
 def _example(value: Value) -> str:
-    return "0.5" if value.high <= 1.0 else "20"
+    return "0.5" if value.high <= 1.0 else f"{min(20.0, value.high):g}"
 
 
 def _text(span: Span) -> str:

@@ -99,12 +99,18 @@ ON_THE_RIG: Final[dict[str, Kind]] = {
     "brake-dead": Kind("the brake gets nothing", lasting=True),
     "brake-weak": Kind("the brake gets this share of its duty", _SHARE, lasting=True),
     "brake-stuck": Kind("the brake gets this duty, whatever the board puts out", _SHARE, lasting=True),
-    "power-off": Kind("the power interface is off: emergency switch or mains", lasting=True),
-    "supply": Kind("the motors' supply has so many volts: below 12.3 V they get nothing", _SUPPLY, lasting=True),
-    "heat": Kind("the power interface is so hot: above 80 degC the motors get nothing", _HEAT, lasting=True),
-    "alarm": Kind("these of the PCI board's alarm flags, 1, 2 and 4 added up, say the opposite", _ALARMS, lasting=True),
+    "power-off": Kind("the power interface is off, as by the emergency switch", lasting=True),
+    "supply": Kind("the motors' supply has so many volts; below 12.3 V they get nothing here", _SUPPLY, lasting=True),
+    "heat": Kind("the power interface is so hot; above 80 degC the motors get nothing here", _HEAT, lasting=True),
+    "alarm": Kind("in the panel: these alarm flags, 1, 2 and 4 added up, say the opposite", _ALARMS, lasting=True),
 }
 """Between the board and the wheels."""
+
+NOT_ON: Final[dict[str, tuple[frozenset[str], str]]] = {
+    "identity": (frozenset({"pci"}), "a board on the PCI bus says what it is in no answer"),
+    "alarm": (frozenset({"usb2", "usb"}), "only boards on the PCI bus are known to have flags: --set profile=sim_pci"),
+}
+"""Kinds of board that cannot have such a fault, and why."""
 
 PROCESSES: Final = ("loop", "recorder", "guardian", "supervisor")
 """Of a run in real time."""
