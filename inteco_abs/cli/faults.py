@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @click.command()
 @json_option
 def faults(as_json: bool) -> int:
-    """List what the mock board can do wrong, for `run --inject KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG]`."""
+    """List what the mock board can do wrong, for `--inject KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG]` of run and panel."""
     from inteco_abs.mock_board.faults import KINDS, Event
 
     if as_json:

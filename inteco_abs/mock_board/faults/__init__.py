@@ -1,4 +1,4 @@
-"""What may go wrong between host, board and rig: one vocabulary, for tests and for `inteco-abs run --inject` and that of the panel."""
+"""What may go wrong between host, board and rig: one vocabulary, for tests and for `--inject` of run and panel."""
 
 from inteco_abs.mock_board.faults.device import FaultyDevice
 from inteco_abs.mock_board.faults.face import FaultyFace
