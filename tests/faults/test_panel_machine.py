@@ -30,6 +30,7 @@ pytestmark = pytest.mark.untraced
 
 FEW = settings(max_examples=settings().max_examples // 3, stateful_step_count=20)
 PERIOD_NS = round(1e9 / RATE_HZ)
+HELD_BEATS = HELD_NS // PERIOD_NS
 OFF = (0.0, 0.0)
 STEP = 1 / 255
 RING_TICKS = 3000
@@ -97,7 +98,7 @@ class PanelMachine(RuleBasedStateMachine):
         self.panel.release()
         self.bench.side.wishes.take_away()
         self.pressed_ns = self.held_ns = NEVER
-        self.released_ns = self.now_ns
+        self.released_ns = self.seen_ns = self.now_ns  # keys are seen in their order
 
     @rule(output=st.sampled_from(["drive", "brake"]), percent=st.integers(-100, 100))
     def slide(self, output, percent):
@@ -109,7 +110,7 @@ class PanelMachine(RuleBasedStateMachine):
         self._beat(beats)
 
     @precondition(lambda self: self.bench.device.duties != OFF)
-    @rule(beats=st.integers(45, 70))
+    @rule(beats=st.integers(HELD_BEATS + 2, 70))
     def let_the_key_go(self, beats):
         self._beat(beats)
         assert self.bench.device.duties == OFF
