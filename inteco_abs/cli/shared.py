@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -220,7 +221,7 @@ def known_controllers(name: str | None) -> Controllers:
         controllers = Controllers()
         if name is not None and name not in controllers:
             file = name if name.endswith(".py") else f"{name}.py"
-            if name == file or Path(file).is_file():
+            if name == file or os.path.isfile(file):  # noqa: PTH113  a name too long for a file is no error here
                 raise ConfigError([Mistake("--controller", f"{name}: name the class too, as in {file}:Class")])
         return controllers
     kind, source = load_controller(name)
