@@ -329,9 +329,9 @@ class _VirtualRun:
                     screen.passed(Check.RECORDER, str(plan.out))
                     self._drive(keeper, board, progress, screen)
             except BaseException as error:
-                unsafe = isinstance(error, UnsafeError)
+                unsafe = isinstance(error, UnsafeError) and self._ring.written > 0
                 if unsafe:
-                    screen.warn(str(error))  # now: whoever reads on has read this
+                    screen.warn(str(error))  # before all else that is told
                 words = str(error) if unsafe else in_words(error)
                 account = self._given_up(keeper, replace(self._end(board, words), frames=self._frames(around)), error)
                 if account is None or not unsafe:

@@ -71,11 +71,8 @@ __all__ = [
     "insist_on_possible",
     "parse_address",
     "parse_faults",
-    "pci",
     "rig_check",
     "simulated_rig",
-    "usb",
-    "usb2",
 ]
 
 _FACES: Final[dict[str, Callable[[Device], Face]]] = {"usb2": Usb2Face, "usb": UsbFace, "pci": PciFace}

@@ -24,9 +24,8 @@ from tests.faults.stage import configured
 
 pytestmark = pytest.mark.untraced
 
-FEW = settings(
-    max_examples=max(150, settings().max_examples // 2), stateful_step_count=30
-)  # fewer may miss a kind of end
+FEW = settings(max_examples=max(150, settings().max_examples // 2), stateful_step_count=30)
+"""Enough for each kind of end to be met."""
 OFF = (0.0, 0.0)
 STEP = 1 / 255
 DUTIES = st.one_of(st.sampled_from([0.0, 1.0]), st.floats(0.0, 1.0))
