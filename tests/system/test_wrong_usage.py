@@ -68,7 +68,7 @@ ROWS = [
     Row("a mock with no such rig", "mock-board --pty --rig slw:1", 2, ("simulation.rig",), "did you mean slow?"),
     Row("a mock at no port", "mock-board --usbip ':x'", 2, ("'x' is no port",), "must be 0..65535"),
     Row("an LED that is not there", "blink --board sim:", 2, ("'sim:'", "only an RT-DAC/USB2"), "as in usb2:123"),
-    Row("no such fault", "run --virtual --inject bogus@1s", 2, ("no fault 'bogus'",), "known: brake-dead"),
+    Row("no such fault", "run --virtual --inject bogus@1s", 2, ("no fault 'bogus'",), "known: alarm"),
     Row("a fault without its unit", "run --virtual --inject lose@20", 2, ("'20' is no time",), "say 500us, 20ms, 1.5s"),
     Row("a fault of a real board", "run --board usb2: --inject lose@20ms", 2, ("--inject", "usb2:"), "only sim:"),
     Row("nothing to identify", "identify", 2, ("SESSION",), "name at least one session, or --plan"),
