@@ -99,4 +99,6 @@ def _timing(path):
 
 
 def _quantiles(values_us):
+    if not len(values_us):
+        return {}  # no wheel has turned: how the run ended says why
     return {name: float(np.percentile(values_us, share)) for name, share in (("p50", 50), ("p99", 99), ("max", 100))}
