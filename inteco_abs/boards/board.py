@@ -151,6 +151,15 @@ class Board(ABC):
         finally:
             self._close()
 
+    def begin(self) -> None:
+        """Begin a run: its first sample is tick 0 and lasts one period, however long ago the newest exchange was.
+
+        What was exchanged before, to time the board, belongs to no run: neither its ticks nor its errors count.
+        """
+        self._tick = 0
+        self.link_errors = 0
+        self.last_error = None
+
     def exchange(self, command: Command) -> Sample:
         """Write `command`, then read the board, once.
 

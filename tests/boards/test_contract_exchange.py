@@ -19,6 +19,17 @@ class TestExchange:
         assert sample.dt_s == bench.config.period_ns / 1e9
         assert sample.board_flags is BoardFlags.NONE
 
+    def test_a_run_begins_at_tick_zero_one_period_long_however_long_the_board_was_held_before(self, new_bench):
+        bench = new_bench()
+        with bench.board:
+            for _ in range(5):
+                bench.exchange()
+            bench.board.begin()
+            bench.clock.advance(4 * 10**9)  # until the recorder has made its file
+            sample = bench.exchange()
+            assert (sample.tick, sample.dt_s) == (0, bench.config.period_ns / 1e9)
+            assert bench.exchange().tick == 1
+
     def test_driving_turns_both_wheels_and_the_counts_follow_them(self, new_bench):
         bench = new_bench(seed=11)
         road_start, wheel_start = bench.device.counts()

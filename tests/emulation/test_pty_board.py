@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sysconfig
 import time
-from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 
@@ -24,6 +23,8 @@ RATES_HZ = (250, 250, 120, 80, 60)
 """The real board's first; a busy computer may not keep it, and a run that has not begun may be tried again."""
 BUSY = ("set loop.rate_hz to", "within 10 ms")
 """What the run says then."""
+REAL_LIMITS = ("profile=sim_usb", "guard.missed_in_a_row=4", "guard.bucket_limit=30", "guard.silence_s=0.05")
+"""Those that a real board's profile has, not the mock's own."""
 TRIP_TICKS = 30
 """A few ticks after the start: the drive is on."""
 
@@ -68,29 +69,13 @@ def mock(tmp_path):
 
 
 @pytest.fixture
-def profile(tmp_path):
-    """A profile of a lab's own, as it lies in its folder; patient, as terminals on a busy computer have long pauses."""
-    text = resources.files("inteco_abs.profiles").joinpath("sim_usb.toml").read_text()
-    file = tmp_path / "lab.toml"
-    for short, patient in (
-        ("window_s = 0.012", "window_s = 0.040"),
-        ("missed_in_a_row = 25 ", "missed_in_a_row = 250 "),
-        ("bucket_limit = 375", "bucket_limit = 3000"),
-    ):
-        assert short in text
-        text = text.replace(short, patient)
-    file.write_text(text)
-    return file
-
-
-@pytest.fixture
-def live(mock, profile, tmp_path):
+def live(mock, tmp_path):
     """Starts a stop on the mock's port; gives it once its loop may go."""
     runs = []
 
     def start(*settings):
         for rate_hz in RATES_HZ:
-            chosen = (f"profile={profile}", f"loop.rate_hz={rate_hz}", "experiment.start_speed_rad_s=60", *settings)
+            chosen = (*REAL_LIMITS, f"loop.rate_hz={rate_hz}", "experiment.start_speed_rad_s=60", *settings)
             run = LiveRun(COMMAND, tmp_path, UNTRACED, "--board", f"usb:{mock.port}", settings=chosen, begun=False)
             runs.append(run)
             if begins(run):
@@ -155,6 +140,11 @@ def test_a_whole_stop_in_real_time_over_the_port_replays_without_a_difference(li
         [COMMAND, "replay", run.out, "--json"], env=UNTRACED, capture_output=True, text=True, check=True
     )
     assert json.loads(replayed.stdout)["differing"] == 0
+    assert run.session().ticks["tick"][0] == 0
+    validated = subprocess.run(
+        [COMMAND, "validate", run.out], env=UNTRACED, capture_output=True, text=True, check=False
+    )
+    assert validated.returncode == 0, validated.stdout
 
 
 @pytest.mark.long

@@ -167,6 +167,9 @@ class TimedBoard:
         self._fake_time = fake_time
         self._answers_us = iter(answers_us)
 
+    def begin(self):
+        pass
+
     def exchange(self, command):
         self.commands.append(command)
         answer_us = next(self._answers_us)
