@@ -5,11 +5,13 @@ Nobody takes a lock. Every word has one writer at a time; readers poll.
 
 from __future__ import annotations
 
+import errno
 import json
 import mmap
 import os
 import select
 import shutil
+import stat
 import struct
 import time
 import uuid
@@ -32,6 +34,11 @@ _KIND: Final = b"inteco-abs ring"
 _MAGIC: Final = _KIND + b" 2\n"
 _HEADER: Final = struct.Struct("<32s4Q")
 _POLL_S: Final = 0.001
+_NO_PROCESS: Final = (errno.ESRCH, errno.EINVAL, errno.ENOENT)
+"""Of pidfd_open: there is none, or the number is that of a mere thread (ENOENT since Linux 6.9)."""
+_LARGEST_PID: Final = (1 << 31) - 1
+_START_TIME: Final = 19
+"""Field of /proc/PID/stat, counted from 0 behind the name (proc(5): field 22)."""
 
 
 class Word(IntEnum):
@@ -96,6 +103,11 @@ class Word(IntEnum):
     # the process that holds the board for it
     LOOKS = auto()
     """Which of them is in the note RESULT."""
+    # when the processes that a run belongs to have started: a number may be given to another process later
+    SUPERVISOR_STARTED = auto()
+    """Ticks of the system's clock since it was started, as in `start_time`; 0 if not known."""
+    LOOP_STARTED = auto()
+    RECORDER_STARTED = auto()
 
 
 class Note(IntEnum):
@@ -124,7 +136,12 @@ _NOTE_BYTES: Final = {Note.JOB: 2 << 20, Note.SURROUNDINGS: 2 << 20}
 _OTHER_NOTE_BYTES: Final = 64 << 10
 _WORDS_AT: Final = 4096
 _NOTES_AT: Final = 8192
-_OWNERS: Final = (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID)
+_OWNERS: Final = {
+    Word.SUPERVISOR_PID: Word.SUPERVISOR_STARTED,
+    Word.LOOP_PID: Word.LOOP_STARTED,
+    Word.RECORDER_PID: Word.RECORDER_STARTED,
+}
+"""Processes that a run belongs to: number, and start."""
 
 
 def _note_places() -> tuple[dict[Note, tuple[int, int]], int]:
@@ -196,7 +213,7 @@ class RunMemory:
         except BaseException:
             _unlink(path)
             raise
-        memory.words[Word.SUPERVISOR_PID] = os.getpid()
+        memory.name(Word.SUPERVISOR_PID, os.getpid())
         memory.words[Word.EPOCH_NS] = time.time_ns() - time.monotonic_ns()
         return memory
 
@@ -245,9 +262,14 @@ class RunMemory:
         """Where the loop's process leaves what passed between it and the board, if that was asked for."""
         return self.path.with_suffix(_FRAMES)
 
+    def name(self, owner: Word, pid: int) -> None:
+        """Process `pid` is now the run's `owner`: SUPERVISOR_PID, LOOP_PID or RECORDER_PID."""
+        self.words[_OWNERS[owner]] = start_time(pid)
+        self.words[owner] = pid
+
     def in_use(self) -> bool:
         """Whether any process of the run may still need it."""
-        return not self.words[Word.KEPT] and any(alive(self.words[word]) for word in _OWNERS)
+        return _in_use(self.words)
 
     def post(self, note: Note, content: Any) -> None:
         """Leave a note: bytes, or anything that JSON can say."""
@@ -314,21 +336,37 @@ def left_rings(folder: Path = FOLDER) -> Iterator[Path]:
     Those without a tick, or with none to be kept, are removed. Looks at a few words of each, as a memory may be large.
     """
     for path in sorted(folder.glob(f"{_PREFIX}*{SUFFIX}")):
-        try:
-            with path.open("rb") as file:
-                head = file.read(_RINGS_AT + 8)
-        except OSError:
-            continue  # somebody else's, or gone meanwhile
+        head = _head_of_own(path)
         if len(head) < _RINGS_AT + 8 or not head.startswith(_MAGIC):
             continue
         words = memoryview(head)[_WORDS_AT:_NOTES_AT].cast("q")
-        pids = [words[word] for word in _OWNERS]
-        if not pids[0] or (not words[Word.KEPT] and any(map(alive, pids))):
+        if not words[Word.SUPERVISOR_PID] or _in_use(words):
             continue  # just being made, or in use
         if struct.unpack_from("<Q", head, _RINGS_AT)[0] and not words[Word.UNRECORDED]:
             yield path
         else:
             _unlink_all(path)
+
+
+def _head_of_own(path: Path) -> bytes:
+    """Beginning of a regular file of this user's; empty for anything else: all users may put pipes and links there."""
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+        try:
+            found = os.fstat(file)
+            own = stat.S_ISREG(found.st_mode) and found.st_uid == os.geteuid()
+            return os.pread(file, _RINGS_AT + 8, 0) if own else b""
+        finally:
+            os.close(file)
+    except OSError:
+        return b""  # gone meanwhile
+
+
+def _in_use(words: memoryview) -> bool:
+    """Whether any process that the run belongs to has not ended; a kept memory needs none of them."""
+    return not words[Word.KEPT] and any(
+        alive(words[pid]) and words[started] in {0, start_time(words[pid])} for pid, started in _OWNERS.items()
+    )
 
 
 def _unlink_all(path: Path) -> None:
@@ -343,14 +381,36 @@ def _unlink(path: Path) -> None:
 
 
 def alive(pid: int) -> bool:
-    """Whether there is a process of that number that has not ended."""
-    if pid <= 0:
+    """Whether there is a process of that number that has not ended; True where the system cannot tell."""
+    if not 0 < pid <= _LARGEST_PID:
         return False
     try:
         end = os.pidfd_open(pid)
-    except OSError:  # there is none, or the number is that of a mere thread by now
-        return False
+    except OSError as error:
+        # anything else, such as no descriptor left, does not mean that the process has ended
+        return error.errno not in _NO_PROCESS and _exists(pid)
     try:
-        return not select.select([end], [], [], 0.0)[0]  # readable once it has ended, even if nobody has asked how
+        ended = select.poll()  # select.select takes no descriptor from 1024 on
+        ended.register(end, select.POLLIN)
+        return not ended.poll(0)  # readable once it has ended, even if nobody has asked how
     finally:
         os.close(end)
+
+
+def _exists(pid: int) -> bool:
+    """The same without a descriptor: a process that has ended counts until its parent has asked how."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it is another user's
+        return True
+    return True
+
+
+def start_time(pid: int) -> int:
+    """Ticks of the system's clock between its start and that of the process; 0 if that is not known."""
+    try:
+        return int(Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[_START_TIME])
+    except (OSError, IndexError, ValueError):
+        return 0

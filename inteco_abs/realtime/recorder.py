@@ -55,7 +55,7 @@ _LONGEST_START_S: Final = 120.0
 def main(path: str) -> int:
     """Record the run in the memory at `path`."""
     memory = RunMemory.open(Path(path))
-    memory.words[Word.RECORDER_PID] = os.getpid()
+    memory.name(Word.RECORDER_PID, os.getpid())
     prepare(recorder_wishes())
     job = Job.of(memory)
     try:

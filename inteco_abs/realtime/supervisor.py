@@ -100,7 +100,7 @@ class Supervisor:
                 for role, name in (("guardian", "guardian"), *((("drill", "drill"),) if drill else ()), _BY_HAND):
                     self.spawn(name, "inteco_abs.realtime", role, str(self._memory.path))
                 loop = self._children["loop"]
-                words[Word.LOOP_PID] = loop.pid
+                self._memory.name(Word.LOOP_PID, loop.pid)
                 if drill:
                     self._drill(NoScreen())
                 words[Word.GUARDED_PID] = loop.pid
@@ -165,7 +165,7 @@ class Supervisor:
         self._await_the_mock()
         for role in ("guardian", "recorder", "drill", "loop"):
             self.spawn(role, "inteco_abs.realtime", role, str(self._memory.path))
-        self._words[Word.LOOP_PID] = self._children["loop"].pid
+        self._memory.name(Word.LOOP_PID, self._children["loop"].pid)
 
     def _drill(self, screen: Screen) -> None:
         """Before the loop may touch the board, kill a process that holds it: the guardian must be seen to take over."""

@@ -1,16 +1,20 @@
 import errno
 import os
+import resource
 import struct
 import threading
 import time
+from contextlib import suppress
 
 import pytest
 
 from inteco_abs.errors import SessionError
-from inteco_abs.realtime.memory import Note, RunMemory, Word, alive, left_rings
+from inteco_abs.realtime.memory import Note, RunMemory, Word, alive, left_rings, start_time
 
 SIZE = 12
 CAPACITY = 3
+MADE = [Word.SUPERVISOR_PID, Word.EPOCH_NS, Word.SUPERVISOR_STARTED]
+"""Words of a memory that was just made."""
 PIDS = (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID)
 
 
@@ -35,7 +39,7 @@ class TestFile:
         memory, other = small
         assert other.path == memory.path
         assert other.tick_capacity == CAPACITY
-        assert [word for word in Word if other.words[word]] == [Word.SUPERVISOR_PID, Word.EPOCH_NS]
+        assert [word for word in Word if other.words[word]] == MADE
         assert [other.image(note) for note in Note] == [None] * len(Note)
         assert (other.tick_reader().written, other.truth_reader().written) == (0, 0)
         assert other.histogram.sparse() == {}
@@ -133,7 +137,7 @@ class TestNotes:
             with pytest.raises(SessionError, match="too long"):
                 memory.post(note, b"x" * (most + 1))
         assert {note: other.image(note) for note in Note} == posted
-        assert [word for word in Word if other.words[word]] == [Word.SUPERVISOR_PID, Word.EPOCH_NS]
+        assert [word for word in Word if other.words[word]] == MADE
         assert other.histogram.sparse() == {}
 
 
@@ -243,9 +247,30 @@ class TestLeftRings:
     def test_a_memory_with_one_living_process_is_left_alone(self, memory, memory_folder, ended, word):
         for each in PIDS:
             memory.words[each] = ended
-        memory.words[word] = os.getpid()
+        memory.name(word, os.getpid())
         assert memory.in_use()
         assert not list(left_rings(memory_folder))
+
+    @pytest.mark.parametrize("word", PIDS)
+    def test_a_number_that_another_process_has_by_now_keeps_nothing(self, memory, memory_folder, ended, word):
+        memory.tick_ring(pack).append(1)
+        for each in PIDS:
+            memory.words[each] = ended
+        memory.name(word, os.getpid())
+        memory.words[PIDS.index(word) + Word.SUPERVISOR_STARTED] -= 1
+        assert not memory.in_use()
+        assert list(left_rings(memory_folder)) == [memory.path]
+
+    def test_pipes_links_and_other_users_files_are_passed_over_at_once(self, memory, memory_folder, ended, monkeypatch):
+        memory.tick_ring(pack).append(1)
+        memory.words[Word.SUPERVISOR_PID] = ended
+        os.mkfifo(memory_folder / "inteco-abs-pipe.ring")
+        (memory_folder / "inteco-abs-link.ring").symlink_to(memory.path)
+        (memory_folder / "inteco-abs-nowhere.ring").symlink_to(memory_folder / "not there")
+        assert list(left_rings(memory_folder)) == [memory.path]
+        monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+        assert list(left_rings(memory_folder)) == []
+        assert memory.path.exists()
 
     def test_several_are_found_in_order_and_what_is_no_memory_is_passed_over(self, new_memory, memory_folder, ended):
         memories = [new_memory() for _ in range(3)]
@@ -272,9 +297,45 @@ class TestAlive:
         process.wait()
         assert not alive(process.pid)
 
-    @pytest.mark.parametrize("pid", [0, -1, -(2**31), 2**31 - 1])
+    @pytest.mark.parametrize("pid", [0, -1, -(2**31), 2**31 - 1, 2**40])
     def test_a_number_that_no_process_has_is_not(self, pid):
         assert not alive(pid)
+
+    def test_without_a_descriptor_to_look_through_a_process_is_not_taken_for_dead(self, child):
+        process = child()
+        limits, taken = resource.getrlimit(resource.RLIMIT_NOFILE), []
+        resource.setrlimit(resource.RLIMIT_NOFILE, (64, limits[1]))
+        try:
+            with suppress(OSError):
+                while True:
+                    taken.append(os.dup(0))
+            with pytest.raises(OSError, match="Too many open files"):
+                os.pidfd_open(process.pid)
+            assert alive(process.pid)
+            process.kill()
+            process.wait()
+            assert not alive(process.pid)
+        finally:
+            for file in taken:
+                os.close(file)
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+    def test_more_than_a_thousand_descriptors_are_no_obstacle(self, child):
+        process = child()
+        limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+        if limits[0] < 1200:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (1200, limits[1]))
+        taken = [os.dup(0) for _ in range(1100)]
+        try:
+            assert alive(process.pid)
+        finally:
+            for file in taken:
+                os.close(file)
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+    def test_the_start_of_a_process_is_later_than_that_of_its_parent(self, child):
+        assert 0 < start_time(os.getpid()) <= start_time(child().pid)
+        assert start_time(2**31 - 1) == 0
 
     def test_the_number_of_a_thread_is_no_process(self):
         over, numbers = threading.Event(), []
