@@ -1,27 +1,49 @@
 """Which signals end a run at its next tick rather than the program with its outputs on."""
 
+import os
 import signal
+import subprocess
+import sys
 import threading
 
 import pytest
 
-from inteco_abs.realtime.hearing import hearing
+from inteco_abs.realtime.hearing import heard_signals, hearing
 
-NUMBERS = [
-    signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP, signal.SIGUSR1, signal.SIGUSR2,
-    signal.SIGALRM, signal.SIGXCPU,
-]  # fmt: skip
+WITH_A_REASON_NOT_TO = {
+    "SIGKILL", "SIGSTOP", "SIGCHLD", "SIGCONT", "SIGURG", "SIGWINCH", "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL",
+    "SIGPIPE", "SIGXFSZ", "SIGTTIN", "SIGTTOU",
+}  # fmt: skip
+NUMBERS = sorted(signal.valid_signals() - {getattr(signal, name) for name in WITH_A_REASON_NOT_TO})
+DEFAULT = "import signal, sys; signal.signal(int(sys.argv[1]), signal.SIG_DFL); signal.raise_signal(int(sys.argv[1]))"
 
 
-@pytest.mark.parametrize("number", NUMBERS, ids=lambda number: number.name)
-def test_what_would_end_or_stop_the_program_is_heard_instead_and_only_meanwhile(number):
-    before, heard = signal.getsignal(number), []
-    with hearing(lambda: heard.append(number)):
-        handler = signal.getsignal(number)
-        assert handler not in (signal.SIG_DFL, before)
-        signal.raise_signal(number)
-        assert heard == [number]
-    assert signal.getsignal(number) == before
+def test_every_signal_that_would_end_or_stop_the_program_is_heard_instead_and_only_meanwhile():
+    assert {signal.SIGVTALRM, signal.SIGPROF, signal.SIGIO, signal.SIGPWR, signal.SIGRTMIN} < set(NUMBERS)
+    before, heard = {number: signal.getsignal(number) for number in NUMBERS}, []
+    with hearing(lambda: heard.append(True)):
+        for number in NUMBERS:
+            assert signal.getsignal(number) not in (signal.SIG_DFL, before[number]), number
+            signal.raise_signal(number)
+    assert len(heard) == len(NUMBERS)
+    assert {number: signal.getsignal(number) for number in NUMBERS} == before
+
+
+@pytest.mark.parametrize("name", ["SIGCHLD", "SIGCONT", "SIGURG", "SIGWINCH"])
+def test_what_is_not_heard_as_it_ends_nothing_ends_nothing(name):
+    number = getattr(signal, name)
+    assert number not in heard_signals()
+    assert subprocess.run([sys.executable, "-c", DEFAULT, str(int(number))], check=False).returncode == 0
+
+
+def test_a_write_into_a_closed_pipe_still_raises_and_stops_no_run():
+    heard = []
+    reader, writer = os.pipe()
+    os.close(reader)
+    with hearing(lambda: heard.append(True)), pytest.raises(BrokenPipeError):
+        os.write(writer, b"x")
+    os.close(writer)
+    assert heard == []
 
 
 def test_in_another_thread_nothing_is_changed():
