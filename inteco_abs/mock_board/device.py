@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from typing import Final, Literal, NamedTuple
 
@@ -273,6 +274,17 @@ class Device:
             if self._hand is not None:
                 self._turn_on(self._hand, now)
             self._time_ns = now
+
+    @contextmanager
+    def instant(self) -> Iterator[None]:
+        """While inside, the rig stays where it is now: what happens there takes no time."""
+        self.catch_up()
+        now_ns, time_ns = self._now_ns, self._time_ns
+        self._now_ns = lambda: time_ns
+        try:
+            yield
+        finally:
+            self._now_ns = now_ns
 
     def _motors(self) -> tuple[float, float]:
         """What drive and brake get of the board's duties."""

@@ -10,7 +10,7 @@ import pytest
 from wrong_inputs import Answers, Place
 
 from inteco_abs.cli import main
-from inteco_abs.config import load_config
+from inteco_abs.config import RigConfig, load_config
 from inteco_abs.experiment import Plan, run_stop
 
 COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
@@ -25,6 +25,15 @@ def command_path():
 def untraced():
     """Environment without coverage's tracing: what must keep real time, or fit on a small disk, cannot carry it."""
     return {key: value for key, value in os.environ.items() if not key.startswith("COV")}
+
+
+@pytest.fixture(scope="session")
+def real_limits():
+    """The guard as a real board has it, not a simulated one, at a rate that a shared computer keeps as well."""
+    limits = RigConfig.model_validate({"board": {"logic_version": 0}}).guard
+    kept = ("missed_in_a_row", "bucket_limit", "silence_s")
+    settings = [*(f"guard.{key}={getattr(limits, key)}" for key in kept), "loop.rate_hz=500"]
+    return [word for setting in settings for word in ("--set", setting)]
 
 
 @pytest.fixture

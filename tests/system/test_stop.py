@@ -99,8 +99,9 @@ def test_without_an_output_the_session_lands_in_the_sessions_folder(main_here, t
     assert len(list((tmp_path / "sessions").glob("stop-*.mcap"))) == 2
 
 
-def test_a_stop_in_real_time_keeps_its_pace(inteco_abs, untraced):
-    arguments = ["--board", "sim:", "--set", "experiment.start_speed_rad_s=30", "--out", "rt.mcap", "--json"]
+def test_a_stop_in_real_time_with_a_real_boards_limits_keeps_its_pace(inteco_abs, untraced, real_limits):
+    quick = ("--set", "experiment.start_speed_rad_s=30")
+    arguments = ["--board", "sim:", *quick, *real_limits, "--out", "rt.mcap", "--json"]
     run = inteco_abs("run", *arguments, environment=untraced)
     assert run.returncode in (0, 3), run.stderr  # a shared computer may be late: that is said, not hidden
     result = json.loads(run.stdout)
