@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from inteco_abs.cli.shared import FILE, Finite
+from inteco_abs.cli.shared import FILE, Finite, say
 from inteco_abs.errors import BoardError, ConfigError, Mistake
 
 
@@ -30,7 +30,7 @@ def blink(board: str, seconds: float, config: Path | None) -> int:
     device = find_one(serial, load_config(config, profile=default_profile(board)).usb)
     if not identify_led(device, on=True):
         raise BoardError("the board refuses to switch its LED")
-    click.echo(f"the LED is on for {seconds:g} s", err=True)
+    say(f"the LED is on for {seconds:g} s", err=True)
     try:
         time.sleep(seconds)
     finally:

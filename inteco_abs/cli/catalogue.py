@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names
-from inteco_abs.cli.shared import json_option, print_json
+from inteco_abs.cli.shared import json_option, print_json, say
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
 if TYPE_CHECKING:
@@ -47,10 +47,10 @@ def controllers(name: str | None, as_json: bool) -> int:
         print_json({"schema_version": 1, "controllers": found, "broken": broken})
         return 0
     for each, kind, package in usable:
-        click.echo(f"{each:{_WIDTH}} {_summary(kind)}{f' [{package}]' if package else ''}")
+        say(f"{each:{_WIDTH}} {_summary(kind)}{f' [{package}]' if package else ''}")
         _list(kind.gains)
     for fault in broken:
-        click.echo(f"{fault['name']:{_WIDTH}} broken: {fault['problem']}")
+        say(f"{fault['name']:{_WIDTH}} broken: {fault['problem']}")
     return 0
 
 
@@ -72,7 +72,7 @@ def estimators(name: str | None, as_json: bool) -> int:
         print_json({"schema_version": 1, "estimators": found})
         return 0
     for each, kind in ESTIMATORS.items():
-        click.echo(f"{each:{_WIDTH}} {kind.summary}")
+        say(f"{each:{_WIDTH}} {kind.summary}")
         _list(kind.parameters)
     return 0
 
@@ -122,15 +122,15 @@ def _tell(one: _About, toml: Mapping[str, Any], *, as_json: bool) -> None:
         told = {"name": one.name, "text": one.text, "numbers": numbers, "internals": internals, "toml": lines}
         print_json({"schema_version": 1, **told, "estimator": one.estimator or None})
         return
-    click.echo(f"{one.name}\n\n{one.text}\n")
+    say(f"{one.name}\n\n{one.text}\n")
     if one.estimator:
-        click.echo(f"works with the estimator {one.estimator} only, and has it if none is chosen\n")
+        say(f"works with the estimator {one.estimator} only, and has it if none is chosen\n")
     _list(one.numbers, indent=2)
     if not one.numbers:
-        click.echo("  nothing to set")
+        say("  nothing to set")
     if internals:
-        click.echo(f"\nin a session, c0 and those after it are {', '.join(internals)}")
-    click.echo(f"\nin rig.toml, with the defaults:\n\n{lines.rstrip()}" if lines else "")
+        say(f"\nin a session, c0 and those after it are {', '.join(internals)}")
+    say(f"\nin rig.toml, with the defaults:\n\n{lines.rstrip()}" if lines else "")
 
 
 @click.command()
@@ -144,7 +144,7 @@ def profiles(name: str | None, as_json: bool) -> int:
     if name is not None:
         if name not in shipped():
             raise ConfigError([Mistake("NAME", f"{name!r} is not a shipped profile{near_match(name, shipped())}")])
-        click.echo(profile_text(name), nl=False)
+        say(profile_text(name), nl=False)
         return 0
     boards = {one: load_config(profile=one).board for one in shipped()}
     if as_json:
@@ -162,7 +162,7 @@ def profiles(name: str | None, as_json: bool) -> int:
         return 0
     for one, board in boards.items():
         signed = f"signed by {board.verified_by}" if board.verified_by else f"{len(board.unconfirmed())} not confirmed"
-        click.echo(f"{one:19} {board.kind:5} logic 0x{board.logic_version:04X}  {board.read_only or signed}")
+        say(f"{one:19} {board.kind:5} logic 0x{board.logic_version:04X}  {board.read_only or signed}")
     return 0
 
 
@@ -172,7 +172,7 @@ def _list(numbers: Sequence[Gain | Parameter], indent: int = _WIDTH + 3) -> None
     width = max(map(len, ["", *values]))
     for value, each in zip(values, numbers, strict=True):
         unit = "" if each.unit == "1" else f" {each.unit}"
-        click.echo(f"{'':{indent}}{value:{width}}  {each.low:g}..{each.high:g}{unit}: {each.meaning}")
+        say(f"{'':{indent}}{value:{width}}  {each.low:g}..{each.high:g}{unit}: {each.meaning}")
 
 
 def _docstring(kind: type) -> str:

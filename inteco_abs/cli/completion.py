@@ -8,6 +8,8 @@ from typing import Final
 import click
 from click.shell_completion import CompletionItem, get_completion_class
 
+from inteco_abs.cli.shared import say
+
 _SHELLS: Final = {
     "bash": "~/.bashrc",
     "zsh": "~/.zshrc",
@@ -27,8 +29,8 @@ def completion(context: click.Context, shell: str) -> int:
     if kind is None:  # click knows all of the choices
         raise click.UsageError(f"click cannot complete for {shell}")
     root = context.find_root()
-    click.echo(f"# completion of inteco-abs; belongs into {_SHELLS[shell]}")
-    click.echo(kind(root.command, {}, "inteco-abs", "_INTECO_ABS_COMPLETE").source())
+    say(f"# completion of inteco-abs; belongs into {_SHELLS[shell]}")
+    say(kind(root.command, {}, "inteco-abs", "_INTECO_ABS_COMPLETE").source())
     return 0
 
 

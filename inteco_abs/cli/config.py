@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from inteco_abs.cli.completion import key_names
-from inteco_abs.cli.shared import FILE, SETTING, Verbs, json_option, print_json
+from inteco_abs.cli.shared import FILE, SETTING, Verbs, json_option, print_json, say
 from inteco_abs.errors import AbsError, disk_in_words
 
 
@@ -30,7 +30,7 @@ def init(file: Path) -> int:
             part.write_text(template(), encoding="utf-8")
     except OSError as error:
         raise AbsError(f"{file} cannot be written: {disk_in_words(error)}") from error
-    click.echo(f"{file}: uncomment what is different on your rig, and use it with --config {file}", err=True)
+    say(f"{file}: uncomment what is different on your rig, and use it with --config {file}", err=True)
     return 0
 
 
@@ -66,7 +66,7 @@ def show(file: Path | None, settings: tuple[str, ...], board: str, origin: bool,
         values = rig.model_dump(mode="json", exclude_none=True)
         print_json({"schema_version": 1, "config": values, "origins": found})
         return 0
-    click.echo(with_origins(rig, found), nl=False)
+    say(with_origins(rig, found), nl=False)
     return 0
 
 
@@ -87,7 +87,7 @@ def explain(key: str, board: str, as_json: bool) -> int:
     if as_json:
         print_json({"schema_version": 1, "keys": facts(key, below)})
         return 0
-    click.echo(in_words(key, below))
+    say(in_words(key, below))
     return 0
 
 
@@ -96,5 +96,5 @@ def schema() -> int:
     """Print the JSON schema of rig.toml, for editors that check and complete."""
     from inteco_abs.config import RigConfig
 
-    click.echo(json.dumps(RigConfig.model_json_schema(), indent=2))
+    say(json.dumps(RigConfig.model_json_schema(), indent=2))
     return 0

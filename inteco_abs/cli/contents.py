@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, json_option, plain, print_json, read_whole, tell_of_losses
+from inteco_abs.cli.shared import (
+    FILE,
+    LOSSES,
+    json_option,
+    on_terminal,
+    plain,
+    print_json,
+    read_whole,
+    say,
+    tell_of_losses,
+)
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -42,7 +53,7 @@ def export(file: Path, form: str | None, out: Path | None, as_json: bool) -> int
         print_json(told)
     else:
         for written in made.files:
-            click.echo(f"{written.path}: {', '.join(written.tables)}, {written.rows} rows")
+            say(f"{written.path}: {', '.join(written.tables)}, {written.rows} rows")
     tell_of_losses(made.session)
     return LOSSES if incomplete or beyond else 0
 
@@ -77,15 +88,23 @@ def get(file: Path, name: str | None, out: Path | None, as_json: bool) -> int:
     if name is None:
         _list(session, as_json)
     elif out is None:
-        click.echo(attached(session, name), nl=False)
+        _to_stdout(attached(session, name))
     else:
         path = extract(session, name, out)
         size = len(session.attachments[name])
         if as_json:
             print_json({"schema_version": 1, "session": str(file), "name": name, "path": str(path), "bytes": size})
         else:
-            click.echo(f"{path}: {size} bytes")
+            say(f"{path}: {size} bytes")
     return LOSSES if session.incomplete or session.beyond else 0
+
+
+def _to_stdout(data: bytes) -> None:
+    """As it is into a file or a pipe; a terminal would obey what is in it."""
+    if on_terminal(sys.stdout):
+        say(data.decode("utf-8", "replace"), nl=False)
+    else:
+        click.echo(data, nl=False)  # noqa: TID251  bytes
 
 
 def _list(session: Session, as_json: bool) -> None:
@@ -94,4 +113,4 @@ def _list(session: Session, as_json: bool) -> None:
         print_json({"schema_version": 1, "session": str(session.path), "attachments": sizes})
         return
     for name, size in sizes.items():
-        click.echo(f"{plain(name)}  {size} bytes")
+        say(f"{plain(name)}  {size} bytes")

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, on_terminal
+from inteco_abs.cli.shared import FILE, LOSSES, on_terminal, say
 
 _WIDTH: Final = 79
 
@@ -75,9 +75,9 @@ def demo(context: click.Context, folder: Path, no_wait: bool) -> int:
         for number, step in enumerate(STEPS, 1):
             click.secho("\n" + fill(f"{number} of {len(STEPS)}: {step.why}", _WIDTH), bold=True, err=True)
             if step.needs and importlib.util.find_spec(step.needs) is None:
-                click.echo(f"left out: it needs {step.needs}, which is not installed", err=True)
+                say(f"left out: it needs {step.needs}, which is not installed", err=True)
                 continue
-            click.echo(f"$ inteco-abs {step.command}", err=True)
+            say(f"$ inteco-abs {step.command}", err=True)
             if waits:
                 _wait()
             code = context.find_root().command.main(shlex.split(step.command), "inteco-abs", standalone_mode=False)
@@ -92,5 +92,5 @@ def _wait() -> None:
     try:
         click.prompt("Enter", default="", show_default=False, prompt_suffix=" ", err=True)
     except click.Abort:
-        click.echo(err=True)  # the prompt's line is not over, and what comes next is not part of it
+        say(err=True)  # the prompt's line is not over, and what comes next is not part of it
         raise

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import DIFFERS, FILE, LOSSES, Finite, json_option, plain, print_json, read_whole
+from inteco_abs.cli.shared import DIFFERS, FILE, LOSSES, Finite, json_option, plain, print_json, read_whole, say
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
 if TYPE_CHECKING:
@@ -54,12 +54,12 @@ def _on_disk(file: Path) -> Session:
 
 def _print(a: Path, b: Path, found: Diff) -> None:
     if found.equal:
-        click.echo(f"{a} and {b} do not differ in {', '.join(found.changes)}")
+        say(f"{a} and {b} do not differ in {', '.join(found.changes)}")
     for name, changes in found.changes.items():
         if changes:
-            click.echo(name)
+            say(name)
         for change in changes:
-            click.echo(f"  {plain(_line(change))}")
+            say(f"  {plain(_line(change))}")
 
 
 def _line(change: Change | SignalChange) -> str:

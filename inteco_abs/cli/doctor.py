@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, Finite, json_option, print_json
+from inteco_abs.cli.shared import FILE, LOSSES, Finite, json_option, print_json, say
 from inteco_abs.errors import BoardError, ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def doctor(
     group = serial_group(Computer())
     files = {"rules": udev_rules(group), "limits": limits(group)}
     if printed:
-        click.echo(files[printed], nl=False)
+        say(files[printed], nl=False)
         return 0
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise ConfigError([Mistake("--seconds", f"{seconds:g}: must be {SHORTEST_S:g}..{LONGEST_S:g} s")])
@@ -61,7 +61,7 @@ def doctor(
     if sessions.exists() and not sessions.is_dir():
         raise ConfigError([Mistake("--sessions", f"{sessions}: is a file; name a folder")])
     findings = examine(sessions)
-    click.echo(f"measuring for {seconds:g} s", err=True)
+    say(f"measuring for {seconds:g} s", err=True)
     findings += [write_speed(sessions), *examine_wake_ups(seconds)]
     times_us: list[float] = []
     if board is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import json_option, print_json
+from inteco_abs.cli.shared import json_option, print_json, say
 
 if TYPE_CHECKING:
     from inteco_abs.mock_board.faults.kinds import Value
@@ -33,8 +33,8 @@ def faults(as_json: bool) -> int:
     usages = {name: f"{name}{kind.value.usage if kind.value else ''}" for name, kind in KINDS.items()}
     width = max(map(len, usages.values()))
     for name, kind in KINDS.items():
-        click.echo(f"{usages[name]:{width}}  {kind.meaning}{'; for good' if kind.lasting else ''}")
-    click.echo(
+        say(f"{usages[name]:{width}}  {kind.meaning}{'; for good' if kind.lasting else ''}")
+    say(
         "\nWHEN and HOW LONG are times, as 500us, 20ms, 1.5s, or exchanges, as #40.\n"
         "EVENT is start, drive (energised for the first time), coast (taken away) or brake.\n"
         "Without HOW LONG a fault lasts for one exchange, or for good.\n"

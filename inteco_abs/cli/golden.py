@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import DIFFERS, FILE, Finite, Verbs, json_option, known_controllers, print_json, read_whole
+from inteco_abs.cli.shared import (
+    DIFFERS,
+    FILE,
+    Finite,
+    Verbs,
+    json_option,
+    known_controllers,
+    print_json,
+    read_whole,
+    say,
+)
 
 if TYPE_CHECKING:
     from inteco_abs.sessions.golden import Golden, GoldenFolder, Verdict
@@ -91,7 +101,7 @@ def test(names: tuple[str, ...], folder: Path, as_json: bool) -> int:
         print_json({"schema_version": 1, "differing": differing, "sessions": [asdict(verdict) for verdict in verdicts]})
     else:
         for verdict in verdicts:
-            click.echo(_words(verdict))
+            say(_words(verdict))
     return DIFFERS if differing else 1 if any(verdict.problem for verdict in verdicts) else 0
 
 
@@ -153,7 +163,7 @@ def _tell(goldens: GoldenFolder, kept: Golden, *, as_json: bool) -> None:
         return
     newest = kept.history[-1]
     changed = f", {newest.changed_ticks} of them changed" if newest.changed_ticks else ""
-    click.echo(f"{file}: {kept.ticks} ticks{changed}, {file.stat().st_size / 1000:.0f} kB; {newest.reason}")
+    say(f"{file}: {kept.ticks} ticks{changed}, {file.stat().st_size / 1000:.0f} kB; {newest.reason}")
 
 
 def _words(verdict: Verdict) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, check_session_file, json_option, plain, print_card, print_json
+from inteco_abs.cli.shared import FILE, LOSSES, check_session_file, json_option, plain, print_card, print_json, say
 
 if TYPE_CHECKING:
     from inteco_abs.sessions import Inspection, Recovery
@@ -47,8 +47,8 @@ def _told(inspection: Inspection) -> dict[str, Any]:
 
 def _print(inspection: Inspection) -> None:
     for finding in inspection.findings:
-        click.echo(f"{inspection.path}: {plain(finding.place)}: {finding.severity}: {plain(finding.problem)}")
-    click.echo(f"{inspection.path}: {inspection.verdict}, {inspection.ticks} ticks")
+        say(f"{inspection.path}: {plain(finding.place)}: {finding.severity}: {plain(finding.problem)}")
+    say(f"{inspection.path}: {inspection.verdict}, {inspection.ticks} ticks")
 
 
 @click.command()
@@ -91,6 +91,6 @@ def _recover_file(file: Path, out: Path, as_json: bool) -> int:
 
 def _print_recovery(out: Path, recovery: Recovery) -> None:
     ticks = recovery.card["ticks"]
-    click.echo(f"{out}: {ticks} ticks recovered, {'with losses' if recovery.losses else 'nothing was lost'}")
+    say(f"{out}: {ticks} ticks recovered, {'with losses' if recovery.losses else 'nothing was lost'}")
     for loss in recovery.losses:
-        click.echo(f"  lost: {plain(loss)}")
+        say(f"  lost: {plain(loss)}")

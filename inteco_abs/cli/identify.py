@@ -21,6 +21,7 @@ from inteco_abs.cli.shared import (
     print_json,
     read_whole,
     rig_option,
+    say,
 )
 from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 
@@ -114,15 +115,15 @@ def _tell(found: Identification, out: Path | None, figure: Path | None, *, as_js
         from inteco_abs.views.identify_figure import draw_residuals
 
         draw_residuals(found.traces(), figure)
-        click.echo(f"figure: {figure}", err=True)
+        say(f"figure: {figure}", err=True)
     missing: dict[str, list[str]] = {}
     for each in found.missing:
         missing.setdefault(each.why, []).append(each.name)
     for why, names in missing.items():
         others = f" and {len(names) - _MOST_NAMED} others" if len(names) > _MOST_NAMED else ""
-        click.echo(f"inteco-abs: not identified: {', '.join(names[:_MOST_NAMED])}{others}: {why}", err=True)
+        say(f"inteco-abs: not identified: {', '.join(names[:_MOST_NAMED])}{others}: {why}", err=True)
     if not found.fit.converged:
-        click.echo("inteco-abs: the search has not come to an end: look at the residuals (--figure)", err=True)
+        say("inteco-abs: the search has not come to an end: look at the residuals (--figure)", err=True)
 
 
 def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, float]) -> Identification:
@@ -174,7 +175,7 @@ def _write(found: Identification, out: Path) -> None:
         out.write_text(found.to_toml(), encoding="utf-8")
     except OSError as error:
         raise AbsError(f"{out}: the parameters cannot be written: {disk_in_words(error)}") from error
-    click.echo(f"parameters: {out}; use them with --config {out}", err=True)
+    say(f"parameters: {out}; use them with --config {out}", err=True)
 
 
 def _print(found: Identification) -> None:
@@ -229,11 +230,11 @@ def _record(
         for number, each in enumerate(planned):
             if number:
                 time.sleep(pause_s)
-            click.echo(f"{number + 1} of {len(planned)}: {each.shows}", err=True)
+            say(f"{number + 1} of {len(planned)}: {each.shows}", err=True)
             code = _run(each)
             if code not in {0, LOSSES}:
                 return code
-    click.echo(f"recorded; now: inteco-abs identify {folder}/*.mcap -o rig-parameters.toml", err=True)
+    say(f"recorded; now: inteco-abs identify {folder}/*.mcap -o rig-parameters.toml", err=True)
     return 0
 
 
@@ -242,5 +243,5 @@ def _run(each: Planned) -> int:
 
     stop = run_stop(each.config, each.plan)
     if stop.exit_code:
-        click.echo(f"inteco-abs: {each.plan.out.stem}: {stop.outcome}: {stop.explanation}", err=True)
+        say(f"inteco-abs: {each.plan.out.stem}: {stop.outcome}: {stop.explanation}", err=True)
     return stop.exit_code

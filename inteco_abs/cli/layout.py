@@ -7,7 +7,7 @@ from typing import Final
 
 import click
 
-from inteco_abs.cli.shared import FILE
+from inteco_abs.cli.shared import FILE, say
 
 _VIEWERS: Final = ("lichtblick", "plotjuggler")
 
@@ -24,8 +24,8 @@ def layout(viewer: str, out: Path | None) -> int:
     from inteco_abs.views.layouts import VIEWERS, write_layout
 
     if out is None:
-        click.echo(VIEWERS[viewer](), nl=False)
+        say(VIEWERS[viewer]().decode(), nl=False)
     else:
         write_layout(viewer, out)
-        click.echo(out)
+        say(str(out))
     return 0

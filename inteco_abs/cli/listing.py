@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, json_option, on_terminal, plain, print_json
+from inteco_abs.cli.shared import FILE, LOSSES, json_option, on_terminal, plain, print_json, say
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
 _HEADS: Final = {
@@ -68,7 +68,7 @@ def list_sessions(folder: Path, key: str, reverse: bool, recursive: bool, as_jso
         _print(folder, rows)
     else:
         hint = "" if recursive else "; --recursive looks into its folders, too"
-        click.echo(f"inteco-abs: {folder}: holds no sessions{hint}", err=True)
+        say(f"inteco-abs: {folder}: holds no sessions{hint}", err=True)
     return LOSSES if any(row["problem"] for row in rows) else 0
 
 
@@ -80,10 +80,10 @@ def _print(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
     remarks = ["", *map(_remark, rows)]
     for line, remark in enumerate(remarks):
         cells = (cells[line].ljust(widths[name]) for name, cells in columns.items() if name not in left_out)
-        click.echo(f"{_GAP.join(cells)}{_GAP}{plain(remark)}".rstrip())
+        say(f"{_GAP.join(cells)}{_GAP}{plain(remark)}".rstrip())
     if left_out:
         names = ", ".join(_HEADS[name] for name in left_out)
-        click.echo(f"inteco-abs: left out for want of room: {names}; a wider terminal or --json has them", err=True)
+        say(f"inteco-abs: left out for want of room: {names}; a wider terminal or --json has them", err=True)
 
 
 def _remark(row: dict[str, Any]) -> str:

@@ -10,7 +10,7 @@ from typing import Final, TextIO
 
 import click
 
-from inteco_abs.cli.shared import FILE, Finite, Whole, drawn_setting, rig_option
+from inteco_abs.cli.shared import FILE, Finite, Whole, drawn_setting, rig_option, say
 from inteco_abs.errors import ConfigError, Mistake, disk_in_words
 
 _MOCK_PROFILES: Final = {"usb2": "sim_usb2", "usb": "sim_usb"}
@@ -73,11 +73,11 @@ def mock_board(
         )
     with _truth_file(truth) as file:
         mock = Mock(rig, seed, file, truth_hz)
-        say = partial(click.echo, err=truth == "-")  # data go to stdout, talk to stderr
+        talk = partial(say, err=truth == "-")  # data go to stdout, talk to stderr
         if link is None:
-            serve_usbip(mock, address or "", serial, say)
+            serve_usbip(mock, address or "", serial, talk)
         else:
-            serve_pty(mock, link, say)
+            serve_pty(mock, link, talk)
     return 0
 
 

@@ -11,7 +11,7 @@ import click
 from inteco_abs.cli.completion import key_names
 from inteco_abs.cli.dry_run import rehearse_by_hand
 from inteco_abs.cli.probe import Terminal
-from inteco_abs.cli.shared import FILE, SETTING, drawn_setting, on_terminal, rig_option
+from inteco_abs.cli.shared import FILE, SETTING, drawn_setting, on_terminal, rig_option, say
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 
@@ -76,16 +76,16 @@ def panel(
     code: int | None = ARM_AGAIN
     while code == ARM_AGAIN:
         if outputs:
-            click.echo("starting: first of all, the guardian has to prove itself", err=True)
+            say("starting: first of all, the guardian has to prove itself", err=True)
         by_person = Panel(rig, outputs=outputs)
         with by_hand(rig, board, outputs=outputs, faults=injected) as side:
             app = PanelApp(by_person, side, board)
             code = app.run(mouse=False)
         if outputs:
             told = "the board has confirmed that both outputs are off; wheels that turn coast for up to 48 s"
-            click.echo(told, err=True)
+            say(told, err=True)
         if by_person.reason is not Reason.NONE:
-            click.echo(f"inteco-abs: {EXPLANATIONS[by_person.reason]}", err=True)
+            say(f"inteco-abs: {EXPLANATIONS[by_person.reason]}", err=True)
     return app.return_code or 1 if code is None else code
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.shared import Whole, json_option, print_json, stops_progress
+from inteco_abs.cli.shared import Whole, json_option, print_json, say, stops_progress
 from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def paper(folder: Path, draws: int, as_json: bool) -> int:
         found = reproduce(draws, progress)
     report = found.report()
     written = [str(path) for path in _write(found, report, folder, f"inteco-abs paper --draws {draws}")]
-    click.echo(f"written: {', '.join(written)}", err=True)
+    say(f"written: {', '.join(written)}", err=True)
     if as_json:
         print_json({**report, "files": written})
     else:

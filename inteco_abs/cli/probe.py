@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from inteco_abs.cli.shared import SETTING, on_terminal
+from inteco_abs.cli.shared import SETTING, on_terminal, plain, say
 from inteco_abs.errors import ConfigError, Mistake, Stopped
 
 if TYPE_CHECKING:
@@ -26,13 +26,13 @@ class Terminal:
 
     def tell(self, text: str) -> None:
         """One paragraph."""
-        click.echo(f"\n{text}" if self._showing else text, err=True)
+        say(f"\n{text}" if self._showing else text, err=True)
         self._showing = False
 
     def show(self, text: str) -> None:
         """Over the line before, on a terminal only."""
         if on_terminal(sys.stderr):
-            click.echo(f"\r\033[K  {text}", nl=False, err=True)
+            click.echo(f"\r\033[K  {plain(text)}", nl=False, err=True)  # noqa: TID251  it goes over a line
             self._showing = True
 
     def ask(self, question: str) -> str:
@@ -124,10 +124,10 @@ def probe(
     try:
         walk.go(only, redo)
     finally:
-        click.echo(err=True)
+        say(err=True)
         _print_state(walk, file)
         if as_json:
-            click.echo(json.dumps(_report(walk, draft, board), allow_nan=False))
+            say(json.dumps(_report(walk, draft, board), allow_nan=False))
     return 0
 
 
@@ -140,10 +140,10 @@ def _tell_steps(*, as_json: bool) -> None:
         for number, step in enumerate(STEPS, 1)
     ]
     if as_json:
-        click.echo(json.dumps({"schema_version": 1, "steps": steps}))
+        say(json.dumps({"schema_version": 1, "steps": steps}))
         return
     for step in steps:
-        click.echo(f"{step['step']} {step['name']}: {step['does']}\n    risk: {step['risk']}")
+        say(f"{step['step']} {step['name']}: {step['does']}\n    risk: {step['risk']}")
 
 
 def _real_profile(board: str) -> str:
@@ -193,4 +193,4 @@ def _report(walk: Walk, draft: Draft, board: str) -> dict[str, Any]:
 def _print_state(walk: Walk, file: Path) -> None:
     words = ", ".join(f"{one['step']} {one['name']}: {one['outcome']}" for one in walk.state())
     ahead = f"next is {walk.next}" if walk.next else "all is done"
-    click.echo(f"{file}: {words}; {ahead}", err=True)
+    say(f"{file}: {words}; {ahead}", err=True)

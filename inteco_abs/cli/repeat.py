@@ -24,6 +24,7 @@ from inteco_abs.cli.shared import (
     insist_on_different,
     json_option,
     print_json,
+    say,
 )
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
@@ -99,7 +100,7 @@ def _brake(
     worst, paths = 0, list[Path]()
     for number in range(count):
         if number and pause_s:
-            click.echo(f"{pause_s:g} s for the brake to cool; Ctrl-C ends the series", err=True)
+            say(f"{pause_s:g} s for the brake to cool; Ctrl-C ends the series", err=True)
             try:
                 time.sleep(pause_s)
             except KeyboardInterrupt:
@@ -110,7 +111,7 @@ def _brake(
             code = context.invoke(run, **stop)
         if path.exists():
             paths.append(path)
-        click.echo(f"{path}: {_WORDS.get(code, f'ended with exit code {code}')}", err=True)
+        say(f"{path}: {_WORDS.get(code, f'ended with exit code {code}')}", err=True)
         worst = max(worst, code)
         if code not in {0, LOSSES}:
             break
@@ -162,6 +163,6 @@ def _tell(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
         try:
             draw_series(sessions, figure)
         except AbsError as error:  # how the stops went matters more than their picture
-            click.echo(f"inteco-abs: {error}", err=True)
+            say(f"inteco-abs: {error}", err=True)
         else:
-            click.echo(f"figure: {figure}", err=True)
+            say(f"figure: {figure}", err=True)

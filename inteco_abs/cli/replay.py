@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import DIFFERS, FILE, LOSSES, json_option, known_controllers, print_json, read_whole
+from inteco_abs.cli.shared import DIFFERS, FILE, LOSSES, json_option, known_controllers, print_json, read_whole, say
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     else:
         _print_replay(file, outcome, gains)
     if left_out:
-        click.echo(f"inteco-abs: {file}: {left_out} ticks behind a gap cannot be replayed", err=True)
+        say(f"inteco-abs: {file}: {left_out} ticks behind a gap cannot be replayed", err=True)
     return DIFFERS if outcome.differing or gains else LOSSES if session.incomplete or left_out else 0
 
 
@@ -97,7 +97,7 @@ def controllers_for(session: Session, controller: str | None) -> Controllers:
     elif FROM_FILE in name:
         raise ConfigError([Mistake("--controller", f"the session was run with {name!r}; name that file to replay it")])
     elif package and name not in controllers:
-        problem = f"the session was run with {name!r} of the package {package}, which is not installed; install it"
+        problem = f"the session was run with {name!r} of the package {package!r}, which is not installed; install it"
         raise ConfigError([Mistake("--controller", problem)])
     if name in controllers:
         _tell_of_another(controllers.origin(name), session.attachments.get("controller.py"), package)
@@ -107,33 +107,29 @@ def controllers_for(session: Session, controller: str | None) -> Controllers:
 def _tell_of_another(origin: Origin, source: bytes | None, package: str) -> None:
     """Say so if the controller is not what the session was run with."""
     if package not in {"", origin.package}:
-        click.echo(
-            f"inteco-abs: the session was run with {package}, and this is {origin.package or 'another'}", err=True
-        )
+        say(f"inteco-abs: the session was run with {package}, and this is {origin.package or 'another'}", err=True)
     if source not in {None, origin.source}:
-        click.echo("inteco-abs: the controller's source is not the one that the session was run with", err=True)
+        say("inteco-abs: the controller's source is not the one that the session was run with", err=True)
 
 
 def _print_replay(file: Path, outcome: Replay, gains: Mapping[str, Any]) -> None:
     for name, change in gains.items():
         was, now = (change[when] or "not there" for when in ("recorded", "configured"))
-        click.echo(f"{file}: the gain {name} was {was} in the run ({change['where']}) and is {now} now")
+        say(f"{file}: the gain {name} was {was} in the run ({change['where']}) and is {now} now")
     within = f", {max(outcome.tolerated.values())} within their tolerance" if outcome.tolerated else ""
     if outcome.first is None:
         ticks = f"{outcome.ticks} ticks ({outcome.braking_ticks} braking)"
-        click.echo(f"{file}: {ticks} replayed, none differs{within}")
+        say(f"{file}: {ticks} replayed, none differs{within}")
     else:
         first = outcome.first
-        click.echo(
-            f"{file}: {outcome.differing} of {outcome.ticks} ticks differ, first at tick {first.tick}: {first.field}"
-        )
-        click.echo(f"  logged   {first.logged}  {first.logged_hex}")
-        click.echo(f"  replayed {first.replayed}  {first.replayed_hex}")
-        click.echo(f"  before it {outcome.agreeing_ticks} ticks agree, {outcome.agreeing_s:.4f} s")
+        say(f"{file}: {outcome.differing} of {outcome.ticks} ticks differ, first at tick {first.tick}: {first.field}")
+        say(f"  logged   {first.logged}  {first.logged_hex}")
+        say(f"  replayed {first.replayed}  {first.replayed_hex}")
+        say(f"  before it {outcome.agreeing_ticks} ticks agree, {outcome.agreeing_s:.4f} s")
         for name, count in outcome.by_field.items():
-            click.echo(f"  {name}: {count} ticks")
+            say(f"  {name}: {count} ticks")
     for shift in outcome.shifts:
-        click.echo(f"  {_words(shift)}")
+        say(f"  {_words(shift)}")
 
 
 def _words(shift: Shift) -> str:

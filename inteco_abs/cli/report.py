@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, read_whole
+from inteco_abs.cli.shared import FILE, LOSSES, read_whole, say
 
 
 @click.command()
@@ -27,5 +27,5 @@ def report(files: tuple[Path, ...], out: Path | None) -> int:
     check_report(page)
     sessions = [read_whole(file, read_session) for file in files]
     write_report(sessions, page)
-    click.echo(f"report: {page}", err=True)
+    say(f"report: {page}", err=True)
     return LOSSES if any(session.incomplete or session.beyond for session in sessions) else 0

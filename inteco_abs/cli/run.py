@@ -28,6 +28,7 @@ from inteco_abs.cli.shared import (
     print_card,
     print_json,
     rig_option,
+    say,
 )
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
@@ -154,13 +155,11 @@ def run(
         try:
             draw([Path(stop.card["session"])], figure)
         except AbsError as error:  # how the run ended matters more than its picture
-            click.echo(f"inteco-abs: {error}", err=True)
+            say(f"inteco-abs: {error}", err=True)
             return stop.exit_code or error.exit_code
         except KeyboardInterrupt:
             session = stop.card["session"]
-            click.echo(
-                f"inteco-abs: interrupted while drawing; {session} is whole: inteco-abs figure {session}", err=True
-            )
+            say(f"inteco-abs: interrupted while drawing; {session} is whole: inteco-abs figure {session}", err=True)
             return stop.exit_code or INTERRUPTED
     return stop.exit_code
 
@@ -221,15 +220,15 @@ def _tell(stop: Account, *, as_json: bool, quiet: bool) -> None:
         print_card(stop.card, stop.explanation, previous_card(stop.card))
     for fault, times in stop.injected.items():
         acted = "never acted: was the run over before?" if times == "0" else f"acted {times} times"
-        click.echo(f"inteco-abs: injected {fault}: {acted}", err=True)
+        say(f"inteco-abs: injected {fault}: {acted}", err=True)
     if stop.outcome != "completed":
         safe = f"; drive and brake are off after tick {stop.card['ticks'] - 1}" if stop.outcome == "fault" else ""
-        click.echo(f"inteco-abs: {stop.outcome}: {stop.explanation}{safe}", err=True)
+        say(f"inteco-abs: {stop.outcome}: {stop.explanation}{safe}", err=True)
     if stop.trouble:
-        click.echo(f"inteco-abs: {stop.trouble}", err=True)
+        say(f"inteco-abs: {stop.trouble}", err=True)
     elif stop.outcome == "completed" and stop.exit_code:
         lost = f"{stop.card['overruns']} periods overrun, {stop.card['link_errors']} exchanges failed"
-        click.echo(f"inteco-abs: completed, but look at it: {lost}", err=True)
+        say(f"inteco-abs: completed, but look at it: {lost}", err=True)
 
 
 def _tell_of_left_rings() -> None:
@@ -237,7 +236,7 @@ def _tell_of_left_rings() -> None:
     from inteco_abs.realtime.memory import left_rings
 
     for ring in left_rings():
-        click.echo(
+        say(
             f"inteco-abs: an earlier run has left its ticks in {ring}: inteco-abs recover {ring} --out FILE",
             err=True,
         )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import on_terminal
+from inteco_abs.cli.shared import on_terminal, say
 
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
@@ -55,8 +55,8 @@ def ascii_wanted() -> bool:
 
 
 def _say_what_stops() -> None:
-    click.echo("running in real time; Ctrl-C stops safely", err=True)
+    say("running in real time; Ctrl-C stops safely", err=True)
 
 
 def _say(text: str) -> None:
-    click.echo(f"inteco-abs: {text}", err=True)
+    say(f"inteco-abs: {text}", err=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, draw, json_option, plain, print_json, read_whole
+from inteco_abs.cli.shared import FILE, LOSSES, draw, json_option, plain, print_json, read_whole, say
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -86,7 +86,7 @@ def _print_summary(session: Session, summary: Mapping[str, Any], *, everything: 
         console.print(_table(_records(summary)))
     else:
         count = sum(map(len, summary["metadata"].values()))
-        click.echo(f"--all prints the {count} facts that the session holds, --json too; inteco-abs get takes files out")
+        say(f"--all prints the {count} facts that the session holds, --json too; inteco-abs get takes files out")
 
 
 def _first_facts(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -137,11 +137,16 @@ def drawn_setting(drawn: str | None) -> list[str]:
 
 
 def print_json(data: Mapping[str, Any]) -> None:
-    click.echo(json.dumps(data, allow_nan=False))
+    say(json.dumps(data, allow_nan=False))
+
+
+def say(text: str = "", *, err: bool = False, nl: bool = True) -> None:
+    """Print lines: the only way by which text reaches a terminal, as any of it may come out of a stranger's file."""
+    click.echo("\n".join(map(plain, text.split("\n"))), err=err, nl=nl)  # noqa: TID251
 
 
 def plain(text: object) -> str:
-    """Text out of a file, for a terminal: nothing in it moves the cursor or changes colours."""
+    """Text out of a file as a part of a line: nothing in it moves the cursor, changes colours or begins a line."""
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in str(text))
 
 
@@ -152,7 +157,12 @@ def print_card(card: Mapping[str, Any], explanation: str, before: Mapping[str, A
     from inteco_abs.views import render_card
 
     console = Console()
-    console.print(render_card(card, explanation, before, plain=console.options.ascii_only))
+    shown, earlier = _in_plain(card), None if before is None else _in_plain(before)
+    console.print(render_card(shown, plain(explanation), earlier, plain=console.options.ascii_only))
+
+
+def _in_plain(card: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: plain(value) if isinstance(value, str) else value for key, value in card.items()}
 
 
 def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
@@ -166,9 +176,9 @@ def tell_of_losses(session: Session) -> None:
     if session.incomplete:
         ticks = len(session.ticks)
         whole = f"{ticks} ticks are whole{', and recover makes a session of them' if ticks else ''}"
-        click.echo(f"inteco-abs: {session.path}: {session.incomplete}; {whole}", err=True)
+        say(f"inteco-abs: {session.path}: {session.incomplete}; {whole}", err=True)
     if session.beyond:
-        click.echo(f"inteco-abs: {session.path}: {plain(session.beyond)}", err=True)
+        say(f"inteco-abs: {session.path}: {plain(session.beyond)}", err=True)
 
 
 def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
@@ -178,7 +188,7 @@ def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
 
     sessions = [read_whole(file, read_session) for file in files]
     draw_stops(sessions, out, width)
-    click.echo(f"figure: {out}", err=True)
+    say(f"figure: {out}", err=True)
     return not any(session.incomplete or session.beyond for session in sessions)
 
 

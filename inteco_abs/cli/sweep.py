@@ -27,6 +27,7 @@ from inteco_abs.cli.shared import (
     json_option,
     known_controllers,
     print_json,
+    say,
     stops_progress,
 )
 from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
@@ -109,7 +110,7 @@ def sweep(
     _tell_of_left_out(draws)
     stops = len(grid) * sum(len(each.rigs) for each in draws)
     jobs = min(jobs or _cores(), -(-stops // _SMALLEST_SHARD))
-    click.echo(f"combinations: {len(grid)}, stops to brake: {stops}; Ctrl-C gives up without a result", err=True)
+    say(f"combinations: {len(grid)}, stops to brake: {stops}; Ctrl-C gives up without a result", err=True)
     began = time.monotonic()
     with redirect_stdout(sys.stderr), _processes(jobs) as executor, stops_progress() as progress:
         rows = sweep_all(
@@ -122,7 +123,7 @@ def sweep(
             progress=progress,
         )
     ticks, elapsed_s = sum(row.stops.ticks for row in rows), time.monotonic() - began
-    click.echo(
+    say(
         f"{stops} {'stops' if stops > 1 else 'stop'}, {ticks} ticks in {elapsed_s:.1f} s: "
         f"{ticks / elapsed_s:.0f} ticks/s on {jobs} {'processes' if jobs > 1 else 'process'}",
         err=True,
@@ -134,7 +135,7 @@ def sweep(
         from inteco_abs.views.sweep import draw_sweep
 
         draw_sweep(rows, figure)
-        click.echo(f"figure: {figure}", err=True)
+        say(f"figure: {figure}", err=True)
     return _tell_of_errors(rows)
 
 
@@ -172,7 +173,7 @@ def _tell_of_left_out(draws: Sequence[Draws]) -> None:
     for each in draws:
         if each.left_out:
             count = len(each.left_out) + len(each.seeds)
-            click.echo(
+            say(
                 f"inteco-abs: {each.name}: {len(each.left_out)} of {count} rigs are left out, as they cannot hold slip "
                 f"0.2 with 0.5 N m to spare: seeds {', '.join(map(str, each.left_out))}",
                 err=True,
@@ -186,7 +187,7 @@ def _tell_of_errors(rows: Sequence[Row]) -> int:
         failed = [(seed, error) for seed, error in zip(row.draws.seeds, row.stops.errors, strict=True) if error]
         if failed:
             (seed, error), code = failed[0], LOSSES
-            click.echo(
+            say(
                 f"inteco-abs: {row.combination.name}: {len(failed)} of {len(row.stops)} stops failed, first "
                 f"{row.draws.population}:{seed}: {error}",
                 err=True,

@@ -31,7 +31,7 @@ from inteco_abs.cli.replay import replay
 from inteco_abs.cli.report import report
 from inteco_abs.cli.run import run
 from inteco_abs.cli.sessions import figure, info
-from inteco_abs.cli.shared import INTERRUPTED, Verbs
+from inteco_abs.cli.shared import INTERRUPTED, Verbs, say
 from inteco_abs.cli.sweep import sweep
 from inteco_abs.cli.what_if import what_if
 from inteco_abs.cli.wire import wire
@@ -104,19 +104,19 @@ def main() -> None:
         if debug:
             raise
         for line in (str(error), *getattr(error, "__notes__", ())):
-            click.echo(f"inteco-abs: {line}", err=True)
+            say(f"inteco-abs: {line}", err=True)
         code = error.exit_code
     except (KeyboardInterrupt, click.Abort):
-        click.echo("inteco-abs: interrupted", err=True)
+        say("inteco-abs: interrupted", err=True)
         code = INTERRUPTED
     except OSError as error:  # above all the output that went away: a closed pipe, a full disk
         sys.stdout = sys.stderr
-        click.echo(f"inteco-abs: {_told(error)}", err=True)
+        say(f"inteco-abs: {_told(error)}", err=True)
         code = 1
     except Exception as error:  # the top of the process: a bug must not look like the user's mistake
         if debug or isinstance(error.__cause__, KeyboardInterrupt):
             raise
-        click.echo(
+        say(
             f"inteco-abs: internal error, please report it: {type(error).__name__}: {error}\n"
             "  inteco-abs --debug ... shows where",
             err=True,

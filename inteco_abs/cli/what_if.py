@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names, key_names
-from inteco_abs.cli.shared import FILE, LOSSES, SETTING, Finite, json_option, known_controllers, print_json, read_whole
+from inteco_abs.cli.shared import (
+    FILE,
+    LOSSES,
+    SETTING,
+    Finite,
+    json_option,
+    known_controllers,
+    print_json,
+    read_whole,
+    say,
+)
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -125,7 +135,7 @@ def what_if(
     own = _own_error(session, controllers, at_s) if closed_loop else None
     if figure is not None:
         draw_what_if(session, courses, figure)
-        click.echo(f"figure: {figure}", err=True)
+        say(f"figure: {figure}", err=True)
     report = _report(session, courses, own)
     if as_json:
         print_json(report)
@@ -244,11 +254,11 @@ def _print(report: dict[str, Any]) -> None:
     Console(markup=False, highlight=False).print(render_what_if(report))
     simulation = report.get("simulation")
     if simulation is None:
-        click.echo("open loop: the logged counts do not react; beyond the horizon it is not what would have happened")
+        say("open loop: the logged counts do not react; beyond the horizon it is not what would have happened")
         return
     own = simulation["own_error"]
     error = "not at hand" if own is None else ", ".join(f"{name} {_figure(value)}" for name, value in own.items())
-    click.echo(
+    say(
         f"closed loop: a SIMULATION of the rig {simulation['rig']} from tick {simulation['from_tick']} on, its state "
         f"from the {simulation['state_from']}; with the session's own controller it leaves the log by: {error}"
     )

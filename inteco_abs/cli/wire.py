@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.shared import DIFFERS, FILE, SETTING, Verbs, Whole, json_option, print_json
+from inteco_abs.cli.shared import DIFFERS, FILE, SETTING, Verbs, Whole, json_option, print_json, say
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -44,8 +44,8 @@ def import_(file: Path, out: Path, device: str, protocol: str) -> int:
     write_capture(out, capture)
     for record in capture.records:
         if record.kind is Kind.WARNING:
-            click.echo(f"inteco-abs: at {record.t_s:.6f} s: {record.text}", err=True)
-    click.echo(f"{out}: {capture.messages} messages, {capture.recorded_by}", err=True)
+            say(f"inteco-abs: at {record.t_s:.6f} s: {record.text}", err=True)
+    say(f"{out}: {capture.messages} messages, {capture.recorded_by}", err=True)
     return 0
 
 
@@ -67,7 +67,7 @@ def show(file: Path, as_json: bool) -> int:
     facts += [("failure", f"{text} ({count} times)") for text, count in summary.errors.items()]
     facts += [("warning", text) for text in (*summary.warnings, summary.caution) if text]
     _print_table(("", ""), facts)
-    click.echo()
+    say()
     rows = [
         (role, str(one.messages), _number(one.rate_hz), _number(one.median_interval_s), _number(one.longest_interval_s))
         for role, one in summary.traffic.items()
@@ -97,9 +97,9 @@ def moved(file: Path, as_json: bool) -> int:
         )
         return 0
     if doubt:
-        click.echo(f"inteco-abs: {doubt}", err=True)
+        say(f"inteco-abs: {doubt}", err=True)
     if not words:
-        click.echo(f"{file}: no word of any frame moved")
+        say(f"{file}: no word of any frame moved")
         return 0
     rows = [
         (
@@ -145,7 +145,7 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
             {"schema_version": _SCHEMA, "first": str(first), "second": str(second), **outcome._asdict(), "words": words}
         )
         return 0 if outcome.same else DIFFERS
-    click.echo(
+    say(
         f"{outcome.first_frames} and {outcome.second_frames} SEND frames, "
         f"{outcome.differing_frames or 'none'} of the pairs differ"
     )
@@ -187,16 +187,16 @@ def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: 
         differences = [one._asdict() for one in outcome.differences]
         _print_json({"capture": str(file), **outcome._asdict(), "differences": differences})
     else:
-        click.echo(
+        say(
             f"{file}: {outcome.exchanges} exchanges, {outcome.failed} of them failed, "
             f"{outcome.differing or 'no'} words differ"
         )
         for difference in outcome.differences[:_MOST_SHOWN]:
-            click.echo(f"  {difference}")
+            say(f"  {difference}")
         if outcome.differing > _MOST_SHOWN:
-            click.echo(f"  and {outcome.differing - _MOST_SHOWN} more; --json has {len(outcome.differences)}")
+            say(f"  and {outcome.differing - _MOST_SHOWN} more; --json has {len(outcome.differences)}")
         if outcome.ended:
-            click.echo(f"  the capture could not be followed to its end: {outcome.ended}")
+            say(f"  the capture could not be followed to its end: {outcome.ended}")
     return DIFFERS if outcome.differing or outcome.ended else 0
 
 
