@@ -37,7 +37,7 @@ from inteco_abs.mock_board import (
     insist_on_possible,
 )
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
-from inteco_abs.realtime.by_hand import ONLY_WATCHED, RATE_HZ, Screenside
+from inteco_abs.realtime.by_hand import ONLY_WATCHED, Screenside, slowed
 from inteco_abs.realtime.doctor import examine
 from inteco_abs.realtime.findings import as_facts
 from inteco_abs.realtime.hearing import hearing
@@ -214,7 +214,7 @@ def conditions_by_hand(config: RigConfig, board: str, faults: Sequence[Fault] = 
 
 @contextmanager
 def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault, ...] = ()) -> Iterator[Screenside]:
-    """A board held by a process of its own, for a screen: entered for output, or only to be read.
+    """A board held by a process of its own, for a screen or a program: entered for output, or only to be read.
 
     `faults` are what the mock board does wrong. Leaving ends with SAFE, read back. Raises ReadOnlyError if outputs are
     wanted of a board that the profile does not trust, BoardError if it cannot be opened or its process has died,
@@ -222,10 +222,9 @@ def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault
     """
     for condition in conditions_by_hand(config, board, faults):
         condition()
-    slowly = config.loop.model_copy(update={"rate_hz": min(RATE_HZ, config.loop.rate_hz)})
-    config = config.model_copy(update={"loop": slowly})
+    config = slowed(config)
     told = config if outputs else _only_read(config)
-    ring_ticks = round(_PANEL_RING_S * slowly.rate_hz)
+    ring_ticks = round(_PANEL_RING_S * config.loop.rate_hz)
     with (
         _processes(told, Plan(Path(), board, virtual=False, faults=faults), ring_ticks) as (memory, supervisor),
         supervisor.by_hand(drill=outputs),

@@ -153,9 +153,10 @@ def _disk_bytes(config: RigConfig, plan: Plan) -> int:
 
 def _bench(config: RigConfig, board: str, seed: int = 0) -> Bench:
     from inteco_abs.boards import simulated
+    from inteco_abs.experiment import by_hand
     from inteco_abs.lab import MockBench, RealBench
 
-    return MockBench(config, virtual=True, seed=seed) if simulated(board) else RealBench(board)
+    return MockBench(config, seed) if simulated(board) else RealBench(board, by_hand)
 
 
 def _told(refused: Iterable[AbsError]) -> list[dict[str, str]]:

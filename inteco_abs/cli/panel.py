@@ -53,6 +53,7 @@ def panel(
     from inteco_abs.boards import check_address, default_profile, simulated
     from inteco_abs.config import load_config
     from inteco_abs.experiment import by_hand
+    from inteco_abs.lab.outputs import PROVES_ITSELF
     from inteco_abs.lab.panel import PHRASE, REQUEST, Panel
     from inteco_abs.lab.person import insist_on_phrase
     from inteco_abs.mock_board import parse_faults, rig_check
@@ -76,7 +77,7 @@ def panel(
     code: int | None = ARM_AGAIN
     while code == ARM_AGAIN:
         if outputs:
-            say("starting: first of all, the guardian has to prove itself", err=True)
+            say(PROVES_ITSELF, err=True)
         by_person = Panel(rig, outputs=outputs)
         with by_hand(rig, board, outputs=outputs, faults=injected) as side:
             app = PanelApp(by_person, side, board)

@@ -168,11 +168,12 @@ def _forgiving(board: str) -> list[str]:
 
 def _bench(board: str, draft: Draft, *, virtual: bool) -> Bench:
     from inteco_abs.boards import simulated
-    from inteco_abs.lab import MockBench, RealBench
+    from inteco_abs.experiment import by_hand
+    from inteco_abs.lab import MockBench, PacedMockBench, RealBench
 
     if simulated(board):
-        return MockBench(draft.config, virtual=virtual)
-    return RealBench(board)
+        return MockBench(draft.config) if virtual else PacedMockBench(draft.config, by_hand)
+    return RealBench(board, by_hand)
 
 
 def _report(walk: Walk, draft: Draft, board: str) -> dict[str, Any]:

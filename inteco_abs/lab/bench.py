@@ -5,18 +5,31 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import Any, Final, Literal
+from contextlib import AbstractContextManager
+from typing import Any, Final, Literal, Protocol
 
 from inteco_abs.boards import Board, open_board
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import LinkError
 from inteco_abs.lab.devices import Found, found_devices
+from inteco_abs.mock_board import Fault
 from inteco_abs.realtime import PacedClock
+from inteco_abs.realtime.by_hand import Screenside
 
 Wheel = Literal["wheel", "road"]
 """The upper, braked wheel, or the lower one."""
 TURNS: Final = 10
 """Full turns that the person is asked for."""
+
+
+class Hold(Protocol):
+    """Has a guarded process hold a board: `inteco_abs.experiment.by_hand`."""
+
+    def __call__(
+        self, config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault, ...] = ()
+    ) -> AbstractContextManager[Screenside]:
+        """While inside, the board at the address `board` is held for output, or only to be read."""
+        ...
 
 
 class Bench(ABC):
@@ -41,6 +54,14 @@ class Bench(ABC):
         """The board, not entered yet. Raises BoardError or ConfigError."""
 
     @abstractmethod
+    def held(self, config: RigConfig) -> AbstractContextManager[Screenside]:
+        """While inside, the board is held for output; leaving ends with SAFE, read back.
+
+        Raises ReadOnlyError for a board that the configuration does not trust, BoardError if it cannot be opened,
+        UnsafeError if SAFE was not confirmed.
+        """
+
+    @abstractmethod
     def now_ns(self) -> int:
         """Monotonic time at the rig."""
 
@@ -60,7 +81,11 @@ class Bench(ABC):
 
 
 class RealBench(Bench):
-    """A real rig, in real time."""
+    """A real rig, in real time; `hold` is what holds its board for output."""
+
+    def __init__(self, address: str, hold: Hold) -> None:
+        super().__init__(address)
+        self._hold = hold
 
     def devices(self, config: RigConfig) -> list[Found]:
         """What this computer has plugged in."""
@@ -78,6 +103,10 @@ class RealBench(Bench):
     def open(self, config: RigConfig) -> Board:
         """The board at the address."""
         return open_board(self.address, config, self.now_ns)
+
+    def held(self, config: RigConfig) -> AbstractContextManager[Screenside]:
+        """By a process of its own, which a guardian watches that has proved itself before."""
+        return self._hold(config, self.address, outputs=True)
 
     def now_ns(self) -> int:
         """The system's monotonic clock."""

@@ -7,7 +7,7 @@ from typing import Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import ProbeError
-from inteco_abs.lab.outputs import outputs
+from inteco_abs.lab.outputs import PROVES_ITSELF, outputs
 from inteco_abs.lab.permission import outputs_permitted
 from inteco_abs.lab.reading import open_for_reading
 from inteco_abs.lab.step import Facts, Visit
@@ -31,6 +31,7 @@ def echo_settings(visit: Visit) -> Facts:
     config = outputs_permitted(visit, _REQUEST, PHRASE)
     visit.bench.powered(on=False)
     before = _settings(visit)
+    visit.person.tell(f"  {PROVES_ITSELF}")
     tried = []
     for mode, prescaler in _modes(config):
         _echo(visit, _with_pwm(config, mode, prescaler))

@@ -8,15 +8,16 @@ from typing import Final, NamedTuple
 
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import ProbeError
-from inteco_abs.lab.outputs import Motion, Outputs, outputs, turns
+from inteco_abs.lab.outputs import PROVES_ITSELF, Motion, Outputs, outputs, turns
 from inteco_abs.lab.permission import DRIVE_LIMIT, outputs_permitted
 from inteco_abs.lab.person import wait_for
 from inteco_abs.lab.step import Facts, Visit, today
 
 PHRASE: Final = "the cover is closed, my hand is at the emergency switch"
 _REQUEST: Final = (
-    "The motors are about to turn, slowly: at most 20 % drive, then the brake up to its limit. If this program were "
-    "killed, only the emergency switch would stop them.\nLower the balance lever, so that the wheels touch; close the "
+    "The motors are about to turn, slowly: at most 20 % drive, then the brake up to its limit. A guardian process "
+    "takes the outputs away if this program dies or hangs, but if the computer dies or the cable is pulled, only the "
+    "emergency switch stops the motors.\nLower the balance lever, so that the wheels touch; close the "
     "cover; switch the power interface on; wait until both wheels are at rest."
 )
 _FIRST_DUTY, _DUTY_STEP = 0.05, 0.01
@@ -59,6 +60,7 @@ def try_motors(visit: Visit) -> Facts:
     config = outputs_permitted(visit, _REQUEST, PHRASE)
     wait_for(visit.person, "Press the emergency switch: it is tried first, and no wheel may move.")
     visit.bench.powered(on=False)
+    visit.person.tell(f"  {PROVES_ITSELF}")
     with outputs(visit, config) as out:
         _insist_on_rest(out)
         if _nudge(out, config) is not None:

@@ -1,4 +1,4 @@
-"""Outputs under the guard, one beat at a time; whatever ends it, SAFE is the last thing written, and read back."""
+"""Outputs under the guard, held by a guarded process, one beat at a time; whatever ends it leaves SAFE, read back."""
 
 from __future__ import annotations
 
@@ -6,17 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final, NamedTuple
 
-from inteco_abs.boards import Board
 from inteco_abs.config import RigConfig
-from inteco_abs.control import Guard, SpeedWindow
 from inteco_abs.errors import ProbeError
 from inteco_abs.lab.step import Visit
-from inteco_abs.realtime import StopWord
-from inteco_abs.realtime.hearing import hearing
-from inteco_abs.signals import EXPLANATIONS, Command, Estimate, Reason
+from inteco_abs.realtime.by_hand import Screenside
+from inteco_abs.signals import EXPLANATIONS, Command, Reason
 
-_WINDOW_S: Final = 0.1
-_NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
+PROVES_ITSELF: Final = "starting: first of all, the guardian has to prove itself"
 
 
 class Motion(NamedTuple):
@@ -32,31 +28,33 @@ class Motion(NamedTuple):
     road_speed_rad_s: float
 
 
-class Outputs:
-    """The outputs of an entered board. Each command passes the guard, and goes out with the beat after."""
+class _EndedError(Exception):
+    """The board is held no longer, or not for long: who held it tells why."""
 
-    def __init__(self, board: Board, config: RigConfig, beats: Iterator[object], stop: StopWord) -> None:
-        self._board = board
-        self._beats = beats
-        self._stop = stop
-        self._guard = Guard(config)
-        length = round(_WINDOW_S * config.loop.rate_hz)
-        self._wheel = SpeedWindow(config.encoders.counts_per_turn, length)
-        self._road = SpeedWindow(config.encoders.counts_per_turn, length)
-        self._command = Command.SAFE
+
+class Outputs:
+    """The outputs of a board that is held for this program; each request is good for half a second (by_hand.HELD_NS).
+
+    A program that hangs, dies or waits for an answer thus takes the outputs away by doing nothing.
+    """
+
+    def __init__(self, side: Screenside) -> None:
+        self._side = side
 
     def beat(self, drive: float, brake: float) -> Motion:
-        """One beat; the duties go out with the next. Raises ProbeError if the guard takes the outputs away."""
-        next(self._beats)
-        sample = self._board.exchange(self._command)
-        if self._stop.requested:
-            raise KeyboardInterrupt
-        self._command = self._guard.admit(Command(drive, brake), sample, _NO_ESTIMATE)
-        if self._guard.reason is not Reason.NONE:
-            raise ProbeError(f"outputs taken away: {self._explanation()}")
-        wheel = self._wheel.update(sample.time_ns, sample.wheel_count)
-        road = self._road.update(sample.time_ns, sample.road_count)
-        return Motion(sample.time_ns * 1e-9, sample.wheel_count, sample.road_count, wheel, road)
+        """Request these duties and wait for the next tick. Raises ProbeError if the guard takes the outputs away."""
+        side = self._side
+        side.wishes.keep_on(Command(drive, brake), side.now_ns())
+        ticks = side.next_ticks()
+        if side.reason is not Reason.NONE or not len(ticks):
+            raise _EndedError
+        last = ticks[-1]
+        reason = Reason(int(last["reason"]))
+        if reason is not Reason.NONE:
+            raise ProbeError(f"outputs taken away: {EXPLANATIONS[reason]}")
+        counts = int(last["wheel_count"]), int(last["road_count"])
+        speeds = float(last["wheel_speed_rad_s"]), float(last["road_speed_rad_s"])
+        return Motion(int(last["time_ns"]) * 1e-9, *counts, *speeds)
 
     def hold(self, drive: float, brake: float, seconds: float) -> Iterator[Motion]:
         """Beats for so long, at least one."""
@@ -65,28 +63,27 @@ class Outputs:
         while (motion := self.beat(drive, brake)).time_s - first.time_s < seconds:
             yield motion
 
-    def _explanation(self) -> str:
-        reason = self._guard.reason
-        detail = f" ({self._board.last_error})" if reason is Reason.MISSED_EXCHANGES and self._board.last_error else ""
-        return EXPLANATIONS[reason] + detail
-
 
 @contextmanager
 def outputs(visit: Visit, config: RigConfig) -> Iterator[Outputs]:
-    """The board, entered for output. Signals end it with SAFE, then KeyboardInterrupt.
+    """The board, held for output by a process that a guardian watches; a signal ends it with SAFE, read back.
 
-    Raises ReadOnlyError for a board that the configuration does not trust, UnsafeError if SAFE was not confirmed.
+    Raises KeyboardInterrupt then; ReadOnlyError for a board that the configuration does not trust, UnsafeError if SAFE
+    was not confirmed.
     """
-    stop = StopWord()
-    try:
-        with hearing(stop.request), visit.bench.open(config) as board:
-            board.insist()
-            yield Outputs(board, config, visit.bench.beats(config.period_ns), stop)
-    except KeyboardInterrupt:
-        stop.request()
-    if stop.requested:
+    with visit.bench.held(config) as side:
+        try:
+            yield Outputs(side)
+        except _EndedError:
+            pass  # leaving raises what the process says that held the board
+        finally:
+            side.wishes.take_away()
+            reason = side.reason
+    if reason is Reason.OPERATOR_STOP:
         visit.person.tell("  the board has confirmed that both outputs are off; wheels that turn coast for up to 48 s")
         raise KeyboardInterrupt
+    if reason is not Reason.NONE:
+        raise ProbeError(f"outputs taken away: {EXPLANATIONS[reason]}")
 
 
 def turns(counts: float, config: RigConfig) -> float:

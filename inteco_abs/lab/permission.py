@@ -15,18 +15,17 @@ BRAKE_LIMIT: Final = 0.7
 """The vendor's own, for its brake supply's sake."""
 SPEED_LIMIT_RAD_S: Final = 60.0
 """A quarter of the rig's limit."""
-_RATE_HZ: Final = 100.0
-"""Often enough for slow wheels, and no strain for a program without a real-time loop's rights."""
 
 
 def outputs_permitted(visit: Visit, request: str, phrase: str) -> RigConfig:
     """Configuration with which the board may be entered for output, once `phrase` has been typed.
 
     It is signed in memory only, for the very logic that the header step has read, and its guard's limits are the
-    walk's. Raises ReadOnlyError for a profile whose outputs are never to be used, ProbeError for any other phrase.
+    walk's; the processes that hold the board have it from this one, and it ends with them. Raises ReadOnlyError for a
+    profile whose outputs are never to be used, ProbeError for any other phrase.
     """
     config = visit.draft.config
-    board, guard = config.board, config.guard
+    board, guard, plan = config.board, config.guard, config.experiment
     if board.read_only:
         raise ReadOnlyError(f"the profile's outputs are never to be used: {board.read_only}")
     insist_on_phrase(visit.person, request, phrase)
@@ -40,11 +39,12 @@ def outputs_permitted(visit: Visit, request: str, phrase: str) -> RigConfig:
         "brake_limit": min(BRAKE_LIMIT, guard.brake_limit),
         "over_speed_rad_s": min(SPEED_LIMIT_RAD_S, guard.over_speed_rad_s),
     }
-    slowly = {"rate_hz": min(_RATE_HZ, config.loop.rate_hz)}
+    start_rad_s = min(plan.start_speed_rad_s, 0.9 * limits["over_speed_rad_s"])  # no stop is made, but both must fit
+    speeds = {"start_speed_rad_s": start_rad_s, "stop_speed_rad_s": min(plan.stop_speed_rad_s, 0.5 * start_rad_s)}
     return config.model_copy(
         update={
             "board": board.model_copy(update=signature),
             "guard": guard.model_copy(update=limits),
-            "loop": config.loop.model_copy(update=slowly),
+            "experiment": plan.model_copy(update=speeds),
         }
     )

@@ -34,11 +34,13 @@ if TYPE_CHECKING:
 HELD_NS: Final = 500_000_000
 """How long a wish is good after the key was last seen."""
 RATE_HZ: Final = 100.0
-"""As in the commissioning walk: a guard's speed window of five such periods still sees a wheel stand or race."""
+"""Often enough for slow wheels: a guard's speed window of five such periods still sees a wheel stand or race."""
 ONLY_WATCHED: Final = "this panel only watches"
 _SCALE: Final = 1_000_000
 """Duties travel as whole millionths."""
 _WINDOW_S: Final = 0.1
+_LOOK_S: Final = 0.002
+"""Between two looks for new ticks: a fifth of a period."""
 _MOST_FAILURES: Final = 100
 """Readings in a row, a second of them; nothing is energised meanwhile."""
 _COUNTER_RANGE: Final = 1 << 32
@@ -205,9 +207,19 @@ class Screenside:
         told: dict[str, str] = self._memory.note(Note.INTRODUCTION)
         return told
 
+    def now_ns(self) -> int:
+        """Time on the clock of the process that holds the board."""
+        return time.monotonic_ns()
+
     def ticks(self) -> npt.NDArray[np.void]:
         """Everything since the call before, oldest first."""
         return TICK.array(self._ticks.take())
+
+    def next_ticks(self) -> npt.NDArray[np.void]:
+        """Wait for at least one tick since the call before; none only if the board is held no longer."""
+        while not len(ticks := self.ticks()) and not self.over:
+            time.sleep(_LOOK_S)
+        return ticks
 
     def ask(self) -> None:
         """Have the whole board read once more; on a USB board that waits until the outputs are off."""
@@ -236,6 +248,16 @@ class Screenside:
         """Why it was ended, by the user's side or the guardian's; NONE if by neither."""
         words = self._memory.words
         return Reason(words[Word.STOP] or words[Word.GUARDIAN_STOP])
+
+
+def slowed(config: RigConfig) -> RigConfig:
+    """The configuration at the rate of outputs by hand, or at its own if that is lower."""
+    rate_hz = min(RATE_HZ, config.loop.rate_hz)
+    window_s = max(config.estimator.window_s, 1.0 / rate_hz)  # no estimator runs, but both must fit
+    loop = config.loop.model_copy(update={"rate_hz": rate_hz})
+    return config.model_copy(
+        update={"loop": loop, "estimator": config.estimator.model_copy(update={"window_s": window_s})}
+    )
 
 
 def read_all(board: Board) -> dict[str, Any]:

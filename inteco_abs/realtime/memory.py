@@ -218,6 +218,13 @@ class RunMemory:
         return memory
 
     @classmethod
+    def private(cls, tick_bytes: int, tick_capacity: int) -> Self:
+        """Memory of this process alone, without a file: for a board that is held here, in virtual time."""
+        mapping = mmap.mmap(-1, run_bytes(tick_bytes, tick_capacity, 1, 1))
+        _HEADER.pack_into(mapping, 0, _MAGIC, tick_bytes, tick_capacity, 1, 1)
+        return cls(Path(), mapping)
+
+    @classmethod
     def open(cls, path: Path) -> Self:
         """Memory of a run that exists; raises SessionError if it is none, or cannot be had."""
         try:

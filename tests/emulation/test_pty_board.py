@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from live import LiveRun
 
+from inteco_abs.lab import STEPS, Draft
 from inteco_abs.realtime.memory import Word
 
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
@@ -25,6 +26,7 @@ BUSY = ("set loop.rate_hz to", "within 10 ms")
 """What the run says then."""
 REAL_LIMITS = ("profile=sim_usb", "guard.missed_in_a_row=4", "guard.bucket_limit=30", "guard.silence_s=0.05")
 """Those that a real board's profile has, not the mock's own."""
+PHRASE = "the cover is closed, my hand is at the emergency switch"
 TRIP_TICKS = 30
 """A few ticks after the start: the drive is on."""
 
@@ -180,3 +182,65 @@ def test_a_board_that_is_not_there_is_said_in_words_and_nothing_is_started(tmp_p
     assert "nowhere cannot be opened: there is no such port" in process.stderr
     assert "MOTOR POWER" not in process.stderr
     assert not list((tmp_path / "sessions").glob("*"))
+
+
+@pytest.fixture
+def commissioning(mock, tmp_path):
+    """Starts the commissioning at the step that turns the motors, on the mock's port; the steps before are done."""
+    started = []
+
+    def start(*lines):
+        draft = Draft.open(tmp_path / "draft.toml", f"usb:{mock.port}", "sim_usb")
+        found = {"logic_version": "0x0111"}
+        for step in STEPS[:5]:
+            draft.record(step.name, {"outcome": "done", "rests_on": draft.wiring(step.rests_on), **found})
+        process = subprocess.Popen(
+            [COMMAND, "probe", "--board", f"usb:{mock.port}", "--draft", draft.file, "--step", "motors"],
+            cwd=tmp_path, env=UNTRACED, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        started.append(process)
+        process.stdin.write("".join(f"{line}\n" for line in lines))
+        process.stdin.flush()
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_a_commissioning_that_is_killed_with_a_motor_on_leaves_the_outputs_off(commissioning, mock):
+    process = commissioning("", PHRASE, "")
+    mock.until(lambda truth: truth.get("drive", 0.0) > 0.0)
+    process.kill()
+    mock.until(lambda truth: truth["drive"] == truth["brake"] == 0.0)
+
+
+ENDS = {
+    "its own": (lambda _process: None, 1, "a wheel moved although the emergency switch is pressed"),
+    "Ctrl-C": (lambda process: process.send_signal(signal.SIGINT), 130, "confirmed that both outputs are off"),
+    "the death of the process that holds the board": (
+        lambda process: os.kill(holder(process.pid), signal.SIGKILL),
+        1,
+        "the process that held the board died; the guardian has written SAFE and read it back",
+    ),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("how", ENDS)
+def test_a_commissioning_that_ends_with_a_motor_on_says_how_and_the_outputs_are_off(commissioning, mock, how):
+    end, code, told = ENDS[how]
+    process = commissioning("", PHRASE, "")
+    mock.until(lambda truth: truth.get("drive", 0.0) > 0.0)
+    end(process)
+    _, stderr = process.communicate(timeout=30)
+    assert (process.returncode, told in stderr) == (code, True), stderr
+    mock.until(lambda truth: truth["drive"] == truth["brake"] == 0.0)
+
+
+def holder(pid):
+    """Process that holds the board for the commissioning in the process `pid`."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    (found,) = [one for one in children if b"by-hand" in Path(f"/proc/{one}/cmdline").read_bytes().split(b"\0")]
+    return int(found)

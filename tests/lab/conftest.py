@@ -9,6 +9,7 @@ import pytest
 
 from firmware_protocol.rtdac_usb2 import READ_REQUEST, decode_send
 from inteco_abs.boards import Link
+from inteco_abs.config import parse_config
 from inteco_abs.lab import Draft, MockBench, Walk
 from inteco_abs.lab.bench import TURNS
 from inteco_abs.lab.step import Visit
@@ -89,7 +90,7 @@ class WatchedBench(MockBench):
     """The mock bench, whose hands, link and time a test may watch and disturb."""
 
     def __init__(self, config) -> None:
-        super().__init__(config, virtual=True)
+        super().__init__(config)
         self.written: list[bytes] = []
         self.before_write: Callable[[int], None] = lambda _number: None
         self.change_answer: Callable[[bytes], bytes] = bytes
@@ -99,6 +100,9 @@ class WatchedBench(MockBench):
 
     def link(self) -> Link:
         return WatchedLink(self, super().link())
+
+    def held(self, config):
+        return super().held(parse_config(config.to_toml()))  # as the process gets it that holds a real board
 
     def turned(self, which):
         self.hand(which)

@@ -142,6 +142,19 @@ def test_a_step_is_done_again_on_demand(probe, whole_script):
     assert "4 wheels: done" in run.stderr
 
 
+@pytest.mark.long
+@pytest.mark.untraced
+@pytest.mark.xdist_group("real time")
+def test_in_real_time_a_guarded_process_holds_the_mock(lab, installed, scripts):
+    lab.done_until("echo")
+    for step in ("echo", "motors"):
+        run = installed("--draft", "lab.toml", "--step", step, lines=scripts[step])
+        assert run.returncode == 0, run.stderr
+        assert "the guardian has to prove itself" in run.stderr
+    lab.session()
+    assert lab.draft.results["motors"]["brake_from"] == pytest.approx(0.415, abs=0.05)
+
+
 def test_a_real_board_that_is_not_there_fails_the_first_step(probe):
     run = probe("--board", "pci:", "--yes-read-only")
     assert run.returncode == 1

@@ -31,7 +31,7 @@ class Bench(MockBench):
     """A bench of which everything that goes to the board is kept; `read_ns` is how long each reading takes."""
 
     def __init__(self, *settings, read_s=0.0):
-        super().__init__(load_config(settings=settings), virtual=True)
+        super().__init__(load_config(settings=settings))
         self._read_s = read_s
         self.links = []
 

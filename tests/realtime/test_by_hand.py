@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb2 import READ_REQUEST
+from inteco_abs.config import load_config, parse_config, profiles
 from inteco_abs.errors import LinkError, UnsafeError
-from inteco_abs.realtime.by_hand import HELD_NS, RATE_HZ, read_all
+from inteco_abs.realtime.by_hand import HELD_NS, RATE_HZ, read_all, slowed
 from inteco_abs.realtime.memory import Word
 from inteco_abs.signals import BoardFlags, Command, Reason
 
@@ -21,6 +22,15 @@ def bench(new_memory):
         return Bench(new_memory(5000), *settings, **options)
 
     return make
+
+
+@pytest.mark.parametrize("profile", profiles())
+@pytest.mark.parametrize("window_s", [0.001, 0.1])
+def test_any_configuration_slowed_down_is_one_that_another_process_can_read(profile, window_s):
+    config = load_config(settings=["loop.rate_hz=1000", f"estimator.window_s={window_s}"], profile=profile)
+    slow = slowed(config)
+    assert parse_config(slow.to_toml()) == slow
+    assert slow.loop.rate_hz == RATE_HZ
 
 
 def test_with_no_key_nothing_is_ever_put_out(bench):
