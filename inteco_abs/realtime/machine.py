@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 LOOP_PRIORITY: Final = 80
-GUARDIAN_PRIORITY: Final = 70
-"""Below the loop's, so that watching never delays it."""
+GUARDIAN_PRIORITY: Final = 90
+"""Of those who end a loop that hangs: above the loop's, as it may spin on the only CPU that there is."""
 BOARD_PRIORITY: Final = 60
 """Of the mock board's process."""
 
@@ -100,7 +100,7 @@ def loop_wishes() -> tuple[Wish, ...]:
     allowed, isolated = _allowed(), isolated_cpus()
     return (
         _affinity(loop_cpus(allowed, isolated), "the loop shares its CPUs; a second core would help"),
-        *_common(LOOP_PRIORITY),
+        *_common(_below_the_guardian),
         Wish("heap", _reserve_heap, ""),
         Wish("C-states", _keep_awake, "deep sleep states add up to 100 us; allow writing /dev/cpu_dma_latency"),
         Wish("garbage", _freeze_garbage, ""),
@@ -111,7 +111,7 @@ def guardian_wishes(priority: int = GUARDIAN_PRIORITY) -> tuple[Wish, ...]:
     """Everything for the guardian and for the mock board: beside the loop, never on its CPU."""
     return (
         _affinity(other_cpus(_allowed(), isolated_cpus()), "a second core would help"),
-        *_common(priority),
+        *_common(lambda: _first_in_first_out(priority)),
         Wish("out of memory", _survive, "the kernel may choose this process when memory runs out"),
         Wish("garbage", _freeze_garbage, ""),
     )
@@ -130,7 +130,7 @@ def supervisor_wishes() -> tuple[Wish, ...]:
     return (_affinity(other_cpus(_allowed(), isolated_cpus()), "a second core would help"),)
 
 
-def _common(priority: int) -> tuple[Wish, ...]:
+def _common(schedule: Callable[[], str]) -> tuple[Wish, ...]:
     return (
         Wish("signals", _block_signals, ""),
         Wish("malloc", _keep_heap, "the C library is not glibc"),
@@ -142,7 +142,7 @@ def _common(priority: int) -> tuple[Wish, ...]:
         Wish("timer slack", _no_slack, "wake-ups may come 50 us late"),
         Wish(
             "scheduler",
-            lambda: _first_in_first_out(priority),
+            schedule,
             "ordinary priority, so any busy program delays the loop; raise rtprio to 90 in /etc/security/limits.d",
         ),
     )
@@ -165,6 +165,12 @@ def _allowed() -> set[int]:
 def _first_in_first_out(priority: int) -> str:
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     return f"SCHED_FIFO {priority}"
+
+
+def _below_the_guardian() -> str:
+    """A limit between the two priorities would put the loop above the guardian: then it stays an ordinary process."""
+    _first_in_first_out(GUARDIAN_PRIORITY)
+    return _first_in_first_out(LOOP_PRIORITY)
 
 
 def _lock_memory() -> str:

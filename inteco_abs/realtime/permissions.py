@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Final
 
 from inteco_abs.realtime.findings import Check, Computer, Judgement, amber, green, red
-from inteco_abs.realtime.machine import LOOP_PRIORITY
+from inteco_abs.realtime.machine import GUARDIAN_PRIORITY
 
 UDEV_FILE: Final = "/etc/udev/rules.d/70-inteco-abs.rules"
 """Before 73, where the tag uaccess is read."""
@@ -102,10 +102,11 @@ def _priority_limit(computer: Computer) -> Judgement:
     if _capable(computer, _CAP_SYS_NICE):
         return green("any priority (CAP_SYS_NICE)")
     allowed = _soft_limit(computer, "Max realtime priority")
-    if allowed == "unlimited" or int(allowed) >= LOOP_PRIORITY:
+    if allowed == "unlimited" or int(allowed) >= GUARDIAN_PRIORITY:
         return green(f"rtprio {allowed}")
     return red(
-        f"rtprio {allowed}: any busy program delays the loop, which needs priority {LOOP_PRIORITY}", _INSTALL_LIMITS
+        f"rtprio {allowed}: any busy program delays the loop, whose guardian needs priority {GUARDIAN_PRIORITY}",
+        _INSTALL_LIMITS,
     )
 
 

@@ -293,8 +293,8 @@ def child():
 def python_child(child):
     """Starts a Python process that runs `code`, with its standard output as text."""
 
-    def start(code: str, *arguments: object) -> subprocess.Popen:
-        return child(sys.executable, "-c", code, *arguments, stdout=subprocess.PIPE, text=True)
+    def start(code: str, *arguments: object, **options) -> subprocess.Popen:
+        return child(sys.executable, "-c", code, *arguments, stdout=subprocess.PIPE, text=True, **options)
 
     return start
 

@@ -136,8 +136,8 @@ CASES = [
     ("load", {"proc/loadavg": ""}, "amber", NOT_KNOWN, "/proc"),
     ("priority limit", {}, "green", "rtprio 90", ""),
     ("priority limit", {"proc/self/limits": limits_table("unlimited")}, "green", "rtprio unlimited", ""),
-    ("priority limit", {"proc/self/limits": limits_table("80")}, "green", "rtprio 80", ""),
-    ("priority limit", {"proc/self/limits": limits_table("79")}, "red", "rtprio 79", LIMITS_FILE),
+    ("priority limit", {"proc/self/limits": limits_table("90")}, "green", "rtprio 90", ""),
+    ("priority limit", {"proc/self/limits": limits_table("89")}, "red", "rtprio 89", LIMITS_FILE),
     (
         "priority limit",
         {"proc/self/limits": limits_table("0"), "proc/self/status": status(capabilities=1 << 23)},

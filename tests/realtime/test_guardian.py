@@ -9,6 +9,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -441,7 +442,12 @@ class TestTheOthers:
         run.until_polled()
         assert run.words[Word.GUARDIAN_STOP] == 0
         recorder.kill()
-        run.until(lambda: run.words[Word.GUARDIAN_STOP], "it asks for the end")
+
+        def asked():
+            run.words[Word.RECORDER_BEAT_NS] += 1  # its end is what counts, not that it becomes silent
+            return run.words[Word.GUARDIAN_STOP]
+
+        run.until(asked, "it asks for the end")
         assert run.words[Word.GUARDIAN_STOP] == Reason.RECORDER_LOST
 
     def test_before_the_run_begins_there_need_be_no_recorder(self, run):
@@ -543,3 +549,33 @@ def test_the_process_guards_and_ends_when_all_is_over(memory, job_of, child, unt
     memory.words[Word.OVER] = 1
     assert process.wait(30) == 0
     assert process.communicate()[1] == b""
+
+
+def standing_of(pid):
+    """What the kernel grants a process: its scheduler, its priority, and whether its memory is locked."""
+    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    locked = int(status.partition("VmLck:")[2].split()[0]) > 0
+    return os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK, os.sched_getparam(pid).sched_priority, locked
+
+
+PREPARED = """
+from inteco_abs.realtime.machine import guardian_wishes, prepare
+prepare(guardian_wishes())
+print("prepared", flush=True)
+input()
+"""
+
+
+@pytest.mark.untraced
+def test_the_process_has_the_priority_and_the_locked_memory_that_this_computer_grants(
+    memory, job_of, child, python_child, until
+):
+    job_of(memory)
+    memory.words[Word.SUPERVISOR_PID] = os.getpid()
+    like = python_child(PREPARED, stdin=subprocess.PIPE)
+    assert like.stdout.readline() == "prepared\n"
+    if standing_of(like.pid) == standing_of(os.getpid()):
+        pytest.skip("this computer grants neither a real-time priority nor locked memory")
+    process = child(sys.executable, "-m", "inteco_abs.realtime", "guardian", memory.path)
+    until(lambda: memory.words[Word.GUARDIAN_BEAT_NS], "it watches")
+    assert standing_of(process.pid) == standing_of(like.pid)

@@ -15,6 +15,7 @@ from inteco_abs.realtime.machine import (
     Wish,
     isolated_cpus,
     loop_cpus,
+    loop_wishes,
     other_cpus,
     parse_cpus,
     prepare,
@@ -269,5 +270,27 @@ class TestProcesses:
         assert found["oom"] == prepared["loop_wishes"][1]["oom"]
 
 
-def test_the_guardian_never_comes_before_the_loop():
-    assert GUARDIAN_PRIORITY < LOOP_PRIORITY
+def test_a_loop_that_spins_on_the_only_cpu_never_keeps_the_guardian_from_it():
+    assert GUARDIAN_PRIORITY > LOOP_PRIORITY
+
+
+@pytest.mark.untraced
+@pytest.mark.parametrize("allowed", [GUARDIAN_PRIORITY, GUARDIAN_PRIORITY - 1])
+def test_a_loop_whose_guardian_may_not_be_above_it_stays_an_ordinary_process(allowed, monkeypatch):
+    asked, granted = [], os.SCHED_OTHER
+
+    def schedule(_pid, policy, param):
+        nonlocal granted
+        asked.append(param.sched_priority)
+        if param.sched_priority > allowed:
+            raise PermissionError(1, "Operation not permitted")
+        granted = policy
+
+    monkeypatch.setattr(os, "sched_setscheduler", schedule)
+    (wish,) = (wish for wish in loop_wishes() if wish.name == "scheduler")
+    (setting,) = prepare([wish])
+    if allowed == GUARDIAN_PRIORITY:
+        assert (setting.value, asked[-1]) == (f"SCHED_FIFO {LOOP_PRIORITY}", LOOP_PRIORITY)
+    else:
+        assert granted == os.SCHED_OTHER
+        assert "raise rtprio to 90" in setting.refused

@@ -141,25 +141,39 @@ def test_a_loop_that_hangs_is_killed_by_the_guardian(live, replayed):
 
 
 HANGING = """
+from inteco_abs.signals import BrakeDemand
 class Law:
     gains = ()
     internals = ()
+    updates = 0
     def __init__(self, setup):
         pass
     def update(self, estimate, dt_s):
-        while True:
+        self.updates += 1
+        while self.updates == 50:
             pass
+        return BrakeDemand(0.6)
 """
 
 
-def test_a_controller_that_never_returns_is_ended_by_the_guardian(live, tmp_path):
+def all_cpus():
+    pass
+
+
+def one_cpu():
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+
+@pytest.mark.parametrize("confined", [all_cpus, one_cpu])
+def test_a_controller_that_never_returns_is_ended_by_the_guardian(live, tmp_path, confined):
     (tmp_path / "law.py").write_text(HANGING)
-    run = live("--controller", "law.py:Law")
+    run = live("--controller", "law.py:Law", preexec_fn=confined)
     code, card, message = run.end()
     assert (code, card["outcome"]) == (5, "aborted")
     assert "hung and was killed" in message
     session = run.session()
-    assert session.ticks["phase"][-1] == Phase.BRAKING  # its first tick; the controller never gave a second
+    assert session.ticks["phase"][-1] == Phase.BRAKING
+    assert session.ticks["brake"][-1] == 0.6
     assert len(session.ticks) == run.ticks.written
     assert safe_after_ns(session, int(session.ticks["time_ns"][-1])) < GENEROUS_NS
     assert_left_nothing_behind(run)
