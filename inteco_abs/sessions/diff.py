@@ -85,7 +85,10 @@ def _changes(a: Mapping[str, Any], b: Mapping[str, Any], rel: float = 0.0) -> It
 
 def _same(a: Any, b: Any, rel: float) -> bool:
     if isinstance(a, int | float) and isinstance(b, int | float):
-        return bool(a == b or abs(a - b) <= rel * max(abs(a), abs(b)) or (math.isnan(a) and math.isnan(b)))
+        try:
+            return bool(a == b or abs(a - b) <= rel * max(abs(a), abs(b)) or (math.isnan(a) and math.isnan(b)))
+        except OverflowError:  # TOML's integers have no end here, and a double holds no more than 309 digits
+            return False
     return bool(a == b)
 
 

@@ -31,6 +31,7 @@ from inteco_abs.sessions.rows import Rows, RowsInMemory, RowsOnDisk
 
 _BEGINNING: Final = 64
 """Bytes that are looked at to tell what a file is, if it is no session."""
+_LATEST_NS: Final = (1 << 63) - 1
 _OTHERS: Final = {
     b"#ROSBAG": "a ROS bag; this program reads sessions of its own only",
     b"SQLite format 3": "an SQLite database, as ROS 2 bags are; this program reads sessions of its own only",
@@ -165,7 +166,9 @@ def _read(file: BinaryIO, size: int, content: Content) -> tuple[Content, str]:
         except DamagedError as error:
             raise DamagedError(f"{kind(entry.opcode)} at byte {entry.start}: {error}") from error
     content.check_schemas()
-    if ended and ends_well(file):
+    if ends_well(file) and size > len(MAGIC):
+        if not ended:
+            raise DamagedError("the head of a record is wrong: the file is not cut, and its data have no end")
         return content, ""
     return content, f"the file ends early, after {size} bytes, without its index"
 
@@ -183,6 +186,13 @@ def ends_well(file: BinaryIO) -> bool:
     return file.read() == MAGIC
 
 
+def _check_times(times_ns: npt.NDArray[np.uint64]) -> None:
+    """Raises DamagedError at a time from which none can be subtracted in 64 bits: 292 years of any clock."""
+    latest_ns = int(times_ns.max(initial=0))
+    if latest_ns > _LATEST_NS:
+        raise DamagedError(f"a tick's time is {latest_ns} ns, and no clock shows more than {_LATEST_NS}")
+
+
 def _session(path: Path, content: Content, incomplete: str) -> Session:
     recorded = content.metadata.get("integrity", {}).get("payload_sha256")
     ours = content.announces_ticks or content.library.startswith(LIBRARY)
@@ -193,11 +203,14 @@ def _session(path: Path, content: Content, incomplete: str) -> Session:
     for name in content.altered_attachments():
         raise DamagedError(f"attachment {name!r} does not match the hash that was recorded with it")
     payload = content.rows[TICK.topic].contents()
+    ticks, truth = TICK.array(payload), TRUTH.array(content.rows[TRUTH.topic].contents())
+    for rows in (ticks, truth):
+        _check_times(rows["time_ns"])
     return Session(
         path,
-        TICK.array(payload),
+        ticks,
         payload,
-        TRUTH.array(content.rows[TRUTH.topic].contents()),
+        truth,
         migrated(content.metadata),
         {name: attached.data for name, attached in content.attachments.items()},
         content.channel_facts,

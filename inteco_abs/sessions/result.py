@@ -18,6 +18,9 @@ from inteco_abs.sessions.reader import Session
 from inteco_abs.sessions.replay import session_config
 from inteco_abs.signals import BoardFlags, Phase
 
+_MOST_DIGITS: Final = 18
+"""Of a whole number in a card; counts that a run can reach have fewer."""
+
 Array = npt.NDArray[Any]
 
 
@@ -43,10 +46,16 @@ def result_card(config: RigConfig, ticks: Array, truth: Array) -> dict[str, Any]
 
 
 def stored_card(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Any] | None:
-    """The result card in a session's metadata; None if there is none that can be read. No number in it is infinite."""
+    """The result card in a session's metadata; None if there is none that can be read.
+
+    No number in it is infinite, and none too large for a double.
+    """
     try:
         card = json.loads(
-            metadata.get("result", {}).get("card", ""), parse_float=_finite, parse_constant=lambda _name: None
+            metadata.get("result", {}).get("card", ""),
+            parse_int=_count,
+            parse_float=_finite,
+            parse_constant=lambda _name: None,
         )
     except (ValueError, RecursionError):
         return None
@@ -62,6 +71,10 @@ def card_of(session: Session) -> dict[str, Any] | None:
         return result_card(session_config(session, ()), session.ticks, session.truth)
     except SessionError:
         return None
+
+
+def _count(text: str) -> int | None:
+    return int(text) if len(text) <= _MOST_DIGITS else None
 
 
 def _finite(text: str) -> float | None:

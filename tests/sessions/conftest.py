@@ -124,6 +124,19 @@ def cut_short(short):
     return short.read_bytes()[: (chunks[4].at + chunks[4].end) // 2]
 
 
+@pytest.fixture(scope="session")
+def with_a_flipped_bit():
+    """Bytes of a file of which one bit, amid the packed records of its last chunk, is another."""
+
+    def flip(data: bytes) -> bytes:
+        chunk = [record for record in Container.split(data) if record.opcode == CHUNK][-1]
+        changed = bytearray(data)
+        changed[(chunk.at + chunk.end) // 2] ^= 1
+        return bytes(changed)
+
+    return flip
+
+
 class Verb(NamedTuple):
     code: int
     out: str

@@ -65,12 +65,9 @@ def test_what_a_cut_session_was_worth_is_computed(altered, quick, container):
     assert row["outcome"] == "incomplete"
 
 
-def test_broken_files_are_rows_with_their_problem(folder, short, container):
-    data = bytearray(short.read_bytes())
-    data[8000] ^= 1
-    path = folder(
-        empty=b"", text=b"not a session", foreign=container.craft(), damaged=bytes(data[:-300]), good=short.read_bytes()
-    )
+def test_broken_files_are_rows_with_their_problem(folder, short, container, with_a_flipped_bit):
+    damaged = with_a_flipped_bit(short.read_bytes())[:-300]
+    path = folder(empty=b"", text=b"not a session", foreign=container.craft(), damaged=damaged, good=short.read_bytes())
     os.mkfifo(path / "pipe.mcap")
     (path / "dangling.mcap").symlink_to("nowhere")
     (path / "folder.mcap").mkdir()

@@ -209,10 +209,8 @@ class TestExport:
         assert verb("export", folder / "a.mcap", "--format", "xls").code == 2
         assert verb("export", folder / "a.mcap").code == 2
 
-    def test_a_damaged_session_fails(self, verb, folder):
-        data = bytearray((folder / "a.mcap").read_bytes())
-        data[9000] ^= 1
-        (folder / "bad.mcap").write_bytes(data)
+    def test_a_damaged_session_fails(self, verb, folder, with_a_flipped_bit):
+        (folder / "bad.mcap").write_bytes(with_a_flipped_bit((folder / "a.mcap").read_bytes()))
         assert verb("export", folder / "bad.mcap", "--format", "npz").code == 1
         assert not (folder / "bad.npz").exists()
 
