@@ -43,6 +43,8 @@ ENDPOINT_IN: Final = 0x84
 """Bulk IN: data from the FPGA. 0x88 is JTAG and is never touched."""
 PWM_CHANNELS: Final = 8
 ENCODER_CHANNELS: Final = 8
+TIMER_HZ: Final = 20_000_000
+"""Of a timer/counter in timer mode, in all three rig logics whose drivers are public (S4, S5, rpend)."""
 
 _RAW: Final = "raw"
 _BITMAP: Final = "bit mask"
@@ -156,7 +158,13 @@ def _timers() -> list[Field]:
         _both("timer_reset", "timer/counter i is held at 0 while bit i is 1", _BITMAP, bits(70, 0, 2)),
         _both("timer_mode", "timer/counter i: 0 = counter, 1 = timer", _BITMAP, bits(71, 0, 2)),
         *(
-            Field(f"timer{i}_value", f"timer/counter {i}, wraps", "1", "S1", read=words(72 + 2 * i, 16, 16))
+            Field(
+                f"timer{i}_value",
+                f"timer/counter {i}, wraps; a timer counts at 20 MHz",
+                "1",
+                "S1",
+                read=words(72 + 2 * i, 16, 16),
+            )
             for i in range(2)
         ),
     ]

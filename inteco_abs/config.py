@@ -21,6 +21,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
+from firmware_protocol.rtdac_usb2 import TIMER_HZ
 from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER, VENDOR_ID
 from inteco_abs.errors import ConfigError, Mistake, near_match
 from inteco_abs.quantities import number_hint, other_unit, unit_of
@@ -56,6 +57,7 @@ WIRING: Final = (
     "pwm_pins",
     "pwm_functions",
     "numbering_pwm",
+    "timer",
     "road_encoder",
     "wheel_encoder",
     "road_sign",
@@ -65,6 +67,7 @@ WIRING: Final = (
 """What outputs rest on: keys of [board], and `encoders.counts_per_turn`."""
 _SIGNED: Final = (
     *WIRING,
+    "timer_hz",
     "kind",
     "logic_version",
     "application_names",
@@ -111,7 +114,12 @@ class BoardConfig(_Section):
     """Bits of the pin mode that switch pins to their PWM function; as `pwm_pins` if not given."""
     numbering_pwm: Annotated[int, Field(ge=-1, le=7)] = -1
     """PWM channel that is wired to nothing: its prescaler carries the number of each frame, which the board echoes, so
-    that a late or repeated answer is recognised. -1: none is free, and such answers may go unnoticed."""
+    that a late or repeated answer is recognised. -1: none is free."""
+    timer: Annotated[int, Field(ge=-1, le=1)] = -1
+    """Timer/counter channel that nothing else uses: it runs free as the clock of the samples, which dates them exactly
+    and shows an answer that is older than its request. -1: none; samples are dated when they arrive."""
+    timer_hz: Annotated[int, Field(ge=1_000_000, le=100_000_000)] = TIMER_HZ
+    """Rate of that timer."""
     road_encoder: Annotated[int, Field(ge=0, le=11)] = 0
     """Encoder channel of the lower wheel, which stands for the road."""
     wheel_encoder: Annotated[int, Field(ge=0, le=11)] = 1
@@ -132,6 +140,8 @@ class BoardConfig(_Section):
         unused = {"pwm_functions"} if self.pwm_functions is None else set()
         if self.numbering_pwm < 0:
             unused.add("numbering_pwm")
+        if self.timer < 0:
+            unused.add("timer")
         if self.kind == "pci":
             unused |= {"pwm_pins", "pwm_functions"}
         return (key for key in WIRING if key not in unused)

@@ -74,7 +74,7 @@ def test_every_key_that_outputs_rest_on_has_a_status_and_a_source(name):
     board = load_config(settings=[f"profile={name}"]).board
     for key, evidence in board.evidence.items():
         assert evidence.source, key
-    relied_on = {*WIRING} - ({"numbering_pwm"} if board.numbering_pwm < 0 else set())
+    relied_on = {*WIRING} - {key for key in ("numbering_pwm", "timer") if getattr(board, key) < 0}
     relied_on -= {"pwm_pins", "pwm_functions"} if board.kind == "pci" else set()
     relied_on -= {"pwm_functions"} if board.pwm_functions is None else set()
     assert set(board.evidence) == relied_on
@@ -170,6 +170,7 @@ class TestEvidence:
     def test_without_a_signature_outputs_need_everything_confirmed(self):
         confirmed = {key: {"status": "confirmed", "source": "seen"} for key in WIRING}
         base = {"logic_version": 0x0103, "application_names": ["ABSSIM"], "pwm_functions": [2, 5], "numbering_pwm": 7}
+        base["timer"] = 0
         board = BoardConfig.model_validate({**base, "evidence": confirmed})
         assert board.unconfirmed() == []
         for key in WIRING:

@@ -73,6 +73,7 @@ class Board(ABC):
         self._ready = False
         self._raw = (0, 0)  # counters of wheel and road at the newest good exchange
         self._newest_ns = 0
+        self._start_ns = 0  # of the exchange that goes on
         self._wheel_count = 0
         self._road_count = 0
 
@@ -98,6 +99,10 @@ class Board(ABC):
     @abstractmethod
     def _transfer(self, command: Command) -> tuple[int, int]:
         """Write `command`, read the board; raw signed 32-bit wheel and road counts. Raises LinkError."""
+
+    def _dated(self, now: int) -> int:
+        """When the counts of the newest transfer were taken; `now` is when it was over."""
+        return now
 
     @abstractmethod
     def _write_safe(self) -> None:
@@ -169,7 +174,7 @@ class Board(ABC):
         """
         if not self._ready:
             raise self._refusal()
-        start = self._now_ns()
+        start = self._start_ns = self._now_ns()
         try:
             wheel, road = self._transfer(command)
         except LinkError as error:
@@ -181,7 +186,7 @@ class Board(ABC):
         self._raw = wheel, road
         self._wheel_count += count_step(wheel, wheel_before)
         self._road_count += count_step(road, road_before)
-        return self._sample(now, _GOOD if now - start <= self._period_ns else _SLOW)
+        return self._sample(self._dated(now), _GOOD if now - start <= self._period_ns else _SLOW)
 
     def make_safe(self) -> None:
         """De-energise both outputs and read it back.
@@ -220,11 +225,11 @@ class Board(ABC):
             self._ready = False
             self._close()
 
-    def _sample(self, now: int, flags: BoardFlags) -> Sample:
+    def _sample(self, time_ns: int, flags: BoardFlags) -> Sample:
         tick, self._tick = self._tick, self._tick + 1
-        dt_s = (now - self._newest_ns if tick else self._period_ns) / 1e9
-        self._newest_ns = now
-        return Sample(tick, now, dt_s, self._wheel_count, self._road_count, flags)
+        dt_s = (time_ns - self._newest_ns if tick else self._period_ns) / 1e9
+        self._newest_ns = time_ns
+        return Sample(tick, time_ns, dt_s, self._wheel_count, self._road_count, flags)
 
     def insist(self) -> Identity:
         """Identity of a board that may be driven; raises ReadOnlyError saying what the lab has to do."""

@@ -10,6 +10,7 @@ from typing import Final
 
 from firmware_protocol import Field, FrameTable, ProtocolError
 from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
+from inteco_abs.boards.board_clock import BoardClock
 from inteco_abs.boards.links import Link
 from inteco_abs.boards.trust import distrust
 from inteco_abs.config import BoardConfig
@@ -22,6 +23,7 @@ MODES: Final = ("8-bit", "12-bit")
 _MOST_OLD: Final = 100
 """More answers to older requests than this are no leftover of a pause."""
 _PINS: Final = ("pin_mode", "pin_direction", "encoder_reset")
+_TIMERS: Final = ("timer_reset", "timer_mode")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +50,9 @@ class FrameBoard(Board):
     The output image is built once, when the board is opened: words that the wiring owns come from the wiring,
     all other words from the first read, all PWM widths are zero. In a tick only the two widths change, and the
     number of the frame, for which the prescaler of a PWM channel that is wired to nothing is used: the board echoes
-    it, so that an answer to an older request, late or duplicated, is told from the one to this request.
+    it, so that an answer to an older request, late or duplicated, is told from the one to this request. Where the
+    wiring has a timer, it dates the samples, and shows such an answer, too. It is set to zero when the board is opened,
+    and each time SAFE is to be confirmed, so that no answer from before can confirm it.
 
     Raises ConfigError for a wiring that the logic has no channels for.
     """
@@ -71,6 +75,10 @@ class FrameBoard(Board):
         self._numbers = 1 << layout.number_bits
         self._number_at = _first_byte(layout.send, numbered) if numbered else -1
         self._number_echo = _first_byte(layout.read, numbered) if numbered else -1
+        self._clock = BoardClock(wiring.timer_hz) if wiring.timer >= 0 else None
+        self._timer = layout.read.place(f"timer{wiring.timer}_value") if wiring.timer >= 0 else None
+        self._taken_ns = 0  # when the counts of the newest answer were taken, by that clock
+        self._shared = (*_PINS, *_TIMERS) if wiring.timer >= 0 else _PINS  # fields of which some bits are the wiring's
         self._image = bytearray(layout.send.size)
         self._settings: dict[str, int] = {}
         self._header = b""
@@ -115,7 +123,8 @@ class FrameBoard(Board):
     def _relied_on(self) -> list[Field]:
         """What outputs rest on of the frames."""
         encoders = (f"encoder{i}_count" for i in (self._wiring.wheel_encoder, self._wiring.road_encoder))
-        names = [*self._owned(dict.fromkeys(_PINS, 0)), *encoders]
+        clock = [f"timer{self._wiring.timer}_value"] if self._clock else []
+        names = [*self._owned(dict.fromkeys(self._shared, 0)), *encoders, *clock]
         return [self._layout.read.fields[name][0] for name in names]
 
     def _warning(self, frame: bytes) -> str:
@@ -130,7 +139,7 @@ class FrameBoard(Board):
         layout = self._layout
         try:
             found = layout.read.decode(self._read())
-            self._settings = self._owned({name: int(found[name]) for name in _PINS})
+            self._settings = self._owned({name: int(found[name]) for name in self._shared})
             kept = {name: found[name] for name in layout.send.fields}
             self._image[:] = layout.send.encode({**kept, **self._settings})
         except ProtocolError as error:
@@ -150,7 +159,7 @@ class FrameBoard(Board):
         self._late = True  # so that what the other process had asked for is dropped first, whatever its number
 
     def _start(self) -> tuple[int, int]:
-        frame = self._write_widths(0, 0)
+        frame = self._write_off()
         echo = self._layout.read.decode(frame)
         wrong = [f"{name} = {echo[name]}, not {value}" for name, value in self._settings.items() if echo[name] != value]
         if wrong:
@@ -163,7 +172,7 @@ class FrameBoard(Board):
         pins = _mask(wiring.pwm_pins)
         functions = pins if wiring.pwm_functions is None else _mask(wiring.pwm_functions)
         channels = (wiring.drive_pwm, wiring.brake_pwm)
-        return {
+        owned = {
             **{f"pwm{channel}_width": 0 for channel in range(self._layout.pwm_channels)},
             **{f"pwm{channel}_mode": self._mode for channel in channels},
             **{f"pwm{channel}_prescaler": wiring.pwm_prescaler for channel in channels},
@@ -171,13 +180,35 @@ class FrameBoard(Board):
             "pin_direction": found["pin_direction"] & ~pins,
             "encoder_reset": found["encoder_reset"] & ~_mask((wiring.wheel_encoder, wiring.road_encoder)),
         }
+        if wiring.timer >= 0:
+            owned["timer_reset"] = found["timer_reset"] & ~(1 << wiring.timer)
+            owned["timer_mode"] = found["timer_mode"] | 1 << wiring.timer
+        return owned
 
     def _transfer(self, command: Command) -> tuple[int, int]:
         drive, brake = widths(command, self._full)
         return self._counts(self._write_widths(drive, brake))
 
+    def _dated(self, now: int) -> int:
+        return now if self._clock is None else self._taken_ns
+
     def _write_safe(self) -> None:
-        self._write_widths(0, 0)
+        self._write_off()
+
+    def _write_off(self) -> bytes:
+        """SEND both widths zero with the timer held at zero, then as `_write_widths` does."""
+        if self._clock is not None:
+            self._link.write(self._held_at_zero())
+            self._clock.restart(self._now_ns())
+        self._start_ns = self._now_ns()
+        return self._write_widths(0, 0)
+
+    def _held_at_zero(self) -> bytearray:
+        """The SAFE image, but that the timer is held at zero."""
+        image, reset = bytearray(self.safe_image[self._layout.header_bytes :]), self._layout.send.place("timer_reset")
+        (others,) = reset.codec.unpack_from(image, reset.offset)
+        reset.codec.pack_into(image, reset.offset, others | 1 << self._wiring.timer)
+        return image
 
     def _write_widths(self, drive: int, brake: int) -> bytes:
         """SEND both widths, READ, and check that the answer is this board's and echoes them."""
@@ -213,13 +244,24 @@ class FrameBoard(Board):
         for _ in range(_MOST_OLD):
             if not frame.startswith(self._header):
                 raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
-            if self._number_at < 0 or number.unpack_from(frame, self._number_echo)[0] % self._numbers == self._number:
+            at = self._number_echo
+            numbered = at < 0 or number.unpack_from(frame, at)[0] % self._numbers == self._number
+            if numbered and self._date(frame):
                 return frame
             try:
                 frame = self._whole(self._link.read(self._layout.read.size))
             except LinkError as error:
-                raise LinkError(f"the answer is one to an older request, and no other follows: {error}") from error
+                why = self._clock.fault if numbered and self._clock else "the answer is one to an older request"
+                raise LinkError(f"{why}; and no other follows: {error}") from error
         raise LinkError("the board answers only requests of long ago: is another program reading from it?")
+
+    def _date(self, frame: bytes) -> bool:
+        """Note when the board made the answer; False if not while this exchange went on."""
+        if self._clock is None or self._timer is None:
+            return True
+        (reading,) = self._timer.codec.unpack_from(frame, self._timer.offset)
+        self._taken_ns = self._clock.instant(reading, self._start_ns, self._now_ns())
+        return self._taken_ns >= 0
 
     def _counts(self, frame: bytes) -> tuple[int, int]:
         (wheel,) = self._wheel.codec.unpack_from(frame, self._wheel.offset)
@@ -253,6 +295,7 @@ def _insist_on_channels(wiring: BoardConfig, layout: FrameLayout) -> None:
         "drive_pwm": f"pwm{wiring.drive_pwm}_width",
         "brake_pwm": f"pwm{wiring.brake_pwm}_width",
         "numbering_pwm": f"pwm{max(wiring.numbering_pwm, 0)}_prescaler",
+        **({"timer": f"timer{wiring.timer}_value"} if wiring.timer >= 0 else {}),
         "wheel_encoder": f"encoder{wiring.wheel_encoder}_count",
         "road_encoder": f"encoder{wiring.road_encoder}_count",
     }

@@ -303,6 +303,7 @@ def _insist_on_channels(wiring: BoardConfig) -> None:
         "wheel_encoder": ENCODER_CHANNELS,
         "road_encoder": ENCODER_CHANNELS,
         "numbering_pwm": 0,
+        "timer": 0,
     }
     mistakes = [
         Mistake(f"board.{key}", f"{getattr(wiring, key)}: {ABS.title} has {_channels(count)}")
@@ -314,4 +315,5 @@ def _insist_on_channels(wiring: BoardConfig) -> None:
 
 
 def _channels(count: int) -> str:
-    return f"channels 0..{count - 1}" if count else "no frames to be numbered; leave it out"
+    # its registers are read one by one, in the very tick: no answer can be an old one
+    return f"channels 0..{count - 1}" if count else "no frames to be numbered or dated; leave it out"

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from typing import Final, Literal, NamedTuple
 
-from firmware_protocol.rtdac_usb2 import PWM_FULL_WIDTH
+from firmware_protocol.rtdac_usb2 import PWM_FULL_WIDTH, TIMER_HZ
 from inteco_abs.config import RigConfig, SimulationConfig
 from inteco_abs.mock_board.simulated_rig import simulated_rig
 from inteco_abs.rig import Encoder, Plant
@@ -23,7 +23,6 @@ _COUNTER_RANGE: Final = 1 << 32
 MINIMUM_SUPPLY_V: Final = 12.3
 MAXIMUM_CELSIUS: Final = 80.0
 """The PCI board's limits on the manual's screens (fact sheet on the boards, 5.2)."""
-_TIMER_HZ: Final = 20_000_000  # INFERRED from another rig's driver on this board; timers are not used by this project
 
 
 def _pin_of_generic_logic(settings: Mapping[str, int], channel: int) -> bool:
@@ -258,7 +257,7 @@ class Device:
         """Timer/counter `i`: time since its reset in timer mode; nothing drives its input in counter mode."""
         if not self.timer_runs(i):
             return 0
-        return (self._time_ns - self._timer_start_ns[i]) * _TIMER_HZ // 1_000_000_000 % _COUNTER_RANGE
+        return (self._time_ns - self._timer_start_ns[i]) * TIMER_HZ // 1_000_000_000 % _COUNTER_RANGE
 
     def timer_runs(self, i: int) -> bool:
         """Whether timer/counter `i` is in timer mode and not held at zero."""

@@ -65,6 +65,7 @@ class SteeredDevice(Device):
         self.plant = SeizedPlant(self.plant.parameters, 0.0, 0.0)
 
     def counts(self) -> tuple[int, int]:
+        self.catch_up()
         return super().counts() if self.shown is None else self.shown
 
 
@@ -191,6 +192,8 @@ class FrameBench:
     request: ClassVar[bytes]
     messages_of_safe = 1
     """That the link fails with, when nothing gets through any more."""
+    sends_of_safe = 1
+    """Before SAFE is read back."""
     untrusted: ClassVar[dict[str, tuple[list[str], tuple[str, ...]]]]
     """Settings with which the board must not be driven, and words of the reason."""
     header_bytes = 8
@@ -339,6 +342,17 @@ class Usb2Bench(FrameBench):
     echoes = (44, 50)
     encode = staticmethod(rtdac_usb2.encode_send)
     decode = staticmethod(rtdac_usb2.decode_send)
+
+
+class ClockedBench(Usb2Bench):
+    """An RT-DAC/USB2 with a clock, and with no PWM channel to spare for numbers."""
+
+    wiring = ("board.numbering_pwm=-1", "board.timer=0")
+    sends_of_safe = 2  # the first holds the timer at zero
+
+    def unnumbered(self, settings: dict[str, int]) -> dict[str, int]:
+        """Settings as they are once the timer runs."""
+        return super().unnumbered({**settings, "timer_reset": 0})
 
 
 class Usb0111Bench(FrameBench):

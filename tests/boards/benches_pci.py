@@ -144,6 +144,7 @@ class PciBench:
     real_profile = "pci_abs_50f"
     channels = 2
     messages_of_safe = 2
+    sends_of_safe = 1
     both_on: ClassVar = {"pwm0_width": 255, "pwm1_width": 255}
     untrusted: ClassVar = {
         "another logic version": (["board.logic_version=0x0510"], ("0x050F", "0x0510")),

@@ -3,7 +3,16 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from benches import WAYS_TO_FAIL, HandClock, PtyBench, SocketBench, Usb0111Bench, Usb0112Bench, Usb2Bench
+from benches import (
+    WAYS_TO_FAIL,
+    ClockedBench,
+    HandClock,
+    PtyBench,
+    SocketBench,
+    Usb0111Bench,
+    Usb0112Bench,
+    Usb2Bench,
+)
 from benches_pci import PciBench, StepwisePciBench, SysfsBench
 
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, SEND_COMMAND, encode_send
@@ -12,6 +21,7 @@ from inteco_abs.mock_board import Device, Usb2Face
 
 BENCHES = {
     "rtdac-usb2": Usb2Bench,
+    "rtdac-usb2 with a clock": ClockedBench,
     "rtdac-usb2 over a socket": SocketBench,
     "rtdac-usb 0x0111": Usb0111Bench,
     "rtdac-usb 0x0112": Usb0112Bench,

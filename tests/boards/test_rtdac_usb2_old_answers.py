@@ -1,11 +1,13 @@
 """Answers that come late, twice or not at all: none may be taken for the answer to a later request."""
 
+from contextlib import suppress
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from inteco_abs.boards import Link
-from inteco_abs.errors import LinkError
+from inteco_abs.errors import LinkError, UnsafeError
 from inteco_abs.signals import BoardFlags
 
 
@@ -49,9 +51,28 @@ class OldAnswers(Link):
         self._link.close()
 
 
-@pytest.fixture
-def old(new_usb2_bench):
-    bench = new_usb2_bench()
+class LateByMany(OldAnswers):
+    """From `begin` on, every answer comes so many exchanges late."""
+
+    def begin(self, exchanges):
+        """Everything else is as the board sent it."""
+        self._arrived = [self._newest] * exchanges
+
+    def read(self, length):
+        self._arrived.append(self._link.read(length))
+        self._newest = self._arrived[-1]
+        return self._arrived.pop(0)
+
+
+KNOWN_BY = {
+    "a number": (),
+    "the board's clock": ("board.numbering_pwm=-1", "board.timer=0"),
+}
+
+
+@pytest.fixture(params=KNOWN_BY.values(), ids=KNOWN_BY)
+def old(new_usb2_bench, request):
+    bench = new_usb2_bench(*request.param)
     link = bench.board._link = OldAnswers(bench.link)  # the one place where a link can be slipped in
     return bench, link
 
@@ -82,10 +103,23 @@ def test_old_answers_are_dropped_until_there_are_a_hundred_of_them(old, times, f
         assert bench.exchange(1.0).board_flags is flags
 
 
+@pytest.mark.parametrize("exchanges", [1, 2, 3, 4, 80])
+def test_answers_that_all_come_late_are_never_taken_for_fresh(old, exchanges):
+    bench, _ = old
+    link = bench.board._link = LateByMany(bench.link)
+    with suppress(UnsafeError), bench.board:  # an answer to the SAFE before confirms as well
+        for _ in range(2 * exchanges + 10):
+            assert bench.exchange(1.0).board_flags is BoardFlags.NONE  # an even duty: its echo tells nothing
+        link.begin(exchanges)
+        for _ in range(10):
+            assert bench.exchange(1.0).board_flags is BoardFlags.STALE
+
+
 @pytest.mark.untraced
 @given(faults=st.lists(st.sampled_from([None, "late", "twice", "lost"]), max_size=30))
-def test_every_good_sample_is_of_its_own_exchange(new_usb2_bench, faults):
-    bench = new_usb2_bench()
+@pytest.mark.parametrize("wiring", KNOWN_BY.values(), ids=KNOWN_BY)
+def test_every_good_sample_is_of_its_own_exchange(new_usb2_bench, wiring, faults):
+    bench = new_usb2_bench(*wiring)
     link = bench.board._link = OldAnswers(bench.link)
     with bench.board:
         start = bench.device.counts()
@@ -98,7 +132,7 @@ def test_every_good_sample_is_of_its_own_exchange(new_usb2_bench, faults):
                 assert (sample.road_count, sample.wheel_count) == (road - start[0], wheel - start[1])
 
 
-def test_without_a_number_a_repeated_answer_is_taken_for_the_next_one(new_usb2_bench):
+def test_without_number_and_clock_a_repeated_answer_is_taken_for_the_next_one(new_usb2_bench):
     """Why the number is there."""
     bench = new_usb2_bench("board.numbering_pwm=-1")
     link = bench.board._link = OldAnswers(bench.link)
