@@ -61,6 +61,7 @@ class CaptureLink(Link):
             if record.kind in {Kind.OUT, Kind.IN, Kind.ERROR}:
                 self._lanes.setdefault(self._lane(record), deque()).append((index, record))
         self._written = 0
+        self._newest_s = 0.0
         self._furthest = -1
         self._ahead = False  # whether something captured later has been used already
         self._ordered = True
@@ -70,6 +71,10 @@ class CaptureLink(Link):
     def left(self) -> int:
         """Captured messages and failures that nobody has asked for yet."""
         return sum(map(len, self._lanes.values()))
+
+    def now_ns(self) -> int:
+        """When what was used last passed the wire, since the capture began."""
+        return round(self._newest_s * 1e9)
 
     def write(self, data: bytes | bytearray) -> None:
         """Compare one message with the captured one."""
@@ -118,6 +123,7 @@ class CaptureLink(Link):
                 f"{self._written} were written in this replay"
             )
         index, record = waiting.popleft()
+        self._newest_s = max(self._newest_s, record.t_s)
         self._ahead = self._furthest > index
         self._furthest = max(self._furthest, index)
         return index, record

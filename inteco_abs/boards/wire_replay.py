@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-from firmware_protocol import ProtocolError
+from firmware_protocol import FrameTable, ProtocolError
 from firmware_protocol.pwm import PWM_FULL_WIDTH
 from inteco_abs.boards import board_behind
 from inteco_abs.boards.capture import Capture, Kind
@@ -42,12 +42,18 @@ def replay_wire(capture: Capture, config: RigConfig) -> WireReplay:
     numbering = f"pwm{config.board.numbering_pwm}_prescaler" if config.board.numbering_pwm >= 0 else ""
     link = CaptureLink(capture, numbering=numbering)
     trusted = config.board.model_copy(update=_as_signed(capture))
-    board = board_behind(link, config.model_copy(update={"board": trusted}), lambda: 0)
+    if not any(_holds_timer(protocol_of(capture.board).send, frame, trusted) for frame in _sends(capture)[:1]):
+        # by a program that does not use it
+        trusted = trusted.model_copy(update={"timer": -1})
+    board = board_behind(link, config.model_copy(update={"board": trusted}), link.now_ns)
     done = failed = 0
     ended = ""
     try:
         with board:
-            for command in _commands(capture, config.board):
+            for command in _commands(capture, trusted):
+                if command is None:
+                    board.make_safe()
+                    continue
                 failed += BoardFlags.STALE in board.exchange(command).board_flags
                 done += 1
     except BoardError as error:
@@ -74,16 +80,39 @@ def _as_signed(capture: Capture) -> dict[str, object]:
     }
 
 
-def _commands(capture: Capture, wiring: BoardConfig) -> Iterator[Command]:
-    """Duties of the captured SEND frames; the first and the last our driver writes when it opens and leaves."""
+def _commands(capture: Capture, wiring: BoardConfig) -> Iterator[Command | None]:
+    """Duties of the captured SEND frames, None for SAFE; the first and the last our driver writes of its own accord.
+
+    With a timer, a frame that holds it at zero and the next one are SAFE.
+    """
     table = protocol_of(capture.board).send
     full = PWM_FULL_WIDTH[_MODES.index(wiring.pwm_mode)]
     names = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
-    frames = [record.data for record in capture.records if record.kind is Kind.OUT and len(record.data) == table.size]
-    for frame in frames[1:-1]:
-        try:
-            values = table.decode_some(frame, names)
-        except ProtocolError:
-            continue
-        drive, brake = (min(1.0, int(values[name]) / full) for name in names)
-        yield Command(drive, brake)
+    ours = 1 if wiring.timer < 0 else 2
+    held = False
+    for frame in _sends(capture)[ours:-ours]:
+        before, held = held, _holds_timer(table, frame, wiring)
+        if held:
+            yield None
+        elif not before:
+            try:
+                values = table.decode_some(frame, names)
+            except ProtocolError:
+                continue
+            drive, brake = (min(1.0, int(values[name]) / full) for name in names)
+            yield Command(drive, brake)
+
+
+def _sends(capture: Capture) -> list[bytes]:
+    size = protocol_of(capture.board).send.size
+    return [record.data for record in capture.records if record.kind is Kind.OUT and len(record.data) == size]
+
+
+def _holds_timer(table: FrameTable, frame: bytes, wiring: BoardConfig) -> bool:
+    """Whether a captured program set the wiring's timer to zero, as our driver does."""
+    if wiring.timer < 0 or "timer_reset" not in table.fields:
+        return False
+    try:
+        return bool(int(table.decode_some(frame, ["timer_reset"])["timer_reset"]) >> wiring.timer & 1)
+    except ProtocolError:
+        return False

@@ -201,4 +201,6 @@ def _compared(onset: float) -> str:
 
 
 def _confirmed(config: RigConfig) -> tuple[str, ...]:
-    return KEYS if config.board.kind == "pci" else (*KEYS, *PIN_KEYS)
+    board = config.board
+    pins = () if board.kind == "pci" else PIN_KEYS
+    return (*KEYS, *pins, *(("timer",) if board.timer >= 0 else ()))  # every exchange has compared it with our clock

@@ -28,6 +28,7 @@ _PWM: Final = (
     "pwm_pins",
     "pwm_functions",
     "numbering_pwm",
+    "timer",
 )
 
 STEPS: Final = (

@@ -1,6 +1,7 @@
 """The board's timer as clock and as proof of freshness."""
 
 import random
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -53,7 +54,7 @@ def test_two_instants_are_as_far_apart_as_the_board_says_whatever_the_computer_s
         assert start <= instant <= end
         errors.append(instant - taken)
     settled = errors[400:]
-    steps = [abs(b - a) for a, b in zip(settled, settled[1:], strict=False)]
+    steps = [abs(b - a) for a, b in pairwise(settled)]
     assert max(steps) < 25_000  # the host's own stamps: up to 105 us
     assert sorted(steps)[len(steps) // 2] <= TICK_NS + abs(ppm) * 1e-6 * PERIOD_NS
 
