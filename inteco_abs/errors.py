@@ -6,6 +6,7 @@ AbsError
 │   ├── LinkError      an exchange failed: no answer, short, stale or not what was sent
 │   ├── UnsafeError    SAFE could not be confirmed
 │   └── ReadOnlyError  outputs are off: the profile does not know or trust this board
+├── ControllerError  a user's controller has failed in its own process
 ├── SessionError   a session file cannot be written or used
 ├── CaptureError   a capture of the wire cannot be written, imported or used
 └── ProbeError     a step of the commissioning walk has not come out well
@@ -95,6 +96,10 @@ class UnsafeError(BoardError):
 
 class ReadOnlyError(BoardError):
     """The board is open for reading only, and something asked for an output."""
+
+
+class ControllerError(AbsError):
+    """A user's controller has failed in the process of its own; the text is that of its error."""
 
 
 class SessionError(AbsError):

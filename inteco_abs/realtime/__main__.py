@@ -6,6 +6,7 @@ from typing import Final
 
 ROLES: Final = {
     "by-hand": "by_hand",
+    "controller": "isolated",
     "loop": "rt",
     "drill": "drill",
     "guardian": "guardian",

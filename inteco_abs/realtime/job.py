@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from inteco_abs.config import RigConfig, parse_config
-from inteco_abs.control import Controller
 from inteco_abs.errors import SessionError
-from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
 from inteco_abs.realtime.memory import Note, RunMemory
 
 _FILES: Final = ("controller_source", "profile")
@@ -69,11 +67,3 @@ class Job:
     def path(self) -> Path:
         """Session file to write."""
         return Path(self.out)
-
-    def controllers(self) -> Mapping[str, type[Controller]]:
-        """Controllers to choose from; runs the user's own source. Raises ConfigError."""
-        name = self.config.controller.name
-        if FROM_FILE not in name:
-            return Controllers()
-        kind, source = load_controller(name, self.controller_source)
-        return Controllers({name: (kind, Origin(source))})

@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 LOOP_PRIORITY: Final = 80
+CONTROLLER_PRIORITY: Final = LOOP_PRIORITY - 1
+"""Of a user's controller in its own process: nothing else is to delay its answer, and it never delays the loop."""
 GUARDIAN_PRIORITY: Final = 90
 """Of those who end a loop that hangs: above the loop's, as it may spin on the only CPU that there is."""
 BOARD_PRIORITY: Final = 60
@@ -23,7 +25,7 @@ BOARD_PRIORITY: Final = 60
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
-_PR_SET_TIMERSLACK: Final = 29
+_PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
 _ISOLATED: Final = Path("/sys/devices/system/cpu/isolated")
 _CPU_LATENCY: Final = Path("/dev/cpu_dma_latency")
 _OOM: Final = Path("/proc/self/oom_score_adj")
@@ -105,6 +107,20 @@ def loop_wishes() -> tuple[Wish, ...]:
         Wish("C-states", _keep_awake, "deep sleep states add up to 100 us; allow writing /dev/cpu_dma_latency"),
         Wish("garbage", _freeze_garbage, ""),
     )
+
+
+def controller_wishes() -> tuple[Wish, ...]:
+    """Everything for the process of a user's controller, which shares the loop's CPU: a message is quickest there."""
+    return (
+        _affinity(loop_cpus(_allowed(), isolated_cpus()), "the loop shares its CPUs; a second core would help"),
+        *_common(CONTROLLER_PRIORITY),
+        Wish("garbage", _freeze_garbage, ""),
+    )
+
+
+def end_with_parent() -> None:
+    """Have this process killed as soon as the one that started it ends, however that comes. Raises OSError."""
+    _call("prctl", _PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def guardian_wishes(priority: int = GUARDIAN_PRIORITY) -> tuple[Wish, ...]:

@@ -7,16 +7,17 @@ import resource
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
 from inteco_abs.boards import Wrap, open_board, recording, simulated
-from inteco_abs.control import build_pipeline, gains_in_force
+from inteco_abs.control import Controller, build_pipeline, gains_in_force
 from inteco_abs.errors import AbsError
 from inteco_abs.realtime.clock import PacedClock
 from inteco_abs.realtime.frames import leaving_frames
 from inteco_abs.realtime.holder import PATIENCE_S, holding, stopped, tell_failure
+from inteco_abs.realtime.isolated import controllers_of
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.latency import insist_on_rate
 from inteco_abs.realtime.loop import Loop, detail_of
@@ -74,34 +75,35 @@ class SharedStop:
 def main(path: str) -> int:
     """Run the job in the memory at `path`; exit code 0 if it came to an end, whatever the end."""
     memory = RunMemory.open(Path(path))
-    # a controller that forks must not make a second host of the board, nor keep it open after this one's death
-    os.register_at_fork(after_in_child=lambda: os._exit(1))
     code = 0
     try:
         _run(memory, Job.of(memory))
     except AbsError as error:
         tell_failure(memory, Note.FAILURE, error)
         code = error.exit_code
-    except BaseException as error:  # noqa: BLE001  the top of a process, with a user's code in it: its end must explain itself
+    except BaseException as error:  # noqa: BLE001  the top of a process: its end must explain itself
         traceback.print_exc()
         tell_failure(memory, Note.FAILURE, error)
         code = 1
     sys.stderr.flush()
-    os._exit(code)  # at once: threads that a controller has left would be waited for, for ever
+    os._exit(code)  # at once: the guardian may wait for it to take the board
 
 
 def _run(memory: RunMemory, job: Job) -> None:
     wire = Path(job.wire) if job.wire else None
-    with recording(wire, job.config, keep=job.frames) as around, leaving_frames(memory, job, around):
+    with (
+        controllers_of(job, memory.path) as controllers,
+        recording(wire, job.config, keep=job.frames) as around,
+        leaving_frames(memory, job, around),
+    ):
         try:
-            _hold(memory, job, around)
+            _hold(memory, job, around, controllers)
         finally:
             memory.words[Word.SAVING] = bool(job.wire) or job.frames  # with the board let go of, and all said
 
 
-def _hold(memory: RunMemory, job: Job, around: Wrap) -> None:
+def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, type[Controller]]) -> None:
     config, words = job.config, memory.words
-    controllers = job.controllers()
     pipeline = build_pipeline(config, controllers)
     ring = memory.tick_ring(pack_tick)
     clock = PacedClock(config.period_ns)

@@ -1,5 +1,6 @@
 """Controllers that do what no controller should, in real time: the board has one host, and the run an end."""
 
+import os
 import signal
 import time
 
@@ -11,8 +12,12 @@ from inteco_abs.signals import Reason
 
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 
+GENEROUS_NS = 2_000_000_000
+"""No promise: what even a machine under load must keep."""
+STEP = 1 / 255
+"""Of a PWM's width, at most."""
 LAW = """
-import multiprocessing, os, threading, time
+import multiprocessing, os, signal, threading, time
 from inteco_abs.signals import BrakeDemand
 class Law:
     gains = ()
@@ -28,13 +33,37 @@ class Law:
 """
 
 
+BYPASS = """
+import gc
+import inteco_abs.boards.board, inteco_abs.control.guard, inteco_abs.control.pipeline, inteco_abs.realtime
+from inteco_abs.control import Guard, Pipeline
+from inteco_abs.signals import BrakeDemand, Command
+Guard._within_limits = Guard.admit = lambda self, wish, *more: wish
+Guard.trip = lambda self, reason: None
+Pipeline.command = Command.SAFE = Command(1.0, 1.0)
+class Law:
+    gains = internals = ()
+    def __init__(self, setup):
+        pass
+    def update(self, estimate, dt_s):
+        for one in gc.get_objects():
+            if isinstance(one, Guard):
+                one._brake_limit = one._drive_limit = one._over_speed = 1e9
+            if isinstance(one, dict) and "brake_limit" in one:
+                one["brake_limit"] = 1.0
+        Law.update = lambda self, estimate, dt_s: BrakeDemand(1.0)
+        return BrakeDemand(1.0)
+"""
+"""Takes the guard's limits away in every way that Python offers."""
+
+
 @pytest.fixture
 def run_with(command_path, tmp_path, untraced):
     """Runs a stop with a controller that executes a statement at its 20th update; run, exit code, card, messages."""
 
-    def start(statement):
-        (tmp_path / "law.py").write_text(LAW.format(statement))
-        run = LiveRun(command_path, tmp_path, untraced, "--controller", "law.py:Law")
+    def start(statement, *arguments, source=LAW, **options):
+        (tmp_path / "law.py").write_text(source.format(statement) if statement else source)
+        run = LiveRun(command_path, tmp_path, untraced, "--controller", "law.py:Law", *arguments, **options)
         return run, *run.end()
 
     return start
@@ -52,13 +81,60 @@ def test_a_forked_controller_makes_no_second_host(run_with, statement):
     assert card["link_errors"] == 0
 
 
-@pytest.mark.long
-def test_the_parent_of_a_fork_that_leaves_is_a_death(run_with):
-    run, code, card, message = run_with("os.fork() and os._exit(0)")
-    assert (code, card["outcome"]) == (5, "aborted"), message
+@pytest.mark.parametrize("limit", ["0.7", pytest.param("0.3", marks=pytest.mark.long)])
+def test_no_controller_changes_what_the_guard_lets_through(run_with, limit):
+    run, _, card, message = run_with("", "--set", f"guard.brake_limit={limit}", source=BYPASS)
+    assert card is not None, message
     session = run.session()
-    assert safe_after_ns(session, int(session.ticks["time_ns"][-1])) < 2_000_000_000
+    braked = session.truth["brake"].max()
+    assert 0.9 * float(limit) < braked <= float(limit) + STEP
+    assert ((session.truth["drive"] == 0.0) | (session.truth["brake"] == 0.0)).all()
+    assert session.ticks["brake_wish"].max() == 1.0
+    assert safe_after_ns(session, int(session.ticks["time_ns"][-1])) < GENEROUS_NS
+
+
+ENDS = {
+    "os._exit(3)": "law.py:Law has ended its process: exit code 3",
+    "os.kill(os.getpid(), signal.SIGKILL)": "law.py:Law has ended its process: SIGKILL",
+    "os.kill(os.getpid(), signal.SIGSEGV)": "law.py:Law has ended its process: SIGSEGV",
+    "os.fork() and os._exit(0)": "law.py:Law has ended its process: exit code 0",
+    "raise KeyboardInterrupt": "KeyboardInterrupt",
+    "time.sleep(600)": "law.py:Law has not answered for 20 ms",
+    "exec('while True: pass')": "law.py:Law has not answered for 20 ms",
+    "os.kill(os.getpid(), signal.SIGSTOP)": "law.py:Law has not answered for 20 ms",
+    "os.kill(os.getppid(), signal.SIGTERM) or time.sleep(600)": "law.py:Law has not answered for 20 ms",
+}
+QUICK_ENDS = ("os.kill(os.getpid(), signal.SIGSEGV)", "exec('while True: pass')")
+
+
+@pytest.mark.parametrize(
+    "statement", [pytest.param(each, marks=[] if each in QUICK_ENDS else pytest.mark.long) for each in ENDS]
+)
+def test_a_controller_that_dies_or_hangs_is_an_error_of_its_own_and_the_loop_goes_on_to_safe(run_with, statement):
+    run, code, card, message = run_with(statement)
+    assert (code, card["outcome"], card["reason"]) == (5, "fault", "CONTROLLER_ERROR"), message
+    assert ENDS[statement] in card["explanation"]
+    assert_stopped(run)
+
+
+@pytest.mark.parametrize(
+    "statement", ["exec('while True: pass')", pytest.param("time.sleep(600)", marks=pytest.mark.long)]
+)
+def test_one_that_hangs_on_a_single_cpu_is_ended_there_too(run_with, statement):
+    run, code, card, message = run_with(statement, preexec_fn=lambda: os.sched_setaffinity(0, {0}))
+    assert code == 5, message
+    assert card["outcome"] in {"fault", "aborted"}  # a loaded computer may lose ticks, or the guardian step in, before
+    assert_stopped(run)
+
+
+def assert_stopped(run):
+    """The session is whole, its last tick SAFE, and the board off at once, by its own record."""
+    session = run.session()
+    assert session.incomplete == ""
     assert len(session.ticks) == run.ticks.written
+    asked = session.ticks["time_ns"][session.ticks["brake"] > 0.0]
+    assert safe_after_ns(session, int(asked[-1])) < GENEROUS_NS
+    assert run.processes() == []
 
 
 @pytest.mark.parametrize("kind", ["multiprocessing.Process", pytest.param("threading.Thread", marks=pytest.mark.long)])
