@@ -18,7 +18,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from copy import deepcopy
 from pathlib import Path
@@ -34,7 +34,7 @@ from inteco_abs.realtime.machine import controller_wishes, end_with_parent, prep
 from inteco_abs.signals import BrakeDemand, Estimate, Outlook
 
 _LOOK_MS: Final = 5
-_LOOKS: Final = 4
+_LOOKS: Final = range(4)
 """Of 5 ms each: 20 ms are less than half of the guardian's window, which would kill the loop for the silence, and a
 thousand times what a law needs. A pause of the computer uses up one look only."""
 _PATIENCE_S: Final = 60.0
@@ -43,17 +43,18 @@ _DYING_S: Final = 0.005
 """From the end of its pipe to that of its process."""
 _LEAVING_S: Final = 0.5
 
-_REQUEST: Final = struct.Struct("<3q14d2?")
-"""What is asked for, of which controller, number of the request; time since the last sample, estimate, outlook."""
+_ESTIMATE: Final = struct.Struct("<2q4d?")
+"""Number of the request, of the controller that is asked; time since the last sample, estimate."""
+_OBSERVED: Final = struct.Struct("<2q4d?10d")
+"""The same with an outlook."""
+_COPY: Final = struct.Struct("<2q")
+"""Number of the request, of the controller that is to be copied."""
 _REPLY: Final = struct.Struct("<q7d")
 """Number of the request, demand."""
 _NUMBER: Final = struct.Struct("<q")
 """Minus the number of the request that failed; an error's text follows."""
 _MOST_BYTES: Final = select.PIPE_BUF
 """Of a message in a run: a pipe takes so much as a whole."""
-_UPDATE, _COPY = 0, 1
-_NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
-_NO_OUTLOOK: Final = (0.0,) * len(Outlook._fields)
 _NO_NUMBERS: Final = (0.0,) * 6
 
 
@@ -85,24 +86,23 @@ class IsolatedController:
         self._told((setup, gains))
         return cast("Controller", _Proxy(self, 0))
 
-    def answer(self, what: int, which: int, dt_s: float, estimate: Estimate) -> list[float]:
+    def answer(self, request: Callable[..., bytes], *what: object) -> list[float]:
         """Its answer within 20 ms; raises ControllerError without one, and ends the process then."""
         self._number = number = self._number + 1
-        wheel, road, slip, valid, outlook = estimate
-        at = _NO_OUTLOOK if outlook is None else outlook
-        request = _REQUEST.pack(what, which, number, dt_s, wheel, road, slip, *at, valid, outlook is not None)
-        with suppress(BrokenPipeError):  # it has ended, and may have left the reason
-            os.write(self._requests, request)
-        for _ in range(_LOOKS):
+        try:  # noqa: SIM105  a context manager takes longer
+            os.write(self._requests, request(number, *what))
+        except BrokenPipeError:
+            pass  # it has ended, and may have left the reason
+        for _ in _LOOKS:
             if self._poll(_LOOK_MS):
                 break
         else:
-            raise self._given_up(f"has not answered for {_LOOKS * _LOOK_MS} ms")
+            raise self._given_up(f"has not answered for {len(_LOOKS) * _LOOK_MS} ms")
         reply = os.read(self._replies, _MOST_BYTES)
         if len(reply) == _REPLY.size:
-            told, *numbers = _REPLY.unpack(reply)
+            told, *demand = _REPLY.unpack(reply)
             if told == number:
-                return numbers
+                return demand
         raise self._failure(reply, number)
 
     def _failure(self, reply: bytes, number: int) -> ControllerError:
@@ -175,12 +175,17 @@ class _Proxy:
         self._which = which
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
-        brake, torque, switching, c0, c1, c2, c3 = self._process.answer(_UPDATE, self._which, dt_s, estimate)
+        wheel, road, slip, valid, outlook = estimate
+        if outlook is None:
+            answer = self._process.answer(_ESTIMATE.pack, self._which, dt_s, wheel, road, slip, valid)
+        else:
+            answer = self._process.answer(_OBSERVED.pack, self._which, dt_s, wheel, road, slip, valid, *outlook)
+        brake, torque, switching, c0, c1, c2, c3 = answer
         return BrakeDemand(brake, torque, switching, (c0, c1, c2, c3))
 
     def __deepcopy__(self, _memo: object) -> _Proxy:
         """The copy is made in that process, which then forgets all others but these two."""
-        return _Proxy(self._process, int(self._process.answer(_COPY, self._which, 0.0, _NO_ESTIMATE)[0]))
+        return _Proxy(self._process, int(self._process.answer(_COPY.pack, self._which)[0]))
 
 
 @contextmanager
@@ -231,16 +236,20 @@ def _serve(requests: int, replies: int) -> None:
     prepare(controller_wishes())
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))  # without root's rights nothing here rises above the loop
     _tell(replies, {})
-    number = 0
+    read, write, pack, number = os.read, os.write, _REPLY.pack, 0
     try:
-        while data := os.read(requests, _REQUEST.size):
-            what, which, number, *values = _REQUEST.unpack(data)
-            if what == _UPDATE:
-                answer = _updated(controllers[which], *values)
+        while request := read(requests, _MOST_BYTES):
+            if len(request) == _ESTIMATE.size:
+                number, which, dt_s, wheel, road, slip, valid = _ESTIMATE.unpack(request)
+                answer = _demand(controllers[which].update(Estimate(wheel, road, slip, valid), dt_s))
+            elif len(request) == _OBSERVED.size:
+                number, which, dt_s, wheel, road, slip, valid, *outlook = _OBSERVED.unpack(request)
+                answer = _demand(controllers[which].update(Estimate(wheel, road, slip, valid, Outlook(*outlook)), dt_s))
             else:
+                number, which = _COPY.unpack(request)
                 controllers = {which: controllers[which], number: deepcopy(controllers[which])}
                 answer = (number, *_NO_NUMBERS)
-            os.write(replies, _REPLY.pack(number, *answer))
+            write(replies, pack(number, *answer))
     except BaseException as error:  # noqa: BLE001  as above
         os.write(replies, (_NUMBER.pack(-number) + in_words(error).encode())[:_MOST_BYTES])
 
@@ -253,11 +262,7 @@ def _tell(replies: int, what: object) -> None:
     os.write(replies, json.dumps(what, default=float).encode() + b"\n")
 
 
-def _updated(
-    controller: Controller, dt_s: float, wheel: float, road: float, slip: float, *rest: float
-) -> tuple[float, ...]:
-    *at, valid, outlook = rest
-    estimate = Estimate(wheel, road, slip, bool(valid), Outlook(*at) if outlook else None)
-    brake, torque, switching, internals = recordable(controller.update(estimate, dt_s))
+def _demand(given: BrakeDemand) -> tuple[float, ...]:
+    brake, torque, switching, (c0, c1, c2, c3) = recordable(given)
     # what is no number comes to the guard as such, and is judged there
-    return brake if type(brake) is float else math.nan, torque, switching, *internals
+    return brake if type(brake) is float else math.nan, torque, switching, c0, c1, c2, c3
