@@ -8,6 +8,7 @@ from inteco_abs.errors import (
     BoardError,
     CaptureError,
     ConfigError,
+    ControllerError,
     LinkError,
     Mistake,
     ProbeError,
@@ -24,7 +25,18 @@ from inteco_abs.realtime.supervisor import Supervisor, raised_again
 from inteco_abs.sessions import TICK, pack_tick
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
 
-KINDS = (AbsError, BoardError, LinkError, UnsafeError, ReadOnlyError, SessionTrouble, CaptureError, ProbeError, Stopped)
+KINDS = (
+    AbsError,
+    BoardError,
+    LinkError,
+    UnsafeError,
+    ReadOnlyError,
+    SessionTrouble,
+    CaptureError,
+    ControllerError,
+    ProbeError,
+    Stopped,
+)
 
 
 class TestRaisedAgain:
