@@ -18,6 +18,7 @@ import struct
 import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from copy import deepcopy
@@ -210,12 +211,16 @@ def main(_path: str) -> int:
         os.dup2(nothing.fileno(), 0)
     os.dup2(2, 1)
     os.register_at_fork(after_in_child=lambda: os._exit(1))  # two would answer
+    code = 1
     try:
         _serve(requests, replies)
+        code = 0
+    except BaseException:  # noqa: BLE001  the top of a process: its end must explain itself
+        traceback.print_exc()
     finally:
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(0)  # at once: threads that a controller has left would be waited for, for ever
+        os._exit(code)  # at once: threads that a controller has left would be waited for, for ever
 
 
 def _serve(requests: int, replies: int) -> None:

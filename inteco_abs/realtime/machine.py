@@ -113,7 +113,7 @@ def controller_wishes() -> tuple[Wish, ...]:
     """Everything for the process of a user's controller, which shares the loop's CPU: a message is quickest there."""
     return (
         _affinity(loop_cpus(_allowed(), isolated_cpus()), "the loop shares its CPUs; a second core would help"),
-        *_common(CONTROLLER_PRIORITY),
+        *_common(lambda: _first_in_first_out(CONTROLLER_PRIORITY)),
         Wish("garbage", _freeze_garbage, ""),
     )
 

@@ -17,7 +17,7 @@ from live import LiveRun, safe_after_ns
 from ordeal import KINDS, RUNS, ordeal, table
 
 from inteco_abs.realtime.memory import Word
-from inteco_abs.signals import Reason
+from inteco_abs.signals import Phase, Reason
 
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 
