@@ -102,7 +102,7 @@ def loop_wishes() -> tuple[Wish, ...]:
     allowed, isolated = _allowed(), isolated_cpus()
     return (
         _affinity(loop_cpus(allowed, isolated), "the loop shares its CPUs; a second core would help"),
-        *_common(_below_the_guardian),
+        *_common(lambda: _below_the_guardian(LOOP_PRIORITY)),
         Wish("heap", _reserve_heap, ""),
         Wish("C-states", _keep_awake, "deep sleep states add up to 100 us; allow writing /dev/cpu_dma_latency"),
         Wish("garbage", _freeze_garbage, ""),
@@ -113,7 +113,7 @@ def controller_wishes() -> tuple[Wish, ...]:
     """Everything for the process of a user's controller, which shares the loop's CPU: a message is quickest there."""
     return (
         _affinity(loop_cpus(_allowed(), isolated_cpus()), "the loop shares its CPUs; a second core would help"),
-        *_common(lambda: _first_in_first_out(CONTROLLER_PRIORITY)),
+        *_common(lambda: _below_the_guardian(CONTROLLER_PRIORITY)),
         Wish("garbage", _freeze_garbage, ""),
     )
 
@@ -183,10 +183,10 @@ def _first_in_first_out(priority: int) -> str:
     return f"SCHED_FIFO {priority}"
 
 
-def _below_the_guardian() -> str:
-    """A limit between the two priorities would put the loop above the guardian: then it stays an ordinary process."""
+def _below_the_guardian(priority: int) -> str:
+    """A limit between the priorities would turn their order around: then all of them stay ordinary processes."""
     _first_in_first_out(GUARDIAN_PRIORITY)
-    return _first_in_first_out(LOOP_PRIORITY)
+    return _first_in_first_out(priority)
 
 
 def _lock_memory() -> str:

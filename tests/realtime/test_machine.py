@@ -9,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inteco_abs.realtime.machine import (
+    CONTROLLER_PRIORITY,
     GUARDIAN_PRIORITY,
     LOOP_PRIORITY,
     Setting,
     Wish,
+    controller_wishes,
     isolated_cpus,
     loop_cpus,
     loop_wishes,
@@ -270,13 +272,16 @@ class TestProcesses:
         assert found["oom"] == prepared["loop_wishes"][1]["oom"]
 
 
-def test_a_loop_that_spins_on_the_only_cpu_never_keeps_the_guardian_from_it():
-    assert GUARDIAN_PRIORITY > LOOP_PRIORITY
+def test_who_spins_on_the_only_cpu_never_keeps_from_it_who_ends_it():
+    assert GUARDIAN_PRIORITY > LOOP_PRIORITY > CONTROLLER_PRIORITY
 
 
 @pytest.mark.untraced
 @pytest.mark.parametrize("allowed", [GUARDIAN_PRIORITY, GUARDIAN_PRIORITY - 1])
-def test_a_loop_whose_guardian_may_not_be_above_it_stays_an_ordinary_process(allowed, monkeypatch):
+@pytest.mark.parametrize(
+    ("wishes", "priority"), [(loop_wishes, LOOP_PRIORITY), (controller_wishes, CONTROLLER_PRIORITY)]
+)
+def test_who_may_not_have_its_watchers_above_it_stays_an_ordinary_process(wishes, priority, allowed, monkeypatch):
     asked, granted = [], os.SCHED_OTHER
 
     def schedule(_pid, policy, param):
@@ -287,10 +292,10 @@ def test_a_loop_whose_guardian_may_not_be_above_it_stays_an_ordinary_process(all
         granted = policy
 
     monkeypatch.setattr(os, "sched_setscheduler", schedule)
-    (wish,) = (wish for wish in loop_wishes() if wish.name == "scheduler")
+    (wish,) = (wish for wish in wishes() if wish.name == "scheduler")
     (setting,) = prepare([wish])
     if allowed == GUARDIAN_PRIORITY:
-        assert (setting.value, asked[-1]) == (f"SCHED_FIFO {LOOP_PRIORITY}", LOOP_PRIORITY)
+        assert (setting.value, asked[-1]) == (f"SCHED_FIFO {priority}", priority)
     else:
         assert granted == os.SCHED_OTHER
         assert "raise rtprio to 90" in setting.refused
