@@ -79,9 +79,11 @@ class Capture(NamedTuple):
 
 def check_target(path: Path) -> None:
     """Raise CaptureError unless a new capture can be made at `path`; captures are never overwritten."""
-    problem = ""
+    problem, part = "", _part(path)
     try:
-        if path.exists():
+        if part.exists() or part.is_symlink():
+            problem = f"{part.name}, under which it would be written, exists already; remove it, or choose another name"
+        elif path.exists():
             problem = "exists already, and captures are never overwritten; choose another name"
         elif not path.parent.is_dir():
             problem = f"the folder {path.parent} does not exist; create it first"
@@ -89,6 +91,11 @@ def check_target(path: Path) -> None:
         problem = disk_in_words(error)
     if problem:
         raise CaptureError(f"{path}: {problem}")
+
+
+def _part(path: Path) -> Path:
+    """What a capture is called until it is whole."""
+    return path.with_name(f"{path.name}.part")
 
 
 def write_capture(path: Path, capture: Capture) -> None:
@@ -101,9 +108,13 @@ def write_capture(path: Path, capture: Capture) -> None:
         "clock": capture.clock,
         **({} if capture.start_ns is None else {"start_ns": capture.start_ns}),
     }
-    part = path.with_name(f"{path.name}.part")
+    part = _part(path)
     try:
-        with part.open("w", encoding="utf-8") as file:
+        file = part.open("x", encoding="utf-8")  # nothing that is there is truncated, no link followed
+    except OSError as error:
+        raise CaptureError(f"{path}: the capture cannot be written: {part.name}: {disk_in_words(error)}") from error
+    try:
+        with file:
             file.write(json.dumps(head) + "\n")
             file.writelines(_line(record) for record in capture.records)
     except BaseException as error:

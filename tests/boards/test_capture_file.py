@@ -188,3 +188,30 @@ def test_a_full_disk_is_a_clear_error():
 
     with pytest.raises(CaptureError, match="cannot be written"):
         write_capture(Path("/proc/x.jsonl"), Capture("usb2", "", "", ()))
+
+
+class TestWhatIsThereAlready:
+    """Under the name that a capture has until it is whole."""
+
+    @pytest.fixture(params=["file", "link", "dangling link"])
+    def victim(self, request, tmp_path):
+        victim, part = tmp_path / "victim", tmp_path / "wire.jsonl.part"
+        if request.param != "dangling link":
+            victim.write_text("mine")
+        if request.param == "file":
+            part.write_text("mine")
+            return part
+        part.symlink_to(victim)
+        return victim
+
+    @pytest.mark.usefixtures("victim")
+    def test_it_is_told_before_anything_is_recorded(self, tmp_path):
+        with pytest.raises(CaptureError, match=r"wire\.jsonl\.part, under which it would be written, exists already"):
+            check_target(tmp_path / "wire.jsonl")
+
+    def test_it_is_neither_truncated_nor_followed_nor_removed(self, victim, tmp_path):
+        before = victim.read_text() if victim.exists() else None
+        with pytest.raises(CaptureError, match=r"wire\.jsonl\.part: File exists; choose another name"):
+            write_capture(tmp_path / "wire.jsonl", Capture("usb2", "a test", "monotonic", ()))
+        assert (victim.read_text() if victim.exists() else None) == before
+        assert (tmp_path / "wire.jsonl.part").is_symlink() or before == "mine"

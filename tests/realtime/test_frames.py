@@ -141,6 +141,7 @@ class TestLeaving:
         with pytest.raises(LinkError, match="gone") as error:
             loop(self.fail)
         assert "cannot be renamed" in error.value.__notes__[0]
+        ended[0].frames.with_suffix(".frames.part").unlink()
         with pytest.raises(CaptureError, match="cannot be renamed"):
             loop()
 
