@@ -24,6 +24,12 @@ LARGEST_RECORD: Final = 1 << 26
 _LARGEST_CHUNK: Final = 1 << 24
 _MOST_EXPANSION: Final = 100
 """Bytes unpacked per byte of file; ticks of a wheel at rest reach about 40. More is a bomb, not a session."""
+_FEWEST_PARTS: Final = 100_000
+"""What any session may hold; an event for every tick of a whole stop is a tenth of it."""
+_BYTES_OF_A_PART: Final = 8
+"""Of the file: ticks of a wheel at rest, drained by tens, need 40."""
+_TEXT_OF_A_PART: Final = 32
+"""Bytes of text that count as another part."""
 _MESSAGE_HEAD: Final = 22
 _MESSAGE_BEGIN: Final = struct.Struct("<BQH")
 """Type, length and channel of a message."""
@@ -134,16 +140,26 @@ class Stretch(NamedTuple):
 
 
 class Allowance:
-    """How much the chunks of a file may unpack to, all together."""
+    """How much the chunks of a file may unpack to, all together, and of how many parts.
+
+    A part of a few packed bits becomes an object of some hundred bytes, and takes microseconds to make.
+    """
 
     def __init__(self, file_bytes: int) -> None:
-        self._left = _LARGEST_CHUNK + _MOST_EXPANSION * file_bytes
+        self._bytes = _LARGEST_CHUNK + _MOST_EXPANSION * file_bytes
+        self._parts = _FEWEST_PARTS + file_bytes // _BYTES_OF_A_PART
 
     def spend(self, size: int) -> None:
         """Take `size` bytes; raises DamagedError if they are not left."""
-        if size > self._left:
+        if size > self._bytes:
             raise DamagedError("unpacks to more than a session of this size can hold")
-        self._left -= size
+        self._bytes -= size
+
+    def part(self, number: int = 1, size: int = 0) -> None:
+        """Take so many parts, with texts of `size` bytes in them; raises DamagedError if they are not left."""
+        self._parts -= number + size // _TEXT_OF_A_PART
+        if self._parts < 0:
+            raise DamagedError("holds more records, events, parameters and texts than a session of this size can")
 
 
 class RecordFile:
@@ -202,8 +218,10 @@ def fields(opcode: int, data: memoryview, *, exact: bool = False) -> list[Any]:
     return found
 
 
-def text_map(data: memoryview) -> dict[str, str]:
+def text_map(data: memoryview, allowance: Allowance | None = None) -> dict[str, str]:
     """Texts by name, as metadata and channels have them; raises DamagedError."""
+    if allowance is not None:
+        allowance.part(size=len(data))
     facts, at = {}, 0
     while at < len(data):
         key, at = _text(data, at)

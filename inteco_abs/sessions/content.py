@@ -15,6 +15,7 @@ from inteco_abs.records.io_frame import IO_TOPIC
 from inteco_abs.records.schema import LOG_TOPIC, PARAMETERS_TOPIC, TICK, TRUTH, Message
 from inteco_abs.records.wire import fields as wire_fields
 from inteco_abs.sessions.container import (
+    Allowance,
     DamagedError,
     Entry,
     Opcode,
@@ -107,6 +108,8 @@ class Content:
     """What was read so far; `rows` is where ticks and truths go, by topic, back to back."""
 
     rows: Mapping[str, Rows] = field(default_factory=dict)
+    allowance: Allowance = field(default_factory=lambda: Allowance(0))
+    """Of how many parts it may be."""
     library: str = LIBRARY
     """Program that wrote the file; assumed ours until the header says otherwise."""
     schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)
@@ -139,6 +142,7 @@ class Content:
             raise DamagedError("has no type")
         if entry.opcode == Opcode.MESSAGE:
             raise DamagedError("stands outside of a chunk")
+        self.allowance.part()
         taker = _TAKERS.get(entry.opcode)
         if taker is not None:
             taker(self, entry.data)
@@ -150,9 +154,11 @@ class Content:
             if isinstance(part, Entry):
                 self.take(part)
             elif isinstance(part, Stretch):
+                self.allowance.part()
                 self.frames += part.number
                 self.messages += part.number
             elif part.channel in self.channels:
+                self.allowance.part()
                 runs.setdefault(self.channels[part.channel][0], []).append(part)
                 self.messages += len(part.rows)
             else:
@@ -161,6 +167,7 @@ class Content:
             self.check_schemas()
         self.take_log(runs.get(LOG_TOPIC, ()))
         for run in runs.get(PARAMETERS_TOPIC, ()):
+            self.allowance.part(len(run.rows), run.rows.nbytes)
             self.parameters += map(parameters, run.rows["data"].tolist())
         batches = {topic: Batch.of(runs[topic], self.layouts[topic]) for topic in FLAT if topic in runs}
         for topic, batch in batches.items():
@@ -170,6 +177,7 @@ class Content:
     def take_log(self, runs: Iterable[Run]) -> None:
         """Lines of the log; raises DamagedError at one that cannot be read."""
         for run in runs:
+            self.allowance.part(len(run.rows), run.rows.nbytes)
             self.events += map(event, run.rows["log_time"].tolist(), run.rows["data"].tolist())
 
     def check_schemas(self) -> None:
@@ -220,11 +228,11 @@ class Content:
         if topic == IO_TOPIC:
             self.uneven.add(number)
         (self.strange.add if topic in FLAT else self.strange.discard)(number)
-        self.channel_facts[topic] = text_map(facts)
+        self.channel_facts[topic] = text_map(facts, self.allowance)
 
     def _take_metadata(self, data: memoryview) -> None:
         name, facts = fields(Opcode.METADATA, data)
-        self.metadata.setdefault(name.removeprefix(PREFIX), {}).update(text_map(facts))
+        self.metadata.setdefault(name.removeprefix(PREFIX), {}).update(text_map(facts, self.allowance))
 
     def _take_attachment(self, data: memoryview) -> None:
         name, media_type, content = attachment(data)

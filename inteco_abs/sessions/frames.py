@@ -46,18 +46,17 @@ def read_frames(path: Path) -> Capture:
 
     Raises SessionError if it has none, if it cannot be read, or if it is damaged.
     """
-    content = Content()
     messages: list[bytes] = []
     ended = False
     with opened(path) as (file, size):
-        allowance = Allowance(size)
+        content = Content(allowance=Allowance(size))
         try:
             for entry in RecordFile(file, size):
                 if entry.opcode == Opcode.DATA_END:
                     ended = True
                     break
                 if entry.opcode == Opcode.CHUNK:
-                    messages += _messages(content, unpack_chunk(entry.data, allowance))
+                    messages += _messages(content, unpack_chunk(entry.data, content.allowance))
                 else:
                     content.take(entry)
             missing = content.metadata.get("frames", {}).get("missing", "")
@@ -70,7 +69,9 @@ def _messages(content: Content, raw: bytes) -> Iterator[bytes]:
     for part in chunk_parts(raw, content.uneven):
         if isinstance(part, Entry):
             content.take(part)
-        elif isinstance(part, Stretch):
+            continue
+        content.allowance.part()
+        if isinstance(part, Stretch):
             yield from (data for _, _, data in part.messages())
 
 

@@ -90,7 +90,7 @@ def read_session(path: Path, spool: Path | None = None) -> Session:
             rows: dict[str, Rows] = {
                 topic: RowsInMemory() if spool is None else files.enter_context(RowsOnDisk(spool)) for topic in FLAT
             }
-            content, incomplete = _read(file, size, Content(rows))
+            content, incomplete = _read(file, size, Content(rows, Allowance(size)))
             return _session(path, content, incomplete)
         except StrangeError as error:
             raise SessionError(f"{path}: cannot be read: {error}") from error
@@ -148,7 +148,6 @@ def regular_file(path: Path) -> Iterator[tuple[BinaryIO, int]]:
 
 def _read(file: BinaryIO, size: int, content: Content) -> tuple[Content, str]:
     """All records into `content`, and where the file ends if that is too early."""
-    allowance = Allowance(size)
     records = RecordFile(file, size)
     ended = False
     for entry in records:
@@ -158,7 +157,7 @@ def _read(file: BinaryIO, size: int, content: Content) -> tuple[Content, str]:
                 ended = True
                 break
             if entry.opcode == Opcode.CHUNK:
-                content.take_chunk(unpack_chunk(entry.data, allowance))
+                content.take_chunk(unpack_chunk(entry.data, content.allowance))
             else:
                 content.take(entry)
         except StrangeError:

@@ -16,7 +16,7 @@ from inteco_abs.config import RigConfig, parse_config
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.records.io_frame import IO_TOPIC
 from inteco_abs.records.schema import LOG_TOPIC, TICK, TRUTH, Message
-from inteco_abs.sessions.container import DamagedError, Entry, Opcode, Run, Stretch, chunk_parts, kind
+from inteco_abs.sessions.container import Allowance, DamagedError, Entry, Opcode, Run, Stretch, chunk_parts, kind
 from inteco_abs.sessions.content import FLAT, Batch, Content
 from inteco_abs.sessions.migration import Layout, migrated
 from inteco_abs.sessions.output import check_output, only_whole
@@ -55,8 +55,8 @@ def recover_session(source: Path, out: Path) -> Recovery:
     """
     check_output(out)
     with RowsOnDisk(out.parent) as ticks, RowsOnDisk(out.parent) as truths, RowsOnDisk(out.parent) as frames:
-        remains = _Remains(_Taken(TICK, ticks), _Taken(TRUTH, truths), _TakenFrames(frames))
         with regular_file(source) as (file, size):
+            remains = _Remains(_Taken(TICK, ticks), _Taken(TRUTH, truths), _TakenFrames(frames), size)
             remains.gather(file, size)
         return _Anew(source, out, remains).write()
 
@@ -136,8 +136,8 @@ class _TakenFrames:
 class _Remains:
     """What is whole in a file."""
 
-    def __init__(self, ticks: _Taken, truths: _Taken, frames: _TakenFrames) -> None:
-        self.content = Content()
+    def __init__(self, ticks: _Taken, truths: _Taken, frames: _TakenFrames, size: int) -> None:
+        self.content = Content(allowance=Allowance(size))
         self.frames = frames
         self.rows = {TICK.topic: ticks, TRUTH.topic: truths}
         self.losses: list[str] = []
@@ -178,7 +178,9 @@ class _Remains:
         for part in chunk_parts(raw, self.content.uneven):
             if isinstance(part, Entry):
                 self.content.take(part)
-            elif isinstance(part, Stretch):
+                continue
+            self.content.allowance.part()
+            if isinstance(part, Stretch):
                 self.frames.take(part)
             else:
                 runs.setdefault(self._topic(part), []).append(part)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from inteco_abs.errors import SessionError
 from inteco_abs.records.schema import TICK, TRUTH
-from inteco_abs.sessions.container import DamagedError, Entry, Opcode, fields, kind
+from inteco_abs.sessions.container import Allowance, DamagedError, Entry, Opcode, fields, kind
 from inteco_abs.sessions.content import LIBRARY, Batch, Content
 from inteco_abs.sessions.migration import migrated
 from inteco_abs.sessions.reader import check_data, ends_well, opened
@@ -90,7 +90,7 @@ class _Inspector:
 
     def __init__(self, file: BinaryIO, size: int, inspection: Inspection) -> None:
         self._file, self._size, self._told = file, size, inspection
-        self._content = Content()
+        self._content = Content(allowance=Allowance(size))
         self._numbers = {TICK.topic: _Numbers("tick"), TRUTH.topic: _Numbers("truth")}
         self._chunks: set[int] = set()
         self._indexed: set[int] = set()

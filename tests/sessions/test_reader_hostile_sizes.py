@@ -2,6 +2,7 @@
 
 import struct
 import tracemalloc
+import zlib
 
 import lz4.frame
 import pytest
@@ -152,3 +153,58 @@ def test_a_record_too_short_for_its_kind(container, refuse, opcode, size):
 def test_text_that_is_not_utf_8(container, refuse):
     content = struct.pack("<I", 2) + b"\xff\xfe" + struct.pack("<I", 0)
     assert "is damaged" in refuse(container.craft(container.record(METADATA, content)))
+
+
+class TestManySmallParts:
+    """A few packed bits each, and an object of some hundred bytes once they are read."""
+
+    LOG, PARAMETERS = 2, 3
+
+    @staticmethod
+    def message(container, channel, data):
+        return bytes(container.record(MESSAGE, struct.pack("<HIQQ", channel, 0, 1, 1) + data))
+
+    @pytest.fixture
+    def swollen(self, container, short, altered):
+        """Path of a session of which a further chunk holds so many of one part."""
+
+        def write(part, number):
+            records = container.split(short.read_bytes())
+            first = next(at for at, record in enumerate(records) if record.opcode == CHUNK)
+            raw = part * number
+            chunk = container.chunk(zstandard.compress(raw), len(raw), "zstd", zlib.crc32(raw))
+            return altered(container.join([*records[: first + 1], chunk, *records[first + 1 :]]))
+
+        return write
+
+    @pytest.fixture
+    def parts(self, container):
+        event = self.message(container, self.LOG, b"\x10\x02\x1a\x01a")
+        values = self.message(container, self.PARAMETERS, b"\x15\0\0\0\0")
+        facts = container.text("") + container.text("")
+        return {
+            "events": event,
+            "parameters": values,
+            "messages of two channels in turn": event + values,
+            "metadata": bytes(container.record(METADATA, container.text("x") + struct.pack("<I", len(facts)) + facts)),
+            "records of no known type": bytes(container.record(200, b"")),
+        }
+
+    KINDS = ("events", "parameters", "messages of two channels in turn", "metadata", "records of no known type")
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_more_than_any_session_has_are_refused_before_they_cost_memory(self, swollen, parts, kind, verb, tmp_path):
+        path = swollen(parts[kind], 120_000)
+        assert path.stat().st_size < 50_000
+        with pytest.raises(SessionError, match=r"is damaged: chunk at byte .* more .* than a session of this size can"):
+            read_session(path)
+        for words in (["validate", path], ["recover", path, "--out", tmp_path / "again.mcap"]):
+            done = verb(*words)
+            assert done.code == 1
+            assert "texts than a session of this size can" in done.out + done.err
+
+    @pytest.mark.parametrize("kind", KINDS[:2])
+    def test_what_a_long_troubled_run_may_have_is_read(self, swollen, parts, kind):
+        session = read_session(swollen(parts[kind], 40_000))
+        assert len(session.ticks) == 60
+        assert max(len(session.log), len(session.parameters)) > 40_000
