@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple, Protocol
@@ -259,6 +259,17 @@ class FrameTable:
         if not self.fixed.keys() <= self.fields.keys():
             raise TableError(f"{title}: fixed fields {sorted(self.fixed)} are not all declared")
         self._fixed = tuple((*self._framed[name], value) for name, value in self.fixed.items())
+        self.named_bits = self._named_bits()
+
+    def _named_bits(self) -> tuple[int, ...]:
+        """Bits that the command or a field carries, by word of the frame; all others belong to nothing known."""
+        masks = [0] * self._count
+        if self.command is not None:
+            masks[0] = (1 << self.word_bits) - 1
+        for _, layout in self._framed.values():
+            for part in layout:
+                masks[part.word] |= part.mask << part.low
+        return tuple(masks)
 
     def _claim(self, name: str, layout: Layout, owner: dict[tuple[int, int], str]) -> None:
         shift = 0
@@ -331,6 +342,14 @@ class FrameTable:
             if found != value:
                 raise ProtocolError(f"{self.title}: {field.name} = 0x{found:04X}, must be 0x{value:04X}")
 
+    def words(self, frame: Buffer) -> list[int]:
+        """Words of a frame of the right size, with no other check."""
+        return list(self._words.unpack(frame))
+
+    def pack(self, words: Sequence[int]) -> bytes:
+        """The frame with these words, of any content."""
+        return self._words.pack(*words)
+
     def place(self, name: str) -> Place:
         """Where the named field can be packed and unpacked alone and in place, for the loop.
 
@@ -376,6 +395,45 @@ def _gather(words: Sequence[int], layout: Layout) -> int:
     for word, low, width, shift in layout:
         raw |= (words[word] >> low & (1 << width) - 1) << shift
     return raw
+
+
+def sent_back(
+    read: FrameTable,
+    send: FrameTable,
+    frame: Buffer,
+    values: Mapping[str, Value] | None = None,
+    data: Mapping[int, int] | None = None,
+) -> bytes:
+    """SEND frame that leaves a board as its READ frame `frame` shows it, but for `values` and whole `data` words.
+
+    Each field that can be sent is cut as SEND has it. What only READ names, as counters, is measured, and goes out as
+    zero. Bits that neither table names are sent as they were read, at the same place: in every published map a setting
+    stands at the same word in both directions. The top bit, which marks a command in SEND, is left out of those.
+
+    Raises ProtocolError for a damaged frame, and for a field whose value SEND has no room for.
+    """
+    found = read.decode(frame)
+    kept = {name: found[name] for name in send.fields if name in found}
+    words = send.words(send.encode({**kept, **(values or {})}))
+    for word, raw in _unnamed(read, send, frame):
+        words[word] |= raw & (1 << send.payload_bits) - 1
+    for word, value in (data or {}).items():
+        words[word + send.data_from] = value
+    return send.pack(words)
+
+
+def unnamed(read: FrameTable, send: FrameTable, frame: Buffer) -> dict[int, int]:
+    """By data word, what `frame` has in the bits that neither table names; words without any are left out."""
+    return {word - send.data_from: raw for word, raw in _unnamed(read, send, frame) if raw}
+
+
+def _unnamed(read: FrameTable, send: FrameTable, frame: Buffer) -> Iterator[tuple[int, int]]:
+    """The same, by word of the SEND frame, which may end before the READ frame does."""
+    shift = send.data_from - read.data_from
+    words, full = read.words(frame), (1 << read.word_bits) - 1
+    for word, (raw, known) in enumerate(zip(words, read.named_bits, strict=True)):
+        if word + shift < len(send.named_bits):
+            yield word + shift, raw & full & ~known & ~send.named_bits[word + shift]
 
 
 def hint(name: str, known: Iterable[str]) -> str:

@@ -19,25 +19,45 @@ _USB2: Final = """\
 Generated from the tables of this package by `python -m firmware_protocol.reference`; a check fails when it is stale.
 Do not edit.
 
-## RT-DAC/USB2, logic 0x{logic:04X}
+## RT-DAC/USB2
 
 One frame is {size} bytes: 16-bit words, little-endian; `w20[0:15]` is bits 0 to 14 of word 20 and a `+` joins the
-parts of a value, low part first. Words that no field names are sent as zero.
+parts of a value, low part first. Bits that neither direction names are sent back as they were read, what is only read
+is sent as zero.
 
 * **READ**: OUT `{request}` on bulk endpoint 0x{out:02X}, then IN {size} bytes on 0x{into:02X}. Read words use all
   16 bits.
 * **SEND**: OUT {size} bytes on bulk endpoint 0x{out:02X}, word 0 = 0x{send:04X}. No reply. Bit 15 of every data
   word is 0.
 * Status: confirmed = read in the named source, inferred = deduced, unknown = no source.
+* The words belong to the logic in the FPGA, not to the board: a rig's own logic has its own. Two of the two rig logics
+  whose driver is public, TRAS and rpend, are sent w31 = 3, thermal protection on, in every frame; w31 is the width of
+  PWM 3 in the generic one.
+* One pin-out of CN1 is common to servo, TRAS and rpend (confirmed there, inferred for the ABS rig): PWM 0 has thermal
+  input 18, PWM 19, brake 20, direction 21; PWM 1 has thermal input 22, PWM 23, brake 24, direction 25. Their programs
+  set a brake pin while its width is 0. All three let timer 0 run free (mode 1, reset 0) at 20 MHz.
 * Source S1: the vendor's C# sample for this board, as adapted in is-centre/rtdacusb2-bridge-app at 49a5c5d (facts
-  only; the code is the vendor's).
+  only; the code is the vendor's). S4: the vendor's C++ sample for the two-rotor rig (TRAS), "RT-DAC/USB2 board - I/O
+  procedures" of 2011-06-06, and its S-function. S5: code that Simulink has generated from the vendor's block
+  "RT-DAC/USB2 Generic Driver Customised for Servo", driver version 2.11. S10: the vendor's compiled S-function for the
+  reaction pendulum (rpend), which calls `rpend_RTDACUSB2_x64.dll`.
+
+### Generic logic, 0x{logic:04X}
 """
+
+_RIG_LOGICS: Final = {
+    "servo": "Servo logic",
+    "tras": "TRAS logic, the two-rotor rig's",
+    "rpend": "rpend logic, the reaction pendulum's",
+    "abs": "ABS logic: not published; what servo, TRAS and rpend share",
+}
 
 _USB: Final = """\
 ## RT-DAC/USB, first generation
 
 One frame is {size} bytes through an FTDI chip used as a FIFO. `b21[0:7]` is bits 0 to 6 of data byte 21, which is byte
-21 of a READ frame and byte 22 of a SEND frame, behind the command. Bytes that no field names are sent as zero.
+21 of a READ frame and byte 22 of a SEND frame, behind the command. Bits that neither direction names are sent back as
+they were read, what is only read is sent as zero.
 
 * **Dummy**: OUT `{dummy}`, once after opening: leaves the mode in which the FPGA is programmed. No reply.
 * **READ**: OUT `{request}`, then IN {size} bytes. They use all 8 bits.
@@ -148,7 +168,12 @@ def _usb2_section() -> str:
         out=rtdac_usb2.ENDPOINT_OUT,
         into=rtdac_usb2.ENDPOINT_IN,
     )
-    return f"{head}\n{_fields(rtdac_usb2.FIELDS, 'w')}"
+    rigs = (
+        f"### {_RIG_LOGICS[name]}\n\n{_fields(logic.fields, 'w')}"
+        for name, logic in rtdac_usb2.LOGICS.items()
+        if name in _RIG_LOGICS
+    )
+    return "\n".join([head, _fields(rtdac_usb2.FIELDS, "w"), *rigs])
 
 
 def _usb_section() -> str:

@@ -1,18 +1,25 @@
-"""RT-DAC/USB2: 504-byte frames of 16-bit words, generic logic 0x0103.
+"""RT-DAC/USB2: 504-byte frames of 16-bit words, whose map belongs to the logic in the board's FPGA.
 
 The host sends a whole SEND frame, or a READ request that the board answers with one READ frame. READ words use
 all 16 bits; in SEND words bit 15 marks a command and stays 0 in data, so values wider than 15 bits are cut
 differently by direction, and the PWM mode moves from bit 0 (READ) to bit 1 (SEND) of its word.
 
-Sources, as listed in the project's fact sheet on the boards: S1 is the vendor's C# sample for this board, S4 the
-vendor's C++ host library for another rig on the same board. Offsets above word 106 belong to this logic version;
-another logic must have its own table.
+`LOGICS` has one table for each known logic. The generic one (0x0103) is published whole, in S1. Of the logics that
+the vendor ships with its rigs three are known in part: servo (S5), TRAS (S4) and rpend (S10). That of the ABS rig is
+not published: its table has what those three share. A word that a table does not name belongs to something unknown;
+`sent_back` says what is written to it. Offsets above word 106 belong to the logic version.
+
+Sources: S1 is the vendor's C# sample for this board, S4 the vendor's C++ host library and S-function for its two-rotor
+rig (TRAS), S5 code that Simulink has generated from the vendor's block "RT-DAC/USB2 Generic Driver Customised for
+Servo", S10 the compiled S-function of the vendor's reaction pendulum (rpend).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Final, NamedTuple
 
 from firmware_protocol.fields import (
     Bits,
@@ -56,6 +63,7 @@ def _both(name: str, meaning: str, unit: str, layout: Layout) -> Field:
 
 
 def _header() -> list[Field]:
+    """The same in every logic."""
     counts = (
         (6, ("pwm", "encoder", "encoder_index", "timer")),
         (7, ("counter", "timer_counter", "pulse_generator", "frequency_meter")),
@@ -90,15 +98,20 @@ def _header() -> list[Field]:
             for word, names in counts
             for i, what in enumerate(names)
         ),
+        Field(
+            "further_counts", "three more counts of channels, which ones is not published", _RAW, "S4", bits(8, 4, 12)
+        ),
     ]
 
 
-def _digital() -> list[Field]:
+def _digital(*, mode: bool = True) -> list[Field]:
+    """CN1; `mode` is whether the logic's pins have several functions."""
+
     def pins(name: str, meaning: str, word: int) -> Field:
         return Field(name, meaning, _BITMAP, "S1", read=words(word, 16, 10), send=words(word, 15, 11))
 
     return [
-        pins("pin_mode", "CN1 pin mode: 0 = general purpose, 1 = function (PWM)", 10),
+        *([pins("pin_mode", "CN1 pin mode: 0 = general purpose, 1 = function (PWM)", 10)] if mode else []),
         pins("pin_direction", "CN1 pin direction: 1 = input, 0 = output", 12),
         pins("pin_output", "CN1 output latch: 1 = high", 14),
         Field("pin_input", "CN1 input levels", _BITMAP, "S1", read=words(16, 16, 10)),
@@ -133,11 +146,16 @@ def _pwm(i: int) -> list[Field]:
     ]
 
 
-def _encoders() -> list[Field]:
+def _index_inputs() -> list[Field]:
     return [
-        _both("encoder_reset", "counter i is held at 0 while bit i is 1", _BITMAP, bits(50, 0, 8)),
         _both("encoder_index_active", "index input i is used", _BITMAP, bits(51, 0, 8)),
         _both("encoder_index_invert", "index input i is inverted", _BITMAP, bits(52, 0, 8)),
+    ]
+
+
+def _encoders(count: int) -> list[Field]:
+    return [
+        _both("encoder_reset", "counter i is held at 0 while bit i is 1", _BITMAP, bits(50, 0, count)),
         *(
             Field(
                 f"encoder{i}_count",
@@ -148,15 +166,15 @@ def _encoders() -> list[Field]:
                 kind=Kind.SIGNED,
                 status=Status.INFERRED,
             )
-            for i in range(ENCODER_CHANNELS)
+            for i in range(count)
         ),
     ]
 
 
-def _timers() -> list[Field]:
+def _timers(count: int) -> list[Field]:
     return [
-        _both("timer_reset", "timer/counter i is held at 0 while bit i is 1", _BITMAP, bits(70, 0, 2)),
-        _both("timer_mode", "timer/counter i: 0 = counter, 1 = timer", _BITMAP, bits(71, 0, 2)),
+        _both("timer_reset", "timer/counter i is held at 0 while bit i is 1", _BITMAP, bits(70, 0, count)),
+        _both("timer_mode", "timer/counter i: 0 = counter, 1 = timer", _BITMAP, bits(71, 0, count)),
         *(
             Field(
                 f"timer{i}_value",
@@ -165,7 +183,7 @@ def _timers() -> list[Field]:
                 "S1",
                 read=words(72 + 2 * i, 16, 16),
             )
-            for i in range(2)
+            for i in range(count)
         ),
     ]
 
@@ -263,31 +281,107 @@ def _analogue() -> list[Field]:
     ]
 
 
+def _thermal() -> Field:
+    """The same word is PWM 3's width in the generic logic."""
+    meaning = "bit i: thermal protection of PWM i is on; every published program for such a logic sends 3"
+    return _both("pwm_thermal_flags", meaning, _BITMAP, bits(31, 0, 2))
+
+
 FIELDS: Final[tuple[Field, ...]] = (
     *_header(),
     *_digital(),
     *(field for i in range(PWM_CHANNELS) for field in _pwm(i)),
-    *_encoders(),
-    *_timers(),
+    *_encoders(ENCODER_CHANNELS),
+    *_index_inputs(),
+    *_timers(2),
     *_frequency_meters(),
     *(field for i in range(8) for field in _chronometer(i)),
     *_analogue(),
 )
+"""Of the generic logic."""
 
-READ: Final = FrameTable(
-    "RT-DAC/USB2 READ frame", ((f, f.read) for f in FIELDS if f.read is not None), size=FRAME_BYTES
+
+def _known_from(source: str, fields: Iterable[Field], status: Status | None = None) -> Iterator[Field]:
+    """The fields as `source` has them; with `status` all but the header, which is the same everywhere, are that."""
+    for field in fields:
+        header = field.read is not None and field.read[0].word < HEADER_BYTES // 2
+        yield replace(field, source=source, status=status if status and not header else field.status)
+
+
+def _servo() -> tuple[Field, ...]:
+    """The generic words with fewer channels: S5 names the channels, that the words are the generic ones is inferred."""
+    fields = [*_header(), *_digital(), *(field for i in range(4) for field in _pwm(i)), *_encoders(4), *_timers(2)]
+    return tuple(_known_from("S1, S5", [*fields, *_analogue()], Status.INFERRED))
+
+
+def _two_rotors() -> list[Field]:
+    """TRAS: its library writes no pin mode and no pin direction."""
+    pwm = (field for i in range(2) for field in _pwm(i))
+    return [*_header(), *_digital(mode=False), *pwm, _thermal(), *_encoders(2), *_timers(1), *_analogue()]
+
+
+def _shared() -> list[Field]:
+    """What servo, TRAS and rpend agree in, and the lever's encoder; the vendor's ABS rig on PCI has three of them.
+
+    The thermal flags are those of TRAS and rpend. In the servo's logic that word is the width of PWM 3, which drives
+    nothing here, so that 3 does no harm there.
+    """
+    pwm = (field for i in range(2) for field in _pwm(i))
+    return [*_header(), *_digital(), *pwm, _thermal(), *_encoders(3), *_timers(1)]
+
+
+class Logic(NamedTuple):
+    """What the wire carries under one logic of the FPGA."""
+
+    name: str
+    fields: tuple[Field, ...]
+    read: FrameTable
+    send: FrameTable
+    pwm_channels: int
+    encoder_channels: int
+
+
+def _logic(name: str, fields: tuple[Field, ...]) -> Logic:
+    of = "" if name == "generic" else f", {name} logic"
+    return Logic(
+        name,
+        fields,
+        FrameTable(
+            f"RT-DAC/USB2 READ frame{of}", ((f, f.read) for f in fields if f.read is not None), size=FRAME_BYTES
+        ),
+        FrameTable(
+            f"RT-DAC/USB2 SEND frame{of}",
+            ((f, f.send) for f in fields if f.send is not None),
+            size=FRAME_BYTES,
+            payload_bits=15,
+            command=SEND_COMMAND,
+        ),
+        sum(f.name.endswith("_width") for f in fields),
+        sum(f.name.endswith("_count") for f in fields),
+    )
+
+
+LOGICS: Final[Mapping[str, Logic]] = MappingProxyType(
+    {
+        name: _logic(name, fields)
+        for name, fields in (
+            ("generic", FIELDS),
+            ("servo", _servo()),
+            ("tras", tuple(_known_from("S4", _two_rotors()))),
+            ("rpend", tuple(_known_from("S4, S10", _two_rotors(), Status.INFERRED))),
+            ("abs", tuple(_known_from("S1, S4, S5, S10", _shared(), Status.INFERRED))),
+        )
+    }
 )
-SEND: Final = FrameTable(
-    "RT-DAC/USB2 SEND frame",
-    ((f, f.send) for f in FIELDS if f.send is not None),
-    size=FRAME_BYTES,
-    payload_bits=15,
-    command=SEND_COMMAND,
-)
+"""By the name that a profile has for it, as the versions of the rigs' logics are not published. `abs` is the
+unpublished one: what the others share, all of it inferred."""
+
+READ: Final = LOGICS["generic"].read
+SEND: Final = LOGICS["generic"].send
 
 
 def encode_send(values: Mapping[str, Value]) -> bytes:
-    """SEND frame that the host writes; fields not named are zero. Raises ProtocolError."""
+    """SEND frame of the generic logic that the host writes; fields not named are zero. Raises ProtocolError."""
     return SEND.encode(values)
 
 
@@ -309,11 +403,13 @@ def decode_send(frame: bytes | bytearray | memoryview) -> dict[str, Value]:
 __all__ = [
     "FIELDS",
     "FRAME_BYTES",
+    "LOGICS",
     "PWM_CLOCK_HZ",
     "PWM_FULL_WIDTH",
     "READ",
     "READ_REQUEST",
     "SEND",
+    "Logic",
     "ProtocolError",
     "decode_read",
     "decode_send",

@@ -58,6 +58,8 @@ WIRING: Final = (
     "pwm_functions",
     "numbering_pwm",
     "timer",
+    "frame_map",
+    "constants",
     "road_encoder",
     "wheel_encoder",
     "road_sign",
@@ -120,6 +122,13 @@ class BoardConfig(_Section):
     and shows an answer that is older than its request. -1: none; samples are dated when they arrive."""
     timer_hz: Annotated[int, Field(ge=1_000_000, le=100_000_000)] = TIMER_HZ
     """Rate of that timer."""
+    frame_map: Literal["generic", "servo", "tras", "rpend", "abs"] = "generic"
+    """Which logic's words an RT-DAC/USB2 speaks: the generic one's, or those of a rig. `abs` has what is common to the
+    known rigs. What a map does not name is sent back as the board had it. The other boards go by the version."""
+    constants: dict[str, Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]] = {}
+    """What the board is set to besides the rest of the wiring, in every frame: a field of the SEND frame by its name,
+    which the board must echo; the output of a CN1 pin, as `pin21 = 0`; or a whole word, as `w31 = 3` (on the first
+    RT-DAC/USB a byte, as `b77 = 1`), which need not be echoed. Not on the PCI board."""
     road_encoder: Annotated[int, Field(ge=0, le=11)] = 0
     """Encoder channel of the lower wheel, which stands for the road."""
     wheel_encoder: Annotated[int, Field(ge=0, le=11)] = 1
@@ -142,6 +151,10 @@ class BoardConfig(_Section):
             unused.add("numbering_pwm")
         if self.timer < 0:
             unused.add("timer")
+        if not self.constants:
+            unused.add("constants")
+        if self.kind != "usb2":
+            unused.add("frame_map")
         if self.kind == "pci":
             unused |= {"pwm_pins", "pwm_functions"}
         return (key for key in WIRING if key not in unused)

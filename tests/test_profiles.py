@@ -77,6 +77,8 @@ def test_every_key_that_outputs_rest_on_has_a_status_and_a_source(name):
     relied_on = {*WIRING} - {key for key in ("numbering_pwm", "timer") if getattr(board, key) < 0}
     relied_on -= {"pwm_pins", "pwm_functions"} if board.kind == "pci" else set()
     relied_on -= {"pwm_functions"} if board.pwm_functions is None else set()
+    relied_on -= set() if board.kind == "usb2" else {"frame_map"}
+    relied_on -= set() if board.constants else {"constants"}
     assert set(board.evidence) == relied_on
 
 
@@ -121,6 +123,8 @@ class TestSignature:
             ("board.road_sign=-1", "road_sign"),
             ("board.drive_pwm=2", "drive_pwm"),
             ("board.pwm_mode=12-bit", "pwm_mode"),
+            ("board.frame_map=servo", "frame_map"),
+            ("board.constants.pwm4_width=0", "constants"),
             ("encoders.counts_per_turn=1024", "counts_per_turn"),
         ],
     )
@@ -170,7 +174,7 @@ class TestEvidence:
     def test_without_a_signature_outputs_need_everything_confirmed(self):
         confirmed = {key: {"status": "confirmed", "source": "seen"} for key in WIRING}
         base = {"logic_version": 0x0103, "application_names": ["ABSSIM"], "pwm_functions": [2, 5], "numbering_pwm": 7}
-        base["timer"] = 0
+        base |= {"timer": 0, "constants": {"w9": 0}}
         board = BoardConfig.model_validate({**base, "evidence": confirmed})
         assert board.unconfirmed() == []
         for key in WIRING:
@@ -205,7 +209,14 @@ class TestEvidence:
                 "board.verified_logic=0x0103",
             ]
         )
-        assert "thermal" in opened(config).read_only_because
+        assert "two-rotor" in opened(config).read_only_because
+
+
+def test_the_profile_of_the_unknown_abs_logic_begins_from_what_the_known_rig_logics_share():
+    board = load_config(profile="usb2_abs_candidate").board
+    assert (board.frame_map, board.pwm_pins, board.pwm_functions) == ("abs", [19, 23], [])
+    assert (board.constants, board.timer) == ({"pwm_thermal_flags": 3}, 0)
+    assert {"frame_map (inferred)", "constants (inferred)", "pwm_pins (inferred)"} <= set(board.unconfirmed())
 
 
 def test_a_channel_that_the_logic_does_not_have_is_refused_with_its_key():

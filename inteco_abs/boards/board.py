@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
+from inteco_abs.boards.first_write import PlannedWord
 from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, UnsafeError
 from inteco_abs.signals import BoardFlags, Command, Sample
 
@@ -86,6 +87,13 @@ class Board(ABC):
         """Read a board that was entered, or is only read, once, trust aside: the named fields, or all; writes nothing.
 
         Raises LinkError if the board does not answer in its protocol, BoardError if it has no field of such a name.
+        """
+
+    @abstractmethod
+    def first_write(self) -> list[PlannedWord]:
+        """What entering the board would change; reads only, like `survey`.
+
+        Raises BoardError for a board whose settings cannot be taken over, LinkError if it does not answer.
         """
 
     @abstractmethod

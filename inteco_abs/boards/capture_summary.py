@@ -72,7 +72,7 @@ def caution(capture: Capture) -> str:
     """Why the names of fields may be wrong; empty if the board's logic is that of the tables, or unknown."""
     protocol = protocol_of(capture.board)
     version, _ = _identity(capture, protocol)
-    if version in {None, protocol.logic_version}:
+    if None in {version, protocol.logic_version} or version == protocol.logic_version:
         return ""
     return (
         f"the board has logic 0x{version:04X}, the names are those of logic 0x{protocol.logic_version:04X} "

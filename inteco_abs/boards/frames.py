@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from struct import Struct
 from typing import Final
 
 from firmware_protocol import Field, FrameTable, ProtocolError
+from firmware_protocol.fields import BYTE_BITS, sent_back
 from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
 from inteco_abs.boards.board_clock import BoardClock
+from inteco_abs.boards.constants import constants_of
+from inteco_abs.boards.first_write import PlannedWord, planned_words
 from inteco_abs.boards.links import Link
 from inteco_abs.boards.trust import distrust
 from inteco_abs.config import BoardConfig
@@ -22,8 +25,8 @@ _EXACT: Final = 1e-9
 MODES: Final = ("8-bit", "12-bit")
 _MOST_OLD: Final = 100
 """More answers to older requests than this are no leftover of a pause."""
-_PINS: Final = ("pin_mode", "pin_direction", "encoder_reset")
-_TIMERS: Final = ("timer_reset", "timer_mode")
+_SHARED: Final = ("pin_mode", "pin_direction", "pin_output", "encoder_reset", "timer_reset", "timer_mode")
+"""Of these some bits are the wiring's, all others stay as the board has them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +39,6 @@ class FrameLayout:
     """What a READ frame of any logic tells of the board, in its first `header_bytes`."""
     header_bytes: int
     request: bytes
-    pwm_channels: int
     pwm_full_width: tuple[int, ...]
     """Width that stands for a duty of 1, in 8-bit and in 12-bit mode."""
     number: Struct
@@ -47,14 +49,19 @@ class FrameLayout:
 class FrameBoard(Board):
     """The board behind `link`, wired as `wiring` says; see `Board` for what it promises.
 
-    The output image is built once, when the board is opened: words that the wiring owns come from the wiring,
-    all other words from the first read, all PWM widths are zero. In a tick only the two widths change, and the
+    The output image is built once, when the board is opened: what the wiring owns comes from the wiring, with the
+    widths of drive and brake zero, everything else from the first read, words that nobody has a name for included.
+    In a tick only the two widths change, and the
     number of the frame, for which the prescaler of a PWM channel that is wired to nothing is used: the board echoes
     it, so that an answer to an older request, late or duplicated, is told from the one to this request. Where the
     wiring has a timer, it dates the samples, and shows such an answer, too. It is set to zero when the board is opened,
     and each time SAFE is to be confirmed, so that no answer from before can confirm it.
 
-    Raises ConfigError for a wiring that the logic has no channels for.
+    The widths of other PWM channels stay as they were read. The safe image is not concerned by that: which channels
+    drive and brake hang on is what a signature vouches for, and before there is one nothing is written; commissioning
+    refuses a board on which another channel runs, unless `board.constants` says what it shall do.
+
+    Raises ConfigError for a wiring that the logic has no channels for, or constants that it has no place for.
     """
 
     def __init__(self, link: Link, wiring: BoardConfig, now_ns: Callable[[], int], period_ns: int) -> None:
@@ -65,7 +72,7 @@ class FrameBoard(Board):
         self._mode = MODES.index(wiring.pwm_mode)
         self._full = layout.pwm_full_width[self._mode]
         _insist_on_channels(wiring, layout)
-        self._widths = drive, brake = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
+        drive, brake = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
         self._drive_out, self._brake_out = layout.send.place(drive), layout.send.place(brake)
         self._drive_echo, self._brake_echo = layout.read.place(drive), layout.read.place(brake)
         self._wheel = layout.read.place(f"encoder{wiring.wheel_encoder}_count")
@@ -78,7 +85,11 @@ class FrameBoard(Board):
         self._clock = BoardClock(wiring.timer_hz) if wiring.timer >= 0 else None
         self._timer = layout.read.place(f"timer{wiring.timer}_value") if wiring.timer >= 0 else None
         self._taken_ns = 0  # when the counts of the newest answer were taken, by that clock
-        self._shared = (*_PINS, *_TIMERS) if wiring.timer >= 0 else _PINS  # fields of which some bits are the wiring's
+        owned = [*self._of_wiring({}), *([numbered] if numbered else [])]
+        self._constants = constants_of(wiring, layout.send, owned)
+        # the words of both widths go out whole: no bit that nobody knows is left on in what is to be off
+        self._decided = {part.word: 0 for name in (drive, brake) for part in layout.send.fields[name][1]}
+        self._decided |= self._constants.words
         self._image = bytearray(layout.send.size)
         self._settings: dict[str, int] = {}
         self._header = b""
@@ -124,26 +135,37 @@ class FrameBoard(Board):
         """What outputs rest on of the frames."""
         encoders = (f"encoder{i}_count" for i in (self._wiring.wheel_encoder, self._wiring.road_encoder))
         clock = [f"timer{self._wiring.timer}_value"] if self._clock else []
-        names = [*self._owned(dict.fromkeys(self._shared, 0)), *encoders, *clock]
-        return [self._layout.read.fields[name][0] for name in names]
+        return [self._layout.read.fields[name][0] for name in (*self._owned({}), *encoders, *clock)]
 
     def _warning(self, frame: bytes) -> str:
         """What must be said of the outputs of a board that nothing may be written to."""
+        table = self._layout.read
         try:
-            values = self._layout.read.decode_some(frame, self._widths)
+            values = table.decode_some(frame, (name for name in table.fields if name.endswith("_width")))
         except ProtocolError:  # another logic: where its widths are is not known
             return f". Whether its PWM outputs are zero cannot be told. {STILL_ON}"
         return f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}" if any(values.values()) else ""
 
     def _take_over(self) -> None:
-        layout = self._layout
+        self._settings, self._image[:] = self._first_image(self._read())
+
+    def _first_image(self, frame: bytes) -> tuple[dict[str, int], bytes]:
+        """What is decided of a board that reads so, by field, and the whole SEND frame with that, outputs off."""
+        read, send = self._layout.read, self._layout.send
         try:
-            found = layout.read.decode(self._read())
-            self._settings = self._owned({name: int(found[name]) for name in self._shared})
-            kept = {name: found[name] for name in layout.send.fields}
-            self._image[:] = layout.send.encode({**kept, **self._settings})
+            found = read.decode(frame)
+            settings = self._owned({name: int(found[name]) for name in _SHARED if name in found})
+            return settings, sent_back(read, send, frame, settings, self._decided)
         except ProtocolError as error:
             raise BoardError(f"the board's settings cannot be taken over: {error}") from error
+
+    def first_write(self) -> list[PlannedWord]:
+        """Words of the first frame that differ from what the board has, and those that are kept though unknown."""
+        frame = self._read()
+        settings, image = self._first_image(frame)
+        read, send = self._layout.read, self._layout.send
+        number_word = self._number_at * BYTE_BITS // send.word_bits if self._number_at >= 0 else -1
+        return list(planned_words(read, send, frame, image, settings, number_word))
 
     @property
     def safe_image(self) -> bytes:
@@ -166,23 +188,35 @@ class FrameBoard(Board):
             raise BoardError(f"the board did not take its settings: {'; '.join(wrong)}")
         return self._counts(frame)
 
-    def _owned(self, found: dict[str, int]) -> dict[str, int]:
-        """What the wiring decides, given the pins and resets as the board has them."""
+    def _owned(self, found: Mapping[str, int]) -> dict[str, int]:
+        """What wiring and constants decide, given the pins and resets as the board has them."""
+        owned = self._of_wiring(found) | self._constants.fields
+        if pins := self._constants.pins:
+            levels = _mask(pin for pin, level in pins.items() if level)
+            owned["pin_output"] = found.get("pin_output", 0) & ~_mask(pins) | levels
+            owned["pin_direction"] &= ~_mask(pins)
+        return owned
+
+    def _of_wiring(self, found: Mapping[str, int]) -> dict[str, int]:
+        """The same, but for the constants."""
         wiring = self._wiring
-        pins = _mask(wiring.pwm_pins)
-        functions = pins if wiring.pwm_functions is None else _mask(wiring.pwm_functions)
         channels = (wiring.drive_pwm, wiring.brake_pwm)
+        numbering = (wiring.numbering_pwm,) if wiring.numbering_pwm >= 0 else ()
+        ours = _mask((wiring.wheel_encoder, wiring.road_encoder))
+        pins = {
+            "pin_mode": found.get("pin_mode", 0) | _functions(wiring),
+            "pin_direction": found.get("pin_direction", 0) & ~_mask(wiring.pwm_pins),
+            "encoder_reset": found.get("encoder_reset", 0) & ~ours,
+        }
         owned = {
-            **{f"pwm{channel}_width": 0 for channel in range(self._layout.pwm_channels)},
+            **{f"pwm{channel}_width": 0 for channel in (*channels, *numbering)},
             **{f"pwm{channel}_mode": self._mode for channel in channels},
             **{f"pwm{channel}_prescaler": wiring.pwm_prescaler for channel in channels},
-            "pin_mode": found["pin_mode"] | functions,
-            "pin_direction": found["pin_direction"] & ~pins,
-            "encoder_reset": found["encoder_reset"] & ~_mask((wiring.wheel_encoder, wiring.road_encoder)),
+            **{name: value for name, value in pins.items() if name in self._layout.send.fields},
         }
         if wiring.timer >= 0:
-            owned["timer_reset"] = found["timer_reset"] & ~(1 << wiring.timer)
-            owned["timer_mode"] = found["timer_mode"] | 1 << wiring.timer
+            owned["timer_reset"] = found.get("timer_reset", 0) & ~(1 << wiring.timer)
+            owned["timer_mode"] = found.get("timer_mode", 0) | 1 << wiring.timer
         return owned
 
     def _transfer(self, command: Command) -> tuple[int, int]:
@@ -304,11 +338,20 @@ def _insist_on_channels(wiring: BoardConfig, layout: FrameLayout) -> None:
         for key, name in wanted.items()
         if name not in layout.read.fields
     ]
+    if _functions(wiring) and "pin_mode" not in layout.send.fields:
+        key = "pwm_pins" if wiring.pwm_functions is None else "pwm_functions"
+        problem = f"{layout.send.title} has no pin mode: set board.pwm_functions to []"
+        mistakes.append(Mistake(f"board.{key}", problem))
     if mistakes:
         raise ConfigError(mistakes)
 
 
-def _mask(bits: list[int] | tuple[int, ...]) -> int:
+def _functions(wiring: BoardConfig) -> int:
+    """Bits of the pin mode that are set."""
+    return _mask(wiring.pwm_pins if wiring.pwm_functions is None else wiring.pwm_functions)
+
+
+def _mask(bits: Iterable[int]) -> int:
     return sum(1 << bit for bit in set(bits))
 
 

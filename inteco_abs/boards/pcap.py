@@ -114,7 +114,7 @@ def _decoded(
 
 
 def _only_candidate(path: Path, packets: Iterable[Packet], board: str) -> str:
-    talks = _talks_usb2 if board == _USB2 else _talks_usb1
+    talks = _talks_usb2 if board.startswith(_USB2) else _talks_usb1
     found = sorted({packet.urb.device for packet in packets if talks(packet.urb)})
     if len(found) == 1:
         return found[0]
@@ -165,16 +165,16 @@ class _Messages:
 
     def collect(self, packets: Iterable[Packet]) -> list[Record]:
         """All records, in the order of the packets."""
-        data_endpoints = (ENDPOINT_OUT, ENDPOINT_IN) if self.board == _USB2 else (FTDI_OUT, FTDI_IN)
+        data_endpoints = (ENDPOINT_OUT, ENDPOINT_IN) if self.board.startswith(_USB2) else (FTDI_OUT, FTDI_IN)
         for time_s, urb in packets:
             t_s = time_s - self.start_s
             if urb.transfer == Transfer.CONTROL:
                 self._control(t_s, urb)
             elif urb.transfer == Transfer.BULK and urb.endpoint in data_endpoints:
                 (self._answer if urb.endpoint & IN else self._message)(t_s, urb)
-            elif self.board == _USB2 and urb.endpoint in _JTAG:
+            elif self.board.startswith(_USB2) and urb.endpoint in _JTAG:
                 self._warn_of_jtag(t_s, urb)
-        if self.board == _USB2:
+        if self.board.startswith(_USB2):
             return self._records
         return ByteStream().messages(self._records)
 

@@ -42,6 +42,7 @@ from firmware_protocol.rtdac_pci import (
     WHEEL_VELOCITY,
 )
 from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
+from inteco_abs.boards.first_write import PlannedWord
 from inteco_abs.boards.frames import MODES, widths
 from inteco_abs.boards.registers import Registers
 from inteco_abs.boards.trust import distrust
@@ -49,6 +50,7 @@ from inteco_abs.config import BoardConfig
 from inteco_abs.errors import BoardError, ConfigError, LinkError, Mistake
 from inteco_abs.signals import Command
 
+_FIELD_NAMES: Final = {PWM_MODE: "mode", PWM_PRESCALER: "prescaler", PWM_WIDTH: "width"}
 _NOBODY: Final = 0xFFFF_FFFF
 """What a bus reads where no board answers."""
 _RELIED_ON: Final = (
@@ -169,9 +171,24 @@ class RtdacPci(Board):
         return any(PWM_WIDTH.decode(raw) for raw in self._registers.run(self._echo)[1:])
 
     def _take_over(self) -> None:
-        found = ENCODER_RESET.decode(self._registers.read(ENCODER_RESET.offset))
-        ours = 1 << self._wiring.wheel_encoder | 1 << self._wiring.road_encoder
-        self._reset = found & ~ours
+        self._reset = self._reset_without_ours(ENCODER_RESET.decode(self._registers.read(ENCODER_RESET.offset)))
+
+    def _reset_without_ours(self, found: int) -> int:
+        return found & ~(1 << self._wiring.wheel_encoder | 1 << self._wiring.road_encoder)
+
+    def first_write(self) -> list[PlannedWord]:
+        """Registers that entering changes; which channel is asked for is written to the index registers."""
+        settings = (*self._pwm_settings(), (PWM_WIDTH, 0))
+        planned = {
+            f"pwm{channel}_{_FIELD_NAMES[register]}": value for channel in self._outputs for register, value in settings
+        }
+        found = self.survey([*planned, ENCODER_RESET.name]).values
+        planned[ENCODER_RESET.name] = self._reset_without_ours(int(found[ENCODER_RESET.name]))
+        return [
+            PlannedWord(f"0x{_FIELDS[name][0].offset:02X}", (name,), int(found[name]), value)
+            for name, value in planned.items()
+            if found[name] != value
+        ]
 
     @property
     def safe_image(self) -> bytes:
@@ -257,10 +274,9 @@ class RtdacPci(Board):
 
 def _fields() -> dict[str, tuple[Register, int | None]]:
     """What a survey may ask for, by the names that the fields have on every board."""
-    pwm = ((PWM_MODE, "mode"), (PWM_PRESCALER, "prescaler"), (PWM_WIDTH, "width"))
     return {
         LOGIC.name: (LOGIC, None),
-        **{f"pwm{i}_{name}": (register, i) for i in range(PWM_CHANNELS) for register, name in pwm},
+        **{f"pwm{i}_{name}": (register, i) for i in range(PWM_CHANNELS) for register, name in _FIELD_NAMES.items()},
         ENCODER_RESET.name: (ENCODER_RESET, None),
         **{f"encoder{i}_count": (ENCODER_COUNT, i) for i in range(ENCODER_CHANNELS)},
     }
@@ -310,6 +326,8 @@ def _insist_on_channels(wiring: BoardConfig) -> None:
         for key, count in most.items()
         if getattr(wiring, key) >= count
     ]
+    if wiring.constants:
+        mistakes.append(Mistake("board.constants", f"{ABS.title} has no frames: leave them out"))
     if mistakes:
         raise ConfigError(mistakes)
 

@@ -21,7 +21,6 @@ def _layout(logic: Logic) -> FrameLayout:
         header=HEADER,
         header_bytes=HEADER_BYTES,
         request=READ_REQUEST,
-        pwm_channels=logic.pwm_channels,
         pwm_full_width=PWM_FULL_WIDTH,
         number=struct.Struct("<B"),
         number_bits=7,

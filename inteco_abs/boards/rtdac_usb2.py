@@ -5,25 +5,29 @@ from __future__ import annotations
 import struct
 from typing import Final
 
-from firmware_protocol.rtdac_usb2 import HEADER_BYTES, PWM_CHANNELS, PWM_FULL_WIDTH, READ, READ_REQUEST, SEND
+from firmware_protocol.rtdac_usb2 import HEADER_BYTES, LOGICS, PWM_FULL_WIDTH, READ_REQUEST, Logic
 from inteco_abs.boards.frames import FrameBoard, FrameLayout
 from inteco_abs.config import BoardConfig
 
-LAYOUT: Final = FrameLayout(
-    read=READ,
-    send=SEND,
-    header=READ,
-    header_bytes=HEADER_BYTES,
-    request=READ_REQUEST,
-    pwm_channels=PWM_CHANNELS,
-    pwm_full_width=PWM_FULL_WIDTH,
-    number=struct.Struct("<H"),
-    number_bits=15,
-)
+
+def _layout(logic: Logic) -> FrameLayout:
+    return FrameLayout(
+        read=logic.read,
+        send=logic.send,
+        header=logic.read,
+        header_bytes=HEADER_BYTES,
+        request=READ_REQUEST,
+        pwm_full_width=PWM_FULL_WIDTH,
+        number=struct.Struct("<H"),
+        number_bits=15,
+    )
+
+
+LAYOUTS: Final = {name: _layout(logic) for name, logic in LOGICS.items()}
 
 
 class RtdacUsb2(FrameBoard):
-    """An RT-DAC/USB2 with the generic logic's frames, the only ones that are published for this board."""
+    """An RT-DAC/USB2 with the frames of the logic that the profile names."""
 
-    def _layout_of(self, _wiring: BoardConfig) -> FrameLayout:
-        return LAYOUT
+    def _layout_of(self, wiring: BoardConfig) -> FrameLayout:
+        return LAYOUTS[wiring.frame_map]

@@ -33,8 +33,8 @@ class Protocol:
 
     board: str
     title: str
-    logic_version: int
-    """That the tables were made for."""
+    logic_version: int | None
+    """That the tables were made for; None: not published."""
     send: FrameTable
     read: FrameTable
     request: bytes
@@ -53,7 +53,7 @@ class Protocol:
 
     def header(self, answer: bytes) -> dict[str, Value]:
         """What a READ answer of any logic tells of its board. Raises ProtocolError."""
-        table = rtdac_usb2.READ if self.board == "usb2" else rtdac_usb.HEADER
+        table = rtdac_usb2.READ if self.board.startswith("usb2") else rtdac_usb.HEADER
         return table.decode_some(answer, ("logic_version", "application_name"))
 
     def fields(self, names: Iterable[str]) -> frozenset[str]:
@@ -63,6 +63,18 @@ class Protocol:
         for name in sorted(chosen - known):
             raise ConfigError([Mistake("field", f"{self.title} has no field {name!r}{near_match(name, known)}")])
         return chosen
+
+
+def _usb2(logic: rtdac_usb2.Logic) -> Protocol:
+    generic = logic.name == "generic"
+    return Protocol(
+        "usb2" if generic else f"usb2-{logic.name}",
+        f"RT-DAC/USB2, logic 0x{rtdac_usb2.LOGIC_VERSION:04X}" if generic else f"RT-DAC/USB2, {logic.name} logic",
+        rtdac_usb2.LOGIC_VERSION if generic else None,
+        logic.send,
+        logic.read,
+        rtdac_usb2.READ_REQUEST,
+    )
 
 
 def _usb1(logic: int) -> Protocol:
@@ -81,14 +93,7 @@ PROTOCOLS: Final[Mapping[str, Protocol]] = MappingProxyType(
     {
         one.board: one
         for one in (
-            Protocol(
-                "usb2",
-                f"RT-DAC/USB2, logic 0x{rtdac_usb2.LOGIC_VERSION:04X}",
-                rtdac_usb2.LOGIC_VERSION,
-                rtdac_usb2.SEND,
-                rtdac_usb2.READ,
-                rtdac_usb2.READ_REQUEST,
-            ),
+            *map(_usb2, rtdac_usb2.LOGICS.values()),
             _usb1(0x0111),
             _usb1(0x0112),
         )
@@ -99,8 +104,10 @@ PROTOCOLS: Final[Mapping[str, Protocol]] = MappingProxyType(
 
 def protocol_name(wiring: BoardConfig) -> str:
     """Which of `PROTOCOLS` the board of a profile speaks; raises ConfigError if it speaks none."""
-    name = f"usb1-{wiring.logic_version:x}" if wiring.kind == "usb" else wiring.kind
-    return protocol_of(name).board
+    names = {"usb": f"usb1-{wiring.logic_version:x}"}
+    if wiring.frame_map != "generic":
+        names["usb2"] = f"usb2-{wiring.frame_map}"
+    return protocol_of(names.get(wiring.kind, wiring.kind)).board
 
 
 def protocol_of(board: str) -> Protocol:

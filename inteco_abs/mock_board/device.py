@@ -36,12 +36,26 @@ def _function_of_first_generation(settings: Mapping[str, int], channel: int) -> 
     return bool(settings.get("pin_mode", 0) >> channel & 1)
 
 
+def _pin_of_power_interface(settings: Mapping[str, int], channel: int) -> bool:
+    """RT-DAC/USB2, servo: CN1 pins 19 and 23 carry PWM 0 and 1, once they are outputs (S5)."""
+    return not settings.get("pin_direction", 0) >> (4 * channel + 19) & 1
+
+
+def _always(_settings: Mapping[str, int], _channel: int) -> bool:
+    """Drivers of PCI, TRAS and rpend write neither mode nor direction: their logic's pins must be what they are."""
+    return True
+
+
 _SWITCHED: Final[dict[str, Callable[[Mapping[str, int], int], bool]]] = {
-    "usb2": _pin_of_generic_logic,
+    "generic": _pin_of_generic_logic,
+    "servo": _pin_of_power_interface,
+    "tras": _always,
+    "rpend": _always,
+    "abs": _pin_of_power_interface,
     "usb": _function_of_first_generation,
-    "pci": lambda _settings, _channel: True,
+    "pci": _always,
 }
-"""Whether a PWM channel has its pin, by kind of board."""
+"""Whether a PWM channel has its pin, by kind of board, of an RT-DAC/USB2 by its logic."""
 
 
 class Truth(NamedTuple):
@@ -160,7 +174,8 @@ class Device:
         self.cable = cable or Cable.of(config.simulation)
         self.kind = config.board.kind
         self.logic_version = config.board.logic_version
-        self._switched = _SWITCHED[self.kind]
+        self.frame_map = config.board.frame_map
+        self._switched = _SWITCHED[self.frame_map if self.kind == "usb2" else self.kind]
         generator = random.Random(seed)
         road_edge, road_offset = generator.random(), generator.getrandbits(32)
         wheel_edge, wheel_offset = generator.random(), generator.getrandbits(32)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from inteco_abs.mock_board.device import Device
+from firmware_protocol import FrameTable
+from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.mock_board.device import Cable, Device
 
 
 class Face(Protocol):
@@ -23,3 +25,20 @@ class Face(Protocol):
     def bulk_in(self, length: int) -> bytes:
         """What the host gets: at most `length` bytes of the oldest waiting answer, empty if there is none."""
         ...
+
+
+def insist_on_terminals(cable: Cable, read: FrameTable) -> None:
+    """Raise ConfigError for a rig that is plugged into a channel which the logic with these answers does not have."""
+    wanted = {
+        "drive_pwm": f"pwm{cable.drive_pwm}_width",
+        "brake_pwm": f"pwm{cable.brake_pwm}_width",
+        "road_encoder": f"encoder{cable.road_encoder}_count",
+        "wheel_encoder": f"encoder{cable.wheel_encoder}_count",
+    }
+    mistakes = [
+        Mistake(f"simulation.{key}", f"{getattr(cable, key)}: {read.title} has no such channel")
+        for key, name in wanted.items()
+        if name not in read.fields
+    ]
+    if mistakes:
+        raise ConfigError(mistakes)

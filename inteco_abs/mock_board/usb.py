@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 from firmware_protocol import ProtocolError
+from firmware_protocol.fields import sent_back
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, logic_of
 from inteco_abs.errors import ConfigError, Mistake
 from inteco_abs.mock_board.device import Device
-from inteco_abs.mock_board.face import Face
+from inteco_abs.mock_board.face import Face, insist_on_terminals
 
 APPLICATION_NAME: Final = "ABSIM"
 _COMMAND_BIT: Final = 0x80
@@ -20,10 +21,11 @@ class UsbFace:
     """The board's frames, as whole messages: DUMMY, SEND with its data, READ request and answer.
 
     Raises ConfigError for a device whose logic has no tables. Counters, timers and pins are made anew for each
-    answer, settings are echoed as the last good SEND frame left them.
+    answer, settings are echoed as the last good SEND frame left them, bits that no table names among them. `image` is a
+    READ frame that the board shows at power-up; without it all settings are zero.
     """
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: Device, image: bytes = b"") -> None:
         self.device = device
         self.rejected = 0
         try:
@@ -33,6 +35,7 @@ class UsbFace:
         self._read_table, self._send_table = logic.read, logic.send
         self._echoed = tuple(name for name in logic.send.fields if name in logic.read.fields)
         cable = device.cable
+        insist_on_terminals(cable, logic.read)
         self._road = logic.read.place(f"encoder{cable.road_encoder}_count")
         self._wheel = logic.read.place(f"encoder{cable.wheel_encoder}_count")
         self._timers = tuple(
@@ -40,6 +43,12 @@ class UsbFace:
         )
         self._answer = bytearray(logic.read.encode({"application_name": APPLICATION_NAME}))
         self._waiting: list[bytes] = []
+        # data byte n is byte n of a READ frame, and byte n + 1 of a SEND frame, which has none for the last
+        named = zip(logic.read.named_bits, logic.send.named_bits[1:], strict=False)
+        self._unnamed = [~(mine | theirs) & 0xFF for mine, theirs in named]
+        if image:
+            self._send(sent_back(logic.read, logic.send, image))
+            self._keep_unnamed(image)
 
     def bulk_out(self, data: bytes | bytearray) -> None:
         """One message of the host. 0x83, send and read, is named by the vendor but not understood here."""
@@ -65,6 +74,12 @@ class UsbFace:
         echo = {name: device.settings[name] for name in self._echoed}
         shown: dict[str, int | str] = {"application_name": APPLICATION_NAME, "pin_input": device.pins(), **echo}
         self._answer[:] = self._read_table.encode(shown)
+        self._keep_unnamed(data[1:])
+
+    def _keep_unnamed(self, data: bytes | bytearray) -> None:
+        """Show the bits without a name as these data bytes have them."""
+        for at, mask in enumerate(self._unnamed):
+            self._answer[at] = self._answer[at] & ~mask | data[at] & mask
 
     def _read(self) -> bytes:
         road, wheel = self.device.counts()

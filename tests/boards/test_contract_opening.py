@@ -58,9 +58,7 @@ class TestOpening:
             assert bench.device.duties == (0.0, 0.0)
 
     def test_outputs_left_on_by_an_earlier_program_are_off_once_the_board_is_open(self, new_bench, both_on):
-        bench = new_bench(
-            earlier={**both_on, **{f"pwm{channel}_width": 99 for channel in range(2, new_bench.channels)}}
-        )
+        bench = new_bench(earlier=both_on)
         with bench.board:
             assert bench.device.duties == (0.0, 0.0)
             assert not any(any(widths(bench, sent)) for sent in bench.settings_sent)

@@ -26,7 +26,7 @@ def test_settings_that_the_wiring_does_not_own_stay_as_the_board_has_them(new_us
     with bench.board:
         bench.exchange(0.4, 0.6)
         first, second = (bench.unnumbered(sent) for sent in bench.settings_sent)
-    owned = {f"pwm{channel}_width": 0 for channel in range(bench.channels)}
+    owned = {f"pwm{channel}_width": 0 for channel in {0, 1, bench.channels - 1}}
     owned |= {f"pwm{channel}_mode": 0 for channel in range(2)} | {f"pwm{channel}_prescaler": 44 for channel in range(2)}
     owned |= {"pin_mode": earlier["pin_mode"] | 0b11, "encoder_reset": earlier["encoder_reset"] & ~0b11}
     assert first == {**bench.unnumbered(earlier), **owned}

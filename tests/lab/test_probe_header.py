@@ -49,13 +49,13 @@ def test_the_header_is_written_into_the_draft(lab):
 
 @pytest.mark.parametrize(("answer", "base"), [("yes", "usb2_generic_0103"), ("no", "usb2_abs_candidate")])
 def test_a_better_profile_is_taken_if_the_person_wants_it(lab, answer, base):
-    lab.session("", "", answer, profile="usb2_abs_candidate", settings=["simulation.road_encoder=4"])
+    lab.session("", "", answer, profile="usb2_abs_candidate", settings=["simulation.road_encoder=2"])
     lab.walk.go(only="list")
     lab.walk.go(only="header")
     config = load_config(profile=str(lab.file))
     assert lab.draft.profile == base
     assert config.board.numbering_pwm == (7 if answer == "yes" else -1)
-    assert config.simulation.road_encoder == 4
+    assert config.simulation.road_encoder == 2
     assert config.board.logic_version == 0x0103
 
 

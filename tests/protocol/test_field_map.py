@@ -24,6 +24,7 @@ READ_PLACES = [
     ("pulse_generator_channels", {7: 0x0300}, 3),
     ("frequency_meter_channels", {7: 0x4000}, 4),
     ("chronometer_channels", {8: 0x0008}, 8),
+    ("further_counts", {8: 0x3210}, 0x321),
     # digital pins
     ("pin_mode", {10: 0x8001, 11: 0x0200}, 0x2008001),
     ("pin_direction", {12: 0xFFFF, 13: 0x03FF}, 0x3FFFFFF),
@@ -134,6 +135,7 @@ READ_ONLY = {
     "logic_version",
     "application_name",
     "synthesis_date",
+    "further_counts",
     "pin_input",
     "frequency_meter_ready",
     *(f"{what}_channels" for what in ("pwm", "encoder", "encoder_index", "timer", "counter", "timer_counter")),

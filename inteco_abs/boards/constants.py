@@ -1,0 +1,85 @@
+"""What a profile sets on a board besides drive, brake and encoders: `board.constants`, by field, pin or whole word."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator
+from typing import Final, NamedTuple
+
+from firmware_protocol import FrameTable
+from firmware_protocol.fields import BYTE_BITS
+from inteco_abs.config import BoardConfig
+from inteco_abs.errors import ConfigError, Mistake, near_match
+
+_PIN: Final = re.compile(r"pin([0-9]|1[0-9]|2[0-5])")
+_PINS_NEED: Final = ("pin_direction", "pin_output")
+
+
+class Constants(NamedTuple):
+    """The constants of one profile, sorted by what they name."""
+
+    fields: dict[str, int]
+    """By name in the SEND frame: the board must echo them."""
+    words: dict[int, int]
+    """By data word: they go out as they are, and need not be echoed, as nothing is known of them."""
+    pins: dict[int, int]
+    """Levels by number of a CN1 pin, which is then an output."""
+
+
+def constants_of(wiring: BoardConfig, send: FrameTable, owned: Collection[str]) -> Constants:
+    """The profile's constants for frames of `send`, where the rest of the wiring decides the fields `owned`.
+
+    Raises ConfigError, with every mistake: a name that means nothing here, a value without room, or anything that the
+    rest of the wiring or another constant decides.
+    """
+    found = Constants({}, {}, {})
+    mistakes: list[Mistake] = []
+    word = re.compile(rf"{'b' if send.word_bits == BYTE_BITS else 'w'}(0|[1-9][0-9]*)")
+    for key, value in wiring.constants.items():
+        if key in send.fields:
+            mistakes.extend(_field_mistake(key, value, send, owned))
+            found.fields[key] = value
+        elif (match := _PIN.fullmatch(key)) and all(name in send.fields for name in _PINS_NEED):
+            mistakes.extend(_pin_mistake(key, int(match[1]), wiring))
+            found.pins[int(match[1])] = value
+        elif match := word.fullmatch(key):
+            taken = [*owned, *(name for name in wiring.constants if name in send.fields)]
+            mistakes.extend(_word_mistake(key, int(match[1]), value, send, taken))
+            found.words[int(match[1])] = value
+        else:
+            problem = f"neither a field, a pin nor a word of {send.title}{near_match(key, send.fields)}"
+            mistakes.append(Mistake(f"board.constants.{key}", problem))
+    if mistakes:
+        raise ConfigError(mistakes)
+    return found
+
+
+def _field_mistake(key: str, value: int, send: FrameTable, owned: Collection[str]) -> Iterator[Mistake]:
+    field, layout = send.fields[key]
+    low, high = field.range(layout)
+    if key in owned:
+        yield Mistake(f"board.constants.{key}", "the rest of [board] decides it: set it there")
+    elif not low <= value <= high:
+        yield Mistake(f"board.constants.{key}", f"{value}: must be in {low}..{high}")
+
+
+def _pin_mistake(key: str, pin: int, wiring: BoardConfig) -> Iterator[Mistake]:
+    if wiring.constants[key] not in (0, 1):
+        yield Mistake(f"board.constants.{key}", f"{wiring.constants[key]}: must be 0 or 1, the pin's level")
+    elif pin in wiring.pwm_pins:
+        yield Mistake(f"board.constants.{key}", "board.pwm_pins has it: a pin carries a PWM or a level")
+    elif "pin_output" in wiring.constants:
+        yield Mistake(f"board.constants.{key}", "pin_output decides it: name the pins or the whole field")
+
+
+def _word_mistake(key: str, word: int, value: int, send: FrameTable, taken: Collection[str]) -> Iterator[Mistake]:
+    most = (1 << send.payload_bits) - 1
+    first = 0 if send.command is None or send.data_from else 1  # the command's own word is no data
+    last = send.size * BYTE_BITS // send.word_bits - send.data_from - 1
+    carried = [name for name in taken if any(part.word == word for part in send.fields[name][1])]
+    if not first <= word <= last:
+        yield Mistake(f"board.constants.{key}", f"{send.title} has data in {key[0]}{first} to {key[0]}{last}")
+    elif carried:
+        yield Mistake(f"board.constants.{key}", f"it carries {', '.join(carried)}, which is decided elsewhere")
+    elif not 0 <= value <= most:
+        yield Mistake(f"board.constants.{key}", f"{value}: must be in 0..{most}, the top bit marks a command")
