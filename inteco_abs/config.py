@@ -233,9 +233,9 @@ class IdentifiedConfig(_Section):
     brake_dead_time_s: Annotated[float, Field(ge=0.0, le=0.2)] | None = None
     """For the observer, which believes no brake outside of 2 to 30 ms."""
     drive_stall_torque_nm: _Positive | None = None
-    """Of the drive motor, N m; no controller uses it."""
+    """Of the drive motor, N m; the guard judges the run-up by it, and no controller uses it."""
     drive_no_load_speed_rad_s: _Positive | None = None
-    """Of the drive motor; no controller uses it."""
+    """Of the drive motor, likewise."""
 
 
 class ModelConfig(_Section):
@@ -308,6 +308,10 @@ class GuardConfig(_Section):
     silence_s: Annotated[float, Field(ge=0.05, le=2.0)] = 0.05
     """Time without a tick, or five periods if that is longer, after which the guardian takes a loop for hung, kills it
     and makes the board safe."""
+    run_up_factor: Annotated[float, Field(ge=1.1, le=10.0)] | None = 1.5
+    """How many times slower or faster than the published drive's a run-up may be; around an identified drive
+    (model.identified) its square root. It finds a wrong encoders.counts_per_turn, which no other check does. A session
+    that does not have it is from before this check, and is replayed without."""
 
 
 class SessionConfig(_Section):
@@ -447,11 +451,14 @@ def read_profile(name: str) -> Table:
 
 
 def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
-    """Effective configuration as stored in a session; raises ConfigError."""
+    """Effective configuration as stored in a session, of this version or an earlier one; raises ConfigError."""
     try:
         table = tomllib.loads(text)
     except NOT_TOML as error:
         raise ConfigError([Mistake("config.toml", f"is not TOML: {in_words(error, text)}")]) from error
+    guard = table.setdefault("guard", {})
+    if isinstance(guard, dict):
+        guard.setdefault("run_up_factor", None)  # a session from before the check is replayed as it was run
     return _validate(table, checks, [])
 
 

@@ -55,6 +55,7 @@ class Reason(IntEnum):
     GUARDIAN_LOST = 13
     SUPERVISOR_LOST = 14
     RECORDER_LOST = 15
+    RUN_UP_IMPLAUSIBLE = 16
 
 
 EXPLANATIONS: Final[dict[Reason, str]] = {
@@ -79,6 +80,8 @@ EXPLANATIONS: Final[dict[Reason, str]] = {
     Reason.SUPERVISOR_LOST: "the program that was started died, hung or was held up, perhaps by Ctrl-S, so nobody "
     "could have stopped the run",
     Reason.RECORDER_LOST: "the recorder process died or hung, or could not write the session",
+    Reason.RUN_UP_IMPLAUSIBLE: "the road wheel gains speed faster or slower than the drive motor can make it: check "
+    "encoders.counts_per_turn first, then the drive's power and the emergency switch, and whether something rubs",
 }
 """What each reason means to the person at the rig, and what to check."""
 

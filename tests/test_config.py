@@ -64,6 +64,7 @@ def test_the_defaults_that_no_profile_sets():
         "missed_in_a_row": 4,
         "bucket_limit": 30,
         "silence_s": 0.05,
+        "run_up_factor": 1.5,
     }
     assert (config.estimator.name, config.estimator.window_s) == ("moving-window", 0.010)
     assert (config.controller.name, config.controller.hold_below_rad_s) == ("reaching-law", 5.0)

@@ -7,6 +7,7 @@ from collections import deque
 from typing import Final
 
 from inteco_abs.config import RigConfig
+from inteco_abs.control.run_up import RunUp
 from inteco_abs.control.windows import SpeedWindows
 from inteco_abs.rig import believed_parameters
 from inteco_abs.signals import BoardFlags, Command, Estimate, Reason, Sample
@@ -81,6 +82,9 @@ class Guard:
         self._not_ahead_ns = 0
         self._road_moved_ns = 0
         self._road_speed_when_moved = 0.0
+        self._applied = Command.SAFE
+        factor = limits.run_up_factor
+        self._run_up = None if factor is None else RunUp(config, factor)
 
     def trip(self, reason: Reason) -> None:
         """Take the outputs away for `reason`, for good; the first reason stays."""
@@ -95,6 +99,7 @@ class Guard:
         command = self._within_limits(wish)
         if self.reason is not _NONE:
             command = Command.SAFE
+        self._applied = command
         drive, brake = command
         if (drive >= _DRIVING_DUTY) is not self._driving:
             self._driving, self._drive_changed_ns = not self._driving, sample.time_ns
@@ -138,7 +143,11 @@ class Guard:
         limit = self._over_speed
         if not (-limit <= wheel <= limit and -limit <= road <= limit):
             return Reason.OVER_SPEED
-        return self._judge_road(now_ns, road) or self._judge_wheel(now_ns, wheel, road)
+        found = self._judge_road(now_ns, road) or self._judge_wheel(now_ns, wheel, road)
+        run_up = self._run_up
+        if run_up is None or run_up.plausible(now_ns, road_count, self._applied):
+            return found
+        return found or Reason.RUN_UP_IMPLAUSIBLE
 
     def _count_misses(self, sample: Sample) -> Reason:
         """One leaky bucket for failed exchanges and skipped periods alike."""

@@ -1,7 +1,7 @@
 """The physics of the rig, pure: parameters, friction, actuators, the plant in all its regimes, and rigs that differ."""
 
 from inteco_abs.rig.actuators import DriveMotor, brake_duty, brake_torque
-from inteco_abs.rig.believed import believed_brake, believed_parameters
+from inteco_abs.rig.believed import believed_brake, believed_drive, believed_parameters
 from inteco_abs.rig.brake_map import BrakeMap
 from inteco_abs.rig.encoder import Encoder
 from inteco_abs.rig.friction import adhesion, adhesion_slope
@@ -30,6 +30,7 @@ __all__ = [
     "adhesion",
     "adhesion_slope",
     "believed_brake",
+    "believed_drive",
     "believed_parameters",
     "brake_duty",
     "brake_torque",

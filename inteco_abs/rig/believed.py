@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 from inteco_abs.config import ModelConfig
+from inteco_abs.rig.actuators import DriveMotor
 from inteco_abs.rig.brake_map import BrakeMap
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.varied_brake import MEASURED_MAP
@@ -23,3 +24,11 @@ def believed_brake(model: ModelConfig) -> BrakeMap:
     if own.brake_duties is None or own.brake_torques_nm is None:
         return MEASURED_MAP
     return BrakeMap(tuple(zip(own.brake_duties, own.brake_torques_nm, strict=True)))
+
+
+def believed_drive(model: ModelConfig) -> DriveMotor | None:
+    """The drive motor as the lab has identified it; None if it has not."""
+    own = model.identified
+    if own.drive_stall_torque_nm is None or own.drive_no_load_speed_rad_s is None:
+        return None
+    return DriveMotor(own.drive_stall_torque_nm, own.drive_no_load_speed_rad_s)

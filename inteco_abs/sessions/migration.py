@@ -59,7 +59,10 @@ def not_measured(rows: int) -> Array:
 
 
 FIRST: Final = 1
-STEPS: tuple[Step, ...] = (Step(2, (Made("/sim/truth", "adhesion", not_measured),)),)
+STEPS: tuple[Step, ...] = (
+    Step(2, (Made("/sim/truth", "adhesion", not_measured),)),
+    Step(3),  # a reason more, RUN_UP_IMPLAUSIBLE, and guard.run_up_factor: `parse_config` leaves it out where it is not
+)
 """From each version to the next, beginning with the one behind `FIRST`."""
 
 

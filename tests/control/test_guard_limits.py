@@ -23,7 +23,8 @@ class Counted:
     """A guard and the counts that it sees; speeds are counts in a window, evenly spread."""
 
     def __init__(self, *settings: str, rate_hz: float = 2000.0, start_ns: int = START_NS) -> None:
-        config = load_config(settings=[f"loop.rate_hz={rate_hz}", "estimator.window_s=0.05", *settings])
+        scripted = "guard.run_up_factor=10"  # no drive makes such run-ups
+        config = load_config(settings=[f"loop.rate_hz={rate_hz}", "estimator.window_s=0.05", scripted, *settings])
         self.guard = Guard(config)
         self.length = WINDOWS[rate_hz]
         self.period_ns = config.period_ns

@@ -13,7 +13,11 @@ pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 SEEN = Estimate(0.0, 0.0, 0.0, valid=True)
 DRIVE, BRAKE, OFF = Command(1.0, 0.0), Command(0.0, 0.6), Command.SAFE
 COUNTS = [2048, 4096]
-STRICT = ("guard.missed_in_a_row=4", "guard.bucket_limit=30")
+STRICT = (
+    "guard.missed_in_a_row=4",
+    "guard.bucket_limit=30",
+    "guard.run_up_factor=10",
+)  # no drive makes scripted run-ups
 
 
 class Watched:

@@ -16,6 +16,8 @@ from inteco_abs.sessions.recorder import FORMAT_VERSION
 from inteco_abs.signals import Phase, Reason
 
 NOW, NEXT = str(migration.newest()), str(migration.newest() + 1)
+NO_REASON = max(Reason) + 1
+"""A number that no reason has yet."""
 TYRE = Column("tyre_c", DOUBLE, "Cel", "temperature of the tyre")
 
 
@@ -205,15 +207,15 @@ def replace_ticks(run, **columns):
 
 def test_members_that_are_not_known_are_told_and_stand_for_no_known_one(later):
     phases = enum("Phase", {**{member.name: int(member) for member in Phase}, "PARKED": 8})
-    reasons = enum("Reason", {**{member.name: int(member) for member in Reason}, "TYRE_LOST": 16})
-    path = later("1", tick=table(kinds={"phase": phases, "reason": reasons}), phase=8, reason=16)
+    reasons = enum("Reason", {**{member.name: int(member) for member in Reason}, "TYRE_LOST": NO_REASON})
+    path = later("1", tick=table(kinds={"phase": phases, "reason": reasons}), phase=8, reason=NO_REASON)
     session = read_session(path)
     assert set(session.ticks["phase"].tolist()) == {Phase.UNKNOWN}
     assert set(session.ticks["reason"].tolist()).isdisjoint(set(Reason))
     assert "/abs/tick.phase PARKED is not known; /abs/tick.reason TYRE_LOST is not known" in session.beyond
 
 
-@pytest.mark.parametrize(("name", "value"), [("phase", 8), ("reason", 16), ("stop_request", 127)])
+@pytest.mark.parametrize(("name", "value"), [("phase", 8), ("reason", NO_REASON), ("stop_request", 127)])
 @pytest.mark.parametrize("also", [(), (TYRE,)], ids=["this version", "another"])
 def test_a_number_that_the_file_itself_does_not_declare_is_damage(later, also, name, value):
     path = later("1", tick=table(also=also), tyre_c=20.0, **{name: value})

@@ -1,0 +1,144 @@
+"""Plausibility of the run-up: whether the road wheel gains speed as the drive motor can make it.
+
+Every other check of a speed rests on the counts per turn. If both encoders have the same wrong scale they agree with
+each other, and the road wheel turns faster or slower than all of them believe. What the drive motor does to the
+wheels' inertia does not depend on an encoder: it says how soon which speed is reached.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from inteco_abs.config import RigConfig
+from inteco_abs.rig import DriveMotor, RigParameters, believed_drive, believed_parameters
+from inteco_abs.signals import Command
+
+_JUDGED_DUTY: Final = 0.5
+"""Below it the wheels reach half of what the limit is, whatever the scale, and dry friction, of which little is known,
+is a large part of the torque."""
+_RELEASED_DUTY: Final = 0.01
+_RELEASE_GRACE_NS: Final = 300_000_000
+_LOOK_S: Final = 0.1
+_LOOK_PERIODS: Final = 10
+"""Of a look, in slow loops too: a time stamp that is late by one period is then a tenth of the speed at most."""
+_SLACK_RAD_S: Final = 5.0
+"""On both sides: a drive that comes a few ticks late, and the acceleration within a look."""
+_MORE_FRICTION: Final = 1.5
+_LESS_FRICTION: Final = 0.5
+"""Factors on the static friction: the vendor's three measurements of M10 lie a factor of two apart."""
+_PLOTTED_RAD_S: Final = 178.0
+"""1700 rpm, the end of the run-up in the vendor's plots."""
+_PLOTTED_SHARE: Final = 2.0 / 3.0
+"""Of the final speed, for a drive that hardly gets so far."""
+
+
+class RunUp:
+    """Compares the road wheel's mean speed over 0.1 s with the slowest and the fastest run-up that the drive may make.
+
+    `factor` is how many times slower and faster than the published drive's that is. Where a lab has identified its
+    own drive, the square root of `factor` around that has to hold as well; the published one is never left out, as an
+    identification that rests on a wrong scale confirms it. A run-up begins with the drive, and again with each other
+    duty from a half on; it is not judged while the brake acts.
+    """
+
+    def __init__(self, config: RigConfig, factor: float) -> None:
+        model = config.model
+        self._bands = [_Band(DriveMotor(), RigParameters.named(model.parameters), factor)]
+        drive = believed_drive(model)
+        if drive is not None:
+            self._bands.append(_Band(drive, believed_parameters(model), math.sqrt(factor)))
+        self._angle_ns = 2.0 * math.pi / config.encoders.counts_per_turn * 1e9
+        self._look_ns = round(max(_LOOK_S, _LOOK_PERIODS / config.loop.rate_hz) * 1e9)
+        self._duty = 0.0
+        self._then_ns = self._then_count = 0
+        self._next_ns = 0
+        self._begun = False
+
+    def plausible(self, now_ns: int, road_count: int, applied: Command) -> bool:
+        """Whether the run-up under the newest `applied` command is one that the drive may make, as far as is known."""
+        duty, brake = applied
+        if duty < _JUDGED_DUTY:
+            self._duty = 0.0
+            return True
+        if duty != self._duty or brake >= _RELEASED_DUTY:
+            self._begin(now_ns, road_count, duty, _RELEASE_GRACE_NS if brake >= _RELEASED_DUTY else 0)
+        if now_ns < self._next_ns:
+            return True
+        elapsed_ns = now_ns - self._then_ns
+        speed = (road_count - self._then_count) * self._angle_ns / elapsed_ns
+        self._then_ns, self._then_count, self._next_ns = now_ns, road_count, now_ns + self._look_ns
+        if self._begun:
+            return all(band.follows(speed, elapsed_ns * 1e-9) for band in self._bands)
+        self._begun = True
+        for band in self._bands:
+            band.begin(self._duty, speed)
+        return True
+
+    def _begin(self, now_ns: int, road_count: int, duty: float, grace_ns: int) -> None:
+        self._duty, self._begun = duty, False
+        self._then_ns, self._then_count, self._next_ns = now_ns, road_count, now_ns + grace_ns + self._look_ns
+
+
+class _Band:
+    """Between the slowest and the fastest run-up of one drive motor, with both wheels rolling on each other."""
+
+    def __init__(self, drive: DriveMotor, parameters: RigParameters, factor: float) -> None:
+        ratio = parameters.r2 / parameters.r1
+        self._drive = drive
+        self._friction_nm = parameters.M20 + parameters.M10 * ratio
+        self._drag = parameters.d2 + parameters.d1 * ratio * ratio
+        self._inertia = parameters.J2 + parameters.J1 * ratio * ratio
+        self._factor = factor
+        self._straight = self._mean_acceleration()
+        self._slow = self._fast = _Approach(0.0, math.inf)
+        self._least = self._most = 0.0
+        self._most_gain = 0.0
+
+    def begin(self, duty: float, speed: float) -> None:
+        """Go on from `speed` (rad/s) with `duty` of the drive."""
+        stall, back = self._drive.stall_torque_nm, self._drive.stall_torque_nm / self._drive.no_load_speed_rad_s
+        self._slow = self._approach(stall * duty - _MORE_FRICTION * self._friction_nm, back, self._factor)
+        # a chopper whose current tears off between pulses lets the motor run on towards its full speed at any duty
+        self._fast = self._approach(stall * duty - _LESS_FRICTION * self._friction_nm, back * duty, 1.0 / self._factor)
+        self._most_gain = self._straight * duty / self._factor
+        self._least = min(speed, self._slow.end)  # faster than this duty keeps it, a wheel slows down
+        self._most = speed
+
+    def follows(self, speed: float, elapsed_s: float) -> bool:
+        """Whether `speed` (rad/s) is possible `elapsed_s` after the one before."""
+        gain = self._slow.gain(self._least, elapsed_s)
+        self._least += min(gain, self._most_gain * elapsed_s)
+        self._most += self._fast.gain(self._most, elapsed_s)
+        return self._least - _SLACK_RAD_S <= speed <= self._most + _SLACK_RAD_S
+
+    def _approach(self, torque_nm: float, back_nm: float, slower: float) -> _Approach:
+        """Of a speed under `torque_nm` at rest that falls by `back_nm` per rad/s, and by the wheels' own drag."""
+        falling = back_nm + self._drag
+        return _Approach(torque_nm / falling, self._inertia / falling * slower)
+
+    def _mean_acceleration(self) -> float:
+        """Of a run-up at full duty, rad/s2.
+
+        Start-up resistors, which drop out at some speed, make a run-up slower at first, and so straighter: the vendor's
+        plots show a kink, and 1700 rpm after 6.2 to 6.5 s, a mean of 27 to 29 rad/s2. Without them it is 30.
+        """
+        stall = self._drive.stall_torque_nm
+        free = self._approach(stall - self._friction_nm, stall / self._drive.no_load_speed_rad_s, 1.0)
+        if free.end <= 0.0:
+            return 0.0
+        plotted = min(_PLOTTED_RAD_S, _PLOTTED_SHARE * free.end)
+        return plotted / (free.lag_s * math.log(free.end / (free.end - plotted)))
+
+
+class _Approach(NamedTuple):
+    """Of a speed to the one at which all torques balance."""
+
+    end: float
+    """That speed, rad/s."""
+    lag_s: float
+    """Time constant."""
+
+    def gain(self, speed: float, elapsed_s: float) -> float:
+        """What is gained in a time that is short against the lag; none from beyond the end."""
+        return max(0.0, (self.end - speed) * elapsed_s / (self.lag_s + 0.5 * elapsed_s))
