@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from statistics import median
 from typing import Final, NamedTuple
 
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import ProbeError
 from inteco_abs.lab.outputs import PROVES_ITSELF, Motion, Outputs, outputs, turns
 from inteco_abs.lab.permission import DRIVE_LIMIT, outputs_permitted
-from inteco_abs.lab.person import wait_for
+from inteco_abs.lab.person import agree, wait_for
 from inteco_abs.lab.step import Facts, Visit, today
 
 PHRASE: Final = "the cover is closed, my hand is at the emergency switch"
@@ -37,6 +38,9 @@ _STEP_S: Final = 0.15
 _SLOWS_DOWN: Final = 1.5
 """Times as fast as by itself."""
 _MOST_RUN_UPS: Final = 4
+_VELOCITIES: Final = 5
+"""Readings of the board's own velocity, whose step may be a tenth of the speed at a window of 5 ms."""
+_MOST_OFF: Final = 0.25
 _RESOLUTION_COUNTS: Final = 2.0
 _MOST_STILL_COUNTS: Final = 8
 _EXPECTED: Final = 0.415
@@ -75,12 +79,15 @@ def try_motors(visit: Visit) -> Facts:
         _insist_on_rest(out)
         moving_duty = _drive(out, config)  # nobody is talked to in here: a halted terminal would hold the drive on
         onset, coast_rad_s2 = _find_dead_zone(out, config)
+        lines = _counts_per_turn(out, config)
+    _compare_counts(visit, config, lines)
     visit.person.tell(f"  both wheels turn forwards from {moving_duty:.0%} drive on")
     visit.person.tell(
         f"  the brake acts from {onset:.2f} on{_compared(onset)}; coasting loses {coast_rad_s2:.1f} rad/s2"
     )
     visit.draft.confirm(_confirmed(config), f"drove and braked on {today()}")
-    return {"moving_duty": moving_duty, "brake_from": onset, "coast_rad_s2": coast_rad_s2}
+    found = {"moving_duty": moving_duty, "brake_from": onset, "coast_rad_s2": coast_rad_s2}
+    return found if lines is None else {**found, "counts_per_turn_by_velocity": lines}
 
 
 def _insist_on_rest(out: Outputs) -> None:
@@ -162,6 +169,38 @@ def _coast(out: Outputs) -> float:
     *_, begin = out.hold(0.0, 0.0, _SETTLE_S)
     *_, end = out.hold(0.0, 0.0, _COAST_S)
     return (begin.wheel_speed_rad_s - end.wheel_speed_rad_s) / (end.time_s - begin.time_s)
+
+
+def _counts_per_turn(out: Outputs, config: RigConfig) -> int | None:
+    """By the board's own velocity of the road wheel, where it has one, while the wheels coast; None if too slow.
+
+    That register counts lines of the encoder's disc in a time that the board's own clock measures, and the vendor's
+    conversion takes 1024 of them for a turn. So it shows by how much the counter multiplies them, two or four, and
+    nothing about a disc that has another number of lines.
+    """
+    if config.board.kind != "pci":
+        return None
+    _run_up(out)
+    out.beat(0.0, 0.0)
+    ratios = []
+    for _ in range(_VELOCITIES):
+        rpm, motion = out.measured("road_velocity"), out.beat(0.0, 0.0)
+        if rpm and motion.road_speed_rad_s >= _SLOWEST_RAD_S:
+            ratios.append(motion.road_speed_rad_s / (rpm * 2.0 * math.pi / 60.0))
+    return round(median(ratios) * config.encoders.counts_per_turn) if len(ratios) == _VELOCITIES else None
+
+
+def _compare_counts(visit: Visit, config: RigConfig, by_velocity: int | None) -> None:
+    """Ask if the board's own velocity has found another number than the hands that turned the wheels."""
+    by_hand = config.encoders.counts_per_turn
+    if by_velocity is None or abs(by_velocity - by_hand) <= _MOST_OFF * by_hand:
+        return
+    visit.person.tell(
+        f"  the board's velocity register makes {by_velocity} counts per turn, if the encoder's disc has 1024 lines as "
+        f"the vendor's has; turned by hand it was {by_hand}"
+    )
+    if not agree(visit.person, f"Was each wheel turned exactly as often as was asked, so that {by_hand} is right?"):
+        raise ProbeError("the counts per turn are not certain: --redo wheels")
 
 
 def _ramp(out: Outputs, config: RigConfig, first: float, coast_rad_s2: float) -> _Braked:

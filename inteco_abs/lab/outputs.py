@@ -56,6 +56,18 @@ class Outputs:
         speeds = float(last["wheel_speed_rad_s"]), float(last["road_speed_rad_s"])
         return Motion(int(last["time_ns"]) * 1e-9, *counts, *speeds)
 
+    def measured(self, name: str) -> float | None:
+        """What the board itself measures besides counts, by its own name, with both outputs off; None if it does not.
+
+        Only the board on the PCI bus measures any. Raises ProbeError if the guard takes the outputs away.
+        """
+        self._side.ask()
+        self.beat(0.0, 0.0)
+        while not self._side.answered:
+            self.beat(0.0, 0.0)
+        found = {known: value for known, value, *_ in (self._side.look or {}).get("readings", ())}
+        return found.get(name)
+
     def hold(self, drive: float, brake: float, seconds: float) -> Iterator[Motion]:
         """Beats for so long, at least one."""
         first = self.beat(drive, brake)

@@ -107,3 +107,43 @@ def test_a_board_that_calls_itself_something_else_by_now_is_not_driven(lab, at):
     with pytest.raises(ReadOnlyError, match="the profile knows 'ABSSIM'"):
         walk.go(only="motors")
     assert lab.bench.frames_sent == []
+
+
+class TestVelocityRegister:
+    """The board on the PCI bus counts lines of the encoder's disc in a time of its own."""
+
+    @pytest.fixture
+    def on_pci(self, lab, scripts):
+        """All steps up to the motors on that board; `turns`: how many the person says that they have made."""
+
+        def walk(*answers, turns=(), settings=()):
+            wheels = [answer for wheel in ("", "") for answer in (wheel, *turns)]
+            before = [*scripts["list"], *scripts["header"], *scripts["reads"], "", *wheels, *scripts["echo"]]
+            script = [*before, *scripts["motors"], *answers]
+            session = lab.session(*script, profile="pci_abs_50f", settings=settings)
+            for step in list(scripts)[:6]:
+                session.go(only=step)
+
+        return walk
+
+    @pytest.mark.untraced
+    @pytest.mark.parametrize(("counts", "turns"), [(4096, ()), (2048, ("10",))])
+    def test_it_agrees_with_turns_that_were_counted_well(self, lab, on_pci, counts, turns):
+        on_pci(turns=turns, settings=[f"simulation.counts_per_turn={counts}"])
+        assert lab.draft.config.encoders.counts_per_turn == counts
+        assert lab.draft.results["motors"]["counts_per_turn_by_velocity"] == pytest.approx(counts, rel=0.1)
+        assert not lab.person.heard("velocity register")
+
+    @pytest.mark.untraced
+    def test_it_contradicts_turns_that_were_miscounted(self, lab, on_pci):
+        with pytest.raises(ProbeError, match="counts per turn are not certain: --redo wheels"):
+            on_pci("no", turns=("5",), settings=["simulation.counts_per_turn=2048"])
+        assert lab.draft.config.encoders.counts_per_turn == 4096
+        assert lab.person.heard("velocity register makes 20")
+        assert lab.outcomes()["motors"] == "failed"
+        assert lab.bench.device.duties == (0.0, 0.0)
+
+    @pytest.mark.untraced
+    def test_who_is_certain_of_the_turns_goes_on(self, lab, on_pci):
+        on_pci("yes", turns=("5",), settings=["simulation.counts_per_turn=2048"])
+        assert lab.outcomes()["motors"] == "done"
