@@ -28,6 +28,8 @@ from inteco_abs.quantities import number_hint, other_unit, unit_of
 from inteco_abs.toml_text import NOT_TOML, in_words, read_toml
 
 DEFAULT_PROFILE: Final = "sim_usb2"
+MOCK_NAMES: Final = ("ABSSIM", "ABSIM")
+"""Application names of the mock boards on USB, which no real board has."""
 _LONGEST_VALUE: Final = 60
 
 Table = dict[str, Any]
@@ -92,7 +94,8 @@ class BoardConfig(_Section):
     application_names: list[str] = []
     """Names of the logic that may be driven; any other opens read-only. The PCI board tells none."""
     simulated: bool = False
-    """Whether the profile was made for the mock: nothing in it was ever seen on a rig."""
+    """Whether the profile was made for the mock: nothing in it was ever seen on a rig, and its guard's limits have no
+    ceilings but their ranges."""
     read_only: str = ""
     """Why outputs must stay off whatever the board says; empty: they may be used."""
     verified_by: str = ""
@@ -407,6 +410,8 @@ def load_config(
     )
     _void_signature(below, in_file, merged)
     _void_signature(_merge(below, in_file), over, merged)
+    if not _wiring(over).get("verified_by"):
+        _void_beyond(_merge(below, in_file) if _wiring(in_file).get("verified_by") else below, merged)
     return _validate(merged if follows is None else _merge(follows(merged), merged), checks, mistakes)
 
 
@@ -543,6 +548,75 @@ def _void_signature(below: Table, above: Table, merged: Table) -> None:
     if new:
         because = f"{signer} signed the profile with another {', '.join(new)}; sign what you have changed"
         merged["board"]["read_only"] = because
+
+
+def _void_beyond(signed: Table, merged: Table) -> None:
+    """Who signed a profile has agreed to its guard's limits, and to anything more careful. A simulated rig has none."""
+    board = _section_of(signed, "board")
+    beyond = [] if board.get("simulated") is True else laxer_limits(signed, merged)
+    if board.get("verified_by") and beyond and not _section_of(merged, "board").get("read_only"):
+        because = f"{board['verified_by']} signed the profile with {'; '.join(beyond)}. Lower it, or sign it anew"
+        merged["board"]["read_only"] = because
+
+
+def laxer_limits(than: Table, table: Table) -> list[str]:
+    """Limits of the guard that `table` allows more of `than` the other table does, in words.
+
+    Of each limit more is laxer; what a table does not say is the default.
+    """
+    defaults = GuardConfig().model_dump()
+    limits, asked = (defaults | _section_of(one, "guard") for one in (than, table))
+    return [
+        f"guard.{key} at most {limits[key]:g}, and {asked[key]:g} is asked for"
+        for key in defaults
+        if isinstance(limits[key], int | float) and isinstance(asked[key], int | float) and asked[key] > limits[key]
+    ]
+
+
+class _Ceiling(NamedTuple):
+    """Of a limit of the guard on a real board, whoever signs."""
+
+    seconds: float | None
+    """As a time, which the loop's rate makes a number of exchanges of; None: `least` it is."""
+    least: float
+    """What is allowed at any rate."""
+    because: str
+
+    def at(self, rate_hz: float) -> float:
+        return max(self.least, 0.0 if self.seconds is None else float(int(self.seconds * rate_hz)))
+
+
+_REAL_CEILINGS: Final = {
+    "missed_in_a_row": _Ceiling(
+        0.025, 4, "25 ms, half the shortest silence: a loop without answers ends its run before the guardian has to"
+    ),
+    "bucket_limit": _Ceiling(0.1, 30, "0.1 s of a link that loses every other exchange"),
+    "silence_s": _Ceiling(None, 0.1, "five periods of the slowest loop; meanwhile nobody watches the motors"),
+    "run_up_factor": _Ceiling(None, 2.0, "more would let counts per turn pass that are wrong by half"),
+}
+"""The other limits have their ceilings in the ranges that hold on every board."""
+
+
+def beyond_ceilings(config: RigConfig) -> Iterator[Mistake]:
+    """What a run on a real board is refused for, though it may be run on a simulated one or stand in a session."""
+    limits, rate_hz = config.guard, config.loop.rate_hz
+    for key, ceiling in _REAL_CEILINGS.items():
+        value, most = getattr(limits, key), ceiling.at(rate_hz)
+        if value is None or value > most:
+            at_rate = f" at {rate_hz:g} Hz" if ceiling.seconds is not None else ""
+            yield Mistake(f"guard.{key}", f"{value}: on a real board at most {most:g}{at_rate} ({ceiling.because})")
+    if not config.board.verified_by and not config.board.read_only:
+        for beyond in laxer_limits({}, config.model_dump()):
+            key, _, rest = beyond.partition(" ")
+            yield Mistake(key, f"{rest}: more takes a signed profile; inteco-abs probe has you sign")
+
+
+def bounded_in_time(guard: GuardConfig, rate_hz: float) -> GuardConfig:
+    """The same limits at another rate, with those in exchanges within a real board's ceilings there."""
+    in_exchanges = [key for key, ceiling in _REAL_CEILINGS.items() if ceiling.seconds is not None]
+    return guard.model_copy(
+        update={key: min(getattr(guard, key), int(_REAL_CEILINGS[key].at(rate_hz))) for key in in_exchanges}
+    )
 
 
 def _section_of(table: Table, key: str) -> Table:

@@ -14,7 +14,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from inteco_abs.boards import Board, InProcessLink, board_behind, check_address, check_kind, recording, simulated
+from inteco_abs.boards import (
+    Board,
+    InProcessLink,
+    board_behind,
+    check_address,
+    check_kind,
+    check_limits,
+    recording,
+    simulated,
+)
 from inteco_abs.boards.capture import check_target
 from inteco_abs.boards.recording_link import Recording, check_recordable
 from inteco_abs.config import RigConfig
@@ -131,6 +140,7 @@ def conditions(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
     """What has to hold before anything is opened, besides a place for the session; each raises AbsError if not."""
     yield partial(check_address, plan.board)
     yield partial(check_kind, plan.board, config)
+    yield partial(check_limits, plan.board, config)
     yield partial(_check_time, config, plan)
     if plan.faults:
         yield partial(_check_faults, config, plan)
@@ -203,10 +213,14 @@ def exchange_times_us(config: RigConfig, board: str) -> list[float]:
         return times_us
 
 
-def conditions_by_hand(config: RigConfig, board: str, faults: Sequence[Fault] = ()) -> Iterator[Callable[[], object]]:
+def conditions_by_hand(
+    config: RigConfig, board: str, faults: Sequence[Fault] = (), *, outputs: bool = True
+) -> Iterator[Callable[[], object]]:
     """What has to hold before a board is opened for a screen; each raises AbsError if not."""
     yield partial(check_address, board)
     yield partial(check_kind, board, config)
+    if outputs:
+        yield partial(check_limits, board, config)
     if faults:
         yield partial(_check_faults_by_hand, config, board, faults)
     yield _insist_on_linux
@@ -220,7 +234,7 @@ def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault
     wanted of a board that the profile does not trust, BoardError if it cannot be opened or its process has died,
     UnsafeError if SAFE was not confirmed.
     """
-    for condition in conditions_by_hand(config, board, faults):
+    for condition in conditions_by_hand(config, board, faults, outputs=outputs):
         condition()
     config = slowed(config)
     told = config if outputs else _only_read(config)

@@ -4,7 +4,7 @@ from datetime import date
 
 import pytest
 
-from inteco_abs.boards import SCHEMES, InProcessLink, board_behind, check_kind, default_profile
+from inteco_abs.boards import SCHEMES, InProcessLink, board_behind, check_kind, check_limits, default_profile
 from inteco_abs.config import WIRING, BoardConfig, load_config, parse_config, profiles
 from inteco_abs.errors import ConfigError
 from inteco_abs.mock_board import Device, face_of
@@ -168,6 +168,109 @@ class TestSignature:
 
     def test_the_day_is_kept(self, lab):
         assert parse_config(lab().to_toml()).board.verified_on == date(2026, 3, 4)
+
+
+class TestLimits:
+    """Of the guard: a signature covers them, and on a real board they have ceilings."""
+
+    SIGNED = "silence_s = 0.08\nmissed_in_a_row = 10\n"
+
+    @pytest.fixture
+    def signed(self, tmp_path):
+        """A profile that was signed with its own limits, and a configuration over it."""
+
+        def load(*settings, over=""):
+            file, rig = tmp_path / "lab.toml", tmp_path / "rig.toml"
+            file.write_text(f"{LAB.format(signed_logic='0x0103')}\n[guard]\n{self.SIGNED}", encoding="utf-8")
+            rig.write_text(f"profile = {str(file)!r}\n{over}", encoding="utf-8")
+            return load_config(rig, settings)
+
+        return load
+
+    @pytest.mark.parametrize(
+        "setting",
+        ["guard.silence_s=0.08", "guard.silence_s=0.05", "guard.missed_in_a_row=2", "guard.brake_limit=0.1",
+         "guard.over_speed_rad_s=200", "guard.run_up_factor=1.2"],
+    )  # fmt: skip
+    def test_what_was_signed_and_what_is_more_careful_leave_the_signature_alone(self, signed, setting):
+        config = signed(setting)
+        assert opened(config).read_only_because == ""
+        check_limits("usb2:", config)
+        check_limits("usb2:", signed(over=f"[guard]\n{setting.removeprefix('guard.')}\n"))
+
+    @pytest.mark.parametrize(
+        ("setting", "because"),
+        [
+            ("guard.silence_s=0.09", "guard.silence_s at most 0.08, and 0.09 is asked for"),
+            ("guard.missed_in_a_row=11", "guard.missed_in_a_row at most 10, and 11 is asked for"),
+            ("guard.bucket_limit=31", "guard.bucket_limit at most 30, and 31 is asked for"),
+            ("guard.brake_limit=0.75", "guard.brake_limit at most 0.7, and 0.75 is asked for"),
+            ("guard.run_up_factor=1.6", "guard.run_up_factor at most 1.5, and 1.6 is asked for"),
+        ],
+    )
+    def test_more_than_was_signed_opens_read_only_wherever_it_is_asked_for(self, signed, setting, because):
+        for config in (signed(setting), signed(over=f"[guard]\n{setting.removeprefix('guard.')}\n")):
+            told = opened(config).read_only_because
+            assert told == f"A. Lab signed the profile with {because}. Lower it, or sign it anew"
+
+    def test_a_limit_that_was_lowered_in_the_file_may_be_raised_to_what_was_signed(self, signed):
+        assert opened(signed("guard.silence_s=0.08", over="[guard]\nsilence_s = 0.05\n")).read_only_because == ""
+
+    def test_more_can_be_signed_where_it_is_asked_for(self, signed):
+        over = '[board]\nverified_by = "B. Lab"\n[guard]\nsilence_s = 0.1\n'
+        assert opened(signed(over=over)).read_only_because == ""
+        beyond = signed("guard.missed_in_a_row=20", over=over).board.read_only
+        assert beyond.startswith("B. Lab signed the profile with guard.missed_in_a_row at most 10")
+
+    CEILINGS = (
+        (2000.0, "missed_in_a_row", 50, 51),
+        (250.0, "missed_in_a_row", 6, 7),
+        (50.0, "missed_in_a_row", 4, 5),
+        (2000.0, "bucket_limit", 200, 201),
+        (250.0, "bucket_limit", 30, 31),
+        (2000.0, "silence_s", 0.1, 0.11),
+        (2000.0, "run_up_factor", 2.0, 2.01),
+    )
+
+    @pytest.mark.parametrize(("rate_hz", "key", "most", "beyond"), CEILINGS)
+    def test_a_ceiling_holds_on_a_real_board_whoever_signs(self, lab, rate_hz, key, most, beyond):
+        def config(value):
+            over = f"[board]\nverified_by = 'B. Lab'\n[guard]\n{key} = {value}\n"
+            return lab(f"loop.rate_hz={rate_hz}", "estimator.window_s=0.05", over=over)
+
+        check_limits("usb2:", config(most))
+        with pytest.raises(ConfigError, match=rf"guard\.{key}: {beyond}: on a real board at most {most:g}"):
+            check_limits("usb2:", config(beyond))
+        check_limits("sim:", config(beyond))
+
+    def test_more_than_the_default_takes_a_signature(self):
+        asked = ["profile=usb2_generic_0103", "guard.silence_s=0.08", "guard.brake_limit=0.8"]
+        with pytest.raises(ConfigError) as refused:
+            check_limits("usb2:", load_config(settings=asked))
+        told = {one.path: one.problem for one in refused.value.mistakes}
+        signs = ": more takes a signed profile; inteco-abs probe has you sign"
+        assert told == {
+            "guard.silence_s": f"at most 0.05, and 0.08 is asked for{signs}",
+            "guard.brake_limit": f"at most 0.7, and 0.8 is asked for{signs}",
+        }
+
+    def test_shipped_profiles_of_real_boards_are_within_them(self):
+        for name in REAL:
+            check_limits("usb2:", load_config(profile=name))
+
+    def test_a_mock_on_a_real_boards_wire_is_as_lenient_as_it_is_in_this_program(self):
+        mock = load_config(profile="sim_usb")
+        check_kind("usb:", mock)
+        check_limits("usb:", mock)
+
+    def test_a_copy_of_a_mocks_profile_with_a_real_boards_name_is_refused(self):
+        copied = load_config(settings=["board.application_names=['ABSIM', 'INTECO']"], profile="sim_usb")
+        with pytest.raises(ConfigError, match=r"board\.simulated: the profile was made for the mock"):
+            check_kind("usb:", copied)
+
+    def test_a_session_with_any_limits_is_still_read(self):
+        text = load_config(profile="usb2_generic_0103").to_toml().replace("silence_s = 0.05", "silence_s = 2.0")
+        assert parse_config(text).guard.silence_s == 2.0
 
 
 class TestEvidence:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Final
 
-from inteco_abs.boards.addresses import SCHEMES, check_address, check_kind, default_profile, simulated
+from inteco_abs.boards.addresses import SCHEMES, check_address, check_kind, check_limits, default_profile, simulated
 from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
 from inteco_abs.boards.links import InProcessLink, Link, SocketLink
 from inteco_abs.boards.recording_link import Wrap, recording
@@ -34,6 +34,7 @@ __all__ = [
     "board_behind",
     "check_address",
     "check_kind",
+    "check_limits",
     "default_profile",
     "open_board",
     "recording",

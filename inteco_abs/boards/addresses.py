@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final, NamedTuple
 
-from inteco_abs.config import DEFAULT_PROFILE, RigConfig
+from inteco_abs.config import DEFAULT_PROFILE, MOCK_NAMES, RigConfig, beyond_ceilings
 from inteco_abs.errors import ConfigError, Mistake
 
 
@@ -69,9 +69,18 @@ def check_kind(uri: str, config: RigConfig) -> None:
     if name not in ("sim", config.board.kind):
         problem = f"{config.board.kind!r}, while the address {uri} is for boards of kind {name!r}; name another profile"
         raise ConfigError([Mistake("board.kind", problem)])
-    if name == "pci" and config.board.simulated:  # the boards on USB tell a name, and the mock's is its own
+    # the boards on USB tell a name, and the mock's is its own
+    a_mocks = name != "pci" and set(config.board.application_names) <= set(MOCK_NAMES)
+    if name != "sim" and config.board.simulated and not a_mocks:
         problem = f"the profile was made for the mock, and {uri} is a real board; inteco-abs probe makes one for it"
         raise ConfigError([Mistake("board.simulated", problem)])
+
+
+def check_limits(uri: str, config: RigConfig) -> None:
+    """Raise ConfigError if the board at `uri` is a real one, and a limit of the guard is beyond what one may have."""
+    mistakes = [] if simulated(uri) or config.board.simulated else list(beyond_ceilings(config))
+    if mistakes:
+        raise ConfigError(mistakes)
 
 
 def default_profile(uri: str) -> str:

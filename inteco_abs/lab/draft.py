@@ -20,6 +20,7 @@ from inteco_abs.config import (
     RigConfig,
     Table,
     apply_setting,
+    laxer_limits,
     load_config,
     parse_config,
     read_profile,
@@ -140,7 +141,7 @@ class Draft:
             raise ConfigError([Mistake("--profile", problem)])
 
     def _void_signature(self, before: Table) -> None:
-        if wiring_of(before) != wiring_of(self._table):
+        if wiring_of(before) != wiring_of(self._table) or laxer_limits(before, self._table):
             self._table = _unsigned(self._table)
 
     def _save_profile(self) -> None:

@@ -81,7 +81,7 @@ STEPS: Final = (
     ),
     Step(
         "sign",
-        "asks who has verified all this; writes verified_by, verified_on and verified_logic",
+        "asks who has verified all this; writes verified_by, verified_on, verified_logic and the limits of the guard",
         "none now: the profile may be used for runs from here on",
         "the draft stays unsigned and opens the board for reading only",
         sign,

@@ -7,11 +7,12 @@ from typing import Final
 from firmware_protocol import ProtocolError
 from firmware_protocol.fields import sent_back
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, logic_of
+from inteco_abs.config import MOCK_NAMES
 from inteco_abs.errors import ConfigError, Mistake
 from inteco_abs.mock_board.device import Device
 from inteco_abs.mock_board.face import Face, insist_on_terminals
 
-APPLICATION_NAME: Final = "ABSIM"
+APPLICATION_NAME: Final = MOCK_NAMES[1]
 _COMMAND_BIT: Final = 0x80
 _ALONE: Final = DUMMY + READ_REQUEST
 """Commands without data."""

@@ -8,10 +8,11 @@ from typing import Final
 from firmware_protocol import ProtocolError
 from firmware_protocol.fields import sent_back
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, LOGIC_VERSION, LOGICS, READ_REQUEST, Logic
+from inteco_abs.config import MOCK_NAMES
 from inteco_abs.mock_board.device import Device
 from inteco_abs.mock_board.face import insist_on_terminals
 
-APPLICATION_NAME: Final = "ABSSIM"
+APPLICATION_NAME: Final = MOCK_NAMES[0]
 _SYNTHESIS_DATE: Final = "20260101"
 _WIDTH_MASK: Final = 0x0FFF
 _NUMBER_MASK: Final = 0x7FFF

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from inteco_abs.boards import Board, RtdacPci, open_board, simulated
-from inteco_abs.config import RigConfig
+from inteco_abs.config import RigConfig, bounded_in_time
 from inteco_abs.control import Guard, SpeedWindow
 from inteco_abs.errors import AbsError, BoardError, LinkError
 from inteco_abs.realtime.clock import PacedClock
@@ -255,8 +255,9 @@ def slowed(config: RigConfig) -> RigConfig:
     rate_hz = min(RATE_HZ, config.loop.rate_hz)
     window_s = max(config.estimator.window_s, 1.0 / rate_hz)  # no estimator runs, but both must fit
     loop = config.loop.model_copy(update={"rate_hz": rate_hz})
+    guard = config.guard if config.board.simulated else bounded_in_time(config.guard, rate_hz)
     return config.model_copy(
-        update={"loop": loop, "estimator": config.estimator.model_copy(update={"window_s": window_s})}
+        update={"guard": guard, "loop": loop, "estimator": config.estimator.model_copy(update={"window_s": window_s})}
     )
 
 

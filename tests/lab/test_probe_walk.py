@@ -141,6 +141,24 @@ def test_settings_that_are_no_wiring_leave_the_signature(lab):
     assert lab.draft.config.board.verified_by == "the lab"
 
 
+def test_the_guards_limits_are_shown_and_signed_with_the_wiring(lab, scripts):
+    lab.done_until("sign")
+    lab.session(*scripts["sign"]).go()
+    limits = load_config(profile=str(lab.file)).guard
+    for key, value in limits.model_dump().items():
+        assert f"{key} = {value}" in lab.file.read_text()
+    assert any(f"signed with it: guard brake_limit {limits.brake_limit:g}" in text for text in lab.person.told)
+
+
+@pytest.mark.parametrize(("change", "by"), [(1, ""), (-1, "the lab")])
+def test_a_limit_that_is_raised_takes_the_signature_and_one_that_is_lowered_does_not(lab, change, by):
+    lab.all_done()
+    most = lab.draft.config.guard.missed_in_a_row
+    lab.session(settings=[f"guard.missed_in_a_row={most + change}"])
+    assert lab.draft.config.board.verified_by == by
+    assert lab.outcomes()["sign"] == ("done" if by else "outdated")
+
+
 def test_a_wiring_edited_by_hand_is_noticed(lab):
     lab.all_done()
     lab.file.write_text(lab.file.read_text().replace("wheel_encoder = 1", "wheel_encoder = 3"))
