@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb2 import READ_REQUEST
 from inteco_abs.config import load_config, parse_config, profiles
-from inteco_abs.errors import LinkError, UnsafeError
+from inteco_abs.errors import ConfigError, LinkError, UnsafeError
+from inteco_abs.experiment import by_hand
 from inteco_abs.realtime.by_hand import HELD_NS, RATE_HZ, read_all, slowed
 from inteco_abs.realtime.memory import Word
 from inteco_abs.signals import BoardFlags, Command, Reason
@@ -31,6 +32,19 @@ def test_any_configuration_slowed_down_is_one_that_another_process_can_read(prof
     slow = slowed(config)
     assert parse_config(slow.to_toml()) == slow
     assert slow.loop.rate_hz == RATE_HZ
+
+
+def test_slowed_down_limits_in_exchanges_are_within_a_real_boards_ceilings_there():
+    fast = ["guard.missed_in_a_row=50", "guard.bucket_limit=200"]
+    for profile, limits in (("usb2_generic_0103", (4, 30)), ("sim_usb2", (50, 200))):
+        guard = slowed(load_config(settings=fast, profile=profile)).guard
+        assert (guard.missed_in_a_row, guard.bucket_limit) == limits
+
+
+def test_outputs_by_hand_of_a_real_board_take_limits_that_one_may_have():
+    config = load_config(settings=["guard.silence_s=0.5"], profile="usb2_generic_0103")
+    with pytest.raises(ConfigError, match=r"guard\.silence_s: 0\.5: on a real board at most 0\.1"):
+        by_hand(config, "usb2:", outputs=True).__enter__()
 
 
 def test_with_no_key_nothing_is_ever_put_out(bench):
