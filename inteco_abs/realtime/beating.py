@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import Final
 
 from inteco_abs.errors import BoardError
+from inteco_abs.realtime.machine import Wish, prepare
 from inteco_abs.realtime.memory import RunMemory, Word
 
 NO_MORE: Final = "end other programs, or raise the limit of processes (ulimit -u); nothing was started"
 
 
 @contextmanager
-def beating(memory: RunMemory, word: Word, every_s: float) -> Iterator[None]:
-    """While inside, note the time in `word` so often. Raises BoardError if no thread can be started for that."""
+def repeating(act: Callable[[], object], every_s: float, wishes: Collection[Wish] = ()) -> Iterator[None]:
+    """While inside, `act` so often in a thread with these wishes. Raises BoardError if no thread can be started."""
     over = threading.Event()
 
-    def beat() -> None:
+    def repeat() -> None:
+        prepare(wishes)
         while not over.wait(every_s):
-            memory.words[word] = time.monotonic_ns()
+            act()
 
-    thread = threading.Thread(target=beat, daemon=True)
+    thread = threading.Thread(target=repeat, daemon=True)
     try:
         thread.start()
     except RuntimeError as error:
@@ -33,3 +35,14 @@ def beating(memory: RunMemory, word: Word, every_s: float) -> Iterator[None]:
     finally:
         over.set()
         thread.join()
+
+
+@contextmanager
+def beating(memory: RunMemory, word: Word, every_s: float, wishes: Collection[Wish] = ()) -> Iterator[None]:
+    """While inside, note the time in `word` so often, from a thread as of `repeating`."""
+
+    def beat() -> None:
+        memory.words[word] = time.monotonic_ns()
+
+    with repeating(beat, every_s, wishes):
+        yield

@@ -10,47 +10,25 @@ import os
 import select
 import signal
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
 from inteco_abs.boards import open_board
+from inteco_abs.config import RigConfig
+from inteco_abs.errors import BoardError
+from inteco_abs.realtime.alarm import Alarm
+from inteco_abs.realtime.beating import beating
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.machine import guardian_wishes, prepare
+from inteco_abs.realtime.machine import GUARDIAN_PRIORITY, guardian_wishes, prepare, watch_wishes
 from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
+from inteco_abs.realtime.rules import POLL_NS, POLL_S, SUPERVISOR_WINDOW_NS, Deed, Silence, guardian_does
 from inteco_abs.signals import Reason
 
-_POLL_NS: Final = 5_000_000
-_SUPERVISOR_WINDOW_NS: Final = 1_000_000_000
 _RECORDER_WINDOW_NS: Final = 1_000_000_000
 _PATIENCE_NS: Final = 3_000_000_000
 _TRY_S: Final = 5.0
 _AGAIN_S: Final = 0.002
-
-
-class Silence:
-    """How long a count has not moved, by the time in which this process was awake to see it.
-
-    A computer that stalls makes everybody silent; what passed while this process did not run counts as two polls
-    at most, so that a healthy process gets its window again.
-    """
-
-    def __init__(self, window_ns: int) -> None:
-        self._window_ns = window_ns
-        self._count = 0
-        self._silent_ns = 0
-
-    def lasts(self, count: int, passed_ns: int) -> bool:
-        """Whether `count` has not changed for longer than the window; `passed_ns` since the call before."""
-        if count != self._count:
-            self._count, self._silent_ns = count, 0
-        else:
-            self._silent_ns += min(passed_ns, 2 * _POLL_NS)
-        return self._silent_ns > self._window_ns
-
-    def forget(self) -> None:
-        """Begin anew."""
-        self._silent_ns = 0
 
 
 class Guardian:
@@ -64,25 +42,30 @@ class Guardian:
         self._poller = select.poll()
         self._guarded = 0
         self._left = 0  # guarded before, and gone
+        self._killed = False
         self._end = -1  # file descriptor that becomes readable when the guarded process ends
-        self._loop = Silence(max(round(job.config.guard.silence_s * 1e9), 5 * job.config.period_ns))
+        self._loop = Silence(loop_window_ns(job.config))
         self._patience = Silence(_PATIENCE_NS)
-        self._supervisor = Silence(_SUPERVISOR_WINDOW_NS)
+        self._supervisor = Silence(SUPERVISOR_WINDOW_NS)
         self._recorder = Silence(_RECORDER_WINDOW_NS)
+        self._alarm = Alarm(memory, turn=1)
 
     def watch(self) -> None:
         """Watch and act until nothing is left to guard."""
         before = time.monotonic_ns()
         while not self._over():
-            ended = self._poller.poll(_POLL_NS / 1e6)
+            ended = bool(self._poller.poll(POLL_NS / 1e6))
             now = time.monotonic_ns()
             self._words[Word.GUARDIAN_BEAT_NS] = now
-            if ended:
-                self._leave("died")
-            elif self._hangs(now - before) or self._goes_on_after_stop(now - before):
+            silent = self._hangs(now - before) or self._goes_on_after_stop(now - before)
+            held = self._words[Word.HOLDER_PID] == self._guarded != 0
+            deed = guardian_does(held=held, loop_ended=ended, loop_silent=silent)
+            if Deed.KILL_LOOP in deed:
                 self._kill()
-                self._leave("hung")
+            if ended:
+                self._leave(rescue=Deed.RESCUE in deed)
             self._look_after_the_others(now - before)
+            self._alarm.look()
             self._follow()
             before = now
 
@@ -101,7 +84,7 @@ class Guardian:
         with suppress(ProcessLookupError):  # it has ended already, without having opened the board
             self._end = os.pidfd_open(pid)
             self._poller.register(self._end, select.POLLIN)
-            self._guarded = pid
+            self._guarded, self._killed = pid, False
             self._loop.forget()
             self._words[Word.GUARDING_PID] = pid
 
@@ -119,44 +102,25 @@ class Guardian:
         return self._patience.lasts(0, passed_ns)
 
     def _kill(self) -> None:
-        """End the guarded process for certain: two hosts must not write to the board."""
+        """Have the guarded process end. Its board is taken only once it has: two hosts must not write to it."""
+        self._killed = True
         with suppress(ProcessLookupError):
             os.kill(self._guarded, signal.SIGKILL)
-        while not self._poller.poll(_POLL_NS / 1e6):
-            self._words[Word.GUARDIAN_BEAT_NS] = time.monotonic_ns()
 
-    def _leave(self, cause: str) -> None:
-        """The guarded process is gone: take its board if it had not let go of it."""
-        seen_ns = time.monotonic_ns()
+    def _leave(self, *, rescue: bool) -> None:
+        """The guarded process is gone."""
         pid, self._guarded = self._guarded, 0
         self._poller.unregister(self._end)
         os.close(self._end)
-        if self._words[Word.HOLDER_PID] == pid:
-            failure = self._make_safe()
-            report = {
-                "cause": cause,
-                "seen_ns": seen_ns,
-                "done_ns": time.monotonic_ns(),
-                "failure": failure,
-                "by": "guardian",
-            }
-            self._memory.post(Note.RESCUE, report)
-            self._words[Word.RESCUED_PID] = pid
+        if rescue:
+            with ExitStack() as stack:
+                with suppress(
+                    BoardError
+                ):  # no more threads: the supervisor may take this process for hung, and its place
+                    beat = beating(self._memory, Word.GUARDIAN_BEAT_NS, POLL_S, watch_wishes(GUARDIAN_PRIORITY))
+                    stack.enter_context(beat)
+                take_over(self._memory, self._job, pid, "hung" if self._killed else "died", "guardian")
         self._left = pid
-
-    def _make_safe(self) -> str:
-        """Write SAFE and read it back, trying again for a while; empty, or why it did not succeed."""
-        end = time.monotonic() + _TRY_S
-        while True:
-            self._words[Word.GUARDIAN_BEAT_NS] = time.monotonic_ns()
-            try:
-                rescue(self._memory, self._job)
-            except Exception as error:  # noqa: BLE001  the kernel may not have let go of the board yet; nothing may end this
-                if time.monotonic() > end:
-                    return str(error)
-                time.sleep(_AGAIN_S)
-            else:
-                return ""
 
     def _look_after_the_others(self, passed_ns: int) -> None:
         """End the run when nobody could stop it, or nobody records it, any more."""
@@ -172,6 +136,34 @@ class Guardian:
 
     def _gone(self, word: Word) -> bool:
         return not alive(self._words[word])
+
+
+def loop_window_ns(config: RigConfig) -> int:
+    """How long a loop that drives may be silent, ns."""
+    return max(round(config.guard.silence_s * 1e9), 5 * config.period_ns)
+
+
+def take_over(memory: RunMemory, job: Job, pid: int, cause: str, by: str) -> None:
+    """Make the board safe that the process `pid`, which is gone, had held, and tell how that went."""
+    seen_ns = time.monotonic_ns()
+    failure = _make_safe(memory, job)
+    report = {"cause": cause, "seen_ns": seen_ns, "done_ns": time.monotonic_ns(), "failure": failure, "by": by}
+    memory.post(Note.RESCUE, report)
+    memory.words[Word.RESCUED_PID] = pid
+
+
+def _make_safe(memory: RunMemory, job: Job) -> str:
+    """Write SAFE and read it back, trying again for a while; empty, or why it did not succeed."""
+    end = time.monotonic() + _TRY_S
+    while True:
+        try:
+            rescue(memory, job)
+        except Exception as error:  # noqa: BLE001  the kernel may not have let go of the board yet; nothing may end this
+            if time.monotonic() > end:
+                return str(error)
+            time.sleep(_AGAIN_S)
+        else:
+            return ""
 
 
 def rescue(memory: RunMemory, job: Job) -> None:

@@ -20,6 +20,8 @@ CONTROLLER_PRIORITY: Final = LOOP_PRIORITY - 1
 """Of a user's controller in its own process: nothing else is to delay its answer, and it never delays the loop."""
 GUARDIAN_PRIORITY: Final = 90
 """Of those who end a loop that hangs: above the loop's, as it may spin on the only CPU that there is."""
+WATCH_PRIORITY: Final = 85
+"""Of the thread in which the supervisor watches both."""
 BOARD_PRIORITY: Final = 60
 """Of the mock board's process."""
 
@@ -144,6 +146,15 @@ def recorder_wishes() -> tuple[Wish, ...]:
 def supervisor_wishes() -> tuple[Wish, ...]:
     """The supervisor and its screen keep off the loop's CPU."""
     return (_affinity(other_cpus(_allowed(), isolated_cpus()), "a second core would help"),)
+
+
+def watch_wishes(priority: int = WATCH_PRIORITY) -> tuple[Wish, ...]:
+    """The thread in which a process watches others or beats: it must not wait for a loop that spins."""
+    return (
+        _affinity(other_cpus(_allowed(), isolated_cpus()), "a second core would help"),
+        Wish("signals", _block_signals, ""),
+        Wish("scheduler", lambda: _first_in_first_out(priority), "a busy program delays it"),
+    )
 
 
 def _common(schedule: Callable[[], str]) -> tuple[Wish, ...]:

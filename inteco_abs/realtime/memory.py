@@ -103,6 +103,9 @@ class Word(IntEnum):
     # the process that holds the board for it
     LOOKS = auto()
     """Which of them is in the note RESULT."""
+    # whoever comes first
+    ALARMED = auto()
+    """1 once the user has been told that nobody drives a board that is held."""
     # when the processes that a run belongs to have started: a number may be given to another process later
     SUPERVISOR_STARTED = auto()
     """Ticks of the system's clock since it was started, as in `start_time`; 0 if not known."""

@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from inteco_abs.boards import STILL_ON
 from inteco_abs.errors import AbsError, SessionError
+from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.beating import beating
 from inteco_abs.realtime.frames import frames_of
 from inteco_abs.realtime.holder import tell_failure
@@ -130,6 +131,7 @@ class _Drain:
         self._memory, self._keeper = memory, keeper
         self._ticks, self._truths = memory.tick_reader(), memory.truth_reader()
         self._ticks_end, self._truths_end = self._ticks.taken, self._truths.taken
+        self._alarm = Alarm(memory, turn=3)
 
     def until_the_end(self) -> None:
         """Return when the loop has ended and its board is safe, with everything handed over."""
@@ -138,13 +140,26 @@ class _Drain:
         while not over:
             over = _loop_ended(self._memory)
             if over:
-                _wait_for_the_rescue(self._memory)
+                self._wait_for_the_rescue()
+            self._alarm.look()
             self._hand_over()
             if time.monotonic() - flushed >= _FLUSH_S:
                 self._flush()
                 flushed = time.monotonic()
             if not over:
                 time.sleep(_DRAIN_S)
+
+    def _wait_for_the_rescue(self) -> None:
+        """After a loop that died holding the board: until somebody has done what can be done."""
+        words = self._memory.words
+        pid = words[Word.LOOP_PID]
+
+        def done() -> bool:
+            self._alarm.look()
+            return words[Word.RESCUED_PID] == pid
+
+        if words[Word.HOLDER_PID] == pid:
+            self._memory.wait(done, _RESCUE_S)
 
     def _hand_over(self) -> None:
         records, self._ticks_end = self._ticks.look(self._ticks_end)
@@ -173,14 +188,6 @@ def _nobody_drives(memory: RunMemory) -> bool:
 def _loop_ended(memory: RunMemory) -> bool:
     pid = memory.words[Word.LOOP_PID]
     return pid != 0 and not alive(pid)
-
-
-def _wait_for_the_rescue(memory: RunMemory) -> None:
-    """After a loop that died holding the board: until the guardian has done what it can."""
-    words = memory.words
-    pid = words[Word.LOOP_PID]
-    if words[Word.HOLDER_PID] == pid:
-        memory.wait(lambda: words[Word.RESCUED_PID] == pid, _RESCUE_S)
 
 
 def _introduction(memory: RunMemory, job: Job) -> Introduction | None:

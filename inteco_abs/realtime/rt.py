@@ -23,11 +23,11 @@ from inteco_abs.realtime.latency import insist_on_rate
 from inteco_abs.realtime.loop import Loop, detail_of
 from inteco_abs.realtime.machine import loop_wishes, prepare
 from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.realtime.rules import LOOPS_WINDOW_NS
 from inteco_abs.records import pack_tick
 from inteco_abs.signals import Reason
 
 _NONE: Final = Reason.NONE
-_GUARDIAN_WINDOW_NS: Final = 250_000_000
 _STALL_NS: Final = 100_000_000
 """A tick so late is a pause of the computer: as long as five periods of the slowest loop, well within the window."""
 _NAP_NS: Final = 50_000_000
@@ -69,7 +69,7 @@ class SharedStop:
             self._trusted_ns = now_ns
         self._before_ns = now_ns
         silent_ns = now_ns - max(words[_GUARDIAN_BEAT], self._trusted_ns)
-        return Reason.GUARDIAN_LOST if silent_ns > _GUARDIAN_WINDOW_NS else _NONE
+        return Reason.GUARDIAN_LOST if silent_ns > LOOPS_WINDOW_NS else _NONE
 
 
 def main(path: str) -> int:

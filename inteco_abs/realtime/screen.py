@@ -104,6 +104,11 @@ class Unbreakable:
         """Say it, or from now on nothing."""
         self._try(lambda: self._screen.warn(text))
 
+    def shown(self, text: str) -> bool:
+        """Warn; whether there still is somebody who shows it."""
+        self.warn(text)
+        return type(self._screen) is not NoScreen
+
     def _try(self, act: Callable[[], None]) -> None:
         try:
             act()

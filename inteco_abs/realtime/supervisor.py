@@ -10,16 +10,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from inteco_abs import errors
 from inteco_abs.errors import AbsError, BoardError, SessionError, UnsafeError, in_a_line
-from inteco_abs.realtime.beating import NO_MORE, beating
+from inteco_abs.realtime.alarm import Alarm
+from inteco_abs.realtime.beating import NO_MORE
 from inteco_abs.realtime.disk_watch import DiskWatch
-from inteco_abs.realtime.guardian import rescue
 from inteco_abs.realtime.hearing import hearing
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.live import address
@@ -27,6 +27,7 @@ from inteco_abs.realtime.machine import prepare, supervisor_wishes
 from inteco_abs.realtime.memory import Note, RunMemory, Word
 from inteco_abs.realtime.recorder import board_in_words, conclusion, rebuild
 from inteco_abs.realtime.screen import Check, NoScreen, Onlooker, Screen, Snapshot, Unbreakable
+from inteco_abs.realtime.watch import Watch
 from inteco_abs.sessions import EXIT_CODES, LOSSES, Account, spill_path
 from inteco_abs.signals import EXPLANATIONS, Reason
 
@@ -36,14 +37,14 @@ _START_S: Final = 60.0
 _WATCHES_S: Final = 15.0
 _DRILL_S: Final = 8.0
 """Longer than the guardian tries."""
-_RESCUE_S: Final = 8.0
+_RESCUE_S: Final = 20.0
+"""The guardian tries for 5 s, and the watch after that."""
 _FINISH_S: Final = 30.0
 _END_S: Final = 3.0
 _PATIENCE_S: Final = 2.0
 """For a loop that has to end, or to begin."""
 _SAVING_S: Final = 30.0
 """For a loop's process that writes the capture of a long run; its board is safe and the session's end is told."""
-_GUARDIAN_WINDOW_NS: Final = 500_000_000
 _BY_HAND: Final = ("by-hand", "loop")
 """In the loop's place."""
 
@@ -59,6 +60,8 @@ class Supervisor:
         self._ticks = memory.tick_reader()
         self._onlooker = Onlooker(memory.tick_reader(), memory.histogram, job.config.loop.rate_hz)
         self._alive_s = 0.0
+        self._watch: Watch | None = None
+        self._watching = ExitStack()
 
     def run(self, screen: Screen) -> Account:
         """Do the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
@@ -67,9 +70,10 @@ class Supervisor:
         with hearing(self._stop), screen.listening(self._stop):
             try:
                 self._start()
+                watch = self._begin_watch()
                 self._drill(screen)
-                self._let_go(screen)
-                self._watch(screen)
+                self._let_go(screen, watch)
+                self._until_the_loop_ends(screen, watch)
                 return self._account()
             finally:
                 self.end()
@@ -101,16 +105,14 @@ class Supervisor:
                     self.spawn(name, "inteco_abs.realtime", role, str(self._memory.path))
                 loop = self._children["loop"]
                 self._memory.name(Word.LOOP_PID, loop.pid)
+                watch = self._begin_watch()
                 if drill:
                     self._drill(NoScreen())
                 words[Word.GUARDED_PID] = loop.pid
                 self._wait_for(lambda: words[Word.READY] == loop.pid, "the board opens", "loop", _START_S)
-                # drawing a screen may take its time, and the outputs do not wait for it
-                with beating(self._memory, Word.SUPERVISOR_BEAT_NS, _SCREEN_S):
-                    yield
+                watch.judging = True
+                yield
             finally:
-                if _ended(self._children.get("loop")):
-                    self._rescue_if_nobody_did()  # before the guardian is told that all is over
                 self.end()
                 self._insist_on_safe()
         self._tell_of_the_end()
@@ -167,6 +169,13 @@ class Supervisor:
             self.spawn(role, "inteco_abs.realtime", role, str(self._memory.path))
         self._memory.name(Word.LOOP_PID, self._children["loop"].pid)
 
+    def _begin_watch(self) -> Watch:
+        """In a thread of its own: drawing a screen may take its time, and outputs do not wait for it."""
+        watch = Watch(self._memory, self._job, self._children["loop"].pid, self._children["guardian"].pid)
+        self._watching.enter_context(watch.watching())
+        self._watch = watch
+        return watch
+
     def _drill(self, screen: Screen) -> None:
         """Before the loop may touch the board, kill a process that holds it: the guardian must be seen to take over."""
         words, drill = self._words, self._children["drill"]
@@ -188,7 +197,7 @@ class Supervisor:
         self._memory.post(Note.DRILL, {"guardian drill": told})
         screen.passed(Check.GUARDIAN, told)
 
-    def _let_go(self, screen: Screen) -> None:
+    def _let_go(self, screen: Screen, watch: Watch) -> None:
         words, loop = self._words, self._children["loop"]
         words[Word.GUARDED_PID] = loop.pid
         self._wait_for(lambda: words[Word.READY] == loop.pid, "the loop is ready", "loop", _START_S)
@@ -201,13 +210,12 @@ class Supervisor:
         if refused:
             screen.note(f"ticks will be late more often: refused were {', '.join(refused)}; see inteco-abs doctor")
         prepare(supervisor_wishes())  # not before: the processes would inherit it
-        words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
+        watch.judging = True
         words[Word.GO] = 1
 
     def _wait_for(self, condition: Callable[[], object], what: str, who: str, most_s: float) -> None:
         end = time.monotonic() + most_s
         while not condition():
-            self._words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
             if self._words[Word.STOP]:
                 raise KeyboardInterrupt
             for name, child in self._children.items():
@@ -226,21 +234,23 @@ class Supervisor:
             return BoardError(f"the {name} process ended before the run began (exit code {code}); nothing was started")
         return raised_again(told)
 
-    def _watch(self, screen: Screen) -> None:
-        words, loop = self._words, self._children["loop"]
+    def _until_the_loop_ends(self, screen: Unbreakable, watch: Watch) -> None:
+        loop = self._children["loop"]
         disk = DiskWatch(self._memory, self._job)
+        alarm = Alarm(self._memory, turn=0, say=screen.shown)
         shown = 0.0
         self._alive_s = time.monotonic()
         while loop.poll() is None:
-            words[Word.SUPERVISOR_BEAT_NS] = time.monotonic_ns()
-            self._look_after("guardian", Reason.GUARDIAN_LOST)
+            watch.main_ns = time.monotonic_ns()
             self._look_after("recorder", Reason.RECORDER_LOST)
+            alarm.look()
             disk.look(screen)
             self._end_what_goes_on()
             if time.monotonic() - shown >= _SCREEN_S:
                 self._show(screen)
                 shown = time.monotonic()
             time.sleep(_POLL_S)
+        watch.main_ns = None
         self._show(screen)  # how it ended
         told = self._memory.note(Note.FAILURE)
         if told is not None and told["kind"] == UnsafeError.__name__:
@@ -272,7 +282,7 @@ class Supervisor:
 
     def _account(self) -> Account:
         """How the run ended, from the recorder or, if that is gone, from the memory that it would have written."""
-        self._rescue_if_nobody_did()
+        self._await_the_rescue()
         recorder, memory = self._children["recorder"], self._memory
         silent = self._words[Word.GUARDIAN_STOP] == Reason.RECORDER_LOST
         _gone_within(recorder, _END_S if silent else _FINISH_S)
@@ -319,36 +329,24 @@ class Supervisor:
         trouble.exit_code = EXIT_CODES.get(conclusion(memory).outcome, LOSSES)
         raise trouble
 
-    def _rescue_if_nobody_did(self) -> None:
-        """The last resort of software: loop and guardian are both gone, and the board was held."""
-        words, memory = self._words, self._memory
-        pid, guardian = words[Word.LOOP_PID], self._children["guardian"]
-        end = time.monotonic() + _RESCUE_S
-        while words[Word.HOLDER_PID] == pid != words[Word.RESCUED_PID] and guardian.poll() is None:
-            silent_ns = time.monotonic_ns() - words[Word.GUARDIAN_BEAT_NS]
-            if time.monotonic() > end or silent_ns > _GUARDIAN_WINDOW_NS:
-                guardian.kill()
-            time.sleep(_POLL_S / 10)
-        if words[Word.HOLDER_PID] != pid or words[Word.RESCUED_PID] == pid:
-            return
-        report: dict[str, Any] = {"cause": "died", "seen_ns": time.monotonic_ns(), "failure": "", "by": "supervisor"}
-        try:
-            rescue(memory, self._job)
-        except Exception as error:  # noqa: BLE001  whatever it is, the run has to be accounted for
-            report["failure"] = str(error)
-        memory.post(Note.RESCUE, {**report, "done_ns": time.monotonic_ns()})
-        words[Word.RESCUED_PID] = pid
+    def _await_the_rescue(self) -> None:
+        """Until a board that its dead holder had not let go of is safe, or cannot be made so."""
+        words = self._words
+        pid = words[Word.LOOP_PID]
+        self._memory.wait(lambda: not pid or words[Word.HOLDER_PID] != pid or words[Word.RESCUED_PID] == pid, _RESCUE_S)
 
     def end(self) -> None:
         """Leave nothing behind: neither a process nor a held board. May be called again."""
         words = self._words
         loop = self._children.get("loop")
+        if self._watch is not None:
+            self._watch.judging = True
         if loop is not None and loop.poll() is None:
             self._stop()
             if not _gone_within(loop, _END_S):
                 loop.kill()  # the guardian sees to the board
                 loop.wait()
-            self._rescue_if_nobody_did()
+        self._await_the_rescue()  # before the guardian hears that all is over
         for name in ("drill", "recorder"):
             child = self._children.get(name)
             if child is not None and not _gone_within(child, _END_S):
@@ -358,6 +356,7 @@ class Supervisor:
             if not _gone_within(child, _END_S):
                 child.kill()
             child.wait()
+        self._watching.close()
 
 
 def _stderr() -> int:
@@ -377,10 +376,6 @@ def raised_again(told: Mapping[str, Any]) -> AbsError:
     for note in told["notes"]:
         error.add_note(note)
     return error
-
-
-def _ended(child: subprocess.Popen[bytes] | None) -> bool:
-    return child is not None and child.poll() is not None
 
 
 def _gone_within(child: subprocess.Popen[bytes], most_s: float) -> bool:

@@ -1,4 +1,6 @@
 import os
+import signal
+from types import SimpleNamespace
 
 import pytest
 
@@ -20,7 +22,7 @@ from inteco_abs.errors import SessionError as SessionTrouble
 from inteco_abs.realtime import supervisor as supervisor_module
 from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.memory import Note, Word
-from inteco_abs.realtime.screen import NoScreen, Point, Snapshot
+from inteco_abs.realtime.screen import NoScreen, Point, Snapshot, Unbreakable
 from inteco_abs.realtime.supervisor import Supervisor, raised_again
 from inteco_abs.sessions import TICK, pack_tick
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
@@ -197,26 +199,18 @@ class TestDrill:
         assert memory.words[Word.GUARDED_PID] != memory.words[Word.LOOP_PID] != 0
 
 
-class TestLastResort:
-    """Loop and guardian are both gone, and the board was held."""
-
-    @pytest.mark.parametrize("guardian", ["dead", "silent"])
-    def test_the_supervisor_makes_the_board_safe_and_tells_so(self, memory, job_of, child, monkeypatch, guardian):
-        class Staged(Supervisor):
-            def spawn(self, name, *_words):
-                self._children[name] = child()
-                memory.words[Word.LOOP_PID] = memory.words[Word.HOLDER_PID] = self._children[name].pid
-
-        rescued = []
-        monkeypatch.setattr(supervisor_module, "_END_S", 0.0)
-        monkeypatch.setattr(supervisor_module, "rescue", lambda memory, _job: rescued.append(memory))
-        supervisor = Staged(memory, job_of(memory))
-        for name in ("guardian", "loop"):
-            supervisor.spawn(name)
-        if guardian == "dead":
-            supervisor._children["guardian"].kill()
-        supervisor.end()
-        assert rescued == [memory]
-        report = memory.note(Note.RESCUE)
-        assert (report["by"], report["failure"]) == ("supervisor", "")
-        assert memory.words[Word.RESCUED_PID] == memory.words[Word.LOOP_PID]
+class TestALoopWithoutEnd:
+    @pytest.mark.parametrize(
+        "words", [{}, {Word.HOLDER_PID: 1, Word.STOP: Reason.OPERATOR_STOP}], ids=["let go", "told to stop"]
+    )
+    def test_a_loop_that_should_have_ended_long_ago_is_killed(self, memory, job_of, child, monkeypatch, words):
+        """A thread, an exit handler or a signal may keep it; the guardian is not concerned, as it has let go."""
+        monkeypatch.setattr(supervisor_module, "_PATIENCE_S", 0.05)
+        memory.tick_ring(pack_tick).append(tick(0))
+        for word, value in words.items():
+            memory.words[word] = value
+        supervisor = Supervisor(memory, job_of(memory))
+        loop = supervisor._children["loop"] = child("sleep", "10")
+        supervisor._children["recorder"] = child()
+        supervisor._until_the_loop_ends(Unbreakable(NoScreen()), SimpleNamespace(main_ns=None))
+        assert loop.returncode == -signal.SIGKILL

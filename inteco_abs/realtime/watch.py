@@ -1,0 +1,103 @@
+"""The supervisor's eyes on loop and guardian, in a thread that no screen keeps waiting: the last resort of software."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Final
+
+from inteco_abs.realtime.alarm import Alarm
+from inteco_abs.realtime.beating import repeating
+from inteco_abs.realtime.guardian import loop_window_ns, take_over
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.machine import watch_wishes
+from inteco_abs.realtime.memory import RunMemory, Word
+from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_S, Deed, Silence, supervisor_does
+from inteco_abs.signals import Reason
+
+_MAIN_WINDOW_NS: Final = 1_000_000_000
+"""A supervisor whose main thread does not come round for so long hears its user no more."""
+_RESCUE_NS: Final = 8_000_000_000
+"""Longer than the guardian tries."""
+
+
+class Watch:
+    """Beats for the supervisor, and takes the guardian's place once that is lost. Each `look` is short but a rescue."""
+
+    def __init__(self, memory: RunMemory, job: Job, loop_pid: int, guardian_pid: int) -> None:
+        self.judging = False
+        """Whether the run has come so far that loop and guardian must both be there."""
+        self.main_ns: int | None = None
+        """When the main thread last came round; None where it may take its time."""
+        self._memory, self._job, self._words = memory, job, memory.words
+        self._ticks = memory.tick_reader()
+        self._loop_pid = loop_pid
+        self._loop, self._guardian = os.pidfd_open(loop_pid), os.pidfd_open(guardian_pid)
+        self._loop_silence = Silence(loop_window_ns(job.config))
+        self._guardian_silence = Silence(GUARDIAN_WINDOW_NS)
+        self._rescue_silence = Silence(_RESCUE_NS)
+        self._killed = False
+        self._alarm = Alarm(memory, turn=2)
+        self._before_ns = time.monotonic_ns()
+
+    @contextmanager
+    def watching(self) -> Iterator[None]:
+        """While inside, look every 5 ms. Raises BoardError if no thread can be started for that."""
+        try:
+            with repeating(self.look, POLL_S, watch_wishes()):
+                yield
+        finally:
+            os.close(self._loop)
+            os.close(self._guardian)
+
+    def look(self) -> None:
+        """Beat, look at the others, act."""
+        now_ns = time.monotonic_ns()
+        passed_ns, self._before_ns = now_ns - self._before_ns, now_ns
+        if self.main_ns is None or now_ns - self.main_ns <= _MAIN_WINDOW_NS:
+            self._words[Word.SUPERVISOR_BEAT_NS] = now_ns
+        if self.judging:
+            self._do(self._decide(passed_ns))
+            self._alarm.look()
+
+    def _decide(self, passed_ns: int) -> Deed:
+        words = self._words
+        loop_ended = _ended(self._loop)
+        held = words[Word.HOLDER_PID] == self._loop_pid != words[Word.RESCUED_PID]
+        written = self._ticks.written
+        if not held or not written:
+            self._loop_silence.forget()
+        if not held or not loop_ended:
+            self._rescue_silence.forget()
+        silent = self._guardian_silence.lasts(words[Word.GUARDIAN_BEAT_NS], passed_ns)
+        return supervisor_does(
+            held=held,
+            loop_ended=loop_ended,
+            loop_silent=self._loop_silence.lasts(written, passed_ns),
+            guardian_ended=_ended(self._guardian),
+            guardian_silent=silent or self._rescue_silence.lasts(0, passed_ns),
+        )
+
+    def _do(self, deed: Deed) -> None:
+        if Deed.STOP in deed:
+            self._words[Word.STOP] = self._words[Word.STOP] or Reason.GUARDIAN_LOST
+        if Deed.KILL_GUARDIAN in deed:
+            _kill(self._guardian)
+        if Deed.KILL_LOOP in deed and not _ended(self._loop):
+            self._killed = True
+            _kill(self._loop)
+        if Deed.RESCUE in deed:
+            take_over(self._memory, self._job, self._loop_pid, "hung" if self._killed else "died", "supervisor")
+
+
+def _ended(process: int) -> bool:
+    return bool(select.select([process], [], [], 0.0)[0])
+
+
+def _kill(process: int) -> None:
+    with suppress(ProcessLookupError):
+        signal.pidfd_send_signal(process, signal.SIGKILL)

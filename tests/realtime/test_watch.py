@@ -1,0 +1,247 @@
+"""The supervisor's watch over loop and guardian, look by look, with real processes to kill."""
+
+import os
+import signal
+from types import SimpleNamespace
+
+import pytest
+
+from inteco_abs.boards import STILL_ON
+from inteco_abs.realtime import alarm as alarm_module
+from inteco_abs.realtime import guardian as guardian_module
+from inteco_abs.realtime import watch as watch_module
+from inteco_abs.realtime.alarm import Alarm
+from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_NS
+from inteco_abs.realtime.watch import Watch
+from inteco_abs.sessions import pack_tick
+from inteco_abs.signals import UNTIMED, BoardFlags, Phase, Reason, Tick
+
+MS = 1_000_000
+TICK_OF_NOTHING = Tick(
+    0, 0, 0.0005, 0, 0, BoardFlags.NONE, Reason.NONE, 0.0, 0.0, 0.0, False, Phase.IDLE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+    0.0, Reason.NONE, 0.0, 0.0, 0.0, 0.0, *UNTIMED,
+)  # fmt: skip
+
+
+class Scene:
+    """A loop that holds the board and a guardian, both mere processes, watched in a time of their own."""
+
+    def __init__(self, memory, job, child, until):
+        self.memory, self.words = memory, memory.words
+        self.loop, self.guardian = child(), child()
+        self.now_ns = 10**12
+        self.rescued = []
+        self._until = until
+        self._ring = memory.tick_ring(pack_tick)
+        self.words[Word.LOOP_PID] = self.words[Word.HOLDER_PID] = self.loop.pid
+        self.tick()
+        self.watch = Watch(memory, job, self.loop.pid, self.guardian.pid)
+        self.watch.judging = True
+
+    def tick(self):
+        self._ring.append(TICK_OF_NOTHING)
+
+    def look(self, most_ms, *, guardian_beats=False, loop_ticks=False, until=lambda: False):
+        """Look every 5 ms for so long or `until` then; how long that took, ms."""
+        for passed in range(0, most_ms, POLL_NS // MS):
+            if until():
+                return passed
+            self.now_ns += POLL_NS
+            if guardian_beats:
+                self.words[Word.GUARDIAN_BEAT_NS] = self.now_ns
+            if loop_ticks:
+                self.tick()
+            self.watch.look()
+        return most_ms
+
+    def kill(self, process):
+        process.kill()
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+
+    def has_ended(self, process):
+        """A kill takes the kernel its time, and the watch's own stands still meanwhile."""
+        self._until(lambda: process.poll() is not None, "it ends")
+
+
+@pytest.fixture
+def memory(new_memory):
+    return new_memory(ticks=1000)
+
+
+@pytest.fixture
+def scene(memory, job_of, child, until, monkeypatch):
+    job = job_of(memory, "guard.silence_s=0.05")
+    clock = SimpleNamespace(monotonic_ns=lambda: made.now_ns if made else 10**12)
+    made = None
+    for module in (watch_module, alarm_module):
+        monkeypatch.setattr(module, "time", clock)
+    made = Scene(memory, job, child, until)
+    monkeypatch.setattr(guardian_module, "rescue", lambda memory, _job: made.rescued.append(memory))
+    return made
+
+
+def test_while_both_are_there_nothing_is_done_but_to_beat(scene):
+    scene.look(2000, guardian_beats=True, loop_ticks=True)
+    assert scene.words[Word.SUPERVISOR_BEAT_NS] == scene.now_ns
+    assert scene.words[Word.STOP] == 0
+    assert scene.loop.poll() is scene.guardian.poll() is None
+
+
+def test_a_guardian_that_dies_has_the_loop_stopped_at_the_next_look(scene):
+    scene.look(100, guardian_beats=True, loop_ticks=True)
+    scene.kill(scene.guardian)
+    scene.look(5, guardian_beats=True, loop_ticks=True)
+    assert scene.words[Word.STOP] == Reason.GUARDIAN_LOST
+    assert scene.loop.poll() is None
+
+
+def test_a_guardian_that_stands_still_has_the_loop_stopped_once_its_window_is_over(scene):
+    scene.look(100, guardian_beats=True, loop_ticks=True)
+    took_ms = scene.look(1000, loop_ticks=True, until=lambda: scene.words[Word.STOP])
+    assert GUARDIAN_WINDOW_NS / MS < took_ms <= GUARDIAN_WINDOW_NS / MS + 10
+    assert scene.loop.poll() is None  # it goes on, so that it can hear of it
+
+
+def test_the_first_reason_stays(scene):
+    scene.words[Word.STOP] = Reason.OPERATOR_STOP
+    scene.kill(scene.guardian)
+    scene.look(100, loop_ticks=True)
+    assert scene.words[Word.STOP] == Reason.OPERATOR_STOP
+
+
+@pytest.mark.parametrize("loop", ["killed", "frozen"])
+@pytest.mark.parametrize("guardian", ["killed", "frozen"])
+def test_without_loop_and_guardian_the_board_is_taken_after_the_end_of_both_and_that_is_told(scene, loop, guardian):
+    scene.look(100, guardian_beats=True, loop_ticks=True)
+    for process, how in ((scene.loop, loop), (scene.guardian, guardian)):
+        if how == "killed":
+            scene.kill(process)
+        else:
+            process.send_signal(signal.SIGSTOP)
+    took_ms = scene.look(200)
+    for process in (scene.loop, scene.guardian):
+        assert process.wait(30) == -signal.SIGKILL
+    scene.look(10)
+    assert took_ms <= 200
+    assert scene.rescued == [scene.memory]
+    assert scene.words[Word.RESCUED_PID] == scene.loop.pid
+    report = scene.memory.note(Note.RESCUE)
+    assert (report["by"], report["failure"]) == ("supervisor", "")
+    assert report["cause"] == ("died" if loop == "killed" else "hung")
+    scene.look(1000)
+    assert scene.rescued == [scene.memory]
+
+
+def test_nothing_is_written_while_one_that_was_killed_has_not_ended(scene, monkeypatch):
+    monkeypatch.setattr(signal, "pidfd_send_signal", lambda *_: None)
+    scene.kill(scene.guardian)
+    scene.look(2000)
+    assert scene.rescued == []
+    scene.kill(scene.loop)
+    scene.look(10)
+    assert scene.rescued == [scene.memory]
+
+
+def test_a_guardian_that_beats_is_left_to_its_work(scene):
+    scene.kill(scene.loop)
+    scene.look(5000, guardian_beats=True)
+    assert scene.guardian.poll() is None
+    assert scene.rescued == []
+
+
+def test_one_that_beats_but_does_not_come_to_an_end_is_relieved(scene):
+    scene.kill(scene.loop)
+    scene.look(8100, guardian_beats=True)
+    assert scene.guardian.wait(30) == -signal.SIGKILL
+    scene.look(10)
+    assert scene.rescued == [scene.memory]
+
+
+def test_a_loop_that_let_go_of_its_board_needs_nobody(scene):
+    scene.words[Word.HOLDER_PID] = 0
+    for process in (scene.loop, scene.guardian):
+        scene.kill(process)
+    scene.look(1000)
+    assert scene.rescued == []
+    assert scene.words[Word.STOP] == 0
+
+
+def test_before_the_run_has_begun_nobody_is_judged(scene):
+    scene.watch.judging = False
+    scene.look(2000)
+    assert scene.words[Word.STOP] == 0
+    assert scene.words[Word.SUPERVISOR_BEAT_NS] == scene.now_ns
+
+
+def test_a_computer_that_stood_still_gives_everybody_the_window_again(scene):
+    scene.look(100, guardian_beats=True, loop_ticks=True)
+    scene.now_ns += 10**10
+    scene.look(100)
+    assert scene.words[Word.STOP] == 0
+
+
+def test_a_main_thread_that_does_not_come_round_takes_the_beat_away(scene):
+    scene.watch.main_ns = scene.now_ns
+    scene.look(2000, guardian_beats=True, loop_ticks=True)
+    assert scene.words[Word.SUPERVISOR_BEAT_NS] == scene.watch.main_ns + 1000 * MS
+
+
+class TestAlarm:
+    @pytest.fixture
+    def said(self):
+        return []
+
+    @pytest.fixture
+    def look(self, scene, said):
+        """Looks of a process whose turn it is, in so many ms; it can say it or not."""
+
+        def make(turn=0, *, able=True):
+            alarm = Alarm(scene.memory, turn, lambda text: said.append(text) or able)
+
+            def look(most_ms):
+                for passed in range(0, most_ms, 5):
+                    scene.now_ns += POLL_NS
+                    alarm.look()
+                    if said:
+                        return passed + 5
+                return most_ms
+
+            return look
+
+        return make
+
+    @pytest.mark.parametrize("turn", range(4))
+    def test_no_tick_for_a_third_of_a_second_is_told_each_in_its_turn(self, look, said, turn):
+        assert 300 + 100 * turn < look(turn)(2000) <= 310 + 100 * turn
+        (text,) = said
+        assert STILL_ON in text
+
+    def test_it_is_told_once_and_by_one(self, scene, look, said):
+        look(0)(500)
+        look(1)(5000)
+        for _ in range(3):
+            look(0)(1000)
+        assert len(said) == 1
+        assert scene.words[Word.ALARMED]
+
+    def test_one_who_cannot_say_it_leaves_it_to_the_next(self, look, said):
+        look(0, able=False)(500)
+        said.clear()
+        look(1)(1000)
+        assert len(said) == 1
+
+    @pytest.mark.parametrize("safe", ["let go", "rescued"])
+    def test_of_a_board_that_is_safe_nothing_is_told(self, scene, look, said, safe):
+        scene.words[Word.HOLDER_PID] = 0 if safe == "let go" else scene.loop.pid
+        scene.words[Word.RESCUED_PID] = 0 if safe == "let go" else scene.loop.pid
+        look()(5000)
+        assert said == []
+
+    def test_the_terminal_is_told_where_nobody_draws(self, scene, until, capfd):
+        alarm = Alarm(scene.memory, turn=1)
+        for _ in range(100):
+            scene.now_ns += POLL_NS
+            alarm.look()
+        until(lambda: scene.words[Word.ALARMED], "it is said")
+        assert STILL_ON in capfd.readouterr().err

@@ -1,0 +1,108 @@
+"""One real-time run whose processes are killed or frozen at drawn moments, judged by the board's own record.
+
+The record is in the run's memory, mapped into this process: nothing that the program says is believed.
+"""
+
+import os
+import random
+import signal
+import time
+from itertools import combinations, product
+from typing import NamedTuple
+
+import numpy as np
+from live import LiveRun
+
+from inteco_abs.boards import STILL_ON
+from inteco_abs.realtime.memory import Word
+from inteco_abs.sessions import TRUTH
+
+ROLES = ("loop", "guardian", "supervisor", "recorder")
+ACTORS = {"loop", "guardian", "supervisor"}
+"""Each of these makes the board safe, or has it made so, if it alone is left."""
+HOW = {"kill": signal.SIGKILL, "freeze": signal.SIGSTOP}
+KINDS = tuple(
+    tuple(zip(roles, hows, strict=True))
+    for count in (1, 2, 3)
+    for roles in combinations(ROLES, count)
+    for hows in product(HOW, repeat=count)
+)
+"""8 singles, 24 pairs, 32 triples, each of `(role, how)`."""
+LONG = (
+    "experiment.start_speed_rad_s=40.0",
+    "experiment.idle_s=0.02",
+    "experiment.hold_s=0.1",
+    "guard.silence_s=0.05",
+    "experiment.stops=3",
+)
+"""So long that no end by itself is taken for a reaction."""
+TICKS = 100, 2500
+LONGEST_GAP_S = 0.2
+PATIENCE_S = 3.0
+SAID_S = 0.1
+
+
+class Struck(NamedTuple):
+    """What became of one run."""
+
+    seed: str
+    """What it was given: the same again strikes at the same moments."""
+    on: bool
+    """Whether an output was on at the last strike, or came on after it."""
+    off_ms: float
+    """From the last strike until both outputs were off for good; infinite if that did not come."""
+    told: bool
+    """Whether the user has heard to press the emergency switch."""
+
+
+def anybody_left(kind):
+    """Whether somebody is who can act."""
+    return bool(ACTORS - {role for role, _ in kind})
+
+
+def name_of(kind):
+    return " + ".join(f"{how} {role}" for role, how in kind)
+
+
+def struck(command, folder, environment, kind, number):
+    """Run a stop, strike in it, wait for its outputs to go off. `number` seeds all that is random."""
+    seed = f"{name_of(kind)} #{number}"
+    chance = random.Random(seed)
+    run = LiveRun(command, folder, environment, settings=LONG)
+    try:
+        pids = {role: run.pid(role) for role, _ in kind}
+        run.until_tick(chance.randrange(*TICKS))
+        gap_s = chance.choice((0.0, 0.0, LONGEST_GAP_S))
+        for role, how in chance.sample(kind, len(kind)):
+            time.sleep(chance.random() * (gap_s + 0.0005))
+            last_ns = time.monotonic_ns()
+            try:
+                os.kill(pids[role], HOW[how])
+            except ProcessLookupError:  # the strike before has ended it
+                continue
+        end = time.monotonic() + PATIENCE_S
+        while run.words[Word.HOLDER_PID] not in (0, run.words[Word.RESCUED_PID]) and time.monotonic() < end:
+            time.sleep(0.01)
+        time.sleep(SAID_S)
+        on, off_ms = turned_off(run, last_ns)
+    finally:
+        for pid in run.processes():
+            os.kill(pid, signal.SIGKILL)
+        run.process.kill()
+        _, said = run.process.communicate()
+        run.memory.remove()
+    return Struck(seed, on, off_ms, STILL_ON in said)
+
+
+def turned_off(run, struck_ns):
+    """Whether an output was on at the strike or after it, and how much later both went off for good, ms."""
+    reader = run.memory.truth_reader()
+    reader.rewind()
+    rows = TRUTH.array(reader.take())
+    times = rows["time_ns"].astype(np.int64)
+    on = (rows["drive"] > 0.0) | (rows["brake"] > 0.0)
+    if on[-1]:
+        return True, float("inf")
+    last = int(np.flatnonzero(on)[-1]) if on.any() else -1
+    off_ms = max(0.0, (int(times[last + 1]) - struck_ns) * 1e-6)
+    return off_ms > 0.0, off_ms
