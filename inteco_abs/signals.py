@@ -75,7 +75,7 @@ EXPLANATIONS: Final[dict[Reason, str]] = {
     Reason.COUNT_JUMP: "an encoder count changed faster than any wheel can turn: check cable and shield",
     Reason.ROAD_BACKWARDS: "the road wheel counts backwards: check the encoder's sign in the profile and the wiring",
     Reason.MISSED_EXCHANGES: "too many exchanges with the board were late, slow or failed",
-    Reason.CONTROLLER_ERROR: "the controller or estimator raised an error",
+    Reason.CONTROLLER_ERROR: "the controller or estimator failed",
     Reason.GUARDIAN_LOST: "the guardian process died or hung, and it is what stops the motors if the loop dies",
     Reason.SUPERVISOR_LOST: "the program that was started died, hung or was held up, perhaps by Ctrl-S, so nobody "
     "could have stopped the run",

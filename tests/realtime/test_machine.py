@@ -158,6 +158,7 @@ NAMES = {
     "loop_wishes": [
         "affinity", "signals", "malloc", "memory", "timer slack", "scheduler", "heap", "C-states", "garbage",
     ],
+    "controller_wishes": ["affinity", "signals", "malloc", "memory", "timer slack", "scheduler", "garbage"],
     "guardian_wishes": [
         "affinity", "signals", "malloc", "memory", "timer slack", "scheduler", "out of memory", "garbage",
     ],
@@ -195,7 +196,7 @@ def granted(prepared, wishes):
 
 
 every_process = pytest.mark.parametrize("wishes", NAMES)
-real_time_processes = pytest.mark.parametrize("wishes", ["loop_wishes", "guardian_wishes"])
+real_time_processes = pytest.mark.parametrize("wishes", ["loop_wishes", "controller_wishes", "guardian_wishes"])
 the_loop = pytest.mark.parametrize("wishes", ["loop_wishes"])
 the_guardian = pytest.mark.parametrize("wishes", ["guardian_wishes"])
 
@@ -228,7 +229,8 @@ class TestProcesses:
     @real_time_processes
     def test_the_scheduler_is_the_one_for_real_time(self, granted, wishes):
         value, found = granted("scheduler")
-        priority = {"loop_wishes": LOOP_PRIORITY, "guardian_wishes": GUARDIAN_PRIORITY}[wishes]
+        names = {"loop_wishes": LOOP_PRIORITY, "controller_wishes": CONTROLLER_PRIORITY}
+        priority = names.get(wishes, GUARDIAN_PRIORITY)
         assert found["policy"] & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
         assert (found["priority"], value) == (priority, f"SCHED_FIFO {priority}")
 
@@ -236,7 +238,7 @@ class TestProcesses:
     def test_the_process_keeps_to_its_cpus(self, granted, wishes):
         _, found = granted("affinity")
         allowed, isolated = os.sched_getaffinity(0), isolated_cpus()
-        choose = loop_cpus if wishes == "loop_wishes" else other_cpus
+        choose = loop_cpus if wishes in {"loop_wishes", "controller_wishes"} else other_cpus
         assert set(found["cpus"]) == choose(allowed, isolated)
 
     @real_time_processes
