@@ -298,7 +298,7 @@ def test_an_estimator_that_raises_ends_the_run_and_its_error_is_kept(call):
     for number in range(call):
         tick = pipeline.step(rest(number))
     assert (tick.reason, tick.phase) == (Reason.CONTROLLER_ERROR, Phase.FAULT)
-    assert (tick.wheel_speed_rad_s, tick.estimate_valid) == (0.0, False)
+    assert (tick.wheel_speed_rad_s, tick.road_speed_rad_s, tick.slip, tick.estimate_valid) == (0.0, 0.0, 0.0, False)
     assert isinstance(pipeline.error, ZeroDivisionError)
     assert_only_safe_from_now_on(pipeline, tick)
 
