@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from firmware_protocol.rtdac_usb2 import TIMER_HZ
-from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER, VENDOR_ID
+from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER
 from inteco_abs.errors import ConfigError, Mistake, near_match
 from inteco_abs.quantities import number_hint, other_unit, unit_of
 from inteco_abs.toml_text import NOT_TOML, in_words, read_toml
@@ -166,14 +166,15 @@ class BoardConfig(_Section):
 class UsbConfig(_Section):
     """How an RT-DAC/USB2 is told from other devices. The vendor's software goes by the manufacturer's name alone."""
 
-    vendor_id: Annotated[int, Field(ge=0, le=0xFFFF)] = VENDOR_ID
-    """Cypress, the maker of the bridge: INFERRED, no source names the board's ids."""
+    vendor_id: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None
+    """Any, if not given: UNKNOWN, though probably that of Cypress, the maker of the bridge."""
     product_id: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None
     """Any, if not given: UNKNOWN."""
-    manufacturer: str = MANUFACTURER
-    """CONFIRMED: the string that the vendor's software looks for."""
+    manufacturer: Annotated[str, Field(min_length=1)] = MANUFACTURER
+    """CONFIRMED: the string that the vendor's software looks for; here upper and lower case are the same."""
     engine: Literal["faster", "one-by-one", "queued"] = "faster"
-    """How a tick's three transfers are handed over; `faster` measures both when the board is opened."""
+    """How a tick's three transfers are handed over: queued, or one by one; `faster` queues them unless whole exchanges,
+    timed when the board has been opened, are quicker one by one."""
 
 
 class EncodersConfig(_Section):

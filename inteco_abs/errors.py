@@ -88,6 +88,10 @@ class LinkError(BoardError):
     """One exchange with the board failed."""
 
 
+class NoAnswerError(LinkError):
+    """The board did not answer in time; its answer may still come."""
+
+
 class UnsafeError(BoardError):
     """SAFE could not be confirmed: motor power may still be on."""
 

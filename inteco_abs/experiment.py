@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 from inteco_abs.boards import (
     Board,
@@ -200,8 +200,17 @@ def _check_live(port: int, *, virtual: bool) -> None:
     insist_on_foxglove(port)
 
 
-def exchange_times_us(config: RigConfig, board: str) -> list[float]:
-    """How long exchanges with the board take in a process like the loop's, us; nothing is energised.
+class RoundTrips(NamedTuple):
+    """How long exchanges with a board take."""
+
+    times_us: list[float]
+    """Of those that succeeded."""
+    engines: dict[str, str]
+    """Which of the link's engines is in use, and how long exchanges took with each; empty if there is no choice."""
+
+
+def measure_round_trips(config: RigConfig, board: str) -> RoundTrips:
+    """Exchange SAFE with the board in a process like the loop's; nothing is energised.
 
     Raises BoardError if the board cannot be opened or does not answer.
     """
@@ -209,8 +218,7 @@ def exchange_times_us(config: RigConfig, board: str) -> list[float]:
     check_kind(board, config)
     _insist_on_linux()
     with _processes(config, Plan(Path(), board, virtual=False), ring_ticks=1) as (_, supervisor):
-        times_us: list[float] = supervisor.ask("trips")
-        return times_us
+        return RoundTrips(**supervisor.ask("trips"))
 
 
 def conditions_by_hand(

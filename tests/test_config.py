@@ -61,8 +61,8 @@ def test_the_defaults_that_no_profile_sets():
         "brake_limit": 0.7,
         "drive_limit": 1.0,
         "over_speed_rad_s": 245.0,
-        "missed_in_a_row": 4,
-        "bucket_limit": 30,
+        "missed_in_a_row": 20,
+        "bucket_limit": 60,
         "silence_s": 0.05,
         "run_up_factor": 1.5,
     }
@@ -86,7 +86,15 @@ def test_the_profile_of_a_real_board_is_strict_and_signed_by_nobody():
     config = load_config(settings=["profile=usb2_generic_0103"])
     assert config.board.verified_by == ""
     assert config.guard.brake_limit == 0.7
-    assert (config.guard.missed_in_a_row, config.guard.bucket_limit) == (4, 30)
+    assert (config.guard.missed_in_a_row, config.guard.bucket_limit) == (20, 60)
+
+
+@pytest.mark.parametrize("name", [name for name in profiles() if not name.startswith(("sim_", "usb2_tras"))])
+def test_a_real_boards_guard_bears_a_stall_of_3_ms_and_acts_before_a_loop_counts_as_hung(name):
+    config = load_config(settings=[f"profile={name}"])
+    in_a_row_s = config.guard.missed_in_a_row / config.loop.rate_hz
+    assert 0.006 < in_a_row_s <= config.guard.silence_s / 2
+    assert config.guard.bucket_limit / 3 >= config.guard.missed_in_a_row
 
 
 def test_a_setting_is_above_the_file_the_file_above_the_profile_the_profile_above_the_defaults(written):

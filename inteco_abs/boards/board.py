@@ -78,6 +78,13 @@ class Board(ABC):
         self._wheel_count = 0
         self._road_count = 0
 
+    engines: tuple[str, ...] = ()
+    """Ways to move an exchange's transfers that may be chosen from, the usual one first; empty: no choice."""
+    engine: str = ""
+    """The one in use; may be set between two exchanges."""
+    hurried: bool = True
+    """Whether an exchange gives up after a few periods, as a loop needs it; a measurement waits for slow answers."""
+
     @abstractmethod
     def identify(self) -> Identity:
         """Ask the board what it is; reads only. Raises LinkError if it does not answer in its protocol."""

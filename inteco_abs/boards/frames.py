@@ -17,7 +17,7 @@ from inteco_abs.boards.first_write import PlannedWord, planned_words
 from inteco_abs.boards.links import Link
 from inteco_abs.boards.trust import distrust
 from inteco_abs.config import BoardConfig
-from inteco_abs.errors import BoardError, ConfigError, LinkError, Mistake
+from inteco_abs.errors import BoardError, ConfigError, LinkError, Mistake, NoAnswerError
 from inteco_abs.signals import Command
 
 _EXACT: Final = 1e-9
@@ -27,6 +27,10 @@ _MOST_OLD: Final = 100
 """More answers to older requests than this are no leftover of a pause."""
 _SHARED: Final = ("pin_mode", "pin_direction", "pin_output", "encoder_reset", "timer_reset", "timer_mode")
 """Of these some bits are the wiring's, all others stay as the board has them."""
+_PERIODS: Final = 2.0
+"""Time-out of an exchange in the loop: one lost answer costs three ticks. The slowest good exchange takes one."""
+_LEAST_TIMEOUT_S: Final = 0.001
+"""The least that libusb's time-outs can be, and twice what a slow exchange over a high-speed bus takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +71,7 @@ class FrameBoard(Board):
     def __init__(self, link: Link, wiring: BoardConfig, now_ns: Callable[[], int], period_ns: int) -> None:
         super().__init__(now_ns, period_ns)
         self._link = link
+        self.engines = link.engines
         self._wiring = wiring
         self._layout = layout = self._layout_of(wiring)
         self._mode = MODES.index(wiring.pwm_mode)
@@ -93,7 +98,11 @@ class FrameBoard(Board):
         self._image = bytearray(layout.send.size)
         self._settings: dict[str, int] = {}
         self._header = b""
-        self._late = False  # whether an exchange failed, so that its answer may still come
+        self._late = False  # whether an exchange failed, and its answer may be taken for another's
+        # whether an answer to an older request is known as such, by its number or its time, and may be read past
+        self._knows_late = (bool(numbered) or self._clock is not None) and link.keeps_boundaries
+        self._patient_s = self._timeout_s = link.timeout_s
+        self._hurried_s = min(self._patient_s, max(_LEAST_TIMEOUT_S, _PERIODS * period_ns * 1e-9))
 
     @abstractmethod
     def _layout_of(self, wiring: BoardConfig) -> FrameLayout:
@@ -219,7 +228,17 @@ class FrameBoard(Board):
             owned["timer_mode"] = found.get("timer_mode", 0) | 1 << wiring.timer
         return owned
 
+    @property
+    def engine(self) -> str:
+        """The link's way in use."""
+        return self._link.engine
+
+    @engine.setter
+    def engine(self, engine: str) -> None:
+        self._link.engine = engine
+
     def _transfer(self, command: Command) -> tuple[int, int]:
+        self._wait_for(self._hurried_s if self.hurried else self._patient_s)
         drive, brake = widths(command, self._full)
         return self._counts(self._write_widths(drive, brake))
 
@@ -227,6 +246,7 @@ class FrameBoard(Board):
         return now if self._clock is None else self._taken_ns
 
     def _write_safe(self) -> None:
+        self._wait_for(self._patient_s)  # no tick waits for it, and there are few attempts
         self._write_off()
 
     def _write_off(self) -> bytes:
@@ -244,6 +264,10 @@ class FrameBoard(Board):
         reset.codec.pack_into(image, reset.offset, others | 1 << self._wiring.timer)
         return image
 
+    def _wait_for(self, timeout_s: float) -> None:
+        if timeout_s != self._timeout_s:
+            self._timeout_s = self._link.timeout_s = timeout_s
+
     def _write_widths(self, drive: int, brake: int) -> bytes:
         """SEND both widths, READ, and check that the answer is this board's and echoes them."""
         image, layout, link = self._image, self._layout, self._link
@@ -252,15 +276,19 @@ class FrameBoard(Board):
         if self._number_at >= 0:
             self._number = (self._number + 1) % self._numbers
             layout.number.pack_into(image, self._number_at, self._number)
-        if self._late:
-            link.write(image)
-            # the answer of a failed exchange must not be taken for this one's; the output has gone out before
-            link.discard(len(image))
-            answer = self._read()
-        else:
-            self._late = True
-            answer = self._whole(link.exchange(image, layout.request, layout.read.size))
-        frame = self._newest(answer)
+        late, self._late = self._late, True
+        try:
+            if late:
+                link.write(image)
+                # the answer of a failed exchange must not be taken for this one's; the output has gone out before
+                link.discard(len(image))
+                answer = self._read()
+            else:
+                answer = self._whole(link.exchange(image, layout.request, layout.read.size))
+            frame = self._newest(answer)
+        except NoAnswerError:
+            self._late = not self._knows_late
+            raise
         echo = (
             self._drive_echo.codec.unpack_from(frame, self._drive_echo.offset)[0],
             self._brake_echo.codec.unpack_from(frame, self._brake_echo.offset)[0],
@@ -286,7 +314,7 @@ class FrameBoard(Board):
                 frame = self._whole(self._link.read(self._layout.read.size))
             except LinkError as error:
                 why = self._clock.fault if numbered and self._clock else "the answer is one to an older request"
-                raise LinkError(f"{why}; and no other follows: {error}") from error
+                raise type(error)(f"{why}; and no other follows: {error}") from error
         raise LinkError("the board answers only requests of long ago: is another program reading from it?")
 
     def _date(self, frame: bytes) -> bool:

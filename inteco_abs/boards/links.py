@@ -9,15 +9,14 @@ from contextlib import suppress
 from typing import Final, Protocol
 
 from firmware_protocol.local_socket import GREETING
-from inteco_abs.errors import BoardError, LinkError
+from inteco_abs.errors import BoardError, LinkError, NoAnswerError
 
-_MOST_WAITING: Final = 4
-"""More late answers than this is another program reading along; the next exchange will say so."""
-
+PATIENCE_S: Final = 0.010
+"""Longest wait for an answer: far below the window after which a silent loop counts as hung, so that waiting for a lost
+answer never does."""
+_MOST_WAITING: Final = 32
+"""More late answers than a stall leaves that a run survives: another program reads along, the next exchange says so."""
 _GREETING_S: Final = 2.0
-_TIMEOUT_S: Final = 0.010
-"""Far below the window after which a silent loop counts as hung, so that waiting for a lost answer never does."""
-_TIMEOUT: Final = struct.pack("ll", 0, round(_TIMEOUT_S * 1e6))  # a timeval
 
 
 class Link(ABC):
@@ -25,6 +24,17 @@ class Link(ABC):
 
     Both calls raise LinkError when the board cannot be reached, with a text that says what to check.
     """
+
+    timeout_s: float = PATIENCE_S
+    """How long a call waits for the board, in s. May be set between two calls; links to what answers at once ignore
+    it."""
+    engines: tuple[str, ...] = ()
+    """Ways to move an exchange's transfers that this link can choose from, the usual one first; empty if it has none
+    to choose from."""
+    engine: str = ""
+    """The one in use; may be set between two calls."""
+    keeps_boundaries: bool = True
+    """Whether a read begins with the first byte of a message, whatever came before."""
 
     @abstractmethod
     def write(self, data: bytes | bytearray) -> None:
@@ -88,7 +98,7 @@ class InProcessLink(Link):
         """Next answer of the device."""
         data = self._reach().bulk_in(length)
         if not data:
-            raise LinkError("the board did not answer: is another program reading from it?")
+            raise NoAnswerError("the board did not answer: is another program reading from it?")
         return data
 
     def close(self) -> None:
@@ -120,10 +130,24 @@ class SocketLink(Link):
         if greeting != GREETING:
             self._socket.close()
             raise BoardError(f"the board at {path} has another host: one program at a time")
-        # the kernel's own time-outs: Python's would cost a system call more at each end
         self._socket.settimeout(None)
+        self._timeout_s = 0.0
+        self.timeout_s = PATIENCE_S
+
+    @property  # the kernel has to know it, too
+    def timeout_s(self) -> float:
+        """How long a call waits for the board, in s."""
+        return self._timeout_s
+
+    @timeout_s.setter
+    def timeout_s(self, timeout_s: float) -> None:
+        if timeout_s == self._timeout_s:
+            return
+        self._timeout_s = timeout_s
+        # the kernel's own time-outs: Python's would cost a system call more at each end
+        timeval = struct.pack("ll", int(timeout_s), round(timeout_s % 1.0 * 1e6))
         for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
-            self._socket.setsockopt(socket.SOL_SOCKET, option, _TIMEOUT)
+            self._socket.setsockopt(socket.SOL_SOCKET, option, timeval)
 
     def write(self, data: bytes | bytearray) -> None:
         """Send one message."""
@@ -133,11 +157,11 @@ class SocketLink(Link):
             raise LinkError(f"the board cannot be reached: {error.strerror}") from error
 
     def read(self, length: int) -> bytes:
-        """Receive one message; LinkError after 10 ms without one."""
+        """Receive one message; LinkError if none comes in time."""
         try:
             data = self._socket.recv(length)
         except BlockingIOError:
-            raise LinkError(f"the board did not answer within {_TIMEOUT_S * 1e3:g} ms") from None
+            raise NoAnswerError(f"the board did not answer within {self._timeout_s * 1e3:g} ms") from None
         except OSError as error:
             raise LinkError(f"the board cannot be reached: {error.strerror}") from error
         if not data:

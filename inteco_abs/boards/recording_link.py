@@ -45,6 +45,7 @@ class RecordingLink(Link):
         self.dropped = 0
         """Messages that were not kept."""
         self._inner = inner
+        self.engines, self.keeps_boundaries = inner.engines, inner.keeps_boundaries
         self._path = path
         self._board = protocol_of(board).board
         self._endpoints = dict(zip((_OUT, _IN), endpoints, strict=True))
@@ -53,6 +54,24 @@ class RecordingLink(Link):
         # time, kind, data, text, of; all of them atoms, so that the garbage collector has nothing to go through
         self._kept: list[tuple[int, str, bytes, str, str]] = []
         self._start_ns = now_ns()
+
+    @property  # all of these are the inner link's
+    def timeout_s(self) -> float:
+        """How long a call waits for the board, in s."""
+        return self._inner.timeout_s
+
+    @timeout_s.setter
+    def timeout_s(self, timeout_s: float) -> None:
+        self._inner.timeout_s = timeout_s
+
+    @property
+    def engine(self) -> str:
+        """The way in use to move an exchange's transfers."""
+        return self._inner.engine
+
+    @engine.setter
+    def engine(self, engine: str) -> None:
+        self._inner.engine = engine
 
     def write(self, data: bytes | bytearray) -> None:
         """Send one message."""

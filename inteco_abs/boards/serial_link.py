@@ -41,19 +41,36 @@ class SerialLink(Link):
     way. Raises BoardError if there is no such port, no permission, or if another program has it.
     """
 
+    keeps_boundaries = False
+
     def __init__(self, path: str, timeout_s: float = TIMEOUT_S, quiet_s: float = QUIET_S) -> None:
         self._timeout_s = timeout_s
         self._quiet_s = quiet_s
         self._port = _open(path, timeout_s)
         self._slow = quicken(path)
         if self._slow:  # of no use to a loop, but a rescue must wait for such a chip's answer
-            self._timeout_s = self._port.timeout = max(timeout_s, _SLOW_TIMEOUT_S)
+            self.timeout_s = _SLOW_TIMEOUT_S
         try:
             self.write(DUMMY)
         except LinkError:
             self.close()
             raise
         self._drain(_MOST_S)
+
+    @property  # the port has to know it, too
+    def timeout_s(self) -> float:
+        """How long a call waits for the board, in s."""
+        return self._timeout_s
+
+    @timeout_s.setter
+    def timeout_s(self, timeout_s: float) -> None:
+        if self._slow:
+            timeout_s = max(timeout_s, _SLOW_TIMEOUT_S)
+        if timeout_s == self._timeout_s:
+            return
+        self._timeout_s = timeout_s
+        with suppress(OSError, termios.error):  # it may be gone, as the next call says
+            self._port.timeout = timeout_s
 
     def prepare(self, length: int) -> None:  # noqa: ARG002  as below
         """As for any link; raises BoardError if each answer waits for a latency timer that could not be set."""

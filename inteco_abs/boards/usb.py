@@ -1,28 +1,37 @@
 """USB bulk transfers over pyusb: finds the RT-DAC/USB2 board, claims it, carries its messages.
 
-Endpoints 0x06 and 0x88 program the FPGA over JTAG; nothing here ever names them.
+Endpoints 0x06 and 0x88 program the FPGA over JTAG: nothing here moves data over them. When a board is opened their
+pipes are reset with the other two, as the vendor's software does it.
 """
 
 from __future__ import annotations
 
 import errno
 import logging
+import math
 from array import array
 from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import usb.core
 import usb.util
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT, FRAME_BYTES
+from firmware_protocol.rtdac_usb2_bridge import ENDPOINT_JTAG_IN, ENDPOINT_JTAG_OUT, VENDOR_ID
 from inteco_abs.boards.links import Link
-from inteco_abs.boards.usb_words import AT_ONCE_MS, RULES, TIMEOUT_MS, in_words
+from inteco_abs.boards.usb_words import AT_ONCE_MS, RULES, TIMEOUT_MS, failure, in_words
 from inteco_abs.config import UsbConfig
 from inteco_abs.errors import BoardError, LinkError
 
 INTERFACE: Final = 0
 """The board's only one."""
+ENDPOINTS: Final = (ENDPOINT_OUT, ENDPOINT_IN, ENDPOINT_JTAG_OUT, ENDPOINT_JTAG_IN)
+"""What every RT-DAC/USB2 has; the vendor's software refuses a device without one of them."""
+ONE_BY_ONE: Final = "one-by-one"
+_HUB_CLASS: Final = 9
+_DEVICES: Final = Path("/sys/bus/usb/devices")
 _LOG: Final = logging.getLogger(__name__)
 
 
@@ -35,6 +44,10 @@ class Seen(NamedTuple):
     denied: bool
     """It could not be read, for want of permission."""
 
+    def of(self, ids: UsbConfig) -> bool:
+        """Whether the board's maker has made it."""
+        return ids.manufacturer.lower() in self.manufacturer.lower()
+
     def __str__(self) -> str:
         ids = f"{self.device.idVendor:04x}:{self.device.idProduct:04x}"
         return f"{ids} (no permission)" if self.denied else f"{ids} {self.manufacturer!r} serial {self.serial!r}"
@@ -44,9 +57,11 @@ class UsbLink(Link):
     """The board with decimal serial number `serial`, or the only one there is if it is empty.
 
     `backend` is pyusb's, for tests; `timeout_ms` is for each transfer. A kernel driver that holds the board is
-    detached, and the log says so. Raises BoardError if there is no such board, more than one, no permission, or if
-    another program has it.
+    detached, and the log says so. Raises BoardError if there is no such board, more than one, no permission, if another
+    program has it, or if it has not the endpoints of an RT-DAC/USB2.
     """
+
+    engine = ONE_BY_ONE
 
     def __init__(self, serial: str, ids: UsbConfig, backend: Any = None, timeout_ms: int = TIMEOUT_MS) -> None:
         self._device = find_one(serial, ids, backend)
@@ -57,13 +72,29 @@ class UsbLink(Link):
             raise BoardError(f"the board cannot be opened: {in_words(error.errno, error)}") from error
         self._write, self._read = self._device.write, self._device.read
         self._buffer = array("B", bytes(FRAME_BYTES))
-        self._timeout_ms = timeout_ms
+        self.timeout_s = timeout_ms * 1e-3
         self._stalled = False
+
+    @property  # libusb counts in whole milliseconds
+    def timeout_s(self) -> float:
+        """How long each transfer waits for the board, in s."""
+        return self._timeout_ms * 1e-3
+
+    @timeout_s.setter
+    def timeout_s(self, timeout_s: float) -> None:
+        self._timeout_ms = max(AT_ONCE_MS, math.ceil(round(timeout_s * 1e3, 6)))
+
+    def prepare(self, length: int) -> None:
+        """Begin as the vendor's software does: reset all pipes, so that none is left halted, and drop old answers."""
+        with suppress(LinkError):  # a pipe that matters and does not recover fails in the first reading, and says why
+            self._reset(ENDPOINTS)
+        super().prepare(length)
 
     def write(self, data: bytes | bytearray) -> None:
         """Send one message."""
-        if self._stalled:
-            self._clear_halts()
+        if self._stalled:  # a stalled endpoint stays so until it is told otherwise
+            self._reset((ENDPOINT_OUT, ENDPOINT_IN))
+            self._stalled = False
         try:
             sent = self._write(ENDPOINT_OUT, data, self._timeout_ms)
         except usb.core.USBError as error:
@@ -94,37 +125,54 @@ class UsbLink(Link):
 
     def _failed(self, error: usb.core.USBError) -> LinkError:
         self._stalled = self._stalled or error.errno == errno.EPIPE
-        return LinkError(in_words(error.errno, error, self._timeout_ms))
+        return failure(error.errno, error, self._timeout_ms)
 
-    def _clear_halts(self) -> None:
-        """A stalled endpoint stays so until it is told otherwise."""
+    def _reset(self, endpoints: tuple[int, ...]) -> None:
         try:
-            for endpoint in (ENDPOINT_OUT, ENDPOINT_IN):
+            for endpoint in endpoints:
                 self._device.clear_halt(endpoint)
         except usb.core.USBError as error:
             raise LinkError(in_words(error.errno, error)) from error
-        self._stalled = False
 
 
 def boards(ids: UsbConfig, backend: Any = None) -> Iterator[Seen]:
-    """Devices with the configured ids whose manufacturer is the board's, or which may not be read.
+    """Devices that may be the board: of its maker, or of an id that is configured or the bridge's own.
 
-    Raises BoardError where this computer has no libusb.
+    The vendor's software knows the board by its maker's name alone, so does this, upper and lower case aside. Raises
+    BoardError where this computer has no libusb.
     """
-    wanted = {"idVendor": ids.vendor_id}
-    if ids.product_id is not None:
-        wanted["idProduct"] = ids.product_id
     try:
-        found = list(usb.core.find(find_all=True, backend=backend, **wanted))
+        found = list(usb.core.find(find_all=True, backend=backend))
     except usb.core.NoBackendError as error:
         raise BoardError("no libusb on this computer: install libusb-1.0-0") from error
     for device in found:
-        try:
-            seen = Seen(device, str(device.manufacturer), str(device.serial_number), denied=False)
-        except (ValueError, usb.core.USBError):  # pyusb: a device that cannot be opened "has no langid"
-            seen = Seen(device, "", "", denied=True)
-        if seen.denied or seen.manufacturer == ids.manufacturer:
+        if device.bDeviceClass == _HUB_CLASS or ids.product_id not in (None, device.idProduct):
+            continue
+        if ids.vendor_id not in (None, device.idVendor):
+            continue
+        seen = _seen(device, ids)
+        if seen.of(ids) or device.idVendor == (ids.vendor_id or VENDOR_ID):
             yield seen
+
+
+def _seen(device: Any, ids: UsbConfig) -> Seen:
+    """What can be read of the device; what is no board's according to the kernel is not disturbed."""
+    made_by = _kernels_word(device, "manufacturer")
+    if made_by and ids.manufacturer.lower() not in made_by.lower():
+        return Seen(device, made_by, _kernels_word(device, "serial"), denied=False)
+    try:
+        return Seen(device, str(device.manufacturer), str(device.serial_number), denied=False)
+    except (ValueError, usb.core.USBError):  # pyusb: a device that cannot be opened "has no langid"
+        return Seen(device, made_by, "", denied=True)
+
+
+def _kernels_word(device: Any, name: str) -> str:
+    """What the kernel has read of the device when it was plugged in; empty where that is not known."""
+    place = f"{device.bus}-{'.'.join(map(str, device.port_numbers or ()))}"
+    try:
+        return (_DEVICES / place / name).read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""
 
 
 def find_one(serial: str, ids: UsbConfig, backend: Any = None) -> Any:
@@ -133,17 +181,40 @@ def find_one(serial: str, ids: UsbConfig, backend: Any = None) -> Any:
     Raises BoardError.
     """
     seen = list(boards(ids, backend))
-    found = [one for one in seen if not one.denied and (not serial or _same(one.serial, serial))]
+    found = [one for one in seen if one.of(ids) and not one.denied and (not serial or _same(one.serial, serial))]
     if len(found) == 1:
-        _free(found[0].device)
-        return found[0].device
+        device = found[0].device
+        _insist_on_endpoints(device)
+        _free(device)
+        return device
     named = f" with serial number {serial}" if serial else ""
-    there = "; ".join(map(str, seen)) or f"none with vendor id {ids.vendor_id:04x}"
+    there = "Seen: " + ("; ".join(map(str, seen)) or "nothing like it")
     if found:
-        raise BoardError(f"{len(found)} boards{named}: name one, as in usb2:{found[0].serial}. Seen: {there}")
+        raise BoardError(f"{len(found)} boards{named}: name one, as in usb2:{found[0].serial}. {there}")
     if any(one.denied for one in seen):
-        raise BoardError(f"no board{named} that may be opened; seen: {there}. {RULES}")
-    raise BoardError(f"no RT-DAC/USB2 board{named}: is it plugged in? Seen: {there}")
+        raise BoardError(f"no board{named} that may be opened. {there}. {RULES}")
+    raise BoardError(f"no RT-DAC/USB2 board{named}: is it plugged in? Looked for a device {_looked_for(ids)}. {there}")
+
+
+def _looked_for(ids: UsbConfig) -> str:
+    """In words, with the settings that say so."""
+    words = f"whose maker is {ids.manufacturer!r} (usb.manufacturer)"
+    for name in ("vendor_id", "product_id"):
+        number = getattr(ids, name)
+        words += "" if number is None else f" with {name.replace('_', ' ')} {number:04x} (usb.{name})"
+    return words
+
+
+def _insist_on_endpoints(device: Any) -> None:
+    """Raise BoardError for a device that has not the four endpoints of the board in its first setting."""
+    there = {endpoint.bEndpointAddress for endpoint in device[0][INTERFACE, 0]}
+    missing = [f"0x{address:02x}" for address in ENDPOINTS if address not in there]
+    if missing:
+        has = ", ".join(f"0x{address:02x}" for address in sorted(there)) or "none"
+        raise BoardError(
+            f"not an RT-DAC/USB2: endpoint {', '.join(missing)} is missing, the device has {has}. If it is one, its "
+            "bridge runs other firmware than the vendor's: unplug it, plug it in again, try the vendor's software"
+        )
 
 
 def _same(serial: str, wanted: str) -> bool:

@@ -1,12 +1,13 @@
 """USB bulk transfers with all three of a tick in flight at once: libusb's asynchronous calls, over python-libusb1.
 
 One after the other, each transfer of a tick waits for the bus before the next is handed over; queued, the host
-controller has them all and the tick waits once (fact sheet on real time, 5.1 and 11: INFERRED to save a third).
+controller has them all and the tick waits once: docs/real-time.md has what that is worth.
 """
 
 from __future__ import annotations
 
 import errno
+import select
 import time
 from contextlib import suppress
 from typing import Any, Final
@@ -15,11 +16,14 @@ import usb1
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
 from inteco_abs.boards.links import Link
-from inteco_abs.boards.usb import INTERFACE, find_one
-from inteco_abs.boards.usb_words import AT_ONCE_MS, TIMEOUT_MS, in_words
+from inteco_abs.boards.usb import ENDPOINTS, INTERFACE, ONE_BY_ONE, find_one
+from inteco_abs.boards.usb_words import TIMEOUT_MS, failure, in_words
 from inteco_abs.config import UsbConfig
 from inteco_abs.errors import BoardError, LinkError
 
+QUEUED: Final = "queued"
+_AT_ONCE_S: Final = 0.00025
+"""Two microframes of 125 us: what has arrived is handed over within them."""
 _CANCEL_S: Final = 0.1
 
 _STATUS: Final = {
@@ -44,7 +48,13 @@ _REFUSED: Final = {
 
 
 class QueuedUsbLink(Link):
-    """The same board as `usb.UsbLink` opens, under the same conditions; raises BoardError as it does."""
+    """The same board as `usb.UsbLink` opens, under the same conditions; raises BoardError as it does.
+
+    A call waits `timeout_s` for all of its transfers together, exact to some 50 us: libusb's own time-outs are whole
+    milliseconds, two periods of the loop.
+    """
+
+    engines: tuple[str, ...] = (QUEUED, ONE_BY_ONE)
 
     def __init__(self, serial: str, ids: UsbConfig, timeout_ms: int = TIMEOUT_MS) -> None:
         found = find_one(serial, ids)
@@ -56,28 +66,44 @@ class QueuedUsbLink(Link):
         except usb1.USBError as error:
             self._context.close()
             raise BoardError(f"the board cannot be opened: {_in_words(error)}") from error
-        self._first, self._second, self._answer = (self._handle.getTransfer() for _ in range(3))
-        self._timeout_ms = timeout_ms
+        self._begin(self._context, self._handle, timeout_ms * 1e-3)
+
+    def _begin(self, context: Any, handle: Any, timeout_s: float) -> None:
+        self._context, self._handle = context, handle
+        self._first, self._second, self._answer = (handle.getTransfer() for _ in range(3))
+        watched = context.getPollFDList()
+        self._readable = [fd for fd, events in watched if events & select.POLLIN]
+        self._writable = [fd for fd, events in watched if events & select.POLLOUT]  # of usbfs: one has ended
+        self.timeout_s = timeout_s
+        self.engine = QUEUED
         self._stalled = False
 
     def write(self, data: bytes | bytearray) -> None:
         """Send one message."""
         self._recover()
-        self._first.setBulk(ENDPOINT_OUT, bytes(data), timeout=self._timeout_ms)
-        self._finish(self._first)
+        self._first.setBulk(ENDPOINT_OUT, bytes(data))
+        self._finish(self.timeout_s, self._first)
 
     def read(self, length: int) -> bytes:
         """Receive one message."""
-        return self._receive(length, self._timeout_ms)
+        return self._receive(length, self.timeout_s)
 
     def exchange(self, first: bytes | bytearray, second: bytes, length: int) -> bytes:
-        """Send two messages and receive one, all handed over before the first is through."""
+        """Send two messages and receive one; queued, all are handed over before the first is through."""
+        if self.engine != QUEUED:
+            return super().exchange(first, second, length)
         self._recover()
-        self._first.setBulk(ENDPOINT_OUT, bytes(first), timeout=self._timeout_ms)
-        self._second.setBulk(ENDPOINT_OUT, second, timeout=self._timeout_ms)
-        self._answer.setBulk(ENDPOINT_IN, length, timeout=self._timeout_ms)
-        self._finish(self._first, self._second, self._answer)
+        self._first.setBulk(ENDPOINT_OUT, bytes(first))
+        self._second.setBulk(ENDPOINT_OUT, second)
+        self._answer.setBulk(ENDPOINT_IN, length)
+        self._finish(self.timeout_s, self._first, self._second, self._answer)
         return bytes(self._answer.getBuffer()[: self._answer.getActualLength()])
+
+    def prepare(self, length: int) -> None:
+        """Begin as the vendor's software does: reset all pipes, so that none is left halted, and drop old answers."""
+        with suppress(LinkError):  # a pipe that matters and does not recover fails in the first reading, and says why
+            self._reset(ENDPOINTS)
+        super().prepare(length)
 
     def close(self) -> None:
         """Give the interface back; may be called twice."""
@@ -94,19 +120,19 @@ class QueuedUsbLink(Link):
         raise usb1.USBErrorNoDevice  # unplugged meanwhile
 
     def _read_waiting(self, length: int) -> bytes:
-        return self._receive(length, AT_ONCE_MS)
+        return self._receive(length, _AT_ONCE_S)
 
-    def _receive(self, length: int, timeout_ms: int) -> bytes:
-        self._answer.setBulk(ENDPOINT_IN, length, timeout=timeout_ms)
-        self._finish(self._answer)
+    def _receive(self, length: int, timeout_s: float) -> bytes:
+        self._answer.setBulk(ENDPOINT_IN, length)
+        self._finish(timeout_s, self._answer)
         return bytes(self._answer.getBuffer()[: self._answer.getActualLength()])
 
-    def _finish(self, *transfers: Any) -> None:
+    def _finish(self, timeout_s: float, *transfers: Any) -> None:
         """Submit the transfers in order and wait for all; raises LinkError with what the first failure means."""
         try:
             for transfer in transfers:
                 transfer.submit()
-            self._wait(transfers)
+            self._wait(time.monotonic() + timeout_s, transfers)
         except BaseException as error:
             self._cancel(transfers)  # also after Ctrl-C: what leaves SAFE behind needs them again
             if isinstance(error, usb1.USBError):
@@ -116,11 +142,17 @@ class QueuedUsbLink(Link):
             status = transfer.getStatus()
             if status != usb1.TRANSFER_COMPLETED:
                 self._stalled = self._stalled or any(each.getStatus() == usb1.TRANSFER_STALL for each in transfers)
-                raise LinkError(in_words(_STATUS.get(status), f"status {status}", self._timeout_ms))
+                raise failure(_STATUS.get(status), f"status {status}", timeout_s * 1e3)
 
-    def _wait(self, transfers: tuple[Any, ...]) -> None:
+    def _wait(self, end_s: float, transfers: tuple[Any, ...]) -> None:
+        """Until all are through; what is not at `end_s` is called back."""
         while any(transfer.isSubmitted() for transfer in transfers):
-            self._context.handleEventsTimeout(TIMEOUT_MS * 1e-3)
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                self._cancel(transfers)
+                return
+            select.select(self._readable, self._writable, (), left_s)
+            self._context.handleEventsTimeout(0)
 
     def _cancel(self, transfers: tuple[Any, ...]) -> None:
         """Call back what is still under way: its memory must not be used again before it has come back."""
@@ -135,12 +167,15 @@ class QueuedUsbLink(Link):
     def _recover(self) -> None:
         """A stalled endpoint stays so until it is told otherwise."""
         if self._stalled:
-            try:
-                for endpoint in (ENDPOINT_OUT, ENDPOINT_IN):
-                    self._handle.clearHalt(endpoint)
-            except usb1.USBError as error:
-                raise LinkError(_in_words(error)) from error
+            self._reset((ENDPOINT_OUT, ENDPOINT_IN))
             self._stalled = False
+
+    def _reset(self, endpoints: tuple[int, ...]) -> None:
+        try:
+            for endpoint in endpoints:
+                self._handle.clearHalt(endpoint)
+        except usb1.USBError as error:
+            raise LinkError(_in_words(error)) from error
 
 
 def _in_words(error: usb1.USBError) -> str:

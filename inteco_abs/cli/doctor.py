@@ -41,7 +41,7 @@ def doctor(
     """
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import load_config
-    from inteco_abs.experiment import exchange_times_us
+    from inteco_abs.experiment import measure_round_trips
     from inteco_abs.realtime.doctor import examine, write_speed
     from inteco_abs.realtime.findings import Computer, Finding, Verdict, red, worst
     from inteco_abs.realtime.latency import LONGEST_S, SHORTEST_S, examine_wake_ups, judge_round_trips
@@ -66,11 +66,11 @@ def doctor(
     times_us: list[float] = []
     if board is not None:
         try:
-            times_us = exchange_times_us(rig, board)
+            times_us, engines = measure_round_trips(rig, board)
         except BoardError as error:  # the rest of the report tells why
             findings.append(Finding("round trips", *red(str(error), "see the lines above")))
         else:
-            findings.append(Finding("round trips", *judge_round_trips(times_us, COUNT, rig.period_ns * 1e-3)))
+            findings.append(Finding("round trips", *judge_round_trips(times_us, COUNT, rig.period_ns * 1e-3, engines)))
     verdict = worst(findings)
     if as_json:
         print_json({"schema_version": 1, "verdict": verdict, "findings": [one._asdict() for one in findings], **files})

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final, NamedTuple
 
+from firmware_protocol.rtdac_usb2_bridge import VENDOR_ID
 from inteco_abs.config import RigConfig
 from inteco_abs.realtime.findings import Computer
 from inteco_abs.realtime.permissions import PCI_DEVICE, PCI_VENDOR
@@ -15,9 +15,6 @@ _USB: Final = "sys/bus/usb/devices/*"
 _PORTS: Final = "sys/bus/usb-serial/devices/*"
 _PCI: Final = "sys/bus/pci/devices/*"
 _TOLD: Final = ("manufacturer", "product", "serial", "speed")
-_MOST_DESCRIPTOR_BYTES: Final = 4096
-_PCI_HEADER_BYTES: Final = 64
-"""Of the configuration space, what every user may read."""
 
 
 class Found(NamedTuple):
@@ -27,8 +24,6 @@ class Found(NamedTuple):
     """What to name after --board."""
     description: str
     """Ids, strings and place."""
-    told: Mapping[str, str] = MappingProxyType({})
-    """Strings and descriptors of the device, for a report."""
 
 
 def found_devices(address: str, config: RigConfig, computer: Computer | None = None) -> list[Found]:
@@ -45,15 +40,16 @@ def found_devices(address: str, config: RigConfig, computer: Computer | None = N
 
 
 def _usb2(computer: Computer, config: RigConfig) -> list[Found]:
-    vendor = f"{config.usb.vendor_id:04x}"
-    wanted = config.usb.manufacturer
+    vendor, wanted = config.usb.vendor_id, config.usb.manufacturer.lower()
     found = []
     for folder in computer.matching(_USB):
-        made_by = computer.text_or(f"{folder}/manufacturer", "")
-        if made_by == wanted or (not made_by and computer.text_or(f"{folder}/idVendor", "") == vendor):
+        made_by = computer.text_or(f"{folder}/manufacturer", "").lower()
+        id_there = computer.text_or(f"{folder}/idVendor", "")
+        if (wanted in made_by and vendor in (None, int(id_there or "0", 16))) or (
+            not made_by and id_there == f"{VENDOR_ID if vendor is None else vendor:04x}"
+        ):
             serial = computer.text_or(f"{folder}/serial", "")
-            address = f"usb2:{serial if serial.isdecimal() else ''}"
-            found.append(Found(address, _usb_words(computer, folder), _usb_told(computer, folder)))
+            found.append(Found(f"usb2:{serial if serial.isdecimal() else ''}", _usb_words(computer, folder)))
     return found
 
 
@@ -62,8 +58,7 @@ def _usb(computer: Computer, _: RigConfig) -> list[Found]:
     found = []
     for port in computer.matching(_PORTS):
         device = str((computer.root / port).resolve().parent.parent)  # port -> interface -> device
-        words, told = _usb_words(computer, device), _usb_told(computer, device)
-        found.append(Found(f"usb:/dev/{_name(port)}", words, told))
+        found.append(Found(f"usb:/dev/{_name(port)}", _usb_words(computer, device)))
     return found
 
 
@@ -73,11 +68,7 @@ def _pci(computer: Computer, _: RigConfig) -> list[Found]:
         return ids == (PCI_VENDOR, PCI_DEVICE)
 
     return [
-        Found(
-            f"pci:{_name(folder)}",
-            f"{PCI_VENDOR}:{PCI_DEVICE} at {_name(folder)}",
-            {"descriptors": computer.bytes_of(f"{folder}/config", _PCI_HEADER_BYTES).hex()},
-        )
+        Found(f"pci:{_name(folder)}", f"{PCI_VENDOR}:{PCI_DEVICE} at {_name(folder)}")
         for folder in computer.matching(_PCI)
         if is_board(folder)
     ]
@@ -87,12 +78,6 @@ def _usb_words(computer: Computer, folder: str) -> str:
     ids = ":".join(computer.text_or(f"{folder}/{name}", "????") for name in ("idVendor", "idProduct"))
     told = [f"{name} {text!r}" for name in _TOLD if (text := computer.text_or(f"{folder}/{name}", ""))]
     return " ".join([ids, *told, f"at USB port {_name(folder)}"])
-
-
-def _usb_told(computer: Computer, folder: str) -> dict[str, str]:
-    descriptors = computer.bytes_of(f"{folder}/descriptors", _MOST_DESCRIPTOR_BYTES).hex()
-    told = {name: computer.text_or(f"{folder}/{name}", "") for name in _TOLD}
-    return {name: text for name, text in {"descriptors": descriptors, **told}.items() if text}
 
 
 def _name(folder: str) -> str:

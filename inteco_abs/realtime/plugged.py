@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Final
 
+from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER
 from inteco_abs.realtime.findings import Computer, Finding, Judgement, amber, green, look, red, together
 from inteco_abs.realtime.permissions import PCI_DEVICE, PCI_REGISTERS, PCI_VENDOR, PLUG_AGAIN, UDEV_FILE
 
-_MANUFACTURER: Final = "inteco"
-_CYPRESS: Final = "04b4"
-_PRODUCT: Final = re.compile(r"rt.?dac", re.IGNORECASE)
 _HIGH_SPEED_MBIT_S: Final = 480.0
 _LEAST_LATENCY_MS: Final = 1
 
@@ -43,15 +40,12 @@ def _board(computer: Computer) -> Judgement:
 
 
 def _usb_boards(computer: Computer) -> list[str]:
-    """Inteco's own rule is the manufacturer's name; the product's name is for boards that do not give it."""
-
-    def is_board(folder: str) -> bool:
-        made_by, vendor, product = (
-            computer.text_or(f"{folder}/{name}", "") for name in ("manufacturer", "idVendor", "product")
-        )
-        return _MANUFACTURER in made_by.lower() or (vendor == _CYPRESS and _PRODUCT.search(product) is not None)
-
-    return [folder for folder in computer.matching("sys/bus/usb/devices/*") if is_board(folder)]
+    """By the maker's name, as the vendor's software, the driver and the udev rules know the board, whatever its ids."""
+    return [
+        folder
+        for folder in computer.matching("sys/bus/usb/devices/*")
+        if MANUFACTURER.lower() in computer.text_or(f"{folder}/manufacturer", "").lower()
+    ]
 
 
 def _ftdi_ports(computer: Computer) -> list[str]:

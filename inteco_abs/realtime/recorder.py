@@ -205,7 +205,7 @@ def _introduction(memory: RunMemory, job: Job) -> Introduction | None:
         internals=told["internals"],
         controller_source=job.controller_source,
         controller_package=job.controller_package,
-        facts={**job.facts, "realtime": settings | (memory.note(Note.DRILL) or {})},
+        facts={**job.facts, "realtime": settings | told.get("pace", {}) | (memory.note(Note.DRILL) or {})},
         profile=job.profile,
         surroundings=Surroundings() if around is None else Surroundings.of(around),
     )

@@ -113,8 +113,7 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
         memory.post(Note.SAFE_IMAGE, board.safe_image)
         loop = Loop(board, pipeline, clock, ring, SharedStop(memory))
         settings = prepare(loop_wishes())
-        if not simulated(job.board):
-            insist_on_rate(board, config.period_ns)
+        pace = {} if simulated(job.board) else insist_on_rate(board, config.period_ns)
         memory.post(
             Note.INTRODUCTION,
             {
@@ -122,6 +121,7 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
                 "gains": gains_in_force(config, controllers),
                 "internals": list(controllers[config.controller.name].internals),
                 "settings": [setting._asdict() for setting in settings],
+                "pace": pace,
             },
         )
         words[Word.READY] = os.getpid()

@@ -10,7 +10,7 @@ from inteco_abs.boards import open_board
 from inteco_abs.errors import AbsError
 from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.latency import round_trips
+from inteco_abs.realtime.latency import choose_engine, round_trips
 from inteco_abs.realtime.machine import loop_wishes, prepare
 from inteco_abs.realtime.memory import Note, RunMemory
 
@@ -18,16 +18,17 @@ COUNT: Final = 4000
 
 
 def main(path: str) -> int:
-    """Exchange SAFE with the board of the job in the memory at `path`; leaves the times in us."""
+    """Exchange SAFE with the board of the job in the memory at `path`; leaves the times, us, and what was tried."""
     memory = RunMemory.open(Path(path))
     job = Job.of(memory)
     try:
         with open_board(job.address, job.config, time.monotonic_ns) as board:
             board.insist()
             prepare(loop_wishes())
+            engines = choose_engine(board)
             times_us = round_trips(board, COUNT)
     except AbsError as error:
         tell_failure(memory, Note.FAILURE, error)
         return error.exit_code
-    memory.post(Note.RESULT, [round(each, 1) for each in times_us])
+    memory.post(Note.RESULT, {"times_us": [round(each, 1) for each in times_us], "engines": engines})
     return 0

@@ -16,7 +16,7 @@ import pytest
 
 from firmware_protocol.local_socket import GREETING
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, decode_read, encode_send
-from inteco_abs.boards import RtdacUsb2, SocketLink, links, open_board
+from inteco_abs.boards import RtdacUsb2, SocketLink, frames, links, open_board
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, LinkError
 from inteco_abs.mock_board import Device, SocketServer, Usb2Face
@@ -285,10 +285,10 @@ class TestDiscard:
 
     def test_it_comes_to_an_end_when_there_is_always_more(self, mute):
         link, board = mute
-        for number in range(20):
+        for number in range(40):
             board.send(bytes([number]))
         link.discard(10)
-        assert 0 < link.read(10)[0] < 20
+        assert 0 < link.read(10)[0] < 40
 
 
 class TestTheBoardGoesAway:
@@ -396,7 +396,8 @@ def test_the_rig_moves_on_while_nobody_asks(served):
 
 
 def test_a_board_over_a_socket_drives_the_rig_and_leaves_it_safe(served, monkeypatch):
-    monkeypatch.setattr(links, "_TIMEOUT", struct.pack("ll", round(PATIENCE_S), 0))  # the board's thread may be late
+    for module, name in ((links, "PATIENCE_S"), (frames, "_LEAST_TIMEOUT_S")):
+        monkeypatch.setattr(module, name, PATIENCE_S)  # the board's thread may be late
     with open_board(f"sim:{served.path}", served.config, time.monotonic_ns) as board:
         samples = [board.exchange(Command(1.0, 0.0)) for _ in range(20)]
     assert [sample.tick for sample in samples] == list(range(20))

@@ -1,4 +1,6 @@
-"""Which of the two engines a USB board is opened with."""
+"""Which of the two engines a USB board is opened with, and which one is kept once exchanges were timed."""
+
+from types import SimpleNamespace
 
 import pytest
 
@@ -6,83 +8,115 @@ from inteco_abs.boards import usb_engines, usb_queued
 from inteco_abs.boards.links import Link
 from inteco_abs.boards.usb_engines import open_usb
 from inteco_abs.config import UsbConfig
-from inteco_abs.errors import BoardError, LinkError
+from inteco_abs.errors import BoardError
+from inteco_abs.realtime import latency
+from inteco_abs.signals import BoardFlags
 
 
 class Stub(Link):
-    """A board that answers, after `work` rounds of something to do, or fails."""
+    """A link that was opened."""
 
-    def __init__(self, work=0, fails=False):
-        self.work = work
-        self.fails = fails
-        self.open = True
+    engines = ("queued", "one-by-one")
+
+    def __init__(self, *_):
+        self.engine = self.engines[0]
 
     def write(self, _data):
-        if self.fails:
-            raise LinkError("it fails")
+        """Nothing is sent."""
 
     def read(self, length):
-        for _ in range(self.work):
-            pass
         return bytes(length)
 
     def close(self):
-        self.open = False
+        """Nothing is open."""
+
+
+class Plain(Stub):
+    engines = ()
+    engine = "one-by-one"
+
+    def __init__(self, *_):
+        """It has one engine."""
 
 
 @pytest.fixture
-def engines(monkeypatch):
-    """Sets what each engine opens, None for an engine that cannot open the board; the links are kept by their kind."""
-    made = {"one-by-one": [], "queued": []}
-
-    def set_up(**links):
-        def opener(name, key):
-            def opened(*_):
-                if links[key] is None:
-                    raise BoardError("no use for it")
-                made[name].append(Stub(**links[key]))
-                return made[name][-1]
-
-            return opened
-
-        monkeypatch.setattr(usb_engines, "UsbLink", opener("one-by-one", "simple"))
-        monkeypatch.setattr(usb_queued, "QueuedUsbLink", opener("queued", "queued"))
-        return made
-
-    return set_up
-
-
-SLOW, QUICK = {"work": 20_000}, {}
+def stubs(monkeypatch):
+    monkeypatch.setattr(usb_engines, "UsbLink", Plain)
+    monkeypatch.setattr(usb_queued, "QueuedUsbLink", Stub)
 
 
 @pytest.mark.parametrize(
-    ("simple", "queued", "chosen"),
+    ("named", "engine", "engines"),
     [
-        (SLOW, QUICK, "queued"),
-        (QUICK, SLOW, "one-by-one"),
-        (QUICK, None, "one-by-one"),
-        (QUICK, {"fails": True}, "one-by-one"),
-        ({"fails": True}, QUICK, "queued"),
+        ("one-by-one", "one-by-one", ()),
+        ("queued", "queued", ()),
+        ("faster", "queued", ("queued", "one-by-one")),
     ],
-    ids=["queued is quicker", "one by one is quicker", "queued cannot open", "queued fails", "one by one fails"],
 )
-def test_the_engine_that_reads_more_quickly_and_without_failing_is_kept(engines, simple, queued, chosen):
-    made = engines(simple=simple, queued=queued)
-    link = open_usb("", UsbConfig())
-    assert link is made[chosen][-1]
-    assert [each for links in made.values() for each in links if each.open] == [link]
+@pytest.mark.usefixtures("stubs")
+def test_transfers_are_queued_unless_the_configuration_says_otherwise(named, engine, engines):
+    link = open_usb("", UsbConfig(engine=named))
+    assert (link.engine, link.engines) == (engine, engines)
 
 
-@pytest.mark.parametrize("engine", ["one-by-one", "queued"])
-def test_a_named_engine_is_used_without_asking_which_is_quicker(engines, engine):
-    made = engines(simple=SLOW, queued=SLOW)
-    assert open_usb("", UsbConfig(engine=engine)) is made[engine][0]
-    assert sum(map(len, made.values())) == 1
-
-
-def test_without_the_package_for_queued_transfers_there_is_one_engine(engines, monkeypatch):
-    made = engines(simple=QUICK, queued=QUICK)
+@pytest.mark.usefixtures("stubs")
+def test_without_the_package_for_queued_transfers_there_is_one_engine_and_the_log_says_so(monkeypatch, caplog):
     monkeypatch.setattr(usb_engines, "find_spec", lambda _name: None)
-    assert open_usb("", UsbConfig()) is made["one-by-one"][0]
+    link = open_usb("", UsbConfig())
+    assert (link.engine, link.engines) == ("one-by-one", ())
+    assert "to queue them needs the package libusb1: pip install inteco-abs[usb]" in caplog.text
     with pytest.raises(BoardError, match=r"needs the package libusb1: pip install inteco-abs\[usb\]"):
         open_usb("", UsbConfig(engine="queued"))
+
+
+class TimedBoard:
+    """Answers after `answers_us[engine]` on a hand-made clock; never where that is None."""
+
+    def __init__(self, **answers_us):
+        self.engines = tuple(name.replace("_", "-") for name in answers_us)
+        self.engine = self.engines[0]
+        self.last_error = BoardError("it fails")
+        self._answers_us = dict(zip(self.engines, answers_us.values(), strict=True))
+        self._now_ns = 0
+        self.begun = 0
+
+    def exchange(self, _command):
+        answer_us = self._answers_us[self.engine]
+        self._now_ns += (answer_us or 1000) * 1000
+        return SimpleNamespace(board_flags=BoardFlags.STALE if answer_us is None else BoardFlags.NONE)
+
+    def begin(self):
+        self.begun += 1
+
+    def monotonic_ns(self):
+        return self._now_ns
+
+
+def chosen(monkeypatch, **answers_us):
+    board = TimedBoard(**answers_us)
+    monkeypatch.setattr(latency, "time", board)
+    return board, latency.choose_engine(board)
+
+
+@pytest.mark.parametrize(
+    ("queued_us", "simple_us", "engine"),
+    [(144, 427, "queued"), (427, 144, "one-by-one"), (100, 91, "queued"), (100, 89, "one-by-one"),
+     (None, 427, "one-by-one"), (144, None, "queued")],
+)  # fmt: skip
+def test_the_engine_whose_whole_exchanges_are_clearly_quicker_is_kept(monkeypatch, queued_us, simple_us, engine):
+    board, facts = chosen(monkeypatch, queued=queued_us, one_by_one=simple_us)
+    assert board.engine == facts["engine"] == engine
+    expected = "p50 inf" if queued_us is None else f"p50 {queued_us:.1f}"
+    assert expected in facts["exchanges, queued"]
+
+
+def test_a_board_that_answers_with_no_engine_is_refused(monkeypatch):
+    with pytest.raises(BoardError, match="the board does not answer: it fails"):
+        chosen(monkeypatch, queued=None, one_by_one=None)
+
+
+def test_a_board_without_a_choice_keeps_its_engine_and_is_not_timed(monkeypatch):
+    monkeypatch.setattr(latency, "time", None)
+    plain = SimpleNamespace(engines=(), engine="one-by-one")
+    assert latency.choose_engine(plain) == {"engine": "one-by-one"}
+    assert latency.choose_engine(SimpleNamespace(engines=(), engine="")) == {}

@@ -2,12 +2,14 @@
 
 import pytest
 from pyusb_backend import BusBackend
+from trouble import halt_of
 
 from inteco_abs.boards import RtdacUsb2
-from inteco_abs.boards.usb import UsbLink, boards
+from inteco_abs.boards.usb import ENDPOINTS, UsbLink, boards
 from inteco_abs.config import UsbConfig, load_config
 from inteco_abs.errors import BoardError, LinkError
-from inteco_abs.mock_board import Device, Speed, Usb2Face, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board import Device, Speed, Urb, Usb2Face, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board.usb_device import Setup
 from inteco_abs.signals import BoardFlags, Command
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -27,13 +29,19 @@ class Clock:
 class Bus:
     """One mock board on a bus of its own, and what a driver needs to open it."""
 
-    def __init__(self, speed=Speed.HIGH, serial=SERIAL):
+    def __init__(self, speed=Speed.HIGH, serial=SERIAL, **identity):
         self.clock = Clock()
         self.config = load_config()
         self.device = Device(self.config, self.clock.now_ns, 1)
-        self.board = UsbBoard(Usb2Face(self.device), UsbIdentity(serial=serial, speed=speed))
+        self.board = UsbBoard(Usb2Face(self.device), UsbIdentity(serial=serial, speed=speed, **identity))
         self.host = UsbHost(self.board)
         self.backend = BusBackend(self.host)
+
+    def status(self, endpoint):
+        """What the device answers to GET_STATUS: bit 0 of an endpoint's first byte is its halt."""
+        urb = Urb(0x80, lambda _urb: None, setup=Setup(0x82, 0, 0, endpoint, 2), length=2)
+        self.host.submit(urb)
+        return bytes(urb.received)
 
     def link(self, serial=""):
         return UsbLink(serial, self.config.usb, self.backend)
@@ -58,9 +66,37 @@ def test_the_board_is_found_by_its_maker_and_serial_number(bus):
 def test_another_serial_number_or_maker_or_id_is_another_board(bus):
     with pytest.raises(BoardError, match=f"no RT-DAC/USB2 board with serial number 7: .*{SERIAL}"):
         bus.link("7")
-    for ids in (UsbConfig(manufacturer="Somebody"), UsbConfig(vendor_id=0x1234), UsbConfig(product_id=1)):
-        with pytest.raises(BoardError, match="is it plugged in"):
+    for ids, named in (
+        (UsbConfig(manufacturer="Somebody"), "'Somebody' (usb.manufacturer). Seen: 04b4:8613 'InTeCo'"),
+        (UsbConfig(vendor_id=0x1234), "'InTeCo' (usb.manufacturer) with vendor id 1234 (usb.vendor_id). Seen: nothing"),
+        (UsbConfig(product_id=1), "with product id 0001 (usb.product_id)"),
+    ):
+        with pytest.raises(BoardError, match="is it plugged in") as refusal:
             UsbLink("", ids, bus.backend)
+        assert named in str(refusal.value)
+
+
+def test_a_board_of_the_maker_is_found_whatever_its_ids():
+    bus = Bus(vendor_id=0x1234, product_id=0x5678)
+    bus.link().close()
+    UsbLink("", UsbConfig(manufacturer="inteco", vendor_id=0x1234), bus.backend).close()
+
+
+@pytest.mark.parametrize("missing", ENDPOINTS)
+def test_a_device_without_one_of_the_boards_four_endpoints_is_refused(missing):
+    bus = Bus(endpoints=tuple(endpoint for endpoint in ENDPOINTS if endpoint != missing))
+    with pytest.raises(BoardError, match=f"not an RT-DAC/USB2: endpoint 0x{missing:02x} is missing, the device has 0x"):
+        bus.link()
+
+
+@pytest.mark.parametrize("halted", ENDPOINTS)
+def test_a_pipe_that_a_program_before_has_left_halted_needs_no_replug(halted):
+    bus = Bus()
+    bus.host.submit(halt_of(halted))
+    with bus.driver() as board:
+        assert not board.exchange(Command.SAFE).board_flags
+    assert bus.status(halted) == b"\0\0"
+    assert bus.board.jtag_transfers == 0
 
 
 def test_a_whole_exchange_goes_over_the_bus_as_it_does_in_process(bus):

@@ -20,6 +20,8 @@ from inteco_abs.mock_board.usb_device import Handshake, Setup
 from inteco_abs.signals import BoardFlags, Command
 
 SERIAL = 900_000_321
+PATIENT_NS = 1_000_000_000
+"""A period so long that the driver waits for each answer as long as its link does."""
 _SET_HALT = 0x02, 3, 0
 """Standard request SET_FEATURE(ENDPOINT_HALT)."""
 
@@ -84,7 +86,7 @@ class Bench:
     @contextmanager
     def driving(self):
         """The wheel is being driven; at the end the outputs are off and the board is let go."""
-        self.driver = RtdacUsb2(self.open_link(), self.config.board, self.clock.now_ns, self.config.period_ns)
+        self.driver = RtdacUsb2(self.open_link(), self.config.board, self.clock.now_ns, PATIENT_NS)
         with self.driver:
             for _ in range(3):
                 self.works()

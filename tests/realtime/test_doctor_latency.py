@@ -189,7 +189,7 @@ def test_a_board_that_no_longer_answers_is_not_asked_for_ever(fake_time, monkeyp
     board = TimedBoard(fake_time, itertools.chain([-9, -9, -9, 1], itertools.repeat(-9)))
     with pytest.raises(BoardError, match="does not answer: the cable is unplugged"):
         round_trips(board, 1000)
-    assert len(board.commands) == 8
+    assert len(board.commands) == 24
 
 
 def test_round_trips_of_the_mock_board_leave_it_safe(new_stack):
@@ -211,7 +211,8 @@ def test_round_trips_of_the_mock_board_leave_it_safe(new_stack):
         ([399.0] * 999, 1000, "amber"),
         ([499.0] * 1000, 1000, "amber"),
         ([500.0] * 1000, 1000, "red"),
-        ([399.0] * 998 + [500.0] * 2, 1000, "red"),
+        ([399.0] * 990 + [500.0] * 10, 1000, "amber"),
+        ([399.0] * 989 + [500.0] * 11, 1000, "red"),
         ([399.0] * 990, 1000, "amber"),
         ([399.0] * 989, 1000, "red"),
         ([], 1000, "red"),
