@@ -34,6 +34,22 @@ def test_bench_stack_prints_every_stage(untraced):
         assert stage in printed
 
 
+@pytest.mark.long
+@pytest.mark.xdist_group("real time")
+@pytest.mark.parametrize(
+    ("arguments", "rows"),
+    [
+        (["1"], ["pipes, same CPU, 2 kHz", "in the loop's process, 2 kHz", "in its own process, 2 kHz"]),
+        (["1", "--run"], ["lateness, reaching-law in its own process", "work when braking, in its own process"]),
+    ],
+)
+def test_bench_isolation_prints_what_asking_another_process_costs(untraced, arguments, rows):
+    printed = run("bench_isolation", *arguments, environment=untraced)
+    for row in rows:
+        median, *_, worst = map(float, re.search(rf"{row} +((?:[\d.]+ *){{4}})", printed).group(1).split())
+        assert 0.0 < median < worst
+
+
 def test_bench_screen_prices_every_size_against_a_line(untraced):
     printed = run("bench_screen", "1", environment=untraced).splitlines()
     rows = {line[2:18].rstrip(): line[18:].split() for line in printed if line.startswith("  ")}
