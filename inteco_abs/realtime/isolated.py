@@ -224,24 +224,38 @@ def main(_path: str) -> int:
 
 
 def _serve(requests: int, replies: int) -> None:
+    controller = _made(requests, replies)
+    if controller is None:
+        return
+    prepare(controller_wishes())
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))  # without root's rights nothing here rises above the loop
+    _tell(replies, {})
+    _answer(requests, replies, controller)
+
+
+def _made(requests: int, replies: int) -> Controller | None:
+    """The controller that is asked for; None if there is none to answer, which has been told."""
     with os.fdopen(requests, "rb", closefd=False) as orders:
         try:
             kind: Any = _loaded(*pickle.load(orders))  # noqa: S301  it comes from the process that is trusted
             _tell(replies, {"gains": kind.gains, "internals": kind.internals})
             setup, gains = pickle.load(orders)  # noqa: S301
-            controllers: dict[int, Controller] = {0: kind(setup, **gains)}
-        except EOFError:
-            return
+            controller: Controller = kind(setup, **gains)
+        except EOFError:  # the parent has ended
+            return None
         except ConfigError as error:
             _tell(replies, {"mistakes": error.mistakes})
-            return
+            return None
         except BaseException as error:  # noqa: BLE001  the top of a process, with a user's code in it
             _tell(replies, {"error": in_words(error)})
-            return
-    prepare(controller_wishes())
-    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))  # without root's rights nothing here rises above the loop
-    _tell(replies, {})
-    read, write, pack, number = os.read, os.write, _REPLY.pack, 0
+            return None
+    return controller
+
+
+def _answer(requests: int, replies: int, controller: Controller) -> None:
+    """Answer until the parent ends, or the controller fails."""
+    read, write, pack = os.read, os.write, _REPLY.pack
+    controllers, number = {0: controller}, 0
     try:
         while request := read(requests, _MOST_BYTES):
             if len(request) == _ESTIMATE.size:
