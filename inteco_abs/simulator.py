@@ -42,6 +42,7 @@ from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import BOARD_PRIORITY, guardian_wishes, prepare
 from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
 from inteco_abs.records import TRUTH
+from inteco_abs.seen_board import SeenBoard
 
 _LOOK_S: Final = 0.1
 _CATCH_UP_S: Final = 0.005
@@ -50,9 +51,9 @@ _LINGER_S: Final = 1.0
 
 NAMES: Final = {"usb2": "RT-DAC/USB2", "usb": "RT-DAC/USB"}
 """Mock boards that can be plugged into a computer, by kind."""
-_BRIDGES: Final[dict[str, Callable[[Face, int], UsbDevice]]] = {
-    "usb2": lambda face, serial: UsbBoard(face, UsbIdentity(serial=serial)),
-    "usb": lambda face, serial: FtdiBoard(ByteStream(face), ftdi_identity(serial)),
+_BRIDGES: Final[dict[str, Callable[[Face, Mock, int], UsbDevice]]] = {
+    "usb2": lambda face, mock, serial: UsbBoard(face, mock.identity(UsbIdentity(serial=serial))),
+    "usb": lambda face, mock, serial: FtdiBoard(ByteStream(face), mock.identity(ftdi_identity(serial))),
 }
 """What carries a face's messages on the bus."""
 
@@ -144,6 +145,8 @@ class Mock:
     truth: TextIO | None = None
     """Where the rig's true state goes, as JSON lines."""
     truth_hz: float = 20.0
+    seen: SeenBoard | None = None
+    """The board that it is a mock of; None: of no board that was ever seen."""
 
     @property
     def name(self) -> str:
@@ -153,7 +156,12 @@ class Mock:
 
     def face(self) -> Face:
         """The board's own side of the wire."""
-        return face_of(Device(self.config, time.monotonic_ns, self.seed))
+        device = Device(self.config, time.monotonic_ns, self.seed)
+        return face_of(device) if self.seen is None else self.seen.face(device)
+
+    def identity(self, like: UsbIdentity) -> UsbIdentity:
+        """What it says of itself on the bus; `like` unless a board was seen to say something else."""
+        return like if self.seen is None else self.seen.identity(like)
 
     def log(self, device: Device) -> Callable[[], None]:
         """What writes the true state, if anybody wants it; to be called often."""
@@ -168,7 +176,7 @@ def serve_usbip(mock: Mock, address: str, serial: int, say: Callable[[str], None
     place = parse_address(address)
     face, kind = mock.face(), mock.config.board.kind
     try:
-        bridge = _BRIDGES[kind](face, serial)
+        bridge = _BRIDGES[kind](face, mock, serial)
     except ValueError as error:
         raise ConfigError([Mistake("--serial", str(error))]) from error
     server = UsbIpServer(UsbHost(bridge), place)

@@ -12,6 +12,9 @@ our own recordings has what the clock showed when they began as `start_ns`, as i
 "out" has the message that was not taken as `hex`; `of` "in" is an answer that did not come; `of` "exchange" leaves
 open which of the two messages before it have gone out. A control transfer has its eight bytes of request as `setup`;
 a warning has only a `text`.
+
+The report of a commissioning (`probe --send-report`) is a capture too: its first line has, as `report`, what else is
+known of the board, and its records are images of it, each in the place of a READ answer.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from inteco_abs.boards.board_report import BoardReport, parse_report
 from inteco_abs.errors import CaptureError, disk_in_words
 
 FORMAT: Final = "inteco-abs wire"
@@ -70,6 +74,8 @@ class Capture(NamedTuple):
     name: str = "the capture"
     start_ns: int | None = None
     """What the clock showed when the capture began, where that is known."""
+    report: BoardReport | None = None
+    """What else is known of the board, if this is the report of a commissioning."""
 
     @property
     def messages(self) -> int:
@@ -107,6 +113,7 @@ def write_capture(path: Path, capture: Capture) -> None:
         "recorded_by": capture.recorded_by,
         "clock": capture.clock,
         **({} if capture.start_ns is None else {"start_ns": capture.start_ns}),
+        **({} if capture.report is None else {"report": capture.report.model_dump(mode="json", exclude_defaults=True)}),
     }
     part = _part(path)
     try:
@@ -204,7 +211,8 @@ def _head(head: dict[str, Any], name: str) -> Capture:
     start_ns = head.get("start_ns")
     if start_ns is not None and (type(start_ns) is not int or not 0 <= start_ns <= _LATEST_NS):
         raise CaptureError(f"{name}, line 1: start_ns = {start_ns!r}, must be in 0..{_LATEST_NS} ns, or left out")
-    return Capture(head["board"], head["recorded_by"], head["clock"], (), name, start_ns)
+    report = parse_report(head["report"], f"{name}, line 1") if "report" in head else None
+    return Capture(head["board"], head["recorded_by"], head["clock"], (), name, start_ns, report)
 
 
 def _record(line: dict[str, Any], place: str) -> Record:

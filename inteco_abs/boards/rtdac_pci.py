@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from struct import Struct
 from typing import Final, NamedTuple
 
 from firmware_protocol import ProtocolError, Register, Status
 from firmware_protocol.register_messages import Step
-from firmware_protocol.registers import Write
+from firmware_protocol.registers import REGISTER_BYTES, Write
 from firmware_protocol.rtdac_pci import (
     ABS,
     ALARM_BIT0,
@@ -283,6 +284,17 @@ def _fields() -> dict[str, tuple[Register, int | None]]:
 
 
 _FIELDS: Final = _fields()
+
+
+def registers_of(image: bytes) -> Iterator[tuple[str, Register, int | None, int]]:
+    """Name, register, channel and bits of everything in an image, as `survey` without names makes one.
+
+    Raises ValueError for an image of another length.
+    """
+    if len(image) != REGISTER_BYTES * len(_FIELDS):
+        raise ValueError(f"an image of {len(image)} bytes: {ABS.title} has {REGISTER_BYTES * len(_FIELDS)}")
+    for (name, (register, channel)), (bits,) in zip(_FIELDS.items(), Struct("<I").iter_unpack(image), strict=True):
+        yield name, register, channel, bits
 
 
 def _width(channel: int, width: int) -> tuple[Write, Write]:

@@ -38,6 +38,13 @@ _MOCK_PROFILES: Final = {"usb2": "sim_usb2", "usb": "sim_usb"}
 )
 @click.option("--serial", default=900_000_001, show_default=True, type=Whole(), help="Its decimal serial number.")
 @click.option("--seed", default=0, show_default=True, type=Whole(0), help="What differs between two power-ups.")
+@click.option(
+    "--from-report",
+    "report",
+    type=FILE,
+    metavar="FILE",
+    help="Be the board of this report (probe --send-report): its descriptors, header and first image.",
+)
 @rig_option
 @click.option("--config", type=FILE, help="rig.toml; every key has a default.")
 @click.option("--truth", metavar="FILE", help="Write the rig's true state there as JSON lines; - is stdout.")
@@ -50,6 +57,7 @@ def mock_board(
     link: str | None,
     serial: int,
     seed: int,
+    report: Path | None,
     drawn: str | None,
     config: Path | None,
     truth: str | None,
@@ -60,19 +68,24 @@ def mock_board(
 
     from inteco_abs.config import load_config
     from inteco_abs.mock_board import rig_check
+    from inteco_abs.seen_board import SeenBoard
     from inteco_abs.simulator import Mock, serve_pty, serve_usbip
 
     if (address is None) == (link is None):
         raise ConfigError([Mistake("--usbip, --pty", "name one of them: to be a USB device, or a serial port")])
-    kind = kind or ("usb2" if link is None else "usb")
+    seen = None if report is None else SeenBoard(report)
+    if seen is not None and kind not in {None, seen.report.kind}:
+        raise ConfigError([Mistake("--board", f"{kind}: the report is of a {seen.report.kind} board; leave this out")])
+    kind = seen.report.kind if seen is not None else kind or ("usb2" if link is None else "usb")
     _insist_on_plug(kind, at_pty=link is not None)
-    rig = load_config(config, drawn_setting(drawn), [rig_check], _MOCK_PROFILES[kind])
+    settings = [*(seen.settings if seen is not None else ()), *drawn_setting(drawn)]
+    rig = load_config(config, settings, [rig_check], _MOCK_PROFILES[kind])
     if rig.board.kind != kind:
         raise ConfigError(
             [Mistake("board.kind", f"{rig.board.kind!r}: the mock is to be {kind!r}; name another profile")]
         )
     with _truth_file(truth) as file:
-        mock = Mock(rig, seed, file, truth_hz)
+        mock = Mock(rig, seed, file, truth_hz, seen)
         talk = partial(say, err=truth == "-")  # data go to stdout, talk to stderr
         if link is None:
             serve_usbip(mock, address or "", serial, talk)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import select
 import sys
+from collections.abc import Callable
+from contextlib import suppress
 from io import BufferedReader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
@@ -12,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 import click
 
 from inteco_abs.cli.shared import SETTING, on_terminal, plain, say
-from inteco_abs.errors import ConfigError, Mistake, Stopped
+from inteco_abs.errors import AbsError, ConfigError, Mistake, Stopped
 
 if TYPE_CHECKING:
     from inteco_abs.lab import Bench, Draft, Walk
@@ -78,6 +80,13 @@ def _ended(stream: TextIO) -> bool:
 @click.option("--redo", default="", metavar="N|NAME", help="Do this step again, then what is left.")
 @click.option("--yes-read-only", "quiet", is_flag=True, help="Do steps 1 to 3, which only read, without questions.")
 @click.option("--set", "settings", multiple=True, type=SETTING, metavar="KEY=VALUE", help="Put into the draft first.")
+@click.option(
+    "--send-report",
+    "report",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="In the end, write what was seen of the board into one file without names, for others; nothing is sent.",
+)
 @click.option("--virtual", is_flag=True, help="With sim:, virtual time.")
 @click.option("--dry-run", is_flag=True, help="Only tell the steps, and what each may do to the rig; opens no board.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object in the end.")
@@ -89,6 +98,7 @@ def probe(
     redo: str,
     quiet: bool,
     settings: tuple[str, ...],
+    report: Path | None,
     virtual: bool,
     dry_run: bool,
     as_json: bool,
@@ -98,6 +108,7 @@ def probe(
     Goes on where it was left. Steps 1 to 4 only read.
     """
     from inteco_abs.boards import check_address, check_kind, simulated
+    from inteco_abs.boards.capture import check_target
     from inteco_abs.lab import Draft, Walk
     from inteco_abs.lab.step import Visit
     from inteco_abs.lab.walk import find_step
@@ -115,6 +126,8 @@ def probe(
         return 0
     if not quiet:
         _insist_on_answers()
+    if report is not None:
+        check_target(report)
     base = profile or _real_profile(board)
     forgiving = [] if file.exists() else _forgiving(board)
     draft = Draft.open(file, board, base, [*forgiving, *settings], given=profile is not None)
@@ -122,13 +135,24 @@ def probe(
     walk = Walk(Visit(_bench(board, draft, virtual=virtual), draft, Terminal(), quiet))
     _print_state(walk, file)
     try:
-        walk.go(only, redo)
+        _go(walk, only, redo, lambda: None if report is None else _write_report(draft, report))
     finally:
         say(err=True)
         _print_state(walk, file)
         if as_json:
             say(json.dumps(_report(walk, draft, board), allow_nan=False))
     return 0
+
+
+def _go(walk: Walk, only: str, redo: str, keep: Callable[[], None]) -> None:
+    """Do the steps, and keep what was seen of the board also where one of them fails."""
+    try:
+        walk.go(only, redo)
+    except AbsError:
+        with suppress(ConfigError):  # of a board that could not even be read
+            keep()
+        raise
+    keep()
 
 
 def _tell_steps(*, as_json: bool) -> None:
@@ -189,6 +213,16 @@ def _report(walk: Walk, draft: Draft, board: str) -> dict[str, Any]:
         "unconfirmed": config.board.unconfirmed(),
         "steps": walk.state(),
     }
+
+
+def _write_report(draft: Draft, file: Path) -> None:
+    from inteco_abs.boards.capture import write_capture
+    from inteco_abs.lab.board_seen import board_seen
+
+    write_capture(file, board_seen(draft))
+    say(
+        f"{file}: the report; nothing was sent. Look at it before you pass it on: inteco-abs wire show {file}", err=True
+    )
 
 
 def _print_state(walk: Walk, file: Path) -> None:

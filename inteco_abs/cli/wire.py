@@ -12,6 +12,7 @@ from inteco_abs.cli.shared import DIFFERS, FILE, SETTING, Verbs, Whole, json_opt
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
+    from inteco_abs.boards.board_report import BoardReport
     from inteco_abs.boards.capture import Capture
 
 _PROTOCOLS: Final = ("usb2", "usb1-111", "usb1-112")
@@ -56,7 +57,10 @@ def show(file: Path, as_json: bool) -> int:
     """What a capture holds: messages, rates, failures, and which board it was."""
     from inteco_abs.boards.capture_summary import summarize
 
-    summary = summarize(_read(file))
+    capture = _read(file)
+    if capture.report is not None:
+        return _show_report(file, capture, capture.report, as_json=as_json)
+    summary = summarize(capture)
     if as_json:
         traffic = {role: one._asdict() for role, one in summary.traffic.items()}
         _print_json({"capture": str(file), **summary._asdict(), "traffic": traffic})
@@ -73,6 +77,21 @@ def show(file: Path, as_json: bool) -> int:
         for role, one in summary.traffic.items()
     ]
     _print_table(("messages", "count", "per second", "median interval s", "longest s"), rows)
+    return 0
+
+
+def _show_report(file: Path, capture: Capture, report: BoardReport, *, as_json: bool) -> int:
+    """Everything that is in it: whoever passes it on has to be able to see that."""
+    images = [record.data.hex() for record in capture.records if record.kind == "in"]
+    if as_json:
+        told = report.model_dump(mode="json", exclude_defaults=True)
+        _print_json({"capture": str(file), "board": capture.board, "report": told, "images": images})
+        return 0
+    parts = {"board": capture.board, "recorded by": capture.recorded_by}
+    for name, part in report.model_dump(mode="json", exclude_defaults=True).items():
+        parts |= {f"{name}.{key}": value for key, value in part.items()} if isinstance(part, dict) else {name: part}
+    parts |= {f"image {number}": image for number, image in enumerate(images, 1)}
+    _print_table(("", ""), [(name, str(value)) for name, value in parts.items()])
     return 0
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from firmware_protocol.rtdac_usb2_bridge import VENDOR_ID
@@ -15,6 +16,9 @@ _USB: Final = "sys/bus/usb/devices/*"
 _PORTS: Final = "sys/bus/usb-serial/devices/*"
 _PCI: Final = "sys/bus/pci/devices/*"
 _TOLD: Final = ("manufacturer", "product", "serial", "speed")
+_MOST_DESCRIPTOR_BYTES: Final = 4096
+_PCI_HEADER_BYTES: Final = 64
+"""Of the configuration space, what every user may read."""
 
 
 class Found(NamedTuple):
@@ -24,6 +28,8 @@ class Found(NamedTuple):
     """What to name after --board."""
     description: str
     """Ids, strings and place."""
+    told: Mapping[str, str] = MappingProxyType({})
+    """Strings and descriptors of the device, for a report."""
 
 
 def found_devices(address: str, config: RigConfig, computer: Computer | None = None) -> list[Found]:
@@ -49,7 +55,8 @@ def _usb2(computer: Computer, config: RigConfig) -> list[Found]:
             not made_by and id_there == f"{VENDOR_ID if vendor is None else vendor:04x}"
         ):
             serial = computer.text_or(f"{folder}/serial", "")
-            found.append(Found(f"usb2:{serial if serial.isdecimal() else ''}", _usb_words(computer, folder)))
+            address = f"usb2:{serial if serial.isdecimal() else ''}"
+            found.append(Found(address, _usb_words(computer, folder), _usb_told(computer, folder)))
     return found
 
 
@@ -58,7 +65,8 @@ def _usb(computer: Computer, _: RigConfig) -> list[Found]:
     found = []
     for port in computer.matching(_PORTS):
         device = str((computer.root / port).resolve().parent.parent)  # port -> interface -> device
-        found.append(Found(f"usb:/dev/{_name(port)}", _usb_words(computer, device)))
+        words, told = _usb_words(computer, device), _usb_told(computer, device)
+        found.append(Found(f"usb:/dev/{_name(port)}", words, told))
     return found
 
 
@@ -68,7 +76,11 @@ def _pci(computer: Computer, _: RigConfig) -> list[Found]:
         return ids == (PCI_VENDOR, PCI_DEVICE)
 
     return [
-        Found(f"pci:{_name(folder)}", f"{PCI_VENDOR}:{PCI_DEVICE} at {_name(folder)}")
+        Found(
+            f"pci:{_name(folder)}",
+            f"{PCI_VENDOR}:{PCI_DEVICE} at {_name(folder)}",
+            {"descriptors": computer.bytes_of(f"{folder}/config", _PCI_HEADER_BYTES).hex()},
+        )
         for folder in computer.matching(_PCI)
         if is_board(folder)
     ]
@@ -78,6 +90,12 @@ def _usb_words(computer: Computer, folder: str) -> str:
     ids = ":".join(computer.text_or(f"{folder}/{name}", "????") for name in ("idVendor", "idProduct"))
     told = [f"{name} {text!r}" for name in _TOLD if (text := computer.text_or(f"{folder}/{name}", ""))]
     return " ".join([ids, *told, f"at USB port {_name(folder)}"])
+
+
+def _usb_told(computer: Computer, folder: str) -> dict[str, str]:
+    descriptors = computer.bytes_of(f"{folder}/descriptors", _MOST_DESCRIPTOR_BYTES).hex()
+    told = {name: computer.text_or(f"{folder}/{name}", "") for name in _TOLD}
+    return {name: text for name, text in {"descriptors": descriptors, **told}.items() if text}
 
 
 def _name(folder: str) -> str:

@@ -79,6 +79,16 @@ class Draft:
         return load_config(profile=str(self.file))
 
     @property
+    def table(self) -> Table:
+        """What the draft's file says, section by section."""
+        return _deep_copy(self._table)
+
+    @property
+    def board(self) -> str:
+        """Address of the board that it was begun with."""
+        return str(self._results["board"])
+
+    @property
     def profile(self) -> str:
         """The profile that it was begun from."""
         return str(self._results["profile"])

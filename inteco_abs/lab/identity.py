@@ -22,7 +22,7 @@ def list_boards(visit: Visit) -> Facts:
         raise ProbeError(f"no device for {visit.bench.address}: plug the board in, switch it on, try another cable")
     for one in found:
         visit.person.tell(f"  {one.address}  {one.description}")
-    return {"devices": [one._asdict() for one in found]}
+    return {"devices": [{**one._asdict(), "told": dict(one.told)} for one in found]}
 
 
 def read_header(visit: Visit) -> Facts:

@@ -7,6 +7,7 @@ from typing import Final
 from inteco_abs.errors import LinkError, ProbeError
 from inteco_abs.lab.reading import insist_on_same_board, open_for_reading
 from inteco_abs.lab.step import Facts, Visit
+from inteco_abs.realtime.histogram import Histogram
 from inteco_abs.realtime.latency import quantiles
 
 READS: Final = 1000
@@ -50,7 +51,10 @@ def measure_reads(visit: Visit) -> Facts:
     )
     window_s = max(config.estimator.window_s, _WINDOW_PERIODS / rate_hz)
     visit.draft.write({"loop.rate_hz": rate_hz, "estimator.window_s": window_s})
-    return {"reads": READS, "failed": failed, "per_second": mean_hz, "times_us": spread._asdict(), "rate_hz": rate_hz}
+    histogram = Histogram()
+    histogram.add(times_us)
+    times = {"times_us": spread._asdict(), "histogram_us": histogram.sparse()}
+    return {"reads": READS, "failed": failed, "per_second": mean_hz, **times, "rate_hz": rate_hz}
 
 
 def kept_rate(wanted_hz: float, read_us: float) -> float:

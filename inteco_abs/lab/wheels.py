@@ -36,15 +36,19 @@ def turn_wheels(visit: Visit) -> Facts:
     with open_for_reading(visit) as board:
         insist_on_same_board(board, visit.draft.config)
         insist_on_outputs_off(board)
+        images = [board.survey().raw.hex()]
         wheel = _turn(visit, board, "wheel", None)
+        images.append(board.survey().raw.hex())
         road = _turn(visit, board, "road", wheel)
+        images.append(board.survey().raw.hex())
     if wheel.per_turn != road.per_turn:
         raise ProbeError(
             f"{wheel.per_turn} counts per turn on the upper wheel, {road.per_turn} on the lower: a configuration has "
             "one number for both; if the encoders are the same, the turns were miscounted"
         )
     _write(visit, wheel, road)
-    return {name: one._asdict() | {"turned": one.turned.counts} for name, one in (("wheel", wheel), ("road", road))}
+    found = {name: one._asdict() | {"turned": one.turned.counts} for name, one in (("wheel", wheel), ("road", road))}
+    return {**found, "images": images}
 
 
 def _turn(visit: Visit, board: Board, which: Wheel, other: _Encoder | None) -> _Encoder:

@@ -22,6 +22,7 @@ from inteco_abs.mock_board.faults import (
 from inteco_abs.mock_board.ftdi import FtdiBoard, ftdi_identity
 from inteco_abs.mock_board.pci import PciFace
 from inteco_abs.mock_board.pty_board import PtyServer
+from inteco_abs.mock_board.seen import SeenFace, SeenIdentity
 from inteco_abs.mock_board.serve import SocketServer
 from inteco_abs.mock_board.simulated_rig import drawn_facts, rig_check, simulated_rig
 from inteco_abs.mock_board.truth_log import TruthLog
@@ -52,6 +53,8 @@ __all__ = [
     "PciFace",
     "PtyServer",
     "Schedule",
+    "SeenFace",
+    "SeenIdentity",
     "SocketServer",
     "Speed",
     "TcpAddress",

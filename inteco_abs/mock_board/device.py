@@ -144,6 +144,10 @@ class Counter:
         raw = (self._edges(angle_rad) + self._offset) % _COUNTER_RANGE
         return raw - _COUNTER_RANGE if raw >= _COUNTER_RANGE // 2 else raw
 
+    def begin_at(self, value: int, angle_rad: float) -> None:
+        """Show `value` with the wheel at `angle_rad`, as after another power-up."""
+        self._offset = value - self._edges(angle_rad)
+
     def _edges(self, angle_rad: float) -> int:
         return self._sign * self._encoder.read(angle_rad)
 
@@ -263,6 +267,12 @@ class Device:
         """Counters of road and wheel now, as two's complement: one reading of each encoder."""
         self.catch_up()
         return self._road.value(self.plant.road_angle), self._wheel.value(self.plant.wheel_angle)
+
+    def begin_counts(self, road: int, wheel: int) -> None:
+        """Have the counters show these values now, as after another power-up."""
+        self.catch_up()
+        self._road.begin_at(road, self.plant.road_angle)
+        self._wheel.begin_at(wheel, self.plant.wheel_angle)
 
     def pins(self) -> int:
         """Levels of the digital pins: nothing but the board itself drives them, so an output reads back its own."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Final
 
 from firmware_protocol import ProtocolError, Register
@@ -73,14 +74,16 @@ _INDEXES: Final = {PWM_INDEX.offset: PWM_INDEX, ENCODER_INDEX.offset: ENCODER_IN
 class PciFace:
     """Registers of the board: what the host writes and reads, one by one or as messages in the place of a bus.
 
+    `seen` is what registers that never change show, by offset, where another board was seen to show something else.
     Offsets that nobody has described read 0. Writes there, to registers that no source writes, and of a channel that
     is not there are dropped, as are malformed messages; `rejected` counts them. Supply and temperature are
     shown as they are, but no alarm flag follows them: how the FPGA's flags are to be read is unknown (K1, K2).
     """
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: Device, seen: Mapping[int, int] = MappingProxyType({})) -> None:
         self.device = device
         self.rejected = 0
+        self._fixed = {offset: seen.get(offset, value) for offset, value in _FIXED.items()}
         self._selected = dict.fromkeys(_INDEXES, 0)
         self._unseen = False  # whether a width was written that nobody who watches the rig has seen
         self._in_series = True
@@ -126,8 +129,8 @@ class PciFace:
         if self._unseen and offset not in _PWM:
             self._unseen = False
             self.device.observe()
-        if offset in _FIXED:
-            return _FIXED[offset]
+        if offset in self._fixed:
+            return self._fixed[offset]
         if offset in self._moving:
             self.device.catch_up()
             return self._moving[offset]() & _WORD

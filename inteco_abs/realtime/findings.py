@@ -95,6 +95,14 @@ class Computer:
         except OSError:
             return missing
 
+    def bytes_of(self, path: str, most: int) -> bytes:
+        """The first bytes of a file, `most` at most; none if it cannot be read."""
+        try:
+            with (self.root / path).open("rb") as file:
+                return file.read(most)
+        except OSError:
+            return b""
+
     def matching(self, pattern: str) -> list[str]:
         """Paths that match, in order; none if there are no such folders."""
         return sorted(str(path.relative_to(self.root)) for path in self.root.glob(pattern))

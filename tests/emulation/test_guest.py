@@ -16,6 +16,8 @@ import pytest
 from check_list import CHECKS
 from guest import kernel, machine
 
+from firmware_protocol.rtdac_pci import LOGIC, LOGIC_VERSION, PWM_PRESCALER
+from inteco_abs.config import load_config
 from inteco_abs.control import build_pipeline, control_check
 from inteco_abs.sessions import read_session, replay, session_config
 
@@ -46,9 +48,9 @@ def kind(request):
 
 @pytest.fixture(scope="module")
 def scenario(kind, tmp_path_factory):
-    """Runs a scenario in a guest with the kernel."""
+    """Runs a scenario in a guest with the kernel, and with what `prepare`, if given, adds to it."""
 
-    def run(name):
+    def run(name, prepare=lambda _results: ()):
         if to_install := machine.missing():
             lacking(f"what the guests need is missing: {to_install}")
         try:
@@ -66,11 +68,25 @@ def scenario(kind, tmp_path_factory):
         }
         settings = [f"{key}={value}" for key, value in environment.items()]
         script = shlex.join(["env", "-i", *settings, sys.executable, "-m", f"guest.{name}"])
-        code, console = machine.run(guests_kernel, script, results)
+        code, console = machine.run(guests_kernel, script, results, prepare(results))
         assert code == 0, console
         return Outcome(json.loads((results / "report.json").read_text()), results)
 
     return run
+
+
+def stand_ins(results):
+    """Two functions with registers at base address register 2: memory that is a file here, and I/O ports."""
+    memory = bytearray(1 << 16)
+    memory[LOGIC.offset : LOGIC.offset + 4] = LOGIC_VERSION.to_bytes(4, "little")
+    (results / "registers").write_bytes(memory)
+    backend = f"memory-backend-file,id=m,mem-path={results / 'registers'},size=64K,share=on"
+    return "-object", backend, "-device", "ivshmem-plain,memdev=m", "-device", "megasas"
+
+
+@pytest.fixture(scope="module")
+def pci(scenario):
+    return scenario("pci", stand_ins)
 
 
 @pytest.fixture(scope="module")
@@ -185,3 +201,48 @@ class TestFtdi:
 
     def test_the_stop_replays(self, ftdi):
         assert_it_replays(ftdi.report["stop"], ftdi.results)
+
+
+_IO, _MEMORY = 0x100, 0x200
+
+
+class TestPci:
+    """The driver of the RT-DAC4/PCI on a real kernel's resource files. What answers there is not the board."""
+
+    def test_registers_that_are_switched_off_are_refused_with_what_to_do(self, pci):
+        for told in pci.report["off"].values():
+            assert "is switched off: echo 1 | sudo tee" in told
+            assert "doctor --rules" in told
+
+    def test_the_udev_rule_switches_them_on_and_opens_them_to_the_group(self, pci):
+        for what, flag in (("memory", _MEMORY), ("ports", _IO)):
+            files = pci.report["files"][what]
+            assert (files["enable"], files["group"], files["mode"]) == ("1", "dialout", "0660")
+            assert files["flags"] & (_IO | _MEMORY) == flag
+            assert files["bytes"] >= 256
+
+    def test_a_user_of_the_group_reads_and_writes_memory_and_ports(self, pci):
+        assert pci.report["logic"] == LOGIC_VERSION
+        assert pci.report["mask"] == 0x5A
+
+    def test_any_other_user_is_told_of_the_rules(self, pci):
+        for told in pci.report["stranger"].values():
+            assert "resource2 cannot be opened: no permission: inteco-abs doctor --rules" in told
+
+    def test_of_two_boards_one_must_be_named(self, pci):
+        assert "2 RT-DAC4/PCI boards: name one" in pci.report["which"]
+
+    def test_one_program_at_a_time_has_them(self, pci):
+        assert "another program has the board" in pci.report["taken"]
+
+    def test_the_driver_enters_the_board_and_its_writes_arrive_at_the_far_side(self, pci):
+        assert pci.report["driver"] == {"identity": f"logic 0x{LOGIC_VERSION:04X}", "flags": [0] * 10}
+        far = (pci.results / "registers").read_bytes()
+        prescaler = int.from_bytes(far[PWM_PRESCALER.offset : PWM_PRESCALER.offset + 4], "little")
+        assert prescaler == load_config(profile="sim_pci").board.pwm_prescaler
+
+    def test_a_locked_down_kernel_refuses_both_and_the_words_name_secure_boot(self, pci):
+        memory, ports = pci.report["locked"]["memory"], pci.report["locked"]["ports"]
+        assert "cannot be mapped: the kernel is locked down and forbids it: switch Secure Boot off" in memory
+        assert "cannot be written: the kernel is locked down and forbids it: switch Secure Boot off" in ports
+        assert any("direct PCI access is restricted" in line for line in pci.report["log"])

@@ -10,11 +10,13 @@ import pytest
 from drill import new_host
 from usbfs import UsbfsTree
 
+from inteco_abs.boards.capture import read_capture
 from inteco_abs.errors import LinkError
 from inteco_abs.lab.bench import bridge_facts
 from inteco_abs.mock_board import Speed
 
 COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
+WORDS = ("--yes-read-only", "--draft", "lab.toml", "--json")
 TOLD = {"idVendor": "04b4", "idProduct": "8613", "manufacturer": "InTeCo", "product": "RT-DAC/USB2", "serial": "77"}
 
 
@@ -28,9 +30,9 @@ def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_i
         (tree.path / "sys/devices/usb1/1-1" / name).write_text(f"{text}\n")
     environment = {key: value for key, value in os.environ.items() if not key.startswith("COV")}
 
-    def walk(step):
+    def walk(step, *more):
         return subprocess.run(
-            [COMMAND, "probe", "--board", "usb2:", "--yes-read-only", "--draft", "lab.toml", "--json", "--step", step],
+            [COMMAND, "probe", "--board", "usb2:", *WORDS, "--step", step, *more],
             cwd=tmp_path,
             env=environment | tree.environment(),
             capture_output=True,
@@ -40,7 +42,7 @@ def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_i
         )
 
     try:
-        first, second, third = walk("list"), walk("header"), walk("reads")
+        first, second, third = walk("list"), walk("header"), walk("reads", "--send-report", "board.jsonl")
     finally:
         tree.close()
     assert first.returncode == second.returncode == 0, first.stderr + second.stderr
@@ -54,6 +56,13 @@ def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_i
     # a busy computer may be too slow for any rate, and then it says so
     assert reads["outcome"] == "done" or "too slow for any rate" in reads["problem"]
     assert host.device.face.device.settings == {}
+    report = read_capture(tmp_path / "board.jsonl").report
+    assert bytes.fromhex(report.bus.descriptors) == b"".join(
+        host.device.identity.descriptor(kind, 0) for kind in (1, 2)
+    )
+    assert (report.bus.manufacturer, report.bus.product, report.bus.serial_form) == ("InTeCo", "RT-DAC/USB2", "99")
+    assert report.identity.firmware_compiled == "2026-01-01"
+    assert str(tmp_path) not in (tmp_path / "board.jsonl").read_text()
 
 
 def test_a_bridge_in_trouble_is_no_reason_to_stop(real_board, monkeypatch):

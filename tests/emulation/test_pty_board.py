@@ -184,6 +184,33 @@ def test_a_board_that_is_not_there_is_said_in_words_and_nothing_is_started(tmp_p
     assert not list((tmp_path / "sessions").glob("*"))
 
 
+@pytest.mark.long
+def test_a_mock_made_from_a_report_gives_the_same_report(tmp_path, mock):
+    def report(port, name):
+        words = "--yes-read-only", "--draft", f"{name}.toml", "--send-report", f"{name}.jsonl"
+        subprocess.run(  # a busy computer may be too slow for any rate, and there is a report all the same
+            [COMMAND, "probe", "--board", f"usb:{port}", *words],
+            cwd=tmp_path, env=UNTRACED, capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+        return tmp_path / f"{name}.jsonl"
+
+    first = report(mock.port, "first")
+    text = first.read_text()
+    name = b"ABSIM".hex()
+    assert name in text
+    seen = tmp_path / "seen.jsonl"
+    seen.write_text(text.replace(name, b"OTHER".hex()))
+    folder = tmp_path / "of the report"
+    folder.mkdir()
+    second = Mock(folder, "--from-report", seen)
+    try:
+        again = report(second.port, "again")
+    finally:
+        second.process.kill()
+        second.process.communicate()
+    assert again.read_text().splitlines()[1:] == seen.read_text().splitlines()[1:]
+
+
 @pytest.fixture
 def commissioning(mock, tmp_path):
     """Starts the commissioning at the step that turns the motors, on the mock's port; the steps before are done."""

@@ -153,7 +153,8 @@ def computer(tmp_path):
     ],
 )
 def test_boards_are_listed_as_the_kernel_knows_them(computer, address, found, words):
-    assert found_devices(address, load_config(), computer) == [(found, words)]
+    (one,) = found_devices(address, load_config(), computer)
+    assert (one.address, one.description) == (found, words)
 
 
 def test_no_board_is_said_with_what_to_do(lab):

@@ -10,8 +10,10 @@ import shutil
 import signal
 import termios
 import time
+from pathlib import Path
 
 import pytest
+import strikes
 import tracing
 from live import LiveRun, safe_after_ns
 from ordeal import KINDS, RUNS, ordeal, table
@@ -25,6 +27,7 @@ GENEROUS_NS = 2_000_000_000
 """No promise: what even a machine under load must keep. Figures come from tools/bench_deaths."""
 STEP = 1 / 255
 """Of a PWM's width, at most."""
+FREEZER = Path("/sys/fs/cgroup/freezer")
 TURNING = 400
 """A tick by which the drive is on."""
 
@@ -244,6 +247,75 @@ def test_loop_and_guardian_killed_at_once_leave_the_supervisor(live, replayed):
     assert safe_after_ns(session, struck_ns) < GENEROUS_NS
     assert session.metadata["session"]["died"] == "loop, guardian"
     assert_left_nothing_behind(run)
+
+
+BOTH_FROZEN = (("loop", "freeze"), ("guardian", "freeze"))
+
+
+@pytest.mark.parametrize("kind", [each if each == BOTH_FROZEN else pytest.param(each, marks=pytest.mark.long)
+                                  for each in strikes.KINDS], ids=strikes.name_of)  # fmt: skip
+def test_whoever_is_killed_or_frozen_the_board_is_made_safe_or_the_switch_is_called_for(
+    command_path, tmp_path, untraced, kind
+):
+    found = strikes.struck(command_path, tmp_path, untraced, kind, 0)
+    if strikes.anybody_left(kind):
+        assert found.off_ms * 1e6 < GENEROUS_NS, found
+    else:
+        assert found.off_ms < float("inf") or found.told, found
+
+
+@pytest.fixture
+def undying():
+    """Makes a process one that cannot be killed until this is over, as one that waits in the kernel for a device."""
+    folder = FREEZER / f"inteco-abs-{os.getpid()}"
+    try:
+        folder.mkdir()
+    except OSError as error:
+        pytest.skip(f"no cgroup of version 1 that freezes, whose processes no signal reaches: {error}")
+
+    def freeze(pid):
+        (folder / "cgroup.procs").write_text(str(pid))
+        (folder / "freezer.state").write_text("FROZEN")
+
+    def thaw():
+        (folder / "freezer.state").write_text("THAWED")
+
+    yield freeze, thaw
+    thaw()
+    while (folder / "cgroup.procs").read_text():
+        time.sleep(0.01)
+    folder.rmdir()
+
+
+@pytest.mark.parametrize(
+    "victims",
+    [
+        (),
+        ("guardian", "supervisor"),
+        pytest.param(("guardian",), marks=pytest.mark.long),
+        pytest.param(("supervisor",), marks=pytest.mark.long),
+        pytest.param(("guardian", "recorder"), marks=pytest.mark.long),
+        pytest.param(("supervisor", "recorder"), marks=pytest.mark.long),
+    ],
+    ids=lambda victims: "+".join(victims) or "nobody",
+)
+def test_of_a_loop_that_cannot_be_killed_the_user_hears_at_once_from_whoever_is_left(live, undying, victims):
+    freeze, thaw = undying
+    run = live()
+    run.until_tick(TURNING)
+    doomed = [run.pid(role) for role in victims]
+    freeze(run.pid("loop"))
+    for pid in doomed:
+        os.kill(pid, signal.SIGKILL)
+    assert run.memory.wait(lambda: run.words[Word.ALARMED], GENEROUS_NS * 1e-9)
+    thaw()
+    if "supervisor" in victims:
+        message = run.process.communicate(timeout=60)[1]
+    else:
+        code, card, message = run.end()
+        assert (code, card["outcome"]) == (5, "aborted")
+        assert "made its board safe in" in message
+    assert message.count("MOTOR POWER MAY STILL BE ON: press the emergency switch") == 1
 
 
 def test_a_board_that_is_gone_is_said_loudly(live):

@@ -32,8 +32,11 @@ def missing():
     return f"apt-get install {' '.join(packages)}" if packages else ""
 
 
-def run(kernel, script, results):
-    """Boot `kernel`, run the shell script in the guest's root; its exit code and all that the guest's console said."""
+def run(kernel, script, results, devices=()):
+    """Boot `kernel`, run the shell script in the guest's root; its exit code and all that the guest's console said.
+
+    `devices` are more words for QEMU.
+    """
     with tempfile.TemporaryDirectory() as scratch:
         initramfs = _initramfs(kernel, script, Path(scratch))
         command = [
@@ -44,6 +47,7 @@ def run(kernel, script, results):
             "-kernel", kernel.image, "-initrd", initramfs,
             "-append", "console=ttyS0 quiet panic=-1 mitigations=off tsc=reliable no_timer_check noautogroup",
             *_share("root", "/", "readonly=on,multidevs=remap"), *_share("results", results, ""),
+            *devices,
         ]  # fmt: skip
         ended = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     console = ended.stdout + ended.stderr
