@@ -48,6 +48,9 @@ class Viewer:
                 assert (kind, subscription) == (1, SUBSCRIPTION)
                 return log_time, data[MESSAGE.size :]
 
+    def unsubscribe(self):
+        self._socket.send(json.dumps({"op": "unsubscribe", "subscriptionIds": [SUBSCRIPTION]}))
+
     def rest(self):
         """All messages until the server is gone."""
         messages = [data for data in self._socket if isinstance(data, bytes)]

@@ -1,21 +1,23 @@
 """The live view on the rings of a run that tests write themselves."""
 
 import gc
+import os
 import socket
 import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-import foxglove
 import pytest
 from live_client import watching
+from websockets.sync.client import connect
 
 from inteco_abs.config import load_config
 from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.experiment import Plan, run_stop
-from inteco_abs.realtime.live import PERIOD_S, insist_on_foxglove, live_view
-from inteco_abs.realtime.memory import Word
+from inteco_abs.realtime.live import MOST_VIEWERS, PERIOD_S, insist_on_foxglove, live_view
+from inteco_abs.realtime.memory import Word, alive
+from inteco_abs.realtime.ring import RingReader
 from inteco_abs.records import TICK, pack_tick
 from inteco_abs.signals import Tick
 
@@ -151,7 +153,7 @@ def test_trouble_while_serving_ends_the_view_and_nothing_else(memory, job, loop,
     def fail(*_args, **_options):
         raise RuntimeError("no more room")
 
-    monkeypatch.setattr(foxglove.Channel, "log", fail)
+    monkeypatch.setattr(RingReader, "newest", fail)
     with live_view(memory, job):
         loop.append()
     assert capfd.readouterr().err == "inteco-abs: the live view has ended, and the run goes on: no more room\n"
@@ -174,8 +176,110 @@ def test_it_is_gone_afterwards(memory, job, until):
 
 def test_a_missing_extra_is_named(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
-    with pytest.raises(AbsError, match=r"--foxglove needs foxglove-sdk: pip install 'inteco-abs\[foxglove\]'"):
+    with pytest.raises(AbsError, match=r"--foxglove needs websockets: pip install 'inteco-abs\[foxglove\]'"):
         insist_on_foxglove(0)
+
+
+def descriptors():
+    return sum(1 for _ in Path("/proc/self/fd").iterdir())
+
+
+class TestStrangers:
+    """Any program of this computer can connect, and any page in a browser here can make the browser do so."""
+
+    @staticmethod
+    def status(port, **headers):
+        """Of the answer to a handshake with these headers; 101 switches to the protocol."""
+        lines = {
+            "Host": f"127.0.0.1:{port}", "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
+            "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Protocol": "foxglove.sdk.v1", **headers,
+        }  # fmt: skip
+        with socket.create_connection(("127.0.0.1", port), 10.0) as connection:
+            request = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
+            connection.sendall(f"GET / HTTP/1.1\r\n{request}\r\n".encode())
+            return int(connection.recv(100).split()[1])
+
+    @pytest.mark.parametrize(
+        "origin",
+        ["http://evil.example", "https://localhost.evil.example", "null", "https://foxglove.dev", "http://[::2]"],
+    )
+    def test_a_page_of_elsewhere_is_refused(self, memory, job, origin):
+        with live_view(memory, job):
+            assert self.status(memory.words[Word.LIVE_PORT], Origin=origin) == 403
+
+    @pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1"])
+    def test_a_name_of_a_stranger_that_leads_here_is_refused(self, memory, job, host):
+        with live_view(memory, job):
+            port = memory.words[Word.LIVE_PORT]
+            assert self.status(port, Host=host.format(port=port)) == 403
+
+    @pytest.mark.parametrize(
+        "origin", ["http://localhost:8080", "https://127.0.0.1", "https://app.foxglove.dev", "file://"]
+    )
+    def test_viewers_of_this_computer_and_the_foxglove_app_are_let_in(self, memory, job, origin):
+        with live_view(memory, job):
+            port = memory.words[Word.LIVE_PORT]
+            assert self.status(port, Origin=origin) == 101
+            assert self.status(port, Origin=origin, Host=f"localhost:{port}") == 101
+
+    def test_a_thousand_that_only_connect_take_a_few_descriptors_and_the_others_go_on(self, memory, job, loop, until):
+        with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+            loop.reach(viewer)
+            held = descriptors()
+            idle = [socket.socket() for _ in range(400)]
+            for each in idle:
+                each.connect(("127.0.0.1", memory.words[Word.LIVE_PORT]))
+            loop.reach(viewer)
+            until(lambda: descriptors() <= held + len(idle) + MOST_VIEWERS, "the rest is sent away")
+            assert alive(os.getpid())
+            for each in idle:
+                each.close()
+
+    @pytest.mark.parametrize(
+        "said",
+        [
+            b"garbage\r\n\r\n", b"GET / HTTP/1.1\r\n\r\n", b"\x16\x03\x01\x02\x00", b"\0" * 70_000, b"",
+        ],
+        ids=["words", "no websocket", "TLS", "zeros", "nothing"],
+    )  # fmt: skip
+    def test_what_is_no_handshake_disturbs_nobody(self, memory, job, loop, said):
+        with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+            for _ in range(MOST_VIEWERS + 4):
+                with suppress(OSError), socket.create_connection(("127.0.0.1", memory.words[Word.LIVE_PORT])) as other:
+                    other.sendall(said)
+            loop.reach(viewer)
+
+    @pytest.mark.parametrize(
+        "said",
+        [
+            "[]",
+            '{"op": "subscribe"}',
+            '{"op": "subscribe", "subscriptions": [{"id": -1, "channelId": 1}]}',
+            "[" * 60_000,
+            '{"op": "unsubscribe", "subscriptionIds": [[]]}',
+            "x" * 100_000,
+            b"binary",
+        ],
+        ids=range(7),
+    )
+    def test_what_is_no_order_of_the_protocol_disturbs_no_other_viewer(self, memory, job, loop, said):
+        with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+            address = f"ws://127.0.0.1:{memory.words[Word.LIVE_PORT]}"
+            with connect(address, subprotocols=["foxglove.sdk.v1"]) as other:  # not before the first has its answer
+                other.send(said)
+                loop.reach(viewer)
+
+    def test_who_has_unsubscribed_hears_no_more(self, memory, job, loop):
+        with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+            loop.reach(viewer)
+            viewer.unsubscribe()
+            loop.append()
+            with suppress(TimeoutError):
+                for _ in range(5):
+                    viewer.next(0.3)
+            loop.append()
+            with pytest.raises(TimeoutError):
+                viewer.next(0.3)
 
 
 def test_a_run_in_virtual_time_has_nothing_to_look_at(tmp_path):

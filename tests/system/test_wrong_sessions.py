@@ -104,8 +104,8 @@ PACKAGES = [
     Row("MATLAB", "export stop.mcap --format mat", 1, ("scipy",), "pip install 'inteco-abs[export]'",
         (session(), without("scipy"))),
     Row("the panel", "panel", 1, ("textual",), "pip install 'inteco-abs[panel]'", (without("textual"),)),
-    Row("a live view", "run --foxglove", 1, ("foxglove-sdk",), "pip install 'inteco-abs[foxglove]'",
-        (without("foxglove"),)),
+    Row("a live view", "run --foxglove", 1, ("websockets",), "pip install 'inteco-abs[foxglove]'",
+        (without("websockets"),)),
     Row("Wireshark's captures", "wire import x.pcap -o x.jsonl", 1, ("dpkt",), "pip install inteco-abs[capture]",
         (file("x.pcap", b"\xd4\xc3\xb2\xa1" + bytes(20)), without("dpkt"))),
 ]  # fmt: skip
