@@ -19,6 +19,10 @@ PCI_REGISTERS: Final = "resource2"
 """The BAR with the registers (fact sheet on the boards, section 2)."""
 
 _SERIAL_GROUPS: Final = ("dialout", "uucp")
+_SERIAL: Final = 'ATTRS{serial}=="'
+"""Begins what a lab may write by itself into the rules."""
+_SERIAL_EXAMPLE: Final = f'#SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", {_SERIAL}A1B2C3D4", ENV{{INTECO_ABS}}="1"'
+_MODEM_EXAMPLE: Final = f'#SUBSYSTEM=="tty", SUBSYSTEMS=="usb", {_SERIAL}A1B2C3D4", ENV{{ID_MM_DEVICE_IGNORE}}="1"'
 _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 _INSTALL_RULES: Final = (
     f"inteco-abs doctor --rules | sudo tee {UDEV_FILE} && sudo udevadm control --reload && sudo udevadm trigger"
@@ -51,8 +55,16 @@ ENV{{INTECO_ABS}}=="1", GROUP="{group}", MODE="0660", TAG+="uaccess", ATTR{{powe
 GOTO="inteco_abs_end"
 LABEL="inteco_abs_not_usb"
 
-# RT-DAC/USB of the first generation: an answer waits in the FTDI chip for 1 ms, not for 16 ms
-SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{{latency_timer}}="1"
+# RT-DAC/USB of the first generation: an answer waits in the FTDI chip for 1 ms, not for 16 ms, and ModemManager keeps
+# away. Other devices have such chips too: only the board is meant, by its names, as far as they are known
+SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTRS{{manufacturer}}=="*[Ii][Nn][Tt][Ee][Cc][Oo]*", ENV{{INTECO_ABS}}="1"
+SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTRS{{product}}=="*[Rr][Tt]*[Dd][Aa][Cc]*", ENV{{INTECO_ABS}}="1"
+# if it has others: take the # away from the next line, and put the board's serial number there (doctor names it)
+{_SERIAL_EXAMPLE}
+SUBSYSTEM=="usb-serial", ENV{{INTECO_ABS}}=="1", ATTR{{latency_timer}}="1"
+SUBSYSTEM=="tty", SUBSYSTEMS=="usb", ATTRS{{manufacturer}}=="*[Ii][Nn][Tt][Ee][Cc][Oo]*", ENV{{ID_MM_DEVICE_IGNORE}}="1"
+SUBSYSTEM=="tty", SUBSYSTEMS=="usb", ATTRS{{product}}=="*[Rr][Tt]*[Dd][Aa][Cc]*", ENV{{ID_MM_DEVICE_IGNORE}}="1"
+{_MODEM_EXAMPLE}
 
 # RT-DAC4/PCI: its 64 registers, switched on, as no driver of the kernel does it
 SUBSYSTEM=="pci", ATTR{{vendor}}=="{PCI_VENDOR}", ATTR{{device}}=="{PCI_DEVICE}", \
@@ -133,9 +145,14 @@ def _udev_rules(computer: Computer) -> Judgement:
     if not computer.exists("sys"):
         raise FileNotFoundError(computer.root / "sys")
     installed = computer.text_or(UDEV_FILE.lstrip("/"), "")
-    if installed == udev_rules(serial_group(computer)).strip():
+    if _without_serials(installed) == _without_serials(udev_rules(serial_group(computer))):
         return green("installed")
     return amber("installed, but not those of this version" if installed else "not installed", _INSTALL_RULES)
+
+
+def _without_serials(rules: str) -> list[str]:
+    """Lines of rules but for those in which a lab names its own board."""
+    return [line for line in rules.strip().splitlines() if _SERIAL not in line]
 
 
 CHECKS: Final[dict[str, Check]] = {

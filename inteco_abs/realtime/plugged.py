@@ -93,9 +93,19 @@ def _ftdi_latency(computer: Computer, folder: str) -> Judgement:
     latency_ms = int(computer.text(file))
     if latency_ms <= _LEAST_LATENCY_MS:
         return green(f"{_name(folder)} {latency_ms} ms")
+    number = _serial_number(computer, folder)
     return amber(
-        f"{_name(folder)} {latency_ms} ms, which each answer waits", f"echo {_LEAST_LATENCY_MS} | sudo tee /{file}"
+        f"{_name(folder)} {latency_ms} ms, which each answer waits",
+        f"if it is the board's: echo {_LEAST_LATENCY_MS} | sudo tee /{file}, or put its serial number{number} into "
+        f"{UDEV_FILE}",
     )
+
+
+def _serial_number(computer: Computer, folder: str) -> str:
+    """Of a port's USB device, which is above it, in words; empty if it has none."""
+    above = (computer.root / folder).resolve().parents
+    number = next((text for place in above if (text := computer.text_or(str(place / "serial"), ""))), "")
+    return f" {number}" if number else ""
 
 
 def _pci_access(computer: Computer, folder: str) -> Judgement:

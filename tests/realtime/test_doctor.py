@@ -158,6 +158,8 @@ CASES = [
     ("group", {"etc/group": "users:x:20:\n"}, "amber", NOT_KNOWN, "/proc"),
     ("udev rules", {}, "green", "installed", ""),
     ("udev rules", {RULES: None}, "amber", "not installed", f"sudo tee {UDEV_FILE}"),
+    ("udev rules", {RULES: udev_rules("dialout").replace("#SUBSYSTEM", "SUBSYSTEM").replace("A1B2C3D4", "FT0K3Y")},
+     "green", "installed", ""),
     ("udev rules", {RULES: udev_rules("dialout") + "# mine\n"}, "amber", "not those of this version", "sudo tee"),
     ("board", {}, "green", "RT-DAC/USB2 at USB port 1-2, RT-DAC4/PCI at 0000:04:00.0", ""),
     ("board", NO_USB, "green", "RT-DAC4/PCI at 0000:04:00.0", ""),
@@ -410,6 +412,32 @@ def test_the_files_to_install_name_the_group_of_this_system(new_root, groups, na
     assert f"@{name} - rtprio 90\n@{name} - memlock unlimited\n" in limits(group)
 
 
+def test_the_udev_rules_touch_no_serial_port_but_one_that_the_rules_know_for_the_board():
+    named = ('ATTRS{manufacturer}=="*[Ii]', 'ATTRS{product}=="*[Rr]')
+    rules = [
+        line for line in udev_rules("dialout").splitlines() if line.startswith("SUBSYSTEM==") and "misc" not in line
+    ]
+    ports = [line for line in rules if "usb-serial" in line or "tty" in line]
+    assert len([line for line in ports if any(name in line for name in named)]) == 4
+    assert [line for line in ports if not any(name in line for name in named)] == [
+        'SUBSYSTEM=="usb-serial", ENV{INTECO_ABS}=="1", ATTR{latency_timer}="1"'
+    ]
+
+
+def test_a_slow_serial_port_is_named_with_the_serial_number_by_which_the_rules_would_know_it(new_root, tmp_path):
+    root = new_root({f"{FTDI}/ttyUSB0/latency_timer": None})
+    port = root / "sys/devices/pci0/usb1/1-4/1-4:1.0/ttyUSB0"
+    port.mkdir(parents=True)
+    (port / "latency_timer").write_text("16\n")
+    (root / "sys/devices/pci0/usb1/1-4/serial").write_text("FT0K3Y\n")
+    (root / FTDI).mkdir(parents=True, exist_ok=True)
+    for each in (root / FTDI).iterdir():
+        each.rmdir()
+    (root / FTDI / "ttyUSB0").symlink_to(port)
+    (finding,) = [each for each in examine(tmp_path, root) if each.name == "FTDI latency"]
+    assert "put its serial number FT0K3Y into" in finding.fix
+
+
 def test_the_udev_rules_jump_only_forward_to_labels_that_exist():
     seen, waiting = set(), set()
     for line in udev_rules("dialout").splitlines():
@@ -430,7 +458,7 @@ def test_every_rule_is_pairs_of_key_operator_and_quoted_value():
     for rule in rules:
         for part in rule.split(", "):
             key, _, value = part.partition('"')
-            assert key.rstrip("=!+").isidentifier() or key.partition("{")[0] in {"ENV", "ATTR"}
+            assert key.rstrip("=!+").isidentifier() or key.partition("{")[0] in {"ENV", "ATTR", "ATTRS"}
             assert key.endswith("=")
             assert value.count('"') == 1
             assert value.endswith('"')
