@@ -1,21 +1,31 @@
 """Who watches whom in a run, as a small model whose every state can be enumerated.
 
-Loop, guardian, supervisor and recorder, as `inteco_abs.realtime` has them, each step of theirs an atom; any of them may
-be killed before any step, the loop may stand still and go on again, and the whole computer may stand still. Time is
-counted in polls: in each of them every process that lives and does not stand still acts once, in any order.
+Loop, guardian and supervisor, as `inteco_abs.realtime` has them, each step of theirs an atom; any of them and the
+recorder may be killed or frozen before any step and go on again after any, and the whole computer may stand still.
+What guardian and supervisor do is decided by the very functions that decide it in the code, `realtime.rules`, and the
+windows are the code's. Time is counted in polls of 25 ms: in each of them every process that can acts once, in any
+order.
 
-This is a model, not the code: what it says is that the rules suffice. That the code keeps to them is for the tests of
-`tests/realtime` and for the kills of `tests/system/test_deaths.py`.
+A frozen recorder is as good as a healthy one here: nobody's safety waits for it.
 """
 
 from collections import deque
 from collections.abc import Iterator
 from typing import NamedTuple
 
-WINDOW = 3
-"""Polls that a heartbeat may be missing."""
-BOUND = 4 * WINDOW
-"""Polls: a loop that stands still, whose guardian dies as it takes over, so that the supervisor has to."""
+from inteco_abs.realtime import rules as code
+from inteco_abs.realtime.rules import Deed
+
+POLL_NS = 25_000_000
+LOOP_WINDOW = 50_000_000 // POLL_NS
+"""Polls: `guard.silence_s` of a real board."""
+GUARDIAN_WINDOW = code.GUARDIAN_WINDOW_NS // POLL_NS
+LOOPS_WINDOW = code.LOOPS_WINDOW_NS // POLL_NS
+SUPERVISOR_WINDOW = code.SUPERVISOR_WINDOW_NS // POLL_NS
+MOST_SILENT = 1 + max(GUARDIAN_WINDOW, LOOPS_WINDOW, SUPERVISOR_WINDOW)
+BOUND = 10
+"""Polls from the last strike, 250 ms: a loop alone beside a dead guardian, or a supervisor that sees, kills, waits and
+writes. Each step takes a poll here, and 5 ms in the code."""
 
 
 class Rules(NamedTuple):
@@ -29,7 +39,9 @@ class Rules(NamedTuple):
     guardian_watches_the_others: bool = True
     loop_watches_the_guardian: bool = True
     loop_waits_for_the_guardian: bool = True
-    supervisor_watches: bool = True
+    supervisor_stops: bool = True
+    supervisor_kills: bool = True
+    supervisor_waits_for_both_ends: bool = True
     supervisor_rescues: bool = True
     let_go_after_safe: bool = True
     """The loop says that it does not hold the board only once SAFE was read back."""
@@ -38,91 +50,107 @@ class Rules(NamedTuple):
 class State(NamedTuple):
     """Everything that a step depends on."""
 
-    loop: str = "new"  # new, held, driving, standing, safe, left, dying, dead
-    guardian: str = "idle"  # idle, watching, killing, claiming, done, dead
-    supervisor: str = "runs"  # runs, dead
+    loop: str = "new"  # new, held, driving, safe, left, dying, dead
+    guardian: str = "idle"  # idle, watching, claiming, done, dying, dead
+    supervisor: str = "runs"  # runs, rescuing, dead
     recorder: str = "runs"  # runs, dead
+    frozen: frozenset[str] = frozenset()
     output: bool = False
     holds: bool = False
     stop: bool = False
     stood_still: bool = False
-    """The loop has not acted since it stood still."""
-    loop_silent: int = 0
-    """Polls since the loop's newest tick, as the guardian counts them."""
-    guardian_silent: int = 0
-    """Polls since the guardian's newest beat, as the loop counts them."""
+    """The loop has not acted since it was frozen."""
+    loop_seen: int = 0
+    """Looks of the guardian's since the loop's newest tick."""
+    loop_watched: int = 0
+    """The same of the supervisor's."""
+    guardian_seen: int = 0
+    """Looks of the loop's since the guardian's newest beat."""
+    guardian_watched: int = 0
+    """The same of the supervisor's."""
+    supervisor_seen: int = 0
+    """Looks of the guardian's since the supervisor's newest beat."""
     acted: frozenset[str] = frozenset()
     """Who has acted in this poll."""
-    kills: int = 0
-    on_since_trouble: int = 0
-    """Polls with the output on since somebody was killed or stood still."""
+    strikes: int = 0
+    on_since: int = 0
+    """Polls with the output on since somebody was last struck, or goes on again."""
     healthy_killed: bool = False
     two_hosts: bool = False
 
 
-IDLE = ("dead", "dying", "standing")
+ACTORS = ("loop", "guardian", "supervisor")
+GONE = ("dead", "dying")
 FOR_EVER = 40
-PROCESSES = ("loop", "guardian", "supervisor", "recorder")
 
 
-def steps(state: State, rules: Rules, most_kills: int) -> Iterator[State]:
+def steps(state: State, rules: Rules, most_strikes: int) -> Iterator[State]:
     """All states that may follow."""
-    for name in PROCESSES:
-        if name not in state.acted and getattr(state, name) not in IDLE:
-            yield from (each._replace(acted=each.acted | {name}) for each in _ACTS[name](state, rules))
-    if state.kills < most_kills:
-        alive = (name for name in PROCESSES if getattr(state, name) not in ("dead", "dying"))
-        yield from (state._replace(**{name: "dead"}, kills=state.kills + 1) for name in alive)
-    yield from _left_to_itself(state, rules)
-
-
-def _left_to_itself(state: State, rules: Rules) -> Iterator[State]:
-    """What happens without anybody's doing: pauses, the end of a killed process, time."""
-    if state.loop == "driving":
-        yield state._replace(loop="standing", stood_still=True)
-    if state.loop == "standing":
-        yield state._replace(loop="driving")
+    waiting = [name for name in ACTORS if _can_act(state, name) and name not in state.acted]
+    for name in waiting:
+        yield from (each._replace(acted=each.acted | {name}) for each in _ACTS[name](state, rules))
+    if state.strikes < most_strikes:
+        yield from _struck(state)
+    for name in state.frozen:
+        yield state._replace(frozen=state.frozen - {name}, on_since=0)
     if state.loop == "dying":
         yield state._replace(loop="dead")
-    if all(getattr(state, name) in IDLE or name in state.acted for name in PROCESSES):
+    if state.guardian == "dying":
+        yield state._replace(guardian="dead")
+    if not waiting:
         yield _next_poll(state)
-    if state.loop == "driving" and state.guardian == "watching" and not state.acted and state.loop_silent <= 1:
+    if state.loop == "driving" and state.guardian == "watching" and not (state.acted or state.frozen or state.strikes):
         yield _computer_stands_still(state, rules)
 
 
+def _can_act(state: State, name: str) -> bool:
+    return getattr(state, name) not in GONE and name not in state.frozen
+
+
+def _struck(state: State) -> Iterator[State]:
+    after = state._replace(strikes=state.strikes + 1, on_since=0)
+    for name in (*ACTORS, "recorder"):
+        if getattr(state, name) not in GONE:
+            yield after._replace(**{name: "dead"}, frozen=state.frozen - {name})
+    for name in ACTORS:
+        if _can_act(state, name):
+            yield after._replace(frozen=state.frozen | {name}, stood_still=state.stood_still or name == "loop")
+
+
 def _next_poll(state: State) -> State:
-    trouble = state.kills or state.loop == "standing" or state.stop
+    lost = any(getattr(state, name) in GONE for name in (*ACTORS, "recorder"))
+    on = state.output and (lost or state.frozen or state.stood_still or state.stop)
     return state._replace(
         acted=frozenset(),
         loop="dead" if state.loop == "dying" else state.loop,
-        loop_silent=min(state.loop_silent + 1, WINDOW + 1),
-        guardian_silent=min(state.guardian_silent + 1, WINDOW + 1),
-        on_since_trouble=min(state.on_since_trouble + 1, FOR_EVER) if trouble and state.output else 0,
+        guardian="dead" if state.guardian == "dying" else state.guardian,
+        on_since=min(state.on_since + 1, FOR_EVER) if on else 0,
     )
 
 
 def _computer_stands_still(state: State, rules: Rules) -> State:
-    """Everybody for longer than any window; the guardian's own clock has counted two polls at most of it."""
-    seen = 2 if rules.guardian_counts_its_own_time else WINDOW + 1
-    return state._replace(loop_silent=min(state.loop_silent + seen, WINDOW + 1) if seen > 2 else seen)
+    """Everybody for longer than any window: nobody looks, so nobody counts."""
+    return state if rules.guardian_counts_its_own_time else state._replace(loop_seen=LOOP_WINDOW + 1)
+
+
+def _more(count: int) -> int:
+    return min(count + 1, MOST_SILENT)
 
 
 def _loop(state: State, rules: Rules) -> Iterator[State]:
+    state = state._replace(guardian_seen=_more(state.guardian_seen), stood_still=False)
     if state.loop == "new":
-        if state.guardian == "watching" or not rules.loop_waits_for_the_guardian:
-            yield state._replace(loop="held", holds=True)
-        else:
-            yield state
+        watched = state.guardian == "watching" or not rules.loop_waits_for_the_guardian
+        yield state._replace(loop="held", holds=True) if watched else state
     elif state.loop == "held":
         ready = state.supervisor == "runs" and not state.stop
-        yield state._replace(loop="driving", output=True, loop_silent=0) if ready else state._replace(loop="safe")
+        yield _ticked(state._replace(loop="driving", output=True)) if ready else state._replace(loop="safe")
     elif state.loop == "driving":
-        alone = rules.loop_watches_the_guardian and state.guardian_silent > WINDOW
+        alone = rules.loop_watches_the_guardian and state.guardian_seen > LOOPS_WINDOW
         if state.stop or alone:
-            yield state._replace(loop="safe", output=False)
+            yield _ticked(state._replace(loop="safe", output=False))
         else:
-            trouble = state.on_since_trouble if state.kills else 0
-            yield state._replace(loop_silent=0, stood_still=False, on_since_trouble=trouble)
+            yield _ticked(state)
     elif state.loop == "safe":
         yield state._replace(loop="left", holds=False)
     elif state.loop == "left":
@@ -131,60 +159,98 @@ def _loop(state: State, rules: Rules) -> Iterator[State]:
         yield state._replace(loop="left", holds=False)
 
 
+def _ticked(state: State) -> State:
+    return state._replace(loop_seen=0, loop_watched=0)
+
+
 def _guardian(state: State, rules: Rules) -> Iterator[State]:
-    beaten = state._replace(guardian_silent=0)
+    state = state._replace(
+        guardian_seen=0,
+        guardian_watched=0,
+        loop_seen=_more(state.loop_seen),
+        supervisor_seen=_more(state.supervisor_seen),
+    )
     if state.guardian == "idle":
-        yield beaten._replace(guardian="watching") if state.supervisor == "runs" else beaten._replace(stop=True)
+        yield state._replace(guardian="watching") if state.supervisor == "runs" else state._replace(stop=True)
     elif state.guardian == "watching":
-        yield _watching(beaten, rules)
-    elif state.guardian == "killing":
-        ended = state.loop == "dead"
-        if ended or not rules.guardian_waits_for_the_end:
-            yield beaten._replace(guardian="claiming")
-        else:
-            yield beaten._replace(loop="dying")
+        yield _watching(state, rules)
     elif state.guardian == "claiming":
-        yield beaten._replace(guardian="done", output=False, two_hosts=state.loop != "dead")
+        hosts = state.loop != "dead" or state.supervisor == "rescuing"
+        yield state._replace(guardian="done", output=False, holds=False, two_hosts=state.two_hosts or hosts)
     else:
-        yield beaten
+        yield state
 
 
 def _watching(state: State, rules: Rules) -> State:
-    lost = "dead" in (state.supervisor, state.recorder)
-    told = state._replace(stop=state.stop or (lost and rules.guardian_watches_the_others))
+    gone = "dead" in (state.supervisor, state.recorder) or state.supervisor_seen > SUPERVISOR_WINDOW
+    state = state._replace(stop=state.stop or (gone and rules.guardian_watches_the_others))
+    drives = state.holds and state.loop in ("driving", "safe", "dying")
+    silent = drives and state.loop_seen > LOOP_WINDOW and rules.guardian_kills_a_silent_loop
+    ended = state.loop == "dead"
+    deed = code.guardian_does(held=state.holds, loop_ended=ended, loop_silent=silent)
+    if Deed.RESCUE in deed and rules.guardian_takes_over:
+        return state._replace(guardian="claiming")
+    if Deed.KILL_LOOP in deed and rules.guardian_waits_for_the_end:
+        return _killed(state)
+    if Deed.KILL_LOOP in deed:
+        return _killed(state)._replace(guardian="claiming", two_hosts=True)  # it has not ended by now
+    return state._replace(guardian="done") if ended else state
+
+
+def _killed(state: State) -> State:
     if state.loop == "dead":
-        takes = state.holds and rules.guardian_takes_over
-        return told._replace(guardian="claiming" if takes else "done")
-    silent = state.holds and state.loop in ("driving", "standing") and state.loop_silent > WINDOW
-    if silent and rules.guardian_kills_a_silent_loop:
-        return told._replace(guardian="killing", healthy_killed=not state.stood_still)
-    return told
+        return state
+    healthy = state.loop == "driving" and not state.stood_still
+    return state._replace(loop="dying", healthy_killed=state.healthy_killed or healthy, frozen=state.frozen - {"loop"})
 
 
 def _supervisor(state: State, rules: Rules) -> Iterator[State]:
-    lost = rules.supervisor_watches and "dead" in (state.guardian, state.recorder)
-    seen = state._replace(stop=state.stop or lost)
-    if state.loop == "dead" and state.guardian == "dead" and state.holds and rules.supervisor_rescues:
-        seen = seen._replace(output=False, holds=False)
-    elif state.guardian == "dead" and state.stood_still and rules.supervisor_rescues:
-        seen = seen._replace(loop="dead")  # told to stop, and still there: killed
-    yield seen
+    state = state._replace(
+        supervisor_seen=0,
+        loop_watched=_more(state.loop_watched),
+        guardian_watched=_more(state.guardian_watched),
+    )
+    if state.supervisor == "rescuing":
+        yield state._replace(supervisor="runs", output=False, holds=False)
+        return
+    begun = state.loop not in ("new", "held")
+    deed = Deed.NONE
+    if begun:
+        deed = code.supervisor_does(
+            held=state.holds,
+            loop_ended=state.loop == "dead",
+            loop_silent=state.holds and state.loop_watched > LOOP_WINDOW,
+            guardian_ended=state.guardian == "dead" or not rules.supervisor_waits_for_both_ends,
+            guardian_silent=state.guardian_watched > GUARDIAN_WINDOW,
+        )
+        if not rules.supervisor_waits_for_both_ends and state.guardian_watched <= GUARDIAN_WINDOW:
+            deed = Deed.NONE
+    yield _done(state, deed, rules)
     if not state.stop and state.loop == "driving":
-        yield seen._replace(stop=True)  # the operator
+        yield _done(state, deed, rules)._replace(stop=True)  # the operator
 
 
-def _recorder(state: State, _rules: Rules) -> Iterator[State]:
-    yield state
+def _done(state: State, deed: Deed, rules: Rules) -> State:
+    if Deed.STOP in deed and rules.supervisor_stops:
+        state = state._replace(stop=True)
+    if Deed.KILL_GUARDIAN in deed and rules.supervisor_kills and state.guardian != "dead":
+        state = state._replace(guardian="dying", frozen=state.frozen - {"guardian"})
+    if Deed.KILL_LOOP in deed and rules.supervisor_kills:
+        state = _killed(state)
+    if Deed.RESCUE in deed and rules.supervisor_rescues:
+        hosts = state.guardian not in GONE or state.loop != "dead"
+        state = state._replace(supervisor="rescuing", two_hosts=state.two_hosts or hosts)
+    return state
 
 
-_ACTS = {"loop": _loop, "guardian": _guardian, "supervisor": _supervisor, "recorder": _recorder}
+_ACTS = {"loop": _loop, "guardian": _guardian, "supervisor": _supervisor}
 
 
-def explore(rules: Rules, most_kills: int, bound: int) -> tuple[int, int, str]:
+def explore(rules: Rules, most_strikes: int, bound: int) -> tuple[int, int, str]:
     """Number of states and of steps, and the first violation: empty if there is none.
 
-    `bound`: polls that the output may stay on after the first trouble, while one of loop, guardian and supervisor that
-    can still act is left.
+    `bound`: polls that the output may stay on after the last strike, while one of loop, guardian and supervisor that
+    can act is left.
     """
     seen, waiting, count = {State()}, deque([State()]), 0
     while waiting:
@@ -192,7 +258,7 @@ def explore(rules: Rules, most_kills: int, bound: int) -> tuple[int, int, str]:
         problem = violation(state, bound)
         if problem:
             return len(seen), count, problem
-        for following in steps(state, rules, most_kills):
+        for following in steps(state, rules, most_strikes):
             count += 1
             if following not in seen:
                 seen.add(following)
@@ -201,12 +267,12 @@ def explore(rules: Rules, most_kills: int, bound: int) -> tuple[int, int, str]:
 
 
 def violation(state: State, bound: int) -> str:
-    helpless = (state.loop == "dead" or state.stood_still) and state.guardian == "dead" == state.supervisor
+    helpless = not any(_can_act(state, name) for name in ACTORS)
     if state.two_hosts:
         return f"two hosts have written to the board: {state}"
     if state.healthy_killed:
         return f"a healthy loop was killed: {state}"
-    if state.on_since_trouble > bound and not helpless:
+    if state.on_since > bound and not helpless:
         return f"the output stayed on: {state}"
     if state.output and not state.holds:
         return f"nobody holds a board whose output is on: {state}"

@@ -86,7 +86,7 @@ def test_bench_links_prints_every_link_and_judges_our_layers(untraced):
 @pytest.mark.xdist_group("real time")
 def test_bench_deaths_finds_no_tick_lost(untraced):
     rows = run("bench_deaths", "2", environment=untraced).splitlines()[1:]
-    assert len(rows) == 5
+    assert len(rows) == 7
     for row in rows:
         runs, *_, lost, whole = row[24:].split()
         assert (lost, whole) == ("0", runs)
