@@ -236,6 +236,7 @@ def _board(board: str, look: Look) -> dict[str, Any]:
         "identity": None if identity is None else identity.facts(),
         "says": None if identity is None else str(identity),
         "outputs_allowed": identity is not None and not identity.read_only_because,
+        "first_write": [one._asdict() for one in look.first_write],
         "moved_counts": look.moved,
         "read_us": None if look.read_us is None else look.read_us._asdict(),
     }

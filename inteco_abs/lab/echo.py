@@ -7,6 +7,7 @@ from typing import Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import ProbeError
+from inteco_abs.lab.first_write import agree_on_first_write
 from inteco_abs.lab.outputs import PROVES_ITSELF, outputs
 from inteco_abs.lab.permission import outputs_permitted
 from inteco_abs.lab.reading import open_for_reading
@@ -30,6 +31,7 @@ def echo_settings(visit: Visit) -> Facts:
     """Each mode, prescaler and width of both channels; the last one written are the profile's own, widths zero."""
     config = outputs_permitted(visit, _REQUEST, PHRASE)
     visit.bench.powered(on=False)
+    agreed = agree_on_first_write(visit, config)
     before = _settings(visit)
     visit.person.tell(f"  {PROVES_ITSELF}")
     tried = []
@@ -40,7 +42,7 @@ def echo_settings(visit: Visit) -> Facts:
     after = _settings(visit)
     changed = {name: [before[name], after[name]] for name in before if before[name] != after[name]}
     visit.person.tell(f"  settings that are not as before: {', '.join(changed) or 'none'}")
-    return {"tried": tried, "changed": changed}
+    return {**agreed, "tried": tried, "changed": changed}
 
 
 def _modes(config: RigConfig) -> Iterator[tuple[str, int]]:

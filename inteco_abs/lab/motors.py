@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import ProbeError
+from inteco_abs.lab.first_write import agree_on_first_write
 from inteco_abs.lab.outputs import PROVES_ITSELF, Motion, Outputs, outputs, turns
 from inteco_abs.lab.permission import DRIVE_LIMIT, outputs_permitted
 from inteco_abs.lab.person import agree, wait_for
@@ -62,6 +63,7 @@ class _Braked(NamedTuple):
 def try_motors(visit: Visit) -> Facts:
     """Emergency switch, drive, brake; every part of it ends with the outputs off."""
     config = outputs_permitted(visit, _REQUEST, PHRASE)
+    agreed = agree_on_first_write(visit, config)
     wait_for(visit.person, "Press the emergency switch: it is tried first, and no wheel may move.")
     visit.bench.powered(on=False)
     visit.person.tell(f"  {PROVES_ITSELF}")
@@ -86,7 +88,7 @@ def try_motors(visit: Visit) -> Facts:
         f"  the brake acts from {onset:.2f} on{_compared(onset)}; coasting loses {coast_rad_s2:.1f} rad/s2"
     )
     visit.draft.confirm(_confirmed(config), f"drove and braked on {today()}")
-    found = {"moving_duty": moving_duty, "brake_from": onset, "coast_rad_s2": coast_rad_s2}
+    found = {**agreed, "moving_duty": moving_duty, "brake_from": onset, "coast_rad_s2": coast_rad_s2}
     return found if lines is None else {**found, "counts_per_turn_by_velocity": lines}
 
 

@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 from inteco_abs.boards import STILL_ON, Board, Identity
 from inteco_abs.boards.board import count_step
+from inteco_abs.boards.first_write import PlannedWord, Remark
 from inteco_abs.config import RigConfig
 from inteco_abs.control.sequence import REST_COUNTS
 from inteco_abs.errors import AbsError, BoardError
@@ -43,6 +44,8 @@ class Look:
     """None if no board could be read."""
     moved: tuple[int, int] | None = None
     """Counts of wheel and road, from the first reading to the farthest; None if they were not looked at."""
+    first_write: list[PlannedWord] = field(default_factory=list)
+    """Words of the board that a run would change before its first tick, and those that it would keep unknown."""
     read_us: Quantiles | None = None
     """Of readings of both counters; None in virtual time, in which they take none."""
     refused: list[AbsError] = field(default_factory=list)
@@ -93,6 +96,12 @@ def _judge(board: Board, config: RigConfig, look: Look) -> None:
         look.refused.append(error)
         return  # what an earlier program has left on is told there
     wiring = config.board
+    look.first_write = board.first_write()
+    running = [name for one in look.first_write if one.remark is Remark.RUNS for name in one.names]
+    if running:
+        look.cautions.append(
+            f"PWM channels are on that the profile does not use, and a run leaves them on: {', '.join(running)}"
+        )
     names = [f"pwm{channel}_width" for channel in (wiring.drive_pwm, wiring.brake_pwm)]
     if any(read_patiently(board, names).values()):
         look.cautions.append(

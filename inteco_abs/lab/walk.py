@@ -28,6 +28,8 @@ _PWM: Final = (
     "pwm_pins",
     "pwm_functions",
     "numbering_pwm",
+    "frame_map",
+    "constants",
     "timer",
 )
 
@@ -65,7 +67,8 @@ STEPS: Final = (
     ),
     Step(
         "echo",
-        "writes PWM settings with the power interface OFF, and checks that they come back",
+        "shows word by word what the first write would change, and asks; then writes PWM settings with the power "
+        "interface OFF, and checks that they come back",
         "low: outputs are written, nothing is connected to power",
         "the profile's PWM words may not be this logic's: capture what the vendor's software writes",
         echo_settings,

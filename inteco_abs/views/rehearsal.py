@@ -89,6 +89,9 @@ def _board(board: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         return
     outputs = "outputs may be used" if board["outputs_allowed"] else "opens for reading only"
     yield "board", f"{board['address']} {board['says']}: {outputs}"
+    for number, one in enumerate(board["first_write"]):
+        told = one["remark"] or f"0x{one['now']:04X} -> 0x{one['planned']:04X}"
+        yield "" if number else "first write", f"{one['place']} {', '.join(one['names'])}: {told}"
     if board["moved_counts"] is not None:
         wheel, road = board["moved_counts"]
         yield "at rest", f"upper wheel {wheel:+d} counts, lower wheel {road:+d}"

@@ -21,7 +21,7 @@ SCRIPTS = {
     "header": [""],
     "reads": [""],
     "wheels": ["", "", ""],
-    "echo": ["", ECHO_PHRASE],
+    "echo": ["", ECHO_PHRASE, "yes"],
     "motors": ["", MOTORS_PHRASE, "", ""],
     "sign": ["", "the lab", "yes"],
 }

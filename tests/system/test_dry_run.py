@@ -34,6 +34,13 @@ def test_a_run_that_would_begin_tells_its_course_and_leaves_no_trace(main_here, 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(("profile", "place"), [("sim_usb2", "w20"), ("sim_usb", "b21"), ("sim_pci", "0x68")])
+def test_what_the_first_write_would_change_is_told_word_by_word(told, profile, place):
+    words = told(*VIRTUAL, "--set", f"profile={profile}")["board"]["first_write"]
+    prescaler = next(one for one in words if one["names"] == ["pwm0_prescaler"])
+    assert prescaler == {"place": place, "names": ["pwm0_prescaler"], "now": 0, "planned": 44, "remark": ""}
+
+
 def test_a_run_in_real_time_tells_of_memory_and_computer_and_takes_no_memory(told, tmp_path):
     before = set(memory.FOLDER.glob("*"))
     report = told("run", "--dry-run")
