@@ -22,6 +22,8 @@ _RELEASE_GRACE_NS: Final = 300_000_000
 _LOOK_S: Final = 0.1
 _LOOK_PERIODS: Final = 10
 """Of a look, in slow loops too: a time stamp that is late by one period is then a tenth of the speed at most."""
+_FIRST_SPEED: Final = 2
+"""Looks that take the speed at which a run-up begins."""
 _SLACK_RAD_S: Final = 5.0
 """On both sides: a drive that comes a few ticks late, and the acceleration within a look."""
 _MORE_FRICTION: Final = 1.5
@@ -53,7 +55,7 @@ class RunUp:
         self._duty = 0.0
         self._then_ns = self._then_count = 0
         self._next_ns = 0
-        self._begun = False
+        self._looks = 0
 
     def plausible(self, now_ns: int, road_count: int, applied: Command) -> bool:
         """Whether the run-up under the newest `applied` command is one that the drive may make, as far as is known."""
@@ -62,22 +64,21 @@ class RunUp:
             self._duty = 0.0
             return True
         if duty != self._duty or brake >= _RELEASED_DUTY:
-            self._begin(now_ns, road_count, duty, _RELEASE_GRACE_NS if brake >= _RELEASED_DUTY else 0)
+            self._duty, self._looks = duty, 0
+            self._next_ns = now_ns + (_RELEASE_GRACE_NS if brake >= _RELEASED_DUTY else 0)
         if now_ns < self._next_ns:
             return True
-        elapsed_ns = now_ns - self._then_ns
-        speed = (road_count - self._then_count) * self._angle_ns / elapsed_ns
+        elapsed_ns, counts = now_ns - self._then_ns, road_count - self._then_count
         self._then_ns, self._then_count, self._next_ns = now_ns, road_count, now_ns + self._look_ns
-        if self._begun:
+        self._looks += 1
+        if self._looks == 1:
+            return True
+        speed = counts * self._angle_ns / elapsed_ns
+        if self._looks > _FIRST_SPEED:
             return all(band.follows(speed, elapsed_ns * 1e-9) for band in self._bands)
-        self._begun = True
         for band in self._bands:
-            band.begin(self._duty, speed)
+            band.begin(duty, speed)
         return True
-
-    def _begin(self, now_ns: int, road_count: int, duty: float, grace_ns: int) -> None:
-        self._duty, self._begun = duty, False
-        self._then_ns, self._then_count, self._next_ns = now_ns, road_count, now_ns + grace_ns + self._look_ns
 
 
 class _Band:

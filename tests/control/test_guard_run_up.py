@@ -8,6 +8,7 @@ import pytest
 
 from inteco_abs.config import load_config, parse_config
 from inteco_abs.control import Guard
+from inteco_abs.control.run_up import RunUp
 from inteco_abs.rig import DriveMotor, Plant, RigParameters
 from inteco_abs.signals import Command, Estimate, Reason, Sample
 
@@ -16,6 +17,7 @@ pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 SEEN = Estimate(0.0, 0.0, 0.0, valid=True)
 MASK = RigParameters.named("mask")
 COUNTS = 2048
+FIRST_NS = 5_000_000_000
 IDENTIFIED = ("model.identified.drive_stall_torque_nm=1.72", "model.identified.drive_no_load_speed_rad_s=300.0")
 
 
@@ -174,3 +176,81 @@ def test_a_session_from_before_the_check_is_judged_without_it():
     assert "run_up_factor" not in before.to_toml()
     assert driven(Guard(before), 2.0)[0] is Reason.NONE
     assert driven(Guard(parse_config(text)), 2.0)[0] is Reason.RUN_UP_IMPLAUSIBLE
+
+
+RATIO = MASK.r2 / MASK.r1
+INERTIA = MASK.J2 + MASK.J1 * RATIO**2
+FRICTION_NM = MASK.M20 + MASK.M10 * RATIO
+DRAG = MASK.d2 + MASK.d1 * RATIO**2
+MEAN_RAD_S2 = 29.78
+"""Of the published drive's run-up to 178 rad/s: it takes 5.98 s."""
+SLACK_RAD_S = 5.0
+
+
+def run_ups(duty: float, begin_s: float, seconds: float, factor: float) -> tuple[float, float]:
+    """Speeds of the slowest and the fastest run-up from rest after so long, in small steps of their own equations."""
+    stall_nm, free_rad_s, step_s = 1.72, 300.0, 1e-4
+    slow = fast = _published(duty, begin_s - 0.05)
+    for _ in range(round((seconds - begin_s) / step_s)):
+        torque = stall_nm * (duty - slow / free_rad_s) - 1.5 * FRICTION_NM - DRAG * slow
+        slow += step_s / factor * max(0.0, min(torque / INERTIA, MEAN_RAD_S2 * duty))
+        torque = stall_nm * duty * (1.0 - fast / free_rad_s) - 0.5 * FRICTION_NM - DRAG * fast
+        fast += step_s * factor * torque / INERTIA
+    return slow, fast
+
+
+def _published(duty: float, seconds: float) -> float:
+    """Speed of the published rig."""
+    falling = 1.72 / 300.0 + DRAG
+    return (1.72 * duty - FRICTION_NM) / falling * (1.0 - math.exp(-seconds * falling / INERTIA))
+
+
+def last_look_passes(duty: float, looks: int, speed: float, factor: float, *settings: str) -> bool:
+    """Whether `speed` is plausible in the last of so many looks of 0.1 s, behind those of the published rig."""
+    fine = 1_000_000  # so that counts are speeds
+    config = load_config(settings=[f"encoders.counts_per_turn={fine}", "loop.rate_hz=2000", *settings])
+    run_up, angle, applied = RunUp(config, factor), 0.0, Command(duty, 0.0)
+    assert run_up.plausible(FIRST_NS, 0, applied)
+    for look in range(1, looks + 1):
+        now_ns = FIRST_NS + look * 100_000_000
+        angle += 0.1 * (speed if look == looks else _published(duty, 0.1 * look - 0.05))
+        count = round(angle * fine / (2.0 * math.pi))
+        assert run_up.plausible(now_ns - 1, 0, applied), "looked at too soon"
+        passes = run_up.plausible(now_ns, count, applied)
+        assert passes or look == looks
+    return passes
+
+
+@pytest.mark.parametrize(("duty", "looks"), [(1.0, 2), (1.0, 20), (1.0, 60), (1.0, 100), (0.6, 40)])
+@pytest.mark.parametrize("factor", [1.5, 1.2])
+def test_the_bounds_are_the_slowest_and_the_fastest_run_up_with_some_slack(duty, looks, factor):
+    slow, fast = run_ups(duty, 0.1, 0.1 * looks, factor)
+    for bound, inside in ((slow - SLACK_RAD_S, 0.2), (fast + SLACK_RAD_S, -0.2)):
+        assert last_look_passes(duty, looks, bound + inside, factor)
+        assert not last_look_passes(duty, looks, bound - inside, factor)
+
+
+def test_bounds_of_an_identified_drive_are_the_square_root_of_the_factor():
+    slow, fast = run_ups(1.0, 0.1, 4.0, math.sqrt(1.5))
+    for bound, inside in ((slow - SLACK_RAD_S, 0.2), (fast + SLACK_RAD_S, -0.2)):
+        assert last_look_passes(1.0, 40, bound + inside, 1.5, *IDENTIFIED)
+        assert not last_look_passes(1.0, 40, bound - inside, 1.5, *IDENTIFIED)
+
+
+def test_a_drive_too_weak_to_turn_anything_was_identified_wrongly():
+    weak = ("model.identified.drive_stall_torque_nm=0.05", IDENTIFIED[1])
+    assert driven(guarded(*weak))[0] is Reason.RUN_UP_IMPLAUSIBLE
+
+
+def test_after_the_brake_it_is_judged_again_once_it_has_let_go():
+    """Begun at 60 rad/s, which the brake takes to 20 while its torque dies away: within 0.3 s that is no fault."""
+    config = load_config(settings=[f"encoders.counts_per_turn={COUNTS}", "loop.rate_hz=2000"])
+    for late_s, plausible in ((0.29, True), (0.45, False)):
+        run_up, angle, now_s, seen = RunUp(config, 1.5), 0.0, 0.0, []
+        assert run_up.plausible(0, 0, Command(1.0, 0.01))
+        while now_s < 2.0:
+            now_s += 0.01
+            angle += 0.01 * (60.0 if now_s < late_s else 20.0)
+            count = round(angle * COUNTS / (2.0 * math.pi))
+            seen.append(run_up.plausible(round(now_s * 1e9), count, Command(1.0, 0.0)))
+        assert all(seen[:60]) is plausible, late_s
