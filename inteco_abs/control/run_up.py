@@ -29,10 +29,13 @@ _SLACK_RAD_S: Final = 5.0
 _MORE_FRICTION: Final = 1.5
 _LESS_FRICTION: Final = 0.5
 """Factors on the static friction: the vendor's three measurements of M10 lie a factor of two apart."""
-_PLOTTED_RAD_S: Final = 178.0
-"""1700 rpm, the end of the run-up in the vendor's plots."""
-_PLOTTED_SHARE: Final = 2.0 / 3.0
-"""Of the final speed, for a drive that hardly gets so far."""
+_STRAIGHT_SHARE: Final = 2.0 / 3.0 / math.log(3.0)
+"""Mean acceleration of a run-up to two thirds of its final speed, as a share of that from rest.
+
+Start-up resistors, which drop out at some speed, make a run-up slower at first, and so straighter: the vendor's plots
+show a kink, and 1700 rpm after 6.2 to 6.5 s, a mean of 27 to 29 rad/s2. Two thirds of the published drive's final speed
+are those 1700 rpm, and its mean is 30 rad/s2.
+"""
 
 
 class RunUp:
@@ -46,10 +49,11 @@ class RunUp:
 
     def __init__(self, config: RigConfig, factor: float) -> None:
         model = config.model
-        self._bands = [_Band(DriveMotor(), RigParameters.named(model.parameters), factor)]
+        self._rigs = [_Rig(DriveMotor(), RigParameters.named(model.parameters), factor)]
         drive = believed_drive(model)
         if drive is not None:
-            self._bands.append(_Band(drive, believed_parameters(model), math.sqrt(factor)))
+            self._rigs.append(_Rig(drive, believed_parameters(model), math.sqrt(factor)))
+        self._bounds: list[_Bounds] = []
         self._angle_ns = 2.0 * math.pi / config.encoders.counts_per_turn * 1e9
         self._look_ns = round(max(_LOOK_S, _LOOK_PERIODS / config.loop.rate_hz) * 1e9)
         self._duty = 0.0
@@ -75,61 +79,9 @@ class RunUp:
             return True
         speed = counts * self._angle_ns / elapsed_ns
         if self._looks > _FIRST_SPEED:
-            return all(band.follows(speed, elapsed_ns * 1e-9) for band in self._bands)
-        for band in self._bands:
-            band.begin(duty, speed)
+            return all(bounds.allow(speed, elapsed_ns * 1e-9) for bounds in self._bounds)
+        self._bounds = [rig.bounds(duty, speed) for rig in self._rigs]
         return True
-
-
-class _Band:
-    """Between the slowest and the fastest run-up of one drive motor, with both wheels rolling on each other."""
-
-    def __init__(self, drive: DriveMotor, parameters: RigParameters, factor: float) -> None:
-        ratio = parameters.r2 / parameters.r1
-        self._drive = drive
-        self._friction_nm = parameters.M20 + parameters.M10 * ratio
-        self._drag = parameters.d2 + parameters.d1 * ratio * ratio
-        self._inertia = parameters.J2 + parameters.J1 * ratio * ratio
-        self._factor = factor
-        self._straight = self._mean_acceleration()
-        self._slow = self._fast = _Approach(0.0, math.inf)
-        self._least = self._most = 0.0
-        self._most_gain = 0.0
-
-    def begin(self, duty: float, speed: float) -> None:
-        """Go on from `speed` (rad/s) with `duty` of the drive."""
-        stall, back = self._drive.stall_torque_nm, self._drive.stall_torque_nm / self._drive.no_load_speed_rad_s
-        self._slow = self._approach(stall * duty - _MORE_FRICTION * self._friction_nm, back, self._factor)
-        # a chopper whose current tears off between pulses lets the motor run on towards its full speed at any duty
-        self._fast = self._approach(stall * duty - _LESS_FRICTION * self._friction_nm, back * duty, 1.0 / self._factor)
-        self._most_gain = self._straight * duty / self._factor
-        self._least = min(speed, self._slow.end)  # faster than this duty keeps it, a wheel slows down
-        self._most = speed
-
-    def follows(self, speed: float, elapsed_s: float) -> bool:
-        """Whether `speed` (rad/s) is possible `elapsed_s` after the one before."""
-        gain = self._slow.gain(self._least, elapsed_s)
-        self._least += min(gain, self._most_gain * elapsed_s)
-        self._most += self._fast.gain(self._most, elapsed_s)
-        return self._least - _SLACK_RAD_S <= speed <= self._most + _SLACK_RAD_S
-
-    def _approach(self, torque_nm: float, back_nm: float, slower: float) -> _Approach:
-        """Of a speed under `torque_nm` at rest that falls by `back_nm` per rad/s, and by the wheels' own drag."""
-        falling = back_nm + self._drag
-        return _Approach(torque_nm / falling, self._inertia / falling * slower)
-
-    def _mean_acceleration(self) -> float:
-        """Of a run-up at full duty, rad/s2.
-
-        Start-up resistors, which drop out at some speed, make a run-up slower at first, and so straighter: the vendor's
-        plots show a kink, and 1700 rpm after 6.2 to 6.5 s, a mean of 27 to 29 rad/s2. Without them it is 30.
-        """
-        stall = self._drive.stall_torque_nm
-        free = self._approach(stall - self._friction_nm, stall / self._drive.no_load_speed_rad_s, 1.0)
-        if free.end <= 0.0:
-            return 0.0
-        plotted = min(_PLOTTED_RAD_S, _PLOTTED_SHARE * free.end)
-        return plotted / (free.lag_s * math.log(free.end / (free.end - plotted)))
 
 
 class _Approach(NamedTuple):
@@ -143,3 +95,44 @@ class _Approach(NamedTuple):
     def gain(self, speed: float, elapsed_s: float) -> float:
         """What is gained in a time that is short against the lag; none from beyond the end."""
         return max(0.0, (self.end - speed) * elapsed_s / (self.lag_s + 0.5 * elapsed_s))
+
+
+class _Rig:
+    """A drive motor and both wheels rolling on each other."""
+
+    def __init__(self, drive: DriveMotor, parameters: RigParameters, factor: float) -> None:
+        ratio = parameters.r2 / parameters.r1
+        self._drive = drive
+        self._friction_nm = parameters.M20 + parameters.M10 * ratio
+        self._drag = parameters.d2 + parameters.d1 * ratio * ratio
+        self._inertia = parameters.J2 + parameters.J1 * ratio * ratio
+        self._factor = factor
+
+    def bounds(self, duty: float, speed: float) -> _Bounds:
+        """Of a run-up that goes on from `speed` (rad/s) with `duty` of the drive."""
+        stall, back = self._drive.stall_torque_nm, self._drive.stall_torque_nm / self._drive.no_load_speed_rad_s
+        slow = self._approach(stall * duty - _MORE_FRICTION * self._friction_nm, back, self._factor)
+        # a chopper whose current tears off between pulses lets the motor run on towards its full speed at any duty
+        fast = self._approach(stall * duty - _LESS_FRICTION * self._friction_nm, back * duty, 1.0 / self._factor)
+        straight = _STRAIGHT_SHARE * (stall - self._friction_nm) / self._inertia * duty / self._factor
+        return _Bounds(slow, fast, straight, speed)
+
+    def _approach(self, torque_nm: float, back_nm: float, slower: float) -> _Approach:
+        """Of a speed under `torque_nm` at rest that falls by `back_nm` per rad/s, and by the wheels' own drag."""
+        falling = back_nm + self._drag
+        return _Approach(torque_nm / falling, self._inertia / falling * slower)
+
+
+class _Bounds:
+    """The slowest and the fastest run-up that are believed possible."""
+
+    def __init__(self, slow: _Approach, fast: _Approach, straight_rad_s2: float, speed: float) -> None:
+        self._slow, self._fast, self._straight = slow, fast, straight_rad_s2
+        self._least = min(speed, slow.end)  # faster than this duty keeps it, a wheel slows down
+        self._most = speed
+
+    def allow(self, speed: float, elapsed_s: float) -> bool:
+        """Whether `speed` (rad/s) is possible `elapsed_s` after the one before."""
+        self._least += min(self._slow.gain(self._least, elapsed_s), self._straight * elapsed_s)
+        self._most += self._fast.gain(self._most, elapsed_s)
+        return self._least - _SLACK_RAD_S <= speed <= self._most + _SLACK_RAD_S
