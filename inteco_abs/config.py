@@ -59,9 +59,12 @@ WIRING: Final = (
     "pwm_pins",
     "pwm_functions",
     "numbering_pwm",
+    "numbering_pins",
     "timer",
     "frame_map",
     "constants",
+    "watchdog_pin",
+    "watchdog_contact_pin",
     "road_encoder",
     "wheel_encoder",
     "road_sign",
@@ -120,6 +123,9 @@ class BoardConfig(_Section):
     numbering_pwm: Annotated[int, Field(ge=-1, le=7)] = -1
     """PWM channel that is wired to nothing: its prescaler carries the number of each frame, which the board echoes, so
     that a late or repeated answer is recognised. -1: none is free."""
+    numbering_pins: Annotated[list[Annotated[int, Field(ge=0, le=25)]], Field(max_length=8)] = []
+    """CN1 pins whose output latch drives nothing, as those of inputs: their latch carries that number as well, where
+    neither a PWM channel nor a timer is free. With n pins, answers late by a multiple of 2^n go unnoticed."""
     timer: Annotated[int, Field(ge=-1, le=1)] = -1
     """Timer/counter channel that nothing else uses: it runs free as the clock of the samples, which dates them exactly
     and shows an answer that is older than its request. -1: none; samples are dated when they arrive."""
@@ -132,6 +138,11 @@ class BoardConfig(_Section):
     """What the board is set to besides the rest of the wiring, in every frame: a field of the SEND frame by its name,
     which the board must echo; the output of a CN1 pin, as `pin21 = 0`; or a whole word, as `w31 = 3` (on the first
     RT-DAC/USB a byte, as `b77 = 1`), which need not be echoed. Not on the PCI board."""
+    watchdog_pin: Annotated[int, Field(ge=-1, le=25)] = -1
+    """CN1 pin, an output, that changes its level with every good tick: it feeds a one-shot outside of the computer that
+    cuts the motors' power (docs/watchdog.md). -1: there is none."""
+    watchdog_contact_pin: Annotated[int, Field(ge=-1, le=25)] = -1
+    """CN1 pin, an input, that is high while the one-shot's contact is closed; a watchdog is used only with it."""
     road_encoder: Annotated[int, Field(ge=0, le=11)] = 0
     """Encoder channel of the lower wheel, which stands for the road."""
     wheel_encoder: Annotated[int, Field(ge=0, le=11)] = 1
@@ -152,10 +163,8 @@ class BoardConfig(_Section):
         unused = {"pwm_functions"} if self.pwm_functions is None else set()
         if self.numbering_pwm < 0:
             unused.add("numbering_pwm")
-        if self.timer < 0:
-            unused.add("timer")
-        if not self.constants:
-            unused.add("constants")
+        unused |= {key for key in ("timer", "watchdog_pin", "watchdog_contact_pin") if getattr(self, key) < 0}
+        unused |= {key for key in ("numbering_pins", "constants") if not getattr(self, key)}
         if self.kind != "usb2":
             unused.add("frame_map")
         if self.kind == "pci":
@@ -347,6 +356,12 @@ class SimulationConfig(_Section):
     """-1 where the simulated encoder counts down."""
     wheel_sign: Literal[1, -1] = 1
     """-1 where the simulated encoder counts down."""
+    watchdog_pin: Annotated[int, Field(ge=-1, le=25)] = -1
+    """CN1 pin that really feeds the one-shot in the emergency chain; -1: there is no one-shot."""
+    watchdog_contact_pin: Annotated[int, Field(ge=-1, le=25)] = -1
+    """CN1 pin that its contact is really on."""
+    watchdog_hold_s: Annotated[float, Field(ge=0.001, le=10.0)] = 0.05
+    """Time after the last change of level for which the one-shot holds the motors' power."""
     counts_per_turn: Annotated[int, Field(ge=256, le=1_000_000)] | None = None
     """Of the simulated encoders; not given: what `encoders.counts_per_turn` believes."""
 

@@ -58,6 +58,7 @@ from inteco_abs.realtime.memory import RunMemory
 from inteco_abs.realtime.screen import Check, NoScreen, Onlooker, Screen, Unbreakable
 from inteco_abs.realtime.stow import stow
 from inteco_abs.realtime.supervisor import Supervisor
+from inteco_abs.realtime.watchdog import prove_watchdog
 from inteco_abs.sessions import (
     EXIT_CODES,
     LOSSES,
@@ -346,7 +347,8 @@ class _VirtualRun:
             try:
                 with board:
                     screen.passed(Check.BOARD, f"{plan.board} {board.insist()}")
-                    keeper.introduce(config, self._introduction(board), plan.out)
+                    watchdog = prove_watchdog(board, config.period_ns, self._wait)
+                    keeper.introduce(config, self._introduction(board, watchdog), plan.out)
                     screen.passed(Check.RECORDER, str(plan.out))
                     self._drive(keeper, board, progress, screen)
             except BaseException as error:
@@ -364,14 +366,16 @@ class _VirtualRun:
         told = self._config, self._clock.now_ns, self._plan.seed, self._truths.append
         if not self._plan.faults:
             return face_of(Device(*told))
-        clock = self._clock
         return FaultyFace(
             face_of,
             FaultyDevice(*told, schedule=self._schedule),
-            wait=lambda seconds: clock.pass_ns(round(seconds * 1e9)),
-            pause=lambda seconds: clock.oversleep_ns(round(seconds * 1e9)),
+            wait=self._wait,
+            pause=lambda seconds: self._clock.oversleep_ns(round(seconds * 1e9)),
             begun=self._host.act,
         )
+
+    def _wait(self, seconds: float) -> None:
+        self._clock.pass_ns(round(seconds * 1e9))
 
     def _opener(self, controller: type[Controller]) -> Opener:
         now_ns = self._clock.now_ns()
@@ -413,11 +417,11 @@ class _VirtualRun:
         self._truths.clear()
         keeper.add(self._reader.take(), truths)
 
-    def _introduction(self, board: Board) -> Introduction:
+    def _introduction(self, board: Board, watchdog: Mapping[str, str]) -> Introduction:
         config, plan = self._config, self._plan
         return Introduction(
             board=plan.board,
-            identity=board.insist().facts(),
+            identity={**board.insist().facts(), **watchdog},
             virtual=True,
             gains=gains_in_force(config, plan.controllers),
             internals=plan.controllers[config.controller.name].internals,

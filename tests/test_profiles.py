@@ -74,7 +74,8 @@ def test_every_key_that_outputs_rest_on_has_a_status_and_a_source(name):
     board = load_config(settings=[f"profile={name}"]).board
     for key, evidence in board.evidence.items():
         assert evidence.source, key
-    relied_on = {*WIRING} - {key for key in ("numbering_pwm", "timer") if getattr(board, key) < 0}
+    unused = {"numbering_pwm", "timer", "watchdog_pin", "watchdog_contact_pin"}
+    relied_on = {*WIRING} - {"numbering_pins"} - {key for key in unused if getattr(board, key) < 0}
     relied_on -= {"pwm_pins", "pwm_functions"} if board.kind == "pci" else set()
     relied_on -= {"pwm_functions"} if board.pwm_functions is None else set()
     relied_on -= set() if board.kind == "usb2" else {"frame_map"}
@@ -278,6 +279,7 @@ class TestEvidence:
         confirmed = {key: {"status": "confirmed", "source": "seen"} for key in WIRING}
         base = {"logic_version": 0x0103, "application_names": ["ABSSIM"], "pwm_functions": [2, 5], "numbering_pwm": 7}
         base |= {"timer": 0, "constants": {"w9": 0}}
+        base |= {"numbering_pins": [7], "watchdog_pin": 8, "watchdog_contact_pin": 9}
         board = BoardConfig.model_validate({**base, "evidence": confirmed})
         assert board.unconfirmed() == []
         for key in WIRING:

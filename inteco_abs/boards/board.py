@@ -68,6 +68,8 @@ class Board(ABC):
         """Exchanges that failed so far."""
         self.last_error: LinkError | None = None
         self.identity: Identity | None = None
+        self.armed = False
+        """Whether each exchange after a good one feeds the watchdog, if the wiring has one. Nothing else ever does."""
         self._now_ns = now_ns
         self._period_ns = period_ns
         self._tick = 0
@@ -202,6 +204,11 @@ class Board(ABC):
         self._wheel_count += count_step(wheel, wheel_before)
         self._road_count += count_step(road, road_before)
         return self._sample(self._dated(now), _GOOD if now - start <= self._period_ns else _SLOW)
+
+    @property
+    def watchdog_closed(self) -> bool | None:
+        """Whether the watchdog's contact was closed at the newest good exchange; None if the wiring has no watchdog."""
+        return None
 
     def make_safe(self) -> None:
         """De-energise both outputs and read it back.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from struct import Struct
 from typing import Final
@@ -13,6 +13,7 @@ from firmware_protocol.fields import BYTE_BITS, sent_back
 from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
 from inteco_abs.boards.board_clock import BoardClock
 from inteco_abs.boards.constants import constants_of
+from inteco_abs.boards.echoed_pins import EchoedPins
 from inteco_abs.boards.first_write import PlannedWord, planned_words
 from inteco_abs.boards.links import Link
 from inteco_abs.boards.trust import distrust
@@ -55,11 +56,11 @@ class FrameBoard(Board):
 
     The output image is built once, when the board is opened: what the wiring owns comes from the wiring, with the
     widths of drive and brake zero, everything else from the first read, words that nobody has a name for included.
-    In a tick only the two widths change, and the
-    number of the frame, for which the prescaler of a PWM channel that is wired to nothing is used: the board echoes
-    it, so that an answer to an older request, late or duplicated, is told from the one to this request. Where the
-    wiring has a timer, it dates the samples, and shows such an answer, too. It is set to zero when the board is opened,
-    and each time SAFE is to be confirmed, so that no answer from before can confirm it.
+    In a tick only the two widths change, the watchdog's pin, and the number of the frame, for which the prescaler of a
+    PWM channel that is wired to nothing is used, or the latch of pins that drive nothing: the board echoes it, so that
+    an answer to an older request, late or duplicated, is told from the one to this request. Where the wiring has a
+    timer, it dates the samples and shows such an answer, too. It is set to zero when the board is opened, and each time
+    SAFE is to be confirmed, so that no answer from before can confirm it.
 
     The widths of other PWM channels stay as they were read. The safe image is not concerned by that: which channels
     drive and brake hang on is what a signature vouches for, and before there is one nothing is written; commissioning
@@ -96,6 +97,9 @@ class FrameBoard(Board):
         self._decided = {part.word: 0 for name in (drive, brake) for part in layout.send.fields[name][1]}
         self._decided |= self._constants.words
         self._image = bytearray(layout.send.size)
+        self._pins: EchoedPins | None = None
+        self._newest_frame = b""
+        self._good = False  # whether the newest exchange was
         self._settings: dict[str, int] = {}
         self._header = b""
         self._late = False  # whether an exchange failed, and its answer may be taken for another's
@@ -157,6 +161,9 @@ class FrameBoard(Board):
 
     def _take_over(self) -> None:
         self._settings, self._image[:] = self._first_image(self._read())
+        self._pins = self._echoed_pins()
+        if self._pins is not None:
+            self._settings.pop("pin_output", None)  # every answer is compared with what was sent last
 
     def _first_image(self, frame: bytes) -> tuple[dict[str, int], bytes]:
         """What is decided of a board that reads so, by field, and the whole SEND frame with that, outputs off."""
@@ -187,7 +194,17 @@ class FrameBoard(Board):
     def _adopt(self, image: bytes) -> None:
         length = self._layout.header_bytes
         self._header, self._image[:] = image[:length], image[length:]
+        self._pins = self._echoed_pins()
         self._late = True  # so that what the other process had asked for is dropped first, whatever its number
+
+    def _echoed_pins(self) -> EchoedPins | None:
+        """Of the image; None if the wiring has none."""
+        layout, wiring = self._layout, self._wiring
+        if not _latched(wiring):
+            return None
+        latch = int(layout.send.decode_some(self._image, ["pin_output"])["pin_output"])
+        constant = _mask(self._constants.pins)
+        return EchoedPins(layout.send, layout.read, latch, wiring.numbering_pins, wiring.watchdog_pin, constant)
 
     def _start(self) -> tuple[int, int]:
         frame = self._write_off()
@@ -212,9 +229,10 @@ class FrameBoard(Board):
         channels = (wiring.drive_pwm, wiring.brake_pwm)
         numbering = (wiring.numbering_pwm,) if wiring.numbering_pwm >= 0 else ()
         ours = _mask((wiring.wheel_encoder, wiring.road_encoder))
+        watchdog, contact = (_mask([pin] if pin >= 0 else []) for pin in _watchdog(wiring))
         pins = {
-            "pin_mode": found.get("pin_mode", 0) | _functions(wiring),
-            "pin_direction": found.get("pin_direction", 0) & ~_mask(wiring.pwm_pins),
+            "pin_mode": (found.get("pin_mode", 0) | _functions(wiring)) & ~(watchdog | contact),
+            "pin_direction": found.get("pin_direction", 0) & ~(_mask(wiring.pwm_pins) | watchdog) | contact,
             "encoder_reset": found.get("encoder_reset", 0) & ~ours,
         }
         owned = {
@@ -240,7 +258,15 @@ class FrameBoard(Board):
     def _transfer(self, command: Command) -> tuple[int, int]:
         self._wait_for(self._hurried_s if self.hurried else self._patient_s)
         drive, brake = widths(command, self._full)
-        return self._counts(self._write_widths(drive, brake))
+        return self._counts(self._write_widths(drive, brake, beat=self.armed and self._good))
+
+    @property
+    def watchdog_closed(self) -> bool | None:
+        """Whether the watchdog's contact was closed at the newest good exchange; None if the wiring has no watchdog."""
+        if self._wiring.watchdog_pin < 0:
+            return None
+        levels = self._layout.read.decode_some(self._newest_frame, ["pin_input"])["pin_input"]
+        return bool(int(levels) >> self._wiring.watchdog_contact_pin & 1)
 
     def _dated(self, now: int) -> int:
         return now if self._clock is None else self._taken_ns
@@ -268,7 +294,7 @@ class FrameBoard(Board):
         if timeout_s != self._timeout_s:
             self._timeout_s = self._link.timeout_s = timeout_s
 
-    def _write_widths(self, drive: int, brake: int) -> bytes:
+    def _write_widths(self, drive: int, brake: int, *, beat: bool = False) -> bytes:
         """SEND both widths, READ, and check that the answer is this board's and echoes them."""
         image, layout, link = self._image, self._layout, self._link
         self._drive_out.codec.pack_into(image, self._drive_out.offset, drive)
@@ -276,6 +302,9 @@ class FrameBoard(Board):
         if self._number_at >= 0:
             self._number = (self._number + 1) % self._numbers
             layout.number.pack_into(image, self._number_at, self._number)
+        if self._pins is not None:
+            self._pins.put_into(image, beat=beat)
+        self._good = False
         late, self._late = self._late, True
         try:
             if late:
@@ -298,6 +327,8 @@ class FrameBoard(Board):
                 f"the board reports PWM widths {echo}, sent were {(drive, brake)}: an old frame, or another master"
             )
         self._late = False
+        self._newest_frame = frame
+        self._good = True
         return frame
 
     def _newest(self, frame: bytes) -> bytes:
@@ -308,6 +339,8 @@ class FrameBoard(Board):
                 raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
             at = self._number_echo
             numbered = at < 0 or number.unpack_from(frame, at)[0] % self._numbers == self._number
+            if numbered and self._pins is not None:
+                numbered = self._pins.echoed(frame)
             if numbered and self._date(frame):
                 return frame
             try:
@@ -370,6 +403,7 @@ def _insist_on_channels(wiring: BoardConfig, layout: FrameLayout) -> None:
         key = "pwm_pins" if wiring.pwm_functions is None else "pwm_functions"
         problem = f"{layout.send.title} has no pin mode: set board.pwm_functions to []"
         mistakes.append(Mistake(f"board.{key}", problem))
+    mistakes += _pin_mistakes(wiring, layout)
     if mistakes:
         raise ConfigError(mistakes)
 
@@ -377,6 +411,35 @@ def _insist_on_channels(wiring: BoardConfig, layout: FrameLayout) -> None:
 def _functions(wiring: BoardConfig) -> int:
     """Bits of the pin mode that are set."""
     return _mask(wiring.pwm_pins if wiring.pwm_functions is None else wiring.pwm_functions)
+
+
+def _pin_mistakes(wiring: BoardConfig, layout: FrameLayout) -> Iterator[Mistake]:
+    """One pin has one use, and a watchdog that cannot be proven is none."""
+    constants = [int(key[3:]) for key in wiring.constants if key.startswith("pin") and key[3:].isdecimal()]
+    used = {"pwm_pins": wiring.pwm_pins, "constants": constants, "numbering_pins": wiring.numbering_pins}
+    used |= {key: [pin] for key in ("watchdog_pin", "watchdog_contact_pin") if (pin := getattr(wiring, key)) >= 0}
+    owner: dict[int, str] = {}
+    for key, pins in used.items():
+        for pin in pins:
+            if pin in owner:
+                yield Mistake(f"board.{key}", f"{pin}: is in board.{owner[pin]} already")
+            owner[pin] = key
+    if (wiring.watchdog_pin >= 0) is not (wiring.watchdog_contact_pin >= 0):
+        problem = "a watchdog is proven before each run by its contact: name both pins or neither (docs/watchdog.md)"
+        yield Mistake("board.watchdog_contact_pin", problem)
+    needed = {"pin_output", "pin_direction"} if wiring.watchdog_pin >= 0 else {"pin_output"}
+    if _latched(wiring) and not needed <= layout.send.fields.keys():
+        key = "watchdog_pin" if wiring.watchdog_pin >= 0 else "numbering_pins"
+        yield Mistake(f"board.{key}", f"{layout.send.title} has no {' and '.join(sorted(needed))}")
+
+
+def _watchdog(wiring: BoardConfig) -> tuple[int, int]:
+    return wiring.watchdog_pin, wiring.watchdog_contact_pin
+
+
+def _latched(wiring: BoardConfig) -> bool:
+    """Whether some pins change with the frames."""
+    return bool(wiring.numbering_pins) or wiring.watchdog_pin >= 0
 
 
 def _mask(bits: Iterable[int]) -> int:

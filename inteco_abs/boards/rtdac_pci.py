@@ -332,6 +332,8 @@ def _insist_on_channels(wiring: BoardConfig) -> None:
         "road_encoder": ENCODER_CHANNELS,
         "numbering_pwm": 0,
         "timer": 0,
+        "watchdog_pin": 0,
+        "watchdog_contact_pin": 0,
     }
     mistakes = [
         Mistake(f"board.{key}", f"{getattr(wiring, key)}: {ABS.title} has {_channels(count)}")
@@ -340,10 +342,12 @@ def _insist_on_channels(wiring: BoardConfig) -> None:
     ]
     if wiring.constants:
         mistakes.append(Mistake("board.constants", f"{ABS.title} has no frames: leave them out"))
+    if wiring.numbering_pins:
+        mistakes.append(Mistake("board.numbering_pins", f"{wiring.numbering_pins}: {ABS.title} has {_channels(0)}"))
     if mistakes:
         raise ConfigError(mistakes)
 
 
 def _channels(count: int) -> str:
     # its registers are read one by one, in the very tick: no answer can be an old one
-    return f"channels 0..{count - 1}" if count else "no frames to be numbered or dated; leave it out"
+    return f"channels 0..{count - 1}" if count else "no frames and no known digital pins; leave it out"

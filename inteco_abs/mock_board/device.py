@@ -84,6 +84,10 @@ class Cable:
     road_sign: int = 1
     """-1: the encoder counts down when driving."""
     wheel_sign: int = 1
+    watchdog_pin: int = -1
+    """-1: no one-shot, the motors' power does not depend on one."""
+    watchdog_contact_pin: int = -1
+    watchdog_hold_s: float = 0.05
 
     @classmethod
     def of(cls, simulation: SimulationConfig) -> Cable:
@@ -195,6 +199,10 @@ class Device:
         self._observe = observe
         self._duties = (0.0, 0.0)
         self._powered = True
+        self._watched = self.cable.watchdog_pin >= 0
+        self._hold_ns = round(self.cable.watchdog_hold_s * 1e9)
+        self._level = 0
+        self._drops_ns = -1  # when the one-shot's contact opens; it is open while that is negative
         self._hand: _Hand | None = None
 
     @property
@@ -236,15 +244,20 @@ class Device:
         self.catch_up()
         before = self.settings.get("timer_reset", 0)
         self.settings.update(settings)
+        if self._watched:
+            self._feed()
         self._hold_counters()
         for i in range(2):
             if (before | self.settings.get("timer_reset", 0)) >> i & 1:
                 self._timer_start_ns[i] = self._time_ns
         self._update_duties()
 
-    def write_widths(self, drive: int, brake: int) -> None:
-        """Take over the two PWM widths that move the rig, all other settings as they are."""
+    def write_quickly(self, drive: int, brake: int, pin_output: int) -> None:
+        """Take over the two PWM widths that move the rig and the pins' latch, all other settings as they are."""
         self.catch_up()
+        self.settings["pin_output"] = pin_output
+        if self._watched:
+            self._feed()
         cable = self.cable
         self.settings[f"pwm{cable.drive_pwm}_width"] = drive
         self.settings[f"pwm{cable.brake_pwm}_width"] = brake
@@ -259,6 +272,9 @@ class Device:
     def truth(self) -> Truth:
         """The rig's true state now."""
         self.catch_up()
+        return self._truth()
+
+    def _truth(self) -> Truth:
         plant = self.plant
         state = plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque
         return Truth(self._time_ns, *state, *self._duties, plant.adhesion)
@@ -275,8 +291,9 @@ class Device:
         self._wheel.begin_at(wheel, self.plant.wheel_angle)
 
     def pins(self) -> int:
-        """Levels of the digital pins: nothing but the board itself drives them, so an output reads back its own."""
-        return self.settings.get("pin_output", 0) & ~self.settings.get("pin_direction", 0)
+        """Levels of the digital pins: an output reads back its own, the one-shot's contact drives its input."""
+        levels = self.settings.get("pin_output", 0) & ~self.settings.get("pin_direction", 0)
+        return levels | 1 << self.cable.watchdog_contact_pin if self._drops_ns >= 0 else levels
 
     def timer(self, i: int) -> int:
         """Timer/counter `i`: time since its reset in timer mode; nothing drives its input in counter mode."""
@@ -292,12 +309,33 @@ class Device:
     def catch_up(self) -> None:
         """Move the rig on to the present."""
         now = self._now_ns()
+        if self._time_ns < self._drops_ns < now:
+            self._advance(self._drops_ns)
+        if 0 <= self._drops_ns < now and self._contact_opens():
+            self._drops_ns = -1
+            self._update_duties()
+            if self._observe is not None:
+                self._observe(self._truth())
         if now > self._time_ns:
-            drive, brake = self._motors()
-            self.plant.advance(drive, brake, (now - self._time_ns) / 1e9)
-            if self._hand is not None:
-                self._turn_on(self._hand, now)
-            self._time_ns = now
+            self._advance(now)
+
+    def _advance(self, until: int) -> None:
+        drive, brake = self._motors()
+        self.plant.advance(drive, brake, (until - self._time_ns) / 1e9)
+        if self._hand is not None:
+            self._turn_on(self._hand, until)
+        self._time_ns = until
+
+    def _feed(self) -> None:
+        """The one-shot begins anew with each change of the level at its input, and its contact closes."""
+        pin = self.cable.watchdog_pin
+        level = self.settings.get("pin_output", 0) & ~self.settings.get("pin_direction", 0) & 1 << pin
+        if level != self._level:
+            self._level, self._drops_ns = level, self._time_ns + self._hold_ns
+
+    def _contact_opens(self) -> bool:
+        """Whether the one-shot's contact opens once its time is over."""
+        return True
 
     @contextmanager
     def instant(self) -> Iterator[None]:
@@ -322,7 +360,7 @@ class Device:
             self._hand = None
 
     def _update_duties(self) -> None:
-        if self._powered:
+        if self._powered and (self._drops_ns >= 0 or not self._watched):
             self._duties = (self._duty(self.cable.drive_pwm), self._duty(self.cable.brake_pwm))
         else:
             self._duties = (0.0, 0.0)

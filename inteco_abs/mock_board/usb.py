@@ -43,6 +43,7 @@ class UsbFace:
             (i, logic.read.place(f"timer{i}_value")) for i in range(2) if f"timer{i}_value" in logic.read.fields
         )
         self._answer = bytearray(logic.read.encode({"application_name": APPLICATION_NAME}))
+        self._pins = logic.read.place("pin_input")
         self._waiting: list[bytes] = []
         # data byte n is byte n of a READ frame, and byte n + 1 of a SEND frame, which has none for the last
         named = zip(logic.read.named_bits, logic.send.named_bits[1:], strict=False)
@@ -73,7 +74,7 @@ class UsbFace:
         device = self.device
         device.write({name: value for name, value in settings.items() if isinstance(value, int)})
         echo = {name: device.settings[name] for name in self._echoed}
-        shown: dict[str, int | str] = {"application_name": APPLICATION_NAME, "pin_input": device.pins(), **echo}
+        shown: dict[str, int | str] = {"application_name": APPLICATION_NAME, **echo}
         self._answer[:] = self._read_table.encode(shown)
         self._keep_unnamed(data[1:])
 
@@ -88,6 +89,7 @@ class UsbFace:
         self._wheel.codec.pack_into(self._answer, self._wheel.offset, wheel)
         for i, place in self._timers:
             place.codec.pack_into(self._answer, place.offset, self.device.timer(i))
+        self._pins.codec.pack_into(self._answer, self._pins.offset, self.device.pins())
         return bytes(self._answer)
 
 

@@ -7,7 +7,7 @@ from typing import Final
 
 from firmware_protocol import ProtocolError
 from firmware_protocol.fields import sent_back
-from firmware_protocol.rtdac_usb2 import FRAME_BYTES, LOGIC_VERSION, LOGICS, READ_REQUEST, Logic
+from firmware_protocol.rtdac_usb2 import FRAME_BYTES, LOGIC_VERSION, LOGICS, READ, READ_REQUEST, SEND, Logic
 from inteco_abs.config import MOCK_NAMES
 from inteco_abs.mock_board.device import Device
 from inteco_abs.mock_board.face import insist_on_terminals
@@ -16,6 +16,10 @@ APPLICATION_NAME: Final = MOCK_NAMES[0]
 _SYNTHESIS_DATE: Final = "20260101"
 _WIDTH_MASK: Final = 0x0FFF
 _NUMBER_MASK: Final = 0x7FFF
+_LATCH: Final = 2 * SEND.fields["pin_output"][1][0].word
+"""First byte of the pins' latch, in both directions: 15 and 11 bits sent, 16 and 10 bits read."""
+_LOW_LATCH, _HIGH_LATCH = 0x7FFF, 0x07FF
+_LEVELS: Final = 2 * READ.fields["pin_input"][1][0].word
 _WORD: Final = struct.Struct("<H")
 
 
@@ -62,6 +66,7 @@ class Usb2Face:
         self._number = read.place(number).offset  # of a prescaler, the lower 15 bits: the same word both ways
         self._road = read.place(f"encoder{cable.road_encoder}_count")
         self._wheel = read.place(f"encoder{cable.wheel_encoder}_count")
+        self._hot = (self._drive, self._brake, self._number, _LATCH, _LATCH + 2)
         self._newest = bytearray(FRAME_BYTES)  # last frame that was decoded: another one like it need not be
         self._widths = (0, 0)
         self._number_top = 0
@@ -87,17 +92,21 @@ class Usb2Face:
 
     def _send(self, data: bytes | bytearray) -> None:
         newest = self._newest
-        for at in (self._drive, self._brake, self._number):
+        for at in self._hot:
             newest[at : at + 2] = data[at : at + 2]
         word = _WORD.unpack_from
         drive, brake, number = word(data, self._drive)[0], word(data, self._brake)[0], word(data, self._number)[0]
+        low, high = word(data, _LATCH)[0], word(data, _LATCH + 2)[0]
         hot = drive <= _WIDTH_MASK and brake <= _WIDTH_MASK and number <= _NUMBER_MASK
+        hot = hot and low <= _LOW_LATCH and high <= _HIGH_LATCH
         if not (hot and data == newest):
             self._decode(data)
             return
-        if (drive, brake) != self._widths:
-            self.device.write_widths(drive, brake)
+        latch = low | high << _LOW_LATCH.bit_length()
+        if (drive, brake, latch) != (*self._widths, self.device.settings.get("pin_output", 0)):
+            self.device.write_quickly(drive, brake, latch)
             self._echo(drive, brake)
+            self._answer[_LATCH : _LATCH + 4] = latch.to_bytes(4, "little")
         else:
             self.device.observe()
         self.device.settings[self._numbering] = number = number | self._number_top
@@ -142,4 +151,6 @@ class Usb2Face:
         for i in self._timers:
             place = self._tables[0].place(f"timer{i}_value")
             place.codec.pack_into(self._answer, place.offset, self.device.timer(i))
+        if self.device.cable.watchdog_contact_pin >= 0:
+            self._answer[_LEVELS : _LEVELS + 4] = self.device.pins().to_bytes(4, "little")
         return bytes(self._answer)

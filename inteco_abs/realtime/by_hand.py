@@ -24,6 +24,7 @@ from inteco_abs.realtime.loop import Stop
 from inteco_abs.realtime.machine import loop_wishes, prepare
 from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
 from inteco_abs.realtime.rt import SharedStop
+from inteco_abs.realtime.watchdog import prove_watchdog
 from inteco_abs.records import TICK, pack_tick
 from inteco_abs.signals import UNTIMED, BoardFlags, Command, Estimate, Phase, Reason, Sample, Tick
 
@@ -135,6 +136,7 @@ class Driven(Hand):
         """One exchange; once the guard has tripped, with SAFE, which is then read back. Raises UnsafeError if not."""
         if self._always or self._command == Command.SAFE:
             self.look()
+        self._board.armed = self._guard.reason is Reason.NONE
         sample = self._board.exchange(self._command)
         stop = self._stop.wanted(sample.time_ns)
         if stop is not Reason.NONE:
@@ -296,6 +298,7 @@ def _hold(memory: RunMemory, job: Job) -> None:
             prepare(loop_wishes())
             if not simulated(job.board):
                 insist_on_rate(board, config.period_ns)
+            prove_watchdog(board, config.period_ns, time.sleep)
         memory.post(Note.RESULT, read_all(board))
         hand = (Watched if read_only else Driven)(board, config, memory, SharedStop(memory))
         memory.words[Word.READY] = os.getpid()

@@ -60,13 +60,16 @@ class Loop:
     def run(self, most: int | None = None) -> bool:
         """Run up to `most` ticks (None: to the end); True once the experiment is over.
 
-        No garbage is collected meanwhile: a collection takes as long as ten ticks, and the loop makes no cycles.
+        The watchdog is fed meanwhile. No garbage is collected: a collection takes as long as ten ticks, and the loop
+        makes no cycles.
         """
         collecting = gc.isenabled()
         gc.disable()
+        self._board.armed = True
         try:
             return self._run(most)
         finally:
+            self._board.armed = False
             if collecting:
                 gc.enable()
 

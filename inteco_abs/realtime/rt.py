@@ -24,6 +24,7 @@ from inteco_abs.realtime.loop import Loop, detail_of
 from inteco_abs.realtime.machine import loop_wishes, prepare
 from inteco_abs.realtime.memory import Note, RunMemory, Word
 from inteco_abs.realtime.rules import LOOPS_WINDOW_NS
+from inteco_abs.realtime.watchdog import prove_watchdog
 from inteco_abs.records import pack_tick
 from inteco_abs.signals import Reason
 
@@ -114,10 +115,11 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
         loop = Loop(board, pipeline, clock, ring, SharedStop(memory))
         settings = prepare(loop_wishes())
         pace = {} if simulated(job.board) else insist_on_rate(board, config.period_ns)
+        watchdog = prove_watchdog(board, config.period_ns, time.sleep)
         memory.post(
             Note.INTRODUCTION,
             {
-                "identity": identity.facts(),
+                "identity": identity.facts() | watchdog,
                 "gains": gains_in_force(config, controllers),
                 "internals": list(controllers[config.controller.name].internals),
                 "settings": [setting._asdict() for setting in settings],

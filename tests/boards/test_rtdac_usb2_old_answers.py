@@ -51,17 +51,30 @@ class OldAnswers(Link):
         self._link.close()
 
 
-class LateByMany(OldAnswers):
+class LateByMany(Link):
     """From `begin` on, every answer comes so many exchanges late."""
+
+    def __init__(self, link):
+        self._link = link
+        self._seen = []
+        self._behind = 0
 
     def begin(self, exchanges):
         """Everything else is as the board sent it."""
-        self._arrived = [self._newest] * exchanges
+        self._behind = exchanges
+
+    def write(self, data):
+        self._link.write(data)
 
     def read(self, length):
-        self._arrived.append(self._link.read(length))
-        self._newest = self._arrived[-1]
-        return self._arrived.pop(0)
+        self._seen.append(self._link.read(length))
+        return self._seen[-1 - self._behind]
+
+    def discard(self, length):
+        """Nothing more has arrived."""
+
+    def close(self):
+        self._link.close()
 
 
 KNOWN_BY = {

@@ -85,6 +85,9 @@ class FaultyDevice(Device):
             return shown + self.schedule.random.randint(-most, most)
         return shown
 
+    def _contact_opens(self) -> bool:
+        return self.schedule.acting("watchdog-stuck") is None
+
     def _motors(self) -> tuple[float, float]:
         drive, brake = super()._motors()
         self.schedule.outputs(drive, brake)

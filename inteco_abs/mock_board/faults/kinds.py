@@ -100,6 +100,7 @@ ON_THE_RIG: Final[dict[str, Kind]] = {
     "brake-weak": Kind("the brake gets this share of its duty", _SHARE, lasting=True),
     "brake-stuck": Kind("the brake gets this duty, whatever the board puts out", _SHARE, lasting=True),
     "power-off": Kind("the power interface is off, as by the emergency switch", lasting=True),
+    "watchdog-stuck": Kind("the contact of the one-shot in the emergency chain does not open any more", lasting=True),
     "supply": Kind("the motors' supply has so many volts; below 12.3 V they get nothing here", _SUPPLY, lasting=True),
     "heat": Kind("the power interface is so hot; above 80 degC the motors get nothing here", _HEAT, lasting=True),
     "alarm": Kind("in the panel: these alarm flags, 1, 2 and 4 added up, say the opposite", _ALARMS, lasting=True),

@@ -1,0 +1,65 @@
+"""The proof, before each run, that the one-shot in the emergency chain closes when it is fed, and opens when not.
+
+Protections fail by not being armed, not by not firing (fact sheet on hazards, finding 9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from inteco_abs.boards import Board
+from inteco_abs.errors import BoardError
+from inteco_abs.signals import BoardFlags, Command
+
+MOST_S: Final = 0.1
+"""In which the contact has to follow: a one-shot of 50 ms, and a relay's release."""
+_SEE: Final = "see docs/watchdog.md, or set board.watchdog_pin and board.watchdog_contact_pin to -1 to do without it"
+
+
+def prove_watchdog(board: Board, period_ns: int, wait: Callable[[float], None]) -> dict[str, str]:
+    """See the contact of an entered board's watchdog open, close and open; facts for the session, none without one.
+
+    All outputs are off. `wait` lets so many seconds pass. Takes up to four times `MOST_S`. What follows on the board
+    begins at tick 0. Raises BoardError if the contact does not follow.
+    """
+    if board.watchdog_closed is None:
+        return {}
+    watch = _Watch(board, period_ns, wait)
+    if not watch.sees(closed=False):
+        raise BoardError(f"the watchdog's contact stays closed although nothing feeds it: is it welded? {_SEE}")
+    if not watch.sees(closed=True, fed=True):
+        raise BoardError(f"the watchdog's contact does not close although it is fed: has the one-shot power? {_SEE}")
+    if watch.sees(closed=False, fed=True):
+        raise BoardError(f"the watchdog's contact opens although it is fed: is its time shorter than a tick? {_SEE}")
+    start_ns = watch.time_ns
+    if not watch.sees(closed=False):
+        raise BoardError(f"the watchdog's contact stays closed {MOST_S:g} s after its last pulse: is it welded? {_SEE}")
+    board.begin()
+    return {"watchdog_opened_ms": f"{(watch.time_ns - start_ns) * 1e-6:.1f}"}
+
+
+class _Watch:
+    """Exchanges of SAFE, one each period."""
+
+    def __init__(self, board: Board, period_ns: int, wait: Callable[[float], None]) -> None:
+        self.time_ns = 0
+        """Of the newest exchange."""
+        self._board = board
+        self._period_s = period_ns * 1e-9
+        self._wait = wait
+
+    def sees(self, *, closed: bool, fed: bool = False) -> bool:
+        """Whether the contact is seen like that within `MOST_S`, while the watchdog is fed or not."""
+        board = self._board
+        board.armed = fed
+        try:
+            for _ in range(max(2, round(MOST_S / self._period_s))):
+                sample = board.exchange(Command.SAFE)
+                self.time_ns = sample.time_ns
+                if sample.board_flags is not BoardFlags.STALE and board.watchdog_closed is closed:
+                    return True
+                self._wait(self._period_s)
+            return False
+        finally:
+            board.armed = False
