@@ -6,7 +6,8 @@ from itertools import pairwise
 import pytest
 from test_rtdac_usb2_old_answers import LateByMany
 
-from inteco_abs.errors import ConfigError, UnsafeError
+from inteco_abs.errors import BoardError, ConfigError, UnsafeError
+from inteco_abs.realtime.watchdog import prove_watchdog
 from inteco_abs.signals import BoardFlags
 
 WATCHED = (
@@ -131,6 +132,14 @@ def test_a_rescue_feeds_the_watchdog_once_at_most(new_usb2_bench):
     bench.board.rescue(image)
     assert changes(bench) == 0
     assert bench.device.duties == (0.0, 0.0)
+
+
+def test_a_contact_that_is_closed_before_anything_feeds_it_is_refused(new_usb2_bench):
+    bench = new_usb2_bench(*WATCHED)
+    bench.link.change_answer = lambda answer: answer[:33] + b"\2" + answer[34:]  # pin 9 is always high
+    with bench.board as board, pytest.raises(BoardError, match="stays closed although nothing feeds it"):
+        prove_watchdog(board, bench.config.period_ns, lambda seconds: bench.clock.advance(round(seconds * 1e9)))
+    assert changes(bench) == 0
 
 
 @pytest.mark.parametrize(

@@ -170,6 +170,7 @@ def test_every_kind_is_tried_here():
         "wheel-stuck",
         "wheel-dither",
         "encoders-swapped",
+        "watchdog-stuck",  # tests/realtime/test_watchdog.py
         *ON_THE_HOST,
     }
     assert tried | elsewhere == set(KINDS) == set(ON_THE_WIRE) | set(ON_THE_RIG) | set(ON_THE_HOST)
