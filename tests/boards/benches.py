@@ -154,6 +154,32 @@ class FaultyLink(Link):
         raise LinkError("the cable is unplugged")
 
 
+class LateByMany(Link):
+    """From `begin` on, every answer comes so many exchanges late."""
+
+    def __init__(self, link):
+        self._link = link
+        self._seen = []
+        self._behind = 0
+
+    def begin(self, exchanges):
+        """Everything else is as the board sent it."""
+        self._behind = exchanges
+
+    def write(self, data):
+        self._link.write(data)
+
+    def read(self, length):
+        self._seen.append(self._link.read(length))
+        return self._seen[-1 - self._behind]
+
+    def discard(self, length):
+        """Nothing more has arrived."""
+
+    def close(self):
+        self._link.close()
+
+
 def _flipped(offset: int) -> Callable[[bytes], bytes]:
     return lambda answer: answer[:offset] + bytes([answer[offset] ^ 1]) + answer[offset + 1 :]
 

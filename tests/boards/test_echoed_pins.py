@@ -4,7 +4,7 @@ from contextlib import suppress
 from itertools import pairwise
 
 import pytest
-from test_rtdac_usb2_old_answers import LateByMany
+from benches import LateByMany, Usb0111Bench
 
 from inteco_abs.errors import BoardError, ConfigError, UnsafeError
 from inteco_abs.realtime.watchdog import prove_watchdog
@@ -20,7 +20,6 @@ WATCHED = (
 
 @pytest.fixture(params=["rtdac-usb2", "rtdac-usb 0x0111"])
 def new_pins_bench(request, new_usb2_bench):
-    from benches import Usb0111Bench
 
     return new_usb2_bench if request.param == "rtdac-usb2" else Usb0111Bench
 

@@ -3,6 +3,7 @@
 from contextlib import suppress
 
 import pytest
+from benches import LateByMany
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -46,32 +47,6 @@ class OldAnswers(Link):
 
     def discard(self, length):
         """Nothing has arrived yet: what is late comes after this."""
-
-    def close(self):
-        self._link.close()
-
-
-class LateByMany(Link):
-    """From `begin` on, every answer comes so many exchanges late."""
-
-    def __init__(self, link):
-        self._link = link
-        self._seen = []
-        self._behind = 0
-
-    def begin(self, exchanges):
-        """Everything else is as the board sent it."""
-        self._behind = exchanges
-
-    def write(self, data):
-        self._link.write(data)
-
-    def read(self, length):
-        self._seen.append(self._link.read(length))
-        return self._seen[-1 - self._behind]
-
-    def discard(self, length):
-        """Nothing more has arrived."""
 
     def close(self):
         self._link.close()
