@@ -239,7 +239,7 @@ class TestPci:
         assert pci.report["driver"] == {"identity": f"logic 0x{LOGIC_VERSION:04X}", "flags": [0] * 10}
         far = (pci.results / "registers").read_bytes()
         prescaler = int.from_bytes(far[PWM_PRESCALER.offset : PWM_PRESCALER.offset + 4], "little")
-        assert prescaler == load_config(profile="sim_pci").board.pwm_prescaler
+        assert prescaler == load_config(profile="pci_abs_50f").board.pwm_prescaler
 
     def test_a_locked_down_kernel_refuses_both_and_the_words_name_secure_boot(self, pci):
         memory, ports = pci.report["locked"]["memory"], pci.report["locked"]["ports"]

@@ -196,10 +196,10 @@ def test_a_mock_made_from_a_report_gives_the_same_report(tmp_path, mock):
 
     first = report(mock.port, "first")
     text = first.read_text()
-    name = b"ABSIM".hex()
+    name = b"MISBA".hex()  # text runs backwards in a frame
     assert name in text
     seen = tmp_path / "seen.jsonl"
-    seen.write_text(text.replace(name, b"OTHER".hex()))
+    seen.write_text(text.replace(name, b"REHTO".hex()))
     folder = tmp_path / "of the report"
     folder.mkdir()
     second = Mock(folder, "--from-report", seen)

@@ -16,7 +16,7 @@ from pathlib import Path
 from guest import bus
 from guest.scenario import SCRATCH, abs_command, tell
 
-from firmware_protocol.rtdac_pci import DEVICE_ID, LOGIC, VENDOR_ID
+from firmware_protocol.rtdac_pci import DEVICE_ID, LOGIC, LOGIC_VERSION, VENDOR_ID
 from inteco_abs.boards import open_board
 from inteco_abs.boards.sysfs import SysfsRegisters
 from inteco_abs.config import load_config
@@ -26,7 +26,9 @@ from inteco_abs.signals import Command
 FOLDERS = Path("/sys/bus/pci/devices")
 STAND_INS = {("0x1af4", "0x1110"): "memory", ("0x1000", "0x0060"): "ports"}
 """By vendor and device id."""
-UNSIGNED, SIGNED = (load_config(profile=name) for name in ("pci_abs_50f", "sim_pci"))
+PROFILE = "pci_abs_50f"
+SIGNATURE = ('board.verified_by="the test"', "board.verified_on=2026-01-01", f"board.verified_logic={LOGIC_VERSION}")
+UNSIGNED, SIGNED = load_config(profile=PROFILE), load_config(settings=SIGNATURE, profile=PROFILE)
 NOBODY = 65534
 MASK_OFFSET = 0x34
 """Interrupt mask of megasas: a register that keeps what is written."""
