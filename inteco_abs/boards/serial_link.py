@@ -37,8 +37,8 @@ class SerialLink(Link):
     """The board at the serial port `path`. Bytes have no boundaries here: an answer is as many as were asked for.
 
     The port keeps pyserial's 9600 baud: the vendor's library sets none, so the chip is a FIFO that has no use for it
-    (INFERRED). The event character 0x3F that the library enables, to hurry some answers, is not set: Linux offers no
-    way. Raises BoardError if there is no such port, no permission, or if another program has it.
+    (INFERRED). The event character 0x3F that the library enables, to hurry some answers, is set where this user may.
+    Raises BoardError if there is no such port, no permission, or if another program has it.
     """
 
     keeps_boundaries = False

@@ -8,10 +8,12 @@ from typing import Final
 
 from serial.tools import list_ports
 
-from firmware_protocol.rtdac_usb import LATENCY_TIMER_MS
+from firmware_protocol.rtdac_usb import EVENT_CHARACTER, LATENCY_TIMER_MS
 from inteco_abs.errors import BoardError
 
 _FTDI: Final = 0x0403
+_EVENT_ENABLED: Final = 0x100
+"""Ninth bit of what the kernel's `ftdi_sio` takes as its attribute event_char."""
 _PORTS: Final = Path("/sys/bus/usb-serial/devices")
 
 
@@ -39,15 +41,19 @@ def in_words(seen: dict[str, str]) -> str:
 
 
 def quicken(path: str, ports: Path = _PORTS) -> str:
-    """Set the latency timer of an FTDI chip's port to 1 ms and read it back.
+    """Set the latency timer of an FTDI chip's port to 1 ms and read it back; enable the vendor's event character.
 
     Empty if that is how it is, or if the port has no such timer; else what is wrong and what to do about it.
     """
-    file = ports / Path(path).resolve().name / "latency_timer"
+    folder = ports / Path(path).resolve().name
+    file = folder / "latency_timer"
     if not file.exists():
         return ""
-    with suppress(OSError):  # who may not write it finds it set by the udev rule
+    with suppress(OSError):  # without the right to write it, the udev rule has set both
         file.write_text(f"{LATENCY_TIMER_MS}\n", encoding="ascii")
+    if (event := folder / "event_char").exists():  # not every chip has one, and it can be written only
+        with suppress(OSError):
+            event.write_text(f"{_EVENT_ENABLED | EVENT_CHARACTER}\n", encoding="ascii")
     try:
         latency_ms = int(file.read_text(encoding="ascii"))
     except (OSError, ValueError) as error:
@@ -56,6 +62,6 @@ def quicken(path: str, ports: Path = _PORTS) -> str:
         return ""
     return (
         f"each answer of {path} waits {latency_ms} ms in its chip, must be {LATENCY_TIMER_MS} ms, and this user may "
-        f"not change that: inteco-abs doctor --rules prints the udev rule that does; or echo {LATENCY_TIMER_MS} | sudo "
-        f"tee {file}"
+        "not change that: inteco-abs doctor --rules --ftdi-serial NUMBER prints the udev rule that does; or "
+        f"echo {LATENCY_TIMER_MS} | sudo tee {file}"
     )

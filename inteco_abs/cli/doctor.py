@@ -27,12 +27,21 @@ if TYPE_CHECKING:
     "--sessions", type=FILE, default=Path("sessions"), show_default=True, help="Where sessions will be written."
 )
 @click.option("--rules", "printed", flag_value="rules", help="Print only the udev rules, for sudo tee.")
+@click.option(
+    "--ftdi-serial", default="", metavar="NUMBER", help="With --rules: the FTDI chip of a first-generation RT-DAC/USB."
+)
 @click.option("--limits", "printed", flag_value="limits", help="Print only the limits file, for sudo tee.")
 @click.option("--board", help="Also measure how long exchanges with this board take; its outputs stay off.")
 @click.option("--config", type=FILE, help="rig.toml that names the board's profile.")
 @json_option
 def doctor(
-    seconds: float, sessions: Path, printed: str | None, board: str | None, config: Path | None, as_json: bool
+    seconds: float,
+    sessions: Path,
+    printed: str | None,
+    ftdi_serial: str,
+    board: str | None,
+    config: Path | None,
+    as_json: bool,
 ) -> int:
     """Tell whether this computer is fit for the rig, and what to do about it.
 
@@ -45,11 +54,11 @@ def doctor(
     from inteco_abs.realtime.doctor import examine, write_speed
     from inteco_abs.realtime.findings import Computer, Finding, Verdict, red, worst
     from inteco_abs.realtime.latency import LONGEST_S, SHORTEST_S, examine_wake_ups, judge_round_trips
-    from inteco_abs.realtime.permissions import limits, serial_group, udev_rules
+    from inteco_abs.realtime.permissions import check_serial, limits, serial_group, udev_rules
     from inteco_abs.realtime.trips import COUNT
 
     group = serial_group(Computer())
-    files = {"rules": udev_rules(group), "limits": limits(group)}
+    files = {"rules": udev_rules(group, check_serial(ftdi_serial) if ftdi_serial else ""), "limits": limits(group)}
     if printed:
         say(files[printed], nl=False)
         return 0

@@ -12,12 +12,13 @@ import sys
 import sysconfig
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from inteco_abs.realtime import permissions
 from inteco_abs.realtime.findings import Check, Computer, Finding, Judgement, amber, green, look, red
-from inteco_abs.realtime.machine import parse_cpus
+from inteco_abs.realtime.machine import Core, cores_of, kernel_list, loop_cpus, parse_cpus
 from inteco_abs.realtime.plugged import plugged_in
 from inteco_abs.sessions import nearest_folder
 
@@ -172,15 +173,37 @@ def _governor(computer: Computer) -> Judgement:
 def _cpus(computer: Computer) -> Judgement:
     online = parse_cpus(computer.text(f"{_CPUS}/online"))
     isolated = parse_cpus(computer.text_or(f"{_CPUS}/isolated", "")) & online
+    cores = cores_of(computer.root / _CPUS)
     if len(online) == 1:
         return red("1 CPU: everything shares it with the loop", "use a computer with 2 CPUs or more, better 4")
-    if isolated:
-        return green(f"{len(online)} CPUs, isolated: {','.join(map(str, sorted(isolated)))}")
-    last = max(online)
-    return amber(
-        f"{len(online)} CPUs, none of them isolated",
-        f"to keep other programs off the loop's CPU, boot with isolcpus={last} nohz_full={last}",
-    )
+    best = min(loop_cpus(online, (), cores))
+    best_core = cores.get(best, Core()).siblings & online | {best}
+    own, others = kernel_list(best_core), kernel_list(online - best_core)
+    boot = f"isolcpus={own} nohz_full={own} rcu_nocbs={own} irqaffinity={others}"
+    if not isolated:
+        return amber(
+            f"{len(online)} CPUs, none of them isolated", f"to keep all else off the loop's CPU, boot with {boot}"
+        )
+    problems = _disturbances(computer, min(loop_cpus(online, isolated, cores)), isolated, cores)
+    found = f"{len(online)} CPUs, isolated: {kernel_list(isolated)}"
+    return amber(f"{found}; {'; '.join(problems)}", f"boot with {boot}") if problems else green(found)
+
+
+def _disturbances(computer: Computer, loop: int, isolated: set[int], cores: Mapping[int, Core]) -> list[str]:
+    """What delays the loop on an isolated CPU all the same."""
+    core, fastest = cores.get(loop, Core()), max((core.speed for core in cores.values()), default=0)
+    problems = []
+    if core.speed < fastest:
+        problems.append(f"CPU {loop} is not the fastest: {core.speed} against {fastest} (kHz or capacity)")
+    if busy := core.siblings - isolated - {loop}:
+        problems.append(f"CPU {kernel_list(busy)} shares a core with it and is not isolated")
+    mask = int(computer.text_or("proc/irq/default_smp_affinity", "0").replace(",", ""), 16)
+    if mask >> loop & 1:
+        problems.append(f"interrupts may come to CPU {loop} (no irqaffinity)")
+    words = computer.text_or("proc/cmdline", "rcu_nocbs=").split()
+    if not any(word.startswith(("rcu_nocbs", "nohz_full=")) for word in words):
+        problems.append("the kernel's deferred work runs there (no rcu_nocbs)")
+    return problems
 
 
 def _sleep_states(computer: Computer) -> Judgement:

@@ -11,7 +11,8 @@ import os
 import signal
 import struct
 import sys
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -28,13 +29,15 @@ BOARD_PRIORITY: Final = 60
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
 _PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
-_ISOLATED: Final = Path("/sys/devices/system/cpu/isolated")
+_CPUS: Final = Path("/sys/devices/system/cpu")
+_ISOLATED: Final = _CPUS / "isolated"
 _CPU_LATENCY: Final = Path("/dev/cpu_dma_latency")
 _OOM: Final = Path("/proc/self/oom_score_adj")
 _NEVER_KILL: Final = "-1000"
 _LARGEST_SMALL: Final = 400
 _ARENA_BYTES: Final = 1 << 20
 _RESERVE_BYTES: Final = 8 << 20
+_UNKNOWN: Final[dict[int, Any]] = {}
 _KEPT: Final[list[bytes]] = []
 """Keeps the reserve from being given back."""
 
@@ -55,18 +58,52 @@ class Wish(NamedTuple):
     fix: str
 
 
-def loop_cpus(allowed: Collection[int], isolated: Collection[int]) -> set[int]:
-    """CPU for the loop alone: an isolated one if there is any, else the last; none on a machine with a single CPU.
+class Core(NamedTuple):
+    """What the kernel tells of one CPU."""
 
-    The kernel leaves isolated CPUs out of what a process may use by itself, and lets it move there all the same.
+    speed: int = 0
+    """Its highest clock in kHz, or where the kernel tells none its capacity; 0: not known."""
+    siblings: frozenset[int] = frozenset()
+    """CPUs that share its core: hyper-threads, itself among them."""
+
+
+def loop_cpus(allowed: Collection[int], isolated: Collection[int], cores: Mapping[int, Core] = _UNKNOWN) -> set[int]:
+    """CPU for the loop alone: an isolated one if there is any; none on a machine with a single CPU.
+
+    Of several isolated ones, one whose hyper-threads are isolated as well; then the fastest, then the last. The kernel
+    leaves isolated CPUs out of what a process may use by itself, and lets it move there all the same.
     """
     candidates = set(isolated) or (set(allowed) if len(allowed) > 1 else set())
-    return {max(candidates)} if candidates else set()
+
+    def worth(cpu: int) -> tuple[bool, int, int]:
+        core = cores.get(cpu, Core())
+        return not isolated or core.siblings <= {cpu, *isolated}, core.speed, cpu
+
+    return {max(candidates, key=worth)} if candidates else set()
 
 
-def other_cpus(allowed: Collection[int], isolated: Collection[int]) -> set[int]:
-    """CPUs for everything that runs beside the loop."""
-    return set(allowed) - loop_cpus(allowed, isolated) or set(allowed)
+def other_cpus(allowed: Collection[int], isolated: Collection[int], cores: Mapping[int, Core] = _UNKNOWN) -> set[int]:
+    """CPUs for everything that runs beside the loop: not the hyper-threads of its core, which would take its cycles."""
+    loop = loop_cpus(allowed, isolated, cores)
+    beside = {sibling for cpu in loop for sibling in cores.get(cpu, Core()).siblings}
+    return set(allowed) - loop - beside or set(allowed) - loop or set(allowed)
+
+
+def cores_of(folder: Path = _CPUS) -> dict[int, Core]:
+    """Every CPU that the kernel tells of in its folder."""
+    return {int(cpu.name[3:]): _core(cpu) for cpu in folder.glob("cpu[0-9]*")}
+
+
+def _core(cpu: Path) -> Core:
+    def told(*names: str) -> str:
+        for name in names:
+            with suppress(OSError):
+                return (cpu / name).read_text(encoding="ascii").strip()
+        return ""
+
+    speed = told("cpufreq/cpuinfo_max_freq", "cpu_capacity")
+    siblings = parse_cpus(told("topology/thread_siblings_list"))
+    return Core(int(speed) if speed.isdecimal() else 0, frozenset(siblings))
 
 
 def isolated_cpus(file: Path = _ISOLATED) -> set[int]:
@@ -87,6 +124,11 @@ def parse_cpus(text: str) -> set[int]:
     return cpus
 
 
+def kernel_list(cpus: Collection[int]) -> str:
+    """CPUs as the kernel's boot parameters name them, such as `2,6`."""
+    return ",".join(map(str, sorted(cpus)))
+
+
 def prepare(wishes: Collection[Wish]) -> list[Setting]:
     """Ask for everything in order; what is refused is reported, never an error."""
     settings = []
@@ -103,7 +145,7 @@ def loop_wishes() -> tuple[Wish, ...]:
     """Everything for the process that runs the loop. Garbage goes last: it freezes what exists by then."""
     allowed, isolated = _allowed(), isolated_cpus()
     return (
-        _affinity(loop_cpus(allowed, isolated), "the loop shares its CPUs; a second core would help"),
+        _affinity(loop_cpus(allowed, isolated, cores_of()), "the loop shares its CPUs; a second core would help"),
         *_common(lambda: _below_the_guardian(LOOP_PRIORITY)),
         Wish("heap", _reserve_heap, ""),
         Wish("C-states", _keep_awake, "deep sleep states add up to 100 us; allow writing /dev/cpu_dma_latency"),
@@ -114,7 +156,9 @@ def loop_wishes() -> tuple[Wish, ...]:
 def controller_wishes() -> tuple[Wish, ...]:
     """Everything for the process of a user's controller, which shares the loop's CPU: a message is quickest there."""
     return (
-        _affinity(loop_cpus(_allowed(), isolated_cpus()), "the loop shares its CPUs; a second core would help"),
+        _affinity(
+            loop_cpus(_allowed(), isolated_cpus(), cores_of()), "the loop shares its CPUs; a second core would help"
+        ),
         *_common(lambda: _below_the_guardian(CONTROLLER_PRIORITY)),
         Wish("garbage", _freeze_garbage, ""),
     )
@@ -128,7 +172,7 @@ def end_with_parent() -> None:
 def guardian_wishes(priority: int = GUARDIAN_PRIORITY) -> tuple[Wish, ...]:
     """Everything for the guardian and for the mock board: beside the loop, never on its CPU."""
     return (
-        _affinity(other_cpus(_allowed(), isolated_cpus()), "a second core would help"),
+        _affinity(other_cpus(_allowed(), isolated_cpus(), cores_of()), "a second core would help"),
         *_common(lambda: _first_in_first_out(priority)),
         Wish("out of memory", _survive, "the kernel may choose this process when memory runs out"),
         Wish("garbage", _freeze_garbage, ""),
@@ -138,14 +182,14 @@ def guardian_wishes(priority: int = GUARDIAN_PRIORITY) -> tuple[Wish, ...]:
 def recorder_wishes() -> tuple[Wish, ...]:
     """The recorder is an ordinary process that keeps off the loop's CPU."""
     return (
-        _affinity(other_cpus(_allowed(), isolated_cpus()), "a second core would help"),
+        _affinity(other_cpus(_allowed(), isolated_cpus(), cores_of()), "a second core would help"),
         Wish("signals", _block_signals, ""),
     )
 
 
 def supervisor_wishes() -> tuple[Wish, ...]:
     """The supervisor and its screen keep off the loop's CPU."""
-    return (_affinity(other_cpus(_allowed(), isolated_cpus()), "a second core would help"),)
+    return (_affinity(other_cpus(_allowed(), isolated_cpus(), cores_of()), "a second core would help"),)
 
 
 def watch_wishes(priority: int = WATCH_PRIORITY) -> tuple[Wish, ...]:
@@ -180,7 +224,7 @@ def _affinity(cpus: set[int], fix: str) -> Wish:
         if not cpus:
             raise OSError(None, "there is one CPU only")
         os.sched_setaffinity(0, cpus)
-        return "CPU " + ",".join(map(str, sorted(cpus)))
+        return f"CPU {kernel_list(cpus)}"
 
     return Wish("affinity", ask, fix)
 

@@ -6,8 +6,10 @@ logins as well; at the computer itself the tag `uaccess` is enough for the USB b
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
+from inteco_abs.errors import ConfigError, Mistake
 from inteco_abs.realtime.findings import Check, Computer, Judgement, amber, green, red
 from inteco_abs.realtime.machine import GUARDIAN_PRIORITY
 
@@ -19,14 +21,16 @@ PCI_REGISTERS: Final = "resource2"
 """The BAR with the registers (fact sheet on the boards, section 2)."""
 
 _SERIAL_GROUPS: Final = ("dialout", "uucp")
-_SERIAL: Final = 'ATTRS{serial}=="'
-"""Begins what a lab may write by itself into the rules."""
-_SERIAL_EXAMPLE: Final = f'#SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", {_SERIAL}A1B2C3D4", ENV{{INTECO_ABS}}="1"'
-_MODEM_EXAMPLE: Final = f'#SUBSYSTEM=="tty", SUBSYSTEMS=="usb", {_SERIAL}A1B2C3D4", ENV{{ID_MM_DEVICE_IGNORE}}="1"'
+_SERIAL: Final = re.compile(r"[\w-]{1,32}", re.ASCII)
 _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 _INSTALL_RULES: Final = (
     f"inteco-abs doctor --rules | sudo tee {UDEV_FILE} && sudo udevadm control --reload && sudo udevadm trigger"
 )
+INSTALL_FTDI_RULES: Final = (
+    f"inteco-abs doctor --rules --ftdi-serial {{}} | sudo tee {UDEV_FILE} && sudo udevadm control --reload, then plug "
+    "the board in again"
+)
+"""With the chip's serial number."""
 _INSTALL_LIMITS: Final = f"inteco-abs doctor --limits | sudo tee {LIMITS_FILE}, then log in again"
 ALLOW_AWAKE: Final = f"install the udev rules ({UDEV_FILE}), which allow writing /dev/cpu_dma_latency"
 PLUG_AGAIN: Final = f"install the udev rules ({UDEV_FILE}), then plug the board in again or restart the computer"
@@ -38,8 +42,30 @@ def serial_group(computer: Computer) -> str:
     return next((name for name in _SERIAL_GROUPS if name in known), _SERIAL_GROUPS[0])
 
 
-def udev_rules(group: str) -> str:
-    """The udev rules to install as `UDEV_FILE`."""
+def check_serial(serial: str) -> str:
+    """`serial` if it can be an FTDI chip's serial number in a rule; raises ConfigError."""
+    if not _SERIAL.fullmatch(serial):
+        problem = f"{serial!r}: must be 1 to 32 letters, digits, - and _, as inteco-abs doctor prints it"
+        raise ConfigError([Mistake("--ftdi-serial", problem)])
+    return serial
+
+
+def udev_rules(group: str, ftdi_serial: str = "") -> str:
+    """The udev rules to install as `UDEV_FILE`.
+
+    The vendor and product ids of the first RT-DAC/USB are not known, and many instruments have the same FTDI chip: a
+    chip that names neither Inteco nor RT-DAC is set only if `ftdi_serial` is its serial number.
+    """
+    ours = ['ATTR{manufacturer}=="*[Ii][Nn][Tt][Ee][Cc][Oo]*"', 'ATTR{product}=="*[Rr][Tt]*[Dd][Aa][Cc]*"']
+    if ftdi_serial:
+        ours.append(f'ATTR{{serial}}=="{ftdi_serial}"')
+    chips = [f'ATTR{{idVendor}}=="0403", {which}' for which in ours]
+    unheard = "\n".join(f'{chip}, ENV{{ID_MM_DEVICE_IGNORE}}="1"' for chip in chips)
+    quick = "\n".join(
+        f'SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", {chip.replace("ATTR", "ATTRS")}, '
+        'ATTR{latency_timer}="1", ATTR{event_char}="0x13F"'
+        for chip in chips
+    )
     return f"""\
 # {UDEV_FILE}
 # Opens the boards of the Inteco rigs to group {group} and to whoever sits at the computer, and keeps them quick.
@@ -52,19 +78,13 @@ SUBSYSTEM!="usb", GOTO="inteco_abs_not_usb"
 ENV{{DEVTYPE}}!="usb_device", GOTO="inteco_abs_end"
 ATTR{{manufacturer}}=="*[Ii][Nn][Tt][Ee][Cc][Oo]*", ENV{{INTECO_ABS}}="1"
 ENV{{INTECO_ABS}}=="1", GROUP="{group}", MODE="0660", TAG+="uaccess", ATTR{{power/control}}="on"
+# RT-DAC/USB of the first generation: ModemManager sends no commands for modems to it
+{unheard}
 GOTO="inteco_abs_end"
 LABEL="inteco_abs_not_usb"
 
-# RT-DAC/USB of the first generation: an answer waits in the FTDI chip for 1 ms, not for 16 ms, and ModemManager keeps
-# away. Other devices have such chips too: only the board is meant, by its names, as far as they are known
-SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTRS{{manufacturer}}=="*[Ii][Nn][Tt][Ee][Cc][Oo]*", ENV{{INTECO_ABS}}="1"
-SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTRS{{product}}=="*[Rr][Tt]*[Dd][Aa][Cc]*", ENV{{INTECO_ABS}}="1"
-# if it has others: take the # away from the next line, and put the board's serial number there (doctor names it)
-{_SERIAL_EXAMPLE}
-SUBSYSTEM=="usb-serial", ENV{{INTECO_ABS}}=="1", ATTR{{latency_timer}}="1"
-SUBSYSTEM=="tty", SUBSYSTEMS=="usb", ATTRS{{manufacturer}}=="*[Ii][Nn][Tt][Ee][Cc][Oo]*", ENV{{ID_MM_DEVICE_IGNORE}}="1"
-SUBSYSTEM=="tty", SUBSYSTEMS=="usb", ATTRS{{product}}=="*[Rr][Tt]*[Dd][Aa][Cc]*", ENV{{ID_MM_DEVICE_IGNORE}}="1"
-{_MODEM_EXAMPLE}
+# the same board: an answer waits in the FTDI chip for 1 ms, not for 16 ms, and not at all once it has a byte 0x3F
+{quick}
 
 # RT-DAC4/PCI: its 64 registers, switched on, as no driver of the kernel does it
 SUBSYSTEM=="pci", ATTR{{vendor}}=="{PCI_VENDOR}", ATTR{{device}}=="{PCI_DEVICE}", \
@@ -145,14 +165,10 @@ def _udev_rules(computer: Computer) -> Judgement:
     if not computer.exists("sys"):
         raise FileNotFoundError(computer.root / "sys")
     installed = computer.text_or(UDEV_FILE.lstrip("/"), "")
-    if _without_serials(installed) == _without_serials(udev_rules(serial_group(computer))):
+    serial = re.search(r'ATTRS\{serial\}=="([^"]*)"', installed)
+    if installed == udev_rules(serial_group(computer), serial[1] if serial else "").strip():
         return green("installed")
     return amber("installed, but not those of this version" if installed else "not installed", _INSTALL_RULES)
-
-
-def _without_serials(rules: str) -> list[str]:
-    """Lines of rules but for those in which a lab names its own board."""
-    return [line for line in rules.strip().splitlines() if _SERIAL not in line]
 
 
 CHECKS: Final[dict[str, Check]] = {

@@ -321,6 +321,12 @@ class TestLatencyTimer:
         assert serial_ports.quicken(str(tmp_path / "rig"), tmp_path) == ""
         assert timer.read_text() == "1\n"
 
+    def test_the_vendors_event_character_is_enabled_where_the_chip_has_one(self, tmp_path, timer):
+        event = timer.with_name("event_char")
+        event.write_text("")
+        assert serial_ports.quicken("/dev/ttyUSB0", tmp_path) == ""
+        assert int(event.read_text()) == 0x13F
+
     def test_one_that_stays_long_is_told_with_the_rule_that_helps(self, tmp_path, timer, monkeypatch):
         monkeypatch.setattr(type(timer), "write_text", denied)
         complaint = serial_ports.quicken("/dev/ttyUSB0", tmp_path)

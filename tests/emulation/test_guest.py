@@ -187,8 +187,8 @@ class TestFtdi:
         assert "FTDI USB Serial Device converter detected" in log
         assert "now attached to ttyUSB0" in log
 
-    def test_the_udev_rules_leave_a_chip_alone_that_says_nothing_of_the_board(self, ftdi):
-        assert ftdi.report["port"] == {"name": "ttyUSB0", "latency_timer": "16"}
+    def test_the_udev_rule_sets_the_latency_timer_of_the_chip_that_is_named(self, ftdi):
+        assert ftdi.report["port"] == {"name": "ttyUSB0", "latency_timer": "1"}
 
     def test_an_answer_waits_for_the_latency_timer(self, ftdi):
         """Its last packet is not full; the times are virtual, so they may be judged."""

@@ -6,12 +6,14 @@ from types import SimpleNamespace
 
 import pytest
 
+from inteco_abs.errors import ConfigError
 from inteco_abs.realtime import doctor
 from inteco_abs.realtime.doctor import PythonBuild, examine, judge_python, judge_write_speed, python_build, write_speed
 from inteco_abs.realtime.findings import Computer, Finding, Verdict, as_facts, worst
-from inteco_abs.realtime.permissions import LIMITS_FILE, UDEV_FILE, limits, serial_group, udev_rules
+from inteco_abs.realtime.permissions import LIMITS_FILE, UDEV_FILE, check_serial, limits, serial_group, udev_rules
 
 CPU = "sys/devices/system/cpu"
+HOST = "sys/devices/pci0000:00/0000:00:14.0"
 USB = "sys/bus/usb/devices/1-2"
 PCI = "sys/bus/pci/devices/0000:04:00.0"
 FTDI = "sys/bus/usb-serial/devices"
@@ -42,6 +44,10 @@ def limits_table(priority="90", memory="unlimited"):
     )
 
 
+def stat(priority):
+    return f"77 (irq/129-xhci_hcd) S {' '.join(['0'] * 36)} {priority} 1 0"
+
+
 GOOD = {
     "proc/sys/kernel/osrelease": "6.12.0-rt-amd64",
     "proc/sys/kernel/version": "#1 SMP PREEMPT_RT Debian 6.12",
@@ -55,6 +61,11 @@ GOOD = {
     LOCKDOWN: "[none] integrity confidentiality",
     f"{CPU}/online": "0-3",
     f"{CPU}/isolated": "3",
+    "proc/irq/default_smp_affinity": "7",
+    "proc/cmdline": "quiet isolcpus=3 nohz_full=3 rcu_nocbs=3 irqaffinity=0-2",
+    "proc/irq/129/effective_affinity_list": "0",
+    "proc/77/comm": "irq/129-xhci_hcd",
+    "proc/77/stat": stat(85),
     **{f"{CPU}/cpu{number}/cpufreq/scaling_governor": "performance" for number in range(4)},
     f"{CPU}/cpu0/cpuidle/state0/name": "POLL",
     f"{CPU}/cpu0/cpuidle/state0/latency": "0",
@@ -73,6 +84,7 @@ GOOD = {
     NODE: "",
     "sys/bus/usb/devices/usb1/manufacturer": "Linux 6.12.0 xhci-hcd",
     f"{FTDI}/ttyUSB0/latency_timer": "1",
+    f"{HOST}/msi_irqs/129": "msi",
     f"{PCI}/vendor": "0x10b5",
     f"{PCI}/device": "0x2497",
     f"{PCI}/resource2": "",
@@ -86,6 +98,10 @@ SECOND_USB = {path.replace("1-2", "1-1.4"): text for path, text in GOOD.items() 
     "sys/bus/usb/devices/1-1.4/devnum": "6",
     "dev/bus/usb/001/006": "",
 }
+LINKS = {USB: f"{HOST}/usb1/1-2", f"{FTDI}/ttyUSB0": f"{HOST}/usb1/1-3/1-3:1.0/ttyUSB0"}
+"""As sysfs has its devices: below what they hang on, and linked from their bus."""
+MODEMS = {"proc/412/comm": "ModemManager", f"{HOST}/usb1/1-3/serial": "A6008isP"}
+THREADS = f"{CPU}/cpu1/topology/thread_siblings_list"
 STOCK = {"proc/sys/kernel/version": "#1 SMP PREEMPT_DYNAMIC Debian"}
 NOT_AWAKE = {"dev/cpu_dma_latency": ReadOnly()}
 NOTHING_DEEP = {f"{CPU}/cpu0/cpuidle/state1/disable": "1"}
@@ -106,6 +122,17 @@ CASES = [
     ("CPUs", {f"{CPU}/isolated": "7"}, "amber", "none of them isolated", "isolcpus=3"),
     ("CPUs", {f"{CPU}/isolated": None}, "amber", "none of them isolated", "isolcpus=3"),
     ("CPUs", {f"{CPU}/online": "0", f"{CPU}/isolated": ""}, "red", "1 CPU", "2 CPUs or more"),
+    (
+        "CPUs",
+        {f"{CPU}/isolated": "", f"{CPU}/cpu1/cpufreq/cpuinfo_max_freq": "5000", f"{THREADS}": "1,3"},
+        "amber", "none of them isolated", "isolcpus=1,3 nohz_full=1,3 rcu_nocbs=1,3 irqaffinity=0,2",
+    ),
+    ("CPUs", {f"{CPU}/cpu1/cpu_capacity": "1024"}, "amber", "CPU 3 is not the fastest: 0 against 1024", "isolcpus=1"),
+    ("CPUs", {f"{CPU}/cpu3/topology/thread_siblings_list": "1,3"}, "amber", "CPU 1 shares a core", "isolcpus=1,3"),
+    ("CPUs", {f"{CPU}/cpu3/topology/thread_siblings_list": "1,3", f"{CPU}/isolated": "1,3"}, "green", "1,3", ""),
+    ("CPUs", {"proc/irq/default_smp_affinity": "ff,0000000f"}, "amber", "interrupts may come to CPU 3", "irqaffinity"),
+    ("CPUs", {"proc/cmdline": "quiet isolcpus=3"}, "amber", "(no rcu_nocbs)", "rcu_nocbs=3"),
+    ("CPUs", {"proc/cmdline": "isolcpus=3 nohz_full=3"}, "green", "isolated: 3", ""),
     ("CPUs", {f"{CPU}/online": "all"}, "amber", NOT_KNOWN, "/sys"),
     ("CPU governor", {}, "green", "performance", ""),
     ("CPU governor", {f"{CPU}/cpu2/cpufreq/scaling_governor": "powersave"}, "amber", ", powersave", "cpupower"),
@@ -157,9 +184,8 @@ CASES = [
     ("group", {"etc/group": "uucp:x:20:\n"}, "green", "in group uucp", ""),
     ("group", {"etc/group": "users:x:20:\n"}, "amber", NOT_KNOWN, "/proc"),
     ("udev rules", {}, "green", "installed", ""),
+    ("udev rules", {RULES: udev_rules("dialout", "A6008isP")}, "green", "installed", ""),
     ("udev rules", {RULES: None}, "amber", "not installed", f"sudo tee {UDEV_FILE}"),
-    ("udev rules", {RULES: udev_rules("dialout").replace("#SUBSYSTEM", "SUBSYSTEM").replace("A1B2C3D4", "FT0K3Y")},
-     "green", "installed", ""),
     ("udev rules", {RULES: udev_rules("dialout") + "# mine\n"}, "amber", "not those of this version", "sudo tee"),
     ("board", {}, "green", "RT-DAC/USB2 at USB port 1-2, RT-DAC4/PCI at 0000:04:00.0", ""),
     ("board", NO_USB, "green", "RT-DAC4/PCI at 0000:04:00.0", ""),
@@ -167,6 +193,11 @@ CASES = [
     ("board", {**NO_PCI, f"{USB}/idVendor": "1234"}, "green", "USB port 1-2", ""),
     ("board", {**NO_PCI, f"{USB}/manufacturer": None}, "amber", "no RT-DAC/USB2", "plug"),
     ("board", {**NO_PCI, f"{USB}/manufacturer": "Cypress"}, "amber", "no RT-DAC/USB2", "plug"),
+    (
+        "board",
+        {**NO_PCI, f"{USB}/manufacturer": None, f"{USB}/product": None, f"{USB}/idProduct": "8613"},
+        "red", "a Cypress FX2 without firmware at USB port 1-2", "docs/boards.md",
+    ),
     ("board", {**NO_PCI, f"{USB}/manufacturer": "X", f"{USB}/idVendor": "0403"}, "amber", "no RT-DAC/USB2", "plug"),
     ("board", {**NO_PCI, **NO_USB}, "amber", "no RT-DAC/USB2 or RT-DAC4/PCI board plugged in", "plug"),
     ("board", {**NO_USB, f"{PCI}/device": "0x9030"}, "amber", "no RT-DAC/USB2 or RT-DAC4/PCI board plugged in", "plug"),
@@ -179,6 +210,20 @@ CASES = [
     ("USB access", {}, "green", f"/{NODE} is writable", ""),
     ("USB access", {NODE: ReadOnly()}, "red", f"/{NODE} is not writable", UDEV_FILE),
     ("USB access", {NODE: None}, "red", f"no /{NODE}", "udev"),
+    ("USB interrupt", {}, "green", "interrupt 129 on CPU 0, its thread with priority 85", ""),
+    ("USB interrupt", {"proc/77/comm": "irq/12-i8042"}, "green", "interrupt 129 on CPU 0", ""),
+    ("USB interrupt", {"proc/77/stat": stat(50)}, "amber", "below the loop's 80", "sudo chrt -f -p 85 77"),
+    (
+        "USB interrupt",
+        {"proc/irq/129/effective_affinity_list": "3"},
+        "amber", "on CPU 3, which is the loop's", "echo 0,1,2 | sudo tee /proc/irq/129/smp_affinity_list",
+    ),
+    ("USB interrupt", {f"{HOST}/msi_irqs/129": None, f"{HOST}/irq": "129"}, "green", "interrupt 129 on CPU 0", ""),
+    ("USB interrupt", {f"{HOST}/msi_irqs/129": None}, "amber", NOT_KNOWN, "/sys"),
+    ("ModemManager", {}, "green", "not running", ""),
+    ("ModemManager", MODEMS, "amber", "to ttyUSB0", "doctor --rules --ftdi-serial A6008isP | sudo tee"),
+    ("ModemManager", MODEMS | {RULES: udev_rules("dialout", "A6008isP")}, "green", "leaves ttyUSB0 alone", ""),
+    ("ModemManager", MODEMS | {RULES: udev_rules("dialout", "A6008isQ")}, "amber", "to ttyUSB0", "A6008isP"),
     ("FTDI latency", {}, "green", "ttyUSB0 1 ms", ""),
     ("FTDI latency", {f"{FTDI}/ttyUSB0/latency_timer": "16"}, "amber", "16 ms", f"echo 1 | sudo tee /{FTDI}/ttyUSB0"),
     ("FTDI latency", {f"{FTDI}/ttyUSB3/latency_timer": "2"}, "amber", "ttyUSB0 1 ms; ttyUSB3 2 ms", "ttyUSB3"),
@@ -200,6 +245,10 @@ def new_root(tmp_path, monkeypatch):
 
     def make(changes):
         root = tmp_path / "root"
+        for path, target in LINKS.items():
+            (root / path).parent.mkdir(parents=True)
+            (root / target).mkdir(parents=True)
+            (root / path).symlink_to(root / target)
         for path, text in {**GOOD, **changes}.items():
             if text is not None:
                 (root / path).parent.mkdir(parents=True, exist_ok=True)
@@ -412,30 +461,32 @@ def test_the_files_to_install_name_the_group_of_this_system(new_root, groups, na
     assert f"@{name} - rtprio 90\n@{name} - memlock unlimited\n" in limits(group)
 
 
-def test_the_udev_rules_touch_no_serial_port_but_one_that_the_rules_know_for_the_board():
-    named = ('ATTRS{manufacturer}=="*[Ii]', 'ATTRS{product}=="*[Rr]')
-    rules = [
-        line for line in udev_rules("dialout").splitlines() if line.startswith("SUBSYSTEM==") and "misc" not in line
-    ]
-    ports = [line for line in rules if "usb-serial" in line or "tty" in line]
-    assert len([line for line in ports if any(name in line for name in named)]) == 4
-    assert [line for line in ports if not any(name in line for name in named)] == [
-        'SUBSYSTEM=="usb-serial", ENV{INTECO_ABS}=="1", ATTR{latency_timer}="1"'
+def test_only_the_ftdi_chip_that_is_named_is_set_beside_those_that_name_inteco():
+    def set_by(*serial):
+        rules = udev_rules("dialout", *serial).splitlines()
+        return [line for line in rules if "latency_timer" in line or "ID_MM_DEVICE_IGNORE" in line]
+
+    named = (
+        'ATTR{manufacturer}=="*[Ii]',
+        'ATTR{product}=="*[Rr]',
+        'ATTRS{manufacturer}=="*[Ii]',
+        'ATTRS{product}=="*[Rr]',
+    )
+    assert len(set_by()) == len(named)
+    assert all(any(name in line for line in set_by()) for name in named)
+    assert [line for line in set_by("A6008isP") if line not in set_by()] == [
+        'ATTR{idVendor}=="0403", ATTR{serial}=="A6008isP", ENV{ID_MM_DEVICE_IGNORE}="1"',
+        (
+            'SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTRS{idVendor}=="0403", ATTRS{serial}=="A6008isP", '
+            'ATTR{latency_timer}="1", ATTR{event_char}="0x13F"'
+        ),
     ]
 
 
-def test_a_slow_serial_port_is_named_with_the_serial_number_by_which_the_rules_would_know_it(new_root, tmp_path):
-    root = new_root({f"{FTDI}/ttyUSB0/latency_timer": None})
-    port = root / "sys/devices/pci0/usb1/1-4/1-4:1.0/ttyUSB0"
-    port.mkdir(parents=True)
-    (port / "latency_timer").write_text("16\n")
-    (root / "sys/devices/pci0/usb1/1-4/serial").write_text("FT0K3Y\n")
-    (root / FTDI).mkdir(parents=True, exist_ok=True)
-    for each in (root / FTDI).iterdir():
-        each.rmdir()
-    (root / FTDI / "ttyUSB0").symlink_to(port)
-    (finding,) = [each for each in examine(tmp_path, root) if each.name == "FTDI latency"]
-    assert "put its serial number FT0K3Y into" in finding.fix
+@pytest.mark.parametrize("serial", ['A" RUN+="x', "", "A 1", "A*", "ü", "A" * 33, "A\n"])
+def test_what_cannot_be_a_serial_number_gets_into_no_rule(serial):
+    with pytest.raises(ConfigError, match="--ftdi-serial"):
+        check_serial(serial)
 
 
 def test_the_udev_rules_jump_only_forward_to_labels_that_exist():

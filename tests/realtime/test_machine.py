@@ -12,9 +12,11 @@ from inteco_abs.realtime.machine import (
     CONTROLLER_PRIORITY,
     GUARDIAN_PRIORITY,
     LOOP_PRIORITY,
+    Core,
     Setting,
     Wish,
     controller_wishes,
+    cores_of,
     isolated_cpus,
     loop_cpus,
     loop_wishes,
@@ -82,6 +84,32 @@ class TestCpus:
     def test_the_loop_gets_an_isolated_cpu_or_the_last_and_all_else_the_rest(self, allowed, isolated, loop, others):
         assert loop_cpus(allowed, isolated) == loop
         assert other_cpus(allowed, isolated) == others
+
+    @pytest.mark.parametrize(
+        ("isolated", "loop", "others"),
+        [
+            (set(), {1}, {0, 2, 4, 6}),
+            ({2, 6}, {6}, {0, 1, 4, 5}),
+            ({4, 2, 6}, {6}, {0, 1, 5}),
+            ({0, 4}, {4}, {1, 2, 5, 6}),
+        ],
+    )
+    def test_the_loops_cpu_is_fast_and_nothing_of_the_run_is_on_its_hyper_thread(self, isolated, loop, others):
+        threads = {0: (0,), 1: (1, 5), 2: (2, 6), 4: (4,)}
+        cores = {cpu: Core(4000 if cpu == 1 else 3000, frozenset(of)) for of in threads.values() for cpu in of}
+        allowed = set(cores) - isolated
+        assert loop_cpus(allowed, isolated, cores) == loop
+        assert other_cpus(allowed, isolated, cores) == others
+
+    def test_what_the_kernel_tells_of_a_cpu_may_be_missing(self, tmp_path):
+        for name, text in (("cpu0/cpufreq/cpuinfo_max_freq", "4900000"), ("cpu1/cpu_capacity", "512")):
+            (tmp_path / name).parent.mkdir(parents=True)
+            (tmp_path / name).write_text(f"{text}\n")
+        (tmp_path / "cpu0/topology").mkdir()
+        (tmp_path / "cpu0/topology/thread_siblings_list").write_text("0,2\n")
+        (tmp_path / "cpu2").mkdir()
+        found = {0: Core(4_900_000, frozenset({0, 2})), 1: Core(512), 2: Core()}
+        assert cores_of(tmp_path) == found
 
     @given(allowed=CPUS.filter(bool), isolated=CPUS)
     def test_the_loop_never_shares_its_cpu_where_there_is_another(self, allowed, isolated):

@@ -14,13 +14,14 @@ from firmware_protocol.rtdac_usb import FRAME_BYTES, READ_REQUEST
 RATE_HZ = 150
 """Now and then an exchange takes 5 ms of virtual time: the kernel hands serial data on in an ordinary thread."""
 COUNT = 200
+SERIAL = 900_000_001
 LATENCIES_MS = 16, 1
 
 
 def main():
     report = {"kernel": bus.kernel(), "devices": {}}
-    prepare(["inteco_abs.boards.serial_link"], "ftdi_sio")
-    with mock_board("--board", "usb") as folder:
+    prepare(["inteco_abs.boards.serial_link"], "ftdi_sio", rules=("--ftdi-serial", SERIAL))
+    with mock_board("--board", "usb", "--serial", SERIAL) as folder:
         tty = bus.eventually(lambda: next(folder.glob("*:1.0/ttyUSB*"), None), "a serial port")
         report["devices"]["mock"] = bus.facts(folder)
         report["port"] = {"name": tty.name, "latency_timer": (tty / "latency_timer").read_text().strip()}

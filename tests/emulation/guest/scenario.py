@@ -39,11 +39,11 @@ def abs_command(*arguments):
     return ended.returncode, ended.stdout, ended.stderr
 
 
-def prepare(used, *modules):
+def prepare(used, *modules, rules=()):
     """Read what is used, Python's modules `used` too; load kernel modules; start udev with the product's own rules."""
     bus.keep_in_memory((*_USED, *used))
     bus.load("vhci-hcd", *modules)
-    bus.start_udev(abs_command("doctor", "--rules")[1])
+    bus.start_udev(abs_command("doctor", "--rules", *rules)[1])
 
 
 @contextmanager
