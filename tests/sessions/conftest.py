@@ -346,10 +346,19 @@ def outer_signals():
 
 @pytest.fixture
 def room():
-    """From now on, no file may grow beyond that many bytes; stands for a full disk."""
+    """No file may grow beyond that many bytes for the rest of the test; stands for a full disk."""
+    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    return lambda left: resource.setrlimit(resource.RLIMIT_FSIZE, (left, hard))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call():
+    """Lift what `room` has limited before pytest tells how the test ended: its own output may be a larger file."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda left: resource.setrlimit(resource.RLIMIT_FSIZE, (left, before[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    try:
+        return (yield)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 import errno
 import math
 import os
+import resource
 import shutil
 from functools import partial
 
@@ -283,3 +284,17 @@ def test_a_session_that_did_not_end_well_says_after_which_tick(run, quick, tmp_p
     assert session.metadata["session"]["last_tick"] == str(session.ticks["tick"][-1])
     assert "died" not in session.metadata["session"]
     assert "last_tick" not in quick.session.metadata["session"]
+
+
+@pytest.fixture
+def lifted(room):
+    """After the test, when pytest tells how it has ended, the disk is not full any more."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield room
+    assert resource.getrlimit(resource.RLIMIT_FSIZE) == before
+
+
+def test_a_disk_that_is_full_for_a_test_is_not_full_for_what_pytest_writes_of_it(lifted, tmp_path):
+    lifted(0)
+    with pytest.raises(OSError, match="File too large"):
+        (tmp_path / "file").write_bytes(b"x")

@@ -27,6 +27,21 @@ def run(tool, *arguments, environment):
     return process.stdout
 
 
+TOLD_BY_THE_COMMAND = {"run"}
+NAMES = sorted(path.name for path in TOOLS.iterdir() if path.is_file() and not path.suffix)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in TOLD_BY_THE_COMMAND])
+def test_every_tool_tells_what_it_does_and_does_nothing_else(name, untraced, tmp_path):
+    script = (TOOLS / name).read_text().startswith("#!/bin/sh")
+    words = ["sh", TOOLS / name] if script else [sys.executable, TOOLS / name]
+    done = subprocess.run(
+        [*words, "--help"], env=untraced, capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert f"tools/{name}" in done.stdout or done.stdout.startswith(f"usage: {name}")
+
+
 @pytest.mark.xdist_group("real time")
 def test_bench_stack_prints_every_stage(untraced):
     printed = run("bench_stack", "1", environment=untraced)

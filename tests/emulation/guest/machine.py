@@ -40,7 +40,7 @@ def run(kernel, script, results, devices=()):
     with tempfile.TemporaryDirectory() as scratch:
         initramfs = _initramfs(kernel, script, Path(scratch))
         command = [
-            "timeout", "-k", "5", str(PATIENCE_S), "qemu-system-x86_64",
+            "qemu-system-x86_64",
             "-M", "q35", "-accel", "tcg", "-cpu", "max", "-smp", "1", "-m", str(MEMORY_MB),
             "-icount", "shift=0,sleep=off",
             "-nodefaults", "-no-user-config", "-no-reboot", "-display", "none", "-serial", "stdio", "-nic", "none",
@@ -49,10 +49,19 @@ def run(kernel, script, results, devices=()):
             *_share("root", "/", "readonly=on,multidevs=remap"), *_share("results", results, ""),
             *devices,
         ]  # fmt: skip
-        ended = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-    console = ended.stdout + ended.stderr
+        console = output_of(command, PATIENCE_S)
     found = _ENDED.search(console)
     return (int(found[1]) if found else None), console
+
+
+def output_of(command, patience_s):
+    """All that a command has written by its end, or in so many seconds; it never outlives this process."""
+    alone = ["setpriv", "--pdeathsig", "KILL", "--", *command]  # where this process is killed, nobody else would end it
+    streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    try:
+        return subprocess.run(alone, **streams, timeout=patience_s, check=False).stdout.decode(errors="replace")
+    except subprocess.TimeoutExpired as ended:
+        return (ended.output or b"").decode(errors="replace")
 
 
 def _share(tag, folder, more):
