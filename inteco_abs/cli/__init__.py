@@ -4,11 +4,15 @@ Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 done with losses
 advice to look at, 4 replay or sessions differ, 5 safety stop, 130 interrupted.
 """
 
+import os
 import sys
 
 
 def main() -> None:
     """Entry point of the command; an interrupt while it is being loaded or left leaves no traceback either."""
+    # numpy's OpenBLAS takes memory for a thread per CPU, which no matrix here is large enough for, and where it gets no
+    # thread it raises SIGINT, which would be told as an interrupt
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         from inteco_abs.cli.verbs import main as verbs
 

@@ -113,6 +113,9 @@ def main() -> None:
         sys.stdout = sys.stderr
         say(f"inteco-abs: {_told(error)}", err=True)
         code = 1
+    except MemoryError:
+        say("inteco-abs: there is not enough memory; end other programs, or allow more (ulimit -v)", err=True)
+        code = 1
     except Exception as error:  # the top of the process: a bug must not look like the user's mistake
         if debug or isinstance(error.__cause__, KeyboardInterrupt):
             raise

@@ -37,3 +37,15 @@ def test_a_controller_that_never_returns_is_broken_into_by_a_second_signal(comma
     info = json.loads(inteco_abs("info", "stop.mcap", "--json", check=0).stdout)
     assert info["metadata"]["session"]["outcome"] == "aborted"
     assert info["ticks"] > 10_000
+
+
+@pytest.mark.parametrize("most_mb", [140, 160])
+def test_too_little_memory_is_told_as_that_and_as_no_interrupt(command_path, untraced, tmp_path, most_mb):
+    limited = (
+        f"ulimit -v {most_mb}000; exec {command_path} run --board sim: --virtual --set loop.rate_hz=200 --out x.mcap"
+    )
+    done = subprocess.run(
+        ["sh", "-c", limited], cwd=tmp_path, env=untraced, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert "interrupted" not in done.stderr
+    assert done.returncode in {0, 1, 3}
