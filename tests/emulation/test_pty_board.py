@@ -22,9 +22,9 @@ COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
 UNTRACED = {key: value for key, value in os.environ.items() if not key.startswith("COV")}
 RATES_HZ = (250, 250, 120, 80, 60)
 """The real board's first; a busy computer may not keep it, and a run that has not begun may be tried again."""
-BUSY = ("set loop.rate_hz to", "within 10 ms")
+BUSY = ("set loop.rate_hz to", "within 10 ms", "exchanges with the board failed")
 """What the run says then."""
-REAL_LIMITS = ("profile=sim_usb", "guard.missed_in_a_row=4", "guard.bucket_limit=30", "guard.silence_s=0.05")
+REAL_LIMITS = ("profile=sim_usb", "guard.missed_in_a_row=6", "guard.bucket_limit=36", "guard.silence_s=0.05")
 """Those that a real board's profile has, not the mock's own."""
 PHRASE = "the cover is closed, my hand is at the emergency switch"
 TRIP_TICKS = 30
