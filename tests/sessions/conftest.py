@@ -137,6 +137,16 @@ def with_a_flipped_bit():
     return flip
 
 
+@pytest.fixture(scope="session")
+def before_its_ticks():
+    """Bytes of a file up to the middle of its first chunk's head, which is behind what says with what it was run."""
+
+    def cut(data: bytes) -> bytes:
+        return data[: next(record.at for record in Container.split(data) if record.opcode == CHUNK) + 4]
+
+    return cut
+
+
 class Verb(NamedTuple):
     code: int
     out: str

@@ -47,9 +47,9 @@ def test_a_whole_file_is_listed_without_its_ticks(folder, container, short):
     assert rows["hollow.mcap"] == rows["whole.mcap"]
 
 
-def test_a_cut_file_is_read_and_judged_by_what_it_has(folder, quick):
+def test_a_cut_file_is_read_and_judged_by_what_it_has(folder, quick, before_its_ticks):
     data = quick.path.read_bytes()
-    rows = rows_of(folder(whole=data, cut=data[:-500], started=data[:3000]))
+    rows = rows_of(folder(whole=data, cut=data[:-500], started=before_its_ticks(data)))
     assert rows["cut.mcap"]["ticks"] == rows["whole.mcap"]["ticks"]
     assert rows["cut.mcap"]["stop_time_s"] == rows["whole.mcap"]["stop_time_s"]
     assert "ends early" in rows["cut.mcap"]["problem"]
