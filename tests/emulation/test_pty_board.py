@@ -237,7 +237,7 @@ def commissioning(mock, tmp_path):
 
 
 def test_a_commissioning_that_is_killed_with_a_motor_on_leaves_the_outputs_off(commissioning, mock):
-    process = commissioning("", PHRASE, "")
+    process = commissioning("", PHRASE, "yes", "")
     mock.until(lambda truth: truth.get("drive", 0.0) > 0.0)
     process.kill()
     mock.until(lambda truth: truth["drive"] == truth["brake"] == 0.0)
@@ -258,7 +258,7 @@ ENDS = {
 @pytest.mark.parametrize("how", ENDS)
 def test_a_commissioning_that_ends_with_a_motor_on_says_how_and_the_outputs_are_off(commissioning, mock, how):
     end, code, told = ENDS[how]
-    process = commissioning("", PHRASE, "")
+    process = commissioning("", PHRASE, "yes", "")
     mock.until(lambda truth: truth.get("drive", 0.0) > 0.0)
     end(process)
     _, stderr = process.communicate(timeout=30)
