@@ -606,7 +606,7 @@ _REAL_CEILINGS: Final = {
     "missed_in_a_row": _Ceiling(
         0.025, 4, "25 ms, half the shortest silence: a loop without answers ends its run before the guardian has to"
     ),
-    "bucket_limit": _Ceiling(0.1, 30, "0.1 s of a link that loses every other exchange"),
+    "bucket_limit": _Ceiling(0.15, 30, "0.15 s of a link that loses every other exchange"),
     "silence_s": _Ceiling(None, 0.1, "five periods of the slowest loop; meanwhile nobody watches the motors"),
     "run_up_factor": _Ceiling(None, 2.0, "more would let counts per turn pass that are wrong by half"),
 }
@@ -619,12 +619,23 @@ def beyond_ceilings(config: RigConfig) -> Iterator[Mistake]:
     for key, ceiling in _REAL_CEILINGS.items():
         value, most = getattr(limits, key), ceiling.at(rate_hz)
         if value is None or value > most:
-            at_rate = f" at {rate_hz:g} Hz" if ceiling.seconds is not None else ""
-            yield Mistake(f"guard.{key}", f"{value}: on a real board at most {most:g}{at_rate} ({ceiling.because})")
+            allowed = f"at most {most:g}" + (f" at {rate_hz:g} Hz" if ceiling.seconds is not None else "")
+            yield Mistake(f"guard.{key}", f"{value}: on a real board {allowed} ({ceiling.because}); lower it")
     if not config.board.verified_by and not config.board.read_only:
-        for beyond in laxer_limits({}, config.model_dump()):
+        for beyond in laxer_limits(_shipped_limits(config.board.kind), config.model_dump()):
             key, _, rest = beyond.partition(" ")
             yield Mistake(key, f"{rest}: more takes a signed profile; inteco-abs probe has you sign")
+
+
+def _shipped_limits(kind: str) -> Table:
+    """The most that a shipped profile of a real board of this kind has of each limit of the guard."""
+    most: Table = {}
+    for table in map(read_profile, profiles()):
+        board = table["board"]
+        if board.get("kind", "usb2") == kind and not board.get("simulated"):
+            limits = table.get("guard", {})
+            most |= {key: max(value, most.get(key, value)) for key, value in limits.items()}
+    return {"guard": most}
 
 
 def bounded_in_time(guard: GuardConfig, rate_hz: float) -> GuardConfig:

@@ -227,8 +227,9 @@ class TestLimits:
         (2000.0, "missed_in_a_row", 50, 51),
         (250.0, "missed_in_a_row", 6, 7),
         (50.0, "missed_in_a_row", 4, 5),
-        (2000.0, "bucket_limit", 200, 201),
-        (250.0, "bucket_limit", 30, 31),
+        (2000.0, "bucket_limit", 300, 301),
+        (250.0, "bucket_limit", 37, 38),
+        (50.0, "bucket_limit", 30, 31),
         (2000.0, "silence_s", 0.1, 0.11),
         (2000.0, "run_up_factor", 2.0, 2.01),
     )
@@ -255,9 +256,14 @@ class TestLimits:
             "guard.brake_limit": f"at most 0.7, and 0.8 is asked for{signs}",
         }
 
-    def test_shipped_profiles_of_real_boards_are_within_them(self):
-        for name in REAL:
-            check_limits("usb2:", load_config(profile=name))
+    @pytest.mark.parametrize("name", [name for name in REAL if name != "usb2_tras"])
+    def test_a_shipped_profile_is_within_them_and_what_it_has_takes_no_signature(self, name):
+        shipped = load_config(profile=name)
+        address = f"{shipped.board.kind}:"
+        check_limits(address, shipped)
+        more = load_config(settings=[f"guard.bucket_limit={shipped.guard.bucket_limit + 1}"], profile=name)
+        with pytest.raises(ConfigError, match=r"guard\.bucket_limit: .*: more takes a signed profile"):
+            check_limits(address, more)
 
     def test_a_mock_on_a_real_boards_wire_is_as_lenient_as_it_is_in_this_program(self):
         mock = load_config(profile="sim_usb")
