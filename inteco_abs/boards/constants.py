@@ -40,7 +40,7 @@ def constants_of(wiring: BoardConfig, send: FrameTable, owned: Collection[str]) 
             mistakes.extend(_field_mistake(key, value, send, owned))
             found.fields[key] = value
         elif (match := _PIN.fullmatch(key)) and all(name in send.fields for name in _PINS_NEED):
-            mistakes.extend(_pin_mistake(key, int(match[1]), wiring))
+            mistakes.extend(_pin_mistake(key, wiring))
             found.pins[int(match[1])] = value
         elif match := word.fullmatch(key):
             taken = [*owned, *(name for name in wiring.constants if name in send.fields)]
@@ -63,11 +63,9 @@ def _field_mistake(key: str, value: int, send: FrameTable, owned: Collection[str
         yield Mistake(f"board.constants.{key}", f"{value}: must be in {low}..{high}")
 
 
-def _pin_mistake(key: str, pin: int, wiring: BoardConfig) -> Iterator[Mistake]:
+def _pin_mistake(key: str, wiring: BoardConfig) -> Iterator[Mistake]:
     if wiring.constants[key] not in (0, 1):
         yield Mistake(f"board.constants.{key}", f"{wiring.constants[key]}: must be 0 or 1, the pin's level")
-    elif pin in wiring.pwm_pins:
-        yield Mistake(f"board.constants.{key}", "board.pwm_pins has it: a pin carries a PWM or a level")
     elif "pin_output" in wiring.constants:
         yield Mistake(f"board.constants.{key}", "pin_output decides it: name the pins or the whole field")
 

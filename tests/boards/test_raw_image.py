@@ -291,7 +291,6 @@ class TestConstants:
             ("w252=3", "w1 to w251"),
             ("w60=32768", "0..32767"),
             ("b60=3", "neither a field"),
-            ("pin19=1", "pwm_pins"),
             ("pin21=2", "0 or 1"),
             ("pin26=0", "neither a field"),
         ],
@@ -301,6 +300,10 @@ class TestConstants:
         with pytest.raises(ConfigError, match=words_of_it) as refusal:
             Bench("abs", [0] * 252, f"board.constants.{setting}")
         assert f"board.constants.{key}" in str(refusal.value)
+
+    def test_a_pin_carries_a_pwm_or_a_level(self):
+        with pytest.raises(ConfigError, match=r"board\.constants: 19: is in board\.pwm_pins"):
+            Bench("abs", [0] * 252, "board.constants.pin19=1")
 
 
 class TestFirstWrite:
