@@ -98,6 +98,8 @@ class _View:
     """Serves the newest ticks that `reader` finds; `epoch_ns` is the UNIX time of the monotonic clock's zero."""
 
     def __init__(self, reader: RingReader, port: int, session_id: str, epoch_ns: int) -> None:
+        import websockets.server  # noqa: F401, PLC0415  an extra; now, rather than while ticks come
+
         self._reader = reader
         self._epoch_ns = epoch_ns
         self._shown = -1
