@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from inteco_abs.config import RigConfig
+from inteco_abs.config import RigConfig, bounded_in_time
 from inteco_abs.errors import ReadOnlyError
 from inteco_abs.lab.person import insist_on_phrase
 from inteco_abs.lab.step import Visit, today
@@ -39,12 +39,13 @@ def outputs_permitted(visit: Visit, request: str, phrase: str) -> RigConfig:
         "brake_limit": min(BRAKE_LIMIT, guard.brake_limit),
         "over_speed_rad_s": min(SPEED_LIMIT_RAD_S, guard.over_speed_rad_s),
     }
+    limited = guard.model_copy(update=limits)
     start_rad_s = min(plan.start_speed_rad_s, 0.9 * limits["over_speed_rad_s"])  # no stop is made, but both must fit
     speeds = {"start_speed_rad_s": start_rad_s, "stop_speed_rad_s": min(plan.stop_speed_rad_s, 0.5 * start_rad_s)}
     return config.model_copy(
         update={
             "board": board.model_copy(update=signature),
-            "guard": guard.model_copy(update=limits),
+            "guard": limited if board.simulated else bounded_in_time(limited, config.loop.rate_hz),
             "experiment": plan.model_copy(update=speeds),
         }
     )

@@ -5,8 +5,12 @@ import signal
 
 import pytest
 
-from inteco_abs.boards import STILL_ON
+from inteco_abs.boards import STILL_ON, check_limits
+from inteco_abs.config import load_config
 from inteco_abs.errors import LinkError, ProbeError, ReadOnlyError, UnsafeError
+from inteco_abs.lab import Draft
+from inteco_abs.lab.permission import outputs_permitted
+from inteco_abs.lab.step import Visit
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -168,3 +172,13 @@ def test_outputs_left_on_by_another_program_are_told_and_hands_kept_off(lab):
     assert lab.person.heard("THE PWM OUTPUTS ARE NOT ZERO")
     assert lab.outcomes()["wheels"] == "failed"
     assert lab.bench.frames_sent == []
+
+
+@pytest.mark.parametrize("profile", ["usb2_generic_0103", "usb1_0111", "usb1_abs_candidate", "pci_abs_50f"])
+def test_what_is_permitted_is_within_a_real_boards_ceilings(lab, profile):
+    kind = load_config(profile=profile).board.kind
+    lab.session("the phrase")
+    draft = Draft.open(lab.file.with_name("real.toml"), f"{kind}:", profile)
+    draft.record("header", {"outcome": "done", "logic_version": "0x0111"})
+    permitted = outputs_permitted(Visit(lab.bench, draft, lab.person), "", "the phrase")
+    check_limits(f"{kind}:", permitted)
