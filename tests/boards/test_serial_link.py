@@ -373,7 +373,9 @@ def denied(*_arguments, **_options):
 
 
 def new_board(config, server):
-    return board_behind(SerialLink(server.name, PATIENT_S), config, time.monotonic_ns)
+    board = board_behind(SerialLink(server.name, PATIENT_S), config, time.monotonic_ns)
+    board.hurried = False  # a busy computer may be late
+    return board
 
 
 class TestWithTheMock:
