@@ -147,8 +147,9 @@ def test_a_step_is_done_again_on_demand(probe, whole_script):
 @pytest.mark.xdist_group("real time")
 def test_in_real_time_a_guarded_process_holds_the_mock(lab, installed, scripts):
     lab.done_until("echo")
-    for step in ("echo", "motors"):
-        run = installed("--draft", "lab.toml", "--step", step, lines=scripts[step])
+    phrase, *rest = scripts["motors"][1:]
+    for step, lines in (("echo", scripts["echo"]), ("motors", ["", phrase, "yes", *rest])):  # it is a mock anew
+        run = installed("--draft", "lab.toml", "--step", step, lines=lines)
         assert run.returncode == 0, run.stderr
         assert "the guardian has to prove itself" in run.stderr
     lab.session()
