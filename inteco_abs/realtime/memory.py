@@ -400,11 +400,16 @@ def alive(pid: int) -> bool:
         # anything else, such as no descriptor left, does not mean that the process has ended
         return error.errno not in _NO_PROCESS and _exists(pid)
     try:
-        ended = select.poll()  # select.select takes no descriptor from 1024 on
-        ended.register(end, select.POLLIN)
-        return not ended.poll(0)  # readable once it has ended, even if nobody has asked how
+        return not has_ended(end)
     finally:
         os.close(end)
+
+
+def has_ended(process: int) -> bool:
+    """Whether the process of a pidfd has ended, even if its parent has not asked how yet."""
+    poller = select.poll()  # select.select takes no descriptor from 1024 on
+    poller.register(process, select.POLLIN)
+    return bool(poller.poll(0))
 
 
 def _exists(pid: int) -> bool:

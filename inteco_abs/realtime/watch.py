@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import select
 import signal
 import time
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ from inteco_abs.realtime.beating import repeating
 from inteco_abs.realtime.guardian import loop_window_ns, take_over
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.machine import watch_wishes
-from inteco_abs.realtime.memory import RunMemory, Word
+from inteco_abs.realtime.memory import RunMemory, Word, has_ended
 from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_S, Deed, Silence, supervisor_does
 from inteco_abs.signals import Reason
 
@@ -66,7 +65,7 @@ class Watch:
 
     def _decide(self, passed_ns: int) -> Deed:
         words = self._words
-        loop_ended = _ended(self._loop)
+        loop_ended = has_ended(self._loop)
         held = words[Word.HOLDER_PID] == self._loop_pid != words[Word.RESCUED_PID]
         written = self._ticks.written
         if not held or not written:
@@ -78,7 +77,7 @@ class Watch:
             held=held,
             loop_ended=loop_ended,
             loop_silent=self._loop_silence.lasts(written, passed_ns),
-            guardian_ended=_ended(self._guardian),
+            guardian_ended=has_ended(self._guardian),
             guardian_silent=silent or self._rescue_silence.lasts(0, passed_ns),
         )
 
@@ -87,15 +86,11 @@ class Watch:
             self._words[Word.STOP] = self._words[Word.STOP] or Reason.GUARDIAN_LOST
         if Deed.KILL_GUARDIAN in deed:
             _kill(self._guardian)
-        if Deed.KILL_LOOP in deed and not _ended(self._loop):
+        if Deed.KILL_LOOP in deed and not has_ended(self._loop):
             self._killed = True
             _kill(self._loop)
         if Deed.RESCUE in deed:
             take_over(self._memory, self._job, self._loop_pid, "hung" if self._killed else "died", "supervisor")
-
-
-def _ended(process: int) -> bool:
-    return bool(select.select([process], [], [], 0.0)[0])
 
 
 def _kill(process: int) -> None:

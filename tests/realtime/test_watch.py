@@ -1,6 +1,7 @@
 """The supervisor's watch over loop and guardian, look by look, with real processes to kill."""
 
 import os
+import resource
 import signal
 from types import SimpleNamespace
 
@@ -101,6 +102,23 @@ def test_a_guardian_that_stands_still_has_the_loop_stopped_once_its_window_is_ov
     took_ms = scene.look(1000, loop_ticks=True, until=lambda: scene.words[Word.STOP])
     assert GUARDIAN_WINDOW_NS / MS < took_ms <= GUARDIAN_WINDOW_NS / MS + 10
     assert scene.loop.poll() is None  # it goes on, so that it can hear of it
+
+
+def test_more_than_a_thousand_descriptors_are_no_obstacle(scene, memory, job_of):
+    limits, taken = resource.getrlimit(resource.RLIMIT_NOFILE), []
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(limits[1], 4096), limits[1]))
+    try:
+        while not taken or taken[-1] < 1024:
+            taken.append(os.dup(0))
+        scene.watch = Watch(memory, job_of(memory), scene.loop.pid, scene.guardian.pid)
+        scene.watch.judging = True
+        scene.kill(scene.guardian)
+        scene.look(5, guardian_beats=True, loop_ticks=True)
+    finally:
+        for file in taken:
+            os.close(file)
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert scene.words[Word.STOP] == Reason.GUARDIAN_LOST
 
 
 def test_the_first_reason_stays(scene):
