@@ -235,8 +235,8 @@ class _Viewer:
         self.send()
 
     def show(self, log_time_ns: int, record: bytes) -> None:
-        """One tick to each of its subscriptions, unless it takes them too slowly."""
-        if len(self._untaken) > _MOST_BEHIND:
+        """One tick to each of its subscriptions, unless it takes them too slowly or is leaving."""
+        if len(self._untaken) > _MOST_BEHIND or self._protocol.close_expected():
             self.send()
             return
         for subscription in self._subscriptions:

@@ -1,6 +1,7 @@
 """The live view on the rings of a run that tests write themselves."""
 
 import gc
+import json
 import os
 import socket
 import time
@@ -10,7 +11,10 @@ from pathlib import Path
 
 import pytest
 from live_client import watching
+from websockets.client import ClientProtocol
+from websockets.protocol import State
 from websockets.sync.client import connect
+from websockets.uri import parse_uri
 
 from inteco_abs.config import load_config
 from inteco_abs.errors import AbsError, ConfigError
@@ -267,6 +271,38 @@ class TestStrangers:
             address = f"ws://127.0.0.1:{memory.words[Word.LIVE_PORT]}"
             with connect(address, subprotocols=["foxglove.sdk.v1"]) as other:  # not before the first has its answer
                 other.send(said)
+                loop.reach(viewer)
+
+    def test_one_that_takes_nothing_and_says_good_bye_disturbs_nobody(self, memory, job, loop, monkeypatch):
+        def create_server(address):
+            server = create(address)
+            server.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)  # it is full sooner
+            return server
+
+        create = socket.create_server
+        monkeypatch.setattr(socket, "create_server", create_server)
+        subscriptions = [{"id": number, "channelId": 1} for number in range(MOST_VIEWERS)]
+        with live_view(memory, job), socket.socket() as other:
+            port = memory.words[Word.LIVE_PORT]
+            other.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+            other.connect(("127.0.0.1", port))
+            client = ClientProtocol(parse_uri(f"ws://127.0.0.1:{port}"), subprotocols=["foxglove.sdk.v1"])
+            client.send_request(client.connect())
+            other.sendall(b"".join(client.data_to_send()))
+            while client.state is not State.OPEN:
+                client.receive_data(other.recv(4096))
+            client.send_text(json.dumps({"op": "subscribe", "subscriptions": subscriptions}).encode())
+            other.sendall(b"".join(client.data_to_send()))
+            for _ in range(40):
+                loop.append()
+                time.sleep(PERIOD_S)
+            client.send_close(1000)
+            other.sendall(b"".join(client.data_to_send()))
+            with watching(port) as viewer:
+                for _ in range(40):
+                    loop.append()
+                    other.recv(4096)
+                    time.sleep(PERIOD_S)
                 loop.reach(viewer)
 
     def test_who_has_unsubscribed_hears_no_more(self, memory, job, loop):
