@@ -195,7 +195,7 @@ def supervisor_wishes() -> tuple[Wish, ...]:
 def watch_wishes(priority: int = WATCH_PRIORITY) -> tuple[Wish, ...]:
     """The thread in which a process watches others or beats: it must not wait for a loop that spins."""
     return (
-        _affinity(other_cpus(_allowed(), isolated_cpus()), "a second core would help"),
+        _affinity(other_cpus(_allowed(), isolated_cpus(), cores_of()), "a second core would help"),
         Wish("signals", _block_signals, ""),
         Wish("scheduler", lambda: _first_in_first_out(priority), "a busy program delays it"),
     )

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from inteco_abs.realtime import machine
 from inteco_abs.realtime.machine import (
     CONTROLLER_PRIORITY,
     GUARDIAN_PRIORITY,
@@ -329,3 +330,19 @@ def test_who_may_not_have_its_watchers_above_it_stays_an_ordinary_process(wishes
     else:
         assert granted == os.SCHED_OTHER
         assert "raise rtprio to 90" in setting.refused
+
+
+@pytest.mark.parametrize(
+    "wishes",
+    [machine.guardian_wishes, machine.recorder_wishes, machine.supervisor_wishes, machine.watch_wishes],
+)
+def test_who_runs_beside_the_loop_keeps_off_its_core_though_that_is_not_the_last(wishes, monkeypatch):
+    cores = {cpu: machine.Core(3_000_000 if cpu < 2 else 2_000_000, frozenset({cpu, cpu ^ 1})) for cpu in range(4)}
+    monkeypatch.setattr(machine, "isolated_cpus", set)
+    monkeypatch.setattr(machine, "cores_of", lambda: cores)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: set(cores))
+    asked = []
+    monkeypatch.setattr(os, "sched_setaffinity", lambda _pid, cpus: asked.append(cpus))
+    for made in (machine.loop_wishes, wishes):
+        next(wish for wish in made() if wish.name == "affinity").ask()
+    assert asked == [{1}, {2, 3}]
