@@ -162,7 +162,7 @@ def disk_in_words(error: OSError) -> str:
 def near_file(path: Path) -> str:
     """`"; did you mean X?"` for a file that is not there, if one with nearly the same name is; else empty."""
     try:
-        names = [other.name for other in path.parent.iterdir()]
+        names = [other.name for other in path.parent.iterdir() if other.exists()]  # not a link to nowhere
     except OSError:
         return ""
     near = difflib.get_close_matches(path.name, names, n=1)

@@ -136,8 +136,15 @@ def write_capture(path: Path, capture: Capture) -> None:
         raise CaptureError(f"{part} is complete but cannot be renamed to {path}: {disk_in_words(error)}") from error
 
 
+def _check_regular(path: Path) -> None:
+    """Raises CaptureError for a pipe or a device, which might never end."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise CaptureError(f"{path}: cannot be read: it is not a regular file; name one")
+
+
 def read_capture(path: Path) -> Capture:
     """The capture in the file. Raises CaptureError naming the first line that is wrong."""
+    _check_regular(path)
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -159,6 +166,7 @@ def parse_capture(lines: Iterable[str], name: str) -> Capture:
 @contextmanager
 def opened_capture(path: Path) -> Iterator[tuple[Capture, Iterator[Record]]]:
     """A capture that is too long for memory: without its records, and these one by one. Raises CaptureError."""
+    _check_regular(path)
     try:
         with path.open(encoding="utf-8") as file:
             yield _parts(file, str(path))

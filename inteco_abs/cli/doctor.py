@@ -27,9 +27,7 @@ if TYPE_CHECKING:
     "--sessions", type=FILE, default=Path("sessions"), show_default=True, help="Where sessions will be written."
 )
 @click.option("--rules", "printed", flag_value="rules", help="Print only the udev rules, for sudo tee.")
-@click.option(
-    "--ftdi-serial", default="", metavar="NUMBER", help="With --rules: the FTDI chip of a first-generation RT-DAC/USB."
-)
+@click.option("--ftdi-serial", metavar="NUMBER", help="With --rules: the FTDI chip of a first-generation RT-DAC/USB.")
 @click.option("--limits", "printed", flag_value="limits", help="Print only the limits file, for sudo tee.")
 @click.option("--board", help="Also measure how long exchanges with this board take; its outputs stay off.")
 @click.option("--config", type=FILE, help="rig.toml that names the board's profile.")
@@ -38,7 +36,7 @@ def doctor(
     seconds: float,
     sessions: Path,
     printed: str | None,
-    ftdi_serial: str,
+    ftdi_serial: str | None,
     board: str | None,
     config: Path | None,
     as_json: bool,
@@ -54,11 +52,12 @@ def doctor(
     from inteco_abs.realtime.doctor import examine, write_speed
     from inteco_abs.realtime.findings import Computer, Finding, Verdict, red, worst
     from inteco_abs.realtime.latency import LONGEST_S, SHORTEST_S, examine_wake_ups, judge_round_trips
-    from inteco_abs.realtime.permissions import check_serial, limits, serial_group, udev_rules
+    from inteco_abs.realtime.permissions import limits, serial_group, udev_rules
     from inteco_abs.realtime.trips import COUNT
 
     group = serial_group(Computer())
-    files = {"rules": udev_rules(group, check_serial(ftdi_serial) if ftdi_serial else ""), "limits": limits(group)}
+    serial = _serial(ftdi_serial, with_rules=printed == "rules")
+    files = {"rules": udev_rules(group, serial), "limits": limits(group)}
     if printed:
         say(files[printed], nl=False)
         return 0
@@ -104,3 +103,14 @@ def _print_histogram(times_us: Sequence[float], period_us: float) -> None:
     from inteco_abs.views.health import render_histogram
 
     Console().print("\nround trips:", render_histogram(times_us, period_us), sep="\n")
+
+
+def _serial(ftdi_serial: str | None, *, with_rules: bool) -> str:
+    """The FTDI chip that the rules name besides; empty if none was given. Raises ConfigError."""
+    from inteco_abs.realtime.permissions import check_serial
+
+    if ftdi_serial is None:
+        return ""
+    if not with_rules:
+        raise ConfigError([Mistake("--ftdi-serial", "goes with --rules, whose text it changes; add that")])
+    return check_serial(ftdi_serial)

@@ -112,7 +112,9 @@ def opened(path: Path) -> Iterator[tuple[BinaryIO, int]]:
 
 
 def is_session_file(path: Path) -> bool:
-    """Whether the file begins as a session does."""
+    """Whether the file begins as a session does; a pipe, which might never give a byte, is none."""
+    if not path.is_file():
+        return False
     try:
         with path.open("rb") as file:
             return file.read(len(MAGIC)) == MAGIC
@@ -127,6 +129,8 @@ def _instead(begin: bytes, shown: int) -> str:
     for other, what in _OTHERS.items():
         if begin.startswith(other):
             return f"is {what}"
+    if MAGIC.startswith(begin):
+        return f"is cut off after {len(begin)} bytes, within what every MCAP file begins with"
     letters = begin.decode("utf-8", "replace")
     text = ", as text does" if all(letter.isprintable() or letter.isspace() for letter in letters) else ""
     return f"starts with {begin[:shown]!r}{text}; sessions are what run has written"

@@ -1,4 +1,5 @@
 import json
+import os
 
 import pytest
 from hypothesis import given
@@ -172,6 +173,13 @@ def test_other_files_are_refused(tmp_path, data, word):
 def test_a_missing_file_is_a_clear_error(tmp_path):
     with pytest.raises(CaptureError, match="No such file"):
         read_capture(tmp_path / "x.jsonl")
+
+
+@pytest.mark.parametrize("read", [read_capture, lambda path: opened_capture(path).__enter__()])
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path, read):
+    os.mkfifo(tmp_path / "x.jsonl")
+    with pytest.raises(CaptureError, match="not a regular file"):
+        read(tmp_path / "x.jsonl")
 
 
 def test_captures_are_never_overwritten_and_need_their_folder(tmp_path):
