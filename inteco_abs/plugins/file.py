@@ -23,6 +23,8 @@ def load_controller(name: str, source: bytes | None = None) -> tuple[type[Contro
     """
     file, _, class_name = name.rpartition(":")
     path = Path(file)
+    if source is None and path.exists() and not path.is_file():  # to open a pipe is to wait for its writer
+        raise _mistake(f"{file}: not a regular file; name a file as in law.py:Class")
     try:
         source = path.read_bytes() if source is None else source
     except OSError as error:

@@ -1,6 +1,7 @@
 """Controllers of the user's own that are none, or that fail during a run: their file and line are named."""
 
 import json
+import os
 
 import pytest
 from wrong_inputs import Row, file, ids, session
@@ -28,6 +29,8 @@ def source(text):
 
 NONE = [
     Row("no file", RUN, 2, ("law.py: cannot be read", "No such file"), "name a file as in law.py:Class"),
+    Row("a pipe", RUN, 2, ("law.py: not a regular file",), "name a file as in law.py:Class",
+        (lambda place: os.mkfifo(place.folder / "law.py"),)),
     Row("a file without its class", "run --controller law.py", 2, ("law.py",),
         "name the class too, as in law.py:Class", law()),
     Row("a file named like a controller", "run --controller law", 2, ("law",), "as in law.py:Class", law()),
