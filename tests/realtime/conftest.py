@@ -1,6 +1,7 @@
 """Stacks for the loop: scripted parts, or the real board in front of the mock device. Shared memory, processes."""
 
 import math
+import os
 import subprocess
 import sys
 import tempfile
@@ -238,7 +239,8 @@ def until():
 @pytest.fixture
 def memory_folder(monkeypatch):
     """Where memories are made meanwhile: a folder of its own, with a name short enough for a socket in it."""
-    with tempfile.TemporaryDirectory(prefix="abs-", dir=shared.FOLDER) as folder:
+    # with the number of this process, so that tools/mutate can take away what a killed one leaves
+    with tempfile.TemporaryDirectory(prefix=f"abs-{os.getpid()}-", dir=shared.FOLDER) as folder:
         monkeypatch.setattr(shared, "FOLDER", Path(folder))
         yield Path(folder)
 

@@ -21,7 +21,9 @@ from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError
 from inteco_abs.mock_board import Device, SocketServer, Usb2Face
 from inteco_abs.realtime import guardian as guardian_module
+from inteco_abs.realtime import watch as watch_module
 from inteco_abs.realtime.guardian import Guardian, rescue
+from inteco_abs.realtime.machine import guardian_wishes
 from inteco_abs.realtime.memory import Note, Word
 from inteco_abs.realtime.rules import Silence
 from inteco_abs.sessions import TICK
@@ -333,6 +335,31 @@ class TestDeath:
         assert run.words[Word.GUARDING_PID] == 0
         run.guard(child().pid)
 
+    def test_of_a_process_that_is_gone_no_descriptor_stays_open(self, run, child, monkeypatch):
+        opened, pidfd_open = set(), os.pidfd_open
+
+        def noted(pid):
+            opened.add(descriptor := pidfd_open(pid))
+            return descriptor
+
+        monkeypatch.setattr(os, "pidfd_open", noted)
+        process = child()
+        run.guard(process.pid)
+        process.kill()
+        process.wait()
+        run.guard(child().pid)
+        first = set(opened)
+        run.words[Word.OVER] = 1
+        run.watching.result(30)
+        left = []
+        for descriptor in first:
+            with suppress(OSError):
+                left.append(str(Path(f"/proc/self/fd/{descriptor}").readlink()))
+        assert len([each for each in left if "pidfd" in each]) <= 1  # of the second one
+
+    def test_who_watches_it_gives_it_longer_than_it_tries(self):
+        assert guardian_module._TRY_S < watch_module._RESCUE_NS * 1e-9
+
     @pytest.mark.untraced
     def test_after_one_rescue_it_guards_the_next_process(self, run, child):
         for _ in range(3):
@@ -371,15 +398,16 @@ class TestHang:
         assert run.until_rescued(process.pid)["cause"] == "hung"
         assert process.wait(30) == -signal.SIGKILL
 
-    def test_one_that_takes_long_to_end_keeps_its_board_until_then(self, run, child, monkeypatch):
+    def test_one_that_takes_long_to_end_keeps_its_board_until_then_and_that_is_told(self, run, child, monkeypatch):
         """Two hosts must not write to the board, and on the PCI bus nothing keeps the second one out."""
         process, asked, kill = child(), threading.Event(), os.kill
         run.hold(process.pid)
+        run.words[Word.LOOP_PID] = process.pid
         with monkeypatch.context() as patch:
             patch.setattr(os, "kill", lambda pid, number: asked.set() if pid == process.pid else kill(pid, number))
             run.memory.tick_ring(tick).append(0)
             run.until(asked.is_set, "it is to be killed")
-            run.until_polled(5)
+            run.until(lambda: run.words[Word.ALARMED], "the user is told that nobody drives the board")
             assert run.face.written == []
             assert run.words[Word.RESCUED_PID] == 0
         process.kill()
@@ -550,6 +578,17 @@ def test_the_process_guards_and_ends_when_all_is_over(memory, job_of, child, unt
     memory.words[Word.OVER] = 1
     assert process.wait(30) == 0
     assert process.communicate()[1] == b""
+
+
+def test_the_process_prepares_itself_and_then_watches_until_nothing_is_left(memory, job_of, ended, monkeypatch):
+    wishes, done = guardian_wishes(), []
+    monkeypatch.setattr(guardian_module, "guardian_wishes", lambda: wishes)
+    monkeypatch.setattr(guardian_module, "prepare", done.append)
+    job_of(memory)
+    memory.words[Word.SUPERVISOR_PID] = ended
+    assert guardian_module.main(str(memory.path)) == 0
+    assert done == [wishes]
+    assert memory.words[Word.GUARDIAN_STOP] == Reason.SUPERVISOR_LOST
 
 
 def standing_of(pid):

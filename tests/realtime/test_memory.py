@@ -1,20 +1,37 @@
 import errno
+import gc
 import os
 import resource
+import shutil
 import struct
 import threading
 import time
 from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from inteco_abs.errors import SessionError
-from inteco_abs.realtime.memory import Note, RunMemory, Word, alive, left_rings, start_time
+from inteco_abs.realtime.memory import (
+    Note,
+    RunMemory,
+    Word,
+    alive,
+    insist_on_room,
+    is_ring,
+    left_rings,
+    run_bytes,
+    start_time,
+)
+from inteco_abs.realtime.ring import ring_bytes
+from inteco_abs.sessions import TICK, TRUTH
 
 SIZE = 12
 CAPACITY = 3
 MADE = [Word.SUPERVISOR_PID, Word.EPOCH_NS, Word.SUPERVISOR_STARTED]
 """Words of a memory that was just made."""
+RINGS_AT = run_bytes(SIZE, 0, SIZE, 0) - 2 * ring_bytes(SIZE, 0)
 PIDS = (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID)
 
 
@@ -24,6 +41,12 @@ def pack(buffer, offset, number):
 
 def record(number):
     return struct.pack("<QI", number, number % 97)
+
+
+def descriptors():
+    """What this process has open, when what earlier tests have left is closed."""
+    gc.collect()
+    return sorted(each.name for each in Path("/proc/self/fd").iterdir())
 
 
 @pytest.fixture
@@ -69,11 +92,12 @@ class TestFile:
             (lambda whole: bytes(len(whole)), "no tick ring"),
             (lambda whole: b"inteco-abs ring 1\n" + whole[18:], "no tick ring of this version"),
             (lambda whole: whole[:100], "no tick ring"),
+            (lambda whole: whole[:RINGS_AT], "was cut"),
             (lambda whole: whole[:-1], "was cut"),
             (lambda whole: whole[:-100], "was cut"),
             (lambda whole: whole + b"\0", "not what its header says"),
         ],
-        ids=["empty", "foreign", "another version", "header only", "one byte short", "short", "longer"],
+        ids=["empty", "foreign", "another version", "header only", "no rings", "one byte short", "short", "longer"],
     )
     def test_a_file_that_is_no_whole_memory_is_refused_by_name(self, memory, content, complaint):
         memory.path.write_bytes(content(memory.path.read_bytes()))
@@ -84,6 +108,19 @@ class TestFile:
     def test_a_file_that_is_missing_is_refused_by_name(self, memory_folder):
         with pytest.raises(SessionError, match=r"gone\.ring: No such file"):
             RunMemory.open(memory_folder / "gone.ring")
+
+    def test_making_opening_and_looking_leave_open_what_the_mappings_need_and_no_more(self, new_memory, memory_folder):
+        before = len(descriptors())
+        made = new_memory()
+        opened = RunMemory.open(made.path)
+        assert not list(left_rings(memory_folder))
+        assert len(descriptors()) == before + len([made, opened])
+
+    def test_one_that_cannot_be_opened_once_it_was_made_leaves_no_file(self, memory_folder, monkeypatch):
+        monkeypatch.setattr(os, "pwrite", lambda *_: 0)
+        with pytest.raises(SessionError, match="no tick ring"):
+            RunMemory.create(SIZE, CAPACITY, SIZE, CAPACITY)
+        assert not list(memory_folder.iterdir())
 
     def test_a_folder_is_refused(self, memory_folder):
         with pytest.raises(SessionError, match="directory"):
@@ -99,6 +136,59 @@ class TestFile:
             RunMemory.create(980, 100_000, 8, 1)
         assert os.strerror(number) in str(refusal.value)
         assert not list(memory_folder.iterdir())
+
+    def test_room_for_a_run_is_asked_for_to_the_byte(self, memory, memory_folder, monkeypatch):
+        size = memory.path.stat().st_size
+        assert run_bytes(TICK.size, 50, TRUTH.size, 50) == size
+        monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=size * (folder == memory_folder)))
+        insist_on_room(size)
+        with pytest.raises(SessionError, match=rf"{size / 1e6:.0f} MB are free; free some"):
+            insist_on_room(size + 1)
+
+    def test_a_memory_of_this_process_alone_has_no_file(self, memory_folder):
+        memory = RunMemory.private(SIZE, CAPACITY)
+        memory.tick_ring(pack).append(5)
+        memory.words[Word.GO] = 1
+        memory.post(Note.DRILL, "told")
+        assert memory.tick_capacity == CAPACITY
+        assert memory.tick_reader().take() == record(5)
+        assert memory.note(Note.DRILL) == "told"
+        assert not list(memory_folder.iterdir())
+
+    def test_one_that_is_kept_stays_without_the_boards_socket_and_is_nobodys(self, memory):
+        memory.socket.touch()
+        memory.frames.touch()
+        memory.keep()
+        memory.remove()
+        assert memory.path.exists()
+        assert memory.frames.exists()
+        assert not memory.socket.exists()
+        assert memory.words[Word.KEPT] == 1
+        assert not RunMemory.open(memory.path).in_use()
+
+    def test_a_copy_that_lies_elsewhere_stays(self, memory, tmp_path):
+        copy = tmp_path / "copy.ring"
+        copy.write_bytes(memory.path.read_bytes())
+        RunMemory.open(copy).remove()
+        assert copy.exists()
+
+    def test_what_lies_beside_it_goes_with_it(self, memory, memory_folder):
+        for beside in (memory.socket, memory.frames, memory.frames.with_suffix(".frames.part")):
+            beside.touch()
+        memory.remove()
+        assert not list(memory_folder.iterdir())
+
+    def test_it_knows_when_the_monotonic_clock_began(self, memory):
+        assert abs(memory.words[Word.EPOCH_NS] - (time.time_ns() - time.monotonic_ns())) < 10**9
+
+    def test_a_ring_is_told_from_anything_else_without_waiting_for_a_pipe(self, memory, memory_folder):
+        older, pipe, other = (memory_folder / name for name in ("older", "pipe", "other"))
+        older.write_bytes(b"inteco-abs ring 1\n")
+        other.write_bytes(b"inteco-abs session")
+        os.mkfifo(pipe)
+        found = [is_ring(each) for each in (memory.path, older, other, pipe, memory_folder, memory_folder / "none")]
+        assert found == [True, True, False, False, False, False]
+        assert not is_ring(memory_folder / ("long" * 100))
 
 
 class TestNotes:
@@ -123,6 +213,20 @@ class TestNotes:
         memory.post(Note.DRILL, {"a": "long one"})
         memory.post(Note.DRILL, 1)
         assert other.note(Note.DRILL) == 1
+
+    def test_while_a_note_is_replaced_there_is_none(self, small):
+        memory, other = small
+        seen = []
+
+        class Looking(bytes):
+            def __len__(self):
+                seen.append(other.image(Note.DRILL))
+                return super().__len__()
+
+        memory.post(Note.DRILL, b"one")
+        memory.post(Note.DRILL, Looking(b"two"))
+        assert set(seen) == {b"one", None}
+        assert other.image(Note.DRILL) == b"two"
 
     def test_notes_of_the_greatest_length_stand_side_by_side_and_longer_ones_are_refused(self, small):
         memory, other = small
@@ -165,10 +269,13 @@ memory.post(Note.FAILURE, ["heard"])
         assert memory.words[Word.STOP] == -5
         assert memory.note(Note.FAILURE) == ["heard"]
 
-    def test_waiting_ends_with_the_condition(self, memory):
-        asked = []
+    def test_waiting_ends_with_the_condition_and_sleeps_until_then(self, memory, monkeypatch):
+        asked, slept_s = [], []
+        monkeypatch.setattr(time, "sleep", slept_s.append)
         assert memory.wait(lambda: asked.append(1) or len(asked) == 3, 60.0)
         assert len(asked) == 3
+        assert len(slept_s) == 2
+        assert min(slept_s) > 0.0
 
     def test_waiting_comes_to_an_end_without_it(self, memory):
         before = time.monotonic()
@@ -211,6 +318,14 @@ class TestRings:
         assert other.truth_reader().take() == record(100)
         assert other.histogram.sparse() == {"3": 1}
 
+    def test_a_ring_that_is_full_touches_nothing_else(self, memory):
+        for ring in (memory.truth_ring(pack), memory.tick_ring(pack)):
+            for number in range(50):
+                ring.append(number)
+            assert memory.histogram.sparse() == {}
+            assert [note for note in Note if memory.image(note) is not None] == []
+        assert memory.truth_reader().written == 50
+
     def test_a_reader_that_begins_anew_finds_what_the_ring_still_holds(self, small):
         memory, other = small
         ring, reader = memory.tick_ring(pack), other.tick_reader()
@@ -251,6 +366,10 @@ class TestLeftRings:
         assert memory.in_use()
         assert not list(left_rings(memory_folder))
 
+    def test_a_living_process_whose_start_is_not_known_keeps_it(self, memory):
+        memory.words[Word.SUPERVISOR_STARTED] = 0
+        assert memory.in_use()
+
     @pytest.mark.parametrize("word", PIDS)
     def test_a_number_that_another_process_has_by_now_keeps_nothing(self, memory, memory_folder, ended, word):
         memory.tick_ring(pack).append(1)
@@ -260,6 +379,11 @@ class TestLeftRings:
         memory.words[PIDS.index(word) + Word.SUPERVISOR_STARTED] -= 1
         assert not memory.in_use()
         assert list(left_rings(memory_folder)) == [memory.path]
+
+    def test_a_memory_that_is_just_being_made_is_left_alone(self, memory, memory_folder):
+        memory.words[Word.SUPERVISOR_PID] = 0
+        assert not list(left_rings(memory_folder))
+        assert memory.path.exists()
 
     def test_pipes_links_and_other_users_files_are_passed_over_at_once(self, memory, memory_folder, ended, monkeypatch):
         memory.tick_ring(pack).append(1)
@@ -277,6 +401,10 @@ class TestLeftRings:
         for each in memories:
             each.tick_ring(pack).append(1)
             each.words[Word.SUPERVISOR_PID] = ended
+        whole = memories[1].path.read_bytes()
+        (memory_folder / "inteco-abs-foreign.ring").write_bytes(b"x" * len(whole))
+        (memory_folder / "inteco-abs-cut.ring").write_bytes(whole[:100])
+        (memory_folder / "inteco-abs-without.ring").write_bytes(whole[:RINGS_AT])
         memories[1].path.write_bytes(b"")
         (memory_folder / "inteco-abs-mine.ring").write_bytes(b"something else")
         (memory_folder / "inteco-abs-folder.ring").mkdir()
@@ -286,8 +414,8 @@ class TestLeftRings:
 
 class TestAlive:
     def test_a_process_that_runs_is_alive(self, child):
-        assert alive(child().pid)
-        assert alive(os.getpid())
+        for pid in (child().pid, os.getpid(), 1):
+            assert alive(pid)
 
     def test_one_that_has_ended_is_not_even_if_nobody_has_asked_how(self, child, until):
         process = child()
@@ -297,7 +425,7 @@ class TestAlive:
         process.wait()
         assert not alive(process.pid)
 
-    @pytest.mark.parametrize("pid", [0, -1, -(2**31), 2**31 - 1, 2**40])
+    @pytest.mark.parametrize("pid", [0, -1, -(2**31), 2**31 - 1, 2**31, 2**32 - 1, 2**40])
     def test_a_number_that_no_process_has_is_not(self, pid):
         assert not alive(pid)
 
@@ -319,6 +447,23 @@ class TestAlive:
             for file in taken:
                 os.close(file)
             resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+    @pytest.mark.parametrize("number", [errno.ENOSYS, errno.EPERM])
+    def test_where_the_system_gives_no_descriptor_of_a_process_its_number_is_asked(self, ended, monkeypatch, number):
+        def refuse(_pid):
+            raise OSError(number, os.strerror(number))
+
+        monkeypatch.setattr(os, "pidfd_open", refuse)
+        assert alive(os.getpid())
+        assert not alive(ended)
+        monkeypatch.setattr(os, "kill", lambda _pid, _number: refuse(_pid))
+        assert alive(ended)  # as far as one can tell, when it is another user's
+
+    def test_asking_leaves_no_descriptor_open(self, child):
+        pid = child().pid
+        before = descriptors()
+        assert alive(pid)
+        assert descriptors() == before
 
     def test_more_than_a_thousand_descriptors_are_no_obstacle(self, child):
         process = child()

@@ -3,6 +3,7 @@
 import os
 import resource
 import signal
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -13,7 +14,7 @@ from inteco_abs.realtime import guardian as guardian_module
 from inteco_abs.realtime import watch as watch_module
 from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.memory import Note, Word
-from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_NS
+from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_NS, POLL_S
 from inteco_abs.realtime.watch import Watch
 from inteco_abs.sessions import pack_tick
 from inteco_abs.signals import UNTIMED, BoardFlags, Phase, Reason, Tick
@@ -185,8 +186,44 @@ def test_a_loop_that_let_go_of_its_board_needs_nobody(scene):
     assert scene.words[Word.STOP] == 0
 
 
-def test_before_the_run_has_begun_nobody_is_judged(scene):
-    scene.watch.judging = False
+def test_a_loop_that_was_silent_before_it_held_the_board_is_not_taken_for_hung(scene, monkeypatch):
+    killed = []
+    monkeypatch.setattr(signal, "pidfd_send_signal", lambda *_: killed.append(1))
+    scene.words[Word.HOLDER_PID] = 0
+    scene.look(1000, guardian_beats=True)
+    scene.words[Word.HOLDER_PID] = scene.loop.pid
+    scene.kill(scene.guardian)
+    scene.look(5)
+    assert scene.words[Word.STOP] == Reason.GUARDIAN_LOST
+    assert killed == []
+
+
+def test_as_long_as_the_loop_lives_the_guardian_has_nothing_to_bring_to_an_end(scene):
+    scene.look(9000, guardian_beats=True)
+    assert scene.words[Word.STOP] == 0
+
+
+def test_a_loop_that_stands_still_is_told_of_from_here_too(scene, until, capfd):
+    scene.look(600, guardian_beats=True)
+    until(lambda: scene.words[Word.ALARMED], "it is said")
+    assert STILL_ON in capfd.readouterr().err
+
+
+def test_it_beats_by_itself_while_it_watches_and_leaves_no_descriptor_open(scene, job_of, until, monkeypatch):
+    opened, pidfd_open = [], os.pidfd_open
+    monkeypatch.setattr(os, "pidfd_open", lambda pid: opened.append(pidfd_open(pid)) or opened[-1])
+    watch = Watch(scene.memory, job_of(scene.memory), scene.loop.pid, scene.guardian.pid)
+    assert round(POLL_S * 1e9) == POLL_NS
+    with watch.watching():
+        until(lambda: scene.words[Word.SUPERVISOR_BEAT_NS] == scene.now_ns, "it beats")
+    assert len(opened) == 2
+    for descriptor in opened:
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(descriptor)
+
+
+def test_before_the_run_has_begun_nobody_is_judged(scene, job_of):
+    scene.watch = Watch(scene.memory, job_of(scene.memory), scene.loop.pid, scene.guardian.pid)
     scene.look(2000)
     assert scene.words[Word.STOP] == 0
     assert scene.words[Word.SUPERVISOR_BEAT_NS] == scene.now_ns
@@ -235,31 +272,66 @@ class TestAlarm:
         (text,) = said
         assert STILL_ON in text
 
+    def test_silence_from_before_the_board_was_held_does_not_count(self, scene, look):
+        watch = look()
+        watch(200)
+        scene.words[Word.HOLDER_PID] = 0
+        watch(1000)
+        scene.words[Word.HOLDER_PID] = scene.loop.pid
+        assert watch(2000) > 300
+
     def test_it_is_told_once_and_by_one(self, scene, look, said):
         look(0)(500)
         look(1)(5000)
         for _ in range(3):
             look(0)(1000)
         assert len(said) == 1
-        assert scene.words[Word.ALARMED]
+        assert scene.words[Word.ALARMED] == 1
 
     def test_one_who_cannot_say_it_leaves_it_to_the_next(self, look, said):
-        look(0, able=False)(500)
+        unable = look(0, able=False)
+        for _ in range(3):
+            unable(500)
+        assert len(said) == 1
         said.clear()
         look(1)(1000)
         assert len(said) == 1
 
-    @pytest.mark.parametrize("safe", ["let go", "rescued"])
-    def test_of_a_board_that_is_safe_nothing_is_told(self, scene, look, said, safe):
-        scene.words[Word.HOLDER_PID] = 0 if safe == "let go" else scene.loop.pid
-        scene.words[Word.RESCUED_PID] = 0 if safe == "let go" else scene.loop.pid
+    @pytest.mark.parametrize(
+        ("loop", "holder", "rescued"),
+        [(True, False, False), (True, True, True), (False, False, True)],
+        ids=["let go", "rescued", "no loop yet"],
+    )
+    def test_of_a_board_that_is_safe_nothing_is_told(self, scene, look, said, loop, holder, rescued):
+        scene.words[Word.LOOP_PID] = loop * scene.loop.pid
+        scene.words[Word.HOLDER_PID] = holder * scene.loop.pid
+        scene.words[Word.RESCUED_PID] = rescued * scene.loop.pid
         look()(5000)
         assert said == []
 
-    def test_the_terminal_is_told_where_nobody_draws(self, scene, until, capfd):
-        alarm = Alarm(scene.memory, turn=1)
-        for _ in range(100):
-            scene.now_ns += POLL_NS
-            alarm.look()
-        until(lambda: scene.words[Word.ALARMED], "it is said")
+    @pytest.fixture
+    def tell(self, scene):
+        """Look on until the terminal is to be told."""
+
+        def tell():
+            alarm = Alarm(scene.memory, turn=1)
+            for _ in range(100):
+                scene.now_ns += POLL_NS
+                alarm.look()
+
+        return tell
+
+    def test_the_terminal_is_told_where_nobody_draws(self, scene, tell, until, capfd):
+        tell()
+        until(lambda: scene.words[Word.ALARMED] == 1, "it is said")
         assert STILL_ON in capfd.readouterr().err
+
+    def test_a_terminal_that_was_halted_keeps_nobody_waiting_not_even_at_the_end(self, scene, tell, monkeypatch):
+        before, over = threading.enumerate(), threading.Event()
+        monkeypatch.setattr(alarm_module, "os", SimpleNamespace(write=lambda *_: over.wait(30)))
+        tell()
+        (writer,) = (thread for thread in threading.enumerate() if thread not in before)
+        assert writer.daemon
+        assert scene.words[Word.ALARMED] == 0
+        over.set()
+        writer.join()
