@@ -29,6 +29,8 @@ SETTINGS = (
 )
 RATES_HZ = (200, 100, 50)
 """The emulated device file takes a millisecond or two for an exchange, more on a busy computer."""
+BUSY = ("set loop.rate_hz to", "late, slow or failed")
+"""What a run says where the device file, which is a thread of an ordinary process, was not served in time."""
 LATE_S = 0.003
 
 
@@ -81,7 +83,7 @@ def stop(folder, engine, **trouble):
         finally:
             tree.close()
         assert device.duties == (0.0, 0.0)
-        if "set loop.rate_hz to" not in child.stderr:
+        if not any(words in child.stderr for words in BUSY):
             assert child.returncode in (0, 3), child.stderr
             return read_session(out), json.loads(child.stdout), board
     raise AssertionError(f"the computer is too busy for any rate: {child.stderr}")

@@ -124,7 +124,7 @@ def test_a_replay_finds_it_by_the_name_in_the_session(inteco_abs, site, recorded
 
 def test_a_replay_without_the_package_is_refused_with_its_name(inteco_abs, recorded):
     without = inteco_abs("replay", recorded[0], check=2)
-    assert "'threshold' of the package abs-threshold 1.2, which is not installed" in without.stderr
+    assert "'threshold' of the package 'abs-threshold 1.2', which is not installed" in without.stderr
 
 
 def test_a_replay_says_that_package_and_source_are_others(inteco_abs, site, recorded):

@@ -1,11 +1,14 @@
 """Boards that are not there, are two, are another's or may not be driven: nothing is moved, and nothing is left."""
 
 import errno
+from types import SimpleNamespace
 
 import pytest
 import usb.core
 import usb.util
 from wrong_inputs import Row, ids
+
+from inteco_abs.boards.usb import ENDPOINTS
 
 RULES = "inteco-abs doctor --rules prints the udev rule"
 
@@ -14,6 +17,7 @@ class Plugged:
     """A device on the USB, as pyusb has it."""
 
     idVendor, idProduct, manufacturer = 0x04B4, 0x8613, "InTeCo"
+    bDeviceClass, bus, address, port_numbers = 0xFF, 1, 7, (2,)
 
     def __init__(self, serial="7", *, denied=False) -> None:
         self._serial, self._denied = serial, denied
@@ -23,6 +27,9 @@ class Plugged:
         if self._denied:
             raise ValueError("The device has no langid")
         return self._serial
+
+    def __getitem__(self, _configuration):
+        return {(0, 0): [SimpleNamespace(bEndpointAddress=address) for address in ENDPOINTS]}
 
     def is_kernel_driver_active(self, _interface):
         return True
@@ -60,8 +67,8 @@ ROWS = [
         "name another profile"),
     Row("the mock's profile", "run --board pci: --set profile=sim_pci", 2, ("board.simulated",), "inteco-abs probe"),
     Row("frames of a board without", "run --virtual --set profile=sim_pci --frames", 2, ("--frames",), "registers"),
-    Row("nothing plugged in", "blink", 1, ("no RT-DAC/USB2 board", "none with vendor id 04b4"), "is it plugged in?",
-        bus()),
+    Row("nothing plugged in", "blink", 1, ("no RT-DAC/USB2 board", "maker is 'InTeCo' (usb.manufacturer)"),
+        "is it plugged in?", bus()),
     Row("two boards", "blink", 1, ("2 boards", "serial '7'", "serial '8'"), "name one, as in usb2:7",
         bus(Plugged("7"), Plugged("8"))),
     Row("another serial number", "blink --board usb2:9", 1, ("with serial number 9", "serial '7'"), "is it plugged in?",
