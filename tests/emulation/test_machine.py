@@ -11,15 +11,16 @@ from guest.machine import output_of
 WAITING = "import sys; sys.path[:0] = {path!r}; from guest.machine import output_of; output_of({command!r}, 100.0)"
 
 
-def running(word):
-    """Processes that have such a word in their command."""
-    found = []
+def sleeping(mark):
+    """Whether `sleep` itself runs: by then, what started it has bound it to its parent."""
+    wanted = f"sleep\0{mark}\0".encode()
     for entry in Path("/proc").iterdir():
         try:
-            found += [entry.name] if word in (entry / "cmdline").read_bytes().split(b"\0") else []
+            if (entry / "cmdline").read_bytes() == wanted:
+                return True
         except OSError:
             continue
-    return found
+    return False
 
 
 def ends(condition):
@@ -33,16 +34,16 @@ def test_a_guest_ends_with_the_tests_that_are_killed():
     mark = f"98765.{time.monotonic_ns()}"
     code = WAITING.format(path=[path for path in sys.path if path], command=["sleep", mark])
     tests = subprocess.Popen([sys.executable, "-c", code])
-    ends(lambda: running(mark.encode()) and tests.poll() is None)
+    ends(lambda: sleeping(mark) and tests.poll() is None)
     tests.send_signal(signal.SIGKILL)
     tests.wait()
-    ends(lambda: not running(mark.encode()))
+    ends(lambda: not sleeping(mark))
 
 
 def test_of_a_guest_that_goes_on_for_too_long_there_is_what_it_has_said():
     mark = f"98765.{time.monotonic_ns()}"
     assert output_of(["sh", "-c", f"echo begun; exec sleep {mark}"], 1.0) == "begun\n"
-    ends(lambda: not running(mark.encode()))
+    ends(lambda: not sleeping(mark))
 
 
 def test_errors_are_among_what_a_guest_has_said():
