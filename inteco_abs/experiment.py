@@ -14,21 +14,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from inteco_abs.boards import (
-    Board,
-    InProcessLink,
-    board_behind,
-    check_address,
-    check_kind,
-    check_limits,
-    recording,
-    simulated,
-)
-from inteco_abs.boards.capture import check_target
-from inteco_abs.boards.recording_link import Recording, check_recordable
+from inteco_abs.boards import Board, InProcessLink, board_behind, check_address, check_kind, check_limits, simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline, gains_in_force
 from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, UnsafeError, in_words
+from inteco_abs.host.checks import as_facts
+from inteco_abs.host.doctor import examine
 from inteco_abs.mock_board import (
     BY_PROCESS,
     CLOCK_STEP,
@@ -46,18 +37,16 @@ from inteco_abs.mock_board import (
     insist_on_possible,
 )
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
-from inteco_abs.realtime.by_hand import ONLY_WATCHED, Screenside, slowed
-from inteco_abs.realtime.doctor import examine
-from inteco_abs.realtime.findings import as_facts
-from inteco_abs.realtime.hearing import hearing
+from inteco_abs.realtime.foxglove_server import insist_on_foxglove
 from inteco_abs.realtime.histogram import Histogram
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.live import insist_on_foxglove
 from inteco_abs.realtime.loop import detail_of
 from inteco_abs.realtime.memory import RunMemory
+from inteco_abs.realtime.processes.manual import ONLY_WATCHED, Screenside, slowed
+from inteco_abs.realtime.processes.supervisor import Supervisor
 from inteco_abs.realtime.screen import Check, NoScreen, Onlooker, Screen, Unbreakable
-from inteco_abs.realtime.stow import stow
-from inteco_abs.realtime.supervisor import Supervisor
+from inteco_abs.realtime.signal_handlers import hearing
+from inteco_abs.realtime.spool import stow
 from inteco_abs.realtime.watchdog import prove_watchdog
 from inteco_abs.sessions import (
     EXIT_CODES,
@@ -75,10 +64,12 @@ from inteco_abs.sessions import (
     pack_tick,
     spill_path,
 )
-from inteco_abs.sessions.keeper import Opener
+from inteco_abs.sessions.environment import surroundings
+from inteco_abs.sessions.failover_writer import Opener
 from inteco_abs.sessions.provenance import host_facts, profile_source, software_facts
-from inteco_abs.sessions.surroundings import surroundings
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
+from inteco_abs.wire.capture import check_target
+from inteco_abs.wire.recording import Recording, check_recordable, recording
 
 _SLICE_TICKS: Final = 1000
 _SPARE_S: Final = 2.0
@@ -290,7 +281,7 @@ def _processes(
         supervisor = Supervisor(memory, job)
         try:
             if simulated(plan.board):
-                supervisor.spawn("board", "inteco_abs.simulator", str(memory.path))
+                supervisor.spawn("board", "inteco_abs.mock_board_process", str(memory.path))
             yield memory, supervisor
         finally:
             supervisor.end()  # its own work may not have begun when an interrupt comes

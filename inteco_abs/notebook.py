@@ -11,7 +11,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsFloat
 
-from inteco_abs import sessions
+from inteco_abs import analysis, sessions
 from inteco_abs.boards import check_address, check_kind, default_profile, simulated
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import Controller, build_pipeline, control_check, preferred_estimator
@@ -20,7 +20,7 @@ from inteco_abs.experiment import Plan
 from inteco_abs.experiment import run_stop as run_experiment
 from inteco_abs.mock_board import rig_check
 from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
-from inteco_abs.sessions.result import card_of
+from inteco_abs.sessions.card import card_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,14 +56,14 @@ class Session(sessions.Session):
 
         return figure_of([self, *others], width)
 
-    def replay(self, controller: type[Controller] | None = None) -> sessions.Replay:
+    def replay(self, controller: type[Controller] | None = None) -> analysis.Replay:
         """Decide every tick again, and compare bit for bit; `controller` is yours if the run was with yours.
 
         Raises SessionError if the session cannot be replayed.
         """
         known = _known(controller or self.metadata.get("controller", {}).get("name", ""))
         config = sessions.session_config(self, (control_check(known),))
-        return sessions.replay(self, build_pipeline(config, known))
+        return analysis.replay(self, build_pipeline(config, known))
 
     def __repr__(self) -> str:
         card = card_of(self) or {}

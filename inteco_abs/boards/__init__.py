@@ -5,13 +5,12 @@ from typing import Final
 
 from inteco_abs.boards.addresses import SCHEMES, check_address, check_kind, check_limits, default_profile, simulated
 from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
-from inteco_abs.boards.links import InProcessLink, Link, SocketLink
-from inteco_abs.boards.recording_link import Wrap, recording
-from inteco_abs.boards.registers import LinkedRegisters, Registers
-from inteco_abs.boards.rtdac_pci import Reading, RtdacPci
-from inteco_abs.boards.rtdac_usb import RtdacUsb
-from inteco_abs.boards.rtdac_usb2 import RtdacUsb2
-from inteco_abs.boards.sysfs import SysfsRegisters
+from inteco_abs.boards.families.pci.board import Reading, RtdacPci
+from inteco_abs.boards.families.usb.board import RtdacUsb
+from inteco_abs.boards.families.usb2.board import RtdacUsb2
+from inteco_abs.boards.transports.links import InProcessLink, Link, SocketLink, Wrap
+from inteco_abs.boards.transports.registers import LinkedRegisters, Registers
+from inteco_abs.boards.transports.sysfs import SysfsRegisters
 from inteco_abs.config import BoardConfig, RigConfig
 
 __all__ = [
@@ -37,7 +36,6 @@ __all__ = [
     "check_limits",
     "default_profile",
     "open_board",
-    "recording",
     "simulated",
 ]
 
@@ -72,14 +70,14 @@ def _open_socket(path: str, _: RigConfig) -> Link:
 
 
 def _open_usb2(serial: str, config: RigConfig) -> Link:
-    from inteco_abs.boards.usb_engines import open_usb  # noqa: PLC0415  who has no such board needs no libusb
+    from inteco_abs.boards.transports.usb_transport import open_usb  # noqa: PLC0415  who has no such board needs no libusb
 
     return open_usb(serial, config.usb)
 
 
 def _open_serial(path: str, _: RigConfig) -> Link:
-    from inteco_abs.boards.serial_link import SerialLink  # noqa: PLC0415  who has no such board needs no pyserial
-    from inteco_abs.boards.serial_ports import only_port  # noqa: PLC0415  likewise
+    from inteco_abs.boards.transports.serial_link import SerialLink  # noqa: PLC0415  who has no such board needs no pyserial
+    from inteco_abs.boards.transports.serial_ports import only_port  # noqa: PLC0415  likewise
 
     return SerialLink(path or only_port())
 

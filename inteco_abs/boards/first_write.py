@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from firmware_protocol.fields import Buffer, FrameTable, sent_back, unnamed
-from inteco_abs.boards.wire_names import label, mask_of, names_at
+from inteco_abs.boards.frame_labels import label, mask_of, names_at
 
 
 class Remark(StrEnum):

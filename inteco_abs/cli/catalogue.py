@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names
-from inteco_abs.cli.shared import json_option, print_json, say
+from inteco_abs.cli.options import json_option, print_json, say
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def estimators(name: str | None, as_json: bool) -> int:
 
 
 def _tell_controller(name: str, *, as_json: bool) -> None:
-    from inteco_abs.cli.shared import known_controllers
+    from inteco_abs.cli.options import known_controllers
     from inteco_abs.plugins import FROM_FILE
 
     known = known_controllers(name)

@@ -8,7 +8,7 @@ from typing import Final
 import click
 from click.shell_completion import CompletionItem, get_completion_class
 
-from inteco_abs.cli.shared import say
+from inteco_abs.cli.options import say
 
 _SHELLS: Final = {
     "bash": "~/.bashrc",

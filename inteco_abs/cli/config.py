@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from inteco_abs.cli.completion import key_names
-from inteco_abs.cli.shared import FILE, SETTING, Verbs, json_option, print_json, say
+from inteco_abs.cli.options import FILE, SETTING, Verbs, json_option, print_json, say
 from inteco_abs.errors import AbsError, disk_in_words
 
 
@@ -51,7 +51,7 @@ def init(file: Path) -> int:
 def show(file: Path | None, settings: tuple[str, ...], board: str, origin: bool, as_json: bool) -> int:
     """Print the configuration that a run would have, whole, as TOML; --json always has the origins."""
     from inteco_abs.boards import check_address, default_profile
-    from inteco_abs.cli.shared import known_controllers
+    from inteco_abs.cli.options import known_controllers
     from inteco_abs.config import load_config, origins
     from inteco_abs.control import control_check, preferred_estimator
     from inteco_abs.mock_board import rig_check

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from inteco_abs.cli.shared import (
+from inteco_abs.cli.options import (
     FILE,
     LOSSES,
     json_option,

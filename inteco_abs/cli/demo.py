@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, on_terminal, say
+from inteco_abs.cli.options import FILE, LOSSES, on_terminal, say
 
 _WIDTH: Final = 79
 

@@ -10,7 +10,16 @@ from typing import Any, Final
 import click
 
 from inteco_abs.cli.completion import controller_names, key_names
-from inteco_abs.cli.shared import FILE, LOSSES, SETTING, Finite, check_table, json_option, known_controllers, print_json
+from inteco_abs.cli.options import (
+    FILE,
+    LOSSES,
+    SETTING,
+    Finite,
+    check_table,
+    json_option,
+    known_controllers,
+    print_json,
+)
 from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 
 _SLOWEST_RAD_S: Final = 10.0
@@ -78,9 +87,9 @@ def design(
     """
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check, preferred_estimator
-    from inteco_abs.lab.design import HARD, judge_gains, stated_box
+    from inteco_abs.gain_design import HARD, judge_gains, stated_box
+    from inteco_abs.gain_design.figure import draw_design
     from inteco_abs.rig import believed_parameters
-    from inteco_abs.views.design_figure import draw_design
     from inteco_abs.views.figure import check_figure
 
     chosen = [f"controller.name={controller}"] if controller else []
@@ -147,6 +156,6 @@ def _write_table(curves: Mapping[str, Any], path: Path) -> None:
 def _print_report(report: Mapping[str, Any]) -> None:
     from rich.console import Console
 
-    from inteco_abs.views.design import render_design
+    from inteco_abs.gain_design.table import render_design
 
     Console().print(render_design(report))

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import DIFFERS, FILE, LOSSES, Finite, json_option, plain, print_json, read_whole, say
+from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, Finite, json_option, plain, print_json, read_whole, say
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
 if TYPE_CHECKING:
-    from inteco_abs.sessions import Change, Diff, Session, SignalChange
+    from inteco_abs.analysis import Change, Diff, SignalChange
+    from inteco_abs.sessions import Session
 
 
 @click.command()
@@ -28,7 +29,7 @@ def diff(a: Path, b: Path, only: tuple[str, ...], rel: float, as_json: bool) -> 
     with 4 if anything differs in those that --only names, by default in any; --rel 0.05 lets metrics differ by 5 % and
     signals by 5 % of their peak.
     """
-    from inteco_abs.sessions import SECTIONS, diff_sessions
+    from inteco_abs.analysis import SECTIONS, diff_sessions
 
     mistakes = [Mistake("--only", f"no section {name!r}{near_match(name, SECTIONS)}") for name in only]
     mistakes = [mistake for mistake, name in zip(mistakes, only, strict=True) if name not in SECTIONS]
@@ -63,7 +64,7 @@ def _print(a: Path, b: Path, found: Diff) -> None:
 
 
 def _line(change: Change | SignalChange) -> str:
-    from inteco_abs.sessions import SignalChange
+    from inteco_abs.analysis import SignalChange
 
     if not isinstance(change, SignalChange):
         return f"{change.key}: {_value(change.a)} -> {_value(change.b)}"

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, Finite, json_option, print_json, say
+from inteco_abs.cli.options import FILE, LOSSES, Finite, json_option, print_json, say
 from inteco_abs.errors import BoardError, ConfigError, Mistake
 
 if TYPE_CHECKING:
-    from inteco_abs.realtime.findings import Finding
+    from inteco_abs.host.checks import Finding
 
 
 @click.command()
@@ -49,11 +49,11 @@ def doctor(
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import load_config
     from inteco_abs.experiment import measure_round_trips
-    from inteco_abs.realtime.doctor import examine, write_speed
-    from inteco_abs.realtime.findings import Computer, Finding, Verdict, red, worst
-    from inteco_abs.realtime.latency import LONGEST_S, SHORTEST_S, examine_wake_ups, judge_round_trips
-    from inteco_abs.realtime.permissions import limits, serial_group, udev_rules
-    from inteco_abs.realtime.trips import COUNT
+    from inteco_abs.host.checks import Computer, Finding, Verdict, red, worst
+    from inteco_abs.host.doctor import examine, write_speed
+    from inteco_abs.host.latency import LONGEST_S, SHORTEST_S, examine_wake_ups, judge_round_trips
+    from inteco_abs.host.permissions import limits, serial_group, udev_rules
+    from inteco_abs.realtime.processes.round_trips import COUNT
 
     group = serial_group(Computer())
     serial = _serial(ftdi_serial, with_rules=printed == "rules")
@@ -92,7 +92,7 @@ def doctor(
 def _print_findings(findings: Sequence[Finding]) -> None:
     from rich.console import Console
 
-    from inteco_abs.views.health import render_findings
+    from inteco_abs.views.findings import render_findings
 
     Console().print(render_findings(findings))
 
@@ -100,14 +100,14 @@ def _print_findings(findings: Sequence[Finding]) -> None:
 def _print_histogram(times_us: Sequence[float], period_us: float) -> None:
     from rich.console import Console
 
-    from inteco_abs.views.health import render_histogram
+    from inteco_abs.views.findings import render_histogram
 
     Console().print("\nround trips:", render_histogram(times_us, period_us), sep="\n")
 
 
 def _serial(ftdi_serial: str | None, *, with_rules: bool) -> str:
     """The FTDI chip that the rules name besides; empty if none was given. Raises ConfigError."""
-    from inteco_abs.realtime.permissions import check_serial
+    from inteco_abs.host.permissions import check_serial
 
     if ftdi_serial is None:
         return ""

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 
-from inteco_abs.cli.shared import print_json
+from inteco_abs.cli.options import print_json
 from inteco_abs.errors import AbsError, ConfigError, refusals
 
 if TYPE_CHECKING:
+    from inteco_abs.commissioning import Bench
+    from inteco_abs.commissioning.preflight import Look
     from inteco_abs.config import RigConfig
     from inteco_abs.experiment import Plan
-    from inteco_abs.lab import Bench
-    from inteco_abs.lab.rehearsal import Look
     from inteco_abs.mock_board import Fault
 
 Condition = Callable[[], object]
@@ -52,7 +52,7 @@ def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: f
     Nothing is written, neither to the board nor to a disk. Exit code 0 if the first run would begin; else 2 if it is
     for what was typed or configured, 1 for everything else.
     """
-    from inteco_abs.lab.rehearsal import look_at
+    from inteco_abs.commissioning.preflight import look_at
 
     config, plan = planned[0][:2]
     refused = refusals([*own, *_conditions(planned)])
@@ -74,8 +74,8 @@ def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: f
 
 def rehearse_by_hand(config: RigConfig, board: str, faults: Sequence[Fault], own: Iterable[Condition]) -> int:
     """Tell whether a person could move the rig by hand, as `rehearse` does of runs."""
+    from inteco_abs.commissioning.preflight import look_at
     from inteco_abs.experiment import conditions_by_hand
-    from inteco_abs.lab.rehearsal import look_at
 
     refused = refusals([*own, *conditions_by_hand(config, board, faults)])
     look = look_at(_bench(config, board), config, rest=False)
@@ -153,8 +153,8 @@ def _disk_bytes(config: RigConfig, plan: Plan) -> int:
 
 def _bench(config: RigConfig, board: str, seed: int = 0) -> Bench:
     from inteco_abs.boards import simulated
+    from inteco_abs.commissioning import MockBench, RealBench
     from inteco_abs.experiment import by_hand
-    from inteco_abs.lab import MockBench, RealBench
 
     return MockBench(config, seed) if simulated(board) else RealBench(board, by_hand)
 
@@ -170,7 +170,7 @@ def _told(refused: Iterable[AbsError]) -> list[dict[str, str]]:
 
 def _cautions(planned: Sequence[Planned]) -> Iterator[str]:
     """What keeps no run from beginning, and is better known before."""
-    from inteco_abs.views.rehearsal import size
+    from inteco_abs.commissioning.preflight_table import size
 
     config, plan = planned[0][:2]
     if config.experiment.drive_duty > config.guard.drive_limit:
@@ -243,7 +243,7 @@ def _board(board: str, look: Look) -> dict[str, Any]:
 
 
 def _run(each: Planned) -> dict[str, Any]:
-    from inteco_abs.lab.rehearsal import course
+    from inteco_abs.commissioning.preflight import course
 
     config = each.config
     return {
@@ -264,8 +264,8 @@ def _run(each: Planned) -> dict[str, Any]:
 
 def _computer(folder: Path) -> dict[str, Any]:
     """The doctor's findings of a few milliseconds, in short."""
-    from inteco_abs.realtime.doctor import examine
-    from inteco_abs.realtime.findings import Verdict, worst
+    from inteco_abs.host.checks import Verdict, worst
+    from inteco_abs.host.doctor import examine
 
     findings = examine(folder)
     return {
@@ -278,6 +278,6 @@ def _computer(folder: Path) -> dict[str, Any]:
 def _print(report: dict[str, Any]) -> None:
     from rich.console import Console
 
-    from inteco_abs.views.rehearsal import render_rehearsal
+    from inteco_abs.commissioning.preflight_table import render_rehearsal
 
     Console(markup=False, highlight=False).print(render_rehearsal(report))

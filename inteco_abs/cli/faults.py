@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import json_option, print_json, say
+from inteco_abs.cli.options import json_option, print_json, say
 
 if TYPE_CHECKING:
     from inteco_abs.mock_board.faults.kinds import Value

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import (
+from inteco_abs.cli.options import (
     DIFFERS,
     FILE,
     Finite,
@@ -21,7 +21,7 @@ from inteco_abs.cli.shared import (
 )
 
 if TYPE_CHECKING:
-    from inteco_abs.sessions.golden import Golden, GoldenFolder, Verdict
+    from inteco_abs.analysis.golden import Golden, GoldenFolder, Verdict
 
 
 def _folder_option(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -72,8 +72,8 @@ def add(
     Nothing is overwritten. A session that was cut, that hardly brakes, or that does not replay now is refused.
     Exit codes: 0 done, 1 the session is refused, 2 wrong usage.
     """
+    from inteco_abs.analysis.golden import GoldenFolder
     from inteco_abs.sessions import read_session
-    from inteco_abs.sessions.golden import GoldenFolder
 
     goldens = GoldenFolder(folder)
     session = read_whole(file, read_session)
@@ -93,7 +93,7 @@ def test(names: tuple[str, ...], folder: Path, as_json: bool) -> int:
     """
     from dataclasses import asdict
 
-    from inteco_abs.sessions.golden import GoldenFolder
+    from inteco_abs.analysis.golden import GoldenFolder
 
     verdicts = GoldenFolder(folder).test(names, known_controllers(None))
     differing = [verdict.name for verdict in verdicts if verdict.replay and verdict.replay.differing]
@@ -115,7 +115,7 @@ def update(name: str, reason: str, folder: Path, as_json: bool) -> int:
 
     Exit codes: 0 done, 1 the session cannot be used, 2 wrong usage, or nothing would change.
     """
-    from inteco_abs.sessions.golden import GoldenFolder
+    from inteco_abs.analysis.golden import GoldenFolder
 
     goldens = GoldenFolder(folder)
     _tell(goldens, goldens.update(name, reason, known_controllers(None)), as_json=as_json)
@@ -132,7 +132,7 @@ def list_all(folder: Path, as_json: bool) -> int:
     """
     from dataclasses import asdict
 
-    from inteco_abs.sessions.golden import GoldenFolder
+    from inteco_abs.analysis.golden import GoldenFolder
 
     goldens = GoldenFolder(folder).chosen(())
     if as_json:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, check_session_file, json_option, plain, print_card, print_json, say
+from inteco_abs.cli.options import FILE, LOSSES, check_session_file, json_option, plain, print_card, print_json, say
 
 if TYPE_CHECKING:
     from inteco_abs.sessions import Inspection, Recovery
@@ -68,7 +68,7 @@ def recover(file: Path, out: Path, as_json: bool) -> int:
 
 
 def _recover_ring(ring: Path, out: Path, as_json: bool) -> int:
-    from inteco_abs.realtime.recorder import recover_run
+    from inteco_abs.realtime.processes.recorder import recover_run
 
     account = recover_run(ring, out)
     if as_json:

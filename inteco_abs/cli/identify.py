@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from inteco_abs.cli.dry_run import Planned, dry_run_option, rehearse
-from inteco_abs.cli.shared import (
+from inteco_abs.cli.options import (
     FILE,
     LOSSES,
     SETTING,
@@ -27,7 +27,7 @@ from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
-    from inteco_abs.lab.identify import Identification, Segment
+    from inteco_abs.identification import Identification, Segment
 
 
 _MOST_NAMED: Final = 12
@@ -112,7 +112,7 @@ def _tell(found: Identification, out: Path | None, figure: Path | None, *, as_js
     if out is not None:
         _write(found, out)
     if figure is not None:
-        from inteco_abs.views.identify_figure import draw_residuals
+        from inteco_abs.identification.figure import draw_residuals
 
         draw_residuals(found.traces(), figure)
         say(f"figure: {figure}", err=True)
@@ -127,7 +127,7 @@ def _tell(found: Identification, out: Path | None, figure: Path | None, *, as_js
 
 
 def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, float]) -> Identification:
-    from inteco_abs.lab.identify import chosen, identify, segments
+    from inteco_abs.identification import chosen, identify, segments
     from inteco_abs.rig import believed_parameters
     from inteco_abs.sessions import read_session, session_config
 
@@ -143,7 +143,7 @@ def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, floa
 
 def _assumed(statements: tuple[str, ...]) -> dict[str, float]:
     from inteco_abs.errors import near_match
-    from inteco_abs.lab.identify import ASSUMED
+    from inteco_abs.identification import ASSUMED
 
     shares, mistakes = {}, []
     for statement in statements:
@@ -181,7 +181,7 @@ def _write(found: Identification, out: Path) -> None:
 def _print(found: Identification) -> None:
     from rich.console import Console
 
-    from inteco_abs.views.identify import render_identification
+    from inteco_abs.identification.table import render_identification
 
     Console().print(render_identification(found.report()))
 
@@ -203,7 +203,7 @@ def _record(
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check
     from inteco_abs.experiment import Plan
-    from inteco_abs.lab.identify import experiments
+    from inteco_abs.identification import experiments
     from inteco_abs.mock_board import rig_check
     from inteco_abs.sessions import check_folder, check_output, made_folder
 

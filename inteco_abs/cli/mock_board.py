@@ -10,7 +10,7 @@ from typing import Final, TextIO
 
 import click
 
-from inteco_abs.cli.shared import FILE, Finite, Whole, drawn_setting, rig_option, say
+from inteco_abs.cli.options import FILE, Finite, Whole, drawn_setting, rig_option, say
 from inteco_abs.errors import ConfigError, Mistake, disk_in_words
 
 _MOCK_PROFILES: Final = {"usb2": "sim_usb2", "usb": "sim_usb"}
@@ -66,10 +66,10 @@ def mock_board(
     """Be an RT-DAC board with the rig on it, in real time, until Ctrl-C; its data are no measurements."""
     from functools import partial
 
+    from inteco_abs.commissioning.reported_board import SeenBoard
     from inteco_abs.config import load_config
     from inteco_abs.mock_board import rig_check
-    from inteco_abs.seen_board import SeenBoard
-    from inteco_abs.simulator import Mock, serve_pty, serve_usbip
+    from inteco_abs.mock_board_process import Mock, serve_pty, serve_usbip
 
     if (address is None) == (link is None):
         raise ConfigError([Mistake("--usbip, --pty", "name one of them: to be a USB device, or a serial port")])

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import click
 
+from inteco_abs.cli.commission import Terminal
 from inteco_abs.cli.completion import key_names
 from inteco_abs.cli.dry_run import rehearse_by_hand
-from inteco_abs.cli.probe import Terminal
-from inteco_abs.cli.shared import FILE, SETTING, drawn_setting, on_terminal, rig_option, say
+from inteco_abs.cli.options import FILE, SETTING, drawn_setting, on_terminal, rig_option, say
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 
@@ -51,11 +51,11 @@ def panel(
     Without --outputs it only reads.
     """
     from inteco_abs.boards import check_address, default_profile, simulated
+    from inteco_abs.commissioning.operator import insist_on_phrase
+    from inteco_abs.commissioning.outputs import PROVES_ITSELF
+    from inteco_abs.commissioning.panel import PHRASE, REQUEST, Panel
     from inteco_abs.config import load_config
     from inteco_abs.experiment import by_hand
-    from inteco_abs.lab.outputs import PROVES_ITSELF
-    from inteco_abs.lab.panel import PHRASE, REQUEST, Panel
-    from inteco_abs.lab.person import insist_on_phrase
     from inteco_abs.mock_board import parse_faults, rig_check
     from inteco_abs.signals import EXPLANATIONS, Reason
 

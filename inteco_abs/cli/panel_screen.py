@@ -15,12 +15,12 @@ from textual.events import Key
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from inteco_abs.cli.shared import INTERRUPTED, plain
+from inteco_abs.cli.options import INTERRUPTED, plain
+from inteco_abs.commissioning.identity import hex_dump
+from inteco_abs.commissioning.panel import AGAIN, Output, Panel
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import UnsafeError
-from inteco_abs.lab.identity import hex_dump
-from inteco_abs.lab.panel import AGAIN, Output, Panel
-from inteco_abs.realtime.by_hand import Screenside
+from inteco_abs.realtime.processes.manual import Screenside
 from inteco_abs.signals import EXPLANATIONS, Command, Reason
 
 _REFRESH_S: Final = 0.1

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.shared import Whole, json_option, print_json, say, stops_progress
+from inteco_abs.cli.options import Whole, json_option, print_json, say, stops_progress
 from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 
 if TYPE_CHECKING:
-    from inteco_abs.lab.paper import Reproduction
+    from inteco_abs.paper import Reproduction
 
 _DRAWS: Final = 20
 _FORMATS: Final = ("png", "pdf")
@@ -46,7 +46,7 @@ def paper(folder: Path, draws: int, as_json: bool) -> int:
     sliding mode control, with equal Mq and with equal reaching time (table.csv, table.md, every stop in stops.csv). The
     same command gives the same files, byte by byte.
     """
-    from inteco_abs.lab.paper import reproduce
+    from inteco_abs.paper import reproduce
     from inteco_abs.views.figure import insist_on_matplotlib
 
     insist_on_matplotlib()
@@ -76,7 +76,7 @@ def _check_folder(folder: Path) -> None:
 
 def _write(found: Reproduction, report: Mapping[str, Any], folder: Path, command: str) -> Iterator[Path]:
     """All files; each path when it is written."""
-    from inteco_abs.views.paper import draw_course, paper_markdown
+    from inteco_abs.paper.table import draw_course, paper_markdown
 
     try:
         folder.mkdir(exist_ok=True)
@@ -123,6 +123,6 @@ def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
 def _print(report: Mapping[str, Any]) -> None:
     from rich.console import Console
 
-    from inteco_abs.views.paper import render_paper
+    from inteco_abs.paper.table import render_paper
 
     Console().print(render_paper(report))

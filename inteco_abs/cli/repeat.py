@@ -14,8 +14,7 @@ from typing import Any, Final
 import click
 
 from inteco_abs.cli.dry_run import Condition, Planned, dry_run_option, refuse_together, rehearse
-from inteco_abs.cli.run import planned_run, run
-from inteco_abs.cli.shared import (
+from inteco_abs.cli.options import (
     FILE,
     INTERRUPTED,
     LOSSES,
@@ -26,6 +25,7 @@ from inteco_abs.cli.shared import (
     print_json,
     say,
 )
+from inteco_abs.cli.run import planned_run, run
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 _COOL_DOWN_S: Final = 30.0
@@ -146,9 +146,9 @@ def _tell(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
     """Statistics over the stops that there are, and their curves."""
     from rich.console import Console
 
+    from inteco_abs.analysis.statistics import statistics
     from inteco_abs.sessions import read_session
-    from inteco_abs.sessions.result import card_of
-    from inteco_abs.sessions.series import statistics
+    from inteco_abs.sessions.card import card_of
     from inteco_abs.views.series import draw_series, render_series
 
     sessions = [read_session(path) for path in paths]

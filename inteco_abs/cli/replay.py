@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import DIFFERS, FILE, LOSSES, json_option, known_controllers, print_json, read_whole, say
+from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, json_option, known_controllers, print_json, read_whole, say
 from inteco_abs.errors import ConfigError, Mistake, near_match
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from inteco_abs.analysis import Replay
+    from inteco_abs.analysis.tolerance import Shift
     from inteco_abs.plugins import Controllers, Origin
-    from inteco_abs.sessions import Replay, Session
-    from inteco_abs.sessions.tolerance import Shift
+    from inteco_abs.sessions import Session
 
 
 @click.command()
@@ -42,17 +43,10 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     """
     from dataclasses import asdict
 
+    from inteco_abs.analysis import REFERENCE, before_the_gap, changed_gains, insist_on_known, parse_tolerances
+    from inteco_abs.analysis import replay as run_again
     from inteco_abs.control import build_pipeline, control_check, gains_in_force
-    from inteco_abs.sessions import (
-        REFERENCE,
-        before_the_gap,
-        changed_gains,
-        insist_on_known,
-        parse_tolerances,
-        read_session,
-        session_config,
-    )
-    from inteco_abs.sessions import replay as run_again
+    from inteco_abs.sessions import read_session, session_config
 
     given = parse_tolerances(tolerances)
     recorded = read_whole(file, read_session)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, read_whole, say
+from inteco_abs.cli.options import FILE, LOSSES, read_whole, say
 
 
 @click.command()

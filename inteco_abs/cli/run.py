@@ -13,8 +13,7 @@ import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names, key_names
 from inteco_abs.cli.dry_run import Condition, Planned, dry_run_option, refuse_together, rehearse
-from inteco_abs.cli.screens import live_options, screen_of
-from inteco_abs.cli.shared import (
+from inteco_abs.cli.options import (
     FILE,
     INTERRUPTED,
     SETTING,
@@ -30,6 +29,7 @@ from inteco_abs.cli.shared import (
     rig_option,
     say,
 )
+from inteco_abs.cli.screens import live_options, screen_of
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ def _tell(stop: Account, *, as_json: bool, quiet: bool) -> None:
     if as_json:
         print_json(stop.card)
     elif not quiet:
-        from inteco_abs.sessions import previous_card
+        from inteco_abs.analysis import previous_card
 
         print_card(stop.card, stop.explanation, previous_card(stop.card))
     for fault, times in stop.injected.items():

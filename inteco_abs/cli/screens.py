@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import on_terminal, say
+from inteco_abs.cli.options import on_terminal, say
 
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig

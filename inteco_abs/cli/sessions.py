@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.shared import FILE, LOSSES, draw, json_option, plain, print_json, read_whole, say
+from inteco_abs.cli.options import FILE, LOSSES, draw, json_option, plain, print_json, read_whole, say
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names, key_names
-from inteco_abs.cli.shared import (
+from inteco_abs.cli.options import (
     FILE,
     LOSSES,
     Whole,
@@ -33,7 +33,7 @@ from inteco_abs.cli.shared import (
 from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 
 if TYPE_CHECKING:
-    from inteco_abs.ensembles import Combination, Draws, Row
+    from inteco_abs.montecarlo import Combination, Draws, Row
     from inteco_abs.plugins import Controllers
 
 _SMALLEST_SHARD: Final = 5
@@ -93,8 +93,8 @@ def sweep(
     guard only its brake limit is part of that; rigs of the population capped have one of their own. Of these, only
     those count that can hold slip 0.2 with 0.5 N m to spare.
     """
-    from inteco_abs.ensembles import combinations, parse_draws
-    from inteco_abs.ensembles import sweep as sweep_all
+    from inteco_abs.montecarlo import combinations, parse_draws
+    from inteco_abs.montecarlo import sweep as sweep_all
     from inteco_abs.views.figure import check_figure
 
     draws = [parse_draws(text) for text in dict.fromkeys(rigs)]
@@ -132,7 +132,7 @@ def sweep(
     if table is not None:
         _write_csv(rows, table)
     if figure is not None:
-        from inteco_abs.views.sweep import draw_sweep
+        from inteco_abs.montecarlo.table import draw_sweep
 
         draw_sweep(rows, figure)
         say(f"figure: {figure}", err=True)
@@ -141,7 +141,7 @@ def sweep(
 
 def _controllers(names: Sequence[str]) -> tuple[Controllers, dict[str, bytes]]:
     """All there are to choose from, and the sources of the user's own."""
-    from inteco_abs.ensembles import split_list
+    from inteco_abs.montecarlo import split_list
     from inteco_abs.plugins import FROM_FILE
     from inteco_abs.plugins import Controllers as Known
 
@@ -201,7 +201,7 @@ def _cores() -> int:
 
 
 def _shard(stops: int, jobs: int) -> int:
-    from inteco_abs.ensembles import SHARD
+    from inteco_abs.montecarlo import SHARD
 
     return max(_SMALLEST_SHARD, min(SHARD, stops // (_SHARDS_PER_JOB * jobs)))
 
@@ -251,7 +251,7 @@ def _print(rows: Sequence[Row], *, as_json: bool) -> None:
         return
     from rich.console import Console
 
-    from inteco_abs.views.sweep import render_sweep
+    from inteco_abs.montecarlo.table import render_sweep
 
     console = Console()
     console.width = max(console.width, _NARROWEST)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names, key_names
-from inteco_abs.cli.shared import (
+from inteco_abs.cli.options import (
     FILE,
     LOSSES,
     SETTING,
@@ -24,11 +24,11 @@ from inteco_abs.cli.shared import (
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
+    from inteco_abs.analysis.closed_loop import Continuation
+    from inteco_abs.analysis.what_if import WhatIf
     from inteco_abs.config import RigConfig
     from inteco_abs.plugins import Controllers
     from inteco_abs.sessions import Session
-    from inteco_abs.sessions.closed_loop import Continuation
-    from inteco_abs.sessions.what_if import WhatIf
     from inteco_abs.views.what_if import Course
 
 _MOST: Final = 100
@@ -175,8 +175,8 @@ def _ask(
     thresholds: tuple[float, float],
     closed_loop: bool,
 ) -> tuple[WhatIf, Continuation | None]:
-    from inteco_abs.sessions.what_if import alternative
-    from inteco_abs.sessions.what_if import what_if as ask
+    from inteco_abs.analysis.what_if import alternative
+    from inteco_abs.analysis.what_if import what_if as ask
 
     other = alternative(session, settings, controllers)
     closed = _continued(session, other, controllers, at_s) if closed_loop else None
@@ -184,16 +184,16 @@ def _ask(
 
 
 def _continued(session: Session, other: RigConfig, controllers: Controllers, at_s: float | None) -> Continuation:
+    from inteco_abs.analysis.closed_loop import continued
     from inteco_abs.sessions import session_config
-    from inteco_abs.sessions.closed_loop import continued
 
     return continued(session, session_config(session, ()), other, controllers, at_s or 0.0)
 
 
 def _own_error(session: Session, controllers: Controllers, at_s: float | None) -> dict[str, Any] | None:
     """How far the simulation leaves the log with the session's own controller; None if that is not at hand."""
+    from inteco_abs.analysis.closed_loop import distance
     from inteco_abs.sessions import session_config
-    from inteco_abs.sessions.closed_loop import distance
 
     own = session_config(session, ())
     if own.controller.name not in controllers:
@@ -234,7 +234,7 @@ def _report(session: Session, courses: Sequence[Course], own: dict[str, Any] | N
 
 
 def _of_closed_loop(session: Session, closed: Continuation | None) -> dict[str, Any] | None:
-    from inteco_abs.sessions.closed_loop import distance
+    from inteco_abs.analysis.closed_loop import distance
     from inteco_abs.signals import Reason
 
     if closed is None:

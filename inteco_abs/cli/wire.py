@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.shared import DIFFERS, FILE, SETTING, Verbs, Whole, json_option, print_json, say
+from inteco_abs.cli.options import DIFFERS, FILE, SETTING, Verbs, Whole, json_option, print_json, say
 from inteco_abs.errors import ConfigError, Mistake
 
 if TYPE_CHECKING:
     from inteco_abs.boards.board_report import BoardReport
-    from inteco_abs.boards.capture import Capture
+    from inteco_abs.wire.capture import Capture
 
 _PROTOCOLS: Final = ("usb2", "usb1-111", "usb1-112")
 _SCHEMA: Final = 1
@@ -37,8 +37,8 @@ def wire() -> None:
 @click.option("--protocol", type=click.Choice(_PROTOCOLS), default="usb2", show_default=True, help="How it talks.")
 def import_(file: Path, out: Path, device: str, protocol: str) -> int:
     """Take the board's messages out of a session, or a Wireshark capture (usbmon or USBPcap, pcap or pcapng)."""
-    from inteco_abs.boards.capture import Kind, check_target, write_capture
-    from inteco_abs.boards.pcap import import_pcap
+    from inteco_abs.wire.capture import Kind, check_target, write_capture
+    from inteco_abs.wire.pcap import import_pcap
 
     check_target(out)
     capture = _of_session(file) or import_pcap(file, board=protocol, device=device)
@@ -55,7 +55,7 @@ def import_(file: Path, out: Path, device: str, protocol: str) -> int:
 @json_option
 def show(file: Path, as_json: bool) -> int:
     """What a capture holds: messages, rates, failures, and which board it was."""
-    from inteco_abs.boards.capture_summary import summarize
+    from inteco_abs.wire.summary import summarize
 
     capture = _read(file)
     if capture.report is not None:
@@ -100,8 +100,8 @@ def _show_report(file: Path, capture: Capture, report: BoardReport, *, as_json: 
 @json_option
 def moved(file: Path, as_json: bool) -> int:
     """Which words moved during a capture, the likeliest one first: for finding what a slider does."""
-    from inteco_abs.boards.capture_summary import caution
-    from inteco_abs.boards.moved_words import moved_words
+    from inteco_abs.wire.changed_words import moved_words
+    from inteco_abs.wire.summary import caution
 
     capture = _read(file)
     words, doubt = moved_words(capture), caution(capture)
@@ -151,7 +151,7 @@ def moved(file: Path, as_json: bool) -> int:
 @json_option
 def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str, ...], as_json: bool) -> int:
     """Compare the SEND frames of two captures, the n-th with the n-th; ends with exit code 4 if they differ."""
-    from inteco_abs.boards.moved_words import compare_sends
+    from inteco_abs.wire.changed_words import compare_sends
 
     ignored = [*ignore, *([] if numbering_pwm is None else [f"pwm{numbering_pwm}_prescaler"])]
     one, other = _read(first), _read(second)
@@ -197,8 +197,8 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
 @json_option
 def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: bool) -> int:
     """Let our driver do what the capture shows, and compare every message; ends with exit code 4 if they differ."""
-    from inteco_abs.boards.wire_replay import replay_wire
     from inteco_abs.config import DEFAULT_PROFILE, load_config
+    from inteco_abs.wire.replay import replay_wire
 
     capture = _read(file)
     outcome = replay_wire(capture, load_config(config, settings, profile=_PROFILES.get(capture.board, DEFAULT_PROFILE)))
@@ -220,7 +220,7 @@ def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: 
 
 
 def _read(file: Path) -> Capture:
-    from inteco_abs.boards.capture import read_capture
+    from inteco_abs.wire.capture import read_capture
 
     return _of_session(file) or read_capture(file)
 

@@ -1,14 +1,7 @@
 """The decision path, pure: no clock, no I/O, no randomness, scalar floats. That is what makes replay exact."""
 
-from inteco_abs.control.assembly import (
-    build_pipeline,
-    control_check,
-    gains_in_force,
-    make_controller,
-    make_estimator,
-    preferred_estimator,
-)
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, PredictiveReaching, ReachingLaw, Relay, Setup
+from inteco_abs.control.count_speed import SpeedWindow
 from inteco_abs.control.estimators import (
     ESTIMATORS,
     EdgeTime,
@@ -21,11 +14,18 @@ from inteco_abs.control.estimators import (
     TrackingLoop,
     TwoWheels,
 )
+from inteco_abs.control.factory import (
+    build_pipeline,
+    control_check,
+    gains_in_force,
+    make_controller,
+    make_estimator,
+    preferred_estimator,
+)
 from inteco_abs.control.guard import Guard
-from inteco_abs.control.model import BrakingModel, reaching_law_torque, reaching_time_bound
+from inteco_abs.control.phase_machine import Sequence
 from inteco_abs.control.pipeline import Pipeline
-from inteco_abs.control.sequence import Sequence
-from inteco_abs.control.windows import SpeedWindow
+from inteco_abs.control.slip_dynamics import BrakingModel, reaching_law_torque, reaching_time_bound
 
 __all__ = [
     "CONTROLLERS",

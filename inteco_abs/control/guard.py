@@ -7,8 +7,8 @@ from collections import deque
 from typing import Final
 
 from inteco_abs.config import RigConfig
+from inteco_abs.control.count_speed import SpeedWindows
 from inteco_abs.control.run_up import RunUp
-from inteco_abs.control.windows import SpeedWindows
 from inteco_abs.rig import believed_parameters
 from inteco_abs.signals import BoardFlags, Command, Estimate, Reason, Sample
 

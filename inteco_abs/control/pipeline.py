@@ -9,7 +9,7 @@ from inteco_abs.config import RigConfig
 from inteco_abs.control.controllers import Controller
 from inteco_abs.control.estimators import Estimator
 from inteco_abs.control.guard import Guard
-from inteco_abs.control.sequence import Sequence, Wish
+from inteco_abs.control.phase_machine import Sequence, Wish
 from inteco_abs.signals import UNTIMED, BrakeDemand, Command, Estimate, Phase, Reason, Sample, Tick, Timing
 
 _NONE: Final = Reason.NONE

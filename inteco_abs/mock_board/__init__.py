@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Final
 
 from inteco_abs.mock_board.device import Cable, Device, Truth
-from inteco_abs.mock_board.face import Face
 from inteco_abs.mock_board.faults import (
     BY_PROCESS,
     CLOCK_STEP,
@@ -19,20 +18,21 @@ from inteco_abs.mock_board.faults import (
     insist_on_possible,
     parse_faults,
 )
-from inteco_abs.mock_board.ftdi import FtdiBoard, ftdi_identity
-from inteco_abs.mock_board.pci import PciFace
+from inteco_abs.mock_board.frontend import Face
+from inteco_abs.mock_board.frontends.pci import PciFace
+from inteco_abs.mock_board.frontends.usb import ByteStream, UsbFace
+from inteco_abs.mock_board.frontends.usb2 import Usb2Face
 from inteco_abs.mock_board.pty_board import PtyServer
-from inteco_abs.mock_board.seen import SeenFace, SeenIdentity
-from inteco_abs.mock_board.serve import SocketServer
+from inteco_abs.mock_board.reported_board import SeenFace, SeenIdentity
 from inteco_abs.mock_board.simulated_rig import drawn_facts, rig_check, simulated_rig
+from inteco_abs.mock_board.socket_server import SocketServer
 from inteco_abs.mock_board.truth_log import TruthLog
-from inteco_abs.mock_board.usb import ByteStream, UsbFace
-from inteco_abs.mock_board.usb2 import Usb2Face
-from inteco_abs.mock_board.usb_board import UsbBoard
-from inteco_abs.mock_board.usb_descriptors import Speed, UsbIdentity
-from inteco_abs.mock_board.usb_host import Urb, UsbHost
-from inteco_abs.mock_board.usbip import Facts, UsbIpServer
-from inteco_abs.mock_board.usbip_address import TcpAddress, UnixAddress, parse_address
+from inteco_abs.mock_board.usbip.address import TcpAddress, UnixAddress, parse_address
+from inteco_abs.mock_board.usbip.ftdi import FtdiBoard, ftdi_identity
+from inteco_abs.mock_board.usbip.server import Facts, UsbIpServer
+from inteco_abs.mock_board.usbip.usb_board import UsbBoard
+from inteco_abs.mock_board.usbip.usb_descriptors import Speed, UsbIdentity
+from inteco_abs.mock_board.usbip.usb_host import Urb, UsbHost
 
 __all__ = [
     "BY_PROCESS",

@@ -17,7 +17,7 @@ from firmware_protocol.rtdac_usb2 import PWM_FULL_WIDTH, TIMER_HZ
 from inteco_abs.config import RigConfig, SimulationConfig
 from inteco_abs.mock_board.simulated_rig import simulated_rig
 from inteco_abs.rig import Encoder, Plant
-from inteco_abs.rig.generator import WORD, mixed
+from inteco_abs.rig.rng import WORD, mixed
 
 _COUNTER_RANGE: Final = 1 << 32
 MINIMUM_SUPPLY_V: Final = 12.3

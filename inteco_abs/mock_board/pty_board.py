@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from inteco_abs.errors import BoardError, disk_in_words
-from inteco_abs.mock_board.usb import ByteStream
+from inteco_abs.mock_board.frontends.usb import ByteStream
 
 _CHUNK: Final = 4096
 _CATCH_UP_MS: Final = 1

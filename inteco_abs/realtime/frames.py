@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
-from inteco_abs.boards.capture import Capture, Record, opened_capture, write_capture
-from inteco_abs.boards.recording_link import Recording
 from inteco_abs.errors import CaptureError
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Note, RunMemory
+from inteco_abs.wire.capture import Capture, Record, opened_capture, write_capture
+from inteco_abs.wire.recording import Recording
 
 if TYPE_CHECKING:
     from inteco_abs.sessions import Frames  # which the loop's process never needs, nor what it loads

@@ -7,9 +7,9 @@ from contextlib import AbstractContextManager, nullcontext
 from enum import Enum
 from typing import Final, NamedTuple, Protocol
 
+from inteco_abs.format import TICK
 from inteco_abs.realtime.histogram import Histogram
 from inteco_abs.realtime.ring import RingReader
-from inteco_abs.records import TICK
 from inteco_abs.signals import Phase
 
 _POINTS_PER_S: Final = 200

@@ -10,12 +10,12 @@ from contextlib import contextmanager, suppress
 from typing import Final
 
 from inteco_abs.realtime.alarm import Alarm
-from inteco_abs.realtime.beating import repeating
-from inteco_abs.realtime.guardian import loop_window_ns, take_over
+from inteco_abs.realtime.heartbeat import repeating
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.machine import watch_wishes
 from inteco_abs.realtime.memory import RunMemory, Word, has_ended
+from inteco_abs.realtime.processes.guardian import loop_window_ns, take_over
 from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_S, Deed, Silence, supervisor_does
+from inteco_abs.realtime.tuning import watch_wishes
 from inteco_abs.signals import Reason
 
 _MAIN_WINDOW_NS: Final = 1_000_000_000

@@ -1,18 +1,18 @@
 """The physics of the rig, pure: parameters, friction, actuators, the plant in all its regimes, and rigs that differ."""
 
 from inteco_abs.rig.actuators import DriveMotor, brake_duty, brake_torque
-from inteco_abs.rig.believed import believed_brake, believed_drive, believed_parameters
+from inteco_abs.rig.adhesion_curve import Surface, measured_adhesion, measured_adhesion_slope
+from inteco_abs.rig.brake_actuator import MEASURED_MAP, measured_duty, measured_torque, settled_torque
 from inteco_abs.rig.brake_map import BrakeMap
 from inteco_abs.rig.encoder import Encoder
 from inteco_abs.rig.friction import adhesion, adhesion_slope
-from inteco_abs.rig.holding import holding_torque, torque_to_spare
 from inteco_abs.rig.model import Motion, accelerations, kinetic_energy, wheel_slip
+from inteco_abs.rig.nominal import believed_brake, believed_drive, believed_parameters
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.plant import Plant
 from inteco_abs.rig.population import POPULATIONS, draw
-from inteco_abs.rig.surface import Surface, measured_adhesion, measured_adhesion_slope
+from inteco_abs.rig.torque_margin import holding_torque, torque_to_spare
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
-from inteco_abs.rig.varied_brake import MEASURED_MAP, measured_duty, measured_torque, settled_torque
 
 __all__ = [
     "MEASURED_MAP",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from inteco_abs.rig.generator import WORD, mixed, normal_pair
+from inteco_abs.rig.rng import WORD, mixed, normal_pair
 from inteco_abs.rig.variation import RigVariation
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from inteco_abs.rig.adhesion_curve import Surface
 from inteco_abs.rig.friction import adhesion, adhesion_slope
 from inteco_abs.rig.parameters import RigParameters
-from inteco_abs.rig.surface import Surface
 
 
 def wheel_slip(wheel_speed: float, road_speed: float, parameters: RigParameters) -> float:

@@ -14,11 +14,11 @@ import math
 from typing import Final
 
 from inteco_abs.rig.actuators import DriveMotor, brake_torque
+from inteco_abs.rig.adhesion_curve import Surface
+from inteco_abs.rig.brake_actuator import SAME_TIME_S, VariedBrake
 from inteco_abs.rig.model import Model, wheel_slip
 from inteco_abs.rig.parameters import RigParameters
-from inteco_abs.rig.surface import Surface
 from inteco_abs.rig.variation import RigVariation
-from inteco_abs.rig.varied_brake import SAME_TIME_S, VariedBrake
 
 GAMMA: Final = 1.0 - math.sqrt(0.5)
 CONTACT_RATE: Final = 15.6e3

@@ -22,8 +22,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from inteco_abs.rig.generator import SplitMix64, mixed
 from inteco_abs.rig.parameters import RigParameters
+from inteco_abs.rig.rng import SplitMix64, mixed
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
 
 _TURN: Final = 2.0 * math.pi

@@ -11,9 +11,9 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.records.io_frame import IO_TOPIC
-from inteco_abs.records.schema import LOG_TOPIC, PARAMETERS_TOPIC, TICK, TRUTH, Message
-from inteco_abs.records.wire import fields as wire_fields
+from inteco_abs.format.io_frame import IO_TOPIC
+from inteco_abs.format.protobuf import fields as wire_fields
+from inteco_abs.format.schema import LOG_TOPIC, PARAMETERS_TOPIC, TICK, TRUTH, Message
 from inteco_abs.sessions.container import (
     Allowance,
     DamagedError,
@@ -27,7 +27,7 @@ from inteco_abs.sessions.container import (
     text_map,
 )
 from inteco_abs.sessions.migration import Layout, layout, newer
-from inteco_abs.sessions.rows import Rows
+from inteco_abs.sessions.storage import Rows
 
 LIBRARY: Final = "inteco-abs/"
 PREFIX: Final = "inteco_abs."

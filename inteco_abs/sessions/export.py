@@ -16,7 +16,7 @@ from numpy.lib import format as npy
 from numpy.lib.recfunctions import repack_fields
 
 from inteco_abs.errors import AbsError, SessionError, disk_in_words
-from inteco_abs.sessions.output import check_output, only_whole
+from inteco_abs.sessions.files import check_output, only_whole
 from inteco_abs.sessions.reader import Session, read_session
 from inteco_abs.sessions.tables import Table, columns_of, tables
 

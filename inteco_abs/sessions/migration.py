@@ -18,9 +18,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.records.declared import Declared, Members, declared
-from inteco_abs.records.descriptors import ENUM
-from inteco_abs.records.schema import DOUBLE, FLOAT, Kind, Message
+from inteco_abs.format.declared_layout import Declared, Members, declared
+from inteco_abs.format.descriptors import ENUM
+from inteco_abs.format.schema import DOUBLE, FLOAT, Kind, Message
 from inteco_abs.sessions.container import DamagedError
 
 Array = npt.NDArray[Any]

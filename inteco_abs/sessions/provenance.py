@@ -10,20 +10,20 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
-import inteco_abs
 from inteco_abs.config import RigConfig, profile_text, profiles
+from inteco_abs.version import SOURCE_FOLDER, __version__
 
 
 def software_facts() -> dict[str, str]:
     """Versions of everything that decides, and the state of the source tree if there is one."""
     packages = {f"package.{name}": version(name) for name in ("mcap", "numpy", "pydantic")}
     return {
-        "version": inteco_abs.__version__,
+        "version": __version__,
         "python": platform.python_version(),
         "libc": " ".join(platform.libc_ver()),
         "argv": " ".join(sys.argv),
         **packages,
-        **_git_facts(Path(inteco_abs.__file__).parent),
+        **_git_facts(SOURCE_FOLDER),
     }
 
 

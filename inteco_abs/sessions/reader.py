@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.errors import SessionError, near_file
-from inteco_abs.records.schema import TICK, TRUTH
+from inteco_abs.format.schema import TICK, TRUTH
 from inteco_abs.sessions.container import (
     MAGIC,
     Allowance,
@@ -27,7 +27,7 @@ from inteco_abs.sessions.container import (
 )
 from inteco_abs.sessions.content import FLAT, LIBRARY, Content, Event, Parameters
 from inteco_abs.sessions.migration import StrangeError, migrated
-from inteco_abs.sessions.rows import Rows, RowsInMemory, RowsOnDisk
+from inteco_abs.sessions.storage import Rows, RowsInMemory, RowsOnDisk
 
 _BEGINNING: Final = 64
 """Bytes that are looked at to tell what a file is, if it is no session."""

@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.errors import SessionError
-from inteco_abs.records.schema import TICK, TRUTH
+from inteco_abs.format.schema import TICK, TRUTH
 from inteco_abs.sessions.container import Allowance, DamagedError, Entry, Opcode, fields, kind
 from inteco_abs.sessions.content import LIBRARY, Batch, Content
 from inteco_abs.sessions.migration import migrated
 from inteco_abs.sessions.reader import check_data, ends_well, opened
-from inteco_abs.sessions.replay import CONFIG_NAME
-from inteco_abs.sessions.survey import Damage, Survey, Whole, checksum
+from inteco_abs.sessions.recorded_config import CONFIG_NAME
+from inteco_abs.sessions.scanner import Damage, Survey, Whole, checksum
 
 _MOST_ALIKE: Final = 20
 """Findings of one kind that are told one by one."""

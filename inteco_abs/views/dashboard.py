@@ -21,10 +21,10 @@ from rich.text import Text
 from inteco_abs.config import RigConfig
 from inteco_abs.realtime.screen import Check, Snapshot
 from inteco_abs.signals import Phase
-from inteco_abs.views.course import Course
 from inteco_abs.views.keys import stop_keys
-from inteco_abs.views.picture import Line, Picture, apart, length, padded
 from inteco_abs.views.plot import Axes, Curve, plot
+from inteco_abs.views.text_lines import Line, Picture, apart, length, padded
+from inteco_abs.views.trace import Course
 
 LEAST: Final = (80, 24)
 """Columns and rows of the smallest terminal that the whole picture is made for."""

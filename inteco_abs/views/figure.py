@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
 from inteco_abs.sessions import Session, check_output, only_whole
-from inteco_abs.views.beside import PALETTE, held_rows, insist_on_distinct, labels, since_s, start_ns
-from inteco_abs.views.thinning import thin
+from inteco_abs.views.comparison import PALETTE, held_rows, insist_on_distinct, labels, since_s, start_ns
+from inteco_abs.views.decimation import thin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

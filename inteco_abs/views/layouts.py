@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from inteco_abs.errors import SessionError, disk_in_words
-from inteco_abs.records.schema import LOG_TOPIC, TICK, TRUTH, Column
+from inteco_abs.format.schema import LOG_TOPIC, TICK, TRUTH, Column
 from inteco_abs.sessions import check_output, only_whole
 
 _COLOURS: Final = ("#0072b2", "#d55e00", "#009e73")

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.views.picture import Line, runs
+from inteco_abs.views.text_lines import Line, runs
 
 Array = npt.NDArray[Any]
 

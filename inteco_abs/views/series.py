@@ -10,11 +10,11 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from inteco_abs.analysis.statistics import UNITS, Spread
 from inteco_abs.errors import AbsError
 from inteco_abs.sessions import Session
-from inteco_abs.sessions.series import UNITS, Spread
-from inteco_abs.views.beside import held_rows, since_s, start_ns
 from inteco_abs.views.card import ROWS
+from inteco_abs.views.comparison import held_rows, since_s, start_ns
 from inteco_abs.views.figure import check_figure, save_figure, slip_top
 
 if TYPE_CHECKING:

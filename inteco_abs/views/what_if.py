@@ -13,9 +13,9 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from inteco_abs.analysis.closed_loop import Continuation
+from inteco_abs.analysis.what_if import WhatIf, braking_row, since_braking_s
 from inteco_abs.sessions import Session
-from inteco_abs.sessions.closed_loop import Continuation
-from inteco_abs.sessions.what_if import WhatIf, braking_row, since_braking_s
 from inteco_abs.signals import Phase
 from inteco_abs.views.figure import check_figure, save_figure
 

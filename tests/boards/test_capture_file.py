@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.boards.capture import (
+from inteco_abs.errors import CaptureError
+from inteco_abs.wire.capture import (
     Capture,
     Kind,
     Record,
@@ -15,7 +16,6 @@ from inteco_abs.boards.capture import (
     read_capture,
     write_capture,
 )
-from inteco_abs.errors import CaptureError
 
 HEAD = {"format": "inteco-abs wire", "version": 1, "board": "usb2", "recorded_by": "a test", "clock": "none"}
 RECORDS = (

@@ -3,13 +3,13 @@ import pytest
 from firmware_protocol import rtdac_usb
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, encode_read, encode_send
 from inteco_abs.boards import InProcessLink, Link, RtdacUsb2, board_behind
-from inteco_abs.boards.capture import Capture, Kind, Record, read_capture
-from inteco_abs.boards.capture_link import CaptureLink
-from inteco_abs.boards.recording_link import RecordingLink, recording
-from inteco_abs.boards.wire_names import protocol_name
+from inteco_abs.boards.frame_labels import protocol_name
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, CaptureError, ConfigError, LinkError, UnsafeError
 from inteco_abs.signals import BoardFlags, Command
+from inteco_abs.wire.capture import Capture, Kind, Record, read_capture
+from inteco_abs.wire.playback import CaptureLink
+from inteco_abs.wire.recording import RecordingLink, recording
 
 NUMBERING = "pwm7_prescaler"
 

@@ -5,10 +5,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb2 import READ_REQUEST, encode_read, encode_send
-from inteco_abs.boards.capture import Capture, Kind, Record
-from inteco_abs.boards.capture_summary import summarize
-from inteco_abs.boards.moved_words import compare_sends, moved_words
 from inteco_abs.errors import ConfigError
+from inteco_abs.wire.capture import Capture, Kind, Record
+from inteco_abs.wire.changed_words import compare_sends, moved_words
+from inteco_abs.wire.summary import summarize
 
 
 def with_word(frame, word, value):

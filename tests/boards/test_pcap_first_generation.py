@@ -3,10 +3,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from usb_monitor import Usbmon, UsbPcap, pcap
 
-from inteco_abs.boards.byte_stream import ByteStream
-from inteco_abs.boards.capture import Kind, Record
-from inteco_abs.boards.pcap import import_pcap
 from inteco_abs.errors import CaptureError
+from inteco_abs.wire.byte_stream import ByteStream
+from inteco_abs.wire.capture import Kind, Record
+from inteco_abs.wire.pcap import import_pcap
 
 DUMMY, REQUEST = b"\x80", b"\x82"
 SEND = b"\x81" + bytes(range(100)) + bytes(49)

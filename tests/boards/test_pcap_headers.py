@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from usb_monitor import BULK, CONTROL, LINUX_USB, LINUX_USB_MMAPPED, USBPCAP, Usbmon, UsbPcap
 
-from inteco_abs.boards.urbs import LINK_TYPES, Urb, decode
 from inteco_abs.errors import CaptureError
+from inteco_abs.wire.usbmon import LINK_TYPES, Urb, decode
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 

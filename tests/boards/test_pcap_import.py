@@ -6,9 +6,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from usb_monitor import LINUX_USB_MMAPPED, Usbmon, UsbPcap, pcap, pcapng
 
-from inteco_abs.boards.capture import Kind, read_capture, write_capture
-from inteco_abs.boards.pcap import import_pcap
 from inteco_abs.errors import CaptureError, ConfigError
+from inteco_abs.wire.capture import Kind, read_capture, write_capture
+from inteco_abs.wire.pcap import import_pcap
 
 SEND = b"\x0f\x8f" + bytes(502)
 REQUEST = bytes.fromhex("ff8f0000")
@@ -188,7 +188,7 @@ def test_a_network_packet_in_a_usb_capture_is_named(imported):
 
 def test_a_missing_library_is_an_error_that_names_the_extra(imported, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
-    monkeypatch.setattr("inteco_abs.boards.pcap.find_spec", lambda _name: None)
+    monkeypatch.setattr("inteco_abs.wire.pcap.find_spec", lambda _name: None)
     with pytest.raises(CaptureError, match=r"pip install inteco-abs\[capture\]"):
         imported(tick(Usbmon()), Usbmon())
 

@@ -18,14 +18,15 @@ import pytest
 import serial
 
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, encode_read, encode_send
-from inteco_abs.boards import board_behind, open_board, serial_link, serial_ports
-from inteco_abs.boards.recording_link import RecordingLink
-from inteco_abs.boards.serial_link import SerialLink
+from inteco_abs.boards import board_behind, open_board
+from inteco_abs.boards.transports import serial_link, serial_ports
+from inteco_abs.boards.transports.serial_link import SerialLink
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, LinkError, UnsafeError
+from inteco_abs.host import latency
 from inteco_abs.mock_board import ByteStream, Device, PtyServer, face_of
-from inteco_abs.realtime import latency
 from inteco_abs.signals import Command
+from inteco_abs.wire.recording import RecordingLink
 
 PATIENT_S = 10.0
 
@@ -212,7 +213,10 @@ class TestFailures:
 
 TIOCGEXCL = 0x80045440
 """Linux: whether a terminal is closed to further opens; the termios module does not have it."""
-HOLDER = "import sys, time; from inteco_abs.boards.serial_link import SerialLink; link = SerialLink(sys.argv[1]); "
+HOLDER = (
+    "import sys, time; from inteco_abs.boards.transports.serial_link import SerialLink; "
+    "link = SerialLink(sys.argv[1]); "
+)
 
 
 class TestPorts:

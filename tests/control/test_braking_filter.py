@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from inteco_abs.control import PredictiveReaching, Setup
-from inteco_abs.control.contact import Contact
-from inteco_abs.control.estimators.braking import BrakingFilter, Spread
-from inteco_abs.control.estimators.disc import DiscFilter
+from inteco_abs.control.estimators.braking_ekf import BrakingFilter, Spread
+from inteco_abs.control.estimators.eccentricity import DiscFilter
+from inteco_abs.control.wheel_dynamics import Contact
 from inteco_abs.rig import MEASURED_MAP, EncoderVariation, RigParameters, RigVariation, Surface, adhesion
 from inteco_abs.signals import Command, Estimate
 

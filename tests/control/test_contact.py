@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.control.contact import Contact
+from inteco_abs.control.wheel_dynamics import Contact
 from inteco_abs.rig import RigParameters, accelerations, adhesion
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too

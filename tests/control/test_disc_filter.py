@@ -5,7 +5,7 @@ import statistics
 
 import pytest
 
-from inteco_abs.control.estimators.disc import DiscFilter
+from inteco_abs.control.estimators.eccentricity import DiscFilter
 from inteco_abs.rig import Encoder, EncoderVariation, RigVariation
 
 COUNT_RAD = 2.0 * math.pi / 2048

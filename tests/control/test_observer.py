@@ -8,7 +8,7 @@ import pytest
 
 from inteco_abs.control import Pipeline, PredictiveReaching, Setup, make_controller
 from inteco_abs.control.estimators import Observer
-from inteco_abs.control.estimators.braking import Spread
+from inteco_abs.control.estimators.braking_ekf import Spread
 from inteco_abs.rig import EncoderVariation, RigParameters, draw
 from inteco_abs.signals import BoardFlags, Command, Phase, Reason, Sample
 

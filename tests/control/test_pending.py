@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.control.estimators.ahead import LONGEST_DEAD_TIME_S, Pending
+from inteco_abs.control.estimators.prediction import LONGEST_DEAD_TIME_S, Pending
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inteco_abs.control import PredictiveReaching, Setup
-from inteco_abs.control.contact import Contact
+from inteco_abs.control.wheel_dynamics import Contact
 from inteco_abs.rig import RigParameters, adhesion, measured_torque
 from inteco_abs.signals import BrakeDemand, Estimate, Outlook
 

@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from inteco_abs.control import MovingWindow, SpeedWindow, TwoWheels
-from inteco_abs.control.windows import SpeedWindows
+from inteco_abs.control.count_speed import SpeedWindows
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import Sample
 

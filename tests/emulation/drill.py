@@ -9,7 +9,7 @@ from enum import IntEnum
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
 from inteco_abs.config import load_config
 from inteco_abs.mock_board import Device, Usb2Face, UsbBoard, UsbHost, UsbIdentity
-from inteco_abs.mock_board.usb_device import Handshake
+from inteco_abs.mock_board.usbip.usb_device import Handshake
 
 
 class Drill(IntEnum):

@@ -5,7 +5,7 @@ import sys
 import time
 
 from inteco_abs.boards import RtdacUsb2
-from inteco_abs.boards.usb_engines import open_usb
+from inteco_abs.boards.transports.usb_transport import open_usb
 from inteco_abs.config import load_config
 from inteco_abs.signals import BoardFlags, Command
 

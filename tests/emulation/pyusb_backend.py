@@ -10,7 +10,7 @@ from usb.backend import IBackend
 from usb.core import USBError, USBTimeoutError
 from usb_core import UsbCore, really_wait
 
-from inteco_abs.mock_board.usb_device import Setup
+from inteco_abs.mock_board.usbip.usb_device import Setup
 
 _IO, _ACCESS, _NO_DEVICE, _NOT_FOUND, _BUSY, _TIMEOUT, _OVERFLOW, _PIPE, _OTHER = -1, -3, -4, -5, -6, -7, -8, -9, -99
 _CODES = {

@@ -15,12 +15,12 @@ from usbfs import UsbfsTree
 from usbip_client import UsbIpBus
 
 from inteco_abs.boards import InProcessLink, board_behind
-from inteco_abs.boards.usb import UsbLink
+from inteco_abs.boards.transports.usb import UsbLink
 from inteco_abs.config import load_config
 from inteco_abs.control import build_pipeline
+from inteco_abs.format import TICK, pack_tick
 from inteco_abs.mock_board import Device, TcpAddress, UsbBoard, UsbHost, UsbIpServer, face_of
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
-from inteco_abs.records import TICK, pack_tick
 
 TIMEOUT_MS = 10_000
 """A busy computer must not make an answer late: that would be another stop."""
@@ -70,7 +70,7 @@ def over_libusb(face, ids):
 
 @contextmanager
 def over_libusb_queued(face, ids):
-    from inteco_abs.boards.usb_queued import QueuedUsbLink
+    from inteco_abs.boards.transports.usb_async import QueuedUsbLink
 
     with _over_libusb(face):
         yield QueuedUsbLink("", ids, TIMEOUT_MS)

@@ -13,7 +13,7 @@ from pyusb_backend import BusBackend
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, decode_read, encode_send
 from inteco_abs.config import load_config
 from inteco_abs.mock_board import ByteStream, Device, FtdiBoard, Speed, UsbFace, UsbHost
-from inteco_abs.mock_board.usb_device import Handshake, Setup
+from inteco_abs.mock_board.usbip.usb_device import Handshake, Setup
 
 IN, OUT = 0x81, 0x02
 DRIVING = encode_send({"pin_mode": 0b11, "pwm0_width": 255, "pwm3_prescaler": 77}, logic=0x0111)

@@ -17,9 +17,10 @@ from check_list import CHECKS
 from guest import kernel, machine
 
 from firmware_protocol.rtdac_pci import LOGIC, LOGIC_VERSION, PWM_PRESCALER
+from inteco_abs.analysis import replay
 from inteco_abs.config import load_config
 from inteco_abs.control import build_pipeline, control_check
-from inteco_abs.sessions import read_session, replay, session_config
+from inteco_abs.sessions import read_session, session_config
 
 ROOT = Path(__file__).parents[2]
 PATHS = f"{ROOT}{os.pathsep}{Path(__file__).parent}"

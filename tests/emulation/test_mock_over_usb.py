@@ -13,8 +13,8 @@ from pyusb_backend import BusBackend
 
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, encode_send
 from inteco_abs.mock_board import Speed, UsbBoard, UsbIdentity
-from inteco_abs.mock_board.usb_descriptors import MOCK_SERIALS
-from inteco_abs.mock_board.usb_device import Handshake, Setup
+from inteco_abs.mock_board.usbip.usb_descriptors import MOCK_SERIALS
+from inteco_abs.mock_board.usbip.usb_device import Handshake, Setup
 
 DRIVING = {"pin_mode": 0b100100, "pwm0_mode": 1, "pwm0_width": 4095, "pwm0_prescaler": 0xFFFF}
 

@@ -10,10 +10,10 @@ import pytest
 from drill import new_host
 from usbfs import UsbfsTree
 
-from inteco_abs.boards.capture import read_capture
+from inteco_abs.commissioning.rig_access import bridge_facts
 from inteco_abs.errors import LinkError
-from inteco_abs.lab.bench import bridge_facts
 from inteco_abs.mock_board import Speed
+from inteco_abs.wire.capture import read_capture
 
 COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
 WORDS = ("--yes-read-only", "--draft", "lab.toml", "--json")
@@ -71,5 +71,5 @@ def test_a_bridge_in_trouble_is_no_reason_to_stop(real_board, monkeypatch):
     def fail(_device):
         raise LinkError("the bus failed")
 
-    monkeypatch.setattr("inteco_abs.boards.usb_bridge.firmware_dates", fail)
+    monkeypatch.setattr("inteco_abs.boards.families.usb2.bridge.firmware_dates", fail)
     assert bridge_facts(device)["firmware_compiled"] == "not told: the bus failed"

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from live import LiveRun
 
-from inteco_abs.lab import STEPS, Draft
+from inteco_abs.commissioning import STEPS, Draft
 from inteco_abs.realtime.memory import Word
 
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]

@@ -13,7 +13,7 @@ from same_stop import stop
 
 from inteco_abs.config import load_config
 from inteco_abs.experiment import Plan, run_stop
-from inteco_abs.records import TICK
+from inteco_abs.format import TICK
 from inteco_abs.sessions import read_session
 from inteco_abs.signals import Phase
 

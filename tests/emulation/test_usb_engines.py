@@ -4,12 +4,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from inteco_abs.boards import usb_engines, usb_queued
-from inteco_abs.boards.links import Link
-from inteco_abs.boards.usb_engines import open_usb
+from inteco_abs.boards.transports import usb_async as usb_queued
+from inteco_abs.boards.transports import usb_transport as usb_engines
+from inteco_abs.boards.transports.links import Link
+from inteco_abs.boards.transports.usb_transport import open_usb
 from inteco_abs.config import UsbConfig
 from inteco_abs.errors import BoardError
-from inteco_abs.realtime import latency
+from inteco_abs.host import latency
 from inteco_abs.signals import BoardFlags
 
 

@@ -7,7 +7,7 @@ import pytest
 from drill import Drill, new_host
 
 from inteco_abs.mock_board import Speed, Urb
-from inteco_abs.mock_board.usb_device import Setup
+from inteco_abs.mock_board.usbip.usb_device import Setup
 
 CONFIGURE = Setup(0x00, 9, 1, 0, 0)
 

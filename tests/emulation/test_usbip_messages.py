@@ -364,7 +364,7 @@ def test_large_transfers_both_ways(server):
 
 @pytest.mark.untraced
 def test_silent_visitors_have_to_go(serve, host, monkeypatch):
-    monkeypatch.setattr("inteco_abs.mock_board.usbip._PATIENCE_S", 0.05)
+    monkeypatch.setattr("inteco_abs.mock_board.usbip.server._PATIENCE_S", 0.05)
     with serve(host) as (_, address):
         for _ in range(20):
             Peer(address)
@@ -380,7 +380,7 @@ def test_closing_is_an_unplug(serve, host):
 
 
 def test_a_peer_that_does_not_read_is_cut_off(attached, server, monkeypatch):
-    monkeypatch.setattr("inteco_abs.mock_board.usbip_connection._MOST_UNSENT", 1 << 16)
+    monkeypatch.setattr("inteco_abs.mock_board.usbip.connection._MOST_UNSENT", 1 << 16)
     data = bytes(1 << 20)
     with suppress(OSError):
         for i in range(64):

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inteco_abs.mock_board import Speed
-from inteco_abs.mock_board.usbip_attachment import Attachment
-from inteco_abs.mock_board.usbip_messages import MalformedError, take_command, take_request
+from inteco_abs.mock_board.usbip.attachment import Attachment
+from inteco_abs.mock_board.usbip.messages import MalformedError, take_command, take_request
 
 DEVICE_ID = 0x00010002
 

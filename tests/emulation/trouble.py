@@ -12,11 +12,11 @@ import pytest
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
 from inteco_abs.boards import RtdacUsb2
-from inteco_abs.boards.usb_bridge import NOT_TOLD, FirmwareDates, firmware_dates, identify_led
+from inteco_abs.boards.families.usb2.bridge import NOT_TOLD, FirmwareDates, firmware_dates, identify_led
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, UnsafeError
 from inteco_abs.mock_board import Device, Speed, Urb, Usb2Face, UsbBoard, UsbHost, UsbIdentity
-from inteco_abs.mock_board.usb_device import Handshake, Setup
+from inteco_abs.mock_board.usbip.usb_device import Handshake, Setup
 from inteco_abs.signals import BoardFlags, Command
 
 SERIAL = 900_000_321

@@ -16,9 +16,9 @@ from trouble import SCENARIOS, Bench, run_all
 from usbfs import UsbfsTree
 
 from firmware_protocol.rtdac_usb2_bridge import VENDOR_ID
-from inteco_abs.boards import usb_queued
-from inteco_abs.boards.usb import UsbLink
-from inteco_abs.boards.usb_queued import QueuedUsbLink
+from inteco_abs.boards.transports import usb_async as usb_queued
+from inteco_abs.boards.transports.usb import UsbLink
+from inteco_abs.boards.transports.usb_async import QueuedUsbLink
 from inteco_abs.config import UsbConfig
 from inteco_abs.errors import BoardError
 

@@ -10,7 +10,7 @@ import threading
 from types import SimpleNamespace
 
 from inteco_abs.mock_board import Urb
-from inteco_abs.mock_board.usb_device import Setup
+from inteco_abs.mock_board.usbip.usb_device import Setup
 
 _DEVICE_FIELDS = [
     "bLength",

@@ -22,7 +22,7 @@ from usb_core import UsbCore
 from usbip_client import receive
 
 from inteco_abs.mock_board import Speed, Urb
-from inteco_abs.mock_board.usb_device import Setup
+from inteco_abs.mock_board.usbip.usb_device import Setup
 
 PRELOAD = "libumockdev-preload.so.0"
 

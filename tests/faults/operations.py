@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import pytest
 
-from inteco_abs.sessions import recorder
+from inteco_abs.sessions import writer as recorder
 
 ERRORS = {
     "open": (errno.EACCES, errno.EROFS, errno.ENOSPC, errno.EIO),

@@ -19,9 +19,10 @@ from inteco_abs.errors import AbsError, SessionError
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.mock_board import Device
 from inteco_abs.realtime import TickRing, memory
-from inteco_abs.realtime.recorder import recover_run
+from inteco_abs.realtime.processes.recorder import recover_run
 from inteco_abs.rig import plant
-from inteco_abs.sessions import TICK, provenance, read_session, recorder, recover_session
+from inteco_abs.sessions import TICK, provenance, read_session, recover_session
+from inteco_abs.sessions import writer as recorder
 from inteco_abs.signals import Phase
 from tests.faults.operations import Refusal, Requests, asking
 from tests.faults.stage import SHORTEST, configured

@@ -24,17 +24,8 @@ from hypothesis.stateful import (
 from mcap.writer import Writer
 
 from inteco_abs.errors import AbsError, SessionError
-from inteco_abs.sessions import (
-    TICK,
-    TRUTH,
-    Conclusion,
-    Introduction,
-    Keeper,
-    Recorder,
-    read_session,
-    recorder,
-    recover_session,
-)
+from inteco_abs.sessions import TICK, TRUTH, Conclusion, Introduction, Keeper, Recorder, read_session, recover_session
+from inteco_abs.sessions import writer as recorder
 from inteco_abs.signals import Reason
 from tests.faults.stage import SHORTEST, configured, ride
 

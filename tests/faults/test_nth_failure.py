@@ -5,7 +5,8 @@ from collections import Counter
 
 import pytest
 
-from inteco_abs.sessions import provenance, read_session, surroundings
+from inteco_abs.sessions import environment as surroundings
+from inteco_abs.sessions import provenance, read_session
 from tests.faults.operations import Refusal
 from tests.faults.refusals import LASTS, SCENES, prepared_place, problems, refuse
 

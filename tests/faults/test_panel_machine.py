@@ -17,11 +17,11 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
+from inteco_abs.commissioning.panel import Panel
 from inteco_abs.errors import UnsafeError
-from inteco_abs.lab.panel import Panel
 from inteco_abs.realtime import memory
-from inteco_abs.realtime.by_hand import HELD_NS, RATE_HZ
 from inteco_abs.realtime.memory import RunMemory
+from inteco_abs.realtime.processes.manual import HELD_NS, RATE_HZ
 from inteco_abs.rig import plant
 from inteco_abs.sessions import TICK, TRUTH
 from inteco_abs.signals import Reason

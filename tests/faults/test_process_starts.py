@@ -11,14 +11,14 @@ from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError
 from inteco_abs.experiment import Plan, by_hand, run_stop
 from inteco_abs.realtime import memory
-from inteco_abs.realtime.beating import beating
+from inteco_abs.realtime.heartbeat import beating
 from inteco_abs.sessions import TICK, TRUTH
 from tests.faults.stage import SHORTEST
 
 pytestmark = [pytest.mark.untraced, pytest.mark.xdist_group("real time")]
 
 ROLES = ("board", "guardian", "recorder", "drill", "loop")
-MODULES = {"inteco_abs.simulator", "inteco_abs.realtime"}
+MODULES = {"inteco_abs.mock_board_process", "inteco_abs.realtime.processes"}
 
 
 def assert_nothing_is_left_on(memories, left_processes):

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from inteco_abs.boards.board import Board
-from inteco_abs.boards.frames import FrameBoard
-from inteco_abs.boards.rtdac_pci import RtdacPci
+from inteco_abs.boards.families.pci.board import RtdacPci
+from inteco_abs.boards.frame_board import FrameBoard
 from inteco_abs.control.guard import Guard
 from inteco_abs.errors import UnsafeError
 from inteco_abs.signals import Reason

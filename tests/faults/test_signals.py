@@ -6,7 +6,7 @@ import pytest
 
 from inteco_abs.experiment import _processes
 from inteco_abs.realtime import memory
-from inteco_abs.realtime.supervisor import Supervisor
+from inteco_abs.realtime.processes.supervisor import Supervisor
 from inteco_abs.sessions import TRUTH
 from tests.faults.lines import Counting, Line
 from tests.faults.lives import INTERRUPTED, SIGNALS, Lives, strike_each
@@ -46,7 +46,12 @@ class TestInRealTime:
     """The process that the user started, and hears the signals; the board is another's, which keeps its own record."""
 
     pytestmark = pytest.mark.xdist_group("real time")
-    FILES = ("realtime/supervisor.py", "realtime/hearing.py", "realtime/beating.py", "experiment.py")
+    FILES = (
+        "realtime/processes/supervisor.py",
+        "realtime/signal_handlers.py",
+        "realtime/heartbeat.py",
+        "experiment.py",
+    )
 
     @pytest.fixture
     def strike(self, tmp_path, memories, left_processes):
@@ -57,7 +62,7 @@ class TestInRealTime:
             truth = memories[-1].truth_reader().newest()
             duties = TRUTH.array(truth)[["drive", "brake"]][0].item() if truth else (0.0, 0.0)
             # the mock board ends by itself with the process that the user started, which is the tests' own here
-            left = [words for words in left_processes() if b"simulator" not in words]
+            left = [words for words in left_processes() if b"inteco_abs.mock_board_process" not in words]
             if any(duties) or left or life.escaped or life.code not in {0, 3, INTERRUPTED}:
                 return life, f"{name} before {line}: {duties}, {left}, {life}"
             return life, ""

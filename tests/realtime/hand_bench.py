@@ -5,7 +5,7 @@ from inteco_abs.config import load_config
 from inteco_abs.errors import LinkError
 from inteco_abs.mock_board import Device, face_of
 from inteco_abs.realtime import StopWord, VirtualClock
-from inteco_abs.realtime.by_hand import RATE_HZ, Driven, Screenside, Watched
+from inteco_abs.realtime.processes.manual import RATE_HZ, Driven, Screenside, Watched
 
 AS_ON_A_REAL_BOARD = ("guard.missed_in_a_row=4", "guard.bucket_limit=30", "guard.brake_limit=0.7")
 

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import pytest
 
 from inteco_abs.errors import ConfigError
-from inteco_abs.realtime import doctor
-from inteco_abs.realtime.doctor import PythonBuild, examine, judge_python, judge_write_speed, python_build, write_speed
-from inteco_abs.realtime.findings import Computer, Finding, Verdict, as_facts, worst
-from inteco_abs.realtime.permissions import LIMITS_FILE, UDEV_FILE, check_serial, limits, serial_group, udev_rules
+from inteco_abs.host import doctor
+from inteco_abs.host.checks import Computer, Finding, Verdict, as_facts, worst
+from inteco_abs.host.doctor import PythonBuild, examine, judge_python, judge_write_speed, python_build, write_speed
+from inteco_abs.host.permissions import LIMITS_FILE, UDEV_FILE, check_serial, limits, serial_group, udev_rules
 
 CPU = "sys/devices/system/cpu"
 HOST = "sys/devices/pci0000:00/0000:00:14.0"

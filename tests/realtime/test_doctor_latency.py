@@ -7,19 +7,18 @@ from types import SimpleNamespace
 import pytest
 
 from inteco_abs.errors import BoardError, LinkError
-from inteco_abs.realtime import Beat, VirtualClock, latency
-from inteco_abs.realtime.latency import (
-    Quantiles,
+from inteco_abs.host import latency
+from inteco_abs.host.latency import (
     WakeUps,
     examine_wake_ups,
     judge_round_trips,
     judge_settings,
     judge_wake_ups,
-    quantiles,
-    round_trips,
     wake_ups,
 )
-from inteco_abs.realtime.machine import Setting
+from inteco_abs.realtime import Beat, VirtualClock
+from inteco_abs.realtime.round_trips import Quantiles, quantiles, round_trips
+from inteco_abs.realtime.tuning import Setting
 from inteco_abs.signals import BoardFlags, Command
 
 GRANTED = Setting("scheduler", "SCHED_FIFO 80")

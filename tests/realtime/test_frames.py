@@ -5,16 +5,16 @@ from dataclasses import replace
 
 import pytest
 
-from inteco_abs.boards.capture import Capture, Kind, Record, write_capture
-from inteco_abs.boards.links import Link
-from inteco_abs.boards.recording_link import recording
+from inteco_abs.boards.transports.links import Link
 from inteco_abs.errors import CaptureError, LinkError
 from inteco_abs.realtime.frames import frames_of, leaving_frames
 from inteco_abs.realtime.memory import Note, RunMemory, Word
-from inteco_abs.realtime.recorder import rebuild, recover_run
-from inteco_abs.realtime.stow import stow
+from inteco_abs.realtime.processes.recorder import rebuild, recover_run
+from inteco_abs.realtime.spool import stow
 from inteco_abs.sessions import TICK, Conclusion, Introduction, pack_tick, read_frames, read_session
 from inteco_abs.signals import Reason
+from inteco_abs.wire.capture import Capture, Kind, Record, write_capture
+from inteco_abs.wire.recording import recording
 
 CAPTURE = Capture(
     "usb2",

@@ -20,12 +20,12 @@ from inteco_abs.boards import SocketLink
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError
 from inteco_abs.mock_board import Device, SocketServer, Usb2Face
-from inteco_abs.realtime import guardian as guardian_module
 from inteco_abs.realtime import watch as watch_module
-from inteco_abs.realtime.guardian import Guardian, rescue
-from inteco_abs.realtime.machine import guardian_wishes
 from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.realtime.processes import guardian as guardian_module
+from inteco_abs.realtime.processes.guardian import Guardian, rescue
 from inteco_abs.realtime.rules import Silence
+from inteco_abs.realtime.tuning import guardian_wishes
 from inteco_abs.sessions import TICK
 from inteco_abs.signals import Reason
 
@@ -572,7 +572,9 @@ class TestRescue:
 def test_the_process_guards_and_ends_when_all_is_over(memory, job_of, child, until):
     job_of(memory)
     memory.words[Word.SUPERVISOR_PID] = os.getpid()
-    process = child(sys.executable, "-m", "inteco_abs.realtime", "guardian", memory.path, stderr=subprocess.PIPE)
+    process = child(
+        sys.executable, "-m", "inteco_abs.realtime.processes", "guardian", memory.path, stderr=subprocess.PIPE
+    )
     memory.words[Word.GUARDED_PID] = child().pid
     until(lambda: memory.words[Word.GUARDING_PID], "it guards")
     memory.words[Word.OVER] = 1
@@ -599,7 +601,7 @@ def standing_of(pid):
 
 
 PREPARED = """
-from inteco_abs.realtime.machine import guardian_wishes, prepare
+from inteco_abs.realtime.tuning import guardian_wishes, prepare
 prepare(guardian_wishes())
 print("prepared", flush=True)
 input()
@@ -616,6 +618,6 @@ def test_the_process_has_the_priority_and_the_locked_memory_that_this_computer_g
     assert like.stdout.readline() == "prepared\n"
     if standing_of(like.pid) == standing_of(os.getpid()):
         pytest.skip("this computer grants neither a real-time priority nor locked memory")
-    process = child(sys.executable, "-m", "inteco_abs.realtime", "guardian", memory.path)
+    process = child(sys.executable, "-m", "inteco_abs.realtime.processes", "guardian", memory.path)
     until(lambda: memory.words[Word.GUARDIAN_BEAT_NS], "it watches")
     assert standing_of(process.pid) == standing_of(like.pid)

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from inteco_abs.realtime.hearing import heard_signals, hearing
+from inteco_abs.realtime.signal_handlers import heard_signals, hearing
 
 WITH_A_REASON_NOT_TO = {
     "SIGKILL", "SIGSTOP", "SIGCHLD", "SIGCONT", "SIGURG", "SIGWINCH", "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL",

@@ -5,9 +5,9 @@ import threading
 import pytest
 
 from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, SessionError, UnsafeError
-from inteco_abs.realtime import holder
-from inteco_abs.realtime.holder import holding, stopped, tell_failure
+from inteco_abs.realtime import ownership as holder
 from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.realtime.ownership import holding, stopped, tell_failure
 from inteco_abs.signals import Reason
 
 

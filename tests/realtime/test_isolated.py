@@ -13,8 +13,8 @@ from inteco_abs.config import load_config
 from inteco_abs.control import Gain, make_controller
 from inteco_abs.errors import BoardError, ConfigError, ControllerError
 from inteco_abs.plugins import Controllers, Origin, load_controller
-from inteco_abs.realtime import isolated
-from inteco_abs.realtime.isolated import IsolatedController
+from inteco_abs.realtime.processes import controller as isolated
+from inteco_abs.realtime.processes.controller import IsolatedController
 from inteco_abs.signals import Estimate, Outlook
 
 LAW = """
@@ -214,7 +214,8 @@ def test_it_holds_no_file_of_its_parent_and_ends_with_it_however_that_comes(tmp_
     told = "[os.path.realpath(f'/proc/self/fd/{n}') for n in os.listdir('/proc/self/fd')]"
     source = LAW.format(f"print(os.getpid(), {told}, file=sys.stderr, flush=True)", "pass", "pass")
     code = (
-        "import sys, os, time; from pathlib import Path; from inteco_abs.realtime.isolated import IsolatedController\n"
+        "import sys, os, time; from pathlib import Path\n"
+        "from inteco_abs.realtime.processes.controller import IsolatedController\n"
         f"kept = os.open({str(tmp_path / 'secret')!r}, 0); os.dup2(kept, 77)\n"
         f"one = IsolatedController('law.py:Law', {source.encode()!r}, Path('x')); print(flush=True); time.sleep(600)"
     )

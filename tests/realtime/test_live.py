@@ -19,10 +19,10 @@ from websockets.uri import parse_uri
 from inteco_abs.config import load_config
 from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.experiment import Plan, run_stop
-from inteco_abs.realtime.live import MOST_VIEWERS, PERIOD_S, insist_on_foxglove, live_view
+from inteco_abs.format import TICK, pack_tick
+from inteco_abs.realtime.foxglove_server import MOST_VIEWERS, PERIOD_S, insist_on_foxglove, live_view
 from inteco_abs.realtime.memory import Word, alive
 from inteco_abs.realtime.ring import RingReader
-from inteco_abs.records import TICK, pack_tick
 from inteco_abs.signals import Tick
 
 

@@ -9,9 +9,9 @@ from inteco_abs.boards import InProcessLink, Link, board_behind
 from inteco_abs.config import load_config
 from inteco_abs.control import build_pipeline
 from inteco_abs.errors import NoAnswerError
+from inteco_abs.format import TICK, pack_tick
 from inteco_abs.mock_board import Device, face_of
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
-from inteco_abs.records import TICK, pack_tick
 from inteco_abs.signals import BoardFlags, Reason
 
 REAL = load_config(profile="usb2_generic_0103").guard

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.realtime import machine
-from inteco_abs.realtime.machine import (
+from inteco_abs.realtime import tuning as machine
+from inteco_abs.realtime.tuning import (
     CONTROLLER_PRIORITY,
     GUARDIAN_PRIORITY,
     LOOP_PRIORITY,

@@ -12,24 +12,15 @@ from contextlib import ExitStack
 
 import pytest
 
+from inteco_abs.analysis import replay
 from inteco_abs.boards import STILL_ON, InProcessLink, RtdacUsb2
 from inteco_abs.control import build_pipeline, gains_in_force
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.mock_board import Device, Usb2Face
 from inteco_abs.realtime import Loop, StopWord, VirtualClock
 from inteco_abs.realtime.memory import Note, RunMemory, Word
-from inteco_abs.realtime.recorder import board_in_words, conclusion, rebuild, recover_run
-from inteco_abs.sessions import (
-    TICK,
-    TRUTH,
-    Introduction,
-    Recorder,
-    Scribe,
-    pack_tick,
-    read_session,
-    replay,
-    result_card,
-)
+from inteco_abs.realtime.processes.recorder import board_in_words, conclusion, rebuild, recover_run
+from inteco_abs.sessions import TICK, TRUTH, Introduction, Recorder, Scribe, pack_tick, read_session, result_card
 from inteco_abs.signals import Phase, Reason
 
 EVERYTHING = 1 << 30
@@ -446,7 +437,7 @@ class Recording:
         self.words[Word.LOOP_PID] = self.loop.pid
         self.source = in_ring_of_a_run(job)
         self._ring = memory.tick_ring(lambda buffer, at, data: buffer.__setitem__(slice(at, at + TICK.size), data))
-        role = ("-c", code) if code else ("-m", "inteco_abs.realtime", "recorder")
+        role = ("-c", code) if code else ("-m", "inteco_abs.realtime.processes", "recorder")
         self.process = child(sys.executable, *role, memory.path)
 
     def ready(self):
@@ -578,7 +569,7 @@ def slow(file):
     sync(file)
 slow.calls = 0
 os.fsync = slow
-from inteco_abs.realtime.recorder import main
+from inteco_abs.realtime.processes.recorder import main
 sys.exit(main(sys.argv[1]))
 """
 """A recorder on a disk that takes its time once, after the beginning."""

@@ -4,9 +4,9 @@ import time
 
 import pytest
 
-from inteco_abs.realtime import rt
 from inteco_abs.realtime.memory import Word
-from inteco_abs.realtime.rt import SharedStop
+from inteco_abs.realtime.processes import loop as rt
+from inteco_abs.realtime.processes.loop import SharedStop
 from inteco_abs.realtime.rules import LOOPS_WINDOW_NS
 from inteco_abs.signals import Reason
 

@@ -32,7 +32,7 @@ def board_with(memory, job_of, child):
         job.post(memory)
         holder = child()
         memory.words[Word.HOLDER_PID] = memory.words[Word.LOOP_PID] = holder.pid
-        child(sys.executable, "-m", "inteco_abs.simulator", memory.path, start_new_session=True)
+        child(sys.executable, "-m", "inteco_abs.mock_board_process", memory.path, start_new_session=True)
         memory.wait(memory.socket.exists, PATIENCE_S)
         return holder, open_board(job.address, job.config, time.monotonic_ns)
 

@@ -9,10 +9,10 @@ NEEDLESS = {"numpy", "mcap", "rich", "click", "inteco_abs.sessions"}
 
 
 @pytest.mark.untraced
-@pytest.mark.parametrize("module", ["rt", "guardian", "drill", "by_hand"])
+@pytest.mark.parametrize("module", ["loop", "guardian", "drill", "manual"])
 def test_a_process_that_holds_a_board_is_small(module):
     told = subprocess.run(
-        [sys.executable, "-c", f"import sys, inteco_abs.realtime.{module}; print(*sys.modules)"],
+        [sys.executable, "-c", f"import sys, inteco_abs.realtime.processes.{module}; print(*sys.modules)"],
         capture_output=True,
         text=True,
         check=True,

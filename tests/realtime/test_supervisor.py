@@ -20,11 +20,11 @@ from inteco_abs.errors import (
     UnsafeError,
 )
 from inteco_abs.errors import SessionError as SessionTrouble
-from inteco_abs.realtime import supervisor as supervisor_module
-from inteco_abs.realtime.holder import tell_failure
 from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.realtime.ownership import tell_failure
+from inteco_abs.realtime.processes import supervisor as supervisor_module
+from inteco_abs.realtime.processes.supervisor import Supervisor, raised_again
 from inteco_abs.realtime.screen import NoScreen, Point, Snapshot, Unbreakable
-from inteco_abs.realtime.supervisor import Supervisor, raised_again
 from inteco_abs.sessions import TICK, pack_tick
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
 

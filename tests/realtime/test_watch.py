@@ -10,10 +10,10 @@ import pytest
 
 from inteco_abs.boards import STILL_ON
 from inteco_abs.realtime import alarm as alarm_module
-from inteco_abs.realtime import guardian as guardian_module
 from inteco_abs.realtime import watch as watch_module
 from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.realtime.processes import guardian as guardian_module
 from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_NS, POLL_S
 from inteco_abs.realtime.watch import Watch
 from inteco_abs.sessions import pack_tick

@@ -2,7 +2,7 @@ import statistics
 
 import pytest
 
-from inteco_abs.rig.generator import SplitMix64, normal_pair
+from inteco_abs.rig.rng import SplitMix64, normal_pair
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.rig import adhesion, adhesion_slope, measured_adhesion, measured_adhesion_slope
-from inteco_abs.rig.surface import MEASURED_ADHESION, Surface
+from inteco_abs.rig.adhesion_curve import MEASURED_ADHESION, Surface
 
 POINTS = [(0.1, 0.384), (0.2, 0.393), (0.4, 0.402), (0.6, 0.410), (0.8, 0.414), (1.0, 0.409)]
 

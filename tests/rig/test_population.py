@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import kstest
 
 from inteco_abs.rig import POPULATIONS, Plant, RigVariation, brake_duty, draw, holding_torque, torque_to_spare
-from inteco_abs.rig.holding import settled_torque
+from inteco_abs.rig.torque_margin import settled_torque
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.boards.frames import widths
+from inteco_abs.boards.frame_board import widths
 from inteco_abs.rig import (
     POPULATIONS,
     Plant,

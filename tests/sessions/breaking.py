@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from inteco_abs.analysis import before_the_gap, replay
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
 from inteco_abs.errors import AbsError
-from inteco_abs.sessions import before_the_gap, read_session, recover_session, replay, session_config, validate
+from inteco_abs.sessions import read_session, recover_session, session_config, validate
 
 MOST_BYTES = 256 << 20
 """What may be allocated for a file of 20 kB, in one piece or all together."""

@@ -23,12 +23,13 @@ from mcap_protobuf.decoder import DecoderFactory
 from tracing import untraced
 
 import inteco_abs.experiment
+from inteco_abs.analysis import replay
 from inteco_abs.cli import main
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.mock_board import Device
-from inteco_abs.sessions import TICK, Account, Recorder, Session, read_session, replay, result_card, session_config
+from inteco_abs.sessions import TICK, Account, Recorder, Session, read_session, result_card, session_config
 from inteco_abs.signals import Phase
 
 QUICK = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")

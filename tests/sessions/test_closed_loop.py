@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from inteco_abs.analysis.closed_loop import continued, distance
+from inteco_abs.analysis.what_if import alternative, braking_row
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import SessionError
 from inteco_abs.sessions import session_config
-from inteco_abs.sessions.closed_loop import continued, distance
-from inteco_abs.sessions.what_if import alternative, braking_row
 from inteco_abs.signals import BrakeDemand, Phase
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inteco_abs.errors import SessionError
-from inteco_abs.records.declared import declared
-from inteco_abs.records.schema import TICK, TRUTH
+from inteco_abs.format.declared_layout import declared
+from inteco_abs.format.schema import TICK, TRUTH
 from inteco_abs.sessions import read_session
 from inteco_abs.signals import Phase, Reason
 

@@ -2,7 +2,7 @@ import pytest
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from inteco_abs.records.schema import (
+from inteco_abs.format.schema import (
     LOG_NAME,
     PARAMETERS_NAME,
     TICK,

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inteco_abs.records.schema import TICK, TRUTH
-from inteco_abs.sessions import SECTIONS, diff_sessions
+from inteco_abs.analysis import SECTIONS, diff_sessions
+from inteco_abs.format.schema import TICK, TRUTH
 from inteco_abs.signals import Phase
 
 

@@ -8,21 +8,12 @@ from itertools import product
 import numpy as np
 import pytest
 
+from inteco_abs.analysis import REFERENCE, changed_gains, replay
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check, gains_in_force
 from inteco_abs.errors import SessionError
-from inteco_abs.records.schema import Role
-from inteco_abs.records.wire import chunk, double, tag
-from inteco_abs.sessions import (
-    CONFIG_NAME,
-    REFERENCE,
-    TICK,
-    Recorder,
-    changed_gains,
-    read_session,
-    replay,
-    session_config,
-    validate,
-)
+from inteco_abs.format.protobuf import chunk, double, tag
+from inteco_abs.format.schema import Role
+from inteco_abs.sessions import CONFIG_NAME, TICK, Recorder, read_session, session_config, validate
 from inteco_abs.signals import Phase
 
 pytestmark = pytest.mark.untraced

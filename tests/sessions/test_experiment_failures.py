@@ -14,7 +14,7 @@ from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import AbsError, BoardError, ConfigError, ReadOnlyError, SessionError
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.realtime import memory
-from inteco_abs.realtime.recorder import recover_run
+from inteco_abs.realtime.processes.recorder import recover_run
 from inteco_abs.sessions import Recorder, read_session
 from inteco_abs.signals import EXPLANATIONS, BrakeDemand, Phase, Reason
 

@@ -8,13 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.boards.capture import Capture, Kind, Record, read_capture
 from inteco_abs.config import load_config
 from inteco_abs.errors import CaptureError, ConfigError, SessionError
 from inteco_abs.experiment import Plan, run_stop
+from inteco_abs.format.io_frame import IO_NAME, Direction, IoFrame, io_frame_descriptor, pack_io_frame, unpack_io_frame
 from inteco_abs.realtime import memory
-from inteco_abs.realtime.recorder import recover_run
-from inteco_abs.records.io_frame import IO_NAME, Direction, IoFrame, io_frame_descriptor, pack_io_frame, unpack_io_frame
+from inteco_abs.realtime.processes.recorder import recover_run
 from inteco_abs.sessions import (
     Conclusion,
     Introduction,
@@ -27,6 +26,7 @@ from inteco_abs.sessions import (
 )
 from inteco_abs.sessions.frames import frame_facts, packed_frames
 from inteco_abs.signals import Phase, Reason
+from inteco_abs.wire.capture import Capture, Kind, Record, read_capture
 
 TOPIC = "/rig/io"
 SETTINGS = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")

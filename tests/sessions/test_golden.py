@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 import tomli_w
 
+from inteco_abs.analysis.golden import TABLE_NAME, GoldenFolder
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.control.controllers import ReachingLaw
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.sessions import read_session
-from inteco_abs.sessions.golden import TABLE_NAME, GoldenFolder
 from inteco_abs.signals import Phase
 
 OURS = Path(__file__).parent.parent / "golden"

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inteco_abs.records.schema import TICK, TRUTH
-from inteco_abs.sessions import Recorder, diff_sessions
+from inteco_abs.analysis import diff_sessions
+from inteco_abs.format.schema import TICK, TRUTH
+from inteco_abs.sessions import Recorder
 
 CLEAR, TITLE, RIGHT_TO_LEFT = "\x1b[2J", "\x1b]0;mine\x07", "\u202e"
 NASTY = f"{CLEAR}{TITLE}\x9b31m{RIGHT_TO_LEFT}\r\x08end"
@@ -20,7 +21,7 @@ def hostile(tmp_path, quick, monkeypatch):
     def write(name="stranger.mcap", controller=(), config=None, library=False, **facts):
         session, path = quick.session, tmp_path / name
         if library:
-            monkeypatch.setattr("inteco_abs.sessions.recorder.version", lambda _package: NASTY)
+            monkeypatch.setattr("inteco_abs.sessions.writer.version", lambda _package: NASTY)
         with Recorder(path, 0) as recorder:
             recorder.describe("controller", {**session.metadata["controller"], **dict(controller)})
             recorder.describe(NASTY, {NASTY: NASTY})
@@ -90,7 +91,7 @@ class TestNumbersWithoutEnd:
 
     @pytest.fixture
     def with_card(self, tmp_path, quick, monkeypatch):
-        monkeypatch.setattr("inteco_abs.sessions.recorder.pack_result", lambda _card: b"")  # ours packs no such number
+        monkeypatch.setattr("inteco_abs.sessions.writer.pack_result", lambda _card: b"")  # ours packs no such number
 
         def write(name, **values):
             with Recorder(tmp_path / name, 0) as recorder:

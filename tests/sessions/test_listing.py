@@ -5,8 +5,9 @@ import random
 
 import pytest
 
+from inteco_abs.analysis import COLUMNS, session_files, session_row, sort_rows
 from inteco_abs.errors import SessionError
-from inteco_abs.sessions import COLUMNS, read_session, session_files, session_row, sort_rows
+from inteco_abs.sessions import read_session
 
 
 @pytest.fixture

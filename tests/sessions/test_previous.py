@@ -4,8 +4,8 @@ import os
 
 import pytest
 
+from inteco_abs.analysis import previous_card
 from inteco_abs.mock_board import parse_faults
-from inteco_abs.sessions import previous_card
 
 
 class Folder:

@@ -5,9 +5,10 @@ import lz4.frame
 import pytest
 from mcap.writer import CompressionType, Writer
 
+from inteco_abs.analysis import replay
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
 from inteco_abs.errors import SessionError
-from inteco_abs.sessions import TICK, read_session, replay, session_config, validate
+from inteco_abs.sessions import TICK, read_session, session_config, validate
 
 CHUNK, DATA_END = 6, 15
 

@@ -7,7 +7,7 @@ import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import NonSeekingReader
 
-from inteco_abs.records.result import RESULT_NAME, pack_result, result_descriptor
+from inteco_abs.format.result_message import RESULT_NAME, pack_result, result_descriptor
 from inteco_abs.sessions import TICK, TRUTH
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 

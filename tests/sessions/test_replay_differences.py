@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import tomli_w
 
+from inteco_abs.analysis import Difference, changed_gains
 from inteco_abs.errors import SessionError
-from inteco_abs.records.schema import Role
-from inteco_abs.sessions import TICK, Difference, Recorder, changed_gains, read_session
+from inteco_abs.format.schema import Role
+from inteco_abs.sessions import TICK, Recorder, read_session
 from inteco_abs.signals import Phase, Reason
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too

@@ -10,8 +10,8 @@ import pytest
 
 import inteco_abs
 from inteco_abs.config import profile_text
+from inteco_abs.sessions.environment import Enclosure, Surroundings, changes, installed_packages, surroundings
 from inteco_abs.sessions.provenance import profile_source
-from inteco_abs.sessions.surroundings import Enclosure, Surroundings, changes, installed_packages, surroundings
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_a_note_of_them_gives_the_same_again():
 
 def test_a_cut_diff_is_told_among_the_facts(monkeypatch):
     surroundings.cache_clear()
-    monkeypatch.setattr("inteco_abs.sessions.surroundings.changes", lambda _folder: (b"x", True))
+    monkeypatch.setattr("inteco_abs.sessions.environment.changes", lambda _folder: (b"x", True))
     found = surroundings()
     surroundings.cache_clear()
     assert found.software["git_diff"] == "cut after its first 1000000 bytes"

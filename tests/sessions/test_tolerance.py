@@ -3,8 +3,9 @@ import math
 import numpy as np
 import pytest
 
+from inteco_abs.analysis import Shift, Tolerance, parse_tolerances
 from inteco_abs.errors import ConfigError
-from inteco_abs.sessions import TICK, Shift, Tolerance, parse_tolerances
+from inteco_abs.sessions import TICK
 from inteco_abs.signals import Phase
 
 PERIOD_NS = 500_000

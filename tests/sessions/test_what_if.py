@@ -3,11 +3,11 @@ import math
 import numpy as np
 import pytest
 
+from inteco_abs.analysis.what_if import COMPARED, alternative, braking_row, what_if
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.sessions import read_session
-from inteco_abs.sessions.what_if import COMPARED, alternative, braking_row, what_if
 from inteco_abs.signals import BrakeDemand, Phase
 
 

@@ -7,7 +7,7 @@ from google.protobuf.wrappers_pb2 import BytesValue, DoubleValue, StringValue, U
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from inteco_abs.records import wire
+from inteco_abs.format import protobuf as wire
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 

@@ -74,7 +74,7 @@ class LiveRun:
 
     def child(self, role):
         """Pid of `loop`, `recorder`, `guardian` or `board`; 0 if there is none, not yet or not any more."""
-        wanted = {"board": "inteco_abs.simulator"}.get(role, role).encode()
+        wanted = {"board": "inteco_abs.mock_board_process"}.get(role, role).encode()
         for entry in Path("/proc").iterdir():
             try:
                 words = (entry / "cmdline").read_bytes().split(b"\0")

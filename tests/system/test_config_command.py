@@ -8,7 +8,7 @@ import tomllib
 
 import pytest
 
-from inteco_abs.cli.verbs import cli
+from inteco_abs.cli.main import cli
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import ConfigError

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from inteco_abs.commissioning import STEPS, MockBench
 from inteco_abs.config import load_config
-from inteco_abs.lab import STEPS, MockBench
-from inteco_abs.lab.identify import experiments
+from inteco_abs.identification import experiments
 from inteco_abs.realtime import memory
 
 VIRTUAL = ("run", "--virtual", "--dry-run")
@@ -64,7 +64,7 @@ def test_no_message_to_a_board_of_any_kind_writes_a_setting(main_here, monkeypat
             self.device.settings = Untouched(self.device.settings)
             benches.append(self)
 
-    monkeypatch.setattr("inteco_abs.lab.MockBench", Kept)
+    monkeypatch.setattr("inteco_abs.commissioning.MockBench", Kept)
     main_here(*VIRTUAL, "--set", f"profile={profile}", check=0)
     (bench,) = benches
     assert bench.device.settings.written == set()

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from inteco_abs.sessions import read_session
-from inteco_abs.views.report.cautions import warnings_of
+from inteco_abs.views.report.warnings import warnings_of
 
 QUICK = ("-q", "--set", "experiment.start_speed_rad_s=20")
 

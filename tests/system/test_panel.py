@@ -16,12 +16,12 @@ from contextlib import suppress
 import pytest
 from live import ancestor
 
+from inteco_abs.commissioning.panel import PHRASE
 from inteco_abs.config import load_config
 from inteco_abs.errors import ReadOnlyError
 from inteco_abs.experiment import by_hand
-from inteco_abs.lab.panel import PHRASE
+from inteco_abs.format import TRUTH
 from inteco_abs.realtime.memory import FOLDER, RunMemory, Word, alive
-from inteco_abs.records import TRUTH
 from inteco_abs.signals import Command
 
 pytestmark = pytest.mark.xdist_group("real time")

@@ -6,11 +6,11 @@ import time
 
 import pytest
 
+from inteco_abs.commissioning.panel import Panel
 from inteco_abs.config import load_config
-from inteco_abs.lab.panel import Panel
-from inteco_abs.realtime.by_hand import HELD_NS, Screenside
+from inteco_abs.format import TICK, TRUTH, pack_tick
 from inteco_abs.realtime.memory import Note, RunMemory, Word
-from inteco_abs.records import TICK, TRUTH, pack_tick
+from inteco_abs.realtime.processes.manual import HELD_NS, Screenside
 from inteco_abs.signals import BoardFlags, Command, Phase, Reason, Tick
 
 LOOK = {

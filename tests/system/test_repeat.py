@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from inteco_abs.analysis.statistics import METRICS, UNITS, Spread, statistics
 from inteco_abs.cli import repeat
 from inteco_abs.sessions import read_session
-from inteco_abs.sessions.series import METRICS, UNITS, Spread, statistics
 from inteco_abs.views.series import render_series
 
 QUICK = ("--virtual", "--set", "experiment.start_speed_rad_s=20", "--set", "experiment.hold_s=0.05")

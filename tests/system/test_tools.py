@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from inteco_abs.control import ESTIMATORS
-from inteco_abs.control.estimators.braking import Spread
+from inteco_abs.control.estimators.braking_ekf import Spread
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 

@@ -8,7 +8,7 @@ import usb.core
 import usb.util
 from wrong_inputs import Row, ids
 
-from inteco_abs.boards.usb import ENDPOINTS
+from inteco_abs.boards.transports.usb import ENDPOINTS
 
 RULES = "inteco-abs doctor --rules prints the udev rule"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inteco_abs.records.io_frame import IO_NAME, IO_TOPIC, Direction
+from inteco_abs.format.io_frame import IO_NAME, IO_TOPIC, Direction
 from inteco_abs.sessions import TICK, TRUTH, read_frames, read_session
 
 LOCK = Path(__file__).with_name("package-lock.json")

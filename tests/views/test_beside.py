@@ -7,7 +7,7 @@ import pytest
 
 from inteco_abs.errors import ConfigError
 from inteco_abs.signals import Phase
-from inteco_abs.views.beside import MOST, insist_on_distinct, labels, since_s, start_ns, stretches
+from inteco_abs.views.comparison import MOST, insist_on_distinct, labels, since_s, start_ns, stretches
 
 
 def test_one_session_is_named_by_what_it_was_run_with(session):

@@ -2,7 +2,7 @@ import pytest
 
 from inteco_abs.realtime.screen import Point
 from inteco_abs.signals import Phase
-from inteco_abs.views.course import Course
+from inteco_abs.views.trace import Course
 
 PHASES = (Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE)
 

@@ -5,9 +5,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from inteco_abs.config import load_config
-from inteco_abs.lab.design import judge_gains, stated_box
+from inteco_abs.gain_design import judge_gains, stated_box
+from inteco_abs.gain_design.figure import draw_design
 from inteco_abs.rig import RigParameters
-from inteco_abs.views.design_figure import draw_design
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 

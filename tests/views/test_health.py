@@ -4,8 +4,8 @@ import re
 import pytest
 from rich.console import Console
 
-from inteco_abs.realtime.findings import Finding, Verdict
-from inteco_abs.views.health import render_findings, render_histogram
+from inteco_abs.host.checks import Finding, Verdict
+from inteco_abs.views.findings import render_findings, render_histogram
 
 FINDINGS = [
     Finding("clock source", Verdict.GREEN, "tsc"),

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inteco_abs.views.picture import length
 from inteco_abs.views.plot import MARGIN, Axes, Curve, plot
+from inteco_abs.views.text_lines import length
 
 WIDTH, ROWS = 46, 9
 COLUMNS = WIDTH - MARGIN

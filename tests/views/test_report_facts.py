@@ -9,10 +9,10 @@ import pytest
 from inteco_abs.sessions import read_session, recover_session
 from inteco_abs.sessions.content import Event
 from inteco_abs.signals import BoardFlags, Phase
-from inteco_abs.views.report.cautions import outcome_of, warnings_of
 from inteco_abs.views.report.commands import repeat_commands, replay_commands
-from inteco_abs.views.report.courses import courses_of
 from inteco_abs.views.report.facts import result_rows, tables
+from inteco_abs.views.report.traces import courses_of
+from inteco_abs.views.report.warnings import outcome_of, warnings_of
 
 
 def with_ticks(session, **columns):

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.views.thinning import thin
+from inteco_abs.views.decimation import thin
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 

@@ -10,7 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from typing import ClassVar, Final, NamedTuple, Protocol
 
-from inteco_abs.control.model import BrakingModel
+from inteco_abs.control.slip_dynamics import BrakingModel
 from inteco_abs.rig import MEASURED_MAP, BrakeMap, RigParameters, brake_duty, brake_torque
 from inteco_abs.signals import BrakeDemand, Estimate
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import ClassVar, Final
 
-from inteco_abs.control.contact import Contact
 from inteco_abs.control.controllers.base import Gain, Setup
-from inteco_abs.control.estimators.ahead import braking_slip
+from inteco_abs.control.estimators.prediction import braking_slip
+from inteco_abs.control.wheel_dynamics import Contact
 from inteco_abs.rig import adhesion
 from inteco_abs.signals import BrakeDemand, Estimate, Outlook
 

@@ -5,12 +5,12 @@ from typing import Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control.estimators.base import Estimator, MovingWindow, SpeedFilter, TwoWheels
-from inteco_abs.control.estimators.braking import Spread
+from inteco_abs.control.estimators.braking_ekf import Spread
 from inteco_abs.control.estimators.difference import SLIP_OFFSET_M_S, HeldDifference
 from inteco_abs.control.estimators.edge_time import EdgeTime
 from inteco_abs.control.estimators.kalman import KalmanFilter
-from inteco_abs.control.estimators.kind import EstimatorKind, Maker, Parameter, parameter
 from inteco_abs.control.estimators.observer import Observer
+from inteco_abs.control.estimators.registry import EstimatorKind, Maker, Parameter, parameter
 from inteco_abs.control.estimators.tracking import TrackingLoop
 from inteco_abs.rig import RigParameters, believed_brake
 

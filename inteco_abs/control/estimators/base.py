@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from inteco_abs.control.windows import SpeedWindows
+from inteco_abs.control.count_speed import SpeedWindows
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import Command, Estimate, Sample
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from inteco_abs.control.estimators.ahead import braking_slip
 from inteco_abs.control.estimators.base import Angles
-from inteco_abs.control.estimators.braking import BrakingFilter, Spread
-from inteco_abs.control.estimators.disc import DiscFilter
+from inteco_abs.control.estimators.braking_ekf import BrakingFilter, Spread
+from inteco_abs.control.estimators.eccentricity import DiscFilter
+from inteco_abs.control.estimators.prediction import braking_slip
 from inteco_abs.rig import MEASURED_MAP, BrakeMap, RigParameters
 from inteco_abs.signals import Command, Estimate, Sample
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from inteco_abs.sessions import Session, settings_of
-from inteco_abs.sessions.result import card_of
-from inteco_abs.views.beside import gains_of
+from inteco_abs.analysis import settings_of
+from inteco_abs.sessions import Session
+from inteco_abs.sessions.card import card_of
 from inteco_abs.views.card import ROWS
+from inteco_abs.views.comparison import gains_of
 
 NOTHING: Final = "–"
 _LATENESS: Final = (("late, p50", "p50"), ("late, p99", "p99"), ("late, p99.9", "p999"), ("late, most", "max"))

@@ -10,15 +10,15 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import inteco_abs
 from inteco_abs.errors import AbsError, ConfigError, Mistake, SessionError, disk_in_words
 from inteco_abs.sessions import Session, check_output, only_whole
-from inteco_abs.views.beside import held_rows, insist_on_distinct, labels
+from inteco_abs.version import __version__
+from inteco_abs.views.comparison import held_rows, insist_on_distinct, labels
 from inteco_abs.views.figure import svg_of
-from inteco_abs.views.report.cautions import outcome_of, warnings_of
 from inteco_abs.views.report.commands import repeat_commands, replay_commands
-from inteco_abs.views.report.courses import MARGIN_S, Course, Look, courses_of, look_of
 from inteco_abs.views.report.facts import result_rows, tables
+from inteco_abs.views.report.traces import MARGIN_S, Course, Look, courses_of, look_of
+from inteco_abs.views.report.warnings import outcome_of, warnings_of
 
 SUFFIX: Final = ".html"
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def report_page(sessions: Sequence[Session]) -> str:
     sheet = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     page: str = sheet.from_string(_resource("page.html")).render(
         title=_title(sessions),
-        version=inteco_abs.__version__,
+        version=__version__,
         sessions=list(map(_told, map(look_of, range(len(sessions))), sessions, labels(sessions))),
         result=result_rows(sessions),
         tables=tables(sessions),
@@ -108,7 +108,7 @@ def _panels(courses: Sequence[Course]) -> tuple[list[Drawing], list[str]]:
     from bokeh.resources import Resources  # noqa: PLC0415  likewise
     from markupsafe import Markup  # noqa: PLC0415  likewise
 
-    from inteco_abs.views.report.planes import phase_plane, timing_histogram  # noqa: PLC0415  likewise
+    from inteco_abs.views.report.phase_planes import phase_plane, timing_histogram  # noqa: PLC0415  likewise
     from inteco_abs.views.report.plots import time_plots  # noqa: PLC0415  likewise
 
     drawn = [*time_plots(courses), phase_plane(courses), timing_histogram(courses)]

@@ -8,7 +8,7 @@ from bokeh.models import Label, Span
 
 from inteco_abs.signals import Phase
 from inteco_abs.views.figure import COLOURS
-from inteco_abs.views.report.courses import Band, Course
+from inteco_abs.views.report.traces import Band, Course
 
 _BLUE, _RED, _GREEN = COLOURS
 _BANDS: Final = {

@@ -17,8 +17,8 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from inteco_abs.views.figure import COLOURS
-from inteco_abs.views.report.courses import MARGIN_S, Course
 from inteco_abs.views.report.phases import draw_bands, name_bands
+from inteco_abs.views.report.traces import MARGIN_S, Course
 
 TIME_RANGE: Final = "time"
 """Name of the range that all plots over time share."""

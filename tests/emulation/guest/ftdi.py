@@ -20,7 +20,7 @@ LATENCIES_MS = 16, 1
 
 def main():
     report = {"kernel": bus.kernel(), "devices": {}}
-    prepare(["inteco_abs.boards.serial_link"], "ftdi_sio", rules=("--ftdi-serial", SERIAL))
+    prepare(["inteco_abs.boards.transports.serial_link"], "ftdi_sio", rules=("--ftdi-serial", SERIAL))
     with mock_board("--board", "usb", "--serial", SERIAL) as folder:
         tty = bus.eventually(lambda: next(folder.glob("*:1.0/ttyUSB*"), None), "a serial port")
         report["devices"]["mock"] = bus.facts(folder)

@@ -18,7 +18,7 @@ from guest.scenario import SCRATCH, abs_command, tell
 
 from firmware_protocol.rtdac_pci import DEVICE_ID, LOGIC, LOGIC_VERSION, VENDOR_ID
 from inteco_abs.boards import open_board
-from inteco_abs.boards.sysfs import SysfsRegisters
+from inteco_abs.boards.transports.sysfs import SysfsRegisters
 from inteco_abs.config import load_config
 from inteco_abs.errors import AbsError
 from inteco_abs.signals import Command

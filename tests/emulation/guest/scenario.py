@@ -25,11 +25,11 @@ of a second.
 _USED = (
     "inteco_abs.cli",
     "inteco_abs.experiment",
-    "inteco_abs.realtime.guardian",
-    "inteco_abs.realtime.recorder",
-    "inteco_abs.realtime.rt",
-    "inteco_abs.sessions.replay",
-    "inteco_abs.simulator",
+    "inteco_abs.realtime.processes.guardian",
+    "inteco_abs.realtime.processes.recorder",
+    "inteco_abs.realtime.processes.loop",
+    "inteco_abs.analysis.replay",
+    "inteco_abs.mock_board_process",
 )
 
 

@@ -18,7 +18,7 @@ RATE_HZ = 250
 
 def main():
     report = {"kernel": bus.kernel(), "checks": {}, "devices": {}}
-    prepare(["inteco_abs.boards.usb_queued"])
+    prepare(["inteco_abs.boards.transports.usb_async"])
     for speed in Speed:
         check_list(report, speed)
         tell(report)

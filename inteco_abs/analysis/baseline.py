@@ -1,0 +1,69 @@
+"""The run before this one: what a result is compared with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+from inteco_abs.analysis.catalogue import session_files
+from inteco_abs.errors import SessionError
+from inteco_abs.sessions.card import stored_card
+from inteco_abs.sessions.container import DamagedError
+from inteco_abs.sessions.reader import opened
+from inteco_abs.sessions.summary import metadata_at_a_glance
+
+_KIND: Final = ("controller", "estimator", "board", "rig", "reference_slip")
+_SPEED: Final = "start_speed_rad_s"
+_SAME_SPEED: Final = 0.01
+_COMPLETED: Final = "completed"
+_LOOKED_AT: Final = 100
+"""The latest files of the folder; a glance at each takes about a millisecond."""
+
+
+def previous_card(card: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Card of the latest completed session of the same kind in the folder of this card's; None if there is none.
+
+    Of the same kind: controller, estimator, board, rig, reference slip and, within 1 %, start speed. What did not
+    complete is compared with nothing, and nothing with a run whose mock board was told to fail.
+    """
+    if card["outcome"] != _COMPLETED:
+        return None
+    mine = Path(card["session"])
+    for path in islice(_newest_first(mine), _LOOKED_AT):
+        other = _card_at_a_glance(path)
+        if other is not None and _alike(card, other):
+            return other | {"session": str(path)}
+    return None
+
+
+def _alike(card: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    if other.get("outcome") != _COMPLETED or any(other.get(key) != card.get(key) for key in _KIND):
+        return False
+    speeds = card.get(_SPEED), other.get(_SPEED)
+    known = [speed for speed in speeds if isinstance(speed, int | float)]
+    return len(known) == len(speeds) and math.isclose(*known, rel_tol=_SAME_SPEED)
+
+
+def _newest_first(mine: Path) -> Iterator[Path]:
+    """Sessions beside `mine` that were written before it."""
+    written: list[tuple[int, Path]] = []
+    with suppress(SessionError, OSError):
+        mine_ns = mine.stat().st_mtime_ns
+        for path in session_files(mine.parent):
+            with suppress(OSError):  # gone meanwhile
+                written.append((path.stat().st_mtime_ns, path))
+        written = [(time_ns, path) for time_ns, path in written if path != mine and time_ns <= mine_ns]
+    return (path for _, path in sorted(written, reverse=True))
+
+
+def _card_at_a_glance(path: Path) -> dict[str, Any] | None:
+    try:
+        with opened(path) as (file, size):
+            metadata = metadata_at_a_glance(file, size)
+            return None if metadata.get("injected") else stored_card(metadata)
+    except (SessionError, DamagedError):
+        return None

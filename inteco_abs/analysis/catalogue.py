@@ -1,0 +1,113 @@
+"""A folder of sessions as rows: what each was, and what it was worth."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, Final
+
+from inteco_abs.errors import SessionError
+from inteco_abs.sessions.card import card_of, stored_card
+from inteco_abs.sessions.container import DamagedError
+from inteco_abs.sessions.migration import Metadata, newer
+from inteco_abs.sessions.reader import opened, read_session
+from inteco_abs.sessions.summary import metadata_at_a_glance
+
+SUFFIX: Final = ".mcap"
+INCOMPLETE: Final = "incomplete"
+BROKEN: Final = "broken"
+COLUMNS: Final = (
+    "session",
+    "started_utc",
+    "outcome",
+    "controller",
+    "estimator",
+    "board",
+    "rig",
+    "ticks",
+    "slip_rms_true",
+    "slip_rms_estimated",
+    "band_entry_s",
+    "stop_time_s",
+    "overruns",
+    "lost_ticks",
+    "injected",
+    "problem",
+)
+"""Keys of a row; what a session does not say is None."""
+_OF_THE_CARD: Final = COLUMNS[7:-2]
+
+Row = dict[str, Any]
+
+
+def session_files(folder: Path, *, nested: bool = False) -> list[Path]:
+    """Everything in `folder` that is named as a session is, also below it if `nested`. Raises SessionError."""
+    try:
+        found = folder.rglob(f"*{SUFFIX}") if nested else folder.iterdir()
+        return sorted(path for path in found if path.suffix == SUFFIX and not path.is_dir())
+    except OSError as error:
+        hint = f"; it is a file: inteco-abs info {folder}" if folder.is_file() else ""
+        raise SessionError(f"{folder}: cannot be listed: {error.strerror}{hint}") from error
+
+
+def session_row(path: Path) -> Row:
+    """What a file is; never raises: what is wrong with it is its `problem`."""
+    try:
+        with opened(path) as (file, size):
+            metadata = metadata_at_a_glance(file, size)
+    except DamagedError:
+        return _row_of_all(path)
+    except SessionError as error:
+        return _broken(path, error)
+    card = stored_card(metadata)
+    if card is None or "session" not in metadata:
+        return _broken(path, SessionError("is an MCAP file, but no session of this program"))
+    return _row(path, metadata, card)
+
+
+def sort_rows(rows: Iterable[Row], key: str, *, reverse: bool = False) -> list[Row]:
+    """Rows by one of `COLUMNS`; those that do not say are last either way."""
+    rows = list(rows)
+    said = [row for row in rows if row[key] is not None]
+    value: Callable[[Row], Any] = itemgetter(key)
+    return sorted(said, key=value, reverse=reverse) + [row for row in rows if row[key] is None]
+
+
+def _row_of_all(path: Path) -> Row:
+    """Of a file without a usable index, which is read from end to end."""
+    try:
+        session = read_session(path, Path(tempfile.gettempdir()))
+    except SessionError as error:
+        return _broken(path, error)
+    row = _row(path, session.metadata, card_of(session) or {})
+    row["ticks"] = len(session.ticks)
+    row["outcome"] = row["outcome"] or INCOMPLETE
+    row["problem"] = session.incomplete or session.beyond or "its index is damaged"
+    return row
+
+
+def _row(path: Path, metadata: Metadata, card: Mapping[str, Any]) -> Row:
+    session, controller, rig = (metadata.get(name, {}) for name in ("session", "controller", "rig"))
+    return {
+        "session": str(path),
+        "started_utc": session.get("started_utc"),
+        "outcome": session.get("outcome"),
+        "controller": controller.get("name"),
+        "estimator": controller.get("estimator"),
+        "board": rig.get("board"),
+        "rig": rig.get("drawn"),
+        **{name: _number(card.get(name)) for name in _OF_THE_CARD},
+        "injected": ", ".join(metadata.get("injected", {})) or None,
+        "problem": newer(metadata) or None,
+    }
+
+
+def _number(value: object) -> int | float | None:
+    return value if isinstance(value, int | float) else None
+
+
+def _broken(path: Path, error: SessionError) -> Row:
+    problem = str(error).removeprefix(f"{path}: ")
+    return {**dict.fromkeys(COLUMNS), "session": str(path), "outcome": BROKEN, "problem": problem}

@@ -1,0 +1,313 @@
+"""Recorded runs kept as regression tests: the decisions of today must be those that a session has logged.
+
+A folder holds small copies of sessions, and `golden.toml` with what is to be known of each: its hash, tolerances
+if it has any, and for every version of it when and why it was made, and by what software.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+import tomli_w
+
+from inteco_abs.analysis.replay import Replay, decisions, insist_on_known, replay
+from inteco_abs.analysis.tolerance import Array, parse_tolerances
+from inteco_abs.analysis.what_if import since_braking_s
+from inteco_abs.config import RigConfig
+from inteco_abs.control import Controller, build_pipeline, control_check
+from inteco_abs.errors import ConfigError, Mistake, SessionError, disk_in_words, near_match
+from inteco_abs.format.schema import TICK, TRUTH, Role
+from inteco_abs.sessions.card import result_card
+from inteco_abs.sessions.files import made_folder
+from inteco_abs.sessions.provenance import software_facts
+from inteco_abs.sessions.reader import Session, read_session
+from inteco_abs.sessions.recorded_config import CONFIG_NAME, session_config
+from inteco_abs.sessions.writer import Recorder
+from inteco_abs.signals import Phase
+
+TABLE_NAME: Final = "golden.toml"
+FEWEST_BRAKING_TICKS: Final = 100
+"""In fewer, next to nothing is tested."""
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_KEPT: Final = ("software", "rig", "drawn_rig", "controller")
+"""Metadata that a copy keeps; not the host's."""
+_SOFTWARE: Final = ("version", "python", "libc", "git_commit", "git_dirty")
+"""Which of these facts a version keeps."""
+_NOT_KEPT: Final = ("argv",)
+"""Of the software: it names folders."""
+_TIMING: Final = tuple(column.name for column in TICK.columns if column.role is Role.TIMING)
+
+Controllers = Mapping[str, type[Controller]]
+
+
+@dataclass(frozen=True, slots=True)
+class Version:
+    """One version of a golden session."""
+
+    date: str
+    reason: str
+    file_sha256: str
+    changed_ticks: int
+    """Ticks in which it is not the version before; 0 for the first."""
+    software: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Golden:
+    """One session of the folder."""
+
+    name: str
+    ticks: int
+    tolerances: tuple[str, ...]
+    """As for `replay --tol`; none: every bit counts."""
+    history: tuple[Version, ...]
+
+    @classmethod
+    def of(cls, name: str, table: Mapping[str, Any]) -> Self:
+        """From its table in golden.toml; raises KeyError or TypeError if that is none."""
+        history = tuple(Version(**version) for version in table["history"])
+        if not history:
+            raise KeyError("history")
+        return cls(name, table["ticks"], tuple(table["tolerances"]), history)
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a test of one golden session has found."""
+
+    name: str
+    problem: str
+    """Why it could not be tested; empty if it was."""
+    replay: Replay | None
+
+
+class GoldenFolder:
+    """The golden sessions in `path`. Raises SessionError if its table cannot be read or written."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._goldens = self._read()
+
+    def __iter__(self) -> Iterator[Golden]:
+        return iter(self._goldens.values())
+
+    def chosen(self, names: Sequence[str]) -> list[Golden]:
+        """Those with these names, or all; raises ConfigError for a name that is none, and if there is nothing."""
+        if not self._goldens:
+            problem = f"{self.path} holds no golden session; add one: inteco-abs golden add FILE --reason TEXT"
+            raise ConfigError([Mistake("--folder", problem)])
+        unknown = [name for name in names if name not in self._goldens]
+        if unknown:
+            raise ConfigError(
+                [Mistake("NAMES", f"no {name!r} in {self.path}{near_match(name, self._goldens)}") for name in unknown]
+            )
+        return [self._goldens[name] for name in dict.fromkeys(names)] if names else list(self._goldens.values())
+
+    def add(
+        self,
+        session: Session,
+        name: str,
+        reason: str,
+        controllers: Controllers,
+        tolerances: Sequence[str] = (),
+        until_s: float | None = None,
+    ) -> Golden:
+        """Keep a copy of `session` as `name`, without the simulation's truth, up to `until_s` after braking began.
+
+        Raises ConfigError for a name that is none or taken, and without a reason; SessionError for a session that
+        proves nothing: that was cut, hardly brakes, or does not replay now, or that is not all known here.
+        """
+        self._check_name(name)
+        _insist_on(reason)
+        parse_tolerances(tolerances)
+        insist_on_known(session)
+        rows = _rows_until(session, until_s)
+        _insist_on_a_test(session, session.ticks[:rows])
+        payload = bytes(session.payload[: rows * TICK.size])
+        part = self._part(name)
+        with made_folder(self.path, "--folder"):
+            try:
+                _write_copy(session, payload, part)
+                found = _replay(read_session(part), controllers, tolerances)
+                if found.first is not None:
+                    raise SessionError(
+                        f"{session.path}: does not replay: {found.differing} ticks differ, first at tick "
+                        f"{found.first.tick}: {found.first.field}; look at it with inteco-abs replay first"
+                    )
+                return self._keep(Golden(name, rows, tuple(tolerances), (_version(reason, part, 0),)), part)
+            finally:
+                part.unlink(missing_ok=True)
+
+    def test(self, names: Sequence[str], controllers: Controllers) -> list[Verdict]:
+        """Replay those with these names, or all. Raises ConfigError as `chosen`."""
+        return [self._test(golden, controllers) for golden in self.chosen(names)]
+
+    def update(self, name: str, reason: str, controllers: Controllers) -> Golden:
+        """Take the decisions of today for those of the golden session; its inputs stay.
+
+        Raises ConfigError for an unknown name, without a reason, and if no tick would change.
+        """
+        _insist_on(reason)
+        (golden,) = self.chosen([name])
+        session = self._read_golden(golden)
+        pipeline = build_pipeline(session_config(session, (control_check(controllers),)), controllers)
+        again = decisions(session, pipeline)
+        for column in _TIMING:
+            again[column] = session.ticks[column]
+        payload = b"".join(map(TICK.pack, again.tolist()))
+        rows = np.frombuffer(payload, np.uint8).reshape(-1, TICK.size)
+        changed = int((rows != np.frombuffer(session.payload, np.uint8).reshape(rows.shape)).any(axis=1).sum())
+        if not changed:
+            problem = "replays to the last bit, so there is nothing to update"
+            raise ConfigError([Mistake(name, problem)])
+        part = self._part(name)
+        try:
+            _write_copy(session, payload, part)
+            version = _version(reason, part, changed)
+            return self._keep(Golden(name, golden.ticks, golden.tolerances, (*golden.history, version)), part)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def file(self, golden: Golden) -> Path:
+        """Its session."""
+        return self.path / f"{golden.name}.mcap"
+
+    def _test(self, golden: Golden, controllers: Controllers) -> Verdict:
+        try:
+            session = self._read_golden(golden)
+            return Verdict(golden.name, "", _replay(session, controllers, golden.tolerances))
+        except (SessionError, ConfigError) as error:
+            return Verdict(golden.name, str(error), None)
+
+    def _read_golden(self, golden: Golden) -> Session:
+        file = self.file(golden)
+        session = read_session(file)
+        if _sha256(file) != golden.history[-1].file_sha256:
+            raise SessionError(f"{file}: is not the file that {TABLE_NAME} knows; get both from where they agree")
+        return session
+
+    def _check_name(self, name: str) -> None:
+        problem = ""
+        if not _NAME.fullmatch(name):
+            problem = f"{name!r}: must be up to 64 letters, digits, - and _, and begin with a letter or digit"
+        elif name in self._goldens or (self.path / f"{name}.mcap").exists():
+            problem = f"{name!r} exists already, and is never overwritten; choose another, or golden update {name}"
+        elif self.path.exists() and not self.path.is_dir():
+            problem = f"{self.path} is no folder"
+        if problem:
+            raise ConfigError([Mistake("--name", problem)])
+
+    def _part(self, name: str) -> Path:
+        return self.path / f".{name}.{os.getpid()}.part"
+
+    def _keep(self, golden: Golden, part: Path) -> Golden:
+        """The file first: a table that knows of a version that is not there would be worse than the reverse."""
+        goldens = {**self._goldens, golden.name: golden}
+        tables = {name: _table(each) for name, each in sorted(goldens.items())}
+        text = tomli_w.dumps({"schema_version": 1, "golden": tables}, multiline_strings=False)
+        table = self.path / TABLE_NAME
+        draft = table.with_suffix(f".{os.getpid()}.part")
+        try:
+            draft.write_text(text, encoding="utf-8")
+            part.replace(self.file(golden))
+            draft.replace(table)
+        except OSError as error:
+            with suppress(OSError):
+                draft.unlink(missing_ok=True)
+            raise SessionError(f"{self.path}: cannot be written: {disk_in_words(error)}") from error
+        self._goldens = goldens
+        return golden
+
+    def _read(self) -> dict[str, Golden]:
+        table = self.path / TABLE_NAME
+        try:
+            data = tomllib.loads(table.read_text(encoding="utf-8"))
+            return {name: Golden.of(name, each) for name, each in data["golden"].items()}
+        except FileNotFoundError:
+            return {}
+        except OSError as error:
+            raise SessionError(f"{table}: cannot be read: {error.strerror}") from error
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise SessionError(f"{table}: is no table of golden sessions: {error}") from error
+
+
+def _table(golden: Golden) -> dict[str, Any]:
+    table = asdict(golden)
+    del table["name"]
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in table.items()}
+
+
+def _insist_on(reason: str) -> None:
+    if not reason.strip():
+        raise ConfigError([Mistake("--reason", "is empty; say why, for who reads the history later")])
+
+
+def _rows_until(session: Session, until_s: float | None) -> int:
+    if until_s is None:
+        return len(session.ticks)
+    return int(np.searchsorted(since_braking_s(session), until_s + 1e-9))
+
+
+def _insist_on_a_test(session: Session, ticks: Array) -> None:
+    problem = ""
+    braking = ticks[ticks["phase"] == Phase.BRAKING]
+    if session.incomplete:
+        problem = session.incomplete
+    elif len(braking) < FEWEST_BRAKING_TICKS:
+        problem = f"{len(braking)} ticks of braking: must be at least {FEWEST_BRAKING_TICKS}"
+    elif len(set(braking["brake"].tolist())) < 3:
+        problem = "the brake hardly ever changes"
+    if problem:
+        raise SessionError(f"{session.path}: would prove nothing: {problem}")
+
+
+def _replay(session: Session, controllers: Controllers, tolerances: Sequence[str]) -> Replay:
+    config = session_config(session, (control_check(controllers),))
+    return replay(session, build_pipeline(config, controllers), parse_tolerances(tolerances))
+
+
+def _version(reason: str, file: Path, changed: int) -> Version:
+    software = {key: value for key, value in software_facts().items() if key in _SOFTWARE}
+    return Version(datetime.now(UTC).isoformat(timespec="seconds"), reason.strip(), _sha256(file), changed, software)
+
+
+def _sha256(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _write_copy(session: Session, payload: bytes, path: Path) -> None:
+    """The session with other ticks, without truth and without what it says of the host."""
+    config: RigConfig = session_config(session, ())
+    ticks = TICK.array(payload)
+    internals = json.loads(session.channels[TICK.topic].get("internals", "[]"))
+    told = session.metadata.get("session", {})
+    with Recorder(path, int(ticks["time_ns"][0]), internals, told.get("session_id", "")) as recorder:
+        for name in _KEPT:
+            if name in session.metadata:
+                facts = session.metadata[name]
+                recorder.describe(name, {key: value for key, value in facts.items() if key not in _NOT_KEPT})
+        for name, data in session.attachments.items():
+            recorder.attach(name, "application/toml" if name == CONFIG_NAME else "application/octet-stream", data)
+        recorder.begin({"reference_slip": config.controller.reference_slip, **_gains(session)})
+        recorder.ticks(payload)
+        card = {**result_card(config, ticks, TRUTH.array(b"")), "lost_ticks": 0}
+        recorder.finish(told.get("outcome", ""), told.get("reason", ""), card)
+
+
+def _gains(session: Session) -> dict[str, float]:
+    facts = session.metadata.get("controller", {})
+    hexes = {
+        key.split(".")[1]: value for key, value in facts.items() if key.startswith("gain.") and key.endswith(".hex")
+    }
+    return {name: float.fromhex(value) for name, value in hexes.items()}

@@ -1,0 +1,161 @@
+"""Runs the decision path again on logged inputs and compares every output: bit for bit, or within tolerances."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import starmap
+from typing import Any, Final
+
+import numpy as np
+
+from inteco_abs.analysis.tolerance import DISCRETE, OUTPUTS, Array, Shift, Tolerance, bits, shifts
+from inteco_abs.control import Pipeline
+from inteco_abs.errors import SessionError
+from inteco_abs.format.schema import TICK, Role
+from inteco_abs.sessions.reader import Session
+from inteco_abs.sessions.recorded_config import RECOVERED
+from inteco_abs.signals import BoardFlags, Phase, Reason, Sample
+
+_INPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.INPUT)
+_COMPARED: Final = ("time_ns", "tick", "dt_s", *OUTPUTS)
+_LONGEST_S: Final = (1 << 64) * 1e-9
+"""What a clock of 64 bits can count, ns."""
+_NO_FLAGS: Final = BoardFlags.NONE  # two enums looked up by value would take a tenth of a tick
+_NO_REQUEST: Final = Reason.NONE
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first value that a replay did not reproduce."""
+
+    tick: int
+    field: str
+    logged: str
+    replayed: str
+    logged_hex: str
+    replayed_hex: str
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """Outcome of a replay: how many ticks, how many of them differ, where first, and which fields how often.
+
+    A difference within the tolerances is none.
+    """
+
+    ticks: int
+    braking_ticks: int
+    differing: int
+    first: Difference | None
+    by_field: dict[str, int]
+    agreeing_ticks: int = 0
+    """Length of the longest beginning in which nothing differs."""
+    agreeing_s: float = 0.0
+    """From the first tick to the last of these."""
+    tolerated: dict[str, int] = field(default_factory=dict)
+    """Ticks that differ in their bits and yet are within the tolerance, by field."""
+    shifts: tuple[Shift, ...] = ()
+    """Changes of phases, flags and reasons that come early or late, or not at all."""
+
+
+def before_the_gap(session: Session) -> Session:
+    """A recovered session up to its first gap: what was decided behind it rests on ticks that are missing.
+
+    Any other session is given back as it is: there, a gap is a difference. Raises SessionError if the gap comes first.
+    """
+    if session.metadata.get("session", {}).get("outcome") != RECOVERED:
+        return session
+    numbers = session.ticks["tick"]
+    odd = np.flatnonzero(numbers != np.arange(len(numbers)))
+    if not len(odd):
+        return session
+    whole = int(odd[0])
+    if not whole:
+        raise SessionError(f"{session.path}: ticks 0..{numbers[0] - 1} are missing, so nothing can be replayed")
+    return replace(session, ticks=session.ticks[:whole], payload=session.payload[: whole * TICK.size])
+
+
+def replay(session: Session, pipeline: Pipeline, tolerances: Mapping[str, Tolerance] | None = None) -> Replay:
+    """Drive a fresh `pipeline` with the session's inputs and compare; fields without a tolerance must agree exactly.
+
+    Of the inputs, those that follow from others are checked as well. Raises SessionError if there are no ticks.
+    """
+    logged, again = session.ticks, decisions(session, pipeline)
+    _imply_inputs(logged, again)
+    differs = {name: bits(logged[name]) != bits(again[name]) for name in _COMPARED}
+    tolerated = {}
+    for name, tolerance in (tolerances or {}).items():
+        if differs[name].any():
+            accepted = differs[name] & tolerance.accepts(logged[name], again[name], logged["time_ns"])
+            tolerated[name] = int(accepted.sum())
+            differs[name] &= ~accepted
+    any_differs = np.logical_or.reduce(list(differs.values()))
+    agreeing, first = len(logged), None
+    if any_differs.any():
+        agreeing = int(np.argmax(any_differs))
+        name = next(name for name, where in differs.items() if where[agreeing])
+        first = _difference(int(again["tick"][agreeing]), name, logged[name][agreeing], again[name][agreeing])
+    return Replay(
+        len(logged),
+        int((logged["phase"] == Phase.BRAKING).sum()),
+        int(any_differs.sum()),
+        first,
+        {name: int(where.sum()) for name, where in differs.items() if where.any()},
+        agreeing,
+        (int(logged["time_ns"][agreeing - 1]) - int(logged["time_ns"][0])) * 1e-9 if agreeing else 0.0,
+        {name: count for name, count in tolerated.items() if count},
+        tuple(shift for name in DISCRETE for shift in shifts(name, logged, again)),
+    )
+
+
+def decisions(session: Session, pipeline: Pipeline) -> Array:
+    """What a fresh `pipeline` makes of the session's inputs: rows as in `session.ticks`, with timing all zero.
+
+    Raises SessionError if there are no ticks.
+    """
+    if not len(session.ticks):
+        raise SessionError(f"{session.path}: holds no ticks")
+    return TICK.array_of(starmap(pipeline.step, samples(session)))
+
+
+def insist_on_known(session: Session) -> None:
+    """Raises SessionError if the session holds what this version does not know: its decisions may rest on that."""
+    if session.beyond:
+        raise SessionError(f"{session.path}: cannot be replayed: {session.beyond}; replay it with that")
+
+
+def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
+    """The session's inputs as a pipeline takes them: sample, and why somebody asked to stop.
+
+    Raises SessionError for what this version does not know, and for a dt_s that no clock can have measured.
+    """
+    insist_on_known(session)
+    impossible = np.flatnonzero(~(np.abs(session.ticks["dt_s"]) < _LONGEST_S))
+    if len(impossible):
+        tick, dt_s = (session.ticks[name][impossible[0]] for name in ("tick", "dt_s"))
+        raise SessionError(f"{session.path}: tick {tick}: dt_s is {dt_s}, which no clock can have measured")
+    for time_ns, tick, dt_s, wheel, road, flags, request in TICK.values(session.payload, _INPUTS):
+        sample = Sample(tick, time_ns, dt_s, wheel, road, BoardFlags(flags) if flags else _NO_FLAGS)
+        yield sample, Reason(request) if request else _NO_REQUEST
+
+
+def _imply_inputs(logged: Array, again: Array) -> None:
+    """Put into `again` what those inputs should be that follow from others, so that they can be compared as well.
+
+    Ticks are numbered one by one, and dt_s is the time since the tick before. Where it is wrong before and after a
+    tick, that tick's time is.
+    """
+    numbers, times_ns = logged["tick"].astype(np.int64), logged["time_ns"].astype(np.int64)
+    again["tick"][1:] = numbers[:-1] + 1
+    follows = np.diff(numbers) == 1
+    again["dt_s"][1:][follows] = (np.diff(times_ns) / 1e9)[follows]
+    wrong = bits(again["dt_s"]) != bits(logged["dt_s"])
+    moved = np.flatnonzero(wrong[1:-1] & wrong[2:]) + 1
+    again["time_ns"][moved] = times_ns[moved - 1] + np.rint(logged["dt_s"][moved] * 1e9).astype(np.int64)
+
+
+def _difference(tick: int, name: str, *values: Any) -> Difference:
+    logged, replayed = (value.item() for value in values)
+    hexes = [value.hex() if isinstance(value, float) else hex(value) for value in (logged, replayed)]
+    return Difference(tick, name, repr(logged), repr(replayed), *hexes)

@@ -1,0 +1,160 @@
+"""How far a replayed signal may be from the logged one, in value and in time; how much a flag comes early or late.
+
+The words are those of Simulink Test: absolute, relative, leading, lagging (fact sheet on sessions, 11.3).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.format.schema import TICK, Role
+
+Array = npt.NDArray[Any]
+
+OUTPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.OUTPUT)
+_KINDS: Final = {column.name: column.kind for column in TICK.columns if column.role is Role.OUTPUT}
+DISCRETE: Final = tuple(name for name, kind in _KINDS.items() if kind.code != "d")
+"""Outputs that are no numbers: a flag or one of several."""
+ALL: Final = "*"
+_SYNTAX: Final = "must look like brake=1e-9, slip=1e-9:1e-6, or phase=::0.002:0.002"
+_LONGEST_S: Final = 1.0
+"""Of lead and lag: beyond, it is another stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """A replayed value is accepted if it is near a logged one of about the same time.
+
+    Near: |replayed - logged| <= max(abs, rel*|logged|), or between two such values; NaN is near NaN. About the same
+    time: the replayed signal may come up to `lead_s` earlier or `lag_s` later.
+    """
+
+    abs: float = 0.0
+    rel: float = 0.0
+    lead_s: float = 0.0
+    lag_s: float = 0.0
+
+    def accepts(self, logged: Array, replayed: Array, time_ns: Array) -> Array:
+        """Which of the replayed values; one for each tick."""
+        times_ns = time_ns.astype(np.int64)
+        first = np.searchsorted(times_ns, times_ns - round(self.lag_s * 1e9), side="left")
+        end = np.searchsorted(times_ns, times_ns + round(self.lead_s * 1e9), side="right")
+        near = self._near if logged.dtype.kind == "f" else _same
+        return near(logged, replayed, first, end)
+
+    def _near(self, logged: Array, replayed: Array, first: Array, end: Array) -> Array:
+        slack = np.maximum(self.abs, self.rel * np.abs(np.where(np.isfinite(logged), logged, 0.0)))
+        low, high = np.full(len(logged), math.inf), np.full(len(logged), -math.inf)
+        for rows, at in _window(first, end):
+            low[rows] = np.fmin(low[rows], (logged - slack)[at])
+            high[rows] = np.fmax(high[rows], (logged + slack)[at])
+        not_numbers = _same(np.isnan(logged), np.isnan(replayed), first, end)
+        between: Array = (low <= replayed) & (replayed <= high)
+        return between | (np.isnan(replayed) & not_numbers)
+
+
+def _same(logged: Array, replayed: Array, first: Array, end: Array) -> Array:
+    found = np.zeros(len(logged), np.bool_)
+    for rows, at in _window(first, end):
+        found[rows] |= logged[at] == replayed[rows]
+    return found
+
+
+def _window(first: Array, end: Array) -> Iterator[tuple[Array, Array]]:
+    """Rows, and for each of them one of its window `first`..`end`; again and again, until all have come."""
+    for k in range(int((end - first).max())):
+        rows = np.flatnonzero(first + k < end)
+        yield rows, first[rows] + k
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """A change of a flag, phase or reason that replay and log do not make at the same tick."""
+
+    field: str
+    value: str
+    """What it changes to."""
+    logged_tick: int | None
+    replayed_tick: int | None
+    late_ticks: int | None
+    """How much later the replay makes it; None where one of them never does."""
+
+
+def shifts(name: str, logged: Array, replayed: Array) -> Iterator[Shift]:
+    """Changes of one discrete output that are not the same; the n-th to a value is the n-th in log and replay."""
+    before, after = (_changes(rows[name], logged["tick"]) for rows in (logged, replayed))
+    for change in sorted({**after, **before}, key={**after, **before}.__getitem__):
+        then, now = before.get(change), after.get(change)
+        if then != now:
+            members = _KINDS[name].members
+            value = members(change[0]).name if members else str(bool(change[0])).lower()
+            yield Shift(name, value, then, now, None if then is None or now is None else now - then)
+
+
+def _changes(values: Array, ticks: Array) -> dict[tuple[int, int], int]:
+    """Tick of each change, by the value after it and how often that came before."""
+    found: dict[tuple[int, int], int] = {}
+    counts: dict[int, int] = {}
+    for row in [0, *(np.flatnonzero(values[1:] != values[:-1]) + 1).tolist()]:
+        value = int(values[row])
+        counts[value] = counts.get(value, -1) + 1
+        found[value, counts[value]] = int(ticks[row])
+    return found
+
+
+def bits(values: Array) -> Array:
+    """Values as unsigned integers of the same width: NaN equals itself, and -0.0 differs from 0.0."""
+    return np.ascontiguousarray(values).view(f"u{values.dtype.itemsize}")
+
+
+def parse_tolerances(texts: Iterable[str]) -> dict[str, Tolerance]:
+    """Tolerances by field, from texts such as `brake=1e-9:1e-6`; `*` is every field, and a later text wins.
+
+    Raises ConfigError with every mistake.
+    """
+    found: dict[str, Tolerance] = {}
+    mistakes: list[Mistake] = []
+    for text in texts:
+        try:
+            found.update(_parsed(text))
+        except ValueError as error:
+            mistakes.append(Mistake(f"--tol {text}", str(error)))
+    if mistakes:
+        raise ConfigError(mistakes)
+    return found
+
+
+def _parsed(text: str) -> dict[str, Tolerance]:
+    """Of one text; raises ValueError with what is wrong with it."""
+    name, equals, numbers = (part.strip() for part in text.partition("="))
+    parts = numbers.split(":")
+    if not (name and equals and numbers) or len(parts) > 4:
+        raise ValueError(f"{_SYNTAX}: FIELD=ABS[:REL[:LEAD_S[:LAG_S]]]")
+    if name != ALL and name not in _KINDS:
+        raise ValueError(f"no output {name!r}{near_match(name, _KINDS)}")
+    tolerance = Tolerance(*map(_number, parts))
+    for words, value in (("lead", tolerance.lead_s), ("lag", tolerance.lag_s)):
+        if value > _LONGEST_S:
+            raise ValueError(f"a {words} of {value:g} s: must be at most {_LONGEST_S:g} s")
+    if name == ALL:
+        return dict.fromkeys(_KINDS, tolerance)
+    if name in DISCRETE and (tolerance.abs or tolerance.rel):
+        raise ValueError(f"{name} is no number and can only come early or late, as in {name}=::0.002:0.002")
+    return {name: tolerance}
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text) if text.strip() else 0.0
+    except ValueError:
+        raise ValueError(f"{text!r} is no number; {_SYNTAX}") from None
+    if not 0.0 <= value < math.inf:
+        raise ValueError(f"{text}: must be finite and at least 0")
+    return value

@@ -1,0 +1,210 @@
+"""What another controller or estimator, or other gains, would have asked for on the counts that a session has logged.
+
+Open loop: the logged counts do not react. From where the wishes leave the log, they are what a controller would ask
+for in a situation that it would not have come into.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import tomli_w
+
+from inteco_abs.analysis.replay import insist_on_known
+from inteco_abs.analysis.tolerance import Array
+from inteco_abs.config import RigConfig, apply_setting, parse_config
+from inteco_abs.control import Controller, control_check, make_controller, make_estimator, preferred_estimator
+from inteco_abs.control.phase_machine import recordable
+from inteco_abs.errors import ConfigError, Mistake, SessionError, in_words
+from inteco_abs.sessions.reader import Session
+from inteco_abs.sessions.recorded_config import session_config
+from inteco_abs.signals import BrakeDemand, Command, Phase, Sample
+
+DUTY_THRESHOLD: Final = 0.01
+TORQUE_THRESHOLD_NM: Final = 0.1
+COMPARED: Final = ("slip", "torque_demand_nm", "brake_wish")
+_PHASES: Final = (Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED)
+_OPEN: Final = ("controller", "estimator", "model")
+"""Sections that decide what is asked for, and do not say what happened."""
+_DTYPE: Final = np.dtype([(name, "<f8") for name in COMPARED])
+_LOGGED: Final = ["tick", "time_ns", "dt_s", "wheel_count", "road_count", "board_flags", "drive", "brake", "phase"]
+_NO_DEMAND: Final = BrakeDemand(0.0)
+
+
+class Wish(NamedTuple):
+    """What is believed and asked for at one tick; columns of the log have these names."""
+
+    slip: float
+    torque_demand_nm: float
+    brake_wish: float
+
+
+@dataclass(frozen=True, slots=True)
+class Divergence:
+    """How one field leaves the log."""
+
+    field: str
+    threshold: float | None
+    """None for a field that is only told."""
+    tick: int | None
+    """First one beyond the threshold, or None."""
+    time_s: float | None
+    """Of that tick, since braking began."""
+    largest: float | None
+    rms: dict[str, float | None]
+    """By the log's phase; None where one of both is no number."""
+
+
+@dataclass(frozen=True, slots=True)
+class WhatIf:
+    """One alternative on the logged counts."""
+
+    wishes: Array
+    """A row for each tick, with the columns COMPARED; before the switch they are the log's."""
+    divergences: tuple[Divergence, ...]
+
+    @property
+    def horizon_s(self) -> float | None:
+        """Time since braking began at which it leaves the log, or None."""
+        times = [each.time_s for each in self.divergences if each.time_s is not None]
+        return min(times, default=None)
+
+
+def alternative(session: Session, settings: Sequence[str], controllers: Mapping[str, type[Controller]]) -> RigConfig:
+    """The session's configuration with `settings` over it; another controller begins with its own default gains.
+
+    Raises ConfigError with every mistake, SessionError if the session's configuration cannot be used.
+    """
+    table = tomllib.loads(session_config(session, ()).to_toml())
+    chosen: dict[str, Any] = {}
+    mistakes = [mistake for setting in settings for mistake in apply_setting(chosen, setting)]
+    mistakes += [
+        Mistake(key, f"is no part of what can be asked about; that are {', '.join(f'{each}.*' for each in _OPEN)}")
+        for key in chosen
+        if key not in _OPEN
+    ]
+    mistakes += [
+        Mistake(key, f"{value!r}: is a section; name a key in it, as in controller.gains.Mk=5")
+        for key, value in chosen.items()
+        if key in _OPEN and not isinstance(value, dict)
+    ]
+    if mistakes:
+        raise ConfigError(mistakes)
+    before = table["controller"]["name"]
+    for setting in settings:
+        apply_setting(table, setting)
+    if table["controller"]["name"] != before:
+        own = chosen["controller"].get("gains", {})
+        table["controller"]["gains"] = own
+    if "estimator" not in chosen:
+        needed = preferred_estimator(controllers)(table).get("estimator", {})
+        table["estimator"] |= needed
+    return parse_config(tomli_w.dumps(table), (control_check(controllers),))
+
+
+def braking_row(session: Session) -> int:
+    """Row of the first tick of braking; raises SessionError if there is none."""
+    rows = np.flatnonzero(session.ticks["phase"] == Phase.BRAKING)
+    if not len(rows):
+        raise SessionError(f"{session.path}: the run ended before braking; there is nothing to ask about")
+    return int(rows[0])
+
+
+def since_braking_s(session: Session) -> Array:
+    """Time of each tick since braking began, s."""
+    times_ns = session.ticks["time_ns"].astype(np.int64)
+    seconds: Array = (times_ns - times_ns[braking_row(session)]) * 1e-9
+    return seconds
+
+
+def what_if(
+    session: Session,
+    config: RigConfig,
+    controllers: Mapping[str, type[Controller]],
+    at_s: float | None = None,
+    duty: float = DUTY_THRESHOLD,
+    torque_nm: float = TORQUE_THRESHOLD_NM,
+) -> WhatIf:
+    """What the estimator and controller of `config` ask for on the logged counts, and where that leaves the log.
+
+    They run along from the first tick; from `at_s` after braking began on they are looked at, or always. `duty` and
+    `torque_nm` are how far they may be from the log without having left it.
+    Raises SessionError if there was no braking, if the run was over by `at_s`, or if the estimator or controller
+    raises.
+    """
+    insist_on_known(session)
+    since_s = since_braking_s(session)
+    ahead = since_s < (-math.inf if at_s is None else at_s - 1e-9)
+    if ahead.all():
+        raise SessionError(
+            f"{session.path}: {at_s:g} s after braking began the run was over; choose at most {since_s[-1]:.3f} s"
+        )
+    wishes = np.array(list(_wishes(session, config, controllers)), _DTYPE)
+    logged = session.ticks[list(COMPARED)].astype(_DTYPE)
+    wishes[ahead] = logged[ahead]
+    thresholds = {"torque_demand_nm": torque_nm, "brake_wish": duty}
+    found = [_divergence(session, since_s, wishes, logged, name, thresholds.get(name)) for name in COMPARED]
+    return WhatIf(wishes, tuple(found))
+
+
+def _wishes(session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> Iterator[Wish]:
+    alternative = _Alternative(config, controllers)
+    wish, told, before = Wish(0.0, 0.0, 0.0), Command.SAFE, Phase.UNKNOWN
+    for tick, time_ns, dt_s, wheel, road, flags, drive, brake, phase in session.ticks[_LOGGED].tolist():
+        if not flags:  # else the run went on with what it had
+            try:
+                wish = alternative.step(Sample(tick, time_ns, dt_s, wheel, road), told, Phase(before), Phase(phase))
+            except (Exception, SystemExit) as error:  # a user's controller may raise anything
+                raise SessionError(f"{session.path}: asked at tick {tick}, it raised {in_words(error)}") from error
+        yield wish
+        told, before = Command(drive, brake), phase
+
+
+class _Alternative:
+    """Estimator and controller, the latter asked where the log's was: from the tick after braking began on."""
+
+    def __init__(self, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> None:
+        self._made_of = config, controllers
+        self._estimator = make_estimator(config)
+        self._controller = make_controller(config, controllers)
+        self._held = _NO_DEMAND
+
+    def step(self, sample: Sample, told: Command, before: Phase, phase: Phase) -> Wish:
+        """What is asked for in a tick that goes from one phase to the next."""
+        estimate = self._estimator.update(sample, told)
+        demand = _NO_DEMAND
+        if before is Phase.BRAKING:
+            demand = self._held = recordable(self._controller.update(estimate, sample.dt_s))
+        elif before is Phase.STOPPED and phase is Phase.STOPPED:
+            demand = self._held
+        elif before is Phase.STOPPED:
+            self._controller = make_controller(*self._made_of)  # each stop begins with a fresh one
+        return Wish(estimate.slip, demand.torque_nm, demand.brake if type(demand.brake) is float else math.nan)
+
+
+def _divergence(
+    session: Session, since_s: Array, wishes: Array, logged: Array, name: str, threshold: float | None
+) -> Divergence:
+    both_missing = np.isnan(wishes[name]) & np.isnan(logged[name])
+    apart = np.where(both_missing, 0.0, np.abs(wishes[name] - logged[name]))
+    phases = session.ticks["phase"]
+    judged = np.isin(phases, _PHASES)
+    beyond = np.flatnonzero(judged & ~(apart <= (math.inf if threshold is None else threshold)))
+    where = {phase.name: apart[phases == phase] for phase in _PHASES if (phases == phase).any()}
+    return Divergence(
+        name,
+        threshold,
+        int(session.ticks["tick"][beyond[0]]) if len(beyond) and threshold is not None else None,
+        float(since_s[beyond[0]]) if len(beyond) and threshold is not None else None,
+        _finite(np.max(apart[judged])),
+        {phase: _finite(np.sqrt(np.mean(values * values))) for phase, values in where.items()},
+    )
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None

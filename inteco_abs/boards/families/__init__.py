@@ -1,0 +1,1 @@
+"""The board families, one folder each."""

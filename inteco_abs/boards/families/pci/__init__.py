@@ -1,0 +1,1 @@
+"""RT-DAC4/PCI with the ABS logic."""

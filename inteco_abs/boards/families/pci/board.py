@@ -1,0 +1,353 @@
+"""RT-DAC4/PCI with the ABS logic: pairs of index and data register, a dozen of accesses in each tick."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from struct import Struct
+from typing import Final, NamedTuple
+
+from firmware_protocol import ProtocolError, Register, Status
+from firmware_protocol.register_messages import Step
+from firmware_protocol.registers import REGISTER_BYTES, Write
+from firmware_protocol.rtdac_pci import (
+    ABS,
+    ALARM_BIT0,
+    ALARM_BIT2,
+    ALARM_SUPPLY,
+    ENCODER_CHANNELS,
+    ENCODER_COUNT,
+    ENCODER_INDEX,
+    ENCODER_RESET,
+    LOGIC,
+    LOGIC_VERSION,
+    MAXIMUM_ROAD_VELOCITY,
+    MAXIMUM_TEMPERATURE,
+    MINIMUM_SUPPLY,
+    PWM_CHANNELS,
+    PWM_FULL_WIDTH,
+    PWM_INDEX,
+    PWM_MODE,
+    PWM_PRESCALER,
+    PWM_WIDTH,
+    RESISTOR1_HIGH,
+    RESISTOR1_IN_SERIES,
+    RESISTOR1_LOW,
+    RESISTOR2_HIGH,
+    RESISTOR2_IN_SERIES,
+    RESISTOR2_LOW,
+    ROAD_VELOCITY,
+    SUPPLY,
+    TEMPERATURE_HIGH,
+    TEMPERATURE_LOW,
+    VELOCITY_WINDOW,
+    WHEEL_VELOCITY,
+)
+from inteco_abs.boards.authorization import distrust
+from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
+from inteco_abs.boards.first_write import PlannedWord
+from inteco_abs.boards.frame_board import MODES, widths
+from inteco_abs.boards.transports.registers import Registers
+from inteco_abs.config import BoardConfig
+from inteco_abs.errors import BoardError, ConfigError, LinkError, Mistake
+from inteco_abs.signals import Command
+
+_FIELD_NAMES: Final = {PWM_MODE: "mode", PWM_PRESCALER: "prescaler", PWM_WIDTH: "width"}
+_NOBODY: Final = 0xFFFF_FFFF
+"""What a bus reads where no board answers."""
+_RELIED_ON: Final = (
+    LOGIC, PWM_INDEX, PWM_MODE, PWM_PRESCALER, PWM_WIDTH, ENCODER_INDEX, ENCODER_RESET, ENCODER_COUNT,
+)  # fmt: skip
+_SHOWN: Final = {
+    "supply": SUPPLY,
+    "temperature": TEMPERATURE_HIGH,
+    "velocity_window": VELOCITY_WINDOW,
+    **{
+        register.name: register
+        for register in (
+            ROAD_VELOCITY, WHEEL_VELOCITY, RESISTOR1_IN_SERIES, RESISTOR2_IN_SERIES, ALARM_BIT0, ALARM_SUPPLY,
+            ALARM_BIT2, MAXIMUM_ROAD_VELOCITY, MINIMUM_SUPPLY, MAXIMUM_TEMPERATURE, RESISTOR1_LOW, RESISTOR1_HIGH,
+            RESISTOR2_LOW, RESISTOR2_HIGH,
+        )
+    },
+}  # fmt: skip
+
+
+class Reading(NamedTuple):
+    """One of the quantities that the board measures besides the wheels' angles, or has as a limit. For show only."""
+
+    name: str
+    value: float | None
+    """None if the board's numbers make no value."""
+    unit: str
+    """`1` for a flag."""
+    status: Status
+    """What is known of the register: the meaning of the alarm flags is not."""
+    meaning: str
+
+
+class RtdacPci(Board):
+    """The board behind `registers`, wired as `wiring` says; see `Board` for what it promises.
+
+    A tick writes both widths, the one that falls first, so that a failure in between leaves less power; right before
+    it writes one it reads what was there, which tells whether another program has written since the tick before, or
+    the board was reset. Then it reads
+    the logic's version, which tells whether this is still the board; both widths, each selected anew, which tells
+    whether another program has moved the index between two accesses; and both counters. These readings cost about as
+    much as the rest, some microseconds, and also make sure that the writes have arrived: a bus may post them.
+
+    Whether the index registers can be read is not known, so nothing rests on it.
+
+    Raises ConfigError for a wiring that the logic has no channels for.
+    """
+
+    def __init__(self, registers: Registers, wiring: BoardConfig, now_ns: Callable[[], int], period_ns: int) -> None:
+        super().__init__(now_ns, period_ns)
+        _insist_on_channels(wiring)
+        self._registers = registers
+        self._wiring = wiring
+        self._mode = MODES.index(wiring.pwm_mode)
+        self._full = PWM_FULL_WIDTH[self._mode]
+        self._outputs = (wiring.drive_pwm, wiring.brake_pwm)
+        self._off: tuple[Write, ...] = tuple(write for channel in self._outputs for write in _width(channel, 0))
+        self._reset = 0
+        self._before = (0, 0)
+        self._written = True  # whether the board must still have them: not after an exchange that failed half-way
+        self._echo = (LOGIC.offset, *(step for channel in self._outputs for step in _read(PWM_WIDTH, channel)))
+        encoders = (wiring.wheel_encoder, wiring.road_encoder)
+        self._look = (*self._echo, *(step for channel in encoders for step in _read(ENCODER_COUNT, channel)))
+
+    def identify(self) -> Identity:
+        """Read the version; nothing is written, unless the board is this logic and must not be driven.
+
+        Then its PWM widths are looked at, for which the channel has to be written to the index register.
+        """
+        version = self._own_version(self._registers.read(LOGIC.offset))
+        because = distrust(self._wiring, version, None, _RELIED_ON)
+        if version != LOGIC_VERSION:
+            own = f"this driver knows the registers of logic 0x{LOGIC_VERSION:04X} only"
+            because = f"{because}; {own}" if because else f"the board has logic 0x{version:04X}, and {own}"
+            because += f". Whether its PWM outputs are zero cannot be told. {STILL_ON}"
+        elif because and self._outputs_on():
+            because += f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}"
+        return Identity(version, "", "", because)
+
+    def survey(self, names: Collection[str] = ()) -> Survey:
+        """Read the board once: the named fields, or all; writes nothing but which channel is asked for."""
+        unknown = [name for name in names if name not in _FIELDS]
+        if unknown:
+            raise BoardError(f"{ABS.title} has no field {', '.join(unknown)}")
+        chosen = {name: _FIELDS[name] for name in names or _FIELDS}
+        self._insist_on_logic()
+        raw = self._registers.run([step for register, channel in chosen.values() for step in _read(register, channel)])
+        values = {name: register.decode(bits) for (name, (register, _)), bits in zip(chosen.items(), raw, strict=True)}
+        return Survey(values, b"".join(bits.to_bytes(4, "little") for bits in raw))
+
+    def readings(self) -> list[Reading]:
+        """What the board measures and its limits, in shop units; some twenty accesses, so not for use in a tick.
+
+        Raises BoardError on a board with another logic, whose registers mean something else.
+        """
+        self._insist_on_logic()
+        registers = [*_SHOWN.values(), TEMPERATURE_LOW]
+        raw = {offset: self._registers.read(offset) for offset in sorted({one.offset for one in registers})}
+        values = {one.name: one.decode(raw[one.offset]) for one in registers}
+        return [
+            Reading(name, _quantity(one, values), _unit(one), one.status, one.meaning) for name, one in _SHOWN.items()
+        ]
+
+    def _insist_on_logic(self) -> None:
+        """Nothing may be written to another logic, not even which channel is asked for."""
+        version = self._own_version(self._registers.read(LOGIC.offset))
+        if version != LOGIC_VERSION:
+            raise BoardError(f"the board has logic 0x{version:04X}: what its registers are is not known")
+
+    def _own_version(self, raw: int) -> int:
+        if raw == _NOBODY:
+            raise LinkError(
+                "no board answers, all bits read 1: is it in its slot and switched on? inteco-abs doctor tells more"
+            )
+        return LOGIC.decode(raw)
+
+    def _outputs_on(self) -> bool:
+        return any(PWM_WIDTH.decode(raw) for raw in self._registers.run(self._echo)[1:])
+
+    def _take_over(self) -> None:
+        self._reset = self._reset_without_ours(ENCODER_RESET.decode(self._registers.read(ENCODER_RESET.offset)))
+
+    def _reset_without_ours(self, found: int) -> int:
+        return found & ~(1 << self._wiring.wheel_encoder | 1 << self._wiring.road_encoder)
+
+    def first_write(self) -> list[PlannedWord]:
+        """Registers that entering changes; which channel is asked for is written to the index registers."""
+        settings = (*self._pwm_settings(), (PWM_WIDTH, 0))
+        planned = {
+            f"pwm{channel}_{_FIELD_NAMES[register]}": value for channel in self._outputs for register, value in settings
+        }
+        found = self.survey([*planned, ENCODER_RESET.name]).values
+        planned[ENCODER_RESET.name] = self._reset_without_ours(int(found[ENCODER_RESET.name]))
+        return [
+            PlannedWord(f"0x{_FIELDS[name][0].offset:02X}", (name,), int(found[name]), value)
+            for name, value in planned.items()
+            if found[name] != value
+        ]
+
+    @property
+    def safe_image(self) -> bytes:
+        """The writes that set both widths to zero, as offsets and values of 32 bits."""
+        return b"".join(word.to_bytes(4, "little") for write in self._off for word in write)
+
+    def _adopt(self, image: bytes) -> None:
+        words = [int.from_bytes(image[at : at + 4], "little") for at in range(0, len(image), 4)]
+        self._off = tuple(map(Write, words[::2], words[1::2]))
+
+    def _start(self) -> tuple[int, int]:
+        self._write_safe()
+        settings = [(register, channel, value) for channel in self._outputs for register, value in self._pwm_settings()]
+        for register, channel, value in settings:
+            self._registers.run(ABS.write(register, value, channel))
+        self._registers.run(ABS.write(ENCODER_RESET, self._reset))
+        wrong = [
+            f"{register.name} of channel {channel} = {echo}, not {value}"
+            for register, channel, value in settings
+            if (echo := register.decode(self._registers.run(_read(register, channel))[0])) != value
+        ]
+        reset = ENCODER_RESET.decode(self._registers.read(ENCODER_RESET.offset))
+        if reset != self._reset:
+            wrong.append(f"{ENCODER_RESET.name} = {reset}, not {self._reset}")
+        if wrong:
+            raise BoardError(f"the board did not take its settings: {'; '.join(wrong)}")
+        return self._counts(self._registers.run(self._look), 0, 0)
+
+    def _pwm_settings(self) -> tuple[tuple[Register, int], ...]:
+        return (PWM_MODE, self._mode), (PWM_PRESCALER, self._wiring.pwm_prescaler)
+
+    def _transfer(self, command: Command) -> tuple[int, int]:
+        drive, brake = new = widths(command, self._full)
+        writes = [_exchanged(channel, width) for channel, width in zip(self._outputs, new, strict=True)]
+        before, self._before = self._before, new
+        if reverse := brake < before[1] and drive >= before[0]:
+            writes.reverse()
+        certain, self._written = self._written, False
+        first, second, *seen = self._registers.run((*writes[0], *writes[1], *self._look))
+        counts = self._counts(seen, drive, brake)
+        self._written = True
+        had = PWM_WIDTH.decode(first), PWM_WIDTH.decode(second)
+        if reverse:
+            had = had[::-1]
+        if certain and had != before:
+            problem = f"the board had PWM widths {had}, last written were {before}"
+            raise LinkError(f"{problem}: is there another master, or was it reset?")
+        return counts
+
+    def _write_safe(self) -> None:
+        """Both widths zero, the second even if the first cannot be written; then read them back."""
+        failure: LinkError | None = None
+        self._before, self._written = (0, 0), False
+        for at in range(0, len(self._off), 2):
+            try:
+                self._registers.run(self._off[at : at + 2])
+            except LinkError as error:
+                failure = error
+        if failure is not None:
+            raise failure
+        self._check(self._registers.run(self._echo), 0, 0)
+        self._written = True
+
+    def _counts(self, values: Sequence[int], drive: int, brake: int) -> tuple[int, int]:
+        """Counters of wheel and road, from the answer to `_look`."""
+        self._check(values, drive, brake)
+        *_, wheel, road = values
+        wiring = self._wiring
+        return wiring.wheel_sign * ENCODER_COUNT.decode(wheel), wiring.road_sign * ENCODER_COUNT.decode(road)
+
+    def _check(self, values: Sequence[int], drive: int, brake: int) -> None:
+        """Raise LinkError unless the answer to `_echo` is this board's and has these widths."""
+        logic = self._own_version(values[0])
+        if logic != self._wiring.logic_version:
+            raise LinkError(f"the board's logic is 0x{logic:04X} now: it was reset or replaced")
+        echo = PWM_WIDTH.decode(values[1]), PWM_WIDTH.decode(values[2])
+        if echo != (drive, brake):
+            raise LinkError(f"the board has PWM widths {echo}, written were {(drive, brake)}: is there another master?")
+
+    def _close(self) -> None:
+        self._registers.close()
+
+
+def _fields() -> dict[str, tuple[Register, int | None]]:
+    """What a survey may ask for, by the names that the fields have on every board."""
+    return {
+        LOGIC.name: (LOGIC, None),
+        **{f"pwm{i}_{name}": (register, i) for i in range(PWM_CHANNELS) for register, name in _FIELD_NAMES.items()},
+        ENCODER_RESET.name: (ENCODER_RESET, None),
+        **{f"encoder{i}_count": (ENCODER_COUNT, i) for i in range(ENCODER_CHANNELS)},
+    }
+
+
+_FIELDS: Final = _fields()
+
+
+def registers_of(image: bytes) -> Iterator[tuple[str, Register, int | None, int]]:
+    """Name, register, channel and bits of everything in an image, as `survey` without names makes one.
+
+    Raises ValueError for an image of another length.
+    """
+    if len(image) != REGISTER_BYTES * len(_FIELDS):
+        raise ValueError(f"an image of {len(image)} bytes: {ABS.title} has {REGISTER_BYTES * len(_FIELDS)}")
+    for (name, (register, channel)), (bits,) in zip(_FIELDS.items(), Struct("<I").iter_unpack(image), strict=True):
+        yield name, register, channel, bits
+
+
+def _width(channel: int, width: int) -> tuple[Write, Write]:
+    return Write(PWM_INDEX.offset, channel), Write(PWM_WIDTH.offset, width)
+
+
+def _exchanged(channel: int, width: int) -> tuple[Step, ...]:
+    """What there was, and `width` in its place."""
+    select, write = _width(channel, width)
+    return select, PWM_WIDTH.offset, write
+
+
+def _read(register: Register, channel: int | None) -> tuple[Step, ...]:
+    return (*ABS.select(register, channel), register.offset)
+
+
+def _quantity(register: Register, values: dict[str, int]) -> float | None:
+    if register.conversion is None:
+        return values[register.name]
+    try:
+        return ABS.quantity(register, values)
+    except ProtocolError:
+        return None
+
+
+def _unit(register: Register) -> str:
+    return register.conversion.unit if register.conversion is not None else register.unit
+
+
+def _insist_on_channels(wiring: BoardConfig) -> None:
+    most = {
+        "drive_pwm": PWM_CHANNELS,
+        "brake_pwm": PWM_CHANNELS,
+        "wheel_encoder": ENCODER_CHANNELS,
+        "road_encoder": ENCODER_CHANNELS,
+        "numbering_pwm": 0,
+        "timer": 0,
+        "watchdog_pin": 0,
+        "watchdog_contact_pin": 0,
+    }
+    mistakes = [
+        Mistake(f"board.{key}", f"{getattr(wiring, key)}: {ABS.title} has {_channels(count)}")
+        for key, count in most.items()
+        if getattr(wiring, key) >= count
+    ]
+    if wiring.constants:
+        mistakes.append(Mistake("board.constants", f"{ABS.title} has no frames: leave them out"))
+    if wiring.numbering_pins:
+        mistakes.append(Mistake("board.numbering_pins", f"{wiring.numbering_pins}: {ABS.title} has {_channels(0)}"))
+    if mistakes:
+        raise ConfigError(mistakes)
+
+
+def _channels(count: int) -> str:
+    # its registers are read one by one, in the very tick: no answer can be an old one
+    return f"channels 0..{count - 1}" if count else "no frames and no known digital pins; leave it out"

@@ -1,0 +1,1 @@
+"""RT-DAC/USB, first generation."""

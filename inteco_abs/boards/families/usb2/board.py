@@ -1,0 +1,33 @@
+"""RT-DAC/USB2: SEND, READ request and READ answer, one after the other in each tick."""
+
+from __future__ import annotations
+
+import struct
+from typing import Final
+
+from firmware_protocol.rtdac_usb2 import HEADER_BYTES, LOGICS, PWM_FULL_WIDTH, READ_REQUEST, Logic
+from inteco_abs.boards.frame_board import FrameBoard, FrameLayout
+from inteco_abs.config import BoardConfig
+
+
+def _layout(logic: Logic) -> FrameLayout:
+    return FrameLayout(
+        read=logic.read,
+        send=logic.send,
+        header=logic.read,
+        header_bytes=HEADER_BYTES,
+        request=READ_REQUEST,
+        pwm_full_width=PWM_FULL_WIDTH,
+        number=struct.Struct("<H"),
+        number_bits=15,
+    )
+
+
+LAYOUTS: Final = {name: _layout(logic) for name, logic in LOGICS.items()}
+
+
+class RtdacUsb2(FrameBoard):
+    """An RT-DAC/USB2 with the frames of the logic that the profile names."""
+
+    def _layout_of(self, wiring: BoardConfig) -> FrameLayout:
+        return LAYOUTS[wiring.frame_map]

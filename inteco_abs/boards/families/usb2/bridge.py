@@ -1,0 +1,75 @@
+"""What the USB bridge of an RT-DAC/USB2 does besides carrying frames: tells its firmware's dates, lights an LED.
+
+Requests to endpoint 0 only: they need no claim, reach neither the FPGA nor an output, and may be made while another
+program drives the board. Source: fact sheet on the boards, 3.2. `device` is pyusb's, as `usb.boards` finds it.
+"""
+
+from __future__ import annotations
+
+import errno
+import struct
+from typing import Any, Final, NamedTuple
+
+import usb.core
+
+from firmware_protocol.rtdac_usb2_bridge import (
+    DATE_ADDRESSES_BYTES,
+    DATE_BYTES,
+    DATE_CHARACTERS,
+    REQUEST_DATE,
+    REQUEST_DATE_ADDRESSES,
+    REQUEST_LED_OFF,
+    REQUEST_LED_ON,
+)
+from inteco_abs.boards.transports.usb_errors import in_words
+from inteco_abs.errors import LinkError
+
+NOT_TOLD: Final = "not told"
+_TIMEOUT_MS: Final = 1000
+"""The vendor's own, for each endpoint (fact sheet, 3.1); nothing is driven meanwhile."""
+_FROM_DEVICE, _TO_DEVICE = 0xC0, 0x40
+"""Vendor requests, recipient device: INFERRED, the defaults of the vendor's USB library."""
+_ADDRESSES: Final = struct.Struct("<2xHH")
+
+
+class FirmwareDates(NamedTuple):
+    """Dates of the bridge's firmware as the board tells them, or NOT_TOLD."""
+
+    compiled: str
+    released: str
+
+
+def firmware_dates(device: Any) -> FirmwareDates:
+    """Ask the bridge; a board that refuses or answers nonsense has NOT_TOLD. Raises LinkError for other failures."""
+    answer = _ask(device, REQUEST_DATE_ADDRESSES, 0, DATE_ADDRESSES_BYTES)
+    if len(answer) != _ADDRESSES.size:
+        return FirmwareDates(NOT_TOLD, NOT_TOLD)
+    compiled, released = _ADDRESSES.unpack(answer)
+    return FirmwareDates(_date(device, compiled), _date(device, released))
+
+
+def identify_led(device: Any, *, on: bool) -> bool:
+    """Light the middle LED, or put it out, to show which board it is; False if the board refuses. Raises LinkError."""
+    try:
+        device.ctrl_transfer(_TO_DEVICE, REQUEST_LED_ON if on else REQUEST_LED_OFF, 0, 0, None, _TIMEOUT_MS)
+    except usb.core.USBError as error:
+        if error.errno == errno.EPIPE:
+            return False
+        raise LinkError(in_words(error.errno, error, _TIMEOUT_MS)) from error
+    return True
+
+
+def _date(device: Any, address: int) -> str:
+    """Two-byte characters, of which the lower bytes are the text."""
+    text = _ask(device, REQUEST_DATE, address, DATE_BYTES)[: 2 * DATE_CHARACTERS : 2].decode("latin-1").strip("\0 ")
+    return text if text and text.isascii() and text.isprintable() else NOT_TOLD
+
+
+def _ask(device: Any, request: int, value: int, length: int) -> bytes:
+    """The bridge's answer, empty if it refuses."""
+    try:
+        return bytes(device.ctrl_transfer(_FROM_DEVICE, request, value, 0, length, _TIMEOUT_MS))
+    except usb.core.USBError as error:
+        if error.errno == errno.EPIPE:
+            return b""
+        raise LinkError(in_words(error.errno, error, _TIMEOUT_MS)) from error

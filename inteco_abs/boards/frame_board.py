@@ -1,0 +1,456 @@
+"""What the two USB boards have in common: one frame of settings out, one of everything back, in each tick."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from struct import Struct
+from typing import Final
+
+from firmware_protocol import Field, FrameTable, ProtocolError
+from firmware_protocol.fields import BYTE_BITS, sent_back
+from inteco_abs.boards.authorization import distrust
+from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
+from inteco_abs.boards.board_clock import BoardClock
+from inteco_abs.boards.constants import constants_of
+from inteco_abs.boards.echoed_pins import EchoedPins
+from inteco_abs.boards.first_write import PlannedWord, planned_words
+from inteco_abs.boards.transports.links import Link
+from inteco_abs.config import BoardConfig
+from inteco_abs.errors import BoardError, ConfigError, LinkError, Mistake, NoAnswerError
+from inteco_abs.signals import Command
+
+_EXACT: Final = 1e-9
+"""Keeps a duty that is a whole number of widths from losing one to binary rounding."""
+MODES: Final = ("8-bit", "12-bit")
+_MOST_OLD: Final = 100
+"""More answers to older requests than this are no leftover of a pause."""
+_SHARED: Final = ("pin_mode", "pin_direction", "pin_output", "encoder_reset", "timer_reset", "timer_mode")
+"""Of these some bits are the wiring's, all others stay as the board has them."""
+_PERIODS: Final = 2.0
+"""Time-out of an exchange in the loop: one lost answer costs three ticks. The slowest good exchange takes one."""
+_LEAST_TIMEOUT_S: Final = 0.001
+"""The least that libusb's time-outs can be, and twice what a slow exchange over a high-speed bus takes."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameLayout:
+    """One logic's frames, and what a driver has to know besides the tables."""
+
+    read: FrameTable
+    send: FrameTable
+    header: FrameTable
+    """What a READ frame of any logic tells of the board, in its first `header_bytes`."""
+    header_bytes: int
+    request: bytes
+    pwm_full_width: tuple[int, ...]
+    """Width that stands for a duty of 1, in 8-bit and in 12-bit mode."""
+    number: Struct
+    """One word of a frame; the lower `number_bits` of a prescaler travel in the first of its words, both ways."""
+    number_bits: int
+
+
+class FrameBoard(Board):
+    """The board behind `link`, wired as `wiring` says; see `Board` for what it promises.
+
+    The output image is built once, when the board is opened: what the wiring owns comes from the wiring, with the
+    widths of drive and brake zero, everything else from the first read, words that nobody has a name for included.
+    In a tick only the two widths change, the watchdog's pin, and the number of the frame, for which the prescaler of a
+    PWM channel that is wired to nothing is used, or the latch of pins that drive nothing: the board echoes it, so that
+    an answer to an older request, late or duplicated, is told from the one to this request. Where the wiring has a
+    timer, it dates the samples and shows such an answer, too. It is set to zero when the board is opened, and each time
+    SAFE is to be confirmed, so that no answer from before can confirm it.
+
+    The widths of other PWM channels stay as they were read. The safe image is not concerned by that: which channels
+    drive and brake hang on is what a signature vouches for, and before there is one nothing is written; commissioning
+    refuses a board on which another channel runs, unless `board.constants` says what it shall do.
+
+    Raises ConfigError for a wiring that the logic has no channels for, or constants that it has no place for.
+    """
+
+    def __init__(self, link: Link, wiring: BoardConfig, now_ns: Callable[[], int], period_ns: int) -> None:
+        super().__init__(now_ns, period_ns)
+        self._link = link
+        self.engines = link.engines
+        self._wiring = wiring
+        self._layout = layout = self._layout_of(wiring)
+        self._mode = MODES.index(wiring.pwm_mode)
+        self._full = layout.pwm_full_width[self._mode]
+        _insist_on_channels(wiring, layout)
+        drive, brake = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
+        self._drive_out, self._brake_out = layout.send.place(drive), layout.send.place(brake)
+        self._drive_echo, self._brake_echo = layout.read.place(drive), layout.read.place(brake)
+        self._wheel = layout.read.place(f"encoder{wiring.wheel_encoder}_count")
+        self._road = layout.read.place(f"encoder{wiring.road_encoder}_count")
+        numbered = f"pwm{wiring.numbering_pwm}_prescaler" if wiring.numbering_pwm >= 0 else ""
+        self._number = 0
+        self._numbers = 1 << layout.number_bits
+        self._number_at = _first_byte(layout.send, numbered) if numbered else -1
+        self._number_echo = _first_byte(layout.read, numbered) if numbered else -1
+        self._clock = BoardClock(wiring.timer_hz) if wiring.timer >= 0 else None
+        self._timer = layout.read.place(f"timer{wiring.timer}_value") if wiring.timer >= 0 else None
+        self._taken_ns = 0  # when the counts of the newest answer were taken, by that clock
+        owned = [*self._of_wiring({}), *([numbered] if numbered else [])]
+        self._constants = constants_of(wiring, layout.send, owned)
+        # the words of both widths go out whole: no bit that nobody knows is left on in what is to be off
+        self._decided = {part.word: 0 for name in (drive, brake) for part in layout.send.fields[name][1]}
+        self._decided |= self._constants.words
+        self._image = bytearray(layout.send.size)
+        self._pins: EchoedPins | None = None
+        self._newest_frame = b""
+        self._good = False  # whether the newest exchange was
+        self._settings: dict[str, int] = {}
+        self._header = b""
+        self._late = False  # whether an exchange failed, and its answer may be taken for another's
+        # whether an answer to an older request is known as such, by its number or its time, and may be read past
+        self._knows_late = (bool(numbered) or self._clock is not None) and link.keeps_boundaries
+        self._patient_s = self._timeout_s = link.timeout_s
+        self._hurried_s = min(self._patient_s, max(_LEAST_TIMEOUT_S, _PERIODS * period_ns * 1e-9))
+
+    @abstractmethod
+    def _layout_of(self, wiring: BoardConfig) -> FrameLayout:
+        """Layout of the logic that the profile expects."""
+
+    def identify(self) -> Identity:
+        """Read the header once; nothing is written but the READ request."""
+        if not self._ready:
+            self._link.prepare(self._layout.read.size)
+        frame = self._read()
+        try:
+            values = self._layout.header.decode_some(frame, _known(self._layout.header))
+        except ProtocolError as error:
+            raise LinkError(f"the board's answer is no READ frame: {error}") from error
+        if not self._ready:  # an open board that now calls itself something else has been reset or replaced
+            self._header = frame[: self._layout.header_bytes]
+        version, name = int(values["logic_version"]), str(values["application_name"])
+        because = distrust(self._wiring, version, name, self._relied_on())
+        if because:
+            because += self._warning(frame)
+        return Identity(version, name, str(values.get("synthesis_date", "")), because)
+
+    def survey(self, names: Collection[str] = ()) -> Survey:
+        """Read the board once: the named fields, or all."""
+        table = self._layout.read
+        unknown = [name for name in names if name not in table.fields]
+        if unknown:
+            raise BoardError(f"{table.title} has no field {', '.join(unknown)}")
+        frame = self._read()
+        try:
+            values = table.decode_some(frame, names or table.fields)
+        except ProtocolError as error:
+            raise LinkError(f"the board's answer is no READ frame: {error}") from error
+        if not frame.startswith(self._header):
+            raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
+        return Survey(values, frame)
+
+    def _relied_on(self) -> list[Field]:
+        """What outputs rest on of the frames."""
+        encoders = (f"encoder{i}_count" for i in (self._wiring.wheel_encoder, self._wiring.road_encoder))
+        clock = [f"timer{self._wiring.timer}_value"] if self._clock else []
+        return [self._layout.read.fields[name][0] for name in (*self._owned({}), *encoders, *clock)]
+
+    def _warning(self, frame: bytes) -> str:
+        """What must be said of the outputs of a board that nothing may be written to."""
+        table = self._layout.read
+        try:
+            values = table.decode_some(frame, (name for name in table.fields if name.endswith("_width")))
+        except ProtocolError:  # another logic: where its widths are is not known
+            return f". Whether its PWM outputs are zero cannot be told. {STILL_ON}"
+        return f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}" if any(values.values()) else ""
+
+    def _take_over(self) -> None:
+        self._settings, self._image[:] = self._first_image(self._read())
+        self._pins = self._echoed_pins()
+        if self._pins is not None:
+            self._settings.pop("pin_output", None)  # every answer is compared with what was sent last
+
+    def _first_image(self, frame: bytes) -> tuple[dict[str, int], bytes]:
+        """What is decided of a board that reads so, by field, and the whole SEND frame with that, outputs off."""
+        read, send = self._layout.read, self._layout.send
+        try:
+            found = read.decode(frame)
+            settings = self._owned({name: int(found[name]) for name in _SHARED if name in found})
+            return settings, sent_back(read, send, frame, settings, self._decided)
+        except ProtocolError as error:
+            raise BoardError(f"the board's settings cannot be taken over: {error}") from error
+
+    def first_write(self) -> list[PlannedWord]:
+        """Words of the first frame that differ from what the board has, and those that are kept though unknown."""
+        frame = self._read()
+        settings, image = self._first_image(frame)
+        read, send = self._layout.read, self._layout.send
+        number_word = self._number_at * BYTE_BITS // send.word_bits if self._number_at >= 0 else -1
+        return list(planned_words(read, send, frame, image, settings, number_word))
+
+    @property
+    def safe_image(self) -> bytes:
+        """The header that every answer of this board begins with, and the SEND frame with all widths zero."""
+        image = bytearray(self._image)
+        for place in (self._drive_out, self._brake_out):
+            place.codec.pack_into(image, place.offset, 0)
+        return self._header + bytes(image)
+
+    def _adopt(self, image: bytes) -> None:
+        length = self._layout.header_bytes
+        self._header, self._image[:] = image[:length], image[length:]
+        self._pins = self._echoed_pins()
+        self._late = True  # so that what the other process had asked for is dropped first, whatever its number
+
+    def _echoed_pins(self) -> EchoedPins | None:
+        """Of the image; None if the wiring has none."""
+        layout, wiring = self._layout, self._wiring
+        if not _latched(wiring):
+            return None
+        latch = int(layout.send.decode_some(self._image, ["pin_output"])["pin_output"])
+        constant = _mask(self._constants.pins)
+        return EchoedPins(layout.send, layout.read, latch, wiring.numbering_pins, wiring.watchdog_pin, constant)
+
+    def _start(self) -> tuple[int, int]:
+        frame = self._write_off()
+        echo = self._layout.read.decode(frame)
+        wrong = [f"{name} = {echo[name]}, not {value}" for name, value in self._settings.items() if echo[name] != value]
+        if wrong:
+            raise BoardError(f"the board did not take its settings: {'; '.join(wrong)}")
+        return self._counts(frame)
+
+    def _owned(self, found: Mapping[str, int]) -> dict[str, int]:
+        """What wiring and constants decide, given the pins and resets as the board has them."""
+        owned = self._of_wiring(found) | self._constants.fields
+        if pins := self._constants.pins:
+            levels = _mask(pin for pin, level in pins.items() if level)
+            owned["pin_output"] = found.get("pin_output", 0) & ~_mask(pins) | levels
+            owned["pin_direction"] &= ~_mask(pins)
+        return owned
+
+    def _of_wiring(self, found: Mapping[str, int]) -> dict[str, int]:
+        """The same, but for the constants."""
+        wiring = self._wiring
+        channels = (wiring.drive_pwm, wiring.brake_pwm)
+        numbering = (wiring.numbering_pwm,) if wiring.numbering_pwm >= 0 else ()
+        ours = _mask((wiring.wheel_encoder, wiring.road_encoder))
+        watchdog, contact = (_mask([pin] if pin >= 0 else []) for pin in _watchdog(wiring))
+        pins = {
+            "pin_mode": (found.get("pin_mode", 0) | _functions(wiring)) & ~(watchdog | contact),
+            "pin_direction": found.get("pin_direction", 0) & ~(_mask(wiring.pwm_pins) | watchdog) | contact,
+            "encoder_reset": found.get("encoder_reset", 0) & ~ours,
+        }
+        owned = {
+            **{f"pwm{channel}_width": 0 for channel in (*channels, *numbering)},
+            **{f"pwm{channel}_mode": self._mode for channel in channels},
+            **{f"pwm{channel}_prescaler": wiring.pwm_prescaler for channel in channels},
+            **{name: value for name, value in pins.items() if name in self._layout.send.fields},
+        }
+        if wiring.timer >= 0:
+            owned["timer_reset"] = found.get("timer_reset", 0) & ~(1 << wiring.timer)
+            owned["timer_mode"] = found.get("timer_mode", 0) | 1 << wiring.timer
+        return owned
+
+    @property
+    def engine(self) -> str:
+        """The link's way in use."""
+        return self._link.engine
+
+    @engine.setter
+    def engine(self, engine: str) -> None:
+        self._link.engine = engine
+
+    def _transfer(self, command: Command) -> tuple[int, int]:
+        self._wait_for(self._hurried_s if self.hurried else self._patient_s)
+        drive, brake = widths(command, self._full)
+        return self._counts(self._write_widths(drive, brake, beat=self.armed and self._good))
+
+    @property
+    def watchdog_closed(self) -> bool | None:
+        """Whether the watchdog's contact was closed at the newest good exchange; None if the wiring has no watchdog."""
+        if self._wiring.watchdog_pin < 0:
+            return None
+        levels = self._layout.read.decode_some(self._newest_frame, ["pin_input"])["pin_input"]
+        return bool(int(levels) >> self._wiring.watchdog_contact_pin & 1)
+
+    def _dated(self, now: int) -> int:
+        return now if self._clock is None else self._taken_ns
+
+    def _write_safe(self) -> None:
+        self._wait_for(self._patient_s)  # no tick waits for it, and there are few attempts
+        self._write_off()
+
+    def _write_off(self) -> bytes:
+        """SEND both widths zero with the timer held at zero, then as `_write_widths` does."""
+        if self._clock is not None:
+            self._link.write(self._held_at_zero())
+            self._clock.restart(self._now_ns())
+        self._start_ns = self._now_ns()
+        return self._write_widths(0, 0)
+
+    def _held_at_zero(self) -> bytearray:
+        """The SAFE image, but that the timer is held at zero."""
+        image, reset = bytearray(self.safe_image[self._layout.header_bytes :]), self._layout.send.place("timer_reset")
+        (others,) = reset.codec.unpack_from(image, reset.offset)
+        reset.codec.pack_into(image, reset.offset, others | 1 << self._wiring.timer)
+        return image
+
+    def _wait_for(self, timeout_s: float) -> None:
+        if timeout_s != self._timeout_s:
+            self._timeout_s = self._link.timeout_s = timeout_s
+
+    def _write_widths(self, drive: int, brake: int, *, beat: bool = False) -> bytes:
+        """SEND both widths, READ, and check that the answer is this board's and echoes them."""
+        image, layout, link = self._image, self._layout, self._link
+        self._drive_out.codec.pack_into(image, self._drive_out.offset, drive)
+        self._brake_out.codec.pack_into(image, self._brake_out.offset, brake)
+        if self._number_at >= 0:
+            self._number = (self._number + 1) % self._numbers
+            layout.number.pack_into(image, self._number_at, self._number)
+        if self._pins is not None:
+            self._pins.put_into(image, beat=beat)
+        self._good = False
+        late, self._late = self._late, True
+        try:
+            if late:
+                link.write(image)
+                # the answer of a failed exchange must not be taken for this one's; the output has gone out before
+                link.discard(len(image))
+                answer = self._read()
+            else:
+                answer = self._whole(link.exchange(image, layout.request, layout.read.size))
+            frame = self._newest(answer)
+        except NoAnswerError:
+            self._late = not self._knows_late
+            raise
+        echo = (
+            self._drive_echo.codec.unpack_from(frame, self._drive_echo.offset)[0],
+            self._brake_echo.codec.unpack_from(frame, self._brake_echo.offset)[0],
+        )
+        if echo != (drive, brake):
+            raise LinkError(
+                f"the board reports PWM widths {echo}, sent were {(drive, brake)}: an old frame, or another master"
+            )
+        self._late = False
+        self._newest_frame = frame
+        self._good = True
+        return frame
+
+    def _newest(self, frame: bytes) -> bytes:
+        """The answer to the newest request, `frame` or one that follows it; older ones are dropped."""
+        number = self._layout.number
+        for _ in range(_MOST_OLD):
+            if not frame.startswith(self._header):
+                raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
+            at = self._number_echo
+            numbered = at < 0 or number.unpack_from(frame, at)[0] % self._numbers == self._number
+            if numbered and self._pins is not None:
+                numbered = self._pins.echoed(frame)
+            if numbered and self._date(frame):
+                return frame
+            try:
+                frame = self._whole(self._link.read(self._layout.read.size))
+            except LinkError as error:
+                why = self._clock.fault if numbered and self._clock else "the answer is one to an older request"
+                raise type(error)(f"{why}; and no other follows: {error}") from error
+        raise LinkError("the board answers only requests of long ago: is another program reading from it?")
+
+    def _date(self, frame: bytes) -> bool:
+        """Note when the board made the answer; False if not while this exchange went on."""
+        if self._clock is None or self._timer is None:
+            return True
+        (reading,) = self._timer.codec.unpack_from(frame, self._timer.offset)
+        self._taken_ns = self._clock.instant(reading, self._start_ns, self._now_ns())
+        return self._taken_ns >= 0
+
+    def _counts(self, frame: bytes) -> tuple[int, int]:
+        (wheel,) = self._wheel.codec.unpack_from(frame, self._wheel.offset)
+        (road,) = self._road.codec.unpack_from(frame, self._road.offset)
+        return self._wiring.wheel_sign * wheel, self._wiring.road_sign * road
+
+    def _read(self) -> bytes:
+        self._link.write(self._layout.request)
+        return self._whole(self._link.read(self._layout.read.size))
+
+    def _whole(self, frame: bytes) -> bytes:
+        size = self._layout.read.size
+        if len(frame) != size:
+            raise LinkError(f"the board's answer has {len(frame)} bytes, must be {size}: check the cable, avoid hubs")
+        return frame
+
+    def _close(self) -> None:
+        self._link.close()
+
+
+def widths(command: Command, full: int) -> tuple[int, int]:
+    """PWM widths of drive and brake for duties of which 1 is `full`; raises BoardError for any other duty."""
+    if not (0.0 <= command.drive <= 1.0 and 0.0 <= command.brake <= 1.0):  # NaN fails too
+        raise BoardError(f"{command}: duties must be in 0..1")  # never masked into something else
+    # rounded down: the output is never more than what the guard has admitted
+    return int(command.drive * full + _EXACT), int(command.brake * full + _EXACT)
+
+
+def _insist_on_channels(wiring: BoardConfig, layout: FrameLayout) -> None:
+    wanted = {
+        "drive_pwm": f"pwm{wiring.drive_pwm}_width",
+        "brake_pwm": f"pwm{wiring.brake_pwm}_width",
+        "numbering_pwm": f"pwm{max(wiring.numbering_pwm, 0)}_prescaler",
+        **({"timer": f"timer{wiring.timer}_value"} if wiring.timer >= 0 else {}),
+        "wheel_encoder": f"encoder{wiring.wheel_encoder}_count",
+        "road_encoder": f"encoder{wiring.road_encoder}_count",
+    }
+    mistakes = [
+        Mistake(f"board.{key}", f"{getattr(wiring, key)}: {layout.read.title} has no such channel")
+        for key, name in wanted.items()
+        if name not in layout.read.fields
+    ]
+    if _functions(wiring) and "pin_mode" not in layout.send.fields:
+        key = "pwm_pins" if wiring.pwm_functions is None else "pwm_functions"
+        problem = f"{layout.send.title} has no pin mode: set board.pwm_functions to []"
+        mistakes.append(Mistake(f"board.{key}", problem))
+    mistakes += _pin_mistakes(wiring, layout)
+    if mistakes:
+        raise ConfigError(mistakes)
+
+
+def _functions(wiring: BoardConfig) -> int:
+    """Bits of the pin mode that are set."""
+    return _mask(wiring.pwm_pins if wiring.pwm_functions is None else wiring.pwm_functions)
+
+
+def _pin_mistakes(wiring: BoardConfig, layout: FrameLayout) -> Iterator[Mistake]:
+    """One pin has one use, and a watchdog that cannot be proven is none."""
+    constants = [int(key[3:]) for key in wiring.constants if key.startswith("pin") and key[3:].isdecimal()]
+    used = {"pwm_pins": wiring.pwm_pins, "constants": constants, "numbering_pins": wiring.numbering_pins}
+    used |= {key: [pin] for key in ("watchdog_pin", "watchdog_contact_pin") if (pin := getattr(wiring, key)) >= 0}
+    owner: dict[int, str] = {}
+    for key, pins in used.items():
+        for pin in pins:
+            if pin in owner:
+                yield Mistake(f"board.{key}", f"{pin}: is in board.{owner[pin]} already")
+            owner[pin] = key
+    if (wiring.watchdog_pin >= 0) is not (wiring.watchdog_contact_pin >= 0):
+        problem = "a watchdog is proven before each run by its contact: name both pins or neither (docs/watchdog.md)"
+        yield Mistake("board.watchdog_contact_pin", problem)
+    needed = {"pin_output", "pin_direction"} if wiring.watchdog_pin >= 0 else {"pin_output"}
+    if _latched(wiring) and not needed <= layout.send.fields.keys():
+        key = "watchdog_pin" if wiring.watchdog_pin >= 0 else "numbering_pins"
+        yield Mistake(f"board.{key}", f"{layout.send.title} has no {' and '.join(sorted(needed))}")
+
+
+def _watchdog(wiring: BoardConfig) -> tuple[int, int]:
+    return wiring.watchdog_pin, wiring.watchdog_contact_pin
+
+
+def _latched(wiring: BoardConfig) -> bool:
+    """Whether some pins change with the frames."""
+    return bool(wiring.numbering_pins) or wiring.watchdog_pin >= 0
+
+
+def _mask(bits: Iterable[int]) -> int:
+    return sum(1 << bit for bit in set(bits))
+
+
+def _first_byte(table: FrameTable, name: str) -> int:
+    """Byte at which a field's first word stands in its frame."""
+    _, layout = table.fields[name]
+    return (layout[0].word + table.data_from) * table.word_bits // 8
+
+
+def _known(header: FrameTable) -> list[str]:
+    return [name for name in ("logic_version", "application_name", "synthesis_date") if name in header.fields]

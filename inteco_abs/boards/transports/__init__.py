@@ -1,0 +1,1 @@
+"""Who carries the bytes or register accesses between host and board."""

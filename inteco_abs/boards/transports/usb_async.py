@@ -1,0 +1,182 @@
+"""USB bulk transfers with all three of a tick in flight at once: libusb's asynchronous calls, over python-libusb1.
+
+One after the other, each transfer of a tick waits for the bus before the next is handed over; queued, the host
+controller has them all and the tick waits once: docs/real-time.md has what that is worth.
+"""
+
+from __future__ import annotations
+
+import errno
+import select
+import time
+from contextlib import suppress
+from typing import Any, Final
+
+import usb1
+
+from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
+from inteco_abs.boards.transports.links import Link
+from inteco_abs.boards.transports.usb import ENDPOINTS, INTERFACE, ONE_BY_ONE, find_one
+from inteco_abs.boards.transports.usb_errors import TIMEOUT_MS, failure, in_words
+from inteco_abs.config import UsbConfig
+from inteco_abs.errors import BoardError, LinkError
+
+QUEUED: Final = "queued"
+_AT_ONCE_S: Final = 0.00025
+"""Two microframes of 125 us: what has arrived is handed over within them."""
+_CANCEL_S: Final = 0.1
+
+_STATUS: Final = {
+    usb1.TRANSFER_ERROR: errno.EIO,
+    usb1.TRANSFER_TIMED_OUT: errno.ETIMEDOUT,
+    usb1.TRANSFER_CANCELLED: errno.ETIMEDOUT,
+    usb1.TRANSFER_STALL: errno.EPIPE,
+    usb1.TRANSFER_NO_DEVICE: errno.ENODEV,
+    usb1.TRANSFER_OVERFLOW: errno.EOVERFLOW,
+}
+"""How a transfer ended, as pyusb would number it."""
+_REFUSED: Final = {
+    usb1.ERROR_IO: errno.EIO,
+    usb1.ERROR_ACCESS: errno.EACCES,
+    usb1.ERROR_NO_DEVICE: errno.ENODEV,
+    usb1.ERROR_BUSY: errno.EBUSY,
+    usb1.ERROR_TIMEOUT: errno.ETIMEDOUT,
+    usb1.ERROR_PIPE: errno.EPIPE,
+    usb1.ERROR_OVERFLOW: errno.EOVERFLOW,
+}
+"""Why libusb refused a call, likewise."""
+
+
+class QueuedUsbLink(Link):
+    """The same board as `usb.UsbLink` opens, under the same conditions; raises BoardError as it does.
+
+    A call waits `timeout_s` for all of its transfers together, exact to some 50 us: libusb's own time-outs are whole
+    milliseconds, two periods of the loop.
+    """
+
+    engines: tuple[str, ...] = (QUEUED, ONE_BY_ONE)
+
+    def __init__(self, serial: str, ids: UsbConfig, timeout_ms: int = TIMEOUT_MS) -> None:
+        found = find_one(serial, ids)
+        self._context = usb1.USBContext()
+        self._context.open()
+        try:
+            self._handle = self._open(found.bus, found.address)
+            self._handle.claimInterface(INTERFACE)
+        except usb1.USBError as error:
+            self._context.close()
+            raise BoardError(f"the board cannot be opened: {_in_words(error)}") from error
+        self._begin(self._context, self._handle, timeout_ms * 1e-3)
+
+    def _begin(self, context: Any, handle: Any, timeout_s: float) -> None:
+        self._context, self._handle = context, handle
+        self._first, self._second, self._answer = (handle.getTransfer() for _ in range(3))
+        watched = context.getPollFDList()
+        self._readable = [fd for fd, events in watched if events & select.POLLIN]
+        self._writable = [fd for fd, events in watched if events & select.POLLOUT]  # of usbfs: one has ended
+        self.timeout_s = timeout_s
+        self.engine = QUEUED
+        self._stalled = False
+
+    def write(self, data: bytes | bytearray) -> None:
+        """Send one message."""
+        self._recover()
+        self._first.setBulk(ENDPOINT_OUT, bytes(data))
+        self._finish(self.timeout_s, self._first)
+
+    def read(self, length: int) -> bytes:
+        """Receive one message."""
+        return self._receive(length, self.timeout_s)
+
+    def exchange(self, first: bytes | bytearray, second: bytes, length: int) -> bytes:
+        """Send two messages and receive one; queued, all are handed over before the first is through."""
+        if self.engine != QUEUED:
+            return super().exchange(first, second, length)
+        self._recover()
+        self._first.setBulk(ENDPOINT_OUT, bytes(first))
+        self._second.setBulk(ENDPOINT_OUT, second)
+        self._answer.setBulk(ENDPOINT_IN, length)
+        self._finish(self.timeout_s, self._first, self._second, self._answer)
+        return bytes(self._answer.getBuffer()[: self._answer.getActualLength()])
+
+    def prepare(self, length: int) -> None:
+        """Begin as the vendor's software does: reset all pipes, so that none is left halted, and drop old answers."""
+        with suppress(LinkError):  # a pipe that matters and does not recover fails in the first reading, and says why
+            self._reset(ENDPOINTS)
+        super().prepare(length)
+
+    def close(self) -> None:
+        """Give the interface back; may be called twice."""
+        with suppress(usb1.USBError):  # it may be gone
+            self._handle.releaseInterface(INTERFACE)
+        with suppress(usb1.USBError):
+            self._handle.close()
+        self._context.close()
+
+    def _open(self, bus: int, address: int) -> Any:
+        for device in self._context.getDeviceIterator(skip_on_error=True):
+            if (device.getBusNumber(), device.getDeviceAddress()) == (bus, address):
+                return device.open()
+        raise usb1.USBErrorNoDevice  # unplugged meanwhile
+
+    def _read_waiting(self, length: int) -> bytes:
+        return self._receive(length, _AT_ONCE_S)
+
+    def _receive(self, length: int, timeout_s: float) -> bytes:
+        self._answer.setBulk(ENDPOINT_IN, length)
+        self._finish(timeout_s, self._answer)
+        return bytes(self._answer.getBuffer()[: self._answer.getActualLength()])
+
+    def _finish(self, timeout_s: float, *transfers: Any) -> None:
+        """Submit the transfers in order and wait for all; raises LinkError with what the first failure means."""
+        try:
+            for transfer in transfers:
+                transfer.submit()
+            self._wait(time.monotonic() + timeout_s, transfers)
+        except BaseException as error:
+            self._cancel(transfers)  # also after Ctrl-C: what leaves SAFE behind needs them again
+            if isinstance(error, usb1.USBError):
+                raise LinkError(_in_words(error)) from error
+            raise
+        for transfer in transfers:
+            status = transfer.getStatus()
+            if status != usb1.TRANSFER_COMPLETED:
+                self._stalled = self._stalled or any(each.getStatus() == usb1.TRANSFER_STALL for each in transfers)
+                raise failure(_STATUS.get(status), f"status {status}", timeout_s * 1e3)
+
+    def _wait(self, end_s: float, transfers: tuple[Any, ...]) -> None:
+        """Until all are through; what is not at `end_s` is called back."""
+        while any(transfer.isSubmitted() for transfer in transfers):
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                self._cancel(transfers)
+                return
+            select.select(self._readable, self._writable, (), left_s)
+            self._context.handleEventsTimeout(0)
+
+    def _cancel(self, transfers: tuple[Any, ...]) -> None:
+        """Call back what is still under way: its memory must not be used again before it has come back."""
+        for transfer in transfers:
+            with suppress(usb1.USBError):
+                transfer.cancel()
+        end = time.monotonic() + _CANCEL_S
+        while any(transfer.isSubmitted() for transfer in transfers) and time.monotonic() < end:
+            with suppress(usb1.USBError):
+                self._context.handleEventsTimeout(0.001)
+
+    def _recover(self) -> None:
+        """A stalled endpoint stays so until it is told otherwise."""
+        if self._stalled:
+            self._reset((ENDPOINT_OUT, ENDPOINT_IN))
+            self._stalled = False
+
+    def _reset(self, endpoints: tuple[int, ...]) -> None:
+        try:
+            for endpoint in endpoints:
+                self._handle.clearHalt(endpoint)
+        except usb1.USBError as error:
+            raise LinkError(_in_words(error)) from error
+
+
+def _in_words(error: usb1.USBError) -> str:
+    return in_words(_REFUSED.get(error.value), error)

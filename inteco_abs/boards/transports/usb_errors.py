@@ -1,0 +1,40 @@
+"""What errors of the USB mean to the person at the rig: one text for each cause, whoever moved the transfer."""
+
+from __future__ import annotations
+
+import errno
+from typing import Final
+
+from inteco_abs.boards.transports.links import PATIENCE_S
+from inteco_abs.errors import LinkError, NoAnswerError
+
+TIMEOUT_MS: Final = round(PATIENCE_S * 1e3)
+AT_ONCE_MS: Final = 1
+"""The least that libusb's own time-outs can be: they are whole milliseconds."""
+RULES: Final = (
+    "inteco-abs doctor --rules prints the udev rule that opens the board to whoever sits at the computer and to the "
+    "group of serial ports (sudo usermod -aG dialout $USER, then log in again); then plug the board in again"
+)
+
+_WORDS: Final = {
+    errno.ENODEV: "the board is gone: check cable and power",
+    errno.EIO: "the bus failed: check the cable, avoid hubs",
+    errno.EPIPE: "the board refused the transfer (stall); the next one resets its pipe",
+    errno.EACCES: f"no permission: {RULES}",
+    errno.EBUSY: "another program has the board: end it, one program at a time",
+    errno.EOVERFLOW: "the board sent more than was asked for: does another program use it, or is it another board?",
+}
+"""By errno, as pyusb gives it (fact sheet on emulated hardware, section 4)."""
+
+
+def failure(number: int | None, told: object, timeout_ms: float = TIMEOUT_MS) -> LinkError:
+    """Error of a transfer that ended with the errno `number`; the arguments are those of `in_words`."""
+    kind = NoAnswerError if number == errno.ETIMEDOUT else LinkError
+    return kind(in_words(number, told, timeout_ms))
+
+
+def in_words(number: int | None, told: object, timeout_ms: float = TIMEOUT_MS) -> str:
+    """Text for the errno `number`; `told` is what the library says, for what has no text here."""
+    if number == errno.ETIMEDOUT:
+        return f"the board did not answer within {timeout_ms:g} ms: check its cable and power"
+    return _WORDS.get(number or 0, f"the transfer failed: {told}")

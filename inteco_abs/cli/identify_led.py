@@ -1,0 +1,38 @@
+"""The verb `inteco-abs blink`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from inteco_abs.cli.options import FILE, Finite, say
+from inteco_abs.errors import BoardError, ConfigError, Mistake
+
+
+@click.command()
+@click.option("--board", default="usb2:", show_default=True, help="Board address, as in usb2:123.")
+@click.option("--seconds", default=3.0, show_default=True, type=Finite(0.1, 60, unit="s"), help="How long.")
+@click.option("--config", type=FILE, help="rig.toml with the board's ids.")
+def blink(board: str, seconds: float, config: Path | None) -> int:
+    """Light the middle LED of an RT-DAC/USB2, to see which board it is; its outputs are not concerned."""
+    from inteco_abs.boards import check_address, default_profile
+    from inteco_abs.config import load_config
+
+    check_address(board)
+    scheme, _, serial = board.partition(":")
+    if scheme != "usb2":
+        raise ConfigError([Mistake("--board", f"{board!r}: only an RT-DAC/USB2 has such an LED, as in usb2:123")])
+    from inteco_abs.boards.families.usb2.bridge import identify_led
+    from inteco_abs.boards.transports.usb import find_one
+
+    device = find_one(serial, load_config(config, profile=default_profile(board)).usb)
+    if not identify_led(device, on=True):
+        raise BoardError("the board refuses to switch its LED")
+    say(f"the LED is on for {seconds:g} s", err=True)
+    try:
+        time.sleep(seconds)
+    finally:
+        identify_led(device, on=False)
+    return 0

@@ -1,0 +1,154 @@
+"""The report of a commissioning: what was seen of a board, as one file without anything personal in it."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import platform
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+import inteco_abs
+from inteco_abs.boards.board_report import BoardReport, Bus, Identity, Reads, Values
+from inteco_abs.boards.families.usb2.bridge import NOT_TOLD
+from inteco_abs.boards.frame_labels import PROTOCOLS, protocol_name
+from inteco_abs.commissioning.profile_draft import Draft
+from inteco_abs.config import BoardConfig
+from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.host.checks import Computer
+from inteco_abs.sessions.provenance import host_facts
+from inteco_abs.wire.capture import Capture, Kind, Record
+
+_SECTIONS: Final = ("board", "encoders", "usb", "loop", "estimator", "guard", "experiment")
+_WORDS: Final = frozenset({"kind", "pwm_mode", "application_names", "manufacturer", "engine", "frame_map"})
+"""Texts of the profile that are words of the program or of the board; any other may be somebody's own."""
+_HOST: Final = ("os", "kernel", "machine", "cores", "cpu")
+_MOVED: Final = (
+    "before the wheels were turned",
+    "after the upper wheel was turned",
+    "after the lower wheel was turned",
+)
+_DATES: Final = ("firmware_compiled", "firmware_released")
+_REMOVED: Final = "(removed)"
+_SHORTEST: Final = 3
+"""Shorter names are within too many words."""
+
+
+def board_seen(draft: Draft) -> Capture:
+    """What the commissioning has found so far. Raises ConfigError if it has not read the board yet."""
+    results, wiring = draft.results, draft.config.board
+    header = results.get("header", {})
+    if "raw" not in header:
+        raise ConfigError([Mistake("--send-report", "the board was not read yet: do step 2, header, first")])
+    told = _told(draft)
+    named = [("header", header["raw"]), *zip(_MOVED, results.get("wheels", {}).get("images", ()), strict=False)]
+    report = BoardReport(
+        kind=wiring.kind,
+        identity=_identity(header),
+        bus=_bus(told),
+        reads=_reads(results.get("reads", {})),
+        steps={name: str(one["outcome"]) for name, one in results.items()},
+        images=[name for name, _ in named],
+        profile={name: _values(part, told.get("serial", "")) for name in _SECTIONS if (part := draft.table.get(name))},
+        computer=_computer(),
+    )
+    records = [record for at, (_, image) in enumerate(named) for record in _reading(wiring, at, bytes.fromhex(image))]
+    made_by = f"inteco-abs {inteco_abs.__version__}, commissioning"
+    clock = "none: images in the order in which they were read"
+    return Capture(_protocol(wiring), made_by, clock, tuple(records), report=report)
+
+
+def _protocol(wiring: BoardConfig) -> str:
+    """Of a logic that has no tables, the tables of its kind of board: whose they are is told by who reads it."""
+    if wiring.kind == "pci":
+        return "pci"
+    with suppress(ConfigError):
+        return protocol_name(wiring)
+    return "usb1-111"
+
+
+def _reading(wiring: BoardConfig, at: int, image: bytes) -> Iterator[Record]:
+    if wiring.kind != "pci":
+        yield Record(float(at), Kind.OUT, data=PROTOCOLS[_protocol(wiring)].request)
+    yield Record(float(at), Kind.IN, data=image)
+
+
+def _identity(header: Mapping[str, Any]) -> Identity:
+    dates = {name: str(header.get("bridge", {}).get(name, NOT_TOLD)) for name in _DATES}
+    return Identity(
+        logic_version=int(header["logic_version"], 16),
+        application_name=_without_names(str(header["application_name"])),
+        synthesis_date=str(header["synthesis_date"]),
+        **{name: date for name, date in dates.items() if not date.startswith(NOT_TOLD)},
+    )
+
+
+def _told(draft: Draft) -> dict[str, str]:
+    """By the device among those that were listed that is this board; nothing where that is not certain."""
+    listed = draft.results.get("list", {}).get("devices", [])
+    serial = draft.results["header"].get("bridge", {}).get("serial", "")
+    ours = {draft.board, f"usb2:{serial}"}
+    found = [one for one in listed if one["address"] in ours] if len(listed) > 1 else listed
+    return dict(found[0].get("told", ())) if len(found) == 1 else {}
+
+
+def _bus(told: Mapping[str, str]) -> Bus:
+    serial = told.get("serial", "")
+    kept = {name: _masked(text, serial) for name, text in told.items() if name not in {"serial", "descriptors"}}
+    form = re.sub(r"[^9]", "x", re.sub(r"\d", "9", serial))
+    return Bus(**kept, descriptors=told.get("descriptors", ""), serial_form=form)
+
+
+def _masked(text: str, serial: str) -> str:
+    return _without_names(text.replace(serial, _REMOVED) if serial else text)
+
+
+def _reads(found: Mapping[str, Any]) -> Reads | None:
+    if "reads" not in found:
+        return None
+    return Reads(count=found["reads"], failed=found["failed"], histogram_us=found.get("histogram_us", {}))
+
+
+def _values(section: Mapping[str, Any], serial: str) -> Values:
+    """What a section says in numbers, and in words that are nobody's own."""
+    kept: Values = {}
+    for key, value in section.items():
+        if isinstance(value, bool | int | float) and key != "verified_logic":
+            kept[key] = value
+        elif isinstance(value, list) and all(isinstance(one, int) for one in value):
+            kept[key] = [*value]
+        elif key in _WORDS:
+            kept[key] = [_masked(one, serial) for one in value] if isinstance(value, list) else _masked(value, serial)
+    return kept
+
+
+def _computer() -> dict[str, str]:
+    host = host_facts()
+    system = re.search(r'^PRETTY_NAME="?([^"\n]*)', Computer().text_or("etc/os-release", ""), re.MULTILINE)
+    told: dict[str, str] = {
+        **{name: host[name] for name in _HOST if name in host},
+        "system": system[1] if system else "",
+        "python": platform.python_version(),
+        "inteco_abs": inteco_abs.__version__,
+    }
+    return {name: _without_names(text) for name, text in told.items() if text}
+
+
+def _without_names(text: str) -> str:
+    """The text without the names of the user, the home folder and the computer."""
+    for name in _names():
+        text = re.sub(re.escape(name), _REMOVED, text, flags=re.IGNORECASE)
+    return text
+
+
+def _names() -> list[str]:
+    """Longest first, so that none is left over in part."""
+    names = {platform.node(), platform.node().partition(".")[0], os.environ.get("HOME", "")}
+    with suppress(OSError, KeyError):  # a user without an entry
+        names.add(getpass.getuser())
+    with suppress(RuntimeError):
+        names |= {str(Path.home()), Path.home().name}
+    return sorted((name for name in names if len(name) >= _SHORTEST), key=len, reverse=True)

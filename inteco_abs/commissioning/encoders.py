@@ -1,0 +1,125 @@
+"""Step 4: the wheels are turned by hand, and tell which encoder is whose, its sign and its counts per turn."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from inteco_abs.boards import Board
+from inteco_abs.commissioning.hand_turning import USUAL_COUNTS, Turned, Unclear, counts_per_turn, watch
+from inteco_abs.commissioning.operator import agree, ask_for, wait_for
+from inteco_abs.commissioning.reading import insist_on_outputs_off, insist_on_same_board, open_for_reading
+from inteco_abs.commissioning.rig_access import TURNS, Wheel
+from inteco_abs.commissioning.step import Facts, Visit, today
+from inteco_abs.errors import ProbeError
+
+_TRIALS: Final = 3
+_NAMES: Final[dict[Wheel, str]] = {"wheel": "upper", "road": "lower"}
+_LEAST, _MOST = 256, 1_000_000
+"""Counts per turn that a configuration may have."""
+KEYS: Final = ("road_encoder", "wheel_encoder", "road_sign", "wheel_sign", "counts_per_turn")
+
+
+class _Encoder(NamedTuple):
+    channel: int
+    sign: int
+    per_turn: int
+    turned: Turned
+
+
+def turn_wheels(visit: Visit) -> Facts:
+    """Upper wheel, then lower; the draft gets channels, signs and counts per turn."""
+    visit.person.tell(
+        "  Power interface off. Lift the balance lever, so that the wheels do not touch. Forwards is as the drive\n"
+        "  turns them: where they touch, both rims move the same way, so seen from one side they turn against each "
+        "other."
+    )
+    with open_for_reading(visit) as board:
+        insist_on_same_board(board, visit.draft.config)
+        insist_on_outputs_off(board)
+        images = [board.survey().raw.hex()]
+        wheel = _turn(visit, board, "wheel", None)
+        images.append(board.survey().raw.hex())
+        road = _turn(visit, board, "road", wheel)
+        images.append(board.survey().raw.hex())
+    if wheel.per_turn != road.per_turn:
+        raise ProbeError(
+            f"{wheel.per_turn} counts per turn on the upper wheel, {road.per_turn} on the lower: a configuration has "
+            "one number for both; if the encoders are the same, the turns were miscounted"
+        )
+    _write(visit, wheel, road)
+    found = {name: one._asdict() | {"turned": one.turned.counts} for name, one in (("wheel", wheel), ("road", road))}
+    return {**found, "images": images}
+
+
+def _turn(visit: Visit, board: Board, which: Wheel, other: _Encoder | None) -> _Encoder:
+    """One wheel, again if it was not clear."""
+    trouble = ""
+    for _ in range(_TRIALS):
+        wait_for(visit.person, f"Ready to turn the {_NAMES[which]} wheel, and no other, {TURNS} full turns forwards?")
+        visit.person.tell("  turn it now; the count ends when all has been at rest for three seconds")
+        visit.bench.turned(which)
+        try:
+            return _understood(visit, watch(visit.bench, board, visit.person), other)
+        except Unclear as unclear:
+            trouble = str(unclear)
+            visit.person.tell(f"  {trouble}")
+    raise ProbeError(f"{_NAMES[which]} wheel: not clear in {_TRIALS} trials; the last time {trouble}")
+
+
+def _understood(visit: Visit, turned: Turned, other: _Encoder | None) -> _Encoder:
+    if other is not None and turned.channel == other.channel:
+        raise Unclear(f"channel {turned.channel} is the upper wheel's: turn the lower wheel")
+    visit.person.tell(f"  channel {turned.channel}: {turned.counts:+d} counts")
+    sign = 1 if turned.counts > 0 else -1
+    question = "It counted down. Was the wheel really turned forwards, the way the drive turns it?"
+    if sign < 0 and not agree(visit.person, question):
+        raise Unclear("it was turned backwards")
+    return _Encoder(turned.channel, sign, _per_turn(visit, turned), turned)
+
+
+def _per_turn(visit: Visit, turned: Turned) -> int:
+    """Counts per turn; what neither the turns nor the profile lead one to expect is asked about."""
+    believed = visit.draft.config.encoders.counts_per_turn
+    found = counts_per_turn(turned.counts)
+    if found == believed:
+        return found
+    told = (
+        f"{found} counts per turn, and the profile says {believed}" if found else "no usual number of counts per turn"
+    )
+    visit.person.tell(f"  {TURNS} turns would make {told}")
+    turns = ask_for(visit.person, "How many full turns were made?", _positive, "a number of turns, such as 10")
+    found = counts_per_turn(turned.counts, turns)
+    if found is not None:
+        return found
+    measured = round(abs(turned.counts) / turns)
+    usual = " nor ".join(map(str, USUAL_COUNTS))
+    if not _LEAST <= measured <= _MOST:
+        raise Unclear(f"{measured} counts per turn are neither {usual} nor within {_LEAST}..{_MOST}: count again")
+    if agree(visit.person, f"That makes {measured} counts per turn, neither {usual}. Keep it?"):
+        return measured
+    raise Unclear("the turns were not certain: count them again")
+
+
+def _positive(text: str) -> float | None:
+    try:
+        turns = float(text)
+    except ValueError:
+        return None
+    return turns if 0.0 < turns < 1e6 else None
+
+
+def _write(visit: Visit, wheel: _Encoder, road: _Encoder) -> None:
+    visit.draft.write(
+        {
+            "board.wheel_encoder": wheel.channel,
+            "board.wheel_sign": wheel.sign,
+            "board.road_encoder": road.channel,
+            "board.road_sign": road.sign,
+            "encoders.counts_per_turn": wheel.per_turn,
+        }
+    )
+    visit.draft.confirm(KEYS, f"turned by hand on {today()}")
+    visit.person.tell(
+        f"  upper wheel: encoder {wheel.channel}, sign {wheel.sign:+d}; lower wheel: encoder {road.channel}, "
+        f"sign {road.sign:+d}; {wheel.per_turn} counts per turn"
+    )

@@ -1,0 +1,71 @@
+"""Step 3: how fast the board answers, and which rate that allows."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from inteco_abs.commissioning.reading import insist_on_same_board, open_for_reading
+from inteco_abs.commissioning.step import Facts, Visit
+from inteco_abs.errors import LinkError, ProbeError
+from inteco_abs.realtime.histogram import Histogram
+from inteco_abs.realtime.round_trips import quantiles
+
+READS: Final = 1000
+_MOST_FAILED: Final = 10
+MORE_THAN_A_READ: Final = 1.5
+"""A tick has three transfers, a reading two; the exact time is measured when a run begins."""
+_MARGIN: Final = 1.2
+"""As where a run begins."""
+_WINDOW_PERIODS: Final = 5
+"""A speed from fewer than so many periods is mostly noise."""
+_RATES_HZ: Final = (10_000.0, 5000.0, 2000.0, 1000.0, 500.0, 250.0, 200.0, 100.0, 50.0)
+
+
+def measure_reads(visit: Visit) -> Facts:
+    """A thousand readings, one after the other."""
+    config = visit.draft.config
+    names = [f"encoder{i}_count" for i in (config.board.road_encoder, config.board.wheel_encoder)]
+    times_us: list[float] = []
+    failed = 0
+    with open_for_reading(visit) as board:
+        insist_on_same_board(board, config)
+        for _ in range(READS):
+            start_ns = visit.bench.now_ns()
+            try:
+                board.survey(names)
+            except LinkError as error:
+                failed += 1
+                if failed > _MOST_FAILED:
+                    raise ProbeError(f"{failed} of {len(times_us) + failed} readings failed: {error}") from error
+            else:
+                times_us.append((visit.bench.now_ns() - start_ns) * 1e-3)
+    spread = quantiles(times_us)
+    if not spread.max:
+        visit.person.tell(f"  {READS} readings, {failed} failed; in virtual time they take none, so the rate stays")
+        return {"reads": READS, "failed": failed}
+    rate_hz = kept_rate(config.loop.rate_hz, spread.p999)
+    mean_hz = 1e6 * len(times_us) / sum(times_us)
+    visit.person.tell(
+        f"  {READS} readings, {failed} failed: {spread}, {mean_hz:.0f} per second\n"
+        f"  loop.rate_hz = {rate_hz:g} can be kept; a run measures whole exchanges before it begins"
+    )
+    window_s = max(config.estimator.window_s, _WINDOW_PERIODS / rate_hz)
+    visit.draft.write({"loop.rate_hz": rate_hz, "estimator.window_s": window_s})
+    histogram = Histogram()
+    histogram.add(times_us)
+    times = {"times_us": spread._asdict(), "histogram_us": histogram.sparse()}
+    return {"reads": READS, "failed": failed, "per_second": mean_hz, **times, "rate_hz": rate_hz}
+
+
+def kept_rate(wanted_hz: float, read_us: float) -> float:
+    """The wanted rate, or the highest of the usual ones at which an exchange fits, given how long a reading takes.
+
+    Raises ProbeError if none does.
+    """
+    possible_hz = 1e6 / (_MARGIN * MORE_THAN_A_READ * read_us)
+    if wanted_hz <= possible_hz:
+        return wanted_hz
+    for rate_hz in _RATES_HZ:
+        if rate_hz <= min(possible_hz, wanted_hz):
+            return rate_hz
+    raise ProbeError(f"a reading takes up to {read_us:.0f} us (99.9 %): too slow for any rate; no hub, a short cable")

@@ -1,0 +1,59 @@
+"""Before anything is written to a board: what that would change, word by word, and whether the person wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+from inteco_abs.boards import STILL_ON
+from inteco_abs.boards.first_write import PlannedWord, Remark
+from inteco_abs.commissioning.operator import agree
+from inteco_abs.commissioning.step import Visit
+from inteco_abs.config import RigConfig
+from inteco_abs.errors import ProbeError, Stopped
+
+_NAME: Final = "first_write"
+
+
+def agree_on_first_write(visit: Visit, config: RigConfig) -> dict[str, list[dict[str, Any]]]:
+    """Show what entering the board with `config` would change, and ask, unless an earlier step was answered yes to it.
+
+    The board is only read. Gives back what was shown, for the step's result. Raises ProbeError for a board on which a
+    PWM runs that the wiring does not use, Stopped if the person does not want it.
+    """
+    with visit.bench.open(config).reading() as board:
+        board.insist()
+        planned = board.first_write()
+    _insist_on_others_off(planned)
+    # as JSON will give it back
+    shown = [{**one._asdict(), "names": list(one.names)} for one in planned if one.remark is not Remark.NUMBER]
+    agreed = [one for facts in visit.draft.results.values() for one in facts.get(_NAME, [])]
+    changes = [one for one in planned if one.now != one.planned]
+    kept = [one for one in planned if one.remark in {Remark.UNKNOWN, Remark.CUT}]
+    visit.person.tell(_table(changes, kept))
+    new = any(one not in agreed for one in shown)
+    if new and not agree(visit.person, "Write this to the board?"):
+        raise Stopped("not agreed: nothing was written to the board")
+    return {_NAME: shown}
+
+
+def _insist_on_others_off(planned: Sequence[PlannedWord]) -> None:
+    """Before a signature nobody vouches for where the motors hang: no other channel may run on."""
+    running = [name for one in planned if one.remark is Remark.RUNS for name in one.names]
+    if running:
+        keys = ", ".join(f"{name} = 0" for name in running)
+        raise ProbeError(
+            f"PWM channels that the profile does not use are on: {', '.join(running)}. {STILL_ON}, then switch the "
+            f"board off and on; or state in [board.constants] what they shall be, as in {keys}"
+        )
+
+
+def _table(changes: Sequence[PlannedWord], kept: Sequence[PlannedWord]) -> str:
+    lines = [f"  {len(changes)} words of the board change with the first write (now -> then):", *map(_row, changes)]
+    if kept:
+        lines += [f"  {len(kept)} words that are not known go back as they were read:", *map(_row, kept)]
+    return "\n".join(lines)
+
+
+def _row(one: PlannedWord) -> str:
+    return f"  {one}"

@@ -1,0 +1,94 @@
+"""Watching all encoder channels while a wheel is turned by hand."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+from inteco_abs.boards import Board
+from inteco_abs.commissioning.operator import Person
+from inteco_abs.commissioning.reading import read_patiently
+from inteco_abs.commissioning.rig_access import TURNS, Bench
+from inteco_abs.errors import ProbeError
+
+USUAL_COUNTS: Final = (2048, 4096)
+"""Per turn: the paper's, and the vendor's."""
+_CHANNEL: Final = re.compile(r"encoder(\d+)_count")
+_LOOK_S: Final = 0.05
+_REST_S: Final = 3.0
+_WAIT_S: Final = 60.0
+_LONGEST_S: Final = 180.0
+_BEGUN_COUNTS: Final = 256
+_ALSO_MOVED: Final = 0.2
+_TO_AND_FRO: Final = 0.9
+_NEAR: Final = 0.04
+"""Share by which ten turns by hand may be off."""
+_COUNTER_RANGE: Final = 1 << 32
+
+
+class Turned(NamedTuple):
+    """What one channel counted."""
+
+    channel: int
+    counts: int
+    """Signed."""
+
+
+class Unclear(Exception):  # noqa: N818  no error yet: the person may turn again
+    """What was seen says nothing, and what to do about it."""
+
+
+def watch(bench: Bench, board: Board, person: Person) -> Turned:
+    """The channel that counted while one wheel was turned, once all have rested for three seconds.
+
+    Raises Unclear if it cannot be told which, LinkError if the board stops to answer, ProbeError after three minutes.
+    """
+    names = {int(match[1]): name for name in board.survey().values if (match := _CHANNEL.fullmatch(name))}
+    before = read_patiently(board, names.values())
+    net = dict.fromkeys(names, 0)
+    travelled = dict.fromkeys(names, 0)
+    started_ns = moved_ns = bench.now_ns()
+    while True:
+        bench.pause(_LOOK_S)
+        counts = read_patiently(board, names.values())
+        now_ns = bench.now_ns()
+        for channel, name in names.items():
+            step = (counts[name] - before[name] + _COUNTER_RANGE // 2) % _COUNTER_RANGE - _COUNTER_RANGE // 2
+            net[channel] += step
+            travelled[channel] += abs(step)
+            if step:
+                moved_ns = now_ns
+        before = counts
+        person.show(_moving(net))
+        begun = max(travelled.values()) >= _BEGUN_COUNTS
+        if now_ns - moved_ns >= (_REST_S if begun else _WAIT_S) * 1e9:
+            return judge(net, travelled)
+        if now_ns - started_ns >= _LONGEST_S * 1e9:
+            raise ProbeError(f"counters still move after {_LONGEST_S:g} s: is a motor on? Channels {_moving(net)}")
+
+
+def judge(net: Mapping[int, int], travelled: Mapping[int, int]) -> Turned:
+    """The one channel that counted; raises Unclear if there is none, more than one, or it went to and fro."""
+    most = max(travelled, key=lambda channel: travelled[channel])
+    if travelled[most] < _BEGUN_COUNTS:
+        raise Unclear("no encoder channel counted: is the encoders' cable plugged in, and was the wheel turned?")
+    others = [
+        channel for channel in travelled if channel != most and travelled[channel] > _ALSO_MOVED * travelled[most]
+    ]
+    if others:
+        both = ", ".join(map(str, sorted([most, *others])))
+        raise Unclear(f"channels {both} counted together: lift the balance lever, so that only one wheel turns")
+    if abs(net[most]) < _TO_AND_FRO * travelled[most]:
+        raise Unclear(f"channel {most} counted to and fro: turn the wheel in one direction only")
+    return Turned(most, net[most])
+
+
+def counts_per_turn(counts: int, turns: float = TURNS) -> int | None:
+    """The usual number that so many counts in so many turns come near to; None if neither."""
+    return next((one for one in USUAL_COUNTS if math.isclose(abs(counts) / turns, one, rel_tol=_NEAR)), None)
+
+
+def _moving(net: Mapping[int, int]) -> str:
+    return ", ".join(f"{channel}: {counts:+d}" for channel, counts in net.items() if counts) or "nothing moves yet"

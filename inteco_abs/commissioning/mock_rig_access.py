@@ -1,0 +1,141 @@
+"""The walk on the mock of a board: the simulated rig is under simulated hands."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
+
+from inteco_abs.boards import Board, InProcessLink, Link, board_behind
+from inteco_abs.commissioning.devices import Found
+from inteco_abs.commissioning.rig_access import TURNS, Bench, Hold, Wheel
+from inteco_abs.config import RigConfig
+from inteco_abs.format import TICK
+from inteco_abs.mock_board import Device, face_of, parse_faults
+from inteco_abs.realtime import StopWord
+from inteco_abs.realtime.memory import RunMemory
+from inteco_abs.realtime.processes.manual import Driven, Screenside, slowed
+from inteco_abs.realtime.signal_handlers import hearing
+from inteco_abs.signals import Reason
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+_TURNING_S: Final = 5.0
+"""For ten turns: a quick hand."""
+_SWITCHED_OFF: Final = parse_faults(["power-off@start"])
+
+
+class MockBench(Bench):
+    """The mock of the configured board in this process and in virtual time, powered up once for the whole walk."""
+
+    def __init__(self, config: RigConfig, seed: int = 0) -> None:
+        super().__init__("sim:")
+        self._now_ns = 0
+        self.device = Device(config, self.now_ns, seed)
+        self._face = face_of(self.device)
+
+    def devices(self, config: RigConfig) -> list[Found]:
+        """The mock alone."""
+        return [Found("sim:", f"the mock {config.board.kind} board with the simulated rig, in this program")]
+
+    def open(self, config: RigConfig) -> Board:
+        """The mock, by direct calls."""
+        return board_behind(self.link(), config, self.now_ns)
+
+    @contextmanager
+    def held(self, config: RigConfig) -> Iterator[Screenside]:
+        """In this process: there is no motor, and no time in which it could die."""
+        config, stop = slowed(config), StopWord()
+        memory = RunMemory.private(TICK.size, round(config.loop.rate_hz))
+        with hearing(stop.request), self.open(config) as board:
+            board.insist()
+            driven = Driven(board, config, memory, stop)
+            yield _VirtualSide(self, config.period_ns, memory, driven, stop)
+
+    def link(self) -> Link:
+        """A new host's end of the cable."""
+        return InProcessLink(self._face)
+
+    def now_ns(self) -> int:
+        """Virtual time."""
+        return self._now_ns
+
+    def pause(self, seconds: float) -> None:
+        """Let the rig move on."""
+        self._now_ns += round(seconds * 1e9)
+
+    def beats(self, period_ns: int) -> Iterator[object]:
+        """One pause each."""
+        for beat in itertools.count():
+            self.pause(period_ns * 1e-9)
+            yield beat
+
+    def turned(self, which: Wheel) -> None:
+        """A hand turns it, forwards, with the lever lifted."""
+        self.device.turn(which, TURNS, _TURNING_S)
+
+    def powered(self, *, on: bool) -> None:
+        """Someone has gone to the switch."""
+        self.device.power(on=on)
+
+
+class PacedMockBench(MockBench):
+    """The mock bench in real time: for outputs, the mock is a process of its own, held as a real board is.
+
+    Where the board is only read, its time is virtual, so that a busy computer is never late, and never ahead of real
+    time.
+    """
+
+    def __init__(self, config: RigConfig, hold: Hold) -> None:
+        super().__init__(config)
+        self._hold = hold
+        self._on = True
+        self._due_s = 0.0
+
+    def pause(self, seconds: float) -> None:
+        """Let the rig move on, and wait."""
+        super().pause(seconds)
+        now_s = time.monotonic()
+        self._due_s = max(self._due_s + seconds, now_s)  # what took longer is not made up for
+        time.sleep(self._due_s - now_s)
+
+    @contextmanager
+    def held(self, config: RigConfig) -> Iterator[Screenside]:
+        """A mock that is powered up now, its power interface switched as it is here."""
+        with self._hold(config, self.address, outputs=True, faults=() if self._on else _SWITCHED_OFF) as side:
+            yield side
+
+    def powered(self, *, on: bool) -> None:
+        """For the next mock that is held, too."""
+        super().powered(on=on)
+        self._on = on
+
+
+class _VirtualSide(Screenside):
+    """Time passes, and the board is held, while the next tick is waited for."""
+
+    def __init__(self, bench: Bench, period_ns: int, memory: RunMemory, driven: Driven, stop: StopWord) -> None:
+        super().__init__(memory)
+        self._bench = bench
+        self._beats = bench.beats(period_ns)
+        self._driven = driven
+        self._stop = stop
+
+    def now_ns(self) -> int:
+        """Virtual time."""
+        return self._bench.now_ns()
+
+    def next_ticks(self) -> npt.NDArray[np.void]:
+        """The tick of one beat."""
+        next(self._beats)
+        self._driven.beat()
+        return self.ticks()
+
+    @property
+    def reason(self) -> Reason:
+        """OPERATOR_STOP once a signal has come."""
+        return self._stop.wanted(self.now_ns())

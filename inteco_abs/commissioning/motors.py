@@ -1,0 +1,247 @@
+"""Step 6: a little drive, then a growing brake: the sense of rotation, and the brake's dead zone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from statistics import median
+from typing import Final, NamedTuple
+
+from inteco_abs.commissioning.first_write import agree_on_first_write
+from inteco_abs.commissioning.operator import agree, wait_for
+from inteco_abs.commissioning.outputs import PROVES_ITSELF, Motion, Outputs, outputs, turns
+from inteco_abs.commissioning.permission import DRIVE_LIMIT, outputs_permitted
+from inteco_abs.commissioning.step import Facts, Visit, today
+from inteco_abs.config import RigConfig
+from inteco_abs.errors import ProbeError
+
+PHRASE: Final = "the cover is closed, my hand is at the emergency switch"
+_REQUEST: Final = (
+    "The motors are about to turn, slowly: at most 20 % drive, then the brake up to its limit. A guardian process "
+    "takes the outputs away if this program dies or hangs, but if the computer dies or the cable is pulled, only the "
+    "emergency switch stops the motors.\nLower the balance lever, so that the wheels touch; close the "
+    "cover; switch the power interface on; wait until both wheels are at rest."
+)
+_FIRST_DUTY, _DUTY_STEP = 0.05, 0.01
+_NUDGE_S: Final = 0.3
+"""For each duty of the drive, until a wheel moves."""
+_MOVED_TURNS: Final = 0.05
+_FOLLOW_S: Final = 0.5
+"""More of the duty that moved the first wheel, for the other to follow."""
+_RUN_UP_S: Final = 20.0
+_SPEED_RAD_S: Final = 20.0
+_ENOUGH_RAD_S: Final = 10.0
+_SLOWEST_RAD_S: Final = 5.0
+_SETTLE_S: Final = 0.2
+_COAST_S: Final = 0.3
+_BRAKE_STEP: Final = 0.02
+_STEP_S: Final = 0.15
+_SLOWS_DOWN: Final = 1.5
+"""Times as fast as by itself."""
+_MOST_RUN_UPS: Final = 4
+_VELOCITIES: Final = 5
+"""Readings of the board's own velocity, whose step may be a tenth of the speed at a window of 5 ms."""
+_MOST_OFF: Final = 0.25
+_RESOLUTION_COUNTS: Final = 2.0
+_MOST_STILL_COUNTS: Final = 8
+_EXPECTED: Final = 0.415
+"""End of the dead zone (vendor's manual, equation 6.1.11)."""
+_ABOUT: Final = 0.1
+KEYS: Final = ("drive_pwm", "brake_pwm", "pwm_mode", "pwm_prescaler")
+PIN_KEYS: Final = ("pwm_pins", "pwm_functions")
+
+
+class _Braked(NamedTuple):
+    """What a brake ramp has shown."""
+
+    reached: float
+    """Last duty that was tried."""
+    onset: float | None
+    """First duty that braked; None if the wheels were too slow before."""
+
+
+def try_motors(visit: Visit) -> Facts:
+    """Emergency switch, drive, brake; every part of it ends with the outputs off."""
+    config = outputs_permitted(visit, _REQUEST, PHRASE)
+    agreed = agree_on_first_write(visit, config)
+    wait_for(visit.person, "Press the emergency switch: it is tried first, and no wheel may move.")
+    visit.bench.powered(on=False)
+    visit.person.tell(f"  {PROVES_ITSELF}")
+    with outputs(visit, config) as out:
+        _insist_on_rest(out)
+        if _nudge(out, config) is not None:
+            raise ProbeError(
+                "a wheel moved although the emergency switch is pressed: do not use this rig until it cuts"
+            )
+    visit.person.tell("  nothing moved: the emergency switch cuts the drive")
+    wait_for(visit.person, "Turn the switch to release it, press ON, and put your hand at the switch again.")
+    visit.bench.powered(on=True)
+    visit.person.tell("  driving, then braking; at most a minute and a half")
+    with outputs(visit, config) as out:
+        _insist_on_rest(out)
+        moving_duty = _drive(out, config)  # nobody is talked to in here: a halted terminal would hold the drive on
+        onset, coast_rad_s2 = _find_dead_zone(out, config)
+        lines = _counts_per_turn(out, config)
+    _compare_counts(visit, config, lines)
+    visit.person.tell(f"  both wheels turn forwards from {moving_duty:.0%} drive on")
+    visit.person.tell(
+        f"  the brake acts from {onset:.2f} on{_compared(onset)}; coasting loses {coast_rad_s2:.1f} rad/s2"
+    )
+    visit.draft.confirm(_confirmed(config), f"drove and braked on {today()}")
+    found = {**agreed, "moving_duty": moving_duty, "brake_from": onset, "coast_rad_s2": coast_rad_s2}
+    return found if lines is None else {**found, "counts_per_turn_by_velocity": lines}
+
+
+def _insist_on_rest(out: Outputs) -> None:
+    for motion in out.hold(0.0, 0.0, _COAST_S):
+        if max(abs(motion.wheel_counts), abs(motion.road_counts)) > _MOST_STILL_COUNTS:
+            raise ProbeError("a wheel moves although both outputs are off: wait until both are at rest")
+
+
+def _nudge(out: Outputs, config: RigConfig) -> tuple[float, Motion] | None:
+    """Drive a little more, and a little more, until a wheel moves: the duty, and how; None if it never does."""
+    duty = _FIRST_DUTY
+    while duty <= DRIVE_LIMIT + 1e-9:
+        for motion in out.hold(duty, 0.0, _NUDGE_S):
+            if max(abs(turns(motion.wheel_counts, config)), abs(turns(motion.road_counts, config))) > _MOVED_TURNS:
+                return duty, motion
+        duty += _DUTY_STEP
+    return None
+
+
+def _drive(out: Outputs, config: RigConfig) -> float:
+    """Duty from which both wheels turn, forwards. Raises ProbeError saying what to check."""
+    nudged = _nudge(out, config)
+    if nudged is None:
+        raise ProbeError(
+            f"no wheel moved at up to {DRIVE_LIMIT:.0%} drive: is the power interface on, the emergency switch "
+            f"released, and the drive really on PWM {config.board.drive_pwm}? If not, --set board.drive_pwm=N"
+        )
+    duty, motion = nudged
+    for motion in out.hold(duty, 0.0, _FOLLOW_S):
+        _insist_on_sense(motion, config)
+    for name, counts in (("lower", motion.road_counts), ("upper", motion.wheel_counts)):
+        if turns(counts, config) < _MOVED_TURNS / 2:
+            raise ProbeError(
+                f"the {name} wheel does not turn with the other: lower the balance lever; if both do turn, their "
+                "encoders are not the ones that were turned by hand: --redo wheels"
+            )
+    return duty
+
+
+def _insist_on_sense(motion: Motion, config: RigConfig) -> None:
+    for name, key, counts in (
+        ("lower", "road_sign", motion.road_counts),
+        ("upper", "wheel_sign", motion.wheel_counts),
+    ):
+        if turns(counts, config) < -_MOVED_TURNS / 2:
+            raise ProbeError(
+                f"the {name} wheel counts backwards when driven: board.{key} does not fit. --redo wheels, and turn it "
+                "the way the drive does"
+            )
+
+
+def _find_dead_zone(out: Outputs, config: RigConfig) -> tuple[float, float]:
+    """Duty from which the brake acts, and the deceleration of coasting, rad/s2."""
+    duty = 0.0
+    for _ in range(_MOST_RUN_UPS):
+        _run_up(out)
+        coast = _coast(out)
+        braked = _ramp(out, config, duty, coast)
+        if braked.onset is not None:
+            return braked.onset, coast
+        duty = max(0.0, braked.reached - 2 * _BRAKE_STEP)  # the last steps were perhaps too slow to tell
+    raise ProbeError("the wheels stop too soon to try all of the brake: is it stuck? Turn the upper wheel by hand")
+
+
+def _run_up(out: Outputs) -> None:
+    motion = out.beat(DRIVE_LIMIT, 0.0)
+    for motion in out.hold(DRIVE_LIMIT, 0.0, _RUN_UP_S):
+        if motion.road_speed_rad_s >= _SPEED_RAD_S:
+            return
+    if motion.road_speed_rad_s < _ENOUGH_RAD_S:
+        raise ProbeError(
+            f"{DRIVE_LIMIT:.0%} drive reach {motion.road_speed_rad_s:.1f} rad/s within {_RUN_UP_S:g} s, too slow to "
+            "try the brake: does something rub?"
+        )
+
+
+def _coast(out: Outputs) -> float:
+    """Deceleration without drive and brake, rad/s2."""
+    *_, begin = out.hold(0.0, 0.0, _SETTLE_S)
+    *_, end = out.hold(0.0, 0.0, _COAST_S)
+    return (begin.wheel_speed_rad_s - end.wheel_speed_rad_s) / (end.time_s - begin.time_s)
+
+
+def _counts_per_turn(out: Outputs, config: RigConfig) -> int | None:
+    """By the board's own velocity of the road wheel, where it has one, while the wheels coast; None if too slow.
+
+    That register counts lines of the encoder's disc in a time that the board's own clock measures, and the vendor's
+    conversion takes 1024 of them for a turn. So it shows by how much the counter multiplies them, two or four, and
+    nothing about a disc that has another number of lines.
+    """
+    if config.board.kind != "pci":
+        return None
+    _run_up(out)
+    out.beat(0.0, 0.0)
+    ratios = []
+    for _ in range(_VELOCITIES):
+        rpm, motion = out.measured("road_velocity"), out.beat(0.0, 0.0)
+        if rpm and motion.road_speed_rad_s >= _SLOWEST_RAD_S:
+            ratios.append(motion.road_speed_rad_s / (rpm * 2.0 * math.pi / 60.0))
+    return round(median(ratios) * config.encoders.counts_per_turn) if len(ratios) == _VELOCITIES else None
+
+
+def _compare_counts(visit: Visit, config: RigConfig, by_velocity: int | None) -> None:
+    """Ask if the board's own velocity has found another number than the hands that turned the wheels."""
+    by_hand = config.encoders.counts_per_turn
+    if by_velocity is None or abs(by_velocity - by_hand) <= _MOST_OFF * by_hand:
+        return
+    visit.person.tell(
+        f"  the board's velocity register makes {by_velocity} counts per turn, if the encoder's disc has 1024 lines as "
+        f"the vendor's has; turned by hand it was {by_hand}"
+    )
+    if not agree(visit.person, f"Was each wheel turned exactly as often as was asked, so that {by_hand} is right?"):
+        raise ProbeError("the counts per turn are not certain: --redo wheels")
+
+
+def _ramp(out: Outputs, config: RigConfig, first: float, coast_rad_s2: float) -> _Braked:
+    """Brake more and more until the upper wheel slows down faster than by itself, in two steps running.
+
+    Raises ProbeError at the limit.
+    """
+    least_rad_s = 2.0 * math.pi * turns(1, config) * _RESOLUTION_COUNTS / _STEP_S
+    slowed = 0
+    before = out.beat(0.0, first)
+    duty = first
+    for duty in _duties(first, config.guard.brake_limit):
+        *_, now = out.hold(0.0, duty, _STEP_S)
+        lost = before.wheel_speed_rad_s - now.wheel_speed_rad_s
+        usual = coast_rad_s2 * (now.time_s - before.time_s)
+        slowed = slowed + 1 if lost > _SLOWS_DOWN * usual + least_rad_s else 0
+        if slowed == 2:
+            return _Braked(duty, round(duty - _BRAKE_STEP, 3))
+        if now.wheel_speed_rad_s < _SLOWEST_RAD_S:
+            return _Braked(duty, None)
+        before = now
+    raise ProbeError(
+        f"the brake did nothing up to {duty:.2f}: check its supply, its cable, and that it is on PWM "
+        f"{config.board.brake_pwm}. If not, --set board.brake_pwm=N"
+    )
+
+
+def _duties(first: float, limit: float) -> Iterator[float]:
+    steps = round((limit - first) / _BRAKE_STEP + 0.499)
+    return (min(first + step * _BRAKE_STEP, limit) for step in range(1, steps + 1))
+
+
+def _compared(onset: float) -> str:
+    if abs(onset - _EXPECTED) <= _ABOUT:
+        return f", about as the vendor's manual says ({_EXPECTED})"
+    return f", while the vendor's manual says {_EXPECTED}: the controller's model does not fit this brake"
+
+
+def _confirmed(config: RigConfig) -> tuple[str, ...]:
+    board = config.board
+    pins = () if board.kind == "pci" else PIN_KEYS
+    return (*KEYS, *pins, *(("timer",) if board.timer >= 0 else ()))  # every exchange has compared it with our clock

@@ -1,0 +1,152 @@
+"""What a run would meet, found out by reading alone: the board, the wheels, and the phases to come."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+from inteco_abs.boards import STILL_ON, Board, Identity
+from inteco_abs.boards.board import count_step
+from inteco_abs.boards.first_write import PlannedWord, Remark
+from inteco_abs.commissioning.exchange_rate import MORE_THAN_A_READ
+from inteco_abs.commissioning.reading import read_patiently
+from inteco_abs.commissioning.rig_access import Bench
+from inteco_abs.config import RigConfig
+from inteco_abs.control.phase_machine import REST_COUNTS
+from inteco_abs.errors import AbsError, BoardError
+from inteco_abs.realtime.round_trips import Quantiles, quantiles
+from inteco_abs.signals import EXPLANATIONS, Phase, Reason
+
+PCI_INDEX: Final = (
+    "a board on the PCI bus is told in two of its registers which channel is read: the only writes, but no time for "
+    "them while another program drives it"
+)
+_BEAT_NS: Final = 1_000_000
+"""Between two readings, where the loop's period is not longer."""
+
+
+class Part(NamedTuple):
+    """One phase of a stop."""
+
+    phase: str
+    seconds: float
+    fixed: bool
+    """Whether it lasts so long, rather than at most."""
+    does: str
+
+
+@dataclass
+class Look:
+    """What was read of a board, and what that has against a run."""
+
+    identity: Identity | None = None
+    """None if no board could be read."""
+    moved: tuple[int, int] | None = None
+    """Counts of wheel and road, from the first reading to the farthest; None if they were not looked at."""
+    first_write: list[PlannedWord] = field(default_factory=list)
+    """Words of the board that a run would change before its first tick, and those that it would keep unknown."""
+    read_us: Quantiles | None = None
+    """Of readings of both counters; None in virtual time, in which they take none."""
+    refused: list[AbsError] = field(default_factory=list)
+    cautions: list[str] = field(default_factory=list)
+
+
+def look_at(bench: Bench, config: RigConfig, *, rest: bool = True) -> Look:
+    """Read the board at the bench; nothing is written to it.
+
+    Which board it is, whether its outputs may be used, and with `rest`, for as long as a run watches them, whether the
+    wheels stand still and readings fit into a period. What does not suit is in `refused`, a board that cannot be opened
+    or read too.
+    """
+    look = Look()
+    try:
+        with bench.open(config).reading() as board:
+            look.identity = board.identity
+            _judge(board, config, look)
+            if rest and board.identity is not None and board.identity.logic_version == config.board.logic_version:
+                _watch(bench, board, config, look)
+    except AbsError as error:
+        look.refused.append(error)
+    if config.board.kind == "pci":
+        look.cautions.append(PCI_INDEX)
+    return look
+
+
+def course(config: RigConfig) -> Iterator[Part]:
+    """The phases of one stop, as the sequence steps through them."""
+    plan, guard = config.experiment, config.guard
+    drive, brake = min(plan.drive_duty, guard.drive_limit), guard.brake_limit
+    controller = config.controller
+    yield Part(Phase.IDLE.name, plan.idle_s, fixed=True, does="outputs off, both wheels must stand still")
+    yield Part(Phase.ARMED.name, plan.idle_s, fixed=True, does="the same")
+    spin_up = f"drive {drive:g} until the road wheel turns at {plan.start_speed_rad_s:g} rad/s"
+    yield Part(Phase.SPIN_UP.name, plan.spin_up_timeout_s, fixed=False, does=spin_up)
+    law = f"{controller.name} on {config.estimator.name}, reference slip {controller.reference_slip:g}"
+    braking = f"{law}, brake at most {brake:g}, until the road wheel is below {plan.stop_speed_rad_s:g} rad/s"
+    yield Part(Phase.BRAKING.name, plan.braking_timeout_s, fixed=False, does=braking)
+    yield Part(Phase.STOPPED.name, plan.hold_s, fixed=True, does="the brake is held, then both outputs are off")
+
+
+def _judge(board: Board, config: RigConfig, look: Look) -> None:
+    """Whether a run could drive it."""
+    try:
+        board.insist()
+    except BoardError as error:
+        look.refused.append(error)
+        return  # what an earlier program has left on is told there
+    wiring = config.board
+    look.first_write = board.first_write()
+    running = [name for one in look.first_write if one.remark is Remark.RUNS for name in one.names]
+    if running:
+        look.cautions.append(
+            f"PWM channels are on that the profile does not use, and a run leaves them on: {', '.join(running)}"
+        )
+    names = [f"pwm{channel}_width" for channel in (wiring.drive_pwm, wiring.brake_pwm)]
+    if any(read_patiently(board, names).values()):
+        look.cautions.append(
+            f"the board's PWM outputs are not zero, an earlier program has left them so. {STILL_ON}; a run would "
+            "switch them off first"
+        )
+
+
+def _watch(bench: Bench, board: Board, config: RigConfig, look: Look) -> None:
+    """Both counters, for as long as the phases IDLE and ARMED last together."""
+    wiring = config.board
+    names = wheel, road = f"encoder{wiring.wheel_encoder}_count", f"encoder{wiring.road_encoder}_count"
+    first = read_patiently(board, names)
+    period_ns = max(config.period_ns, _BEAT_NS)
+    beats = bench.beats(period_ns)
+    moved, times_us = [0, 0], list[float]()
+    for _ in range(max(1, round(2.0 * config.experiment.idle_s * 1e9 / period_ns))):
+        next(beats)
+        start_ns = bench.now_ns()
+        counts = read_patiently(board, names)
+        times_us.append((bench.now_ns() - start_ns) * 1e-3)
+        for number, name in enumerate((wheel, road)):
+            moved[number] = max(moved[number], count_step(counts[name], first[name]), key=abs)
+    look.moved = moved[0], moved[1]
+    if max(map(abs, moved)) > REST_COUNTS:
+        told = f"upper wheel {moved[0]:+d} counts, lower wheel {moved[1]:+d}"
+        look.refused.append(BoardError(f"{EXPLANATIONS[Reason.WHEELS_MOVING]} ({told})"))
+    spread = quantiles(times_us)
+    if spread.max:
+        look.read_us = spread
+        _judge_rate(spread, config, look)
+
+
+def _judge_rate(spread: Quantiles, config: RigConfig, look: Look) -> None:
+    """A run measures whole exchanges, which takes writing; readings tell what cannot be, and what is doubtful."""
+    period_us = config.period_ns * 1e-3
+    if spread.p50 > period_us:
+        look.refused.append(
+            BoardError(
+                f"half of the readings take longer than {spread.p50:.0f} us, and the period is {period_us:g} us: set "
+                "loop.rate_hz to less; inteco-abs doctor --board tells more"
+            )
+        )
+    elif MORE_THAN_A_READ * spread.max > period_us:
+        look.cautions.append(
+            f"the slowest reading took {spread.max:.0f} us, a whole exchange takes about {MORE_THAN_A_READ:g} times "
+            f"as long: a run, which measures a thousand, may find that the period of {period_us:g} us is too short"
+        )

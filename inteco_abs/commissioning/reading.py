@@ -1,0 +1,63 @@
+"""Reading the board before anybody may write to it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from inteco_abs.boards import STILL_ON, Board
+from inteco_abs.commissioning.step import Visit
+from inteco_abs.config import RigConfig
+from inteco_abs.errors import LinkError, ProbeError
+
+_MOST_FAILURES: Final = 4
+_ONLY_READ: Final = "this step of the walk only reads"
+
+
+@contextmanager
+def open_for_reading(visit: Visit, config: RigConfig | None = None) -> Iterator[Board]:
+    """The board, entered so that nothing can be written to it, whatever the draft says and whoever signed it."""
+    config = config or visit.draft.config
+    reading = config.model_copy(update={"board": config.board.model_copy(update={"read_only": _ONLY_READ})})
+    with visit.bench.open(reading) as board:
+        yield board
+
+
+def outputs_left_on(board: Board) -> bool:
+    """Whether an earlier program has left a PWM output of an entered, read-only board on."""
+    return board.identity is not None and STILL_ON in board.identity.read_only_because
+
+
+def insist_on_outputs_off(board: Board) -> None:
+    """Raise ProbeError, saying what to do, if an earlier program has left an output on."""
+    if outputs_left_on(board):
+        raise ProbeError(
+            f"the board's PWM outputs are not zero, an earlier program has left them so. {STILL_ON}, "
+            "then switch the board off and on"
+        )
+
+
+def insist_on_same_board(board: Board, config: RigConfig) -> None:
+    """Raise ProbeError if an entered board is not the one whose header is in the draft."""
+    identity, wiring = board.identity, config.board
+    if (
+        identity is None
+        or identity.logic_version != wiring.logic_version
+        or (wiring.kind != "pci" and identity.application_name not in wiring.application_names)
+    ):
+        raise ProbeError(f"this board ({identity}) is not the one that the draft was begun with: --redo header")
+
+
+def read_patiently(board: Board, names: Collection[str]) -> dict[str, int]:
+    """The named numbers; a few failed readings in a row are forgiven. Raises LinkError after four."""
+    failures = 0
+    while True:
+        try:
+            values = board.survey(names).values
+        except LinkError:
+            failures += 1
+            if failures >= _MOST_FAILURES:
+                raise
+        else:
+            return {name: int(values[name]) for name in names}

@@ -1,0 +1,43 @@
+"""Step 7: somebody takes responsibility for the wiring and the guard's limits, by name."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from inteco_abs.commissioning.operator import agree, ask_for
+from inteco_abs.commissioning.step import Facts, Visit, today
+from inteco_abs.errors import ReadOnlyError, Stopped
+
+_LONGEST: Final = 100
+
+
+def sign(visit: Visit) -> Facts:
+    """Show what is still not confirmed, then ask who has verified the rest; the guard's limits are signed with it."""
+    board, guard = visit.draft.config.board, visit.draft.config.guard
+    if board.read_only:
+        raise ReadOnlyError(f"there is nothing to sign, the profile's outputs are never to be used: {board.read_only}")
+    unconfirmed = board.unconfirmed()
+    for one in unconfirmed:
+        key = one.partition(" ")[0]
+        source = board.evidence[key].source if key in board.evidence else "no source"
+        visit.person.tell(f"  not confirmed: {one}: {source}")
+    if not unconfirmed:
+        visit.person.tell("  all of the wiring is confirmed")
+    limits = guard.model_dump(exclude_none=True)
+    visit.person.tell(f"  signed with it: guard {', '.join(f'{key} {value:g}' for key, value in limits.items())}")
+    signer = ask_for(visit.person, "Who has verified this wiring on the rig? Name:", _name, "a name")
+    if not agree(visit.person, f"Sign for logic 0x{visit.logic_version:04X} as {signer!r}?"):
+        raise Stopped("not signed: the draft stays as it is")
+    signature = {
+        "board.verified_by": signer,
+        "board.verified_on": today(),
+        "board.verified_logic": visit.logic_version,
+        **{f"guard.{key}": value for key, value in limits.items()},  # no later default is then signed by nobody
+    }
+    visit.draft.write(signature)
+    visit.person.tell(f"  signed: inteco-abs run --board {visit.bench.address} --set profile={visit.draft.file}")
+    return {"signed_by": signer, "unconfirmed": unconfirmed}
+
+
+def _name(text: str) -> str | None:
+    return text if text and len(text) <= _LONGEST and text.isprintable() and any(map(str.isalpha, text)) else None

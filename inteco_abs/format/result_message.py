@@ -1,0 +1,80 @@
+"""The result card as a message of its own, for programs that read no metadata: one for each session, at its end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+from inteco_abs.format.descriptors import INT64, TEXT, field, message, proto_file
+from inteco_abs.format.protobuf import chunk, double, integer
+from inteco_abs.format.schema import DOUBLE, PACKAGE
+
+RESULT_TOPIC: Final = "/abs/result"
+_WORD: Final = (1 << 64) - 1
+RESULT_NAME: Final = f"{PACKAGE}.Result"
+
+
+class Entry(NamedTuple):
+    """One value of the card. Fields are numbered from 1 in the order of `RESULT`, so new ones go last."""
+
+    name: str
+    """As in the card; `lateness_us_p50` is its `lateness_us["p50"]`."""
+    kind: int = DOUBLE.type_number
+    unit: str = "1"
+
+
+RESULT: Final = (
+    Entry("session", TEXT),
+    Entry("outcome", TEXT),
+    Entry("reason", TEXT),
+    Entry("explanation", TEXT),
+    Entry("board", TEXT),
+    Entry("rig", TEXT),
+    Entry("controller", TEXT),
+    Entry("estimator", TEXT),
+    Entry("ticks", INT64),
+    Entry("overruns", INT64),
+    Entry("lost_ticks", INT64),
+    Entry("link_errors", INT64),
+    Entry("stops", INT64),
+    Entry("start_speed_rad_s", unit="rad/s"),
+    Entry("reference_slip"),
+    Entry("reaching_time_s", unit="s"),
+    Entry("band_entry_s", unit="s"),
+    Entry("stop_time_s", unit="s"),
+    Entry("stop_distance_m", unit="m"),
+    Entry("slip_rms_true"),
+    Entry("slip_rms_estimated"),
+    Entry("slip_rms_low_speed_true"),
+    Entry("slip_rms_fixed_true"),
+    Entry("lock_fraction"),
+    Entry("torque_variation_nm_per_s", unit="N.m/s"),
+    Entry("duty_variation_per_s", unit="/s"),
+    Entry("lateness_us_p50", unit="us"),
+    Entry("lateness_us_p99", unit="us"),
+    Entry("lateness_us_p999", unit="us"),
+    Entry("lateness_us_max", unit="us"),
+    Entry("payload_sha256", TEXT),
+)
+
+
+def result_descriptor() -> bytes:
+    """Schema of `/abs/result`."""
+    fields = [field(entry.name, number, entry.kind) for number, entry in enumerate(RESULT, 1)]
+    return chunk(1, proto_file(f"{RESULT_NAME}.proto", PACKAGE, chunk(4, message("Result", fields))))
+
+
+def pack_result(card: Mapping[str, Any]) -> bytes:
+    """The card as a message. A number that is not known is NaN: left out, it would be read as 0."""
+    late = {f"lateness_us_{name}": value for name, value in card["lateness_us"].items()}
+    values = {**card, **late}
+    return b"".join(_field(number, entry, values.get(entry.name)) for number, entry in enumerate(RESULT, 1))
+
+
+def _field(number: int, entry: Entry, value: Any) -> bytes:
+    if entry.kind == DOUBLE.type_number:
+        return double(number, math.nan if value is None else value)
+    if value is None:
+        return b""
+    return integer(number, value & _WORD) if entry.kind == INT64 else chunk(number, value)

@@ -1,0 +1,137 @@
+"""Gains for a rig that is not known exactly: what (20), (25) and (26) say, and whether the brake can do it.
+
+Everything is about an ideal loop: slip measured exactly, a brake without lag, no delay. On a rig it is the least that
+the gains must fulfil.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from inteco_abs.config import RigConfig
+from inteco_abs.control import gains_in_force
+from inteco_abs.gain_design.advice import Advice, Case, advice, layer_step
+from inteco_abs.gain_design.bounds import AtSlip, Bounds, Floats
+from inteco_abs.gain_design.gains import gains_of
+from inteco_abs.gain_design.intervals import Interval
+from inteco_abs.gain_design.reaching import Reaching, reaching
+from inteco_abs.gain_design.uncertainty import Box
+
+_SLIPS: Final = 21
+"""At which a band is looked at."""
+_FEWEST_SPEEDS: Final = 11
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What there is to say about one set of gains on one box of rigs."""
+
+    config: RigConfig
+    box: Box
+    case: Case
+    curves: Mapping[str, Floats]
+    """Numbers over `road_speed_rad_s`; names end with their units."""
+    fails_25: Sequence[Interval]
+    """Where (25) does not hold, and so sliding is not guaranteed."""
+    fails_26: Sequence[Interval]
+    reaching: Sequence[Reaching]
+    advice: Sequence[Advice]
+
+    def report(self) -> dict[str, Any]:
+        """All of it for JSON; what is infinite is None."""
+        controller, curves = self.config.controller, self.curves
+        return {
+            "schema_version": 1,
+            "controller": controller.name,
+            "gains": gains_in_force(self.config),
+            "reference_slip": controller.reference_slip,
+            "slips": [self.case.slips[0].slip, self.case.slips[-1].slip],
+            "parameters": self.config.model.parameters,
+            "uncertain": {one.name: [one.low, one.high] for one in self.box.spreads},
+            "g_positive": all(one.g_positive for one in self.case.slips),
+            "eps_g": _finite(curves["eps_g"].max()),
+            "mq_25_per_s": _finite(curves["mq_25_per_s"].max()),
+            "mq_26_per_s": _finite(curves["mq_26_per_s"].max()),
+            "mq_25_times_speed_rad_s2": _finite((curves["mq_25_per_s"] * curves["road_speed_rad_s"]).max()),
+            "fails_25_rad_s": [list(one) for one in self.fails_25],
+            "fails_26_rad_s": [list(one) for one in self.fails_26],
+            "brake_limit": self.case.brake_limit,
+            "largest_torque_nm": self.case.limit_nm,
+            "reaching": [{key: _finite(value) for key, value in way._asdict().items()} for way in self.reaching],
+            "advice": [one._asdict() for one in self.advice],
+            "curves": {name: [_finite(value) for value in values] for name, values in curves.items()},
+        }
+
+
+def judge_gains(
+    config: RigConfig,
+    box: Box,
+    speeds: tuple[float, float],
+    slip_band: tuple[float, float] | None = None,
+    from_slips: Sequence[float] = (0.0,),
+) -> Judgement:
+    """Look at the configured gains over road speeds from..to, rad/s, both above 0.
+
+    The conditions of sliding are those of the reference slip, or of the worst slip in a band; the torques are those
+    that hold the reference. Raises ConfigError for a controller without a switching gain, or a box with rigs that
+    cannot be.
+    """
+    gains, low, high = gains_of(config), *speeds
+    reference = AtSlip(box, config.controller.reference_slip)
+    band = [AtSlip(box, slip) for slip in np.linspace(*slip_band, _SLIPS).tolist()] if slip_band else [reference]
+    case = Case(
+        gains=gains,
+        believed=box.believed,
+        reference=reference,
+        slips=tuple(band),
+        speeds=np.linspace(low, high, max(_FEWEST_SPEEDS, math.ceil(high - low) + 1)),
+        brake_limit=config.guard.brake_limit,
+        period_s=config.period_ns * 1e-9,
+    )
+    ways = [reaching(config, slip, gains.width, gains.time_bound(slip, reference.slip)) for slip in from_slips]
+    return Judgement(
+        config,
+        box,
+        case,
+        curves=_curves(case),
+        fails_25=case.lost(case.margin_25),
+        fails_26=case.lost(case.margin_26),
+        reaching=ways,
+        advice=advice(case, ways),
+    )
+
+
+def _curves(case: Case) -> dict[str, Floats]:
+    """Everything that depends on the road speed."""
+    x2, reference = case.speeds, case.reference
+    bounds: Bounds = case.bounds(x2)
+    holding = reference.holding_torques(x2)
+    g, torque_eq, swing_nm = reference.g(x2), case.torque_eq(x2), case.torque_swing(x2)
+    chatters = layer_step(case, x2) >= 2.0 if case.gains.width > 0.0 else True
+    return {
+        "road_speed_rad_s": x2,
+        "f_per_s": reference.f(x2),
+        "g_per_s_nm": g,
+        "F_per_s": bounds.F,
+        "eps_f_per_s": bounds.eps_f,
+        "eps_g": bounds.eps_g,
+        "mq_25_per_s": bounds.mq_25,
+        "mq_26_per_s": bounds.mq_26,
+        "mq_per_s": case.gains.switching(x2),
+        "mq_unsaturated_per_s": g * np.minimum(torque_eq, case.limit_nm - torque_eq),
+        "torque_eq_nm": torque_eq,
+        "torque_eq_least_nm": holding[0],
+        "torque_eq_most_nm": holding[1],
+        "torque_swing_nm": swing_nm,
+        "torque_ripple_nm": swing_nm * chatters,
+        "slip_ripple_rms": case.gains.switching(x2) * case.period_s / 2.0 * chatters,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,24 @@
+"""The vendor's identification procedure as software: which runs to record, and what they say of the rig.
+
+What counts can tell and what they cannot is explained in `unknowns`.
+"""
+
+from inteco_abs.identification.estimates import SLIPS, Estimate, Identification, identify
+from inteco_abs.identification.parameters import ASSUMED, torque_name
+from inteco_abs.identification.plan import Experiment, experiments
+from inteco_abs.identification.segments import Segment, chosen, segment, segments
+
+__all__ = [
+    "ASSUMED",
+    "SLIPS",
+    "Estimate",
+    "Experiment",
+    "Identification",
+    "Segment",
+    "chosen",
+    "experiments",
+    "identify",
+    "segment",
+    "segments",
+    "torque_name",
+]

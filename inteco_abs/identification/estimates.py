@@ -1,0 +1,233 @@
+"""What a fit says of the rig: each number with its interval, and the file that other commands accept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+import tomli_w
+from scipy.stats import norm
+
+from inteco_abs.identification.fit import Fit, fit
+from inteco_abs.identification.parameters import ASSUMED, Beliefs, torque_name
+from inteco_abs.identification.segments import Kind, Segment
+from inteco_abs.rig import DriveMotor, RigParameters, adhesion, measured_torque
+
+SLIPS: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
+"""At which the friction curve is told."""
+_SHARE: Final = 0.95
+_TOLD: Final = 0.5
+"""Of what was not known before: with more left, the sessions have not told a number."""
+_STEP: Final = 1e-5
+_LEAST_SLOPE_NM: Final = 1e-4
+_WORKING_SHARE: Final = 0.25
+"""Of the largest torque: from here on the brake's points make its straight line."""
+_NEEDED: Final[Mapping[str, tuple[Kind, str]]] = {
+    "d": ("coast-down", "a coast-down"),
+    "M0": ("coast-down", "a coast-down"),
+    "drive_stall_torque": ("run-up", "a run-up"),
+    "drive_no_load_speed": ("run-up", "a run-up"),
+    "brake_lag": ("braking", "brake steps"),
+    "brake_dead_time": ("braking", "brake steps"),
+}
+
+Status = Literal["identified", "assumed", "not identified"]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One number of the rig, with its interval of 95 %."""
+
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    published: float
+    status: Status
+    why: str = ""
+    """Of one that is not identified: what is missing."""
+
+    def facts(self) -> dict[str, Any]:
+        """For JSON."""
+        facts = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return facts | {"published": None if math.isnan(self.published) else self.published}
+
+
+class _Told:
+    """A number that follows from those of the search."""
+
+    def __init__(self, name: str, unit: str, of: Callable[[Mapping[str, float]], float], published: float) -> None:
+        self.name, self.unit, self.of, self.published = name, unit, of, published
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """Everything that sessions say of a rig."""
+
+    fit: Fit
+    segments: tuple[Segment, ...]
+    estimates: tuple[Estimate, ...]
+
+    @property
+    def missing(self) -> list[Estimate]:
+        """What could not be identified."""
+        return [each for each in self.estimates if each.status == "not identified"]
+
+    def report(self) -> dict[str, Any]:
+        """For JSON and tables."""
+        return {
+            "schema_version": 1,
+            "converged": self.fit.converged,
+            "assumed_within": dict(self.fit.beliefs.assumed),
+            "estimates": [each.facts() for each in self.estimates],
+            "residuals": [
+                {
+                    "session": channel.segment.session,
+                    "segment": channel.segment.kind,
+                    "wheel": channel.wheel,
+                    "rms_counts": float(np.sqrt(np.mean(left * left))),
+                    "samples": len(left),
+                }
+                for channel, left in self.fit.left
+            ],
+        }
+
+    def traces(self) -> list[dict[str, Any]]:
+        """What is left unexplained, for a figure: measured minus simulated counts, by segment and wheel."""
+        return [
+            {
+                "segment": f"{channel.segment.session}, {channel.segment.kind}",
+                "wheel": channel.wheel,
+                "time_s": channel.segment.time_s[channel.segment.compared],
+                "left_counts": left,
+            }
+            for channel, left in self.fit.left
+        ]
+
+    def to_toml(self) -> str:
+        """The section [model.identified]; what was not identified is left out, and stays as published."""
+        told = {each.name: each for each in self.estimates}
+        parameters = self.fit.beliefs.parameters(self.fit.values())
+
+        def known(*names: str) -> bool:
+            return all(told[name].status != "not identified" for name in names if name in told)
+
+        own: dict[str, Any] = {name: getattr(parameters, name) for name in ("J1", "J2", "Mg", "d1", "M10")}
+        if known("d", "M0"):
+            own |= {"d2": parameters.d2, "M20": parameters.M20}
+        if known(*(_mu_name(slip) for slip in SLIPS)):
+            own |= {name: getattr(parameters, name) for name in ("w1", "w2", "w3", "w4", "a", "p")}
+        if known("brake_lag"):
+            own["c31"] = parameters.c31
+        if known("brake_dead_time"):
+            own["brake_dead_time_s"] = max(0.0, told["brake_dead_time"].value)
+        if known("drive_stall_torque", "drive_no_load_speed"):
+            own["drive_stall_torque_nm"] = told["drive_stall_torque"].value
+            own["drive_no_load_speed_rad_s"] = told["drive_no_load_speed"].value
+        own |= _brake_map(
+            [(level, told[torque_name(level)].value) for level in self.fit.beliefs.levels if known(torque_name(level))],
+            self.fit.beliefs.base,
+        )
+        return tomli_w.dumps({"model": {"identified": own}})
+
+
+def identify(
+    segments: Sequence[Segment], base: RigParameters, assumed: Mapping[str, float] = ASSUMED
+) -> Identification:
+    """The rig of `segments`, which is believed to be as `base`: geometry exactly, `assumed` within these shares."""
+    levels = tuple(sorted({level for segment in segments for level in segment.levels}))
+    found = fit(segments, Beliefs(base, levels, {**ASSUMED, **assumed}))
+    kinds = {segment.kind for segment in segments}
+    return Identification(found, tuple(segments), tuple(_estimates(found, kinds)))
+
+
+def _estimates(found: Fit, kinds: set[Kind]) -> Iterator[Estimate]:
+    deviations = norm.ppf(0.5 + 0.5 * _SHARE)
+    beliefs, assumed = found.beliefs, {"J1", "J2", "Mg", "d1", "M10"}
+    for told in _all_told(beliefs):
+        slope = _slope(told, found)
+        sd = math.sqrt(slope @ found.covariance @ slope)
+        before = math.sqrt(slope @ found.before @ slope)
+        value = told.of(found.values())
+        kind, what = _NEEDED.get(told.name, ("braking", "brake steps that reach it"))
+        why = "" if kind in kinds or told.name in assumed else f"no session has {what}"
+        if not why and told.name not in assumed and sd > _TOLD * before:
+            why = "the sessions do not tell it from the rest"
+        status: Status = "assumed" if told.name in assumed else "not identified" if why else "identified"
+        off = deviations * sd
+        yield Estimate(told.name, told.unit, value, value - off, value + off, told.published, status, why)
+
+
+def _slope(told: _Told, found: Fit) -> Any:
+    """By each number of the search."""
+    rows = np.repeat(found.found[None, :], 2 * len(found.found), axis=0)
+    count = len(found.found)
+    rows[np.arange(count), np.arange(count)] += _STEP
+    rows[np.arange(count) + count, np.arange(count)] -= _STEP
+    values = np.array([told.of(found.beliefs.values(row)) for row in rows.tolist()])
+    return (values[:count] - values[count:]) / (2.0 * _STEP)
+
+
+def _all_told(beliefs: Beliefs) -> Iterator[_Told]:
+    base, share = beliefs.base, beliefs.rolling_share
+    ratio, motor = base.r2 / base.r1, DriveMotor()
+    published_d, published_M0 = base.d2 + share * base.d1, base.M20 + ratio * base.M10
+    inertia = base.J2 + share * base.J1
+    for name, unit in (("J1", "kg m2"), ("J2", "kg m2"), ("Mg", "N m"), ("d1", "N m s"), ("M10", "N m")):
+        yield _Told(name, unit, _constant(beliefs, name), getattr(base, name))
+    yield _Told("d", "N m s", lambda v: v["scale"] * v["d"], published_d)
+    yield _Told("M0", "N m", lambda v: v["scale"] * v["M0"], published_M0)
+    yield _Told("d/J", "1/s", lambda v: v["d"] / inertia, published_d / inertia)
+    yield _Told("M0/J", "rad/s2", lambda v: v["M0"] / inertia, published_M0 / inertia)
+    yield _Told("d2", "N m s", _constant(beliefs, "d2"), base.d2)
+    yield _Told("M20", "N m", _constant(beliefs, "M20"), base.M20)
+    yield _Told("drive_stall_torque", "N m", lambda v: v["scale"] * v["stall"], motor.stall_torque_nm)
+    yield _Told("drive_no_load_speed", "rad/s", lambda v: v["no_load"], motor.no_load_speed_rad_s)
+    yield _Told("brake_lag", "s", lambda v: v["lag"], 1.0 / base.c31)
+    yield _Told("brake_dead_time", "s", lambda v: v["dead_time"], math.nan)
+    for level in beliefs.levels:
+        yield _Told(torque_name(level), "N m", _torque(torque_name(level)), measured_torque(level))
+    for slip in SLIPS:
+        yield _Told(_mu_name(slip), "1", _mu(beliefs, slip), adhesion(slip, base))
+
+
+def _constant(beliefs: Beliefs, name: str) -> Callable[[Mapping[str, float]], float]:
+    return lambda values: float(getattr(beliefs.parameters(values), name))
+
+
+def _torque(name: str) -> Callable[[Mapping[str, float]], float]:
+    return lambda values: values["scale"] * values[name]
+
+
+def _mu(beliefs: Beliefs, slip: float) -> Callable[[Mapping[str, float]], float]:
+    return lambda values: adhesion(slip, beliefs.parameters(values))
+
+
+def _mu_name(slip: float) -> str:
+    return f"mu({slip:g})"
+
+
+def _brake_map(points: Sequence[tuple[float, float]], base: RigParameters) -> dict[str, Any]:
+    """The points as they may stand in a configuration, rising, and the straight line that is nearest to them.
+
+    Where the torque begins was not seen: at the published end of the dead zone, or at the first duty if that is lower.
+    """
+    if len(points) < 2:
+        return {}
+    first = min(base.u0, points[0][0] - 0.01)
+    duties, torques = [first], [0.0]
+    for duty, torque in points:
+        duties.append(duty)
+        torques.append(max(torque, torques[-1] + _LEAST_SLOPE_NM))
+    least = _WORKING_SHARE * torques[-1]
+    working = [(duty, torque) for duty, torque in zip(duties, torques, strict=True) if torque >= least]
+    own: dict[str, Any] = {"brake_duties": duties, "brake_torques_nm": torques}
+    if len(working) > 1:
+        b1, b2 = np.polyfit([duty for duty, _ in working], [torque for _, torque in working], 1)
+        if b1 > 0.0:
+            own |= {"b1": float(b1), "b2": float(b2), "u0": float(min(max(-b2 / b1, 0.0), 0.99))}
+    return own

@@ -1,0 +1,243 @@
+"""The numbers that explain all segments best, and how well they are known: least squares on the counts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from inteco_abs.identification.parameters import ASSUMED, Beliefs, torque_name
+from inteco_abs.identification.segments import Floats, Segment
+from inteco_abs.identification.simulation import angles
+
+Wheel = Literal["wheel", "road"]
+
+_ROUNDS: Final = ((300.0, 20), (30.0, 20), (5.0, 20), (1.0, 60))
+"""Deviation of every residual in counts, and most evaluations: the first, in which little is known, must not trust the
+counts too finely, and only the last need come to an end."""
+_TOLERANCE: Final = 1e-4
+_SPEED_SD_RAD_S: Final = 5.0
+"""Of the speeds with which a segment begins, beyond what its first counts tell."""
+_STEP: Final = 1e-5
+"""For differences, of all numbers."""
+_EVERYWHERE: Final = ("J1", "Mg", "d1", "M10", "d", "M0", "a")
+_DEPENDS: Final[Mapping[str, tuple[str, ...]]] = {
+    "run-up": (*_EVERYWHERE, "stall", "no_load"),
+    "coast-down": _EVERYWHERE,
+    "braking": (*_EVERYWHERE, "w4", "w1/w4", "w2/w4", "w3/w4", "p", "lag", "dead_time"),
+}
+"""What moves the wheels in each kind of segment, besides the brake's torques. The scale never does."""
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One wheel's counts in one segment.
+
+    Only the road's where the wheels roll: how much the wheel creeps there depends on radii and contact more finely
+    than they are known.
+    """
+
+    segment: Segment
+    wheel: Wheel
+    counts: Floats
+    basis: Floats
+    """Orthonormal: a constant, and a disc off centre. No count says where the encoder began."""
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"{self.segment.session} {self.segment.kind} {self.wheel}"
+
+    def free(self, rows: Floats) -> Floats:
+        """`rows` in counts, without what a constant and an off-centre disc explain."""
+        left: Floats = rows - (rows @ self.basis) @ self.basis.T
+        return left
+
+
+def channels(segment: Segment) -> list[Channel]:
+    """What of a segment is compared."""
+    found = []
+    wheels: tuple[Wheel, ...] = ("wheel", "road") if segment.kind == "braking" else ("road",)
+    for wheel in wheels:
+        counts = (segment.wheel_count if wheel == "wheel" else segment.road_count)[segment.compared]
+        angle = counts * (2.0 * math.pi / segment.counts_per_turn)
+        basis, _ = np.linalg.qr(np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)]))
+        found.append(Channel(segment, wheel, counts, basis))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """What was found, as the search sees it."""
+
+    beliefs: Beliefs
+    found: Floats
+    covariance: Floats
+    before: Floats
+    """Covariance of what was believed before."""
+    left: tuple[tuple[Channel, Floats], ...]
+    """Measured minus simulated, in counts."""
+    converged: bool
+
+    def values(self) -> dict[str, float]:
+        """The numbers of the search by their names."""
+        return self.beliefs.values(self.found.tolist())
+
+
+def fit(segments: Sequence[Segment], beliefs: Beliefs) -> Fit:
+    """Least squares of count residuals and of what is believed, each over its standard deviation.
+
+    All counts weigh the same: weighed by what is left of them, what the model explains badly would be explained still
+    worse. How uncertain that leaves the numbers is reckoned from what is really left, neighbours that hang together
+    included (the covariance that Huber and White have for wrong weights).
+
+    What is assumed is kept as it is. What it does to the rest is added to their covariance: with H = jacobian' *
+    jacobian, a change of what is assumed (a) moves what is found (f) by S = -H_ff^-1 * H_fa.
+    """
+    rolling = _Problem([each for each in segments if each.kind != "braking"], beliefs)
+    begun, _ = _searched(rolling, rolling.start)
+    problem = _Problem(segments, beliefs)
+    start, told = problem.start, len(beliefs.unknowns) - len(ASSUMED)
+    start[:told] = begun[:told]
+    found, converged = _searched(problem, start)
+    jacobian, count = problem.slopes(found, assumed=True), len(beliefs.unknowns)
+    free = problem.free
+    information = jacobian.T @ jacobian
+    inverse = np.linalg.inv(information[np.ix_(free, free)])
+    before = np.asarray(np.linalg.inv(beliefs.weights.T @ beliefs.weights), np.float64)
+    moved = np.eye(len(information))[:, : len(ASSUMED)]
+    moved[free] = -inverse @ information[np.ix_(free, ~free)]
+    covariance = np.asarray(moved @ before[: len(ASSUMED), : len(ASSUMED)] @ moved.T, np.float64)
+    whole = problem.whole(found)
+    left = tuple(problem.left(found))
+    real = [np.full(len(each), _effective_deviation(each) / problem.noise) for _, each in left]
+    scattered = jacobian[:, free] * np.concatenate([*real, np.ones(len(whole))])[:, None]
+    pulls = _pulls(left, jacobian[:, free], problem.noise)
+    covariance[np.ix_(free, free)] += inverse @ (scattered.T @ scattered + pulls.T @ pulls) @ inverse
+    return Fit(beliefs, whole[:count], covariance[:count, :count], before, left, converged)
+
+
+def _searched(problem: _Problem, start: Floats) -> tuple[Floats, bool]:
+    """The best numbers from `start` on, and whether the search came to an end."""
+    found, converged = start, False
+    for problem.noise, evaluations in _ROUNDS:
+        outcome = least_squares(
+            problem.residuals,
+            found,
+            problem.jacobian,
+            method="lm",
+            x_scale="jac",
+            ftol=_TOLERANCE,
+            xtol=1e-12,
+            max_nfev=evaluations,
+        )
+        found, converged = outcome.x, bool(outcome.success)
+    return found, converged
+
+
+class _Problem:
+    """Residuals over their deviations, and their slopes; the last of the numbers are each segment's own speeds."""
+
+    def __init__(self, segments: Sequence[Segment], beliefs: Beliefs) -> None:
+        self._beliefs = beliefs
+        self.noise = _ROUNDS[0][0]
+        """Standard deviation of a residual in counts."""
+        self._segments = [(each, channels(each)) for each in segments]
+        started = [each.start_speeds() for each, _ in self._segments if each.kind != "run-up"]
+        speeds = [speed for pair in started for speed in pair]
+        self._places = {each.name: place for place, each in enumerate(beliefs.unknowns)}
+        self._believed = np.array([each.start for each in beliefs.unknowns] + speeds)
+        self.free = np.arange(len(self._believed)) >= len(ASSUMED)
+        """What is not assumed."""
+        self.start = self._believed[self.free]
+        count = len(beliefs.unknowns)
+        self._weights = np.eye(len(self._believed)) / _SPEED_SD_RAD_S
+        self._weights[:count, :count] = beliefs.weights
+
+    def whole(self, found: Floats) -> Floats:
+        """All numbers: what is assumed, and the rest as `found`."""
+        return np.concatenate([self._believed[~self.free], found])
+
+    def residuals(self, found: Floats) -> Floats:
+        """All of them."""
+        parts = [left / self.noise for _, left in self.left(found)]
+        return np.concatenate([*parts, self._weights @ (self.whole(found) - self._believed)])
+
+    def left(self, found: Floats) -> list[tuple[Channel, Floats]]:
+        """Measured minus simulated, in counts, by channel."""
+        x = self.whole(found)
+        parts = []
+        for segment, its_channels, own in self._each():
+            simulated = self._simulated(segment, x[None, :], own)
+            parts += [(each, each.free(each.counts - simulated[each.wheel])[0]) for each in its_channels]
+        return parts
+
+    def jacobian(self, found: Floats) -> Floats:
+        """Slopes of `residuals`."""
+        return self.slopes(found, assumed=False)[:, self.free]
+
+    def slopes(self, found: Floats, *, assumed: bool) -> Floats:
+        """By forward differences, all those of a segment in one batch; those by what is assumed only if wanted."""
+        x = self.whole(found)
+        blocks = []
+        for segment, its_channels, own in self._each():
+            names = [*_DEPENDS[segment.kind], *map(torque_name, segment.levels)]
+            places = [self._places[name] for name in names if assumed or name not in ASSUMED] + list(own)
+            rows = np.repeat(x[None, :], len(places) + 1, axis=0)
+            rows[np.arange(1, len(rows)), places] += _STEP
+            simulated = self._simulated(segment, rows, own)
+            for channel in its_channels:
+                counts = simulated[channel.wheel]
+                block = np.zeros((counts.shape[1], len(x)))
+                block[:, places] = channel.free(counts[0] - counts[1:]).T / (_STEP * self.noise)
+                blocks.append(block)
+        return np.concatenate([*blocks, self._weights])
+
+    def _each(self) -> Iterator[tuple[Segment, list[Channel], tuple[int, ...]]]:
+        """Segments, their channels, and the places of their own two speeds, if any."""
+        place = len(self._beliefs.unknowns)
+        for segment, its_channels in self._segments:
+            own = () if segment.kind == "run-up" else (place, place + 1)
+            place += len(own)
+            yield segment, its_channels, own
+
+    def _simulated(self, segment: Segment, rows: Floats, own: tuple[int, ...]) -> dict[Wheel, Floats]:
+        """Counts, a row for each of `rows`."""
+        listed = rows.tolist()
+        speeds = [(row[own[0]], row[own[1]]) if own else (0.0, 0.0) for row in listed]
+        wheel, road = angles(segment, self._beliefs, [self._beliefs.values(row) for row in listed], speeds)
+        per_rad = segment.counts_per_turn / (2.0 * math.pi)
+        return {"wheel": wheel * per_rad, "road": road * per_rad}
+
+
+def _pulls(left: Sequence[tuple[Channel, Floats]], jacobian: Floats, noise: float) -> Floats:
+    """Where each segment would draw the numbers by itself; in sum, nowhere. A row for each segment.
+
+    What the model has wrong draws segments apart: their covariance takes segments, not samples, as independent.
+    """
+    rows: dict[int, Floats] = {}
+    place = 0
+    for channel, residual in left:
+        part = jacobian[place : place + len(residual)].T @ (residual / noise)
+        place += len(residual)
+        rows[id(channel.segment)] = rows.get(id(channel.segment), np.zeros_like(part)) + part
+    count = len(rows)
+    return np.array(list(rows.values())) * math.sqrt(count / max(count - 1, 1))
+
+
+def _effective_deviation(left: Floats) -> float:
+    """Deviation of one sample with which independent samples would say as much as these, which hang together.
+
+    sigma*sqrt(tau), tau = 1 + 2*(sum of the autocorrelation up to where it is negative).
+    """
+    variance = float(np.mean(left * left))
+    size = 1 << (2 * len(left) - 1).bit_length()
+    spectrum = np.fft.rfft(left, size)
+    correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[: len(left)] / (len(left) * variance)
+    negative = np.flatnonzero(correlation < 0.0)
+    tau = 2.0 * float(correlation[: negative[0] if len(negative) else len(left)].sum()) - 1.0
+    return math.sqrt(variance * max(tau, 1.0))

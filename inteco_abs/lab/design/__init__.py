@@ -1,7 +1,0 @@
-"""Gains for a rig that is known only so well: the paper's conditions as numbers, and the brake's budget."""
-
-from inteco_abs.lab.design.advice import Advice
-from inteco_abs.lab.design.judgement import Judgement, judge_gains
-from inteco_abs.lab.design.uncertainty import HARD, KNOWN, Box, Spread, stated_box
-
-__all__ = ["HARD", "KNOWN", "Advice", "Box", "Judgement", "Spread", "judge_gains", "stated_box"]

@@ -1,0 +1,1 @@
+"""The mock board seen from its wire, one front end for each family."""

@@ -1,0 +1,121 @@
+"""The mock board as an RT-DAC/USB of the first generation: frames of logics 0x0111 and 0x0112, or a byte stream."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from firmware_protocol import ProtocolError
+from firmware_protocol.fields import sent_back
+from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, logic_of
+from inteco_abs.config import MOCK_NAMES
+from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.mock_board.device import Device
+from inteco_abs.mock_board.frontend import Face, insist_on_terminals
+
+APPLICATION_NAME: Final = MOCK_NAMES[1]
+_COMMAND_BIT: Final = 0x80
+_ALONE: Final = DUMMY + READ_REQUEST
+"""Commands without data."""
+
+
+class UsbFace:
+    """The board's frames, as whole messages: DUMMY, SEND with its data, READ request and answer.
+
+    Raises ConfigError for a device whose logic has no tables. Counters, timers and pins are made anew for each
+    answer, settings are echoed as the last good SEND frame left them, bits that no table names among them. `image` is a
+    READ frame that the board shows at power-up; without it all settings are zero.
+    """
+
+    def __init__(self, device: Device, image: bytes = b"") -> None:
+        self.device = device
+        self.rejected = 0
+        try:
+            logic = logic_of(device.logic_version)
+        except ProtocolError as error:
+            raise ConfigError([Mistake("board.logic_version", str(error))]) from error
+        self._read_table, self._send_table = logic.read, logic.send
+        self._echoed = tuple(name for name in logic.send.fields if name in logic.read.fields)
+        cable = device.cable
+        insist_on_terminals(cable, logic.read)
+        self._road = logic.read.place(f"encoder{cable.road_encoder}_count")
+        self._wheel = logic.read.place(f"encoder{cable.wheel_encoder}_count")
+        self._timers = tuple(
+            (i, logic.read.place(f"timer{i}_value")) for i in range(2) if f"timer{i}_value" in logic.read.fields
+        )
+        self._answer = bytearray(logic.read.encode({"application_name": APPLICATION_NAME}))
+        self._pins = logic.read.place("pin_input")
+        self._waiting: list[bytes] = []
+        # data byte n is byte n of a READ frame, and byte n + 1 of a SEND frame, which has none for the last
+        named = zip(logic.read.named_bits, logic.send.named_bits[1:], strict=False)
+        self._unnamed = [~(mine | theirs) & 0xFF for mine, theirs in named]
+        if image:
+            self._send(sent_back(logic.read, logic.send, image))
+            self._keep_unnamed(image)
+
+    def bulk_out(self, data: bytes | bytearray) -> None:
+        """One message of the host. 0x83, send and read, is named by the vendor but not understood here."""
+        if len(data) == FRAME_BYTES:
+            self._send(data)
+        elif data == READ_REQUEST:
+            self._waiting.append(self._read())
+        elif data != DUMMY:
+            self.rejected += 1
+
+    def bulk_in(self, length: int) -> bytes:
+        """What the host gets: the oldest waiting answer, empty if there is none."""
+        return self._waiting.pop(0)[:length] if self._waiting else b""
+
+    def _send(self, data: bytes | bytearray) -> None:
+        try:
+            settings = self._send_table.decode(data)
+        except ProtocolError:
+            self.rejected += 1
+            return
+        device = self.device
+        device.write({name: value for name, value in settings.items() if isinstance(value, int)})
+        echo = {name: device.settings[name] for name in self._echoed}
+        shown: dict[str, int | str] = {"application_name": APPLICATION_NAME, **echo}
+        self._answer[:] = self._read_table.encode(shown)
+        self._keep_unnamed(data[1:])
+
+    def _keep_unnamed(self, data: bytes | bytearray) -> None:
+        """Show the bits without a name as these data bytes have them."""
+        for at, mask in enumerate(self._unnamed):
+            self._answer[at] = self._answer[at] & ~mask | data[at] & mask
+
+    def _read(self) -> bytes:
+        road, wheel = self.device.counts()
+        self._road.codec.pack_into(self._answer, self._road.offset, road)
+        self._wheel.codec.pack_into(self._answer, self._wheel.offset, wheel)
+        for i, place in self._timers:
+            place.codec.pack_into(self._answer, place.offset, self.device.timer(i))
+        self._pins.codec.pack_into(self._answer, self._pins.offset, self.device.pins())
+        return bytes(self._answer)
+
+
+class ByteStream:
+    """The same board behind a FIFO: bytes arrive and leave in any cuts, and bit 7 marks where a message begins.
+
+    A message is whole after its command byte (DUMMY, READ) or after a frame's length; a command byte in the midst of
+    one cuts it short, and the face drops what is no message.
+    """
+
+    def __init__(self, face: Face) -> None:
+        self.face = face
+        self._arriving = bytearray()
+
+    def feed(self, data: bytes | bytearray) -> bytes:
+        """Take bytes of the host; what the board answers to them."""
+        for byte in data:
+            if byte & _COMMAND_BIT:
+                self._deliver()
+            self._arriving.append(byte)
+            if byte in _ALONE or len(self._arriving) == FRAME_BYTES:
+                self._deliver()
+        return b"".join(iter(lambda: self.face.bulk_in(FRAME_BYTES), b""))
+
+    def _deliver(self) -> None:
+        """Hand over what has arrived, whole or not."""
+        if self._arriving:
+            self.face.bulk_out(bytes(self._arriving))
+            self._arriving.clear()

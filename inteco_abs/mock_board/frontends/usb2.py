@@ -1,0 +1,156 @@
+"""The mock board as an RT-DAC/USB2: bulk transfers of real frames in, real frames out, in any of its known logics."""
+
+from __future__ import annotations
+
+import struct
+from typing import Final
+
+from firmware_protocol import ProtocolError
+from firmware_protocol.fields import sent_back
+from firmware_protocol.rtdac_usb2 import FRAME_BYTES, LOGIC_VERSION, LOGICS, READ, READ_REQUEST, SEND, Logic
+from inteco_abs.config import MOCK_NAMES
+from inteco_abs.mock_board.device import Device
+from inteco_abs.mock_board.frontend import insist_on_terminals
+
+APPLICATION_NAME: Final = MOCK_NAMES[0]
+_SYNTHESIS_DATE: Final = "20260101"
+_WIDTH_MASK: Final = 0x0FFF
+_NUMBER_MASK: Final = 0x7FFF
+_LATCH: Final = 2 * SEND.fields["pin_output"][1][0].word
+"""First byte of the pins' latch, in both directions: 15 and 11 bits sent, 16 and 10 bits read."""
+_LOW_LATCH, _HIGH_LATCH = 0x7FFF, 0x07FF
+_LEVELS: Final = 2 * READ.fields["pin_input"][1][0].word
+_WORD: Final = struct.Struct("<H")
+
+
+def _header(logic: Logic) -> dict[str, int | str]:
+    """Its counts are those of the generic logic, but for what the logic has fewer of."""
+    return {
+        "logic_version": LOGIC_VERSION,
+        "application_name": APPLICATION_NAME,
+        "synthesis_date": _SYNTHESIS_DATE,
+        "pwm_channels": logic.pwm_channels,
+        "encoder_channels": logic.encoder_channels,
+        "encoder_index_channels": logic.encoder_channels,
+        "timer_counter_channels": 2,
+        "frequency_meter_channels": 8,
+        "chronometer_channels": 8,
+    }
+
+
+class Usb2Face:
+    """Bulk endpoints of the board: what the host writes and reads, byte for byte, in the words of the device's logic.
+
+    Malformed writes are dropped, as nothing is known of any complaint of the real board; `rejected` counts them.
+    `image` is a READ frame that the board shows at power-up: its settings and the words that no table names, which the
+    mock takes for settings of their own, and echoes. Without it all of them are zero. Raises ProtocolError for a
+    damaged one.
+    """
+
+    def __init__(self, device: Device, image: bytes = b"") -> None:
+        self.device = device
+        self.rejected = 0
+        logic = LOGICS[device.frame_map]
+        self._tables = read, send = logic.read, logic.send
+        self._header = _header(logic)
+        self._echoed = tuple(name for name in send.fields if name in read.fields)
+        # bits without a name, by word, which is the same both ways
+        self._unnamed = [~(a | b) & 0xFFFF for a, b in zip(read.named_bits, send.named_bits, strict=True)]
+        self._numbering = f"pwm{logic.pwm_channels - 1}_prescaler"
+        cable = device.cable
+        insist_on_terminals(cable, read)
+        # what changes with every frame: the two widths that move the rig, and the word that hosts number frames with
+        drive, brake, number = f"pwm{cable.drive_pwm}_width", f"pwm{cable.brake_pwm}_width", self._numbering
+        self._drive, self._brake = send.place(drive).offset, send.place(brake).offset
+        self._drive_echo, self._brake_echo = read.place(drive).offset, read.place(brake).offset
+        self._number = read.place(number).offset  # of a prescaler, the lower 15 bits: the same word both ways
+        self._road = read.place(f"encoder{cable.road_encoder}_count")
+        self._wheel = read.place(f"encoder{cable.wheel_encoder}_count")
+        self._hot = (self._drive, self._brake, self._number, _LATCH, _LATCH + 2)
+        self._newest = bytearray(FRAME_BYTES)  # last frame that was decoded: another one like it need not be
+        self._widths = (0, 0)
+        self._number_top = 0
+        self._answer = bytearray(read.encode(self._header))
+        self._timers: list[int] = []
+        self._waiting: list[bytes] = []
+        if image:
+            self._decode(sent_back(read, send, image))
+            self._keep_unnamed(image)
+
+    def bulk_out(self, data: bytes | bytearray) -> None:
+        """What the host writes to endpoint 0x02."""
+        if len(data) == FRAME_BYTES:
+            self._send(data)
+        elif data == READ_REQUEST:
+            self._waiting.append(self._read())
+        else:
+            self.rejected += 1
+
+    def bulk_in(self, length: int) -> bytes:
+        """What the host gets from endpoint 0x84: the oldest waiting answer, empty if there is none."""
+        return self._waiting.pop(0)[:length] if self._waiting else b""
+
+    def _send(self, data: bytes | bytearray) -> None:
+        newest = self._newest
+        for at in self._hot:
+            newest[at : at + 2] = data[at : at + 2]
+        word = _WORD.unpack_from
+        drive, brake, number = word(data, self._drive)[0], word(data, self._brake)[0], word(data, self._number)[0]
+        low, high = word(data, _LATCH)[0], word(data, _LATCH + 2)[0]
+        hot = drive <= _WIDTH_MASK and brake <= _WIDTH_MASK and number <= _NUMBER_MASK
+        hot = hot and low <= _LOW_LATCH and high <= _HIGH_LATCH
+        if not (hot and data == newest):
+            self._decode(data)
+            return
+        latch = low | high << _LOW_LATCH.bit_length()
+        if (drive, brake, latch) != (*self._widths, self.device.settings.get("pin_output", 0)):
+            self.device.write_quickly(drive, brake, latch)
+            self._echo(drive, brake)
+            self._answer[_LATCH : _LATCH + 4] = latch.to_bytes(4, "little")
+        else:
+            self.device.observe()
+        self.device.settings[self._numbering] = number = number | self._number_top
+        _WORD.pack_into(self._answer, self._number, number)
+
+    def _decode(self, data: bytes | bytearray) -> None:
+        """Take over a frame with new settings, and make the answer anew, which echoes them in its own encoding."""
+        read, send = self._tables
+        try:
+            settings = send.decode(data)
+        except ProtocolError:
+            self.rejected += 1
+            return
+        device = self.device
+        device.write({name: value for name, value in settings.items() if isinstance(value, int)})
+        self._newest[:] = data
+        self._number_top = device.settings[self._numbering] & ~_NUMBER_MASK  # sent in the word after it
+        echo = {name: device.settings[name] for name in self._echoed}
+        self._answer = bytearray(read.encode({**self._header, **echo, "pin_input": device.pins()}))
+        self._keep_unnamed(data)
+        self._timers = [i for i in range(2) if f"timer{i}_value" in read.fields and device.timer_runs(i)]
+        self._widths = (
+            _WORD.unpack_from(data, self._drive)[0] & _WIDTH_MASK,
+            _WORD.unpack_from(data, self._brake)[0] & _WIDTH_MASK,
+        )
+
+    def _keep_unnamed(self, frame: bytes | bytearray) -> None:
+        """Show the words without a name as a frame of either direction has them."""
+        table = self._tables[0]
+        shown = zip(table.words(self._answer), table.words(frame), self._unnamed, strict=True)
+        self._answer = bytearray(table.pack([answer & ~mask | word & mask for answer, word, mask in shown]))
+
+    def _echo(self, drive: int, brake: int) -> None:
+        self._widths = (drive, brake)
+        _WORD.pack_into(self._answer, self._drive_echo, drive)
+        _WORD.pack_into(self._answer, self._brake_echo, brake)
+
+    def _read(self) -> bytes:
+        road, wheel = self.device.counts()
+        self._road.codec.pack_into(self._answer, self._road.offset, road)
+        self._wheel.codec.pack_into(self._answer, self._wheel.offset, wheel)
+        for i in self._timers:
+            place = self._tables[0].place(f"timer{i}_value")
+            place.codec.pack_into(self._answer, place.offset, self.device.timer(i))
+        if self.device.cable.watchdog_contact_pin >= 0:
+            self._answer[_LEVELS : _LEVELS + 4] = self.device.pins().to_bytes(4, "little")
+        return bytes(self._answer)

@@ -1,0 +1,137 @@
+"""A mock of one board that was seen: its descriptors, header and first image, with the simulated rig behind it."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from firmware_protocol import FrameTable
+from inteco_abs.mock_board.device import Device
+from inteco_abs.mock_board.frontend import Face
+from inteco_abs.mock_board.usbip.usb_descriptors import Speed, UsbIdentity
+
+_DEVICE, _CONFIGURATION, _STRING, _INTERFACE, _ENDPOINT = 1, 2, 3, 4, 5
+_BULK: Final = 2
+_DEVICE_BYTES: Final = 18
+_HIGH_SPEED: Final = "480"
+_MANUFACTURER_AT: Final = 14
+"""Byte of the device descriptor that has the index of the manufacturer's string; product and serial number follow."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenIdentity(UsbIdentity):
+    """Descriptors as they were read; the serial number is a mock's all the same."""
+
+    raw: bytes = b""
+    """Device descriptor, then all of the first configuration's."""
+
+    @classmethod
+    def of(cls, like: UsbIdentity, raw: bytes, strings: Mapping[str, str]) -> SeenIdentity:
+        """What was read, with `like` for what was not. Raises ValueError for what are no descriptors.
+
+        `strings` may have `manufacturer`, `product`, and `speed` in Mbit/s.
+        """
+        parts = _parts(raw, _DEVICE_BYTES)
+        endpoints = tuple(part[2] for part in parts if part[1] == _ENDPOINT and part[3] & 3 == _BULK)
+        if len(raw) < _DEVICE_BYTES or raw[:2] != bytes((_DEVICE_BYTES, _DEVICE)) or not endpoints:
+            raise ValueError("no device descriptor with a configuration of bulk endpoints")
+        vendor_id, product_id, release = struct.unpack_from("<HHH", raw, 8)
+        return cls(
+            like.serial,
+            vendor_id,
+            product_id,
+            Speed.HIGH if strings.get("speed", _HIGH_SPEED) == _HIGH_SPEED else Speed.FULL,
+            strings.get("manufacturer", ""),
+            strings.get("product", ""),
+            release,
+            (raw[4], raw[5], raw[6]),
+            next(((part[5], part[6], part[7]) for part in parts if part[1] == _INTERFACE), like.interface_class),
+            endpoints,
+            raw,
+        )
+
+    def descriptor(self, kind: int, index: int) -> bytes | None:
+        """Descriptor `index` of type `kind`, whole; None if there is none."""
+        raw = self.raw
+        if (kind, index) == (_DEVICE, 0):
+            return raw[:_DEVICE_BYTES]
+        if (kind, index) == (_CONFIGURATION, 0):
+            return raw[_DEVICE_BYTES : _DEVICE_BYTES + struct.unpack_from("<H", raw, _DEVICE_BYTES + 2)[0]]
+        if kind == _STRING and index:
+            at = raw.find(index, _MANUFACTURER_AT, _MANUFACTURER_AT + len(self.strings))
+            return UsbIdentity.descriptor(self, kind, at - _MANUFACTURER_AT + 1) if at >= 0 else None
+        return UsbIdentity.descriptor(self, kind, index)
+
+
+def _parts(raw: bytes, at: int) -> list[bytes]:
+    """Descriptors one after the other; raises ValueError where one has no length or goes beyond the end."""
+    parts = []
+    while at < len(raw):
+        length = raw[at]
+        if length < 2 or at + length > len(raw):
+            raise ValueError(f"a descriptor of {length} bytes at byte {at} of {len(raw)}")
+        parts.append(raw[at : at + length].ljust(8, b"\0"))
+        at += length
+    return parts
+
+
+class SeenFace:
+    """The face of a device that answers with the image of a board that was seen, until something changes it.
+
+    What the board only tells, its header for one, stays as it was seen; what it echoes is what the host writes, and
+    two of its counters, its timers and the changes of its pins are the simulated rig's. `image` is a READ frame of any
+    logic of the tables' size, `face` makes the face of a device that shows one. Raises ValueError for one of another
+    size, or that is damaged.
+    """
+
+    def __init__(
+        self, face: Callable[[Device, bytes], Face], device: Device, read: FrameTable, send: FrameTable, image: bytes
+    ) -> None:
+        if len(image) != read.size:
+            raise ValueError(f"an image of {len(image)} bytes: a {read.title} frame has {read.size}")
+        shown = int.from_bytes(image, "little")
+        fixed = _bits(read, read.fixed)  # a header of another logic is no header to the tables
+        ours = int.from_bytes(read.encode({}), "little") & fixed
+        readable = (shown & ~fixed | ours).to_bytes(read.size, "little")
+        self.device, self.rejected, self._size = device, 0, read.size
+        self._face = face(device, readable)
+        cable = device.cable
+        counts = f"encoder{cable.road_encoder}_count", f"encoder{cable.wheel_encoder}_count"
+        values = read.decode_some(readable, counts)
+        device.begin_counts(*(int(values[name]) for name in counts))
+        only_told = [
+            name for name in read.fields if name not in send.fields and name not in counts and not _moves(name)
+        ]
+        self._still = _bits(read, only_told)
+        self._seen = shown & self._still
+        pins = [name for name in ("pin_input",) if name in read.fields]
+        levels = int.from_bytes(read.encode(dict.fromkeys(pins, device.pins())), "little")
+        self._flipped = (shown ^ levels) & _bits(read, pins)
+
+    def bulk_out(self, data: bytes | bytearray) -> None:
+        """What the host writes."""
+        self._face.bulk_out(data)
+        self.rejected = self._face.rejected
+
+    def bulk_in(self, length: int) -> bytes:
+        """What the host gets."""
+        answer = self._face.bulk_in(self._size)
+        if len(answer) != self._size:
+            return answer[:length]
+        shown = (int.from_bytes(answer, "little") ^ self._flipped) & ~self._still | self._seen
+        return shown.to_bytes(self._size, "little")[:length]
+
+
+def _moves(name: str) -> bool:
+    return name == "pin_input" or (name.startswith("timer") and name.endswith("_value"))
+
+
+def _bits(table: FrameTable, names: Iterable[str]) -> int:
+    """Bits of a frame, as one little-endian number, that carry the named fields."""
+    mask = 0
+    for name in names:
+        for part in table.fields[name][1]:
+            mask |= part.mask << (part.word + table.data_from) * table.word_bits + part.low
+    return mask

@@ -1,0 +1,87 @@
+"""The mock board for another process: a local socket in the place of the USB cable."""
+
+from __future__ import annotations
+
+import select
+import socket
+from typing import Final
+
+from firmware_protocol.local_socket import GREETING
+from inteco_abs.errors import LinkError
+from inteco_abs.mock_board.frontend import Face
+
+_LARGEST: Final = 4096
+_CATCH_UP_S: Final = 0.0001
+"""The rig moves on this often between two exchanges, so that little is left to do when the host waits for it."""
+_IDLE_S: Final = 0.01
+
+
+class SocketServer:
+    """Serves one host at a time at `path`, as a USB interface does: others are hung up on at once.
+
+    The outputs stay as they are when a host leaves, as no RT-DAC board is known to do anything else.
+    """
+
+    def __init__(self, face: Face, path: str) -> None:
+        self._face = face
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._listener.bind(path)
+        self._listener.listen(4)
+        self._host: socket.socket | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a host is there."""
+        return self._host is not None
+
+    def step(self) -> None:
+        """Wait a moment for something to do, and do it."""
+        host, catch_up = self._host, self._face.device.catch_up
+        waiting: list[socket.socket] = [self._listener] if host is None else [host, self._listener]
+        ready, _, _ = select.select(waiting, [], [], _IDLE_S if host is None else _CATCH_UP_S)
+        if host is not None and host in ready:
+            self._serve(host)  # first: a host that has left makes room for the one that comes
+        if self._listener in ready:
+            self._welcome()
+        if not ready:
+            catch_up()
+
+    def close(self) -> None:
+        """Hang up."""
+        if self._host is not None:
+            self._host.close()
+        self._listener.close()
+
+    def _serve(self, host: socket.socket) -> None:
+        try:
+            data = host.recv(_LARGEST)
+        except OSError:
+            data = b""
+        try:
+            if data:
+                self._answer(host, data)
+                return
+        except LinkError:
+            pass  # a pulled cable: the host learns it as a USB host does
+        host.close()
+        self._host = None
+
+    def _answer(self, host: socket.socket, data: bytes) -> None:
+        self._face.bulk_out(data)
+        while answer := self._face.bulk_in(_LARGEST):
+            try:
+                host.send(answer, socket.MSG_DONTWAIT)
+            except OSError:
+                break  # it does not read, or is gone: the next step sees which
+
+    def _welcome(self) -> None:
+        visitor, _ = self._listener.accept()
+        if self._host is None:
+            try:
+                visitor.send(GREETING)
+            except OSError:
+                visitor.close()
+                return
+            self._host = visitor
+        else:
+            visitor.close()

@@ -1,0 +1,1 @@
+"""The mock boards as USB devices, offered to any Linux kernel over USB/IP."""

@@ -1,0 +1,84 @@
+"""The mock RT-DAC/USB2 as a USB device: the bridge's firmware between the bus and the frames of `usb2`."""
+
+from __future__ import annotations
+
+import struct
+from typing import Final
+
+from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, FRAME_BYTES
+from firmware_protocol.rtdac_usb2_bridge import (
+    DATE_BYTES,
+    ENDPOINT_JTAG_IN,
+    ENDPOINT_JTAG_OUT,
+    REQUEST_DATE,
+    REQUEST_DATE_ADDRESSES,
+    REQUEST_LED_OFF,
+    REQUEST_LED_ON,
+)
+from inteco_abs.mock_board.frontend import Face
+from inteco_abs.mock_board.usbip.usb_descriptors import UsbIdentity
+from inteco_abs.mock_board.usbip.usb_device import Answer, Handshake, Setup, UsbDevice
+
+_COMPILED_AT: Final = 0x1000
+_RELEASED_AT: Final = 0x1040
+_ADDRESSES: Final = struct.pack("<2xHH", _COMPILED_AT, _RELEASED_AT)
+_DATES: Final = {_COMPILED_AT: "2026-01-01", _RELEASED_AT: "2026-01-02"}
+_FROM_DEVICE: Final = 0xC0
+"""Vendor request IN, recipient device: INFERRED, the defaults of the vendor's USB library."""
+_TO_DEVICE: Final = 0x40
+_MOST_UNREAD: Final = 8
+"""Answers that wait for the host. A bridge of this family has room for two at most (INFERRED); some more do no harm."""
+
+
+class UsbBoard(UsbDevice):
+    """The board that `face` is the FPGA of.
+
+    What the real board does with a message that is no frame, with a full queue and with a date's wrong address is
+    UNKNOWN; here the first is dropped and counted by the face, the second and third are described below.
+    """
+
+    def __init__(self, face: Face, identity: UsbIdentity | None = None) -> None:
+        super().__init__(identity or UsbIdentity())
+        self.face = face
+        self.led = False
+        self.jtag_transfers = 0
+        """Tries to use the endpoints that program the FPGA: each one is a mistake of the host."""
+        self.lost_answers = 0
+        """Answers that found the queue full."""
+
+    def catch_up(self) -> None:
+        """Move the rig on, so that little is left to do when the host waits for an answer."""
+        self.face.device.catch_up()
+
+    def packet_in(self, endpoint: int) -> Answer:
+        """One packet from the FPGA; never anything from JTAG."""
+        return self._refuse(endpoint) if endpoint == ENDPOINT_JTAG_IN else super().packet_in(endpoint)
+
+    def packet_out(self, endpoint: int, packet: bytes) -> Handshake:
+        """One packet to the FPGA; never anything to JTAG."""
+        return self._refuse(endpoint) if endpoint == ENDPOINT_JTAG_OUT else super().packet_out(endpoint, packet)
+
+    def _refuse(self, endpoint: int) -> Handshake:
+        self.jtag_transfers += 1
+        self._halt(endpoint)
+        return Handshake.STALL
+
+    def _take(self, message: bytes) -> None:
+        self.face.bulk_out(message)
+        room = _MOST_UNREAD * (FRAME_BYTES // self.identity.speed.packet_bytes + 1)
+        while answer := self.face.bulk_in(FRAME_BYTES):
+            if self._waiting(ENDPOINT_IN) >= room:
+                self.lost_answers += 1
+            else:
+                self._send(ENDPOINT_IN, answer)
+
+    def _vendor(self, setup: Setup, data: bytes) -> Answer:
+        asked = setup.request_type, setup.request
+        if asked == (_FROM_DEVICE, REQUEST_DATE_ADDRESSES) and setup.value == 0:
+            return _ADDRESSES
+        if asked == (_FROM_DEVICE, REQUEST_DATE) and setup.value in _DATES:
+            return _DATES[setup.value].encode("utf-16-le").ljust(DATE_BYTES, b"\0")
+        if asked in {(_TO_DEVICE, REQUEST_LED_OFF), (_TO_DEVICE, REQUEST_LED_ON)} and not (setup.value or data):
+            self.led = setup.request == REQUEST_LED_ON
+            return Handshake.ACK
+        return Handshake.STALL  # also 0xA0, which loads firmware into a real bridge

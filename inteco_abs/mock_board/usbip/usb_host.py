@@ -1,0 +1,246 @@
+"""The host's side of the bus: requests (URBs) in one queue per endpoint, moved packet by packet to and from a device.
+
+It behaves towards those who submit as the kernel's USB core does, with its status numbers: 0, or a negative errno.
+Source: the kernel's `Documentation/driver-api/usb/error-codes.rst`.
+"""
+
+from __future__ import annotations
+
+import errno
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Final
+
+from inteco_abs.mock_board.usbip.usb_descriptors import ENDPOINT_DIRECTION_IN
+from inteco_abs.mock_board.usbip.usb_device import Handshake, Setup, UsbDevice
+
+_FIRST_ADDRESS: Final = 2
+"""Device numbers count from here; 1 is the hub at the root."""
+
+
+@dataclass(eq=False, slots=True)
+class Urb:
+    """One transfer. What it needs is set by who submits it, how it ended by the host.
+
+    `endpoint` is an address, with 0x80 for IN; 0 is control and needs `setup`. `length` is the room for IN data in
+    bytes. `complete` is called once, when `status` is final, from whichever thread made it so.
+    """
+
+    endpoint: int
+    complete: Callable[[Urb], None]
+    data: bytes = b""
+    """What the host sends."""
+    length: int = 0
+    setup: Setup | None = None
+    short_not_ok: bool = False
+    """Less IN data than `length` is an error, -EREMOTEIO."""
+    zero_packet: bool = False
+    """OUT data that end in a full packet are followed by an empty one."""
+
+    status: int | None = None
+    """None while in flight, then 0 or a negative errno."""
+    received: bytearray = field(default_factory=bytearray)
+    sent: int = 0
+    packets: deque[bytes] = field(default_factory=deque)
+    """OUT packets that the device has not taken yet: the host's own."""
+
+    @property
+    def actual(self) -> int:
+        """Bytes that were transferred, also when it ended with an error."""
+        return len(self.received) or self.sent
+
+    @property
+    def queue(self) -> int:
+        """Which queue it waits in; control transfers have one for both directions."""
+        return self.endpoint if self.endpoint & ~ENDPOINT_DIRECTION_IN else 0
+
+
+class UsbHost:
+    """One port with `device` plugged in. Calls may come from any thread.
+
+    Completions and listeners run outside the lock, one at a time and in order. They may call the host again.
+    """
+
+    def __init__(self, device: UsbDevice) -> None:
+        self.device = device
+        self.address = _FIRST_ADDRESS
+        """Number of the device on its bus; a new one each time it is plugged in."""
+        self.plugged = True
+        self.listeners: list[Callable[[bool], None]] = []
+        """Told when the device was plugged in (True) or has gone (False)."""
+        self._lock = threading.RLock()
+        self._queues: dict[int, deque[Urb]] = {}
+        self._faults: dict[int, deque[int]] = {}
+        self._deliveries: deque[Callable[[], None]] = deque()
+        self._running = False
+        self._again = False
+        device.kick = self._run
+
+    def submit(self, urb: Urb) -> None:
+        """Queue a transfer. Raises OSError: ENODEV when unplugged, ENOENT for an endpoint that does not exist."""
+        with self._lock:
+            if not self.plugged:
+                raise OSError(errno.ENODEV, "the device is unplugged")
+            if urb.queue not in (0, *self.device.endpoints):
+                raise OSError(errno.ENOENT, f"there is no endpoint {urb.endpoint:#04x}")
+            if urb.queue and not urb.endpoint & ENDPOINT_DIRECTION_IN:
+                urb.packets.extend(self._split(urb))
+            self._queues.setdefault(urb.queue, deque()).append(urb)
+        self._run()
+
+    def cancel(self, urb: Urb) -> bool:
+        """End a transfer with -ENOENT; the bytes it has received stay. False if it had ended already."""
+        with self._lock:
+            if urb.status is not None:
+                return False
+            self._queues[urb.queue].remove(urb)
+            self._finish(urb, -errno.ENOENT)
+        self._run()
+        return True
+
+    def inject(self, endpoint: int, status: int) -> None:
+        """Let the next transfer on `endpoint` (0 for control) end with `status`, such as -EPROTO, without data."""
+        with self._lock:
+            self._faults.setdefault(endpoint, deque()).append(status)
+        self._run()
+
+    def reset(self) -> None:
+        """Bus reset: the device is unconfigured, transfers in flight end with -EPROTO."""
+        with self._lock:
+            self._flush(-errno.EPROTO)
+            self.device.reset()
+        self._run()
+
+    def unplug(self) -> None:
+        """The device goes: transfers in flight end with -ESHUTDOWN."""
+        with self._lock:
+            if not self.plugged:
+                return
+            self.plugged = False
+            self._faults.clear()
+            self._flush(-errno.ESHUTDOWN)
+            self._tell(False)
+        self._run()
+
+    def plug(self) -> None:
+        """The device comes back, with a new number and unconfigured."""
+        with self._lock:
+            if self.plugged:
+                return
+            self.plugged = True
+            self.address += 1
+            self.device.reset()
+            self._tell(True)
+        self._run()
+
+    def catch_up(self) -> None:
+        """Let the device use idle time, and ask it again: time alone may have given it something to say."""
+        with self._lock:
+            self.device.catch_up()
+        self._run()
+
+    def _split(self, urb: Urb) -> list[bytes]:
+        size = self.device.identity.speed.packet_bytes
+        packets = [urb.data[at : at + size] for at in range(0, len(urb.data), size)]
+        if not packets or (urb.zero_packet and len(packets[-1]) == size):
+            packets.append(b"")
+        return packets
+
+    def _tell(self, plugged: bool) -> None:
+        for listener in self.listeners:
+            self._deliveries.append(partial(listener, plugged))
+
+    def _flush(self, status: int) -> None:
+        for queue in self._queues.values():
+            while queue:
+                self._finish(queue.popleft(), status)
+
+    def _finish(self, urb: Urb, status: int) -> None:
+        urb.status = status
+        self._deliveries.append(partial(urb.complete, urb))
+
+    def _run(self) -> None:
+        """Move packets and deliver what has ended, until nothing moves; a call from inside only asks for more."""
+        with self._lock:
+            self._again = True
+            if self._running:
+                return
+            self._running = True
+        try:
+            while (delivery := self._next_delivery()) is not None:
+                delivery()
+        except BaseException:
+            self._running = False
+            raise
+
+    def _next_delivery(self) -> Callable[[], None] | None:
+        with self._lock:
+            while not self._deliveries:
+                if not self._again:
+                    self._running = False
+                    return None
+                self._again = False
+                for queue in list(self._queues.values()):
+                    self._serve(queue)
+            return self._deliveries.popleft()
+
+    def _serve(self, queue: deque[Urb]) -> None:
+        while queue:
+            urb = queue[0]
+            faults = self._faults.get(urb.queue)
+            status = faults.popleft() if faults else self._move(urb)
+            if urb.status is not None:
+                continue  # the device was unplugged by what it was just told
+            if status is None:
+                return
+            queue.popleft()
+            self._finish(urb, status)
+
+    def _move(self, urb: Urb) -> int | None:
+        """Exchange packets for `urb` until it ends; its status, or None while the device answers NAK."""
+        if urb.setup is not None:
+            return self._control(urb, urb.setup)
+        return self._in(urb) if urb.endpoint & ENDPOINT_DIRECTION_IN else self._out(urb)
+
+    def _control(self, urb: Urb, setup: Setup) -> int | None:
+        answer = self.device.control(setup, urb.data)
+        if answer is Handshake.NAK:
+            return None
+        if answer is Handshake.STALL:
+            return -errno.EPIPE
+        if not isinstance(answer, bytes):
+            urb.sent = len(urb.data)
+            return 0
+        return self._receive(urb, answer, ends=True)
+
+    def _in(self, urb: Urb) -> int | None:
+        status = None
+        while status is None:
+            packet = self.device.packet_in(urb.endpoint)
+            if not isinstance(packet, bytes):
+                return -errno.EPIPE if packet is Handshake.STALL else None
+            status = self._receive(urb, packet, ends=len(packet) < self.device.identity.speed.packet_bytes)
+        return status
+
+    @staticmethod
+    def _receive(urb: Urb, packet: bytes, *, ends: bool) -> int | None:
+        room = urb.length - len(urb.received)
+        urb.received += packet[:room]
+        if len(packet) > room:
+            return -errno.EOVERFLOW
+        if len(packet) == room:
+            return 0
+        if ends:
+            return -errno.EREMOTEIO if urb.short_not_ok else 0
+        return None
+
+    def _out(self, urb: Urb) -> int | None:
+        while urb.packets:
+            answer = self.device.packet_out(urb.endpoint, urb.packets[0])
+            if answer is not Handshake.ACK:
+                return -errno.EPIPE if answer is Handshake.STALL else None
+            urb.sent += len(urb.packets.popleft())
+        return 0

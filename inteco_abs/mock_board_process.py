@@ -1,0 +1,239 @@
+"""The mock board as a process of its own, for real-time runs: `python -m inteco_abs.mock_board_process MEMORY`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, TextIO
+
+from inteco_abs.commissioning.reported_board import SeenBoard
+from inteco_abs.config import RigConfig
+from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.format import TRUTH
+from inteco_abs.mock_board import (
+    ByteStream,
+    Device,
+    Face,
+    FaultyDevice,
+    FaultyFace,
+    FaultyHost,
+    FtdiBoard,
+    PtyServer,
+    Schedule,
+    SocketServer,
+    Truth,
+    TruthLog,
+    UsbBoard,
+    UsbHost,
+    UsbIdentity,
+    UsbIpServer,
+    face_of,
+    ftdi_identity,
+    parse_address,
+    parse_faults,
+)
+from inteco_abs.mock_board.usbip.usb_device import UsbDevice
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
+from inteco_abs.realtime.signal_handlers import hearing
+from inteco_abs.realtime.tuning import BOARD_PRIORITY, guardian_wishes, prepare
+
+_LOOK_S: Final = 0.1
+_CATCH_UP_S: Final = 0.005
+_LINGER_S: Final = 1.0
+"""How long the board stays without supervisor and host: the guardian may be about to come."""
+
+NAMES: Final = {"usb2": "RT-DAC/USB2", "usb": "RT-DAC/USB"}
+"""Mock boards that can be plugged into a computer, by kind."""
+_BRIDGES: Final[dict[str, Callable[[Face, Mock, int], UsbDevice]]] = {
+    "usb2": lambda face, mock, serial: UsbBoard(face, mock.identity(UsbIdentity(serial=serial))),
+    "usb": lambda face, mock, serial: FtdiBoard(ByteStream(face), mock.identity(ftdi_identity(serial))),
+}
+"""What carries a face's messages on the bus."""
+
+
+def main(path: str) -> int:
+    """Be the board of the run in the memory at `path`, at its socket, until the run is over."""
+    memory = RunMemory.open(Path(path))
+    job = Job.of(memory)
+    ring = memory.truth_ring(TRUTH.pack_into)
+
+    def observe(truth: Truth) -> None:
+        with suppress(BufferError):  # nobody records: a board does not stop for that
+            ring.append(truth)
+
+    schedule = Schedule(parse_faults(job.faults), time.monotonic_ns, job.seed)
+    standstill = _Standstill(memory)
+    face = _face(job, standstill, schedule, observe)
+    server = SocketServer(face, str(memory.socket))
+    prepare(guardian_wishes(BOARD_PRIORITY))
+    with FaultyHost(schedule, Path(job.out), lambda name: _pid_of(name, memory)) as host:
+
+        def between() -> None:
+            host.act()
+            standstill.keep(face)
+
+        def awaited() -> bool:  # a supervisor that stands still asks for nothing; leaving lets it go on
+            return not host.frozen("supervisor") and alive(memory.words[Word.SUPERVISOR_PID])
+
+        _serve(server, memory, schedule, between if job.faults else lambda: None, awaited)
+    server.close()
+    return 0
+
+
+def _pid_of(name: str, memory: RunMemory) -> int:
+    """Process of the run in `memory`; 0 if there is none."""
+    if name == "supervisor":
+        return memory.words[Word.SUPERVISOR_PID]
+    ours = f"inteco_abs.realtime\0{name}\0{memory.path}\0".encode()
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if (process / "cmdline").read_bytes().endswith(ours):
+                return int(process.name)
+    return 0
+
+
+def _face(job: Job, standstill: _Standstill, schedule: Schedule, observe: Callable[[Truth], None]) -> Face:
+    if not job.faults:
+        return face_of(Device(job.config, time.monotonic_ns, job.seed, observe))
+    device = FaultyDevice(job.config, time.monotonic_ns, job.seed, observe, schedule=schedule)
+    return FaultyFace(face_of, device, time.sleep, standstill.wish)
+
+
+class _Standstill:
+    """The computer stands still, between two exchanges; only rig and board, which are none of it, go on."""
+
+    def __init__(self, memory: RunMemory) -> None:
+        self._words = memory.words
+        self._seconds = 0.0
+
+    def wish(self, seconds: float) -> None:
+        """Stand still for so long once the exchange that goes on is over: amid it, it would be a slow board."""
+        self._seconds = seconds
+
+    def keep(self, face: Face) -> None:
+        """Let whoever holds the board stand still if that is wished, once `face` has answered him."""
+        if not self._seconds or not isinstance(face, FaultyFace) or not face.answered:
+            return
+        seconds, self._seconds = self._seconds, 0.0
+        holder = self._words[Word.HOLDER_PID]
+        if not alive(holder):
+            return
+        with suppress(ProcessLookupError):
+            os.kill(holder, signal.SIGSTOP)
+            try:
+                end = time.monotonic() + seconds
+                while (left := end - time.monotonic()) > 0.0:
+                    time.sleep(min(left, _CATCH_UP_S))
+                    face.device.catch_up()
+            finally:
+                os.kill(holder, signal.SIGCONT)
+
+
+@dataclass(frozen=True, slots=True)
+class Mock:
+    """A mock board to be plugged into a computer, in real time."""
+
+    config: RigConfig
+    seed: int
+    truth: TextIO | None = None
+    """Where the rig's true state goes, as JSON lines."""
+    truth_hz: float = 20.0
+    seen: SeenBoard | None = None
+    """The board that it is a mock of; None: of no board that was ever seen."""
+
+    @property
+    def name(self) -> str:
+        """What it is, for people."""
+        drawn = self.config.simulation.rig
+        return f"mock {NAMES[self.config.board.kind]}{f' with rig {drawn}' if drawn else ''}"
+
+    def face(self) -> Face:
+        """The board's own side of the wire."""
+        device = Device(self.config, time.monotonic_ns, self.seed)
+        return face_of(device) if self.seen is None else self.seen.face(device)
+
+    def identity(self, like: UsbIdentity) -> UsbIdentity:
+        """What it says of itself on the bus; `like` unless a board was seen to say something else."""
+        return like if self.seen is None else self.seen.identity(like)
+
+    def log(self, device: Device) -> Callable[[], None]:
+        """What writes the true state, if anybody wants it; to be called often."""
+        return (lambda: None) if self.truth is None else TruthLog(device, self.truth, self.truth_hz).look
+
+
+def serve_usbip(mock: Mock, address: str, serial: int, say: Callable[[str], None]) -> None:
+    """Be the board for any Linux that attaches it over USB/IP, until interrupted; says how to attach it.
+
+    Raises ConfigError for an address or serial number that cannot be, BoardError if the address is taken.
+    """
+    place = parse_address(address)
+    face, kind = mock.face(), mock.config.board.kind
+    try:
+        bridge = _BRIDGES[kind](face, mock, serial)
+    except ValueError as error:
+        raise ConfigError([Mistake("--serial", str(error))]) from error
+    server = UsbIpServer(UsbHost(bridge), place)
+    facts = server.bind()
+    with hearing(server.close):  # as an unplugged cable would end it
+        ids = f"{facts.vendor_id:04x}:{facts.product_id:04x}"
+        say(f"{mock.name} {ids}, serial number {facts.serial}, at {facts.address}; Ctrl-C unplugs it")
+        for what, lines in (("attach it", facts.attach), ("detach it", facts.detach)):
+            if lines:
+                say(f"to {what}, as root: {' && '.join(lines)}")
+        _be_quick()
+        server.serve(mock.log(face.device))
+
+
+def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
+    """Be the first generation's board at a serial port of its own, until interrupted; says at which.
+
+    `link` is a path for a symbolic link to it, or empty. Raises BoardError if that cannot be made.
+    """
+    face = mock.face()
+    server = PtyServer(ByteStream(face), Path(link) if link else None)
+    with hearing(server.close):
+        say(f"{mock.name} at {link or server.name}; Ctrl-C unplugs it")
+        say(f"to use it: inteco-abs run --board usb:{Path(link or server.name).absolute()} --set profile=sim_usb")
+        _be_quick()
+        server.serve(mock.log(face.device))
+
+
+def _be_quick() -> None:
+    """What the mock board of a run asks for, but for what would keep Ctrl-C from ending it."""
+    prepare([wish for wish in guardian_wishes(BOARD_PRIORITY) if wish.name != "signals"])
+
+
+def _serve(
+    server: SocketServer,
+    memory: RunMemory,
+    schedule: Schedule,
+    between: Callable[[], None],
+    awaited: Callable[[], bool],
+) -> None:
+    words = memory.words
+    looked = alone_since = time.monotonic()
+    told: tuple[int, bool] | None = None
+    while not words[Word.OVER]:
+        server.step()
+        between()
+        now, news = time.monotonic(), (len(schedule.first_ns), server.busy)
+        if now - looked < _LOOK_S and news == told:
+            continue  # a fault's first act may end the run, and is told before the next exchange
+        looked, told = now, news
+        if schedule.times:
+            memory.post(Note.INJECTED, schedule.told())
+        if server.busy or awaited():
+            alone_since = now
+        elif now - alone_since > _LINGER_S:
+            return
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

@@ -1,0 +1,205 @@
+"""Stops of some rigs together: one batch of plants, and for each rig parts of its own, stepped as the loop does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from inteco_abs.config import RigConfig
+from inteco_abs.control import Controller, Estimator, Sequence
+from inteco_abs.errors import in_words
+from inteco_abs.montecarlo.batch import BatchPlant
+from inteco_abs.montecarlo.policies import Maker, TrueState
+from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, Stops, Trace
+from inteco_abs.rig import RigVariation, believed_parameters
+from inteco_abs.sessions.metrics import STANDSTILL_RAD_S, Array, Course, stop_metrics
+from inteco_abs.signals import EXPLANATIONS, Command, Phase, Reason, Sample
+
+LONGEST_BRAKING_S: Final = 4.0
+"""No rig of any population that is braked at all takes half as long."""
+_FIRST_ROWS: Final = 4096
+_COLUMNS: Final = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """One stop of each of `rigs`, with the estimator and controller that `maker` makes for it.
+
+    The wheels roll at `run_up_from_rad_s` at first and are driven to the configured start speed; None: they roll at
+    the start speed, and braking begins at once. The brake's duty is limited as by the guard, of a lab that knows its
+    amplifier: to what that lets through. `traced` are the places of rigs whose course is to be kept.
+    Raises ValueError for a run-up that cannot be.
+    """
+
+    rigs: tuple[RigVariation, ...]
+    config: RigConfig
+    maker: Maker
+    run_up_from_rad_s: float | None = 165.0
+    traced: Collection[int] = ()
+
+    def __post_init__(self) -> None:
+        start = self.config.experiment.start_speed_rad_s
+        if self.run_up_from_rad_s is not None and not 0.0 <= self.run_up_from_rad_s < start:
+            raise ValueError(
+                f"run_up_from_rad_s = {self.run_up_from_rad_s!r}: must be at least 0 and below "
+                f"experiment.start_speed_rad_s = {start!r}; None for a stop without run-up"
+            )
+
+
+def run_shard(experiment: Experiment) -> Stops:
+    """All stops of one experiment, in this thread. Raises ConfigError if a rig's parts cannot be made."""
+    return _Shard(experiment).run()
+
+
+class _Mind:
+    """What decides on one rig, and where its stop stands."""
+
+    __slots__ = ("_estimator", "_limit", "_sequence", "began", "command", "ended", "error", "slip", "ticks")
+
+    def __init__(
+        self, config: RigConfig, estimator: Estimator, controller: Controller, phase: Phase, limit: float
+    ) -> None:
+        self._estimator = estimator
+        self._limit = limit  # of the brake's duty
+        self._sequence = Sequence(config, controller, phase)
+        self.command = Command.SAFE
+        """What the newest tick decided, written at the next one."""
+        self.slip = 0.0
+        """As estimated at the newest tick."""
+        self.began = -1
+        """Tick at which braking began, or -1."""
+        self.ended = -1
+        """Last tick of the stop, or -1."""
+        self.error = ""
+        self.ticks = 0
+
+    def step(self, sample: Sample) -> None:
+        """Decide on one sample."""
+        self.ticks += 1
+        try:
+            estimate = self._estimator.update(sample, self.command)
+            command, _, reason = self._sequence.step(sample, estimate)
+        except (Exception, SystemExit) as error:  # noqa: BLE001  a user's controller may raise anything; others go on
+            self._give_up(sample, in_words(error))
+            return
+        self.slip = estimate.slip
+        brake = command.brake
+        if reason is not Reason.NONE:
+            self._give_up(sample, EXPLANATIONS[reason])
+        elif type(brake) is not float or not math.isfinite(brake):
+            self._give_up(sample, EXPLANATIONS[Reason.BAD_OUTPUT])
+        else:
+            limited = min(max(brake, 0.0), self._limit)
+            self.command = command if limited == brake else Command(command.drive, limited)
+            if self.began < 0 and self._sequence.phase is Phase.BRAKING:
+                self.began = sample.tick
+
+    def _give_up(self, sample: Sample, error: str) -> None:
+        self.command = Command.SAFE
+        self.ended = sample.tick
+        self.error = error
+
+
+class _Shard:
+    """The batch, its minds, and what is recorded of them."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        config, rigs = experiment.config, experiment.rigs
+        self._experiment = experiment
+        rolling_from = experiment.run_up_from_rad_s
+        phase = Phase.BRAKING if rolling_from is None else Phase.SPIN_UP
+        self._batch = BatchPlant(rigs, config.experiment.start_speed_rad_s if rolling_from is None else rolling_from)
+        once = config.model_copy(update={"experiment": config.experiment.model_copy(update={"stops": 1})})
+        most = config.guard.brake_limit
+        self._minds = [
+            _Mind(once, *experiment.maker(rig, TrueState(self._batch, i, rig)), phase, min(most, rig.brake_duty_cap))
+            for i, rig in enumerate(rigs)
+        ]
+        self._period_ns = config.period_ns
+        self._longest = round(LONGEST_BRAKING_S * 1e9 / config.period_ns)
+        self._first_row = -1  # tick of the first row
+        self._rows = np.empty((_FIRST_ROWS, _COLUMNS, len(rigs)))
+        self._drives, self._brakes, self._slips = np.zeros((3, len(rigs)))
+
+    def run(self) -> Stops:
+        """All ticks, until every stop has ended."""
+        running = list(enumerate(self._minds))
+        tick, period_s = 0, self._period_ns / 1e9
+        while running:
+            self._tick(running, tick, period_s)
+            if self._first_row >= 0:
+                self._record(tick)
+            running = [one for one in running if one[1].ended < 0]
+            self._batch.advance(self._drives, self._brakes, period_s)
+            tick += 1
+        return self._stops()
+
+    def _tick(self, running: list[tuple[int, _Mind]], tick: int, period_s: float) -> None:
+        """Read, decide; what was decided takes the rig's own delay from here, as in a loop that writes before it reads.
+
+        A stop that has ended keeps its brake, one that has failed does not.
+        """
+        time_ns, longest = tick * self._period_ns, self._longest
+        wheel_counts, road_counts = (counts.tolist() for counts in self._batch.read_encoders())
+        road_speeds = self._batch.road_speed.tolist()
+        drives, brakes, slips = self._drives, self._brakes, self._slips
+        for i, mind in running:
+            began = mind.began
+            if began >= 0 and (road_speeds[i] < STANDSTILL_RAD_S or tick - began >= longest):
+                mind.ended = tick
+                continue
+            mind.step(Sample(tick, time_ns, period_s, wheel_counts[i], road_counts[i]))
+            drives[i], brakes[i] = mind.command
+            slips[i] = mind.slip
+            if mind.began == tick and self._first_row < 0:
+                self._first_row = tick
+
+    def _record(self, tick: int) -> None:
+        """Keep the state at this tick; all rigs', as that is one copy each."""
+        place, batch = tick - self._first_row, self._batch
+        if place == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
+        row = self._rows[place]
+        row[0], row[1], row[2] = batch.wheel_speed, batch.road_speed, batch.slip
+        row[3], row[4] = batch.brake_torque, batch.road_angle
+        row[5], row[6] = self._slips, self._brakes
+
+    def _stops(self) -> Stops:
+        minds, traced = self._minds, self._experiment.traced
+        traces = {i: self._trace(i) for i in sorted(traced) if minds[i].began >= 0}
+        rows = [self._metrics(i) for i in range(len(minds))]
+        errors = tuple(mind.error for mind in minds)
+        return Stops(np.array(rows, METRICS_ROW), errors, sum(mind.ticks for mind in minds), traces)
+
+    def _metrics(self, i: int) -> tuple[float, ...]:
+        """NaN for what the stop does not have; a stop that failed has nothing."""
+        if self._minds[i].error:
+            return (math.nan,) * len(METRICS)
+        trace, config = self._trace(i), self._experiment.config
+        course = Course(
+            self._since_ns(i),
+            trace.slip,
+            trace.slip_estimated,
+            trace.road_speed_rad_s,
+            trace.road_angle_rad,
+            trace.brake,
+        )
+        parameters = believed_parameters(config.model)
+        found = stop_metrics(course, config.controller.reference_slip, parameters)
+        values = (found[name.removesuffix("_true")] for name in METRICS)
+        return tuple(math.nan if value is None else value for value in values)
+
+    def _since_ns(self, i: int) -> Array:
+        mind = self._minds[i]
+        return np.arange(mind.ended + 1 - mind.began, dtype=np.int64) * self._period_ns
+
+    def _trace(self, i: int) -> Trace:
+        mind, first = self._minds[i], self._first_row
+        rows = self._rows[mind.began - first : mind.ended + 1 - first, :, i].T.copy()
+        wheel_speed, road_speed, slip, torque, angle, estimated, brake = rows
+        time_s = self._since_ns(i) * 1e-9
+        return Trace(time_s, wheel_speed, road_speed, slip, estimated, torque, angle - angle[0], brake)

@@ -1,0 +1,87 @@
+"""The floor: the predictive controller, told everything about its rig. What is left is what nobody could do better.
+
+It knows the draw and, at every sample, the true state; it does not know what comes. Its dead time and lag remain.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from inteco_abs.config import RigConfig
+from inteco_abs.control import Controller, Estimator, PredictiveReaching, Setup, gains_in_force
+from inteco_abs.control.estimators.prediction import Pending, braking_slip, outlook
+from inteco_abs.control.wheel_dynamics import Contact
+from inteco_abs.montecarlo.policies import TrueState
+from inteco_abs.rig import RigVariation, Surface, adhesion, brake_duty, measured_duty, settled_torque
+from inteco_abs.signals import Command, Estimate, Outlook, Sample
+
+_LEAST_SLIP: Final = 0.001
+"""Below, the adhesion of (8) goes through zero."""
+_LEAST_LAG_S: Final = 0.0025
+"""A brake without lag, as of `nominal`, is told the law's torque itself: the inverse of the gain kM."""
+
+
+@dataclass(frozen=True, slots=True)
+class Oracle:
+    """Maker of an estimator and a controller that know the rig; `config` must name `predictive-reaching`."""
+
+    config: RigConfig
+
+    def __call__(self, variation: RigVariation, state: TrueState) -> tuple[Estimator, Controller]:
+        """For one rig."""
+        config = self.config.controller
+        setup = Setup(config.reference_slip, variation.parameters, config.hold_below_rad_s)
+        controller = _Informed(setup, **gains_in_force(self.config))
+        controller.variation = variation
+        return _Truth(variation, state, self.config.period_ns / 1e9), controller
+
+
+class _Informed(PredictiveReaching):
+    variation: RigVariation
+
+    def duty(self, torque: float) -> float:
+        """By the brake's own map."""
+        rig = self.variation
+        if torque <= 0.0:
+            return 0.0
+        own = torque / rig.brake_gain
+        mapped = measured_duty(own) if rig.brake_map == "measured" else brake_duty(own, rig.parameters)
+        return min(max(mapped + rig.brake_duty_offset, 0.0), 1.0)
+
+
+class _Truth:
+    """The observer's outlook, from the truth."""
+
+    def __init__(self, variation: RigVariation, state: TrueState, period_s: float) -> None:
+        self._variation = variation
+        self._state = state
+        self._contact = Contact(variation.parameters)
+        self._pending = Pending(period_s)
+        self._surface = Surface(variation.adhesion_scale, variation.adhesion_blend)
+        self._braked_since_ns = math.inf
+
+    def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:
+        """The truth at the instant of `sample`."""
+        rig, state = self._variation, self._state
+        self._pending.tell(settled_torque(command.brake, rig), 1)
+        if command.drive > 0.0:
+            self._braked_since_ns = math.inf
+        elif command.brake > 0.0:
+            self._braked_since_ns = min(self._braked_since_ns, sample.time_ns)
+        x1, x2 = state.wheel_speed, state.road_speed
+        seen = None
+        if command.drive == 0.0 and x2 > 0.0:
+            stepped = (sample.time_ns - self._braked_since_ns) * 1e-9 >= rig.grip_step_after_s
+            seen = self._outlook(x1, x2, 1.0 + rig.grip_step if stepped else 1.0)
+        return Estimate(x1, x2, state.slip, valid=True, outlook=seen)
+
+    def _outlook(self, x1: float, x2: float, grip: float) -> Outlook:
+        rig, k, state = self._variation, self._variation.parameters, self._state
+        slip = max(braking_slip(x1, x2, k), _LEAST_SLIP)
+        factor = grip * self._surface.adhesion(slip, k) / adhesion(slip, k)
+        cosine = factor * rig.load_ripple * math.sin(rig.load_ripple_phase_rad)
+        sine = factor * rig.load_ripple * math.cos(rig.load_ripple_phase_rad)
+        now = (state.wheel_angle, x1, 0.0, x2, state.brake_torque, 0.0, factor, cosine, sine)
+        return outlook(self._contact, k, self._pending, (*now, rig.brake_dead_time_s, max(1.0 / k.c31, _LEAST_LAG_S)))

@@ -1,0 +1,137 @@
+"""How the stops of many rigs came out: a row of metrics each, and how they spread."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inteco_abs.montecarlo.arrays import Rows
+from inteco_abs.sessions.metrics import Array
+
+METRICS: Final = (
+    "reaching_time_s",
+    "band_entry_s",
+    "stop_time_s",
+    "stop_distance_m",
+    "slip_rms_true",
+    "slip_rms_low_speed_true",
+    "slip_rms_above_60",
+    "slip_rms_fixed_true",
+    "slip_rms_estimated",
+    "overshoot",
+    "lock_fraction",
+    "torque_variation_nm_per_s",
+    "duty_variation_per_s",
+)
+"""Metrics of a stop as in `sessions.metrics`, all of the true slip and speed but for `slip_rms_estimated`."""
+METRICS_ROW: Final = np.dtype([(name, np.float64) for name in METRICS])
+
+
+class Trace(NamedTuple):
+    """Course of one stop, an entry per tick from the first of braking on: what was true, and what was decided."""
+
+    time_s: Array
+    """Since braking began."""
+    wheel_speed_rad_s: Array
+    road_speed_rad_s: Array
+    slip: Array
+    slip_estimated: Array
+    brake_torque_nm: Array
+    road_angle_rad: Array
+    """Since braking began."""
+    brake: Array
+    """Duty asked for at each tick; it acts the rig's `command_delay_ticks` later."""
+
+
+class Spread(NamedTuple):
+    """Distribution of one metric over stops; a stop without that metric counts as infinitely bad."""
+
+    median: float
+    p99: float
+    """Between two stops by a straight line."""
+    largest: float
+    worst: int
+    """Place of the largest, the first of several."""
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What many stops were worth together."""
+
+    stops: int
+    failed: int
+    """Stops that ended with an error."""
+    locked: float
+    """Share of stops with a locked wheel above 10 rad/s."""
+    never_entered: float
+    """Share of stops whose slip was never within 0.01 of the reference."""
+    spreads: Mapping[str, Spread]
+    """By metric."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stops:
+    """One stop of each of many rigs, in their order."""
+
+    metrics: Rows
+    """A row of type METRICS_ROW for each; NaN where a stop has no such thing, as the slip's RMS if the slip never
+    came near its reference."""
+    errors: tuple[str, ...]
+    """Why each stop ended early; empty for those that did not."""
+    ticks: int
+    """Decisions that were taken in all."""
+    traces: Mapping[int, Trace]
+    """By place of the rig, of those that were asked for and did brake."""
+
+    def __len__(self) -> int:
+        return len(self.metrics)
+
+    def __getitem__(self, metric: str) -> NDArray[np.float64]:
+        """One metric of all stops."""
+        values: NDArray[np.float64] = self.metrics[metric]
+        return values
+
+    def summary(self) -> Summary:
+        """How the metrics spread, and how many stops went wrong."""
+        return Summary(
+            stops=len(self),
+            failed=sum(map(bool, self.errors)),
+            locked=float(np.mean(self["lock_fraction"] > 0.0)),
+            never_entered=float(np.mean(np.isnan(self["band_entry_s"]))),
+            spreads={name: _spread(self[name]) for name in METRICS},
+        )
+
+    @staticmethod
+    def joined(parts: Sequence[Stops]) -> Stops:
+        """The stops of all parts, one part after the other."""
+        starts = np.cumsum([0, *map(len, parts)]).tolist()
+        return Stops(
+            np.concatenate([part.metrics for part in parts]),
+            tuple(error for part in parts for error in part.errors),
+            sum(part.ticks for part in parts),
+            {
+                start + rig: trace
+                for start, part in zip(starts, parts, strict=False)
+                for rig, trace in part.traces.items()
+            },
+        )
+
+
+def _spread(values: NDArray[np.float64]) -> Spread:
+    ranked = np.where(np.isnan(values), np.inf, values)
+    worst = int(ranked.argmax())
+    ordered = np.sort(ranked).tolist()
+    return Spread(_quantile(ordered, 0.5), _quantile(ordered, 0.99), ordered[-1], worst)
+
+
+def _quantile(ordered: Sequence[float], share: float) -> float:
+    """As numpy has it by default, but with infinities between which there is no straight line."""
+    place = share * (len(ordered) - 1)
+    below = ordered[int(place)]
+    above = ordered[min(int(place) + 1, len(ordered) - 1)]
+    part = place % 1.0
+    return below if part == 0.0 or above == below else below + (above - below) * part

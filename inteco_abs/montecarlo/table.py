@@ -1,0 +1,108 @@
+"""What a sweep has found: a table for a terminal, and a figure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from inteco_abs.montecarlo import Row
+from inteco_abs.views.figure import check_figure, save_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito
+_STYLES: Final = ("-", "--", ":", "-.")
+MOST_LINES: Final = len(_COLOURS) * len(_STYLES)
+
+
+_NOTE: Final = (
+    "slip RMS: of the true slip, from 20 ms after band entry down to 10 rad/s\n"
+    "locked, never in band: shares of stops; stop, N m/s: median distance, variation"
+)
+_HEADINGS: Final = ("median", "p99", "max", "worst\nseed", "locked", "never\nin band", "stop\nm", "N m/s")
+
+
+def render_sweep(rows: Sequence[Row]) -> RenderableType:
+    """A table for each range of draws, best configuration first."""
+    tables: list[RenderableType] = [_table(name, mine) for name, mine in _by_range(rows)]
+    return Group(*tables, Text(_NOTE, style="dim"))
+
+
+def _table(name: str, rows: Sequence[Row]) -> Table:
+    count = len(rows[0].stops)
+    title = f"{name}: slip RMS of {count} {'stops' if count > 1 else 'stop'} each"
+    table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("controller on estimator", overflow="fold")
+    for heading in _HEADINGS:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        summary = row.stops.summary()
+        slip, spreads = summary.spreads["slip_rms_true"], summary.spreads
+        table.add_row(
+            Text(row.combination.name),
+            *(_number(value, ".4f") for value in (slip.median, slip.p99, slip.largest)),
+            str(row.draws.seeds[slip.worst]),
+            f"{summary.locked:.0%}",
+            f"{summary.never_entered:.0%}",
+            _number(spreads["stop_distance_m"].median, ".2f"),
+            _number(spreads["torque_variation_nm_per_s"].median, ".0f"),
+        )
+    return table
+
+
+def _by_range(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
+    """Ranges of draws in their order, each with its rows by the 99th percentile of the slip's RMS."""
+
+    def p99(row: Row) -> float:
+        return row.stops.summary().spreads["slip_rms_true"].p99
+
+    names = dict.fromkeys(row.draws.name for row in rows)
+    return [(name, sorted((row for row in rows if row.draws.name == name), key=p99)) for name in names]
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "never"
+
+
+def draw_sweep(rows: Sequence[Row], path: Path) -> None:
+    """Draw to `path` (.png, .svg or .pdf) which share of the stops has at most which slip RMS, a panel for each range.
+
+    A stop that never came near the reference is beyond every RMS. Only the best MOST_LINES of a range are drawn.
+    """
+    check_figure(path)
+    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
+
+    ranges = _by_range(rows)
+    names = list(dict.fromkeys(row.combination.name for row in rows))
+    figure = Figure(figsize=(7.0, 1.0 + 3.6 * len(ranges)), layout="constrained")
+    panels = figure.subplots(len(ranges), squeeze=False, sharex=True)[:, 0]
+    for panel, (name, mine) in zip(panels, ranges, strict=True):
+        for row in mine[:MOST_LINES]:
+            number = names.index(row.combination.name) % MOST_LINES
+            colour, style = _COLOURS[number % len(_COLOURS)], _STYLES[number // len(_COLOURS)]
+            _shares(panel, row, color=colour, ls=style, lw=1.2)
+        panel.set_title(name, fontsize="medium")
+        panel.set_ylabel("share of stops")
+        panel.set_ylim(0.0, 1.02)
+        panel.grid(alpha=0.3)
+        panel.legend(loc="best", frameon=False, fontsize="x-small")
+    panels[-1].set_xlim(left=0.0)
+    panels[-1].set_xlabel("slip RMS, true [1]")
+    save_figure(figure, path)
+
+
+def _shares(panel: Axes, row: Row, **look: Any) -> None:
+    values = row.stops["slip_rms_true"]
+    finite = np.sort(values[np.isfinite(values)])
+    corners = np.concatenate([finite[:1], finite])  # up from zero at the first
+    shares = np.arange(len(corners)) / len(values)
+    panel.step(corners, shares, where="post", label=row.combination.name, **look)

@@ -1,0 +1,118 @@
+"""Which laws meet under which conditions.
+
+The paper compares with constant-rate control, s' = -Mq*sgn(s), and prints no gains of it. Two of them are fair: with
+the same Mq it chatters as much, and reaches later; with the Mq that takes as long from slip 0 to the reference by (20),
+Mq' = reference/t, it reaches as soon, and chatters more. What is better than both is better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+from inteco_abs.config import RigConfig, load_config
+from inteco_abs.control import CONTROLLERS, control_check, reaching_time_bound
+from inteco_abs.montecarlo import ESTIMATOR_NAMES, IDEAL, AsConfigured, Draws, Experiment, parse_draws
+from inteco_abs.rig import RigParameters
+
+REFERENCE: Final = 0.2
+SIMULATION_GAINS: Final = (2.0, 1.0)
+"""Mk and Mq of the paper's Fig. 2, 1/s."""
+EXPERIMENT_GAINS: Final = (10.0, 4.0)
+"""Of its Fig. 3, on the rig."""
+_EULER: Final = "euler"
+_WINDOW: Final = "moving-window"
+_VENDORS_DUTY: Final = 0.7
+_RUN_UP_FROM_RAD_S: Final = 165.0
+"""A second of driving before the start at 180 rad/s, as in a sweep: windows are full by then."""
+
+
+class Law(NamedTuple):
+    """One way to reach the surface."""
+
+    pairing: str
+    """What makes it a fair rival of the paper's law; empty for that law itself."""
+    controller: str
+    Mk: float
+    """1/s; 0 for constant-rate."""
+    Mq: float
+    """1/s."""
+
+    def config(self, estimator: str) -> RigConfig:
+        """With the given estimator, over 10 ms if it has a window, and what limit of duty the rig has."""
+        settings = [
+            f"controller.name={self.controller}",
+            f"controller.reference_slip={REFERENCE}",
+            f"controller.gains.Mq={self.Mq}",
+            *([f"controller.gains.Mk={self.Mk}"] if self.Mk else []),
+            f"estimator.name={estimator}",
+            "guard.brake_limit=1.0",
+        ]
+        return load_config(settings=settings, checks=[control_check(CONTROLLERS, ESTIMATOR_NAMES)])
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """Rigs and an estimator, and the laws that are tried on them, the paper's first."""
+
+    name: str
+    """For files and tables."""
+    title: str
+    draws: Draws
+    estimator: str
+    laws: tuple[Law, ...]
+    run_up_from_rad_s: float | None = None
+    """As in `Experiment`."""
+
+    def experiment(self, law: Law) -> Experiment:
+        """Of one of the laws."""
+        config = law.config(self.estimator)
+        return Experiment(self.draws.rigs, config, AsConfigured(config, CONTROLLERS), self.run_up_from_rad_s)
+
+
+def conditions(draws: int) -> tuple[Condition, ...]:
+    """All conditions, those of the experiment on so many rigs."""
+    simulation, experiment = _laws(*SIMULATION_GAINS), _laws(*EXPERIMENT_GAINS)
+    nominal, capped = parse_draws("nominal:0"), _capped(draws)
+    title = "experiment (Fig. 3): lag, noise, duty of at most 0.7"
+    window, euler = f"{title}; speeds over 10 ms", f"{title}; speeds over 0.5 ms (Euler)"
+    return (
+        Condition("simulation", "simulation (Fig. 2): true slip, ideal brake", nominal, IDEAL, simulation),
+        Condition("experiment-window", window, capped, _WINDOW, experiment, _RUN_UP_FROM_RAD_S),
+        Condition("experiment-euler", euler, capped, _EULER, experiment, _RUN_UP_FROM_RAD_S),
+        *_breaks(nominal, simulation[0]),
+    )
+
+
+def _laws(Mk: float, Mq: float) -> tuple[Law, ...]:
+    as_soon = REFERENCE / reaching_time_bound(0.0, REFERENCE, Mk, Mq)
+    return (
+        Law("", "reaching-law", Mk, Mq),
+        Law("equal Mq", "constant-rate", 0.0, Mq),
+        Law("equal reaching time", "constant-rate", 0.0, as_soon),
+    )
+
+
+def _capped(count: int) -> Draws:
+    """The first rigs of `capped` that can hold the slip at all: of the others no law can be judged."""
+    last = count
+    while len((found := parse_draws(f"capped:0-{last}")).seeds) < count:
+        last += count
+    return parse_draws(f"capped:0-{found.seeds[count - 1]}")
+
+
+def _breaks(nominal: Draws, law: Law) -> Iterator[Condition]:
+    """The simulation with one thing each that the paper's recipe leaves out."""
+    (rig,) = nominal.rigs
+    published = RigParameters.named("mask")
+    lag = replace(rig, parameters=published)
+    changed = {
+        "euler": ("speeds over 0.5 ms (Euler), 2048 counts", rig, _EULER),
+        "lag": (f"brake lag of {1000.0 / published.c31:.0f} ms", lag, IDEAL),
+        "duty": (f"duty of at most {_VENDORS_DUTY}", replace(rig, brake_duty_cap=_VENDORS_DUTY), IDEAL),
+        "less-friction": ("friction 10 % below the model's", replace(rig, adhesion_scale=0.9), IDEAL),
+        "more-friction": ("friction 10 % above the model's", replace(rig, adhesion_scale=1.1), IDEAL),
+    }
+    for name, (title, one, estimator) in changed.items():
+        yield Condition(f"simulation-{name}", title, replace(nominal, rigs=(one,)), estimator, (law,))

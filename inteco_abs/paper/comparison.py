@@ -1,0 +1,95 @@
+"""Two laws on the same rigs: ratios draw by draw, and what they say of the paper's claim."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inteco_abs.montecarlo import Stops
+
+ACCURACY: Final = "slip_rms_fixed_true"
+"""What the claim is judged by: every stop has it, however late its slip arrives, or never."""
+RATIOS: Final = (
+    "reaching_time_s",
+    "slip_rms_true",
+    ACCURACY,
+    "slip_rms_low_speed_true",
+    "torque_variation_nm_per_s",
+    "stop_distance_m",
+)
+_ALIKE: Final = 0.01
+_CHANCE: Final = 0.05
+
+
+class Comparison(NamedTuple):
+    """The paper's law against a rival."""
+
+    ratios: dict[str, float | None]
+    """Median over the rigs of what the paper's law has, divided by what the rival has on the same rig; None where one
+    of the stops has no such metric."""
+    stops: int
+    better: int
+    """Stops in which the paper's law was the more accurate."""
+    worse: int
+    confirmed: bool
+    """Whether the paper's claim of better accuracy is."""
+    words: str
+    """Why, with the figures."""
+
+
+def compare(ours: Stops, rival: Stops) -> Comparison:
+    """Judge the claim that `ours` are more accurate than those of the `rival`, on the same rigs in the same order.
+
+    It is confirmed by a median ratio of slip RMS below 0.99 and, of several rigs, more wins than chance gives in one of
+    twenty cases (sign test, both sides).
+    """
+    ratios = {name: _median(ours[name] / rival[name]) for name in RATIOS}
+    better = int(np.sum(ours[ACCURACY] < rival[ACCURACY]))
+    worse = int(np.sum(ours[ACCURACY] > rival[ACCURACY]))
+    ratio, stops = ratios[ACCURACY], len(ours)
+    by_chance = stops > 1 and _chance(better, worse) >= _CHANCE
+    if ratio is None:
+        reason = "a stop has no slip RMS"
+    elif abs(ratio - 1.0) <= _ALIKE:
+        reason = "alike within 1 %"
+    elif ratio > 1.0:
+        reason = "worse"
+    else:
+        reason = "better, as chance may have it" if by_chance else "better"
+    confirmed = reason == "better"
+    return Comparison(ratios, stops, better, worse, confirmed, f"{reason}, {_figures(ratios, stops, better)}")
+
+
+def verdict(comparisons: Mapping[str, Comparison]) -> str:
+    """What all rivals together, by their pairing, say of the claim."""
+    judged = [one.confirmed for one in comparisons.values()]
+    found = "confirmed" if all(judged) else "confirmed in part" if any(judged) else "not confirmed"
+    against = (f"against {pairing}: {one.words}" for pairing, one in comparisons.items())
+    return f"claim {found}; {'; '.join(against)}"
+
+
+def _figures(ratios: dict[str, float | None], stops: int, better: int) -> str:
+    of_many = f" (median of {stops} rigs; better on {better})" if stops > 1 else ""
+    reaching = ratios["reaching_time_s"]
+    figures = f"slip RMS {_times(ratios[ACCURACY])} that of constant rate{of_many}"
+    return figures if reaching is None else f"{figures}, reaching time {_times(reaching)}"
+
+
+def _times(ratio: float | None) -> str:
+    return "not comparable with" if ratio is None else f"{ratio:.2f} times"
+
+
+def _median(ratios: NDArray[np.float64]) -> float | None:
+    median = float(np.median(ratios))
+    return median if math.isfinite(median) else None
+
+
+def _chance(wins: int, losses: int) -> float:
+    """How likely a fair coin gives a result as uneven as this one, or more so."""
+    count = wins + losses
+    tail = sum(math.comb(count, k) for k in range(max(wins, losses), count + 1))
+    return min(1.0, 2.0 * tail / 2.0**count)

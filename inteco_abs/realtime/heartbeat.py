@@ -1,0 +1,48 @@
+"""A sign of life from a thread of its own, for processes whose work may take its time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from inteco_abs.errors import BoardError
+from inteco_abs.realtime.memory import RunMemory, Word
+from inteco_abs.realtime.tuning import Wish, prepare
+
+NO_MORE: Final = "end other programs, or raise the limit of processes (ulimit -u); nothing was started"
+
+
+@contextmanager
+def repeating(act: Callable[[], object], every_s: float, wishes: Collection[Wish] = ()) -> Iterator[None]:
+    """While inside, `act` so often in a thread with these wishes. Raises BoardError if no thread can be started."""
+    over = threading.Event()
+
+    def repeat() -> None:
+        prepare(wishes)
+        while not over.wait(every_s):
+            act()
+
+    thread = threading.Thread(target=repeat, daemon=True)
+    try:
+        thread.start()
+    except RuntimeError as error:
+        raise BoardError(f"no thread can be started ({error}): {NO_MORE}") from error
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+@contextmanager
+def beating(memory: RunMemory, word: Word, every_s: float, wishes: Collection[Wish] = ()) -> Iterator[None]:
+    """While inside, note the time in `word` so often, from a thread as of `repeating`."""
+
+    def beat() -> None:
+        memory.words[word] = time.monotonic_ns()
+
+    with repeating(beat, every_s, wishes):
+        yield

@@ -1,0 +1,1 @@
+"""The processes of a real-time run, one module each."""

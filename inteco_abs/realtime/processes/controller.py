@@ -1,0 +1,287 @@
+"""A controller of the user's own, in a process of its own: it answers the loop, and reaches neither board nor guard.
+
+The loop asks and waits, once a tick. What comes back is numbers in fixed places, never code. The two share a CPU, the
+controller's priority just below the loop's: a pipe between them is quickest there (`tools/bench_isolation`), and the
+loop's wait ends in time whatever the controller does.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pickle
+import resource
+import select
+import signal
+import struct
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from copy import deepcopy
+from pathlib import Path
+from typing import IO, Any, Final, cast
+
+from inteco_abs.control import CONTROLLERS, Controller, Gain, Setup
+from inteco_abs.control.phase_machine import recordable
+from inteco_abs.errors import BoardError, ConfigError, ControllerError, Mistake, in_words
+from inteco_abs.plugins import FROM_FILE, Controllers, load_controller
+from inteco_abs.realtime.heartbeat import NO_MORE
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.tuning import controller_wishes, end_with_parent, prepare
+from inteco_abs.signals import BrakeDemand, Estimate, Outlook
+
+_LOOK_MS: Final = 5
+_LOOKS: Final = range(4)
+"""Of 5 ms each: 20 ms are less than half of the guardian's window, which would kill the loop for the silence, and a
+thousand times what a law needs. A pause of the computer uses up one look only."""
+_PATIENCE_S: Final = 60.0
+"""For loading and making it: its code may compile something."""
+_DYING_S: Final = 0.005
+"""From the end of its pipe to that of its process."""
+_LEAVING_S: Final = 0.5
+
+_ESTIMATE: Final = struct.Struct("<2q4d?")
+"""Number of the request, of the controller that is asked; time since the last sample, estimate."""
+_OBSERVED: Final = struct.Struct("<2q4d?10d")
+"""The same with an outlook."""
+_COPY: Final = struct.Struct("<2q")
+"""Number of the request, of the controller that is to be copied."""
+_REPLY: Final = struct.Struct("<q7d")
+"""Number of the request, demand."""
+_NUMBER: Final = struct.Struct("<q")
+"""Minus the number of the request that failed; an error's text follows."""
+_MOST_BYTES: Final = select.PIPE_BUF
+"""Of a message in a run: a pipe takes so much as a whole."""
+_NO_NUMBERS: Final = (0.0,) * 6
+
+
+class IsolatedController:
+    """Stands in the loop's process for the class of a controller that runs in another: calling it makes one.
+
+    Raises ConfigError if the code gives no controller. Be sure to `close` it.
+    """
+
+    def __init__(self, name: str, source: bytes, run: Path) -> None:
+        self._name = name
+        self._number = 0
+        self._process = _started(run)
+        self._orders, self._answers = cast("IO[bytes]", self._process.stdin), cast("IO[bytes]", self._process.stdout)
+        self._requests, self._replies = self._orders.fileno(), self._answers.fileno()
+        poller = select.poll()
+        poller.register(self._replies, select.POLLIN)
+        self._poll = poller.poll
+        try:
+            told = self._told((name, source))
+        except BaseException:
+            self.close()
+            raise
+        self.gains = tuple(Gain(*gain) for gain in told["gains"])
+        self.internals: tuple[str, ...] = tuple(told["internals"])
+
+    def __call__(self, setup: Setup, **gains: float) -> Controller:
+        """Make the controller, by its constructor. Raises ControllerError with what that raises."""
+        self._told((setup, gains))
+        return cast("Controller", _Proxy(self, 0))
+
+    def answer(self, request: Callable[..., bytes], *what: object) -> list[float]:
+        """Its answer within 20 ms; raises ControllerError without one, and ends the process then."""
+        self._number = number = self._number + 1
+        try:  # noqa: SIM105  a context manager takes longer
+            os.write(self._requests, request(number, *what))
+        except BrokenPipeError:
+            pass  # it has ended, and may have left the reason
+        for _ in _LOOKS:
+            if self._poll(_LOOK_MS):
+                break
+        else:
+            raise self._given_up(f"has not answered for {len(_LOOKS) * _LOOK_MS} ms")
+        reply = os.read(self._replies, _MOST_BYTES)
+        if len(reply) == _REPLY.size:
+            told, *demand = _REPLY.unpack(reply)
+            if told == number:
+                return demand
+        raise self._failure(reply, number)
+
+    def _failure(self, reply: bytes, number: int) -> ControllerError:
+        """What a reply means that is no answer."""
+        if not reply:
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_DYING_S)
+            code = self._process.returncode
+            if code is None:
+                return self._given_up("has closed the pipe of its answers")
+            how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+            return self._given_up(f"has ended its process: {how}")
+        if reply.startswith(_NUMBER.pack(-number)):
+            return ControllerError(reply[_NUMBER.size :].decode(errors="replace"))
+        return self._given_up("has written into the pipe of its answers")
+
+    def _given_up(self, what: str) -> ControllerError:
+        self._process.kill()  # it may be busy, on the loop's own CPU
+        return ControllerError(f"{self._name} {what}")
+
+    def _told(self, what: object) -> dict[str, Any]:
+        """Its answer to an order, before the run; raises the ConfigError that it tells, or ControllerError."""
+        with suppress(BrokenPipeError):
+            pickle.dump(what, self._orders)
+            self._orders.flush()
+        line, end = b"", time.monotonic() + _PATIENCE_S
+        while not line.endswith(b"\n"):
+            if not self._poll(max(0.0, end - time.monotonic()) * 1e3):
+                raise self._given_up(f"was not loaded within {_PATIENCE_S:g} s")
+            part = os.read(self._replies, _MOST_BYTES)
+            if not part:
+                raise self._failure(b"", 0)
+            line += part
+        told: dict[str, Any] = json.loads(line)
+        if "mistakes" in told:
+            raise ConfigError([Mistake(*mistake) for mistake in told["mistakes"]])
+        if "error" in told:
+            raise ControllerError(told["error"])
+        return told
+
+    def close(self) -> None:
+        """End its process."""
+        with suppress(BrokenPipeError):
+            self._orders.close()  # it takes this for the end of its work
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_LEAVING_S)
+        self._process.kill()
+        self._process.wait()
+        self._answers.close()
+
+
+def _started(run: Path) -> subprocess.Popen[bytes]:
+    try:
+        return subprocess.Popen(  # noqa: S603  our own module
+            # named like the other processes of the run; it is not to open that file
+            [sys.executable, "-P", "-m", "inteco_abs.realtime.processes", "controller", str(run)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+    except OSError as error:
+        why = error.strerror or error
+        raise BoardError(f"the controller process cannot be started: {why}; {NO_MORE}") from error
+
+
+class _Proxy:
+    """One controller of that process."""
+
+    def __init__(self, process: IsolatedController, which: int) -> None:
+        self._process = process
+        self._which = which
+
+    def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
+        wheel, road, slip, valid, outlook = estimate
+        if outlook is None:
+            answer = self._process.answer(_ESTIMATE.pack, self._which, dt_s, wheel, road, slip, valid)
+        else:
+            answer = self._process.answer(_OBSERVED.pack, self._which, dt_s, wheel, road, slip, valid, *outlook)
+        brake, torque, switching, c0, c1, c2, c3 = answer
+        return BrakeDemand(brake, torque, switching, (c0, c1, c2, c3))
+
+    def __deepcopy__(self, _memo: object) -> _Proxy:
+        """The copy is made in that process, which then forgets all others but these two."""
+        return _Proxy(self._process, int(self._process.answer(_COPY.pack, self._which)[0]))
+
+
+@contextmanager
+def controllers_of(job: Job, run: Path) -> Iterator[Mapping[str, type[Controller]]]:
+    """Controllers for the loop's process: those that ship, or the user's own, which runs in a process of its own."""
+    name = job.config.controller.name
+    if name in CONTROLLERS:
+        yield CONTROLLERS
+        return
+    isolated = IsolatedController(name, job.controller_source, run)
+    try:
+        yield {name: cast("type[Controller]", isolated)}
+    finally:
+        isolated.close()
+
+
+def main(_path: str) -> int:
+    """Load the controller that the parent names, make it, and answer; ends when the parent does."""
+    end_with_parent()
+    requests, replies = os.dup(0), os.dup(1)
+    with open(os.devnull, "rb") as nothing:  # noqa: PTH123  a controller that reads or prints must not do so there
+        os.dup2(nothing.fileno(), 0)
+    os.dup2(2, 1)
+    os.register_at_fork(after_in_child=lambda: os._exit(1))  # two would answer
+    code = 1
+    try:
+        _serve(requests, replies)
+        code = 0
+    except BaseException:  # noqa: BLE001  the top of a process: its end must explain itself
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)  # at once: threads that a controller has left would be waited for, for ever
+
+
+def _serve(requests: int, replies: int) -> None:
+    controller = _made(requests, replies)
+    if controller is None:
+        return
+    prepare(controller_wishes())
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))  # without root's rights nothing here rises above the loop
+    _tell(replies, {})
+    _answer(requests, replies, controller)
+
+
+def _made(requests: int, replies: int) -> Controller | None:
+    """The controller that is asked for; None if there is none to answer, which has been told."""
+    with os.fdopen(requests, "rb", closefd=False) as orders:
+        try:
+            kind: Any = _loaded(*pickle.load(orders))  # noqa: S301  it comes from the process that is trusted
+            _tell(replies, {"gains": kind.gains, "internals": kind.internals})
+            setup, gains = pickle.load(orders)  # noqa: S301
+            controller: Controller = kind(setup, **gains)
+        except EOFError:  # the parent has ended
+            return None
+        except ConfigError as error:
+            _tell(replies, {"mistakes": error.mistakes})
+            return None
+        except BaseException as error:  # noqa: BLE001  the top of a process, with a user's code in it
+            _tell(replies, {"error": in_words(error)})
+            return None
+    return controller
+
+
+def _answer(requests: int, replies: int, controller: Controller) -> None:
+    """Answer until the parent ends, or the controller fails."""
+    read, write, pack = os.read, os.write, _REPLY.pack
+    controllers, number = {0: controller}, 0
+    try:
+        while request := read(requests, _MOST_BYTES):
+            if len(request) == _ESTIMATE.size:
+                number, which, dt_s, wheel, road, slip, valid = _ESTIMATE.unpack(request)
+                answer = _demand(controllers[which].update(Estimate(wheel, road, slip, valid), dt_s))
+            elif len(request) == _OBSERVED.size:
+                number, which, dt_s, wheel, road, slip, valid, *outlook = _OBSERVED.unpack(request)
+                answer = _demand(controllers[which].update(Estimate(wheel, road, slip, valid, Outlook(*outlook)), dt_s))
+            else:
+                number, which = _COPY.unpack(request)
+                controllers = {which: controllers[which], number: deepcopy(controllers[which])}
+                answer = (number, *_NO_NUMBERS)
+            write(replies, pack(number, *answer))
+    except BaseException as error:  # noqa: BLE001  as above
+        os.write(replies, (_NUMBER.pack(-number) + in_words(error).encode())[:_MOST_BYTES])
+
+
+def _loaded(name: str, source: bytes) -> type[Controller]:
+    return load_controller(name, source)[0] if FROM_FILE in name else Controllers()[name]
+
+
+def _tell(replies: int, what: object) -> None:
+    os.write(replies, json.dumps(what, default=float).encode() + b"\n")
+
+
+def _demand(given: BrakeDemand) -> tuple[float, ...]:
+    brake, torque, switching, (c0, c1, c2, c3) = recordable(given)
+    # what is no number comes to the guard as such, and is judged there
+    return brake if type(brake) is float else math.nan, torque, switching, c0, c1, c2, c3

@@ -1,0 +1,43 @@
+"""A process that opens the board, holds it safe, and waits to be killed, so that the guardian proves itself.
+
+Protections fail by not being armed, not by not firing (fact sheet on hazards, finding 9).
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Final
+
+from inteco_abs.boards import open_board
+from inteco_abs.errors import AbsError
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.realtime.ownership import holding, stopped, tell_failure
+from inteco_abs.signals import Command
+
+_LONGEST_S: Final = 20.0
+_PERIOD_S: Final = 0.001
+
+
+def main(path: str) -> int:
+    """Hold the board of the job in the memory at `path` until killed, and not for ever."""
+    memory = RunMemory.open(Path(path))
+    try:
+        _hold(memory, Job.of(memory))
+    except AbsError as error:
+        tell_failure(memory, Note.FAILURE, error)
+        return error.exit_code
+    return 0
+
+
+def _hold(memory: RunMemory, job: Job) -> None:
+    with holding(memory), open_board(job.address, job.config, time.monotonic_ns) as board:
+        board.insist()
+        memory.post(Note.SAFE_IMAGE, board.safe_image)
+        memory.words[Word.READY] = os.getpid()
+        end = time.monotonic() + _LONGEST_S
+        while time.monotonic() < end and not stopped(memory):
+            board.exchange(Command.SAFE)
+            time.sleep(_PERIOD_S)

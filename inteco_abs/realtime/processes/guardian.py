@@ -1,0 +1,185 @@
+"""The guardian's process: when the one that holds the board dies or hangs, it takes the board and writes SAFE.
+
+It is no help when the computer dies or the cable is pulled, or when it is killed together with the loop: no RT-DAC
+board is known to drop its outputs by itself, so then only the emergency switch stops the motor.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import time
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Final
+
+from inteco_abs.boards import open_board
+from inteco_abs.config import RigConfig
+from inteco_abs.errors import BoardError
+from inteco_abs.realtime.alarm import Alarm
+from inteco_abs.realtime.heartbeat import beating
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
+from inteco_abs.realtime.rules import POLL_NS, POLL_S, SUPERVISOR_WINDOW_NS, Deed, Silence, guardian_does
+from inteco_abs.realtime.tuning import GUARDIAN_PRIORITY, guardian_wishes, prepare, watch_wishes
+from inteco_abs.signals import Reason
+
+_RECORDER_WINDOW_NS: Final = 1_000_000_000
+_PATIENCE_NS: Final = 3_000_000_000
+_TRY_S: Final = 5.0
+_AGAIN_S: Final = 0.002
+
+
+class Guardian:
+    """Watches over the process that the supervisor names, until the supervisor says that all is over."""
+
+    def __init__(self, memory: RunMemory, job: Job) -> None:
+        self._memory = memory
+        self._job = job
+        self._words = memory.words
+        self._ticks = memory.tick_reader()
+        self._poller = select.poll()
+        self._guarded = 0
+        self._left = 0  # guarded before, and gone
+        self._killed = False
+        self._end = -1  # file descriptor that becomes readable when the guarded process ends
+        self._loop = Silence(loop_window_ns(job.config))
+        self._patience = Silence(_PATIENCE_NS)
+        self._supervisor = Silence(SUPERVISOR_WINDOW_NS)
+        self._recorder = Silence(_RECORDER_WINDOW_NS)
+        self._alarm = Alarm(memory, turn=1)
+
+    def watch(self) -> None:
+        """Watch and act until nothing is left to guard."""
+        before = time.monotonic_ns()
+        while not self._over():
+            ended = bool(self._poller.poll(POLL_NS / 1e6))
+            now = time.monotonic_ns()
+            self._words[Word.GUARDIAN_BEAT_NS] = now
+            silent = self._hangs(now - before) or self._goes_on_after_stop(now - before)
+            held = self._words[Word.HOLDER_PID] == self._guarded != 0
+            deed = guardian_does(held=held, loop_ended=ended, loop_silent=silent)
+            if Deed.KILL_LOOP in deed:
+                self._kill()
+            if ended:
+                self._leave(rescue=Deed.RESCUE in deed)
+            self._look_after_the_others(now - before)
+            self._alarm.look()
+            self._follow()
+            before = now
+
+    def _over(self) -> bool:
+        words = self._words
+        left_alone = not alive(words[Word.SUPERVISOR_PID]) and not self._guarded
+        if left_alone and not words[Word.GUARDIAN_STOP]:
+            words[Word.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST  # for whoever still waits to be guarded
+        return bool(words[Word.OVER]) or left_alone
+
+    def _follow(self) -> None:
+        """Guard whom the supervisor names now."""
+        pid = self._words[Word.GUARDED_PID]
+        if self._guarded or pid in (0, self._left):
+            return
+        with suppress(ProcessLookupError):  # it has ended already, without having opened the board
+            self._end = os.pidfd_open(pid)
+            self._poller.register(self._end, select.POLLIN)
+            self._guarded, self._killed = pid, False
+            self._loop.forget()
+            self._words[Word.GUARDING_PID] = pid
+
+    def _hangs(self, passed_ns: int) -> bool:
+        """Whether the guarded process drives and has not completed a tick for too long."""
+        if not self._guarded or self._words[Word.HOLDER_PID] != self._guarded or not self._ticks.written:
+            self._loop.forget()
+            return False
+        return self._loop.lasts(self._ticks.written, passed_ns)
+
+    def _goes_on_after_stop(self, passed_ns: int) -> bool:
+        """Whether the guarded process is still there long after this one wanted the run to end."""
+        if not self._guarded or not self._words[Word.GUARDIAN_STOP]:
+            return False
+        return self._patience.lasts(0, passed_ns)
+
+    def _kill(self) -> None:
+        """Have the guarded process end. Its board is taken only once it has: two hosts must not write to it."""
+        self._killed = True
+        with suppress(ProcessLookupError):
+            os.kill(self._guarded, signal.SIGKILL)
+
+    def _leave(self, *, rescue: bool) -> None:
+        """The guarded process is gone."""
+        pid, self._guarded = self._guarded, 0
+        self._poller.unregister(self._end)
+        os.close(self._end)
+        if rescue:
+            with ExitStack() as stack:
+                with suppress(
+                    BoardError
+                ):  # no more threads: the supervisor may take this process for hung, and its place
+                    beat = beating(self._memory, Word.GUARDIAN_BEAT_NS, POLL_S, watch_wishes(GUARDIAN_PRIORITY))
+                    stack.enter_context(beat)
+                take_over(self._memory, self._job, pid, "hung" if self._killed else "died", "guardian")
+        self._left = pid
+
+    def _look_after_the_others(self, passed_ns: int) -> None:
+        """End the run when nobody could stop it, or nobody records it, any more."""
+        words = self._words
+        if words[Word.GUARDIAN_STOP]:
+            return
+        if self._gone(Word.SUPERVISOR_PID) or self._supervisor.lasts(words[Word.SUPERVISOR_BEAT_NS], passed_ns):
+            words[Word.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST
+        elif not words[Word.GO]:
+            return
+        elif self._gone(Word.RECORDER_PID) or self._recorder.lasts(words[Word.RECORDER_BEAT_NS], passed_ns):
+            words[Word.GUARDIAN_STOP] = Reason.RECORDER_LOST
+
+    def _gone(self, word: Word) -> bool:
+        return not alive(self._words[word])
+
+
+def loop_window_ns(config: RigConfig) -> int:
+    """How long a loop that drives may be silent, ns."""
+    return max(round(config.guard.silence_s * 1e9), 5 * config.period_ns)
+
+
+def take_over(memory: RunMemory, job: Job, pid: int, cause: str, by: str) -> None:
+    """Make the board safe that the process `pid`, which is gone, had held, and tell how that went."""
+    seen_ns = time.monotonic_ns()
+    failure = _make_safe(memory, job)
+    report = {"cause": cause, "seen_ns": seen_ns, "done_ns": time.monotonic_ns(), "failure": failure, "by": by}
+    memory.post(Note.RESCUE, report)
+    memory.words[Word.RESCUED_PID] = pid
+
+
+def _make_safe(memory: RunMemory, job: Job) -> str:
+    """Write SAFE and read it back, trying again for a while; empty, or why it did not succeed."""
+    end = time.monotonic() + _TRY_S
+    while True:
+        try:
+            rescue(memory, job)
+        except Exception as error:  # noqa: BLE001  the kernel may not have let go of the board yet; nothing may end this
+            if time.monotonic() > end:
+                return str(error)
+            time.sleep(_AGAIN_S)
+        else:
+            return ""
+
+
+def rescue(memory: RunMemory, job: Job) -> None:
+    """Take the board of a process that is gone and write the SAFE image that it left; raises BoardError."""
+    image = memory.image(Note.SAFE_IMAGE)
+    if image is None:
+        return  # it had not finished opening the board, and nothing but zero duties was ever written
+    # motors are on: no time to measure which engine is quicker
+    usb = job.config.usb.model_copy(update={"engine": "one-by-one"})
+    open_board(job.address, job.config.model_copy(update={"usb": usb}), time.monotonic_ns).rescue(image)
+
+
+def main(path: str) -> int:
+    """Guard the run in the memory at `path`."""
+    memory = RunMemory.open(Path(path))
+    guardian = Guardian(memory, Job.of(memory))
+    prepare(guardian_wishes())
+    guardian.watch()
+    return 0

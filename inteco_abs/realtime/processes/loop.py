@@ -1,0 +1,151 @@
+"""The loop's process: owns the board, decides, fills the ring, and does nothing else."""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final
+
+from inteco_abs.boards import Wrap, open_board, simulated
+from inteco_abs.control import Controller, build_pipeline, gains_in_force
+from inteco_abs.errors import AbsError
+from inteco_abs.format import pack_tick
+from inteco_abs.realtime.clock import PacedClock
+from inteco_abs.realtime.frames import leaving_frames
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.loop import Loop, detail_of
+from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.realtime.ownership import PATIENCE_S, holding, stopped, tell_failure
+from inteco_abs.realtime.processes.controller import controllers_of
+from inteco_abs.realtime.round_trips import insist_on_rate
+from inteco_abs.realtime.rules import LOOPS_WINDOW_NS
+from inteco_abs.realtime.tuning import loop_wishes, prepare
+from inteco_abs.realtime.watchdog import prove_watchdog
+from inteco_abs.signals import Reason
+from inteco_abs.wire.recording import recording
+
+_NONE: Final = Reason.NONE
+_STALL_NS: Final = 100_000_000
+"""A tick so late is a pause of the computer: as long as five periods of the slowest loop, well within the window."""
+_NAP_NS: Final = 50_000_000
+"""No suspension is so short."""
+_STOP, _GUARDIAN_STOP, _GUARDIAN_BEAT = int(Word.STOP), int(Word.GUARDIAN_STOP), int(Word.GUARDIAN_BEAT_NS)
+_REASONS: Final = {int(reason): reason for reason in Reason}
+
+
+def asleep_ns() -> int:
+    """How long the computer has been suspended so far: the monotonic clock stands still meanwhile, the other does not.
+
+    A pause between the two readings makes it less, never more.
+    """
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()
+
+
+class SharedStop:
+    """What the other processes want of the loop: the supervisor's word, the guardian's, and a guardian alive.
+
+    A computer that was suspended has missed exchanges, though no clock of the loop's has seen it.
+    """
+
+    def __init__(self, memory: RunMemory, asleep_ns: Callable[[], int] = asleep_ns) -> None:
+        self._words = memory.words
+        self._asleep_ns = asleep_ns
+        self._may_sleep_ns = asleep_ns() + _NAP_NS
+        self._before_ns = 0
+        self._trusted_ns = 0
+
+    def wanted(self, now_ns: int) -> Reason:
+        """Why the run must end now, or NONE."""
+        words = self._words
+        word = words[_STOP] or words[_GUARDIAN_STOP]
+        if word:
+            return _REASONS[word]
+        if self._asleep_ns() > self._may_sleep_ns:
+            return Reason.MISSED_EXCHANGES
+        if now_ns - self._before_ns > _STALL_NS:  # the computer stood still, and the guardian with it
+            self._trusted_ns = now_ns
+        self._before_ns = now_ns
+        silent_ns = now_ns - max(words[_GUARDIAN_BEAT], self._trusted_ns)
+        return Reason.GUARDIAN_LOST if silent_ns > LOOPS_WINDOW_NS else _NONE
+
+
+def main(path: str) -> int:
+    """Run the job in the memory at `path`; exit code 0 if it came to an end, whatever the end."""
+    memory = RunMemory.open(Path(path))
+    code = 0
+    try:
+        _run(memory, Job.of(memory))
+    except AbsError as error:
+        tell_failure(memory, Note.FAILURE, error)
+        code = error.exit_code
+    except BaseException as error:  # noqa: BLE001  the top of a process: its end must explain itself
+        traceback.print_exc()
+        tell_failure(memory, Note.FAILURE, error)
+        code = 1
+    sys.stderr.flush()
+    os._exit(code)  # at once: the guardian may wait for it to take the board
+
+
+def _run(memory: RunMemory, job: Job) -> None:
+    wire = Path(job.wire) if job.wire else None
+    with (
+        controllers_of(job, memory.path) as controllers,
+        recording(wire, job.config, keep=job.frames) as around,
+        leaving_frames(memory, job, around),
+    ):
+        try:
+            _hold(memory, job, around, controllers)
+        finally:
+            memory.words[Word.SAVING] = bool(job.wire) or job.frames  # with the board let go of, and all said
+
+
+def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, type[Controller]]) -> None:
+    config, words = job.config, memory.words
+    pipeline = build_pipeline(config, controllers)
+    ring = memory.tick_ring(pack_tick)
+    clock = PacedClock(config.period_ns)
+    cost: dict[str, str] = {}
+    with holding(memory), open_board(job.address, config, clock.now_ns, around) as board:
+        identity = board.insist()
+        memory.post(Note.SAFE_IMAGE, board.safe_image)
+        loop = Loop(board, pipeline, clock, ring, SharedStop(memory))
+        settings = prepare(loop_wishes())
+        pace = {} if simulated(job.board) else insist_on_rate(board, config.period_ns)
+        watchdog = prove_watchdog(board, config.period_ns, time.sleep)
+        memory.post(
+            Note.INTRODUCTION,
+            {
+                "identity": identity.facts() | watchdog,
+                "gains": gains_in_force(config, controllers),
+                "internals": list(controllers[config.controller.name].internals),
+                "settings": [setting._asdict() for setting in settings],
+                "pace": pace,
+            },
+        )
+        words[Word.READY] = os.getpid()
+        memory.wait(lambda: words[Word.GO] or stopped(memory), PATIENCE_S)
+        if words[Word.GO]:
+            cost = _drive(loop, clock)
+    if cost:
+        end = {"reason": int(pipeline.reason), "detail": detail_of(pipeline, board), "cost": cost}
+        memory.post(Note.CONCLUSION, end)
+
+
+def _drive(loop: Loop, clock: PacedClock) -> dict[str, str]:
+    """Run the loop; what it cost this process."""
+    before, start = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
+    loop.run()
+    after = resource.getrusage(resource.RUSAGE_SELF)
+    seconds = max(time.monotonic() - start, 1e-9)
+    busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {
+        "minor_page_faults": str(after.ru_minflt - before.ru_minflt),
+        "major_page_faults": str(after.ru_majflt - before.ru_majflt),
+        "cpu_share": f"{busy / seconds:.3f}",
+        "spin_us": f"{clock.spin_ns * 1e-3:.0f}",
+    }

@@ -1,0 +1,312 @@
+"""Outputs by hand: a process that holds the board, and applies what a screen wishes while a key is held there.
+
+The screen is another process. A wish is good for half a second from when the key was last seen, by this process's own
+reckoning: a screen that hangs, dies or is no longer looked at takes the outputs away by doing nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from inteco_abs.boards import Board, RtdacPci, open_board, simulated
+from inteco_abs.config import RigConfig, bounded_in_time
+from inteco_abs.control import Guard, SpeedWindow
+from inteco_abs.errors import AbsError, BoardError, LinkError
+from inteco_abs.format import TICK, pack_tick
+from inteco_abs.realtime.clock import PacedClock
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.loop import Stop
+from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
+from inteco_abs.realtime.ownership import holding, tell_failure
+from inteco_abs.realtime.processes.loop import SharedStop
+from inteco_abs.realtime.round_trips import insist_on_rate
+from inteco_abs.realtime.tuning import loop_wishes, prepare
+from inteco_abs.realtime.watchdog import prove_watchdog
+from inteco_abs.signals import UNTIMED, BoardFlags, Command, Estimate, Phase, Reason, Sample, Tick
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+HELD_NS: Final = 500_000_000
+"""How long a wish is good after the key was last seen."""
+RATE_HZ: Final = 100.0
+"""Often enough for slow wheels: a guard's speed window of five such periods still sees a wheel stand or race."""
+ONLY_WATCHED: Final = "this panel only watches"
+_SCALE: Final = 1_000_000
+"""Duties travel as whole millionths."""
+_WINDOW_S: Final = 0.1
+_LOOK_S: Final = 0.002
+"""Between two looks for new ticks: a fifth of a period."""
+_MOST_FAILURES: Final = 100
+"""Readings in a row, a second of them; nothing is energised meanwhile."""
+_COUNTER_RANGE: Final = 1 << 32
+_NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
+
+
+class Wishes:
+    """Duties that a screen wishes, in the shared words."""
+
+    def __init__(self, memory: RunMemory) -> None:
+        self._words = memory.words
+
+    def keep_on(self, wish: Command, seen_ns: int) -> None:
+        """Wish for these duties; the key was seen at `seen_ns`, on the system's monotonic clock."""
+        self._words[Word.WISHED_DRIVE] = int(wish.drive * _SCALE)
+        self._words[Word.WISHED_BRAKE] = int(wish.brake * _SCALE)
+        self._words[Word.KEY_SEEN_NS] = seen_ns  # last: it is what makes the duties count
+
+    def take_away(self) -> None:
+        """Wish for both outputs off, at once."""
+        self._words[Word.KEY_SEEN_NS] = -HELD_NS
+
+    def at(self, now_ns: int) -> Command:
+        """What is wished now; SAFE unless the key was seen within the last half a second."""
+        words = self._words
+        if abs(now_ns - words[Word.KEY_SEEN_NS]) >= HELD_NS:
+            return Command.SAFE
+        return Command(words[Word.WISHED_DRIVE] / _SCALE, words[Word.WISHED_BRAKE] / _SCALE)
+
+
+class Hand(ABC):
+    """Beats of an entered board, each shown in the ring of the memory; looks at everything when asked to."""
+
+    def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: Stop) -> None:
+        self._board = board
+        self._memory = memory
+        self._stop = stop
+        self._ring = memory.tick_ring(pack_tick)
+        length = max(1, round(_WINDOW_S * config.loop.rate_hz))
+        self._wheel = SpeedWindow(config.encoders.counts_per_turn, length)
+        self._road = SpeedWindow(config.encoders.counts_per_turn, length)
+
+    @abstractmethod
+    def beat(self) -> bool:
+        """Exchange or read once; False once this has to end."""
+
+    def _show(self, sample: Sample, wish: Command, command: Command, reason: Reason, stop: Reason) -> None:
+        wheel = self._wheel.update(sample.time_ns, sample.wheel_count)
+        road = self._road.update(sample.time_ns, sample.road_count)
+        inputs = (sample.time_ns, sample.tick, sample.dt_s, sample.wheel_count, sample.road_count, sample.board_flags)
+        estimate = (wheel, road, 0.0, False)
+        self._ring.append(
+            Tick(
+                *inputs,
+                stop,
+                *estimate,
+                Phase.UNKNOWN,
+                0.0,
+                0.0,
+                0.0,
+                wish.drive,
+                wish.brake,
+                command.drive,
+                command.brake,
+                reason,
+                *(0.0, 0.0, 0.0, 0.0),
+                *UNTIMED,
+            )
+        )
+
+    def look(self) -> None:
+        """Leave one whole reading of the board, if the screen has asked for another."""
+        words = self._memory.words
+        asked = words[Word.LOOKS_ASKED]
+        if asked != words[Word.LOOKS]:
+            self._memory.post(Note.RESULT, read_all(self._board))
+            words[Word.LOOKS] = asked
+
+
+class Driven(Hand):
+    """A board entered for output. Each command passes the guard, and goes out with the beat after."""
+
+    def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: Stop) -> None:
+        super().__init__(board, config, memory, stop)
+        self._wishes = Wishes(memory)
+        self._guard = Guard(config)
+        self._command = Command.SAFE
+        self._made_safe = False  # after a trip
+        self._always = config.board.kind == "pci"  # a look costs it some microseconds, and tells of its alarms
+
+    def beat(self) -> bool:
+        """One exchange; once the guard has tripped, with SAFE, which is then read back. Raises UnsafeError if not."""
+        if self._always or self._command == Command.SAFE:
+            self.look()
+        self._board.armed = self._guard.reason is Reason.NONE
+        sample = self._board.exchange(self._command)
+        stop = self._stop.wanted(sample.time_ns)
+        if stop is not Reason.NONE:
+            self._guard.trip(stop)
+        wish = self._wishes.at(sample.time_ns)
+        self._command = self._guard.admit(wish, sample, _NO_ESTIMATE)
+        self._show(sample, wish, self._command, self._guard.reason, stop)
+        if self._guard.reason is not Reason.NONE and not self._made_safe:
+            self._made_safe = True
+            self._board.make_safe()
+        return stop is Reason.NONE
+
+
+class Watched(Hand):
+    """A board entered for reading: its encoders alone, and nothing is written to it but requests."""
+
+    def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: Stop) -> None:
+        super().__init__(board, config, memory, stop)
+        wiring = config.board
+        self._fields = {
+            f"encoder{wiring.wheel_encoder}_count": wiring.wheel_sign,
+            f"encoder{wiring.road_encoder}_count": wiring.road_sign,
+        }
+        self._raw: tuple[int, ...] = ()
+        self._counts = (0, 0)
+        self._tick = 0
+        self._failures = 0
+
+    def beat(self) -> bool:
+        """One reading. Raises LinkError after a hundred failures in a row."""
+        self.look()
+        flags = BoardFlags.NONE
+        try:
+            values = self._board.survey(self._fields).values
+        except LinkError:
+            flags = BoardFlags.STALE
+            self._failures += 1
+            if self._failures >= _MOST_FAILURES:
+                raise
+        else:
+            self._failures = 0
+            self._move(tuple(int(values[name]) for name in self._fields))
+        now_ns = time.monotonic_ns()
+        stop = self._stop.wanted(now_ns)
+        sample = Sample(self._tick, now_ns, 1.0 / RATE_HZ, *self._counts, flags)
+        self._tick += 1
+        self._show(sample, Command.SAFE, Command.SAFE, stop, stop)
+        return stop is Reason.NONE
+
+    def _move(self, raw: tuple[int, ...]) -> None:
+        steps = (_step(new, old) for new, old in zip(raw, self._raw or raw, strict=True))
+        moved = (
+            count + sign * step for count, sign, step in zip(self._counts, self._fields.values(), steps, strict=True)
+        )
+        wheel, road = moved
+        self._raw, self._counts = raw, (wheel, road)
+
+
+class Screenside:
+    """The other end of the shared memory: what a screen sees of the board, and what it wishes."""
+
+    def __init__(self, memory: RunMemory) -> None:
+        self.wishes = Wishes(memory)
+        self._memory = memory
+        self._ticks = memory.tick_reader()
+
+    @property
+    def introduction(self) -> dict[str, str]:
+        """`identity` of the board, and `read_only_because`: empty if its outputs may be used."""
+        told: dict[str, str] = self._memory.note(Note.INTRODUCTION)
+        return told
+
+    def now_ns(self) -> int:
+        """Time on the clock of the process that holds the board."""
+        return time.monotonic_ns()
+
+    def ticks(self) -> npt.NDArray[np.void]:
+        """Everything since the call before, oldest first."""
+        return TICK.array(self._ticks.take())
+
+    def next_ticks(self) -> npt.NDArray[np.void]:
+        """Wait for at least one tick since the call before; none only if the board is held no longer."""
+        while not len(ticks := self.ticks()) and not self.over:
+            time.sleep(_LOOK_S)
+        return ticks
+
+    def ask(self) -> None:
+        """Have the whole board read once more; on a USB board that waits until the outputs are off."""
+        self._memory.words[Word.LOOKS_ASKED] += 1
+
+    @property
+    def answered(self) -> bool:
+        """Whether the newest reading is the one that was asked for last."""
+        words = self._memory.words
+        return words[Word.LOOKS] == words[Word.LOOKS_ASKED]
+
+    @property
+    def look(self) -> dict[str, Any] | None:
+        """The newest reading of the whole board; None while it is being replaced."""
+        told: dict[str, Any] | None = self._memory.note(Note.RESULT)
+        return told
+
+    @property
+    def over(self) -> bool:
+        """Whether the board is held no longer."""
+        words = self._memory.words
+        return not alive(words[Word.LOOP_PID])
+
+    @property
+    def reason(self) -> Reason:
+        """Why it was ended, by the user's side or the guardian's; NONE if by neither."""
+        words = self._memory.words
+        return Reason(words[Word.STOP] or words[Word.GUARDIAN_STOP])
+
+
+def slowed(config: RigConfig) -> RigConfig:
+    """The configuration at the rate of outputs by hand, or at its own if that is lower."""
+    rate_hz = min(RATE_HZ, config.loop.rate_hz)
+    window_s = max(config.estimator.window_s, 1.0 / rate_hz)  # no estimator runs, but both must fit
+    loop = config.loop.model_copy(update={"rate_hz": rate_hz})
+    guard = config.guard if config.board.simulated else bounded_in_time(config.guard, rate_hz)
+    return config.model_copy(
+        update={"guard": guard, "loop": loop, "estimator": config.estimator.model_copy(update={"window_s": window_s})}
+    )
+
+
+def read_all(board: Board) -> dict[str, Any]:
+    """Everything that a board tells, as JSON has it; or the problem with it."""
+    try:
+        survey = board.survey()
+        readings = board.readings() if isinstance(board, RtdacPci) else []
+    except BoardError as error:
+        return {"problem": str(error)}
+    shown = [(one.name, one.value, one.unit, one.status.value) for one in readings]
+    return {"problem": "", "values": dict(survey.values), "raw": survey.raw.hex(), "readings": shown}
+
+
+def main(path: str) -> int:
+    """Hold the board of the job in the memory at `path` until somebody wants it to end."""
+    memory = RunMemory.open(Path(path))
+    try:
+        _hold(memory, Job.of(memory))
+    except AbsError as error:
+        tell_failure(memory, Note.FAILURE, error)
+        return error.exit_code
+    if not alive(memory.words[Word.SUPERVISOR_PID]):
+        memory.remove()  # nobody else will, and nothing in it was to be kept
+    return 0
+
+
+def _hold(memory: RunMemory, job: Job) -> None:
+    config = job.config
+    clock = PacedClock(config.period_ns)
+    with holding(memory), open_board(job.address, config, clock.now_ns) as board:
+        read_only = board.identity is None or board.identity.read_only_because
+        memory.post(Note.INTRODUCTION, {"identity": str(board.identity), "read_only_because": read_only})
+        if not read_only:
+            memory.post(Note.SAFE_IMAGE, board.safe_image)
+            prepare(loop_wishes())
+            if not simulated(job.board):
+                insist_on_rate(board, config.period_ns)
+            prove_watchdog(board, config.period_ns, time.sleep)
+        memory.post(Note.RESULT, read_all(board))
+        hand = (Watched if read_only else Driven)(board, config, memory, SharedStop(memory))
+        memory.words[Word.READY] = os.getpid()
+        for _ in clock:
+            if not hand.beat():
+                return
+
+
+def _step(raw: int, before: int) -> int:
+    """Signed difference of two readings of a 32-bit counter that wraps."""
+    return (raw - before + _COUNTER_RANGE // 2) % _COUNTER_RANGE - _COUNTER_RANGE // 2

@@ -1,0 +1,363 @@
+"""The recorder's process: drains the rings into the session file, and completes it however the run ends.
+
+The rings hold what is not in the file yet, so neither its own death nor a disk that refuses loses anything: `rebuild`
+makes the file anew.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import traceback
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from inteco_abs.boards import STILL_ON
+from inteco_abs.errors import AbsError, SessionError
+from inteco_abs.realtime.alarm import Alarm
+from inteco_abs.realtime.foxglove_server import live_view
+from inteco_abs.realtime.frames import frames_of
+from inteco_abs.realtime.heartbeat import beating
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
+from inteco_abs.realtime.ownership import tell_failure
+from inteco_abs.realtime.ring import RingReader
+from inteco_abs.realtime.tuning import prepare, recorder_wishes
+from inteco_abs.sessions import (
+    TICK,
+    TRUTH,
+    Account,
+    Conclusion,
+    Introduction,
+    Keeper,
+    Recorder,
+    Scribe,
+    check_output,
+    insist_on_own,
+    only_whole,
+    read_session,
+    spill_path,
+)
+from inteco_abs.sessions.environment import Surroundings, surroundings
+from inteco_abs.sessions.failover_writer import Opener
+from inteco_abs.signals import Reason
+
+_DRAIN_S: Final = 0.005
+_FLUSH_S: Final = 0.1
+_SLOW_S: Final = 1.0
+_RESCUE_S: Final = 20.0
+"""The guardian tries for 5 s, and the supervisor in its place after that."""
+_LONGEST_START_S: Final = 120.0
+
+
+def main(path: str) -> int:
+    """Record the run in the memory at `path`."""
+    memory = RunMemory.open(Path(path))
+    memory.name(Word.RECORDER_PID, os.getpid())
+    prepare(recorder_wishes())
+    job = Job.of(memory)
+    try:
+        with live_view(memory, job):
+            _record(memory, job)
+    except AbsError as error:
+        tell_failure(memory, Note.RECORDER_FAILURE, error)
+        return error.exit_code
+    except Exception as error:  # noqa: BLE001  the top of a process: its end must explain itself
+        traceback.print_exc()
+        tell_failure(memory, Note.RECORDER_FAILURE, error)
+        return 1
+    if not alive(memory.words[Word.SUPERVISOR_PID]):
+        memory.remove()  # in its place: the file holds everything
+    return 0
+
+
+def _record(memory: RunMemory, job: Job) -> None:
+    words = memory.words
+    memory.wait(lambda: words[Word.READY] == words[Word.LOOP_PID] != 0 or _nobody_drives(memory), _LONGEST_START_S)
+    introduction = _introduction(memory, job)
+    if introduction is None:
+        return  # there was no run
+    opener = _opener(memory, job, introduction, time.monotonic_ns())
+    spill = spill_path(job.path, job.config, job.session_id)
+    with Keeper(job.path, opener, spill, _Trouble(memory).tell) as keeper:
+        keeper.introduce(job.config, introduction, Path(job.session))
+        memory.truth_reader().take()  # what the board did while it was opened belongs to no tick
+        words[Word.RECORDER_BEAT_NS] = time.monotonic_ns()
+        # whatever the disk does: it may take seconds, and the rings have room for that
+        with beating(memory, Word.RECORDER_BEAT_NS, _FLUSH_S):
+            words[Word.RECORDING] = 1
+            keeper.surround(surroundings())  # not before: it takes a tenth of a second, and the rings have room
+            memory.post(Note.SURROUNDINGS, keeper.introduction.surroundings.as_note())
+            _Drain(memory, keeper).until_the_end()
+            if not keeper.ticks:
+                keeper.discard()
+                return
+            account = keeper.conclude(replace(conclusion(memory), frames=frames_of(memory, job)))
+    tell_result(memory, account)
+
+
+def _opener(memory: RunMemory, job: Job, introduction: Introduction, start_ns: int) -> Opener:
+    return partial(
+        Recorder,
+        start_ns=start_ns,
+        controller_internals=introduction.internals,
+        session_id=job.session_id,
+        epoch_ns=memory.words[Word.EPOCH_NS],
+        durable=True,
+    )
+
+
+class _Trouble:
+    """What the recorder has to say of its disks, for the supervisor to show."""
+
+    def __init__(self, memory: RunMemory) -> None:
+        self._memory = memory
+        self._texts: list[str] = []
+
+    def tell(self, text: str, path: Path) -> None:
+        """One more; the session's file is at `path` by now."""
+        self._texts.append(text)
+        self._memory.post(Note.TROUBLES, {"texts": self._texts, "file": str(path)})
+        self._memory.words[Word.TROUBLES] = len(self._texts)
+
+
+class _Drain:
+    """From the rings to the keeper. What is not in a file stays in the rings, too."""
+
+    def __init__(self, memory: RunMemory, keeper: Keeper) -> None:
+        self._memory, self._keeper = memory, keeper
+        self._ticks, self._truths = memory.tick_reader(), memory.truth_reader()
+        self._ticks_end, self._truths_end = self._ticks.taken, self._truths.taken
+        self._alarm = Alarm(memory, turn=3)
+
+    def until_the_end(self) -> None:
+        """Return when the loop has ended and its board is safe, with everything handed over."""
+        flushed = time.monotonic()
+        over = False
+        while not over:
+            over = _loop_ended(self._memory)
+            if over:
+                self._wait_for_the_rescue()
+            self._alarm.look()
+            self._hand_over()
+            if time.monotonic() - flushed >= _FLUSH_S:
+                self._flush()
+                flushed = time.monotonic()
+            if not over:
+                time.sleep(_DRAIN_S)
+
+    def _wait_for_the_rescue(self) -> None:
+        """After a loop that died holding the board: until somebody has done what can be done."""
+        words = self._memory.words
+        pid = words[Word.LOOP_PID]
+
+        def done() -> bool:
+            self._alarm.look()
+            return words[Word.RESCUED_PID] == pid
+
+        if words[Word.HOLDER_PID] == pid:
+            self._memory.wait(done, _RESCUE_S)
+
+    def _hand_over(self) -> None:
+        records, self._ticks_end = self._ticks.look(self._ticks_end)
+        states, self._truths_end = self._truths.look(self._truths_end)
+        self._keeper.add(records, states)
+        columns = TICK.array(records)
+        self._memory.histogram.add(columns["late_us"].tolist(), int(columns["skipped"].sum()))
+
+    def _flush(self) -> None:
+        began_ns = time.monotonic_ns()
+        self._keeper.flush()
+        took_s = (time.monotonic_ns() - began_ns) * 1e-9
+        if took_s > _SLOW_S:
+            text = f"the disk took {took_s:.1f} s for what comes ten times a second; no tick was lost by that"
+            self._keeper.warn(self._memory.words[Word.EPOCH_NS] + began_ns, text)
+        if self._keeper.writing:
+            self._ticks.release(self._ticks_end)
+            self._truths.release(self._truths_end)
+            self._memory.words[Word.FLUSHED] = self._keeper.ticks
+
+
+def _nobody_drives(memory: RunMemory) -> bool:
+    return _loop_ended(memory) or not alive(memory.words[Word.SUPERVISOR_PID])
+
+
+def _loop_ended(memory: RunMemory) -> bool:
+    pid = memory.words[Word.LOOP_PID]
+    return pid != 0 and not alive(pid)
+
+
+def _introduction(memory: RunMemory, job: Job) -> Introduction | None:
+    told, around = memory.note(Note.INTRODUCTION), memory.note(Note.SURROUNDINGS)
+    if told is None:
+        return None
+    settings = {
+        each["name"]: f"refused: {each['refused']}" if each["refused"] else each["value"] for each in told["settings"]
+    }
+    return Introduction(
+        board=job.board,
+        identity=told["identity"],
+        virtual=job.virtual,
+        gains=told["gains"],
+        internals=told["internals"],
+        controller_source=job.controller_source,
+        controller_package=job.controller_package,
+        facts={**job.facts, "realtime": settings | told.get("pace", {}) | (memory.note(Note.DRILL) or {})},
+        profile=job.profile,
+        surroundings=Surroundings() if around is None else Surroundings.of(around),
+    )
+
+
+def conclusion(memory: RunMemory) -> Conclusion:
+    """How the run ended, as far as its memory tells."""
+    written = memory.tick_reader().written
+    timing = {"timing": {"late_us.histogram": json.dumps(memory.histogram.sparse())}}
+    injected = memory.note(Note.INJECTED)
+    if injected:
+        timing["injected"] = injected
+    told = memory.note(Note.CONCLUSION)
+    # a loop that was taken for hung or dead has nothing more to say
+    if told is None or memory.words[Word.RESCUED_PID] == memory.words[Word.LOOP_PID] != 0:
+        died = ["loop", *_others_that_died(memory)]
+        return Conclusion(_last_reason(memory), written, aborted=_how_it_died(memory), facts=timing, died=died)
+    timing["timing"] |= told["cost"]
+    reason, aborted, died = Reason(told["reason"]), told.get("aborted", ""), _others_that_died(memory)
+    return Conclusion(reason, written, told["detail"], aborted, facts=timing, died=died)
+
+
+def _others_that_died(memory: RunMemory) -> list[str]:
+    """Processes beside the loop's that died, hung or were killed, as far as the run's memory tells."""
+    words = memory.words
+    reasons = {words[Word.GUARDIAN_STOP], words[Word.STOP], _last_reason(memory)}
+    rescued = _rescue_of_the_loop(memory)
+
+    def gone(word: Word) -> bool:
+        return words[word] != 0 and not alive(words[word])
+
+    found = {
+        "recorder": gone(Word.RECORDER_PID) and memory.note(Note.RECORDER_FAILURE) is None,
+        "guardian": Reason.GUARDIAN_LOST in reasons or (rescued is not None and rescued["by"] == "supervisor"),
+        "supervisor": Reason.SUPERVISOR_LOST in reasons or (gone(Word.SUPERVISOR_PID) and not words[Word.KEPT]),
+    }
+    return [name for name, died in found.items() if died]
+
+
+def _last_reason(memory: RunMemory) -> Reason:
+    newest = memory.tick_reader().newest()
+    return Reason(int(TICK.array(newest)["reason"][0])) if newest else Reason.NONE
+
+
+def _how_it_died(memory: RunMemory) -> str:
+    """For a loop that left no conclusion."""
+    words = memory.words
+    failure = memory.note(Note.FAILURE)
+    how = "the loop's process gave up" if failure else "the loop's process died"
+    report = _rescue_of_the_loop(memory)
+    if report is not None and report["cause"] == "hung":
+        how = "the loop's process hung and was killed"
+    newest = memory.tick_reader().newest()
+    if newest:
+        how += f" after tick {int(TICK.array(newest)['tick'][0])}"
+    if failure:
+        how += f" ({failure['text'].removesuffix(f'. {STILL_ON}')})"
+    if words[Word.HOLDER_PID] != words[Word.LOOP_PID]:
+        return f"{how}; its board was safe by then"
+    return f"{how}; {rescue_in_words(report)}"
+
+
+def board_in_words(memory: RunMemory) -> str:
+    """Whether the board was left safe, by whom."""
+    words = memory.words
+    if words[Word.HOLDER_PID] != words[Word.LOOP_PID]:
+        return "the run was stopped safely"
+    return rescue_in_words(_rescue_of_the_loop(memory))
+
+
+def _rescue_of_the_loop(memory: RunMemory) -> Any:
+    """Report of who took the loop's board; None if nobody did: an older one is the drill's."""
+    words = memory.words
+    return memory.note(Note.RESCUE) if words[Word.RESCUED_PID] == words[Word.LOOP_PID] else None
+
+
+def rescue_in_words(report: Any) -> str:
+    """What became of the board of a process that died."""
+    if report is None:
+        return f"nobody took over its board. {STILL_ON}"
+    if report["failure"]:
+        return f"the {report['by']} could not make its board safe ({report['failure']}). {STILL_ON}"
+    return f"the {report['by']} made its board safe in {(report['done_ns'] - report['seen_ns']) * 1e-6:.1f} ms"
+
+
+def tell_result(memory: RunMemory, account: Account) -> None:
+    """Leave the account for the supervisor."""
+    memory.post(Note.RESULT, asdict(account) | {"reason": int(account.reason)})
+
+
+def recover_run(ring: Path, out: Path) -> Account:
+    """Session file of a run whose every process is gone, from its memory `ring`, which is then removed.
+
+    Raises SessionError if the run still goes on, if there is nothing in it, or if the file cannot be written.
+    """
+    check_output(out)
+    memory = RunMemory.open(ring)
+    if memory.in_use():
+        raise SessionError(f"{ring}: the run still goes on; stop it first")
+    job = Job.of(memory)
+    account = rebuild(memory, job, out)
+    if account is None:
+        raise SessionError(f"{ring}: holds no ticks; remove it")
+    memory.remove()
+    return account
+
+
+def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None) -> Account | None:
+    """Make the session file from the rings, and from what a dead recorder has left in the file that it wrote.
+
+    It is written to `out`, which the user may call `session`. None if there was no tick. Raises ConfigError or
+    SessionError if it cannot be written, or if what the recorder left is damaged.
+    """
+    introduction = _introduction(memory, job)
+    ticks, truths = memory.tick_reader(), memory.truth_reader()
+    if introduction is None or not ticks.written:
+        return None
+    held_from = ticks.rewind()
+    truths.rewind()
+    file = file_of(memory, job)
+    gone = bool(held_from) and not file.exists()
+    before, truths_before = _from_the_file(file, held_from, truths) if held_from and not gone else (b"", b"")
+    opener = _opener(memory, job, introduction, _first_ns(before or ticks.oldest()))
+    insist_on_own(out, job.session_id)
+    with only_whole(out) as part, opener(part) as recorder:
+        scribe = Scribe(recorder, job.config, introduction, session or out)
+        scribe.introduce()
+        scribe.add(before, truths_before)
+        scribe.add(ticks.take(), truths.take())
+        memory.histogram.clear()
+        memory.histogram.add(*scribe.lateness())
+        end = replace(conclusion(memory), frames=frames_of(memory, job))
+        anew = f"the session was made from what the run left in memory, {scribe.ticks} ticks"
+        if gone:
+            anew += f"; those before tick {held_from} were in {file}, which is gone"
+        return scribe.conclude(replace(end, detail=f"{end.detail}; {anew}" if end.detail else anew))
+
+
+def file_of(memory: RunMemory, job: Job) -> Path:
+    """What the recorder wrote last."""
+    told = memory.note(Note.TROUBLES)
+    return job.path if told is None else Path(told["file"])
+
+
+def _first_ns(records: bytes | None) -> int:
+    return int(TICK.array(records[: TICK.size])["time_ns"][0]) if records else 0
+
+
+def _from_the_file(path: Path, ticks: int, truths: RingReader) -> tuple[bytes, bytes]:
+    """What a ring that went round no longer holds: the first `ticks`, and the states before the ring's first."""
+    session = read_session(path)
+    first = truths.oldest()
+    newer_ns = int(TRUTH.array(first)["time_ns"][0]) if first else 0
+    rows = session.truth[session.truth["time_ns"] < newer_ns].tolist()
+    return bytes(session.payload[: ticks * TICK.size]), b"".join(map(TRUTH.pack, rows))

@@ -1,0 +1,34 @@
+"""A process that measures how long exchanges with the board take, with all that the loop's process has."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Final
+
+from inteco_abs.boards import open_board
+from inteco_abs.errors import AbsError
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.memory import Note, RunMemory
+from inteco_abs.realtime.ownership import tell_failure
+from inteco_abs.realtime.round_trips import choose_engine, round_trips
+from inteco_abs.realtime.tuning import loop_wishes, prepare
+
+COUNT: Final = 4000
+
+
+def main(path: str) -> int:
+    """Exchange SAFE with the board of the job in the memory at `path`; leaves the times, us, and what was tried."""
+    memory = RunMemory.open(Path(path))
+    job = Job.of(memory)
+    try:
+        with open_board(job.address, job.config, time.monotonic_ns) as board:
+            board.insist()
+            prepare(loop_wishes())
+            engines = choose_engine(board)
+            times_us = round_trips(board, COUNT)
+    except AbsError as error:
+        tell_failure(memory, Note.FAILURE, error)
+        return error.exit_code
+    memory.post(Note.RESULT, {"times_us": [round(each, 1) for each in times_us], "engines": engines})
+    return 0

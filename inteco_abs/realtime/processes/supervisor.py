@@ -1,0 +1,384 @@
+"""The supervisor: starts the processes of a run, proves the guardian, lets the loop go, watches, tells how it ended.
+
+It is the process that the user started, and the only one that hears the user's signals.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from inteco_abs import errors
+from inteco_abs.errors import AbsError, BoardError, SessionError, UnsafeError, in_a_line
+from inteco_abs.realtime.alarm import Alarm
+from inteco_abs.realtime.disk_watch import DiskWatch
+from inteco_abs.realtime.foxglove_server import address
+from inteco_abs.realtime.heartbeat import NO_MORE
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.realtime.processes.recorder import board_in_words, conclusion, rebuild
+from inteco_abs.realtime.screen import Check, NoScreen, Onlooker, Screen, Snapshot, Unbreakable
+from inteco_abs.realtime.signal_handlers import hearing
+from inteco_abs.realtime.tuning import prepare, supervisor_wishes
+from inteco_abs.realtime.watch import Watch
+from inteco_abs.sessions import EXIT_CODES, LOSSES, Account, spill_path
+from inteco_abs.signals import EXPLANATIONS, Reason
+
+_POLL_S: Final = 0.01
+_SCREEN_S: Final = 0.1
+_START_S: Final = 60.0
+_WATCHES_S: Final = 15.0
+_DRILL_S: Final = 8.0
+"""Longer than the guardian tries."""
+_RESCUE_S: Final = 20.0
+"""The guardian tries for 5 s, and the watch after that."""
+_FINISH_S: Final = 30.0
+_END_S: Final = 3.0
+_PATIENCE_S: Final = 2.0
+"""For a loop that has to end, or to begin."""
+_SAVING_S: Final = 30.0
+"""For a loop's process that writes the capture of a long run; its board is safe and the session's end is told."""
+_BY_HAND: Final = ("by-hand", "loop")
+"""In the loop's place."""
+
+
+class Supervisor:
+    """One real-time run in `memory`, whose job has been posted."""
+
+    def __init__(self, memory: RunMemory, job: Job) -> None:
+        self._memory = memory
+        self._job = job
+        self._words = memory.words
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._ticks = memory.tick_reader()
+        self._onlooker = Onlooker(memory.tick_reader(), memory.histogram, job.config.loop.rate_hz)
+        self._alive_s = 0.0
+        self._watch: Watch | None = None
+        self._watching = ExitStack()
+
+    def run(self, screen: Screen) -> Account:
+        """Do the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
+        screen = Unbreakable(screen)
+        allowed = os.sched_getaffinity(0)
+        with hearing(self._stop), screen.listening(self._stop):
+            try:
+                self._start()
+                watch = self._begin_watch()
+                self._drill(screen)
+                self._let_go(screen, watch)
+                self._until_the_loop_ends(screen, watch)
+                return self._account()
+            finally:
+                self.end()
+                os.sched_setaffinity(0, allowed)
+
+    def ask(self, role: str) -> Any:
+        """Run the process of one role alone, without guarding it; the note RESULT that it leaves."""
+        try:
+            self._await_the_mock()
+            self.spawn(role, "inteco_abs.realtime.processes", role, str(self._memory.path))
+            self._wait_for(lambda: self._memory.note(Note.RESULT) is not None, "the answer comes", role, _START_S)
+            return self._memory.note(Note.RESULT)
+        finally:
+            self.end()
+
+    @contextmanager
+    def by_hand(self, *, drill: bool) -> Iterator[None]:
+        """While inside, a process holds the board for a screen, guarded as a loop is; nothing is recorded.
+
+        `drill`: the guardian has to prove itself first, as it does before a run. Raises what kept the board from being
+        opened, or what became of it: UnsafeError if SAFE was not confirmed.
+        """
+        words = self._words
+        words[Word.UNRECORDED] = 1
+        with hearing(self._stop):
+            try:
+                self._await_the_mock()
+                for role, name in (("guardian", "guardian"), *((("drill", "drill"),) if drill else ()), _BY_HAND):
+                    self.spawn(name, "inteco_abs.realtime.processes", role, str(self._memory.path))
+                loop = self._children["loop"]
+                self._memory.name(Word.LOOP_PID, loop.pid)
+                watch = self._begin_watch()
+                if drill:
+                    self._drill(NoScreen())
+                words[Word.GUARDED_PID] = loop.pid
+                self._wait_for(lambda: words[Word.READY] == loop.pid, "the board opens", "loop", _START_S)
+                watch.judging = True
+                yield
+            finally:
+                self.end()
+                self._insist_on_safe()
+        self._tell_of_the_end()
+
+    def _rescued(self) -> Any:
+        """Report of who took the board of the process that held it; None if nobody had to."""
+        words = self._words
+        return self._memory.note(Note.RESCUE) if words[Word.RESCUED_PID] == words[Word.LOOP_PID] != 0 else None
+
+    def _insist_on_safe(self) -> None:
+        """Raise UnsafeError if SAFE was not confirmed in the end, whatever else has happened."""
+        report, told = self._rescued(), self._memory.note(Note.FAILURE)
+        if report is not None and report["failure"]:
+            raise UnsafeError(f"the process that held the board {report['cause']}, and then: {report['failure']}")
+        if report is None and told is not None and told["kind"] == UnsafeError.__name__:
+            raise raised_again(told)
+
+    def _tell_of_the_end(self) -> None:
+        """Raise what the process that held the board has said in the end, or that it has died."""
+        report, told = self._rescued(), self._memory.note(Note.FAILURE)
+        if told is not None:
+            raise raised_again(told)
+        if report is not None:
+            written = self._memory.image(Note.SAFE_IMAGE) is not None
+            then = f"the {report['by']} has written SAFE and read it back" if written else "nothing had been written"
+            raise BoardError(f"the process that held the board {report['cause']}; {then}")
+
+    def spawn(self, name: str, module: str, *arguments: str) -> None:
+        """Start a process of the run. Raises BoardError if the system refuses."""
+        try:
+            self._children[name] = subprocess.Popen(  # noqa: S603  our own modules
+                # -P: a signal.py that lies in the user's folder is not the one that is meant
+                [sys.executable, "-P", "-m", module, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=_stderr(),  # what a controller prints must not mix with the result card
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                start_new_session=True,  # Ctrl-C and a closed terminal reach the supervisor only
+            )
+        except OSError as error:
+            why = error.strerror or error
+            raise BoardError(f"the {name} process cannot be started: {why}; {NO_MORE}") from error
+
+    def _stop(self) -> None:
+        """The operator wants the run to end; whoever was first is the reason."""
+        self._words[Word.STOP] = self._words[Word.STOP] or Reason.OPERATOR_STOP
+
+    def _await_the_mock(self) -> None:
+        if "board" in self._children:
+            self._wait_for(self._memory.socket.exists, "the mock board is there", "board", _START_S)
+
+    def _start(self) -> None:
+        self._await_the_mock()
+        for role in ("guardian", "recorder", "drill", "loop"):
+            self.spawn(role, "inteco_abs.realtime.processes", role, str(self._memory.path))
+        self._memory.name(Word.LOOP_PID, self._children["loop"].pid)
+
+    def _begin_watch(self) -> Watch:
+        """In a thread of its own: drawing a screen may take its time, and outputs do not wait for it."""
+        watch = Watch(self._memory, self._job, self._children["loop"].pid, self._children["guardian"].pid)
+        self._watching.enter_context(watch.watching())
+        self._watch = watch
+        return watch
+
+    def _drill(self, screen: Screen) -> None:
+        """Before the loop may touch the board, kill a process that holds it: the guardian must be seen to take over."""
+        words, drill = self._words, self._children["drill"]
+        words[Word.GUARDED_PID] = drill.pid
+        self._wait_for(lambda: words[Word.GUARDING_PID] == drill.pid, "the guardian watches", "guardian", _WATCHES_S)
+        self._wait_for(lambda: words[Word.READY] == drill.pid, "the board opens", "drill", _START_S)
+        if self._memory.image(Note.SAFE_IMAGE) is None:
+            raise BoardError("the drill left nothing to make the board safe with; nothing was started")
+        screen.passed(Check.BOARD, self._job.board)
+        drill.kill()
+        killed_ns = time.monotonic_ns()
+        self._children.pop("drill").wait()
+        self._wait_for(lambda: words[Word.RESCUED_PID] == drill.pid, "the guardian takes over", "guardian", _DRILL_S)
+        report = self._memory.note(Note.RESCUE)
+        if report["failure"]:
+            raise UnsafeError(f"the guardian failed its drill, so nothing was started: {report['failure']}")
+        took_ms = (report["done_ns"] - killed_ns) * 1e-6
+        told = f"SAFE {took_ms:.1f} ms after the kill"
+        self._memory.post(Note.DRILL, {"guardian drill": told})
+        screen.passed(Check.GUARDIAN, told)
+
+    def _let_go(self, screen: Screen, watch: Watch) -> None:
+        words, loop = self._words, self._children["loop"]
+        words[Word.GUARDED_PID] = loop.pid
+        self._wait_for(lambda: words[Word.READY] == loop.pid, "the loop is ready", "loop", _START_S)
+        self._wait_for(lambda: words[Word.RECORDING], "the recorder is ready", "recorder", _START_S)
+        screen.passed(Check.RECORDER, self._job.session)
+        if words[Word.LIVE_PORT]:
+            screen.note(f"live view: open the connection {address(words[Word.LIVE_PORT])} in Lichtblick or Foxglove")
+        told = self._memory.note(Note.INTRODUCTION)
+        refused = [setting["name"] for setting in told["settings"] if setting["refused"]]
+        if refused:
+            screen.note(f"ticks will be late more often: refused were {', '.join(refused)}; see inteco-abs doctor")
+        prepare(supervisor_wishes())  # not before: the processes would inherit it
+        watch.judging = True
+        words[Word.GO] = 1
+
+    def _wait_for(self, condition: Callable[[], object], what: str, who: str, most_s: float) -> None:
+        end = time.monotonic() + most_s
+        while not condition():
+            if self._words[Word.STOP]:
+                raise KeyboardInterrupt
+            for name, child in self._children.items():
+                if child.poll() is not None:
+                    raise self._failure_of(name)
+            if time.monotonic() > end:
+                raise BoardError(f"{what}: not within {most_s:g} s, waiting for the {who} process; nothing was started")
+            time.sleep(_POLL_S / 10)
+
+    def _failure_of(self, name: str) -> AbsError:
+        """What a process said before it ended, as the error that it was."""
+        note = Note.RECORDER_FAILURE if name == "recorder" else Note.FAILURE
+        told = self._memory.note(note)
+        if told is None:
+            code = self._children[name].returncode
+            return BoardError(f"the {name} process ended before the run began (exit code {code}); nothing was started")
+        return raised_again(told)
+
+    def _until_the_loop_ends(self, screen: Unbreakable, watch: Watch) -> None:
+        loop = self._children["loop"]
+        disk = DiskWatch(self._memory, self._job)
+        alarm = Alarm(self._memory, turn=0, say=screen.shown)
+        shown = 0.0
+        self._alive_s = time.monotonic()
+        while loop.poll() is None:
+            watch.main_ns = time.monotonic_ns()
+            self._look_after("recorder", Reason.RECORDER_LOST)
+            alarm.look()
+            disk.look(screen)
+            self._end_what_goes_on()
+            if time.monotonic() - shown >= _SCREEN_S:
+                self._show(screen)
+                shown = time.monotonic()
+            time.sleep(_POLL_S)
+        watch.main_ns = None
+        self._show(screen)  # how it ended
+        told = self._memory.note(Note.FAILURE)
+        if told is not None and told["kind"] == UnsafeError.__name__:
+            screen.warn(told["text"])  # now: the guardian may try for seconds yet
+
+    def _end_what_goes_on(self) -> None:
+        """Kill a loop that was told to stop, or never began, or let go of the board long ago, and is still there.
+
+        Its threads, its exit or a signal may hold it; the guardian makes the board safe if it still had it.
+        """
+        words = self._words
+        if words[Word.HOLDER_PID] and self._ticks.written and not (words[Word.STOP] or words[Word.GUARDIAN_STOP]):
+            self._alive_s = time.monotonic()
+        elif time.monotonic() - self._alive_s > (_SAVING_S if words[Word.SAVING] else _PATIENCE_S):
+            self._children["loop"].kill()
+
+    def _look_after(self, name: str, reason: Reason) -> None:
+        if self._children[name].poll() is not None and not self._words[Word.STOP]:
+            self._words[Word.STOP] = reason
+
+    def _show(self, screen: Screen) -> None:
+        snapshot = self.snapshot()
+        if snapshot is not None:
+            screen.show(snapshot)
+
+    def snapshot(self) -> Snapshot | None:
+        """The newest tick, what came since the last look, and the timing so far; None before the first."""
+        return self._onlooker.look()
+
+    def _account(self) -> Account:
+        """How the run ended, from the recorder or, if that is gone, from the memory that it would have written."""
+        self._await_the_rescue()
+        recorder, memory = self._children["recorder"], self._memory
+        silent = self._words[Word.GUARDIAN_STOP] == Reason.RECORDER_LOST
+        _gone_within(recorder, _END_S if silent else _FINISH_S)
+        told = memory.note(Note.RESULT)
+        if told is not None:
+            return Account(**told | {"reason": Reason(told["reason"])})
+        failure = memory.note(Note.RECORDER_FAILURE)
+        if recorder.poll() is None:
+            recorder.kill()
+            recorder.wait()
+        account = self._rebuild(failure["text"] if failure else "")
+        if account is None:
+            told = failure or memory.note(Note.FAILURE)
+            if told is None and memory.words[Word.STOP] == Reason.OPERATOR_STOP:
+                raise KeyboardInterrupt  # who records had nothing to do any more, and went
+            why = EXPLANATIONS[Reason(memory.words[Word.GUARDIAN_STOP] or memory.words[Word.STOP])]
+            raise raised_again(told) if told else SessionError(f"the run ended before its first tick: {why}")
+        return account
+
+    def _rebuild(self, failure: str) -> Account | None:
+        """The session made from memory, where it should be or else in the second place; None if there was no tick.
+
+        `failure` is what kept the recorder from it, if that did not die. Raises SessionError if no disk takes it.
+        """
+        job, memory = self._job, self._memory
+        spill = spill_path(job.path, job.config, job.session_id)
+        refused = [failure or "the recorder process died"]
+        for place, session in ((job.path, Path(job.session)), (spill, spill)):
+            if place is None:
+                continue
+            try:
+                account = rebuild(memory, job, place, session)
+            except AbsError as error:
+                refused.append(in_a_line(error))
+                continue
+            if account is None or (len(refused) == 1 and not failure):
+                return account
+            refused += filter(None, [account.trouble])
+            return replace(account, trouble=f"{'; '.join(refused)}; the whole session is in {session}")
+        trouble = SessionError(
+            f"{board_in_words(memory)}, but {'; '.join(refused)}. "
+            f"The ticks are kept in {memory.path}: inteco-abs recover {memory.path} --out FILE"
+        )
+        trouble.exit_code = EXIT_CODES.get(conclusion(memory).outcome, LOSSES)
+        raise trouble
+
+    def _await_the_rescue(self) -> None:
+        """Until a board that its dead holder had not let go of is safe, or cannot be made so."""
+        words = self._words
+        pid = words[Word.LOOP_PID]
+        self._memory.wait(lambda: not pid or words[Word.HOLDER_PID] != pid or words[Word.RESCUED_PID] == pid, _RESCUE_S)
+
+    def end(self) -> None:
+        """Leave nothing behind: neither a process nor a held board. May be called again."""
+        words = self._words
+        loop = self._children.get("loop")
+        if self._watch is not None:
+            self._watch.judging = True
+        if loop is not None and loop.poll() is None:
+            self._stop()
+            if not _gone_within(loop, _END_S):
+                loop.kill()  # the guardian sees to the board
+                loop.wait()
+        self._await_the_rescue()  # before the guardian hears that all is over
+        for name in ("drill", "recorder"):
+            child = self._children.get(name)
+            if child is not None and not _gone_within(child, _END_S):
+                child.kill()
+        words[Word.OVER] = 1
+        for child in self._children.values():
+            if not _gone_within(child, _END_S):
+                child.kill()
+            child.wait()
+        self._watching.close()
+
+
+def _stderr() -> int:
+    try:
+        return sys.stderr.fileno()
+    except (OSError, ValueError, AttributeError):  # closed, or a notebook's
+        return subprocess.DEVNULL
+
+
+def raised_again(told: Mapping[str, Any]) -> AbsError:
+    """Another process's error, of its own class."""
+    kind = getattr(errors, told["kind"], None)
+    if isinstance(kind, type) and issubclass(kind, AbsError) and kind is not errors.ConfigError:
+        error: AbsError = kind(told["text"])
+    else:
+        error = BoardError(told["text"])
+    for note in told["notes"]:
+        error.add_note(note)
+    return error
+
+
+def _gone_within(child: subprocess.Popen[bytes], most_s: float) -> bool:
+    with suppress(subprocess.TimeoutExpired):
+        child.wait(most_s)
+    return child.returncode is not None

@@ -1,0 +1,94 @@
+"""What a run was surrounded by: installed packages, and what the source tree has that its commit has not.
+
+Looking at a hundred packages takes a tenth of a second, so it is done once a process, by who records.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import subprocess
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import Distribution, distributions
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Self
+
+from inteco_abs.sessions.provenance import git_says, is_source_tree
+from inteco_abs.version import SOURCE_FOLDER
+
+MOST_DIFF_BYTES: Final = 1_000_000
+REQUIREMENTS_NAME: Final = "requirements.txt"
+DIFF_NAME: Final = "git.diff"
+
+
+class Enclosure(NamedTuple):
+    """A file that goes into a session."""
+
+    name: str
+    media_type: str
+    data: bytes
+
+
+class Surroundings(NamedTuple):
+    """Files, and what is said about them among the facts about the software."""
+
+    files: tuple[Enclosure, ...] = ()
+    software: Mapping[str, str] = {}
+
+    def as_note(self) -> dict[str, Any]:
+        """For another process, as JSON has it."""
+        files = [[name, media_type, base64.b64encode(data).decode()] for name, media_type, data in self.files]
+        return {"files": files, "software": self.software}
+
+    @classmethod
+    def of(cls, note: Mapping[str, Any]) -> Self:
+        """What another process has gathered."""
+        files = (Enclosure(name, kind, base64.b64decode(data)) for name, kind, data in note["files"])
+        return cls(tuple(files), note["software"])
+
+
+@cache
+def surroundings() -> Surroundings:
+    """Those of this process."""
+    packages = installed_packages()
+    files = [Enclosure(REQUIREMENTS_NAME, "text/plain", packages)]
+    software = {"packages_sha256": hashlib.sha256(packages).hexdigest()}
+    diff, cut = changes(SOURCE_FOLDER)
+    if diff:
+        files.append(Enclosure(DIFF_NAME, "text/x-diff", diff))
+    if cut:
+        software["git_diff"] = f"cut after its first {MOST_DIFF_BYTES} bytes"
+    return Surroundings(tuple(files), software)
+
+
+def installed_packages() -> bytes:
+    """Every package that can be imported and its version, in the form that pip takes."""
+    found = {f"{name}\n" for name in map(_named, distributions()) if name}
+    return "".join(sorted(found, key=str.lower)).encode()
+
+
+def _named(package: Distribution) -> str:
+    """Name and version; nothing for a folder that an uninstalled package has left, or that cannot be read."""
+    try:
+        name, number = package.metadata["Name"], package.version
+    except (OSError, ValueError, LookupError, AttributeError, TypeError):
+        return ""
+    return f"{name}=={number}" if name and number else ""
+
+
+def changes(folder: Path, most_bytes: int = MOST_DIFF_BYTES) -> tuple[bytes, bool]:
+    """How the tracked files of the source tree around `folder` differ from its commit, and whether that was cut.
+
+    Nothing where there is no source tree, no git that can be started, or no difference.
+    """
+    if not is_source_tree(folder):
+        return b"", False
+    command = git_says(folder, "diff", "--no-ext-diff", "--no-textconv", "HEAD")
+    try:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as git:  # noqa: S603  fixed
+            diff = git.stdout.read(most_bytes + 1) if git.stdout else b""
+            git.kill()  # whatever else it has to say
+    except OSError:  # a computer that can start no process can still record
+        return b"", False
+    return diff[:most_bytes], len(diff) > most_bytes

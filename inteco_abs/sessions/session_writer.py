@@ -1,0 +1,265 @@
+"""Tells a run from its first line to its last: who ran what on which board, every tick, how it ended."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from inteco_abs.boards import simulated
+from inteco_abs.config import RigConfig
+from inteco_abs.errors import CaptureError
+from inteco_abs.format.schema import TICK, TRUTH
+from inteco_abs.rig import believed_parameters
+from inteco_abs.sessions.card import link_errors, result_card
+from inteco_abs.sessions.environment import Surroundings
+from inteco_abs.sessions.frames import Frames, frame_facts, packed_frames
+from inteco_abs.sessions.provenance import controller_facts
+from inteco_abs.sessions.recorded_config import CONFIG_NAME
+from inteco_abs.sessions.writer import Recorder
+from inteco_abs.signals import EXPLANATIONS, Reason
+
+_OUTCOMES: Final = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}
+EXIT_CODES: Final = {"fault": 5, "aborted": 5, "interrupted": 130}
+"""What a command ends with, by outcome; any other is done, perhaps with losses."""
+LOSSES: Final = 3
+"""What it ends with when there is something to look at."""
+
+
+@dataclass(frozen=True, slots=True)
+class Introduction:
+    """Everything that explains a run before it begins."""
+
+    board: str
+    """Address as the user gave it."""
+    identity: Mapping[str, str]
+    """What the board says of itself."""
+    virtual: bool
+    gains: Mapping[str, float]
+    internals: Sequence[str]
+    """Names of what the controller logs in c0..c3."""
+    controller_source: bytes
+    """Empty for a controller that ships."""
+    facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """More metadata: software, host, real-time settings."""
+    controller_package: str = ""
+    """Name and version of the package that the controller comes from; empty if from none."""
+    profile: bytes = b""
+    """The profile as it was written; the configuration has what became of it."""
+    surroundings: Surroundings = field(default_factory=Surroundings)
+
+
+@dataclass(frozen=True, slots=True)
+class Conclusion:
+    """How a run ended, as told by who drove it."""
+
+    reason: Reason
+    written: int
+    """Ticks that were decided."""
+    detail: str = ""
+    """What the controller raised, or the link's last error, where the reason is one of these."""
+    aborted: str = ""
+    """Why there was no proper end; empty if there was one."""
+    facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """More metadata."""
+    died: Sequence[str] = ()
+    """Processes that died, hung or were killed: of `loop`, `recorder`, `guardian`, `supervisor`."""
+    frames: Frames | None = None
+    """What has passed between host and board; None if nobody asked for that."""
+
+    @property
+    def outcome(self) -> str:
+        """`completed`, `interrupted`, `fault` or `aborted`."""
+        return "aborted" if self.aborted else _OUTCOMES.get(self.reason, "fault")
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """How a run ended, as told to the user."""
+
+    outcome: str
+    """`completed`, `interrupted`, `fault` or `aborted`."""
+    reason: Reason
+    explanation: str
+    card: dict[str, Any]
+    trouble: str = ""
+    """What a disk has refused, and what came of it, or why there are no raw frames; empty if nothing went wrong."""
+
+    injected: Mapping[str, str] = field(default_factory=dict)
+    """How often each fault that the mock board was told to have has acted, by its text."""
+
+    @property
+    def exit_code(self) -> int:
+        """5 safety stop, 130 interrupted, 3 done with overruns, losses or trouble with what was to be kept, 0 done."""
+        losses = self.trouble or any(self.card[name] for name in ("overruns", "link_errors", "lost_ticks"))
+        return EXIT_CODES.get(self.outcome, LOSSES if losses else 0)
+
+
+class Scribe:
+    """Writes one run through a `recorder` that was just opened."""
+
+    def __init__(
+        self, recorder: Recorder, config: RigConfig, introduction: Introduction, session: Path | None = None
+    ) -> None:
+        self._recorder = recorder
+        self._session = session or recorder.path  # what the file will be called
+        self._config = config
+        self.introduction = introduction
+        self._drawn = config.simulation.rig if simulated(introduction.board) else ""
+        self._ticks = bytearray()
+        self._truths = bytearray()
+
+    @property
+    def ticks(self) -> int:
+        """Ticks written so far."""
+        return len(self._ticks) // TICK.size
+
+    @property
+    def everything(self) -> tuple[bytes, bytes]:
+        """Ticks and truths that were added."""
+        return bytes(self._ticks), bytes(self._truths)
+
+    def lateness(self) -> tuple[list[float], int]:
+        """Lateness of every tick in us, and the periods that were left out between them."""
+        ticks = TICK.array(bytes(self._ticks))
+        return ticks["late_us"].tolist(), int(ticks["skipped"].sum())
+
+    def introduce(self) -> None:
+        """Everything that explains the run, on the disk before the first tick."""
+        told, config, recorder = self.introduction, self._config, self._recorder
+        parameters = believed_parameters(config.model)
+        for name, facts in told.facts.items():
+            recorder.describe(name, facts)
+        recorder.describe(
+            "rig",
+            {
+                "board": told.board,
+                **told.identity,
+                "profile": config.profile,
+                "counts_per_turn": str(config.encoders.counts_per_turn),
+                "r1_m": repr(parameters.r1),
+                "r2_m": repr(parameters.r2),
+                "parameters": config.model.parameters,
+                **_limits(config),
+                **_signature(config),
+                "simulated": str(simulated(told.board)).lower(),
+                **self._physics(),
+                "virtual_time": str(told.virtual).lower(),
+            },
+        )
+        source = told.controller_source
+        digest = hashlib.sha256(source).hexdigest() if source else ""
+        recorder.describe("controller", controller_facts(config, told.gains, digest, told.controller_package))
+        recorder.attach(CONFIG_NAME, "application/toml", config.to_toml().encode())
+        if told.profile:
+            recorder.attach("profile.toml", "application/toml", told.profile)
+        if source:
+            recorder.attach("controller.py", "text/x-python", source)
+        self._enclose()
+        recorder.begin({"reference_slip": config.controller.reference_slip, **told.gains})
+
+    def surround(self, found: Surroundings) -> None:
+        """What surrounded the run, where it could not wait for that to be gathered."""
+        self.introduction = replace(self.introduction, surroundings=found)
+        self._enclose()
+
+    def add(self, ticks: bytes, truths: bytes) -> None:
+        """More of the run: tick records and states of the simulated rig, each back to back."""
+        self.remember(ticks, truths)
+        self._recorder.ticks(ticks)
+        self._recorder.truths(truths)
+
+    def remember(self, ticks: bytes, truths: bytes) -> None:
+        """More of the run, not for the file: for the card, and for whoever tells it anew."""
+        self._ticks += ticks
+        self._truths += truths
+
+    def anew(self, recorder: Recorder, session: Path) -> Scribe:
+        """One that has told another recorder everything so far, whose file the user calls `session`."""
+        other = Scribe(recorder, self._config, self.introduction, session)
+        other.introduce()
+        other.add(*self.everything)
+        return other
+
+    def conclude(self, end: Conclusion) -> Account:
+        """Complete the file with the result card and everything that is known about the end."""
+        outcome = end.outcome
+        parts = [EXPLANATIONS[end.reason]] if end.reason is not Reason.NONE or not end.aborted else []
+        explanation = "; ".join([*parts, end.aborted] if end.aborted else parts)
+        if end.detail not in explanation:  # the link's last error is what kept SAFE from being confirmed, too
+            explanation += f": {end.detail}"
+        missing = "" if end.frames is None else self._enclose_frames(end.frames)
+        card = self._card(outcome, end, explanation)
+        for name, facts in end.facts.items():
+            self._recorder.describe(name, facts)
+        told = {"last_tick": self._last_tick() if outcome != "completed" else "", "died": ", ".join(end.died)}
+        self._recorder.describe("session", {name: text for name, text in told.items() if text})
+        self._recorder.finish(outcome, explanation, card)
+        return Account(outcome, end.reason, explanation, card, missing, end.facts.get("injected", {}))
+
+    def _enclose_frames(self, frames: Frames) -> str:
+        """What has passed between host and board, behind all ticks; if it was not kept, why."""
+        try:
+            with frames() as (head, records):
+                count = self._recorder.frames(frame_facts(head), packed_frames(head, records))
+        except CaptureError as error:
+            self._recorder.describe("frames", {"missing": str(error)})
+            return f"the session has not all raw frames: {error}"
+        self._recorder.describe("frames", {"messages": str(count)})
+        return ""
+
+    def _enclose(self) -> None:
+        found = self.introduction.surroundings
+        for file in found.files:
+            self._recorder.attach(*file)
+        if found.software:
+            self._recorder.describe("software", found.software)
+
+    def _last_tick(self) -> str:
+        ticks = TICK.array(self._ticks)
+        return str(int(ticks["tick"][-1])) if len(ticks) else ""
+
+    def _physics(self) -> dict[str, str]:
+        """What is inside the mock board."""
+        if self._drawn:
+            return {"drawn": self._drawn}
+        if simulated(self.introduction.board):
+            return {"simulated_parameters": self._config.simulation.parameters}
+        return {}
+
+    def _card(self, outcome: str, end: Conclusion, explanation: str) -> dict[str, Any]:
+        ticks = TICK.array(bytes(self._ticks))
+        metrics = result_card(self._config, ticks, TRUTH.array(bytes(self._truths)))
+        return {
+            "schema_version": 1,
+            "session": str(self._session),
+            "outcome": outcome,
+            "reason": end.reason.name,
+            "explanation": explanation,
+            "board": self.introduction.board,
+            "rig": self._drawn or None,
+            **metrics,
+            "lost_ticks": end.written - metrics["ticks"],
+            "link_errors": link_errors(ticks),
+            "payload_sha256": self._recorder.payload_sha256,
+        }
+
+
+def _limits(config: RigConfig) -> dict[str, str]:
+    """What the guard lets pass."""
+    guard = config.guard
+    return {
+        "brake_limit": repr(guard.brake_limit),
+        "drive_limit": repr(guard.drive_limit),
+        "over_speed_rad_s": repr(guard.over_speed_rad_s),
+    }
+
+
+def _signature(config: RigConfig) -> dict[str, str]:
+    """Who checked the wiring on the rig, and when; nothing if nobody did."""
+    board = config.board
+    if not board.verified_by:
+        return {}
+    return {"verified_by": board.verified_by, "verified_on": str(board.verified_on)}

@@ -1,0 +1,132 @@
+"""What the report's plots show of each session, in as many points as a page can carry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from inteco_abs.sessions import Session
+from inteco_abs.sessions.card import aligned_truth
+from inteco_abs.signals import Phase
+from inteco_abs.views.comparison import PALETTE, held_rows, since_s, start_ns, stretches
+from inteco_abs.views.decimation import Thinned, thin
+
+_POINTS: Final = 9000
+"""Of one session; they make 0.9 MB at most beside the 1.3 MB of bokeh's own script."""
+_POINTS_OF_EACH: Final = 4000
+"""Of each of several."""
+MARGIN_S: Final = 0.1
+"""Shown before braking and after the brake was let go."""
+_TICK_COLUMNS: Final = (
+    "wheel_speed_rad_s",
+    "road_speed_rad_s",
+    "slip",
+    "slip_reference",
+    "torque_demand_nm",
+    "drive",
+    "brake",
+    "switching",
+    "late_us",
+    "io_us",
+    "busy_us",
+)
+_TRUTH_COLUMNS: Final = ("slip", "brake_torque_nm")
+_LETTERS: Final = "ABCDEF"
+_MARKERS: Final = (
+    ("circle", "●"),
+    ("square", "■"),
+    ("triangle", "▲"),
+    ("diamond", "◆"),
+    ("inverted_triangle", "▼"),
+    ("star", "★"),
+)
+
+Array = npt.NDArray[Any]
+
+
+class Look(NamedTuple):
+    """By what a session is known in every plot and table."""
+
+    letter: str
+    colour: str
+    marker: str
+    sign: str
+    """The marker as a letter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """A phase of the experiment, s since braking began."""
+
+    phase: Phase
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """One session to draw; it has ticks."""
+
+    look: Look
+    session: Session
+    points: Thinned
+    """Columns of the ticks, and with `true_` before their names those of the simulated rig at their times."""
+    bands: tuple[Band, ...]
+    held_s: tuple[float, float]
+    """From when to when the plots are about: the first stop, or the whole session where there is none."""
+    whole_s: tuple[float, float]
+    braked: bool
+
+
+def courses_of(sessions: Sequence[Session]) -> list[Course]:
+    """All sessions that have ticks."""
+    most = _POINTS if len(sessions) == 1 else _POINTS_OF_EACH
+    return [_course(look_of(at), session, most) for at, session in enumerate(sessions) if len(session.ticks)]
+
+
+def look_of(at: int) -> Look:
+    """Of the session at that place."""
+    return Look(_LETTERS[at], PALETTE[at], *_MARKERS[at])
+
+
+def _course(look: Look, session: Session, most: int) -> Course:
+    start = start_ns(session)
+    time_s = since_s(session.ticks, start)
+    bands = tuple(
+        Band(each.phase, float(time_s[each.first]), float(time_s[min(each.end, len(time_s) - 1)]))
+        for each in stretches(session.ticks)
+    )
+    held, whole_s = _first_run(held_rows(session.ticks)), (float(time_s[0]), float(time_s[-1]))
+    columns = {name: session.ticks[name] for name in _TICK_COLUMNS}
+    truth = aligned_truth(session.truth, session.ticks["time_ns"])
+    if truth is not None:
+        columns |= {f"true_{name}": truth[name] for name in _TRUTH_COLUMNS}
+    return Course(
+        look,
+        session,
+        thin(columns, time_s, _matters(time_s, bands), most),
+        bands,
+        (float(time_s[held[0]]), float(time_s[held[-1]])) if len(held) else whole_s,
+        whole_s,
+        len(held) > 0,
+    )
+
+
+def _first_run(rows: Array) -> Array:
+    """The first of these rows and those that follow it without a gap."""
+    gaps = np.flatnonzero(np.diff(rows) > 1)
+    run: Array = rows[: gaps[0] + 1] if len(gaps) else rows
+    return run
+
+
+def _matters(time_s: Array, bands: Sequence[Band]) -> Array:
+    """Where the brake is in charge, and a little around it."""
+    found = np.zeros(len(time_s), bool)
+    for band in bands:
+        if band.phase in {Phase.BRAKING, Phase.STOPPED}:
+            found |= (time_s >= band.start_s - MARGIN_S) & (time_s <= band.end_s + MARGIN_S)
+    return found

@@ -1,0 +1,121 @@
+"""What a reader of a report must know before believing its curves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from inteco_abs.sessions import Session
+from inteco_abs.sessions.card import card_of, link_errors
+from inteco_abs.signals import EXPLANATIONS, BoardFlags, Phase, Reason
+from inteco_abs.views.comparison import held_rows, since_s, start_ns
+
+_WELL: Final = "completed"
+_WARNING: Final = 3
+_MOST_EVENTS: Final = 10
+
+
+def warnings_of(session: Session) -> list[str]:
+    """In the order of weight; none for a stop that went well."""
+    told = *_injected(session), *_end(session), *_guard(session)
+    return [*told, *_losses(session), *_machine(session), *_source(session), *_log(session)]
+
+
+def _injected(session: Session) -> Iterator[str]:
+    faults = session.metadata.get("injected", {})
+    if faults:
+        acted = ", ".join(f"{fault} (acted {times} times)" for fault, times in faults.items())
+        yield f"The mock board was told to fail: {acted}."
+
+
+def outcome_of(session: Session) -> str:
+    """In a word."""
+    told = session.metadata.get("session", {}).get("outcome", "")
+    return told or ("not known" if session.incomplete else "not told")
+
+
+def _end(session: Session) -> Iterator[str]:
+    if session.incomplete:
+        yield f"The file is not whole: {session.incomplete}. {len(session.ticks)} ticks could be read."
+    outcome = outcome_of(session)
+    if outcome != _WELL:
+        told = _explanation(session)
+        yield f"Outcome: {outcome}{f': {told}' if told else ''}."
+    lost = session.metadata.get("recovery", {}).get("lost", "")
+    if lost not in _explanation(session):
+        yield f"Recovered, with losses: {lost}."
+    if not len(session.ticks):
+        yield "The session holds no ticks: there is nothing to draw."
+    elif not len(held_rows(session.ticks)):
+        yield "The run ended before braking: times count from its first tick."
+
+
+def _explanation(session: Session) -> str:
+    """Of the outcome, as the result card or the session's last words tell it."""
+    told = (card_of(session) or {}).get("explanation") or session.metadata.get("session", {}).get("reason", "")
+    return str(told)
+
+
+def _guard(session: Session) -> Iterator[str]:
+    rows = np.flatnonzero(session.ticks["reason"])
+    if not len(rows):
+        return
+    tick = session.ticks[rows[0]]
+    reason = Reason(tick["reason"])
+    at_s = since_s(session.ticks[rows[:1]], start_ns(session))[0]
+    why = EXPLANATIONS[reason]
+    words = reason.name if why in _explanation(session) else f"{reason.name}, {why}"
+    phase = _last_phase(session, int(rows[0]))
+    yield f"The outputs were taken away at tick {tick['tick']} ({at_s:.4f} s), in the phase {phase}: {words}."
+
+
+def _last_phase(session: Session, row: int) -> str:
+    before = session.ticks["phase"][:row]
+    sound = before[before != Phase.FAULT]
+    return Phase(sound[-1]).name.lower().replace("_", "-") if len(sound) else "idle"
+
+
+def _losses(session: Session) -> Iterator[str]:
+    ticks = session.ticks
+    overruns = int(ticks["skipped"].sum())
+    if overruns:
+        held = held_rows(ticks)
+        while_held = int(ticks["skipped"][held].sum())
+        yield f"{overruns} periods were overrun, {while_held} of them while the brake was in charge."
+    failed = link_errors(ticks)
+    if failed:
+        yield f"{failed} exchanges with the board failed; the counts before stand in for theirs."
+    slow = int(((ticks["board_flags"] & BoardFlags.SLOW) != 0).sum())
+    if slow:
+        yield f"{slow} exchanges with the board took longer than a period."
+    lost = (card_of(session) or {}).get("lost_ticks")
+    if lost:
+        yield f"{lost} ticks were decided and are not in the file."
+
+
+def _machine(session: Session) -> Iterator[str]:
+    red = [
+        f"{name} ({told.partition(': ')[2]})"
+        for name, told in session.metadata.get("doctor", {}).items()
+        if told.startswith("red")
+    ]
+    if red:
+        yield f"The doctor found the computer unfit: {', '.join(red)}."
+
+
+def _source(session: Session) -> Iterator[str]:
+    software = session.metadata.get("software", {})
+    if software.get("git_dirty") == "true":
+        commit = software.get("git_commit", "")[:12]
+        yield f"Dirty tree: the program had changes that commit {commit} does not hold."
+
+
+def _log(session: Session) -> Iterator[str]:
+    known = [EXPLANATIONS[Reason(reason)] for reason in np.unique(session.ticks["reason"])]
+    told = [event.text for event in session.log if event.level >= _WARNING]
+    told = [text for text in told if not any(why in text for why in known)]
+    yield from (f"Log: {text}." for text in told[:_MOST_EVENTS])
+    if len(told) > _MOST_EVENTS:
+        yield f"Log: {len(told) - _MOST_EVENTS} more."

@@ -1,0 +1,192 @@
+"""Which words of the frames moved during a capture: how an unknown word is found while one slider is moved."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from functools import reduce
+from itertools import pairwise
+from operator import or_
+from typing import Final, NamedTuple
+
+from firmware_protocol.fields import FrameTable
+from inteco_abs.boards.frame_labels import (
+    UNKNOWN,
+    Protocol,
+    Role,
+    byte_offset,
+    label,
+    masks_of,
+    names_at,
+    protocol_of,
+    words_of,
+)
+from inteco_abs.wire.capture import Capture, Kind
+from inteco_abs.wire.playback import differing_words
+
+_RESTLESS: Final = 0.5
+"""A word that changes in more of the steps than this is a counter or the like, beside which others may be found."""
+_FEWEST_STEPS: Final = 8
+"""With fewer, nothing is called restless."""
+
+
+class Frames(NamedTuple):
+    """All frames of one direction, in words, and when they passed."""
+
+    table: FrameTable
+    times_s: Sequence[float]
+    words: Sequence[Sequence[int]]
+
+
+class Moved(NamedTuple):
+    """A word that had more than one value."""
+
+    direction: str
+    """SEND or READ."""
+    word: str
+    byte_offset: int
+    bits: int
+    """Mask of the bits that changed."""
+    minimum: int
+    maximum: int
+    distinct: int
+    """Number of different values."""
+    changes: int
+    """Steps from frame to frame in which it changed."""
+    alone: float
+    """Share of them in which no other word of the frame moved, but for restless ones; 0..1."""
+    restless: bool
+    """It changed in most steps, as counters and frame numbers do."""
+    course: str
+    """"rises" or "falls" if it went one way only, modulo its size; else "both ways"."""
+    first_s: float
+    last_s: float
+    fields: tuple[str, ...]
+    """Named by the tables; "unknown" stands for bits that they do not name."""
+
+
+def frames_of(capture: Capture, role: Role) -> Frames:
+    """SEND frames or READ answers of the capture. Raises ConfigError for a board that has no tables."""
+    protocol = protocol_of(capture.board)
+    table = protocol.send if role is Role.SEND else protocol.read
+    found = [record for record in capture.records if _role(protocol, record.kind, record.data) is role]
+    return Frames(table, [record.t_s for record in found], [words_of(table, record.data) for record in found])
+
+
+def moved_words(capture: Capture) -> list[Moved]:
+    """SEND frames' words first; in each direction the likeliest to be what was moved by hand comes first.
+
+    That is: words that moved while all others stood, unknown ones before named ones, restless ones last.
+    """
+    return [
+        word
+        for direction, role in (("SEND", Role.SEND), ("READ", Role.READ))
+        for word in _ranked(direction, frames_of(capture, role))
+    ]
+
+
+def _role(protocol: Protocol, kind: Kind, data: bytes) -> Role | None:
+    if kind is Kind.OUT:
+        return protocol.role_out(data)
+    return protocol.role_in(data) if kind is Kind.IN else None
+
+
+def _ranked(direction: str, frames: Frames) -> list[Moved]:
+    columns = {word: values for word, values in enumerate(zip(*frames.words, strict=True)) if len(set(values)) > 1}
+    steps = {word: _steps(values) for word, values in columns.items()}
+    count = len(frames.words) - 1
+    restless = {word for word, at in steps.items() if count >= _FEWEST_STEPS and len(at) > _RESTLESS * count}
+    moving = Counter(step for word, at in steps.items() if word not in restless for step in at)
+    found = []
+    for word, values in columns.items():
+        at, own = steps[word], int(word not in restless)
+        bits = reduce(or_, (value ^ values[0] for value in set(values)))
+        found.append(
+            Moved(
+                direction,
+                label(frames.table, word),
+                byte_offset(frames.table, word),
+                bits,
+                min(values),
+                max(values),
+                len(set(values)),
+                len(at),
+                sum(moving[step] == own for step in at) / len(at),
+                word in restless,
+                _course(values, 1 << frames.table.payload_bits),
+                frames.times_s[at[0]],
+                frames.times_s[at[-1]],
+                names_at(frames.table, word, bits),
+            )
+        )
+    return sorted(found, key=lambda one: (one.restless, -one.alone, UNKNOWN not in one.fields, one.byte_offset))
+
+
+def _steps(values: Sequence[int]) -> list[int]:
+    """Numbers of the frames that differ from the one before."""
+    return [index for index in range(1, len(values)) if values[index] != values[index - 1]]
+
+
+def _course(values: Sequence[int], size: int) -> str:
+    steps = [(after - before) % size for before, after in pairwise(values) if after != before]
+    if all(step < size // 2 for step in steps):
+        return "rises"
+    return "falls" if all(step > size // 2 for step in steps) else "both ways"
+
+
+class SendDifference(NamedTuple):
+    """A word in which the SEND frames of two captures are not the same."""
+
+    word: str
+    byte_offset: int
+    bits: int
+    frames: int
+    """Pairs of frames that differ here."""
+    first_frame: int
+    """The first such pair, from 1, and the word's values there."""
+    first_value: int
+    second_value: int
+    fields: tuple[str, ...]
+
+
+class SendComparison(NamedTuple):
+    """Outcome of comparing the n-th SEND frame of one capture with the n-th of another."""
+
+    first_frames: int
+    second_frames: int
+    differing_frames: int
+    words: tuple[SendDifference, ...]
+
+    @property
+    def same(self) -> bool:
+        """Whether both captures send the same, to the last frame."""
+        return not self.differing_frames and self.first_frames == self.second_frames
+
+
+def compare_sends(first: Capture, second: Capture, ignored: Sequence[str] = ()) -> SendComparison:
+    """Compare what two captures send, without the fields named in `ignored`. Raises ConfigError for unknown ones."""
+    protocol = protocol_of(first.board)
+    masks = masks_of(protocol.send, protocol.fields(ignored))
+    one, other = ([r.data for r in c.records if _is_send(protocol, r.kind, r.data)] for c in (first, second))
+    found: dict[int, SendDifference] = {}
+    differing = 0
+    for number, (a, b) in enumerate(zip(one, other, strict=False), 1):
+        words = differing_words(protocol.send, a, b, masks)
+        differing += bool(words)
+        for word, bits, then, now in words:
+            known = found.get(word)
+            found[word] = (
+                SendDifference(
+                    label(protocol.send, word), byte_offset(protocol.send, word), bits, 1, number, then, now, ()
+                )
+                if known is None
+                else known._replace(bits=known.bits | bits, frames=known.frames + 1)
+            )
+    named = tuple(
+        found[word]._replace(fields=names_at(protocol.send, word, found[word].bits)) for word in sorted(found)
+    )
+    return SendComparison(len(one), len(other), differing, named)
+
+
+def _is_send(protocol: Protocol, kind: Kind, data: bytes) -> bool:
+    return kind is Kind.OUT and protocol.role_out(data) is Role.SEND

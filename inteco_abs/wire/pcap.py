@@ -1,0 +1,223 @@
+"""Import of Wireshark captures: the messages of one board out of what a USB monitor saw of all devices.
+
+Nothing of ours runs on the captured side, so that the vendor's own program can be watched with its own board.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT, FRAME_BYTES
+from firmware_protocol.rtdac_usb2_bridge import ENDPOINT_JTAG_IN, ENDPOINT_JTAG_OUT
+from inteco_abs.boards.frame_labels import protocol_of
+from inteco_abs.errors import CaptureError, ConfigError, Mistake
+from inteco_abs.version import __version__
+from inteco_abs.wire.byte_stream import FTDI_IN, FTDI_OUT, ByteStream
+from inteco_abs.wire.capture import Capture, Kind, Record
+from inteco_abs.wire.usbmon import IN, LINK_TYPES, Transfer, Urb, decode
+
+_JTAG: Final = (ENDPOINT_JTAG_OUT, ENDPOINT_JTAG_IN)
+_USB2: Final = "usb2"
+_LITTLE_PCAP: Final = (b"\xd4\xc3\xb2\xa1", b"\x4d\x3c\xb2\xa1", b"\x34\xcd\xb2\xa1")
+"""First bytes of little-endian pcap files: microseconds, nanoseconds, and one with longer packet headers."""
+_PCAPNG: Final = b"\x0a\x0d\x0d\x0a"
+_BIG_PCAPNG: Final = b"\x1a\x2b\x3c\x4d"
+_ORDER_AT: Final = 8
+_NO_LIBRARY: Final = "Wireshark captures need the package dpkt: pip install inteco-abs[capture]"
+
+
+class Packet(NamedTuple):
+    """A decoded packet and when it was captured, s."""
+
+    time_s: float
+    urb: Urb
+
+
+def import_pcap(path: Path, *, board: str = _USB2, device: str = "") -> Capture:
+    """Messages of one board in a pcap or pcapng file.
+
+    `device` is its BUS.ADDRESS; without it the only device that talks like this board is taken. Raises CaptureError
+    for a file that cannot be used, or if no device or several could be meant, ConfigError for a wrong `board` or
+    `device`.
+    """
+    protocol_of(board)
+    if device and not _is_device(device):
+        raise ConfigError([Mistake("--device", f"{device!r}: must be bus and address, as in 1.5")])
+    link_type, packets = _read(path)
+    chosen = device or _only_candidate(path, packets, board)
+    own = [packet for packet in packets if packet.urb.device == chosen]
+    if not own:
+        raise CaptureError(f"{path}: nothing of device {chosen}; {_seen(packets)}")
+    start_s = packets[0].time_s
+    records = _Messages(start_s, board).collect(own)
+    if not any(record.kind in {Kind.OUT, Kind.IN} for record in records):
+        raise CaptureError(
+            f"{path}: device {chosen} exchanges nothing with a host as this board does; {_seen(packets)}"
+        )
+    source = f"inteco-abs {__version__} out of {path.name}, device {chosen}"
+    return Capture(board, source, f"of the monitor, {LINK_TYPES[link_type]}", tuple(records), str(path))
+
+
+def _is_device(text: str) -> bool:
+    bus, _, address = text.partition(".")
+    return all(part.isascii() and part.isdecimal() for part in (bus, address))
+
+
+def _read(path: Path) -> tuple[int, list[Packet]]:
+    """Link type and packets of the file; raises CaptureError."""
+    if find_spec("dpkt") is None:
+        raise CaptureError(_NO_LIBRARY)
+    from dpkt import dpkt, pcap, pcapng  # noqa: PLC0415  an extra
+
+    try:
+        with path.open("rb") as file:
+            start = file.read(_ORDER_AT + len(_BIG_PCAPNG))
+            file.seek(0)
+            reader = (pcapng if start.startswith(_PCAPNG) else pcap).Reader(file)
+            link_type = reader.datalink()
+            if link_type not in LINK_TYPES:
+                known = "; ".join(f"{number} is {what}" for number, what in LINK_TYPES.items())
+                raise CaptureError(f"{path}: link type {link_type} is no USB monitor's; {known}")
+            packets = list(_decoded(path, reader, link_type, big_endian=_big_endian(start)))
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (dpkt.Error, ValueError, ArithmeticError, IndexError, struct.error, MemoryError) as error:
+        # what the library lets through from a damaged file
+        raise CaptureError(
+            f"{path}: is no pcap or pcapng file, or is damaged or cut off ({error or type(error).__name__})"
+        ) from error
+    if not packets:
+        raise CaptureError(f"{path}: holds no packets; start the capture before the program that uses the board")
+    return link_type, packets
+
+
+def _big_endian(start: bytes) -> bool:
+    if start.startswith(_PCAPNG):
+        return start.endswith(_BIG_PCAPNG)
+    return not start.startswith(_LITTLE_PCAP)
+
+
+def _decoded(
+    path: Path, reader: Iterable[tuple[float, bytes]], link_type: int, *, big_endian: bool
+) -> Iterator[Packet]:
+    for number, (time_s, packet) in enumerate(reader, 1):
+        try:
+            yield Packet(float(time_s), decode(packet, link_type, big_endian=big_endian))
+        except CaptureError as error:
+            raise CaptureError(f"{path}: packet {number} {error}") from error
+
+
+def _only_candidate(path: Path, packets: Iterable[Packet], board: str) -> str:
+    talks = _talks_usb2 if board.startswith(_USB2) else _talks_usb1
+    found = sorted({packet.urb.device for packet in packets if talks(packet.urb)})
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise CaptureError(
+            f"{path}: several devices talk like this board: {', '.join(found)}; choose one with --device"
+        )
+    raise CaptureError(f"{path}: no device talks like this board; {_seen(packets)}")
+
+
+def _talks_usb2(urb: Urb) -> bool:
+    return (
+        urb.transfer == Transfer.BULK and urb.endpoint in {ENDPOINT_OUT, ENDPOINT_IN} and len(urb.data) == FRAME_BYTES
+    )
+
+
+def _talks_usb1(urb: Urb) -> bool:
+    return urb.transfer == Transfer.BULK and urb.endpoint == FTDI_OUT and urb.data[:1] in {b"\x80", b"\x81", b"\x82"}
+
+
+def _seen(packets: Iterable[Packet]) -> str:
+    """Which devices there are, and what they do, for a person to choose from."""
+    counts: Counter[tuple[str, int]] = Counter()
+    for _, urb in packets:
+        if urb.transfer == Transfer.BULK and urb.data:
+            counts[urb.device, urb.endpoint] += 1
+    if not counts:
+        return "the file holds no bulk transfers with data at all: was the right bus captured?"
+    listed = ", ".join(f"{device} ({n} on endpoint 0x{ep:02x})" for (device, ep), n in sorted(counts.items()))
+    return f"bulk transfers in the file: {listed}; choose one with --device"
+
+
+@dataclass
+class _Messages:
+    """Turns one device's packets into records.
+
+    What the host sends stands in the packet that hands it over, what the device sends in the one that comes back.
+    A message whose transfer comes back as failed was not taken.
+    """
+
+    start_s: float
+    board: str
+    _records: list[Record] = field(default_factory=list)
+    _under_way: dict[tuple[int, int], int] = field(default_factory=dict)
+    """Where the record of a transfer out stands, by number and endpoint, until it comes back."""
+    _requests: dict[tuple[int, int], bytes] = field(default_factory=dict)
+    _jtag: Counter[int] = field(default_factory=Counter)
+
+    def collect(self, packets: Iterable[Packet]) -> list[Record]:
+        """All records, in the order of the packets."""
+        data_endpoints = (ENDPOINT_OUT, ENDPOINT_IN) if self.board.startswith(_USB2) else (FTDI_OUT, FTDI_IN)
+        for time_s, urb in packets:
+            t_s = time_s - self.start_s
+            if urb.transfer == Transfer.CONTROL:
+                self._control(t_s, urb)
+            elif urb.transfer == Transfer.BULK and urb.endpoint in data_endpoints:
+                (self._answer if urb.endpoint & IN else self._message)(t_s, urb)
+            elif self.board.startswith(_USB2) and urb.endpoint in _JTAG:
+                self._warn_of_jtag(t_s, urb)
+        if self.board.startswith(_USB2):
+            return self._records
+        return ByteStream().messages(self._records)
+
+    def _message(self, t_s: float, urb: Urb) -> None:
+        key = urb.number, urb.endpoint
+        if not urb.done:
+            if urb.length and not urb.data:
+                self._warn(t_s, f"{urb.length} bytes were sent here, and the monitor did not keep them")
+                return
+            self._under_way[key] = len(self._records)
+            self._records.append(Record(t_s, Kind.OUT, urb.endpoint, urb.data))
+        elif (place := self._under_way.pop(key, None)) is not None and urb.failure:
+            sent = self._records[place]
+            self._records[place] = sent._replace(kind=Kind.ERROR, text=f"transfer failed: {urb.failure}", of="out")
+
+    def _answer(self, t_s: float, urb: Urb) -> None:
+        if not urb.done:
+            return
+        if urb.failure and not urb.data:
+            self._records.append(Record(t_s, Kind.ERROR, urb.endpoint, text=f"transfer failed: {urb.failure}", of="in"))
+        elif urb.length and not urb.data:
+            self._warn(t_s, f"{urb.length} bytes were received here, and the monitor did not keep them")
+        else:
+            self._records.append(Record(t_s, Kind.IN, urb.endpoint, urb.data))
+
+    def _control(self, t_s: float, urb: Urb) -> None:
+        """One record a transfer: with its data where it takes some to the device, else when it comes back."""
+        key = urb.number, urb.endpoint & ~IN
+        if urb.setup:
+            if urb.setup[0] & IN:
+                self._requests[key] = urb.setup
+            else:
+                self._records.append(Record(t_s, Kind.CONTROL, 0, urb.data, setup=urb.setup))
+        elif urb.done and (setup := self._requests.pop(key, None)) is not None:
+            self._records.append(Record(t_s, Kind.CONTROL, 0, urb.data, setup=setup))
+
+    def _warn_of_jtag(self, t_s: float, urb: Urb) -> None:
+        if not self._jtag[urb.endpoint]:
+            self._warn(
+                t_s,
+                f"endpoint 0x{urb.endpoint:02x} programs the FPGA: its transfers are left out, and are never replayed",
+            )
+        self._jtag[urb.endpoint] += 1
+
+    def _warn(self, t_s: float, text: str) -> None:
+        self._records.append(Record(t_s, Kind.WARNING, text=text))

@@ -1,0 +1,195 @@
+"""A link that answers out of a capture, and compares what it is told with what was told then."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from firmware_protocol.fields import FrameTable, Layout
+from inteco_abs.boards.frame_labels import Role, byte_offset, label, masks_of, names_at, protocol_of, words_of
+from inteco_abs.boards.transports.links import Link
+from inteco_abs.errors import CaptureError, LinkError
+from inteco_abs.wire.capture import Capture, Kind, Record
+
+MOST_DIFFERENCES: Final = 10_000
+"""Kept in full; further ones are only counted."""
+
+
+class Difference(NamedTuple):
+    """One word in which a message of ours is not the captured one, or a whole message out of place."""
+
+    message: int
+    """Number of ours among those written so far, from 1."""
+    place: str
+    """The word, as in `w22`; `order` or `length` where it is the whole message."""
+    byte_offset: int
+    fields: tuple[str, ...]
+    captured: str
+    ours: str
+
+    def __str__(self) -> str:
+        named = f" ({', '.join(self.fields)})" if self.fields else ""
+        return (
+            f"message {self.message}, {self.place} at byte {self.byte_offset}{named}: "
+            f"captured {self.captured}, ours {self.ours}"
+        )
+
+
+class CaptureLink(Link):
+    """The board of a capture. Answers come in the captured order, the captured failures too.
+
+    The n-th SEND frame is compared with the captured n-th, other messages with those of their role, and once it is
+    noted if the roles come in another order than then. Differences are collected in `differences`; if `strict`, the
+    first one is raised as CaptureError as well. `numbering` is a field that numbers the frames, as in
+    `pwm7_prescaler`: it is not compared, and answers carry our number in place of the captured, as the board's would.
+    Raises LinkError when there is nothing more to answer or to compare with.
+    """
+
+    def __init__(self, capture: Capture, *, strict: bool = False, numbering: str = "") -> None:
+        self.differences: list[Difference] = []
+        self.differing = 0
+        """Differences in all, those beyond the list too."""
+        self._capture = capture
+        self._protocol = protocol_of(capture.board)
+        self._strict = strict
+        names = self._protocol.fields([numbering] if numbering else [])
+        self._numbering = _Numbering(self._protocol.send, self._protocol.read, numbering) if numbering else None
+        self._ignored = masks_of(self._protocol.send, names)
+        self._lanes: dict[Role | None, deque[tuple[int, Record]]] = {}  # answers, good or not, are those of None
+        for index, record in enumerate(capture.records):
+            if record.kind in {Kind.OUT, Kind.IN, Kind.ERROR}:
+                self._lanes.setdefault(self._lane(record), deque()).append((index, record))
+        self._written = 0
+        self._newest_s = 0.0
+        self._furthest = -1
+        self._ahead = False  # whether something captured later has been used already
+        self._ordered = True
+        self._closed = False
+
+    @property
+    def left(self) -> int:
+        """Captured messages and failures that nobody has asked for yet."""
+        return sum(map(len, self._lanes.values()))
+
+    def now_ns(self) -> int:
+        """When what was used last passed the wire, since the capture began."""
+        return round(self._newest_s * 1e9)
+
+    def write(self, data: bytes | bytearray) -> None:
+        """Compare one message with the captured one."""
+        ours = bytes(data)
+        self._written += 1
+        role = self._protocol.role_out(ours)
+        index, captured = self._next(role, role)
+        found = [*self._order(index, role), *self._compare(captured.data, ours)]
+        if self._numbering is not None and role is Role.SEND:
+            self._numbering.note(ours)
+        first = self.differing == 0
+        self.differing += len(found)
+        self.differences += found[: MOST_DIFFERENCES - len(self.differences)]
+        if found and first and self._strict:  # once: what follows makes the board safe and must go through
+            raise CaptureError(f"{self._capture.name}: {found[0]}")
+        if captured.kind is Kind.ERROR:
+            raise LinkError(f"as captured: {captured.text}")
+
+    def read(self, length: int) -> bytes:
+        """The next captured answer."""
+        _, captured = self._next(None, "answers")
+        if captured.kind is Kind.ERROR:
+            raise LinkError(f"as captured: {captured.text}")
+        if self._numbering is not None and self._protocol.role_in(captured.data) is Role.READ:
+            return self._numbering.put_into(captured.data)[:length]
+        return captured.data[:length]
+
+    def discard(self, length: int) -> None:
+        """Nothing: answers that were dropped are not in a capture."""
+
+    def close(self) -> None:
+        """Nothing more is answered."""
+        self._closed = True
+
+    def _lane(self, record: Record) -> Role | None:
+        is_answer = record.kind is Kind.IN or (record.kind is Kind.ERROR and record.of != "out")
+        return None if is_answer else self._protocol.role_out(record.data)
+
+    def _next(self, lane: Role | None, wanted: str) -> tuple[int, Record]:
+        if self._closed:
+            raise LinkError("the capture is closed")
+        waiting = self._lanes.get(lane)
+        if not waiting:
+            raise LinkError(
+                f"{self._capture.name} has no more {wanted}: it held {self._capture.messages} messages, "
+                f"{self._written} were written in this replay"
+            )
+        index, record = waiting.popleft()
+        self._newest_s = max(self._newest_s, record.t_s)
+        self._ahead = self._furthest > index
+        self._furthest = max(self._furthest, index)
+        return index, record
+
+    def _order(self, index: int, role: Role) -> list[Difference]:
+        if not (self._ahead and self._ordered):
+            return []
+        self._ordered = False
+        first_line = 2  # behind the header
+        captured, ours = f"line {index + first_line}, a {role}", f"only after line {self._furthest + first_line}"
+        return [Difference(self._written, "order", 0, (), captured, ours)]
+
+    def _compare(self, captured: bytes, ours: bytes) -> list[Difference]:
+        table = self._protocol.send
+        if len(captured) != len(ours):
+            return [Difference(self._written, "length", 0, (), f"{len(captured)} bytes", f"{len(ours)} bytes")]
+        if captured == ours:
+            return []
+        if self._protocol.role_out(ours) is not Role.SEND:
+            return [Difference(self._written, "message", 0, (), captured.hex(), ours.hex())]
+        return [
+            Difference(
+                self._written,
+                label(table, word),
+                byte_offset(table, word),
+                names_at(table, word, mask),
+                f"0x{then:04X}",
+                f"0x{now:04X}",
+            )
+            for word, mask, then, now in differing_words(table, captured, ours, self._ignored)
+        ]
+
+
+def differing_words(
+    table: FrameTable, first: bytes, second: bytes, ignored: dict[int, int]
+) -> list[tuple[int, int, int, int]]:
+    """Word, bits that differ and both values, for each word in which two frames of one size are not the same."""
+    both = enumerate(zip(words_of(table, first), words_of(table, second), strict=True))
+    return [(word, mask, a, b) for word, (a, b) in both if (mask := (a ^ b) & ~ignored.get(word, 0))]
+
+
+class _Numbering:
+    """Carries the number of our newest SEND frame into captured answers, as a board echoes it."""
+
+    def __init__(self, send: FrameTable, read: FrameTable, name: str) -> None:
+        if name not in send.fields or name not in read.fields:
+            raise CaptureError(f"{name} numbers no frames: it must be a field of both {send.title} and {read.title}")
+        self._send, self._read = send, read
+        self._from, self._to = send.fields[name][1], read.fields[name][1]
+        self._number: int | None = None
+
+    def note(self, frame: bytes) -> None:
+        self._number = _gather(words_of(self._send, frame), self._from, self._send.data_from)
+
+    def put_into(self, frame: bytes) -> bytes:
+        if self._number is None:
+            return frame
+        image = bytearray(frame)
+        size = self._read.word_bits // 8
+        for part in self._to:
+            at = byte_offset(self._read, part.word + self._read.data_from)
+            word = int.from_bytes(image[at : at + size], "little") & ~(part.mask << part.low)
+            word |= (self._number >> part.shift & part.mask) << part.low
+            image[at : at + size] = word.to_bytes(size, "little")
+        return bytes(image)
+
+
+def _gather(words: Sequence[int], layout: Layout, data_from: int) -> int:
+    return sum((words[part.word + data_from] >> part.low & part.mask) << part.shift for part in layout)

@@ -1,0 +1,210 @@
+"""A link that writes down what passes through it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from inteco_abs.boards.frame_labels import protocol_name, protocol_of
+from inteco_abs.boards.transports.links import Link
+from inteco_abs.config import RigConfig
+from inteco_abs.errors import CaptureError, ConfigError, Mistake
+from inteco_abs.version import __version__
+from inteco_abs.wire.capture import Capture, Kind, Record, check_target, write_capture
+
+_OUT, _IN, _ERROR = (kind.value for kind in (Kind.OUT, Kind.IN, Kind.ERROR))
+MOST_MESSAGES: Final = 300_000
+"""A hundred thousand ticks of three messages; about 150 MB of memory with the frames of an RT-DAC/USB2."""
+
+
+class RecordingLink(Link):
+    """Does what `inner` does, and keeps every message and failure in memory until `save` writes them to `path`.
+
+    Saving takes a second or two for a long run, so it is apart from closing, which must not wait. Once
+    `most_messages` are kept, newer ones are only counted, and the file says so: a replay needs the beginning.
+    Answers that `discard` drops are not seen and not kept. `endpoints` are the addresses of OUT and IN, if there are
+    any; `now_ns` is a monotonic clock. Without a `path` nothing is written, and what was kept is `capture`. Raises
+    CaptureError if no capture can be made at `path`, ConfigError for an unknown `board`.
+    """
+
+    def __init__(
+        self,
+        inner: Link,
+        path: Path | None,
+        *,
+        board: str = "usb2",
+        endpoints: tuple[int | None, int | None] = (None, None),
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        most_messages: int = MOST_MESSAGES,
+    ) -> None:
+        if path is not None:
+            check_target(path)
+        self.dropped = 0
+        """Messages that were not kept."""
+        self._inner = inner
+        self.engines, self.keeps_boundaries = inner.engines, inner.keeps_boundaries
+        self._path = path
+        self._board = protocol_of(board).board
+        self._endpoints = dict(zip((_OUT, _IN), endpoints, strict=True))
+        self._now_ns = now_ns
+        self._most = most_messages
+        # time, kind, data, text, of; all of them atoms, so that the garbage collector has nothing to go through
+        self._kept: list[tuple[int, str, bytes, str, str]] = []
+        self._start_ns = now_ns()
+
+    @property  # all of these are the inner link's
+    def timeout_s(self) -> float:
+        """How long a call waits for the board, in s."""
+        return self._inner.timeout_s
+
+    @timeout_s.setter
+    def timeout_s(self, timeout_s: float) -> None:
+        self._inner.timeout_s = timeout_s
+
+    @property
+    def engine(self) -> str:
+        """The way in use to move an exchange's transfers."""
+        return self._inner.engine
+
+    @engine.setter
+    def engine(self, engine: str) -> None:
+        self._inner.engine = engine
+
+    def write(self, data: bytes | bytearray) -> None:
+        """Send one message."""
+        start_ns = self._now_ns()
+        try:
+            self._inner.write(data)
+        except BaseException as error:
+            self._keep(self._now_ns(), _ERROR, bytes(data), _words(error), "out")
+            raise
+        self._keep(start_ns, _OUT, bytes(data))
+
+    def read(self, length: int) -> bytes:
+        """Receive one message."""
+        try:
+            data = self._inner.read(length)
+        except BaseException as error:
+            self._keep(self._now_ns(), _ERROR, b"", _words(error), "in")
+            raise
+        self._keep(self._now_ns(), _IN, data)
+        return data
+
+    def exchange(self, first: bytes | bytearray, second: bytes, length: int) -> bytes:
+        """Send two messages and receive one, the way the inner link does it."""
+        start_ns = self._now_ns()
+        try:
+            data = self._inner.exchange(first, second, length)
+        except BaseException as error:
+            self._keep(start_ns, _OUT, bytes(first))
+            self._keep(start_ns, _OUT, bytes(second))
+            self._keep(self._now_ns(), _ERROR, b"", _words(error), "exchange")
+            raise
+        self._keep(start_ns, _OUT, bytes(first))
+        self._keep(start_ns, _OUT, bytes(second))
+        self._keep(self._now_ns(), _IN, data)
+        return data
+
+    def discard(self, length: int) -> None:
+        """Drop what has arrived."""
+        self._inner.discard(length)
+
+    def prepare(self, length: int) -> None:
+        """The inner link's own preparation, and what it may refuse."""
+        self._inner.prepare(length)
+
+    def close(self) -> None:
+        """Let go of the board."""
+        self._inner.close()
+
+    def save(self) -> None:
+        """Write all that was kept so far. Raises CaptureError."""
+        if self._path is not None:
+            write_capture(self._path, self.capture())
+
+    def capture(self) -> Capture:
+        """What was kept so far."""
+        records = [
+            Record((at_ns - self._start_ns) * 1e-9, Kind(kind), self._endpoints.get(kind), data, text, of)
+            for at_ns, kind, data, text, of in self._kept
+        ]
+        if self.dropped:
+            text = f"{self.dropped} more messages passed and were not kept: {self._most} are the most"
+            records.append(Record(records[-1].t_s if records else 0.0, Kind.WARNING, text=text))
+        recorded_by = f"inteco-abs {__version__}"
+        name = str(self._path or "the recording")
+        return Capture(self._board, recorded_by, "monotonic", tuple(records), name, self._start_ns)
+
+    def _keep(self, at_ns: int, kind: str, data: bytes, text: str = "", of: str = "") -> None:
+        if len(self._kept) < self._most:
+            self._kept.append((at_ns, kind, data, text, of))
+        else:
+            self.dropped += 1
+
+
+"""Puts something around the link to a board before the board gets it."""
+
+
+class Recording:
+    """Puts a recording around each link to the board of `config`, if there is a `path` to save it at, or `keep`."""
+
+    def __init__(self, path: Path | None, config: RigConfig, now_ns: Callable[[], int], *, keep: bool) -> None:
+        self._path, self._config, self._now_ns = path, config, now_ns
+        self._wanted = keep or path is not None
+        self._links: list[RecordingLink] = []
+
+    def __call__(self, link: Link) -> Link:
+        """`link`, with the recording around it."""
+        if not self._wanted:
+            return link
+        self._links.append(
+            RecordingLink(link, self._path, board=protocol_name(self._config.board), now_ns=self._now_ns)
+        )
+        return self._links[-1]
+
+    def capture(self) -> Capture | None:
+        """What has passed the newest link so far; None if there was no link."""
+        return self._links[-1].capture() if self._links else None
+
+    def save(self) -> None:
+        """Write what was recorded, if anywhere. Raises CaptureError."""
+        for link in self._links:
+            link.save()
+
+
+@contextmanager
+def recording(
+    path: Path | None, config: RigConfig, now_ns: Callable[[], int] = time.monotonic_ns, *, keep: bool = False
+) -> Iterator[Recording]:
+    """Gives what puts a recording around a link, and saves it at `path` in the end; without a path, it is only kept.
+
+    Raises CaptureError if the file cannot be written; where something else was wrong already, as a note of that.
+    """
+    if path is not None or keep:
+        check_recordable("--frames" if path is None else "--record-wire", config)
+    if path is not None:
+        check_target(path)
+    around = Recording(path, config, now_ns, keep=keep)
+    try:
+        yield around
+    except BaseException as error:
+        try:
+            around.save()
+        except CaptureError as second:
+            error.add_note(str(second))
+        raise
+    around.save()
+
+
+def check_recordable(option: str, config: RigConfig) -> None:
+    """Raise ConfigError, which names the `option` that asks for a recording, if such a board has no messages."""
+    if config.board.kind == "pci":
+        raise ConfigError([Mistake(option, "a board on the PCI bus has registers, no messages to record")])
+    protocol_name(config.board)
+
+
+def _words(error: BaseException) -> str:
+    return str(error) or type(error).__name__

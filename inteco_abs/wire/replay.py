@@ -1,0 +1,118 @@
+"""Our driver against a board that is only a capture: what it would have written where something else was written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from firmware_protocol import FrameTable, ProtocolError
+from firmware_protocol.pwm import PWM_FULL_WIDTH
+from inteco_abs.boards import board_behind
+from inteco_abs.boards.frame_labels import Role, protocol_name, protocol_of
+from inteco_abs.config import BoardConfig, RigConfig
+from inteco_abs.errors import BoardError, CaptureError, ConfigError, Mistake
+from inteco_abs.signals import BoardFlags, Command
+from inteco_abs.wire.capture import Capture, Kind
+from inteco_abs.wire.playback import CaptureLink, Difference
+
+_MODES: Final = ("8-bit", "12-bit")
+
+
+class WireReplay(NamedTuple):
+    """What came of it."""
+
+    exchanges: int
+    failed: int
+    differing: int
+    """Words in which what we wrote is not what the capture holds, in all."""
+    differences: list[Difference]
+    ended: str
+    """Why it ended before the capture did; empty if it did not."""
+
+
+def replay_wire(capture: Capture, config: RigConfig) -> WireReplay:
+    """Enter the captured board, give it the captured duties, leave it, and compare every message.
+
+    No outputs are at stake, so whatever logic the capture shows is driven. Raises CaptureError for a capture without
+    frames, ConfigError if the profile is made for another kind of board.
+    """
+    if protocol_name(config.board) != capture.board:
+        problem = f"{protocol_name(config.board)}, the capture is of a {capture.board} board; name another profile"
+        raise ConfigError([Mistake("board", problem)])
+    numbering = f"pwm{config.board.numbering_pwm}_prescaler" if config.board.numbering_pwm >= 0 else ""
+    link = CaptureLink(capture, numbering=numbering)
+    trusted = config.board.model_copy(update=_as_signed(capture))
+    if not any(_holds_timer(protocol_of(capture.board).send, frame, trusted) for frame in _sends(capture)[:1]):
+        # by a program that does not use it
+        trusted = trusted.model_copy(update={"timer": -1})
+    board = board_behind(link, config.model_copy(update={"board": trusted}), link.now_ns)
+    done = failed = 0
+    ended = ""
+    try:
+        with board:
+            for command in _commands(capture, trusted):
+                if command is None:
+                    board.make_safe()
+                    continue
+                failed += BoardFlags.STALE in board.exchange(command).board_flags
+                done += 1
+    except BoardError as error:
+        ended = str(error.__cause__ or error)  # no motor is at stake: what UnsafeError warns of does not matter
+    return WireReplay(done, failed, link.differing, link.differences, ended)
+
+
+def _as_signed(capture: Capture) -> dict[str, object]:
+    """The profile's keys as if the lab had signed for the captured board."""
+    protocol = protocol_of(capture.board)
+    for record in capture.records:
+        if record.kind is Kind.IN and protocol.role_in(record.data) is Role.READ:
+            header = protocol.header(record.data)
+            break
+    else:
+        raise CaptureError(f"{capture.name} holds no READ answer, so nothing tells which board it was")
+    version = int(header["logic_version"])
+    return {
+        "logic_version": version,
+        "application_names": [str(header["application_name"])],
+        "read_only": "",
+        "verified_by": "nobody: the board is a capture",
+        "verified_logic": version,
+    }
+
+
+def _commands(capture: Capture, wiring: BoardConfig) -> Iterator[Command | None]:
+    """Duties of the captured SEND frames, None for SAFE; the first and the last our driver writes of its own accord.
+
+    With a timer, a frame that holds it at zero and the next one are SAFE.
+    """
+    table = protocol_of(capture.board).send
+    full = PWM_FULL_WIDTH[_MODES.index(wiring.pwm_mode)]
+    names = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
+    ours = 1 if wiring.timer < 0 else 2
+    held = False
+    for frame in _sends(capture)[ours:-ours]:
+        before, held = held, _holds_timer(table, frame, wiring)
+        if held:
+            yield None
+        elif not before:
+            try:
+                values = table.decode_some(frame, names)
+            except ProtocolError:
+                continue
+            drive, brake = (min(1.0, int(values[name]) / full) for name in names)
+            yield Command(drive, brake)
+
+
+def _sends(capture: Capture) -> list[bytes]:
+    size = protocol_of(capture.board).send.size
+    return [record.data for record in capture.records if record.kind is Kind.OUT and len(record.data) == size]
+
+
+def _holds_timer(table: FrameTable, frame: bytes, wiring: BoardConfig) -> bool:
+    """Whether a captured program set the wiring's timer to zero, as our driver does."""
+    if wiring.timer < 0 or "timer_reset" not in table.fields:
+        return False
+    try:
+        return bool(int(table.decode_some(frame, ["timer_reset"])["timer_reset"]) >> wiring.timer & 1)
+    except ProtocolError:
+        return False

@@ -1,0 +1,103 @@
+"""What a capture holds, in numbers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+from statistics import median
+from typing import Any, NamedTuple
+
+from firmware_protocol.fields import ProtocolError
+from inteco_abs.boards.frame_labels import Protocol, Role, protocol_of
+from inteco_abs.wire.capture import Capture, Kind
+
+
+class Traffic(NamedTuple):
+    """Messages of one role."""
+
+    messages: int
+    rate_hz: float | None
+    """From the first to the last; None with fewer than two, or all at once."""
+    median_interval_s: float | None
+    longest_interval_s: float | None
+
+
+class Summary(NamedTuple):
+    """Whole capture."""
+
+    board: str
+    recorded_by: str
+    clock: str
+    duration_s: float
+    traffic: dict[str, Traffic]
+    errors: dict[str, int]
+    """How often each one came."""
+    control_transfers: int
+    warnings: tuple[str, ...]
+    logic_version: int | None
+    """That the first READ answer tells."""
+    application_name: str
+    caution: str
+    """Says when the tables that name the fields were made for another logic."""
+
+
+def summarize(capture: Capture) -> Summary:
+    """Counts, rates, errors, and which board it was. Raises ConfigError for a board that has no tables."""
+    protocol = protocol_of(capture.board)
+    times_s: dict[str, list[float]] = {}
+    for record in capture.records:
+        if record.kind is Kind.OUT:
+            times_s.setdefault(protocol.role_out(record.data), []).append(record.t_s)
+        elif record.kind is Kind.IN:
+            role = protocol.role_in(record.data)
+            times_s.setdefault("other answer" if role is Role.OTHER else role, []).append(record.t_s)
+    version, name = _identity(capture, protocol)
+    at_s = [record.t_s for record in capture.records]
+    return Summary(
+        capture.board,
+        capture.recorded_by,
+        capture.clock,
+        max(at_s) - min(at_s) if at_s else 0.0,
+        {role: _traffic(found) for role, found in times_s.items()},
+        dict(Counter(record.text for record in capture.records if record.kind is Kind.ERROR)),
+        sum(record.kind is Kind.CONTROL for record in capture.records),
+        tuple(record.text for record in capture.records if record.kind is Kind.WARNING),
+        version,
+        name,
+        caution(capture),
+    )
+
+
+def caution(capture: Capture) -> str:
+    """Why the names of fields may be wrong; empty if the board's logic is that of the tables, or unknown."""
+    protocol = protocol_of(capture.board)
+    version, _ = _identity(capture, protocol)
+    if None in {version, protocol.logic_version} or version == protocol.logic_version:
+        return ""
+    return (
+        f"the board has logic 0x{version:04X}, the names are those of logic 0x{protocol.logic_version:04X} "
+        "and may be wrong"
+    )
+
+
+def _identity(capture: Capture, protocol: Protocol) -> tuple[int | None, str]:
+    for record in capture.records:
+        if record.kind is Kind.IN and protocol.role_in(record.data) is Role.READ:
+            return _header(record.data, protocol)
+    return None, ""
+
+
+def _header(frame: bytes, protocol: Protocol) -> tuple[int, str]:
+    version = int.from_bytes(frame[:2], "little")  # words or bytes 0 and 1 in every logic of every board
+    try:
+        values: dict[str, Any] = protocol.read.decode_some(frame, ["application_name"])
+    except ProtocolError:  # a logic whose tables demand another version
+        return version, ""
+    return version, str(values["application_name"])
+
+
+def _traffic(times_s: list[float]) -> Traffic:
+    steps = [after - before for before, after in pairwise(times_s)]
+    total = sum(steps)
+    rate = len(steps) / total if total > 0 else None
+    return Traffic(len(times_s), rate, median(steps) if steps else None, max(steps) if steps else None)
