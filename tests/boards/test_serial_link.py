@@ -23,8 +23,8 @@ from inteco_abs.boards.transports import serial_link, serial_ports
 from inteco_abs.boards.transports.serial_link import SerialLink
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, LinkError, UnsafeError
-from inteco_abs.host import latency
 from inteco_abs.mock_board import ByteStream, Device, PtyServer, face_of
+from inteco_abs.realtime import round_trips
 from inteco_abs.signals import Command
 from inteco_abs.wire.recording import RecordingLink
 
@@ -429,13 +429,13 @@ class TestWithTheMock:
 
     def test_a_rate_that_the_board_cannot_keep_is_refused_with_one_that_it_can(self, served, monkeypatch):
         config, server = served
-        monkeypatch.setattr(latency, "_RATE_TRIALS", 50)
+        monkeypatch.setattr(round_trips, "_RATE_TRIALS", 50)
         server.delay_s = 0.006
         with (
             new_board(config, server) as board,
             pytest.raises(BoardError, match="longer than the period of 4000 us") as e,
         ):
-            latency.insist_on_rate(board, config.period_ns)
+            round_trips.insist_on_rate(board, config.period_ns)
         rate_hz = int(str(e.value).partition("set loop.rate_hz to ")[2].split()[0])
         assert 1 <= rate_hz <= 1 / (1.2 * 0.006)
 
