@@ -36,11 +36,7 @@ is sent as zero.
 * One pin-out of CN1 is common to servo, TRAS and rpend (confirmed there, inferred for the ABS rig): PWM 0 has thermal
   input 18, PWM 19, brake 20, direction 21; PWM 1 has thermal input 22, PWM 23, brake 24, direction 25. Their programs
   set a brake pin while its width is 0. All three let timer 0 run free (mode 1, reset 0) at 20 MHz.
-* Source S1: the vendor's C# sample for this board, as adapted in is-centre/rtdacusb2-bridge-app at 49a5c5d (facts
-  only; the code is the vendor's). S4: the vendor's C++ sample for the two-rotor rig (TRAS), "RT-DAC/USB2 board - I/O
-  procedures" of 2011-06-06, and its S-function. S5: code that Simulink has generated from the vendor's block
-  "RT-DAC/USB2 Generic Driver Customised for Servo", driver version 2.11. S10: the vendor's compiled S-function for the
-  reaction pendulum (rpend), which calls `rpend_RTDACUSB2_x64.dll`.
+* Sources S1, S4, S5, S10: [docs/facts/sources.md](../docs/facts/sources.md#s1).
 
 ### Generic logic, 0x{logic:04X}
 """
@@ -66,8 +62,8 @@ they were read, what is only read is sent as zero.
 * On opening, the vendor's library resets the chip, sets its latency timer to {latency} ms and enables the event
   character 0x{event:02X}.
 * Logic version and name are in the same bytes in every logic: they tell which table holds.
-* Source S2: the vendor's C library for this board, version 1.5, as kept in antonio2uofa/BiT-AMO at 46d3cab (facts
-  only; the code is the vendor's). Inferred here means that the place is confirmed, but not all of the meaning.
+* Source S2: [docs/facts/sources.md](../docs/facts/sources.md#s2). Inferred here means that the place is
+  confirmed, but not all of the meaning.
 """
 
 _PCI: Final = """\
@@ -79,12 +75,12 @@ always accessed whole. `0x04[12:16]` is bits 12 to 15 of the register at byte of
 * **Index, then data**: a register with an index exists once per channel. Write the channel to the index register,
   then access the data register, and let nobody in between: the pair is not atomic.
 * **Alarm flags are advisory.** The sources disagree which of bits 0 and 2 is the temperature's and which the speed's
-  (K1), and whether 1 means tripped (K2). Nothing may rest on them.
+  (K1), and whether 1 means tripped (K2; [contradictions](../docs/facts/boards.md#contradictions)). Nothing may rest on
+  them.
 * **Thresholds are only read.** Whether they can be written is unknown, and no source does it.
 * At {collisions} the ABS logic has thresholds where the generic map has its A/D converter: a program
   made for the one must not write to the other. The version is checked before anything is written.
-* Source S3: the vendor's ABS software and manuals for this board, as kept in
-  Octavian-Duma/Antilock-Braking-System-Control at 7e3a2b8 (facts only; the software is the vendor's).
+* Source S3: [docs/facts/sources.md](../docs/facts/sources.md#s3).
 """
 
 _PCI_GENERIC: Final = """\

@@ -4,8 +4,8 @@ All accesses are 32 bits wide, at a byte offset from the base of an I/O range of
 logic in the FPGA, not to the board: other rigs' logics have their PWM elsewhere, and the ABS logic has thresholds
 where the generic map has its A/D converter. So the version must be checked before anything is written.
 
-All facts come from S3 of the project's fact sheet on the boards, the vendor's ABS software for this board with its
-manuals. K1 and K2 are that sheet's conflicts about the alarm flags.
+All facts come from the vendor's ABS software for this board with its manuals (docs/facts/sources.md#s3). K1 and K2 are
+contradictions about the alarm flags (docs/facts/boards.md#contradictions).
 """
 
 from __future__ import annotations

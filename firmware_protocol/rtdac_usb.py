@@ -7,7 +7,7 @@ moves from bit 0 (READ) to bit 6 (SEND) of its byte, above the prescaler's two t
 Data bytes have the same number in both directions: data byte n is byte n of a READ frame, and byte n + 1 of a SEND
 frame, behind the command. The two logics agree in bytes 0 to 30, but for the number of pin modes, and above 92.
 
-All facts come from S2 of the project's fact sheet on the boards, the vendor's C library for this board. A field is
+All facts come from the vendor's C library for this board (docs/facts/sources.md#s2). A field is
 marked inferred where its place is known but not all of its meaning.
 """
 

@@ -9,9 +9,7 @@ the vendor ships with its rigs three are known in part: servo (S5), TRAS (S4) an
 not published: its table has what those three share. A word that a table does not name belongs to something unknown;
 `sent_back` says what is written to it. Offsets above word 106 belong to the logic version.
 
-Sources: S1 is the vendor's C# sample for this board, S4 the vendor's C++ host library and S-function for its two-rotor
-rig (TRAS), S5 code that Simulink has generated from the vendor's block "RT-DAC/USB2 Generic Driver Customised for
-Servo", S10 the compiled S-function of the vendor's reaction pendulum (rpend).
+Sources: S1, S4, S5 and S10 of docs/facts/sources.md.
 """
 
 from __future__ import annotations

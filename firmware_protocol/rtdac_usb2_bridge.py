@@ -1,6 +1,6 @@
 """RT-DAC/USB2 on the bus: ids, strings, endpoints and vendor requests of its Cypress bridge.
 
-`rtdac_usb2` has the frames that travel over the two data endpoints. Sources S1 and S4 as there.
+`rtdac_usb2` has the frames that travel over the two data endpoints. Sources: S1 and S4 of docs/facts/sources.md.
 """
 
 from typing import Final

@@ -1,6 +1,6 @@
 """How far a replayed signal may be from the logged one, in value and in time; how much a flag comes early or late.
 
-The words are those of Simulink Test: absolute, relative, leading, lagging (fact sheet on sessions, 11.3).
+The words are Simulink Test's: absolute, relative, leading, lagging (docs/facts/sessions.md#comparison-of-signals).
 """
 
 from __future__ import annotations

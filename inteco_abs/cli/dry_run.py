@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Condition = Callable[[], object]
 """Raises AbsError unless it holds."""
 _MCAP_BYTES: Final = 31
-"""Around each record of a session, before compression; fact sheet on sessions, section 4.2."""
+"""Around each record of a session, before compression (docs/facts/sessions.md#size-of-a-record)."""
 
 
 class Planned(NamedTuple):

@@ -29,7 +29,7 @@ from inteco_abs.cli.run import planned_run, run
 from inteco_abs.errors import AbsError, ConfigError, Mistake
 
 _COOL_DOWN_S: Final = 30.0
-"""What the manual asks for after the brake was switched off for heat; fact sheet on the rig, section 10."""
+"""What the manual asks for after a switch-off for heat (docs/facts/rig.md#how-the-rig-is-run)."""
 _OWN: Final = ("out", "figure", "as_json", "wire", "frames", "dry_run")
 """Options of `run` that are for one stop, or that a series has of its own."""
 _NOT_PLANNED: Final = ("live", "quiet")

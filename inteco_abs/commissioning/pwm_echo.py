@@ -21,7 +21,7 @@ _REQUEST: Final = (
 _DUTIES: Final = ((0.05, 0.0), (0.0, 0.2), (0.1, 0.1), (0.0, 0.0))
 """Of drive and brake. So small that little would happen if the interface were on after all."""
 _SETTINGS: Final = (("12-bit", 2), ("8-bit", 44))
-"""Modes and prescalers near 3.5 kHz (fact sheet on the boards, section 6)."""
+"""Modes and prescalers near 3.5 kHz (docs/facts/boards.md#pwm-and-counters)."""
 _HOLD_S: Final = 0.1
 _MOST_COUNTS: Final = 8
 """A wheel that stands on an edge may count a little."""

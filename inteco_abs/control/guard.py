@@ -46,7 +46,8 @@ _RELEASE_GRACE_NS: Final = 300_000_000
 class Guard:
     """Admits a command as it is, clamped, or not at all; once tripped, only SAFE.
 
-    Limits of sample checks follow the project's hazard sheet. Judged on raw counts: a wrong estimator cannot blind it.
+    Limits of sample checks: docs/facts/hazards.md#quantities-behind-the-guard. Judged on raw counts, so that a wrong
+    estimator cannot blind it.
     """
 
     def __init__(self, config: RigConfig) -> None:

@@ -1,7 +1,7 @@
 """Is this computer fit for the 2 kHz loop? Looks at it and says what to change; changes nothing.
 
-Verdicts follow the fact sheet on real time (sections 6 and 12); figures of a session are those of the loop's ring and
-of its file.
+Verdicts follow docs/facts/real-time.md#techniques and docs/facts/real-time.md#acceptance-figures; figures of a session
+are those of the loop's ring and of its file.
 """
 
 from __future__ import annotations

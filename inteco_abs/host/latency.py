@@ -92,7 +92,7 @@ def judge_settings(settings: Sequence[Setting]) -> Judgement:
 
 
 def judge_wake_ups(seen: WakeUps) -> Judgement:
-    """By the acceptance figures for a stock kernel on a quiet computer (fact sheet on real time, section 12)."""
+    """By the acceptance figures for a stock kernel on a quiet computer (docs/facts/real-time.md#acceptance-figures)."""
     periods = seen.beats + seen.missed
     found = (
         f"late {seen.late_us}; {seen.missed} of {periods} periods missed"

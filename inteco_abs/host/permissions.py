@@ -18,7 +18,7 @@ UDEV_FILE: Final = "/etc/udev/rules.d/70-inteco-abs.rules"
 LIMITS_FILE: Final = "/etc/security/limits.d/70-inteco-abs.conf"
 PCI_VENDOR, PCI_DEVICE = "0x10b5", "0x2497"
 PCI_REGISTERS: Final = "resource2"
-"""The BAR with the registers (fact sheet on the boards, section 2)."""
+"""The BAR with the registers (docs/facts/boards.md#identities)."""
 
 _SERIAL_GROUPS: Final = ("dialout", "uucp")
 _SERIAL: Final = re.compile(r"[\w-]{1,32}", re.ASCII)

@@ -12,7 +12,7 @@ _STAIR_STEP_S: Final = 0.25
 """Five lags of the brake, so that each step settles."""
 _COAST_RATE_HZ: Final = 500.0
 _COAST_TIMEOUT_S: Final = 120.0
-"""A coast-down from 180 rad/s takes about 48 s (fact sheet of the rig, section 17)."""
+"""A coast-down from 180 rad/s takes about 48 s (docs/facts/rig.md#checks-of-a-simulation)."""
 _SLOW_TIMEOUT_S: Final = 20.0
 
 

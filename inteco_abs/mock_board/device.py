@@ -22,11 +22,11 @@ from inteco_abs.rig.rng import WORD, mixed
 _COUNTER_RANGE: Final = 1 << 32
 MINIMUM_SUPPLY_V: Final = 12.3
 MAXIMUM_CELSIUS: Final = 80.0
-"""The PCI board's limits on the manual's screens (fact sheet on the boards, 5.2)."""
+"""The PCI board's limits on the manual's screens (docs/facts/boards.md#pci-registers-of-the-abs-logic)."""
 
 
 def _pin_of_generic_logic(settings: Mapping[str, int], channel: int) -> bool:
-    """RT-DAC/USB2: three pins a channel, of which the third is the PWM's (fact sheet on the boards, 3.3)."""
+    """RT-DAC/USB2: three pins a channel, of which the third is the PWM's (docs/facts/boards.md#generic-usb2-logic)."""
     pin = 3 * channel + 2
     return bool(settings.get("pin_mode", 0) >> pin & 1 and not settings.get("pin_direction", 0) >> pin & 1)
 

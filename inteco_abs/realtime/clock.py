@@ -77,7 +77,7 @@ class PacedClock:
     Sleeps until shortly before a deadline and spins the rest. How long it spins follows how late this machine wakes
     up: a wake-up past its deadline makes the spin longer at once, all others make it a little shorter, so that about
     one wake-up in a thousand is late. Never more than 40 % of a period: that much spinning never met the kernel's
-    limit on real-time processes (fact sheet on real time, 7.5).
+    limit on real-time processes (docs/facts/real-time.md#throttling).
     """
 
     def __init__(self, period_ns: int) -> None:

@@ -1,6 +1,6 @@
 """What a process asks of the machine to be punctual. Every wish may be refused, and each refusal says why.
 
-Ranked and measured in the fact sheet on real time (section 6); values follow LinuxCNC's and Klipper's practice.
+Ranked and measured in docs/facts/real-time.md#techniques; values follow LinuxCNC's and Klipper's practice.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The proof, before each run, that the one-shot in the emergency chain closes when it is fed, and opens when not.
 
-Protections fail by not being armed, not by not firing (fact sheet on hazards, finding 9).
+Protections fail by not being armed, not by not firing (docs/facts/hazards.md#findings, 9).
 """
 
 from __future__ import annotations

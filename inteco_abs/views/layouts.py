@@ -2,7 +2,7 @@
 
 Columns come from the table of the tick, so one that was renamed cannot stay behind. Formats: Lichtblick 1.28 (layout
 data, panels Plot, StateTransitions and Log, which it calls RosOut) and PlotJuggler 3.17 (layout 2.3.8, loader of MCAP,
-parser of protobuf), as far as their sources tell; fact sheet on sessions and views, section 2.1.
+parser of protobuf), as far as their sources tell (docs/facts/sessions.md#encodings).
 """
 
 from __future__ import annotations

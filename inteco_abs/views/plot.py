@@ -1,8 +1,8 @@
 """A plot over time in letters: eight dots to a letter (braille), or one mark where the terminal knows ASCII only.
 
 One cell cannot have two colours: curves differ in being solid or dashed too, and where two meet the first one's colour
-is shown. numpy makes all dots at once, in a fifth of a millisecond, where a plotting library takes five (fact sheet on
-sessions and views, section 8.1).
+is shown. numpy makes all dots at once, in a fifth of a millisecond, where a plotting library takes five
+(docs/facts/sessions.md#cost-of-a-screen).
 """
 
 from __future__ import annotations

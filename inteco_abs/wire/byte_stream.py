@@ -1,7 +1,7 @@
 """Messages of a first-generation board out of the byte stream of its FTDI chip.
 
-Sources: the project's fact sheet on the boards, section 4, for the messages; the chip's packets of 64 bytes begin
-with two bytes of modem status each (as every driver of these chips knows).
+Sources: docs/facts/boards.md#first-generation for the messages, docs/facts/usb.md#ftdi-chip for the chip's packets of
+64 bytes, each of which begins with two bytes of status.
 """
 
 from __future__ import annotations

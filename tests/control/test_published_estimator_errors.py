@@ -1,4 +1,4 @@
-"""Errors of the filters along an ideal stop, offline: the table of the fact sheet on the rig, 13.1.
+"""Errors of the filters along an ideal stop, offline: the table in docs/facts/rig.md#speed-estimators.
 
 On a rig that the tuning tool does not draw, and two positions of the encoders' lines. Windows have their own test.
 """

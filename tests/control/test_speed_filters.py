@@ -42,7 +42,7 @@ def test_where_the_counter_stands_does_not_matter(name):
 
 @pytest.mark.parametrize(("wn", "lag"), [(100.0, 2.42), (200.0, 1.19), (400.0, 0.58)])
 def test_a_tracking_loop_lags_by_its_damping_over_its_frequency(wn, lag):
-    """Figures of the fact sheet on the rig, 13.1: at the deceleration of a stop, 136 rad/s2."""
+    """Figures of docs/facts/rig.md#speed-estimators: at the deceleration of a stop, 136 rad/s2."""
     speeds = follow(TrackingLoop(PER_TURN, wn), lambda t: 200.0 * t - 0.5 * 136.0 * t * t, 1.0)
     late = [speed - (200.0 - 136.0 * k * PERIOD_S) for k, speed in enumerate(speeds)][-500:]
     assert statistics.fmean(late) == pytest.approx((1.8 / wn - 0.5 * PERIOD_S) * 136.0, rel=0.01)
@@ -51,7 +51,7 @@ def test_a_tracking_loop_lags_by_its_damping_over_its_frequency(wn, lag):
 
 @pytest.mark.parametrize(("density", "deviation"), [(3e4, 0.06), (3e5, 0.11), (3e6, 0.22)])
 def test_the_kalman_filter_does_not_lag_at_constant_deceleration(density, deviation):
-    """Figures of the fact sheet on the rig, 13.1: bias 0.00, standard deviations as given."""
+    """Figures of docs/facts/rig.md#speed-estimators: bias 0.00, standard deviations as given."""
     speeds = follow(KalmanFilter(PER_TURN, density), lambda t: 200.0 * t - 0.5 * 136.0 * t * t, 0.75)
     late = [speed - (200.0 - 136.0 * k * PERIOD_S) for k, speed in enumerate(speeds)][-1000:]
     assert statistics.fmean(late) == pytest.approx(0.0, abs=0.03)

@@ -108,7 +108,7 @@ def _since(each, sample):
 
 
 def check(before, event, after):
-    """The invariants of the hazard sheet, section 8, as far as the decision path is concerned."""
+    """The invariants of docs/facts/hazards.md#invariants, as far as the decision path is concerned."""
     tick, pipeline = after.tick, after.pipeline
     was, reason = before.pipeline.phase, before.pipeline.reason
     where = f"{was.name} {event} -> {pipeline.phase.name}"

@@ -130,7 +130,7 @@ READ_ONLY = {
     },
 }
 
-# bytes of which the fact sheet names no bit
+# bytes of which the vendor's library names no bit (docs/facts/sources.md#s2)
 UNUSED_READ = {
     0x0111: [2, 48, 53, 58, 63, 70, 75, 82, 87, 92, *range(141, 150)],
     0x0112: [2, *range(81, 93), *range(141, 150)],

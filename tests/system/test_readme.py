@@ -95,21 +95,6 @@ def test_the_figures_in_the_readmes_table_are_those_of_the_program(card):
             assert result[name] == pytest.approx(float(text), abs=0.6 * last_digit)
 
 
-def anchors(text):
-    """What its headings are called by, as GitHub does."""
-    headings = re.findall(r"^#+ (.+)$", re.sub(r"```.*?```", "", text, flags=re.DOTALL), re.MULTILINE)
-    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_link_leads_somewhere(page):
-    for target in re.findall(r"\]\((?!https?:)([^)]+)\)", re.sub(r"```.*?```", "", PAGES[page], flags=re.DOTALL)):
-        path, _, anchor = target.partition("#")
-        file = (page.parent / path).resolve() if path else page
-        assert file.exists(), target
-        assert not anchor or anchor in anchors(PAGES[file]), target
-
-
 @pytest.mark.parametrize("picture", sorted((ROOT / "tools/images").iterdir()), ids=lambda picture: picture.name)
 def test_every_picture_is_one_not_too_large_and_shown(picture):
     data = picture.read_bytes()

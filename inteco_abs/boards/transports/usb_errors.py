@@ -24,7 +24,7 @@ _WORDS: Final = {
     errno.EBUSY: "another program has the board: end it, one program at a time",
     errno.EOVERFLOW: "the board sent more than was asked for: does another program use it, or is it another board?",
 }
-"""By errno, as pyusb gives it (fact sheet on emulated hardware, section 4)."""
+"""By errno, as pyusb gives it (docs/facts/usb.md#errors)."""
 
 
 def failure(number: int | None, told: object, timeout_ms: float = TIMEOUT_MS) -> LinkError:

@@ -16,7 +16,8 @@ class HeldDifference:
     The dead zone of +-0.05 m/s takes this much off what is beyond it, as Simulink's block does: 0.5 rad/s of either
     wheel. Lag: T0/2 when fresh, 3*T0/2 when oldest, T0 in the mean. Noise: (2 pi/(N*T0))/sqrt(6) by counting, 0.125
     rad/s with 2048 counts in 10 ms, and a*T0/sqrt(12) by holding at the deceleration a, 0.39 rad/s in a stop.
-    T0, zone and offset are the toolbox's (fact sheet on the rig, section 9); that the zone subtracts is inferred.
+    T0, zone and offset are the toolbox's; that the zone subtracts is inferred
+    (docs/facts/rig.md#measurement-and-limits).
     """
 
     __slots__ = ("_angle_ns", "_count", "_due_ns", "_speed", "_then_ns", "_zone_rad_s")

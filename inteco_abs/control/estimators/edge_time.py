@@ -13,9 +13,9 @@ class EdgeTime:
     that trembles on a line stands still. Lag: half the time between the two edges, and the age of the newest.
 
     With stamps of a board (`edge_ns`), the noise is that of the stamp, v*25 ns/window with a 40 MHz clock, and a window
-    of 0 serves best: then it is the newest edges of two samples (fact sheet on the rig, 13.1).
+    of 0 serves best: then it is the newest edges of two samples (docs/facts/rig.md#speed-estimators).
     None of the supported boards stamps edges: the PCI logic counts them in a window, and what the USB2's chronometers
-    listen to is unknown (fact sheet on the boards, 3.3 and 5.2). Without stamps, an edge is taken to be as old as the
+    listen to is unknown (docs/facts/boards.md#generic-usb2-logic). Without stamps, an edge is taken to be as old as the
     first sample that shows its count, and is up to a period older: the noise is q/sqrt(6) with q = min(2 pi/N,
     v*period)/window. So this is the moving window as long as counts come in every period, and better only below that,
     at 6 rad/s with 2048 counts and 2 kHz.

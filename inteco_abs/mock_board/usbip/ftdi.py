@@ -1,7 +1,7 @@
 """The mock RT-DAC/USB as a USB device: an FTDI bridge between the bus and the byte stream of `usb`.
 
 Which chip the real board has is UNKNOWN; this one is an FT232R, so that the kernel's `ftdi_sio` makes a serial port of
-it. Source: the fact sheet on emulated hardware, section 3.3.
+it. Source: docs/facts/usb.md#ftdi-chip.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A process that opens the board, holds it safe, and waits to be killed, so that the guardian proves itself.
 
-Protections fail by not being armed, not by not firing (fact sheet on hazards, finding 9).
+Protections fail by not being armed, not by not firing (docs/facts/hazards.md#findings, 9).
 """
 
 from __future__ import annotations

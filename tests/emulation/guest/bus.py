@@ -1,6 +1,6 @@
 """In the guest: devices from a USB/IP server on a Unix socket, plugged into the kernel, and what it made of them.
 
-The steps are those of the fact sheet on emulated hardware, section 9.5.
+The steps are those of docs/facts/usb.md#attaching-over-usbip.
 """
 
 import importlib

@@ -1,7 +1,7 @@
 """What the USB bridge of an RT-DAC/USB2 does besides carrying frames: tells its firmware's dates, lights an LED.
 
 Requests to endpoint 0 only: they need no claim, reach neither the FPGA nor an output, and may be made while another
-program drives the board. Source: fact sheet on the boards, 3.2. `device` is pyusb's, as `usb.boards` finds it.
+program drives the board. Source: docs/facts/boards.md#vendor-requests. `device` is pyusb's, as `usb.boards` finds it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from inteco_abs.errors import LinkError
 
 NOT_TOLD: Final = "not told"
 _TIMEOUT_MS: Final = 1000
-"""The vendor's own, for each endpoint (fact sheet, 3.1); nothing is driven meanwhile."""
+"""The vendor's own, for each endpoint (docs/facts/boards.md#endpoints); nothing is driven meanwhile."""
 _FROM_DEVICE, _TO_DEVICE = 0xC0, 0x40
 """Vendor requests, recipient device: INFERRED, the defaults of the vendor's USB library."""
 _ADDRESSES: Final = struct.Struct("<2xHH")
