@@ -10,7 +10,7 @@ from inteco_abs.boards.transports.links import Link
 from inteco_abs.boards.transports.usb_transport import open_usb
 from inteco_abs.config import UsbConfig
 from inteco_abs.errors import BoardError
-from inteco_abs.host import latency
+from inteco_abs.realtime import round_trips
 from inteco_abs.signals import BoardFlags
 
 
@@ -95,8 +95,8 @@ class TimedBoard:
 
 def chosen(monkeypatch, **answers_us):
     board = TimedBoard(**answers_us)
-    monkeypatch.setattr(latency, "time", board)
-    return board, latency.choose_engine(board)
+    monkeypatch.setattr(round_trips, "time", board)
+    return board, round_trips.choose_engine(board)
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_a_board_that_answers_with_no_engine_is_refused(monkeypatch):
 
 
 def test_a_board_without_a_choice_keeps_its_engine_and_is_not_timed(monkeypatch):
-    monkeypatch.setattr(latency, "time", None)
+    monkeypatch.setattr(round_trips, "time", None)
     plain = SimpleNamespace(engines=(), engine="one-by-one")
-    assert latency.choose_engine(plain) == {"engine": "one-by-one"}
-    assert latency.choose_engine(SimpleNamespace(engines=(), engine="")) == {}
+    assert round_trips.choose_engine(plain) == {"engine": "one-by-one"}
+    assert round_trips.choose_engine(SimpleNamespace(engines=(), engine="")) == {}

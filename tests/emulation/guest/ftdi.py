@@ -14,7 +14,7 @@ from firmware_protocol.rtdac_usb import FRAME_BYTES, READ_REQUEST
 RATE_HZ = 150
 """Now and then an exchange takes 5 ms of virtual time: the kernel hands serial data on in an ordinary thread."""
 COUNT = 200
-SERIAL = 900_000_001
+SERIAL = "900000001"
 LATENCIES_MS = 16, 1
 
 
