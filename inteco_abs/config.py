@@ -23,7 +23,7 @@ from pydantic.fields import FieldInfo
 
 from firmware_protocol.rtdac_usb2 import TIMER_HZ
 from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.quantities import number_hint, other_unit, unit_of
 from inteco_abs.toml_text import NOT_TOML, in_words, read_toml
 
@@ -33,7 +33,7 @@ MOCK_NAMES: Final = ("ABSSIM", "ABSIM")
 _LONGEST_VALUE: Final = 60
 
 Table = dict[str, Any]
-Check = Callable[[Mapping[str, Any]], Iterable[Mistake]]
+Check = Callable[[Mapping[str, Any]], Iterable[ConfigIssue]]
 """Looks at the merged table, wrong values included, and names what the model below cannot know."""
 
 
@@ -412,7 +412,7 @@ def load_config(
     that are not set. Raises ConfigError with every mistake found in the file,
     the settings and by `checks`.
     """
-    mistakes: list[Mistake] = []
+    mistakes: list[ConfigIssue] = []
     table = _read(file) if file is not None else {}
     in_file, over = deepcopy(table), _settings_table(settings)
     for setting in settings:
@@ -421,7 +421,7 @@ def load_config(
     below = _profile(name, mistakes)
     merged = _merge(below, table)
     mistakes.extend(
-        Mistake(f"board.evidence.{key}", "evidence stands in a file with its source, not on the command line")
+        ConfigIssue(f"board.evidence.{key}", "evidence stands in a file with its source, not on the command line")
         for key in _section_of(_wiring(over), "evidence")
     )
     _void_signature(below, in_file, merged)
@@ -464,7 +464,7 @@ def profile_text(name: str) -> str:
 
 def read_profile(name: str) -> Table:
     """What a shipped profile or a .toml file says, before defaults; raises ConfigError if there is none."""
-    mistakes: list[Mistake] = []
+    mistakes: list[ConfigIssue] = []
     table = _profile(name, mistakes)
     if mistakes:
         raise ConfigError(mistakes)
@@ -476,14 +476,14 @@ def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
     try:
         table = tomllib.loads(text)
     except NOT_TOML as error:
-        raise ConfigError([Mistake("config.toml", f"is not TOML: {in_words(error, text)}")]) from error
+        raise ConfigError([ConfigIssue("config.toml", f"is not TOML: {in_words(error, text)}")]) from error
     guard = table.setdefault("guard", {})
     if isinstance(guard, dict):
         guard.setdefault("run_up_factor", None)  # a session from before the check is replayed as it was run
     return _validate(table, checks, [])
 
 
-def _validate(table: Table, checks: Iterable[Check], mistakes: list[Mistake]) -> RigConfig:
+def _validate(table: Table, checks: Iterable[Check], mistakes: list[ConfigIssue]) -> RigConfig:
     config = None
     try:
         config = RigConfig.model_validate(table)
@@ -501,28 +501,28 @@ def _read(file: Path) -> Table:
     return read_toml(file, f"inteco-abs config init {file} writes one to begin with")
 
 
-def apply_setting(table: Table, setting: str) -> list[Mistake]:
+def apply_setting(table: Table, setting: str) -> list[ConfigIssue]:
     """Put one `key=value` into `table`; the value is TOML, or a bare word. Gives back what is wrong with it."""
     key, equals, text = setting.partition("=")
     path = key.strip().split(".")
     if not equals or not all(path) or "\n" in setting:
-        return [Mistake(f"--set {setting}", "must look like guard.brake_limit=0.7")]
+        return [ConfigIssue(f"--set {setting}", "must look like guard.brake_limit=0.7")]
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()
     except NOT_TOML as error:
-        return [Mistake(key.strip(), f"is no value that can be used: {in_words(error, text)}")]
+        return [ConfigIssue(key.strip(), f"is no value that can be used: {in_words(error, text)}")]
     for part in path[:-1]:
         inner = table.setdefault(part, {})
         if not isinstance(inner, dict):
-            return [Mistake(f"--set {setting}", f"{part} is a value, not a section")]
+            return [ConfigIssue(f"--set {setting}", f"{part} is a value, not a section")]
         table = inner
     table[path[-1]] = value
     return []
 
 
-def _profile(name: object, mistakes: list[Mistake]) -> Table:
+def _profile(name: object, mistakes: list[ConfigIssue]) -> Table:
     if isinstance(name, str) and name in profiles():
         return tomllib.loads(profile_text(name))
     if isinstance(name, str) and name.endswith(".toml"):
@@ -530,7 +530,7 @@ def _profile(name: object, mistakes: list[Mistake]) -> Table:
     if not isinstance(name, str):
         return _profile(DEFAULT_PROFILE, mistakes)  # the model below says what is wrong with it
     mistakes.append(
-        Mistake("profile", f"{name!r} is not a shipped profile or a .toml file{near_match(name, profiles())}")
+        ConfigIssue("profile", f"{name!r} is not a shipped profile or a .toml file{near_match(name, profiles())}")
     )
     return _profile(DEFAULT_PROFILE, mistakes)
 
@@ -613,18 +613,18 @@ _REAL_CEILINGS: Final = {
 """The other limits have their ceilings in the ranges that hold on every board."""
 
 
-def beyond_ceilings(config: RigConfig) -> Iterator[Mistake]:
+def beyond_ceilings(config: RigConfig) -> Iterator[ConfigIssue]:
     """What a run on a real board is refused for, though it may be run on a simulated one or stand in a session."""
     limits, rate_hz = config.guard, config.loop.rate_hz
     for key, ceiling in _REAL_CEILINGS.items():
         value, most = getattr(limits, key), ceiling.at(rate_hz)
         if value is None or value > most:
             allowed = f"at most {most:g}" + (f" at {rate_hz:g} Hz" if ceiling.seconds is not None else "")
-            yield Mistake(f"guard.{key}", f"{value}: on a real board {allowed} ({ceiling.because}); lower it")
+            yield ConfigIssue(f"guard.{key}", f"{value}: on a real board {allowed} ({ceiling.because}); lower it")
     if not config.board.verified_by and not config.board.read_only:
         for beyond in laxer_limits(_shipped_limits(config.board.kind), config.model_dump()):
             key, _, rest = beyond.partition(" ")
-            yield Mistake(key, f"{rest}: more takes a signed profile; inteco-abs probe has you sign")
+            yield ConfigIssue(key, f"{rest}: more takes a signed profile; inteco-abs probe has you sign")
 
 
 def _shipped_limits(kind: str) -> Table:
@@ -682,7 +682,7 @@ _PAIRS: Final = (
 )
 
 
-def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[Mistake]:
+def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[ConfigIssue]:
     """Pairs that do not fit; `wrong` are the keys that are mistaken by themselves."""
 
     def value(path: str) -> Any:
@@ -694,12 +694,12 @@ def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[Mistake]:
     evidence = board.get("evidence", {}) if isinstance(board, dict) else {}
     for key in evidence if isinstance(evidence, dict) else ():
         if key not in WIRING:
-            yield Mistake(f"board.evidence.{key}", f"nothing rests on {key!r}{near_match(str(key), WIRING)}")
+            yield ConfigIssue(f"board.evidence.{key}", f"nothing rests on {key!r}{near_match(str(key), WIRING)}")
     if isinstance(board, dict) and board.get("verified_by"):
         missing = [key for key in ("verified_on", "verified_logic") if board.get(key) is None]
         if missing:
             wanted = " and ".join(f"board.{key}" for key in missing)
-            yield Mistake(
+            yield ConfigIssue(
                 "board.verified_by", f"a signature needs {wanted} too: the day, and the logic it was made for"
             )
     yield from _brake_map_mistakes(_section_of(_section_of(table, "model"), "identified"))
@@ -707,10 +707,10 @@ def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[Mistake]:
         if not {pair.first, pair.second, pair.first.partition(".")[0], pair.second.partition(".")[0]} & set(wrong):
             first, second = value(pair.first), value(pair.second)
             if not pair.fits(first, second):
-                yield Mistake(pair.first, f"{first!r}: {pair.must} {pair.second} = {second!r}")
+                yield ConfigIssue(pair.first, f"{first!r}: {pair.must} {pair.second} = {second!r}")
 
 
-def _brake_map_mistakes(identified: Table) -> Iterator[Mistake]:
+def _brake_map_mistakes(identified: Table) -> Iterator[ConfigIssue]:
     """Points of a map belong together, and rise, so that there is a duty for each torque."""
     keys = ("brake_duties", "brake_torques_nm")
     points = [identified.get(key) for key in keys]
@@ -719,11 +719,11 @@ def _brake_map_mistakes(identified: Table) -> Iterator[Mistake]:
     lists = [each if isinstance(each, list) else [] for each in points]
     if len(lists[0]) != len(lists[1]):
         problem = f"{len(lists[0])} values and {len(lists[1])} model.identified.{keys[1]}: each duty needs its torque"
-        yield Mistake(f"model.identified.{keys[0]}", problem)
+        yield ConfigIssue(f"model.identified.{keys[0]}", problem)
     for key, values in zip(keys, lists, strict=True):
         numbers = [value for value in values if isinstance(value, int | float)]
         if any(following <= value for value, following in pairwise(numbers)):
-            yield Mistake(f"model.identified.{key}", f"{_short(values)}: must rise from value to value")
+            yield ConfigIssue(f"model.identified.{key}", f"{_short(values)}: must rise from value to value")
 
 
 _LIMITS: Final = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
@@ -733,22 +733,22 @@ _NUMERIC: Final = ("int_", "float_", "finite_")
 """How pydantic calls its findings about what should be a number."""
 
 
-def _in_words(detail: Any) -> Mistake:
+def _in_words(detail: Any) -> ConfigIssue:
     """One of pydantic's findings as dotted key, value and what is allowed."""
     location = [part for part in detail["loc"] if part != "[key]"]
     path = ".".join(map(str, location))
     value, kind = detail["input"], detail["type"]
     if kind == "extra_forbidden":
-        return Mistake(path, f"unknown key{near_match(str(location[-1]), _known_keys(location[:-1]))}")
+        return ConfigIssue(path, f"unknown key{near_match(str(location[-1]), _known_keys(location[:-1]))}")
     if kind == "missing":
-        return Mistake(path, "is missing; a profile normally provides it")
+        return ConfigIssue(path, "is missing; a profile normally provides it")
     if kind == "model_type":
-        return Mistake(path, f"{_short(value)}: must be a section, as [{path}] with its keys below")
+        return ConfigIssue(path, f"{_short(value)}: must be a section, as [{path}] with its keys below")
     allowed = limits(location)
     message = detail["msg"].replace("Input should be", "must be")
     wanted = f"must be {allowed}" if allowed else message[0].lower() + message[1:]
     ceiling = f" ({_CEILINGS[path]})" if path in _CEILINGS and kind == "less_than_equal" else ""
-    return Mistake(path, f"{_short(value)}: {wanted}{ceiling}{_meant(location, value, kind)}")
+    return ConfigIssue(path, f"{_short(value)}: {wanted}{ceiling}{_meant(location, value, kind)}")
 
 
 def _meant(location: Sequence[Any], value: object, kind: str) -> str:

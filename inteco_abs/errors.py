@@ -51,7 +51,7 @@ class AbsError(Exception):
     exit_code = 1
 
 
-class Mistake(NamedTuple):
+class ConfigIssue(NamedTuple):
     """One thing wrong in a configuration: dotted key, and what is wrong with its value."""
 
     path: str
@@ -68,14 +68,14 @@ class ConfigError(AbsError):
 
     exit_code = 2
 
-    def __init__(self, mistakes: Sequence[Mistake]) -> None:
+    def __init__(self, mistakes: Sequence[ConfigIssue]) -> None:
         self.mistakes = tuple(mistakes)
         lines = [f"  {mistake.path}: {mistake.problem}" for mistake in self.mistakes]
         count = f"{len(lines)} mistakes" if len(lines) > 1 else "a mistake"
         place = "command line" if all(mistake.typed for mistake in self.mistakes) else "configuration"
         super().__init__("\n".join([f"the {place} has {count}; nothing was started:", *_on_a_screen(lines)]))
 
-    def __reduce__(self) -> tuple[type[ConfigError], tuple[tuple[Mistake, ...]]]:
+    def __reduce__(self) -> tuple[type[ConfigError], tuple[tuple[ConfigIssue, ...]]]:
         """Made from its mistakes again, not from its text, where another process has raised it."""
         return type(self), (self.mistakes,)
 
@@ -153,7 +153,7 @@ def near_match(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
 
 
-def disk_in_words(error: OSError) -> str:
+def describe_disk(error: OSError) -> str:
     """Why a file or folder cannot be written, and what to do about it."""
     why = error.strerror or str(error)
     return f"{why}; {_TO_DO[error.errno]}" if error.errno in _TO_DO else why

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from inteco_abs.boards import Board, InProcessLink, board_behind, check_address, check_kind, check_limits, simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller, Pipeline, build_pipeline, gains_in_force
-from inteco_abs.errors import BoardError, ConfigError, Mistake, SessionError, UnsafeError, in_words
+from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, SessionError, UnsafeError, in_words
 from inteco_abs.host.checks import as_facts
 from inteco_abs.host.doctor import examine
 from inteco_abs.mock_board import (
@@ -25,26 +25,26 @@ from inteco_abs.mock_board import (
     CLOCK_STEP,
     ON_THE_HOST,
     Device,
-    Face,
     Fault,
     FaultyDevice,
-    FaultyFace,
+    FaultyFrontEnd,
     FaultyHost,
+    FrontEnd,
     Schedule,
     Truth,
     drawn_facts,
     face_of,
-    insist_on_possible,
+    require_possible,
 )
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
-from inteco_abs.realtime.foxglove_server import insist_on_foxglove
+from inteco_abs.realtime.foxglove_server import require_foxglove
 from inteco_abs.realtime.histogram import Histogram
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.loop import detail_of
 from inteco_abs.realtime.memory import RunMemory
-from inteco_abs.realtime.processes.manual import ONLY_WATCHED, Screenside, slowed
+from inteco_abs.realtime.processes.manual import ONLY_WATCHED, ManualClient, slowed
 from inteco_abs.realtime.processes.supervisor import Supervisor
-from inteco_abs.realtime.screen import Check, NoScreen, Onlooker, Screen, Unbreakable
+from inteco_abs.realtime.screen import Check, NoScreen, SafeScreen, Screen, SnapshotSource
 from inteco_abs.realtime.signal_handlers import hearing
 from inteco_abs.realtime.spool import stow
 from inteco_abs.realtime.watchdog import prove_watchdog
@@ -53,12 +53,12 @@ from inteco_abs.sessions import (
     LOSSES,
     TICK,
     TRUTH,
-    Account,
-    Conclusion,
+    FailoverWriter,
+    FileWriter,
     Frames,
-    Introduction,
-    Keeper,
-    Recorder,
+    RunEnd,
+    RunHeader,
+    RunResult,
     check_output,
     check_spill,
     pack_tick,
@@ -108,7 +108,9 @@ class Plan:
     """What the mock board does wrong."""
 
 
-def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, screen: Screen | None = None) -> Account:
+def run_stop(
+    config: RigConfig, plan: Plan, progress: Progress | None = None, screen: Screen | None = None
+) -> RunResult:
     """Run one experiment and record it at `plan.out`; `screen` shows it, in real time ten times a second.
 
     SIGINT, SIGTERM and their like end it at the next tick, with SAFE and a complete file. Raises ConfigError or
@@ -123,7 +125,7 @@ def run_stop(config: RigConfig, plan: Plan, progress: Progress | None = None, sc
         pipeline = build_pipeline(config, plan.controllers)
         if not plan.virtual:
             return _run_in_real_time(config, plan, screen or NoScreen())
-        interrupts, screen = _Interrupts(), Unbreakable(screen or NoScreen())
+        interrupts, screen = _Interrupts(), SafeScreen(screen or NoScreen())
         with hearing(interrupts.handle), screen.listening(interrupts.handle):
             return _VirtualRun(config, plan, pipeline, interrupts).run(progress, screen)
 
@@ -151,7 +153,9 @@ def _check_time(config: RigConfig, plan: Plan) -> None:
         _insist_on_linux()
         _insist_on_origin(config, plan)
     elif not simulated(plan.board):
-        raise ConfigError([Mistake("--virtual", f"{plan.board} is a real board, and real boards have their own time")])
+        raise ConfigError(
+            [ConfigIssue("--virtual", f"{plan.board} is a real board, and real boards have their own time")]
+        )
 
 
 def _check_faults(config: RigConfig, plan: Plan) -> None:
@@ -161,19 +165,19 @@ def _check_faults(config: RigConfig, plan: Plan) -> None:
     else:
         impossible = {CLOCK_STEP: "nobody's real clock is set; add --virtual"}
     impossible["alarm"] = "a run reads no such flags; inteco-abs panel --inject shows them"
-    insist_on_possible(plan.faults, config.board.kind, impossible)
+    require_possible(plan.faults, config.board.kind, impossible)
 
 
 def _check_faults_by_hand(config: RigConfig, board: str, faults: Sequence[Fault]) -> None:
     _insist_on_mock_board(board)
     impossible = dict.fromkeys(ON_THE_HOST, "the panel records nothing; inteco-abs run --inject has this")
-    insist_on_possible(faults, config.board.kind, impossible)
+    require_possible(faults, config.board.kind, impossible)
 
 
 def _insist_on_mock_board(board: str) -> None:
     if not simulated(board):
         problem = f"{board} is a real board, and breaks by itself; only sim: can be told"
-        raise ConfigError([Mistake("--inject", problem)])
+        raise ConfigError([ConfigIssue("--inject", problem)])
 
 
 def _insist_on_origin(config: RigConfig, plan: Plan) -> None:
@@ -182,14 +186,14 @@ def _insist_on_origin(config: RigConfig, plan: Plan) -> None:
             f"{config.controller.name!r}: in real time a controller must come from a file, as file.py:Class, "
             "or from an installed package"
         )
-        raise ConfigError([Mistake("controller.name", problem)])
+        raise ConfigError([ConfigIssue("controller.name", problem)])
 
 
 def _check_live(port: int, *, virtual: bool) -> None:
     if virtual:
         problem = "a run in virtual time is over before anybody could look; leave one of the two out"
-        raise ConfigError([Mistake("--foxglove", f"{problem}, or open the session file in the viewer")])
-    insist_on_foxglove(port)
+        raise ConfigError([ConfigIssue("--foxglove", f"{problem}, or open the session file in the viewer")])
+    require_foxglove(port)
 
 
 class RoundTrips(NamedTuple):
@@ -227,7 +231,7 @@ def conditions_by_hand(
 
 
 @contextmanager
-def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault, ...] = ()) -> Iterator[Screenside]:
+def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault, ...] = ()) -> Iterator[ManualClient]:
     """A board held by a process of its own, for a screen or a program: entered for output, or only to be read.
 
     `faults` are what the mock board does wrong. Leaving ends with SAFE, read back. Raises ReadOnlyError if outputs are
@@ -243,7 +247,7 @@ def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault
         _processes(told, Plan(Path(), board, virtual=False, faults=faults), ring_ticks) as (memory, supervisor),
         supervisor.by_hand(drill=outputs),
     ):
-        yield Screenside(memory)
+        yield ManualClient(memory)
 
 
 def _only_read(config: RigConfig) -> RigConfig:
@@ -256,7 +260,7 @@ def _insist_on_linux() -> None:
         raise BoardError(f"real time needs Linux, and this is {sys.platform}; use --virtual")
 
 
-def _run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> Account:
+def _run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> RunResult:
     doctor = {"doctor": as_facts(examine(plan.out.absolute().parent))}
     with _processes(config, plan, ring_ticks(config), doctor) as (memory, supervisor):
         try:
@@ -325,16 +329,16 @@ class _VirtualRun:
         self._ring = TickRing(pack_tick, TICK.size, 2 * _SLICE_TICKS)
         self._reader = self._ring.reader()
 
-    def run(self, progress: Progress | None, screen: Screen) -> Account:
+    def run(self, progress: Progress | None, screen: Screen) -> RunResult:
         plan = self._plan
         with self._host, recording(plan.wire, self._config, self._clock.now_ns, keep=plan.frames) as around:
             return self._run(progress, screen, around)
 
-    def _run(self, progress: Progress | None, screen: Screen, around: Recording) -> Account:
+    def _run(self, progress: Progress | None, screen: Screen, around: Recording) -> RunResult:
         plan, config = self._plan, self._config
         board = board_behind(around(InProcessLink(self._face())), config, self._clock.now_ns)
         controller = plan.controllers[config.controller.name]
-        with Keeper(plan.out, self._opener(controller), self._spill()) as keeper:
+        with FailoverWriter(plan.out, self._opener(controller), self._spill()) as keeper:
             try:
                 with board:
                     screen.passed(Check.BOARD, f"{plan.board} {board.insist()}")
@@ -353,11 +357,11 @@ class _VirtualRun:
                 return account  # as in real time
             return self._conclude(keeper, replace(self._end(board), frames=self._frames(around)))
 
-    def _face(self) -> Face:
+    def _face(self) -> FrontEnd:
         told = self._config, self._clock.now_ns, self._plan.seed, self._truths.append
         if not self._plan.faults:
             return face_of(Device(*told))
-        return FaultyFace(
+        return FaultyFrontEnd(
             face_of,
             FaultyDevice(*told, schedule=self._schedule),
             wait=self._wait,
@@ -371,7 +375,7 @@ class _VirtualRun:
     def _opener(self, controller: type[Controller]) -> Opener:
         now_ns = self._clock.now_ns()
         return partial(
-            Recorder,
+            FileWriter,
             start_ns=now_ns,
             controller_internals=controller.internals,
             session_id=self._session_id,
@@ -381,8 +385,8 @@ class _VirtualRun:
     def _spill(self) -> Path | None:
         return spill_path(self._plan.out, self._config, self._session_id)
 
-    def _drive(self, keeper: Keeper, board: Board, progress: Progress | None, screen: Screen) -> None:
-        onlooker = Onlooker(self._ring.reader(), Histogram(), self._config.loop.rate_hz)
+    def _drive(self, keeper: FailoverWriter, board: Board, progress: Progress | None, screen: Screen) -> None:
+        onlooker = SnapshotSource(self._ring.reader(), Histogram(), self._config.loop.rate_hz)
         loop = Loop(board, self._pipeline, self._clock, self._ring, self._interrupts.stop)
         self._truths.clear()  # what the device saw while it was opened belongs to no tick
         try:
@@ -403,14 +407,14 @@ class _VirtualRun:
             finally:
                 self._record(keeper)
 
-    def _record(self, keeper: Keeper) -> None:
+    def _record(self, keeper: FailoverWriter) -> None:
         truths = b"".join(map(TRUTH.pack, self._truths))
         self._truths.clear()
         keeper.add(self._reader.take(), truths)
 
-    def _introduction(self, board: Board, watchdog: Mapping[str, str]) -> Introduction:
+    def _introduction(self, board: Board, watchdog: Mapping[str, str]) -> RunHeader:
         config, plan = self._config, self._plan
-        return Introduction(
+        return RunHeader(
             board=plan.board,
             identity={**board.insist().facts(), **watchdog},
             virtual=True,
@@ -423,15 +427,15 @@ class _VirtualRun:
             surroundings=surroundings(),
         )
 
-    def _end(self, board: Board, aborted: str = "") -> Conclusion:
+    def _end(self, board: Board, aborted: str = "") -> RunEnd:
         facts = {"injected": self._schedule.told()} if self._plan.faults else {}
-        return Conclusion(self._pipeline.reason, self._ring.written, detail_of(self._pipeline, board), aborted, facts)
+        return RunEnd(self._pipeline.reason, self._ring.written, detail_of(self._pipeline, board), aborted, facts)
 
     def _frames(self, around: Recording) -> Frames | None:
         capture = around.capture() if self._plan.frames else None
         return None if capture is None else lambda: nullcontext((capture, capture.records))
 
-    def _given_up(self, keeper: Keeper, end: Conclusion, error: BaseException) -> Account | None:
+    def _given_up(self, keeper: FailoverWriter, end: RunEnd, error: BaseException) -> RunResult | None:
         """What was recorded until `error`, which is told the rest; None if nothing was, or no disk takes it."""
         account = None
         try:
@@ -448,14 +452,14 @@ class _VirtualRun:
             error.add_note(f"injected {fault}: acted {times} times")
         return account
 
-    def _conclude(self, keeper: Keeper, end: Conclusion) -> Account:
+    def _conclude(self, keeper: FailoverWriter, end: RunEnd) -> RunResult:
         """As the keeper does; what no disk takes is left in memory, and said where, as a SessionError."""
         try:
             return keeper.conclude(end)
         except SessionError as error:
             raise self._stowed(keeper, end, error) from error
 
-    def _stowed(self, keeper: Keeper, end: Conclusion, error: SessionError) -> SessionError:
+    def _stowed(self, keeper: FailoverWriter, end: RunEnd, error: SessionError) -> SessionError:
         job = replace(_job(self._config, self._plan), session_id=self._session_id, virtual=True)
         try:
             ring = stow(job, keeper.introduction, end, *keeper.everything)

@@ -12,17 +12,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, TextIO
 
-from inteco_abs.commissioning.reported_board import SeenBoard
+from inteco_abs.commissioning.reported_board import ReportedBoard
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.format import TRUTH
 from inteco_abs.mock_board import (
     ByteStream,
     Device,
-    Face,
     FaultyDevice,
-    FaultyFace,
+    FaultyFrontEnd,
     FaultyHost,
+    FrontEnd,
     FtdiBoard,
     PtyServer,
     Schedule,
@@ -40,9 +40,9 @@ from inteco_abs.mock_board import (
 )
 from inteco_abs.mock_board.usbip.usb_device import UsbDevice
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
+from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
 from inteco_abs.realtime.signal_handlers import hearing
-from inteco_abs.realtime.tuning import BOARD_PRIORITY, guardian_wishes, prepare
+from inteco_abs.realtime.tuning import BOARD_PRIORITY, guardian_tuning, prepare
 
 _LOOK_S: Final = 0.1
 _CATCH_UP_S: Final = 0.005
@@ -51,7 +51,7 @@ _LINGER_S: Final = 1.0
 
 NAMES: Final = {"usb2": "RT-DAC/USB2", "usb": "RT-DAC/USB"}
 """Mock boards that can be plugged into a computer, by kind."""
-_BRIDGES: Final[dict[str, Callable[[Face, Mock, int], UsbDevice]]] = {
+_BRIDGES: Final[dict[str, Callable[[FrontEnd, Mock, int], UsbDevice]]] = {
     "usb2": lambda face, mock, serial: UsbBoard(face, mock.identity(UsbIdentity(serial=serial))),
     "usb": lambda face, mock, serial: FtdiBoard(ByteStream(face), mock.identity(ftdi_identity(serial))),
 }
@@ -72,7 +72,7 @@ def main(path: str) -> int:
     standstill = _Standstill(memory)
     face = _face(job, standstill, schedule, observe)
     server = SocketServer(face, str(memory.socket))
-    prepare(guardian_wishes(BOARD_PRIORITY))
+    prepare(guardian_tuning(BOARD_PRIORITY))
     with FaultyHost(schedule, Path(job.out), lambda name: _pid_of(name, memory)) as host:
 
         def between() -> None:
@@ -80,7 +80,7 @@ def main(path: str) -> int:
             standstill.keep(face)
 
         def awaited() -> bool:  # a supervisor that stands still asks for nothing; leaving lets it go on
-            return not host.frozen("supervisor") and alive(memory.words[Word.SUPERVISOR_PID])
+            return not host.frozen("supervisor") and alive(memory.words[Field.SUPERVISOR_PID])
 
         _serve(server, memory, schedule, between if job.faults else lambda: None, awaited)
     server.close()
@@ -90,7 +90,7 @@ def main(path: str) -> int:
 def _pid_of(name: str, memory: RunMemory) -> int:
     """Process of the run in `memory`; 0 if there is none."""
     if name == "supervisor":
-        return memory.words[Word.SUPERVISOR_PID]
+        return memory.words[Field.SUPERVISOR_PID]
     ours = f"inteco_abs.realtime\0{name}\0{memory.path}\0".encode()
     for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
@@ -99,11 +99,11 @@ def _pid_of(name: str, memory: RunMemory) -> int:
     return 0
 
 
-def _face(job: Job, standstill: _Standstill, schedule: Schedule, observe: Callable[[Truth], None]) -> Face:
+def _face(job: Job, standstill: _Standstill, schedule: Schedule, observe: Callable[[Truth], None]) -> FrontEnd:
     if not job.faults:
         return face_of(Device(job.config, time.monotonic_ns, job.seed, observe))
     device = FaultyDevice(job.config, time.monotonic_ns, job.seed, observe, schedule=schedule)
-    return FaultyFace(face_of, device, time.sleep, standstill.wish)
+    return FaultyFrontEnd(face_of, device, time.sleep, standstill.wish)
 
 
 class _Standstill:
@@ -117,12 +117,12 @@ class _Standstill:
         """Stand still for so long once the exchange that goes on is over: amid it, it would be a slow board."""
         self._seconds = seconds
 
-    def keep(self, face: Face) -> None:
+    def keep(self, face: FrontEnd) -> None:
         """Let whoever holds the board stand still if that is wished, once `face` has answered him."""
-        if not self._seconds or not isinstance(face, FaultyFace) or not face.answered:
+        if not self._seconds or not isinstance(face, FaultyFrontEnd) or not face.answered:
             return
         seconds, self._seconds = self._seconds, 0.0
-        holder = self._words[Word.HOLDER_PID]
+        holder = self._words[Field.HOLDER_PID]
         if not alive(holder):
             return
         with suppress(ProcessLookupError):
@@ -145,7 +145,7 @@ class Mock:
     truth: TextIO | None = None
     """Where the rig's true state goes, as JSON lines."""
     truth_hz: float = 20.0
-    seen: SeenBoard | None = None
+    seen: ReportedBoard | None = None
     """The board that it is a mock of; None: of no board that was ever seen."""
 
     @property
@@ -154,7 +154,7 @@ class Mock:
         drawn = self.config.simulation.rig
         return f"mock {NAMES[self.config.board.kind]}{f' with rig {drawn}' if drawn else ''}"
 
-    def face(self) -> Face:
+    def face(self) -> FrontEnd:
         """The board's own side of the wire."""
         device = Device(self.config, time.monotonic_ns, self.seed)
         return face_of(device) if self.seen is None else self.seen.face(device)
@@ -178,7 +178,7 @@ def serve_usbip(mock: Mock, address: str, serial: int, say: Callable[[str], None
     try:
         bridge = _BRIDGES[kind](face, mock, serial)
     except ValueError as error:
-        raise ConfigError([Mistake("--serial", str(error))]) from error
+        raise ConfigError([ConfigIssue("--serial", str(error))]) from error
     server = UsbIpServer(UsbHost(bridge), place)
     facts = server.bind()
     with hearing(server.close):  # as an unplugged cable would end it
@@ -207,7 +207,7 @@ def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
 
 def _be_quick() -> None:
     """What the mock board of a run asks for, but for what would keep Ctrl-C from ending it."""
-    prepare([wish for wish in guardian_wishes(BOARD_PRIORITY) if wish.name != "signals"])
+    prepare([wish for wish in guardian_tuning(BOARD_PRIORITY) if wish.name != "signals"])
 
 
 def _serve(
@@ -220,7 +220,7 @@ def _serve(
     words = memory.words
     looked = alone_since = time.monotonic()
     told: tuple[int, bool] | None = None
-    while not words[Word.OVER]:
+    while not words[Field.OVER]:
         server.step()
         between()
         now, news = time.monotonic(), (len(schedule.first_ns), server.busy)
@@ -228,7 +228,7 @@ def _serve(
             continue  # a fault's first act may end the run, and is told before the next exchange
         looked, told = now, news
         if schedule.times:
-            memory.post(Note.INJECTED, schedule.told())
+            memory.post(Mailbox.INJECTED, schedule.told())
         if server.busy or awaited():
             alone_since = now
         elif now - alone_since > _LINGER_S:

@@ -102,7 +102,7 @@ class Sample(NamedTuple):
     board_flags: BoardFlags = BoardFlags.NONE
 
 
-class Outlook(NamedTuple):
+class Prediction(NamedTuple):
     """What a model-based observer expects of the instant at which the next command comes through to the brake."""
 
     wheel_angle_rad: float
@@ -130,7 +130,7 @@ class Estimate(NamedTuple):
     """In 0..1."""
     valid: bool
     """False until enough samples were seen."""
-    outlook: Outlook | None = None
+    outlook: Prediction | None = None
     """Of an observer while the rig brakes; not in the log, a replay makes it anew."""
 
 

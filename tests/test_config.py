@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from inteco_abs.config import DEFAULT_PROFILE, RigConfig, load_config, parse_config, profiles
 from inteco_abs.control import control_check
-from inteco_abs.errors import AbsError, ConfigError, Mistake
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue
 
 
 def mistakes(*settings: str, file: Path | None = None) -> dict[str, str]:
@@ -257,8 +257,10 @@ def test_a_single_mistake_is_called_one():
 
 @pytest.mark.parametrize("path", ["--sort", "--set guard.brake_limit", "FILE"])
 def test_a_mistake_in_an_option_or_argument_is_one_of_the_command_line(path):
-    assert str(ConfigError([Mistake(path, "x")])).startswith("the command line has a mistake; nothing was started:\n")
-    mixed = ConfigError([Mistake(path, "x"), Mistake("guard.brake_limit", "x")])
+    assert str(ConfigError([ConfigIssue(path, "x")])).startswith(
+        "the command line has a mistake; nothing was started:\n"
+    )
+    mixed = ConfigError([ConfigIssue(path, "x"), ConfigIssue("guard.brake_limit", "x")])
     assert str(mixed).startswith("the configuration has 2 mistakes;")
 
 
@@ -278,11 +280,11 @@ def test_mistakes_of_settings_file_profile_and_checks_come_together(written):
 
 def test_a_check_sees_the_merged_table_and_its_mistakes_count():
     def check(table):
-        yield Mistake("guard.brake_limit", f"{table['guard']['brake_limit']} of {table['board']['logic_version']}")
+        yield ConfigIssue("guard.brake_limit", f"{table['guard']['brake_limit']} of {table['board']['logic_version']}")
 
     with pytest.raises(ConfigError) as caught:
         load_config(settings=["guard.brake_limit=0.25"], checks=[check])
-    assert caught.value.mistakes == (Mistake("guard.brake_limit", "0.25 of 259"),)
+    assert caught.value.mistakes == (ConfigIssue("guard.brake_limit", "0.25 of 259"),)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from inteco_abs.analysis.baseline import previous_card
 from inteco_abs.analysis.catalogue import COLUMNS, session_files, session_row, sort_rows
 from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, settings_of
 from inteco_abs.analysis.gains import REFERENCE, changed_gains
-from inteco_abs.analysis.replay import Difference, Replay, before_the_gap, insist_on_known, replay
+from inteco_abs.analysis.replay import Difference, Replay, before_the_gap, replay, require_known
 from inteco_abs.analysis.tolerance import Shift, Tolerance, parse_tolerances
 
 __all__ = [
@@ -21,10 +21,10 @@ __all__ = [
     "before_the_gap",
     "changed_gains",
     "diff_sessions",
-    "insist_on_known",
     "parse_tolerances",
     "previous_card",
     "replay",
+    "require_known",
     "session_files",
     "session_row",
     "settings_of",

@@ -21,19 +21,19 @@ from typing import Any, Final, Self
 import numpy as np
 import tomli_w
 
-from inteco_abs.analysis.replay import Replay, decisions, insist_on_known, replay
+from inteco_abs.analysis.replay import Replay, decisions, replay, require_known
 from inteco_abs.analysis.tolerance import Array, parse_tolerances
 from inteco_abs.analysis.what_if import since_braking_s
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller, build_pipeline, control_check
-from inteco_abs.errors import ConfigError, Mistake, SessionError, disk_in_words, near_match
+from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_disk, near_match
 from inteco_abs.format.schema import TICK, TRUTH, Role
 from inteco_abs.sessions.card import result_card
-from inteco_abs.sessions.files import made_folder
+from inteco_abs.sessions.files import ensured_directory
 from inteco_abs.sessions.provenance import software_facts
 from inteco_abs.sessions.reader import Session, read_session
 from inteco_abs.sessions.recorded_config import CONFIG_NAME, session_config
-from inteco_abs.sessions.writer import Recorder
+from inteco_abs.sessions.writer import FileWriter
 from inteco_abs.signals import Phase
 
 TABLE_NAME: Final = "golden.toml"
@@ -106,11 +106,14 @@ class GoldenFolder:
         """Those with these names, or all; raises ConfigError for a name that is none, and if there is nothing."""
         if not self._goldens:
             problem = f"{self.path} holds no golden session; add one: inteco-abs golden add FILE --reason TEXT"
-            raise ConfigError([Mistake("--folder", problem)])
+            raise ConfigError([ConfigIssue("--folder", problem)])
         unknown = [name for name in names if name not in self._goldens]
         if unknown:
             raise ConfigError(
-                [Mistake("NAMES", f"no {name!r} in {self.path}{near_match(name, self._goldens)}") for name in unknown]
+                [
+                    ConfigIssue("NAMES", f"no {name!r} in {self.path}{near_match(name, self._goldens)}")
+                    for name in unknown
+                ]
             )
         return [self._goldens[name] for name in dict.fromkeys(names)] if names else list(self._goldens.values())
 
@@ -131,12 +134,12 @@ class GoldenFolder:
         self._check_name(name)
         _insist_on(reason)
         parse_tolerances(tolerances)
-        insist_on_known(session)
+        require_known(session)
         rows = _rows_until(session, until_s)
         _insist_on_a_test(session, session.ticks[:rows])
         payload = bytes(session.payload[: rows * TICK.size])
         part = self._part(name)
-        with made_folder(self.path, "--folder"):
+        with ensured_directory(self.path, "--folder"):
             try:
                 _write_copy(session, payload, part)
                 found = _replay(read_session(part), controllers, tolerances)
@@ -170,7 +173,7 @@ class GoldenFolder:
         changed = int((rows != np.frombuffer(session.payload, np.uint8).reshape(rows.shape)).any(axis=1).sum())
         if not changed:
             problem = "replays to the last bit, so there is nothing to update"
-            raise ConfigError([Mistake(name, problem)])
+            raise ConfigError([ConfigIssue(name, problem)])
         part = self._part(name)
         try:
             _write_copy(session, payload, part)
@@ -206,7 +209,7 @@ class GoldenFolder:
         elif self.path.exists() and not self.path.is_dir():
             problem = f"{self.path} is no folder"
         if problem:
-            raise ConfigError([Mistake("--name", problem)])
+            raise ConfigError([ConfigIssue("--name", problem)])
 
     def _part(self, name: str) -> Path:
         return self.path / f".{name}.{os.getpid()}.part"
@@ -225,7 +228,7 @@ class GoldenFolder:
         except OSError as error:
             with suppress(OSError):
                 draft.unlink(missing_ok=True)
-            raise SessionError(f"{self.path}: cannot be written: {disk_in_words(error)}") from error
+            raise SessionError(f"{self.path}: cannot be written: {describe_disk(error)}") from error
         self._goldens = goldens
         return golden
 
@@ -250,7 +253,7 @@ def _table(golden: Golden) -> dict[str, Any]:
 
 def _insist_on(reason: str) -> None:
     if not reason.strip():
-        raise ConfigError([Mistake("--reason", "is empty; say why, for who reads the history later")])
+        raise ConfigError([ConfigIssue("--reason", "is empty; say why, for who reads the history later")])
 
 
 def _rows_until(session: Session, until_s: float | None) -> int:
@@ -292,7 +295,7 @@ def _write_copy(session: Session, payload: bytes, path: Path) -> None:
     ticks = TICK.array(payload)
     internals = json.loads(session.channels[TICK.topic].get("internals", "[]"))
     told = session.metadata.get("session", {})
-    with Recorder(path, int(ticks["time_ns"][0]), internals, told.get("session_id", "")) as recorder:
+    with FileWriter(path, int(ticks["time_ns"][0]), internals, told.get("session_id", "")) as recorder:
         for name in _KEPT:
             if name in session.metadata:
                 facts = session.metadata[name]

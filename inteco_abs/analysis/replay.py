@@ -119,7 +119,7 @@ def decisions(session: Session, pipeline: Pipeline) -> Array:
     return TICK.array_of(starmap(pipeline.step, samples(session)))
 
 
-def insist_on_known(session: Session) -> None:
+def require_known(session: Session) -> None:
     """Raises SessionError if the session holds what this version does not know: its decisions may rest on that."""
     if session.beyond:
         raise SessionError(f"{session.path}: cannot be replayed: {session.beyond}; replay it with that")
@@ -130,7 +130,7 @@ def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
 
     Raises SessionError for what this version does not know, and for a dt_s that no clock can have measured.
     """
-    insist_on_known(session)
+    require_known(session)
     impossible = np.flatnonzero(~(np.abs(session.ticks["dt_s"]) < _LONGEST_S))
     if len(impossible):
         tick, dt_s = (session.ticks[name][impossible[0]] for name in ("tick", "dt_s"))

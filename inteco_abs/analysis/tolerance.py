@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.format.schema import TICK, Role
 
 Array = npt.NDArray[Any]
@@ -120,12 +120,12 @@ def parse_tolerances(texts: Iterable[str]) -> dict[str, Tolerance]:
     Raises ConfigError with every mistake.
     """
     found: dict[str, Tolerance] = {}
-    mistakes: list[Mistake] = []
+    mistakes: list[ConfigIssue] = []
     for text in texts:
         try:
             found.update(_parsed(text))
         except ValueError as error:
-            mistakes.append(Mistake(f"--tol {text}", str(error)))
+            mistakes.append(ConfigIssue(f"--tol {text}", str(error)))
     if mistakes:
         raise ConfigError(mistakes)
     return found

@@ -15,12 +15,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import tomli_w
 
-from inteco_abs.analysis.replay import insist_on_known
+from inteco_abs.analysis.replay import require_known
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.config import RigConfig, apply_setting, parse_config
 from inteco_abs.control import Controller, control_check, make_controller, make_estimator, preferred_estimator
 from inteco_abs.control.phase_machine import recordable
-from inteco_abs.errors import ConfigError, Mistake, SessionError, in_words
+from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, in_words
 from inteco_abs.sessions.reader import Session
 from inteco_abs.sessions.recorded_config import session_config
 from inteco_abs.signals import BrakeDemand, Command, Phase, Sample
@@ -36,7 +36,7 @@ _LOGGED: Final = ["tick", "time_ns", "dt_s", "wheel_count", "road_count", "board
 _NO_DEMAND: Final = BrakeDemand(0.0)
 
 
-class Wish(NamedTuple):
+class Answer(NamedTuple):
     """What is believed and asked for at one tick; columns of the log have these names."""
 
     slip: float
@@ -84,12 +84,12 @@ def alternative(session: Session, settings: Sequence[str], controllers: Mapping[
     chosen: dict[str, Any] = {}
     mistakes = [mistake for setting in settings for mistake in apply_setting(chosen, setting)]
     mistakes += [
-        Mistake(key, f"is no part of what can be asked about; that are {', '.join(f'{each}.*' for each in _OPEN)}")
+        ConfigIssue(key, f"is no part of what can be asked about; that are {', '.join(f'{each}.*' for each in _OPEN)}")
         for key in chosen
         if key not in _OPEN
     ]
     mistakes += [
-        Mistake(key, f"{value!r}: is a section; name a key in it, as in controller.gains.Mk=5")
+        ConfigIssue(key, f"{value!r}: is a section; name a key in it, as in controller.gains.Mk=5")
         for key, value in chosen.items()
         if key in _OPEN and not isinstance(value, dict)
     ]
@@ -137,7 +137,7 @@ def what_if(
     Raises SessionError if there was no braking, if the run was over by `at_s`, or if the estimator or controller
     raises.
     """
-    insist_on_known(session)
+    require_known(session)
     since_s = since_braking_s(session)
     ahead = since_s < (-math.inf if at_s is None else at_s - 1e-9)
     if ahead.all():
@@ -152,9 +152,9 @@ def what_if(
     return WhatIf(wishes, tuple(found))
 
 
-def _wishes(session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> Iterator[Wish]:
+def _wishes(session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> Iterator[Answer]:
     alternative = _Alternative(config, controllers)
-    wish, told, before = Wish(0.0, 0.0, 0.0), Command.SAFE, Phase.UNKNOWN
+    wish, told, before = Answer(0.0, 0.0, 0.0), Command.SAFE, Phase.UNKNOWN
     for tick, time_ns, dt_s, wheel, road, flags, drive, brake, phase in session.ticks[_LOGGED].tolist():
         if not flags:  # else the run went on with what it had
             try:
@@ -174,7 +174,7 @@ class _Alternative:
         self._controller = make_controller(config, controllers)
         self._held = _NO_DEMAND
 
-    def step(self, sample: Sample, told: Command, before: Phase, phase: Phase) -> Wish:
+    def step(self, sample: Sample, told: Command, before: Phase, phase: Phase) -> Answer:
         """What is asked for in a tick that goes from one phase to the next."""
         estimate = self._estimator.update(sample, told)
         demand = _NO_DEMAND
@@ -184,7 +184,7 @@ class _Alternative:
             demand = self._held
         elif before is Phase.STOPPED:
             self._controller = make_controller(*self._made_of)  # each stop begins with a fresh one
-        return Wish(estimate.slip, demand.torque_nm, demand.brake if type(demand.brake) is float else math.nan)
+        return Answer(estimate.slip, demand.torque_nm, demand.brake if type(demand.brake) is float else math.nan)
 
 
 def _divergence(

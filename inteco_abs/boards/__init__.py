@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Final
 
 from inteco_abs.boards.addresses import SCHEMES, check_address, check_kind, check_limits, default_profile, simulated
-from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
+from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity
 from inteco_abs.boards.families.pci.board import Reading, RtdacPci
 from inteco_abs.boards.families.usb.board import RtdacUsb
 from inteco_abs.boards.families.usb2.board import RtdacUsb2
@@ -17,6 +17,7 @@ __all__ = [
     "SCHEMES",
     "STILL_ON",
     "Board",
+    "BoardReading",
     "Identity",
     "InProcessLink",
     "Link",
@@ -27,7 +28,6 @@ __all__ = [
     "RtdacUsb",
     "RtdacUsb2",
     "SocketLink",
-    "Survey",
     "SysfsRegisters",
     "Wrap",
     "board_behind",

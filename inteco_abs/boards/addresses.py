@@ -6,7 +6,7 @@ import re
 from typing import Final, NamedTuple
 
 from inteco_abs.config import DEFAULT_PROFILE, MOCK_NAMES, RigConfig, beyond_ceilings
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, ConfigIssue
 
 
 class Scheme(NamedTuple):
@@ -58,9 +58,9 @@ def check_address(uri: str) -> None:
         known = "; ".join(f"{one}: is {scheme.what}" for one, scheme in SCHEMES.items())
         meant = f"usb:{uri}" if uri.startswith("/dev/") else f"{uri}:" if uri in SCHEMES else ""
         hint = f"; did you mean {meant}?" if meant else ""
-        raise ConfigError([Mistake("--board", f"{uri!r} is no board address of this version{hint or ';'} {known}")])
+        raise ConfigError([ConfigIssue("--board", f"{uri!r} is no board address of this version{hint or ';'} {known}")])
     if scheme.rest.fullmatch(rest) is None:
-        raise ConfigError([Mistake("--board", f"{uri!r}: {scheme.wanted}")])
+        raise ConfigError([ConfigIssue("--board", f"{uri!r}: {scheme.wanted}")])
 
 
 def check_kind(uri: str, config: RigConfig) -> None:
@@ -68,12 +68,12 @@ def check_kind(uri: str, config: RigConfig) -> None:
     name = uri.partition(":")[0]
     if name not in ("sim", config.board.kind):
         problem = f"{config.board.kind!r}, while the address {uri} is for boards of kind {name!r}; name another profile"
-        raise ConfigError([Mistake("board.kind", problem)])
+        raise ConfigError([ConfigIssue("board.kind", problem)])
     # the boards on USB tell a name, and the mock's is its own
     a_mocks = name != "pci" and set(config.board.application_names) <= set(MOCK_NAMES)
     if name != "sim" and config.board.simulated and not a_mocks:
         problem = f"the profile was made for the mock, and {uri} is a real board; inteco-abs probe makes one for it"
-        raise ConfigError([Mistake("board.simulated", problem)])
+        raise ConfigError([ConfigIssue("board.simulated", problem)])
 
 
 def check_limits(uri: str, config: RigConfig) -> None:

@@ -14,7 +14,7 @@ _FIX: Final = (
 )
 
 
-def distrust(wiring: BoardConfig, version: int, name: str | None, relied_on: Iterable[Field | Register]) -> str:
+def read_only_reason(wiring: BoardConfig, version: int, name: str | None, relied_on: Iterable[Field | Register]) -> str:
     """Why outputs must stay off; empty if they may be used.
 
     `version` and `name` are the board's (None: it tells no name), `relied_on` what the driver uses of

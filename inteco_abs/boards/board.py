@@ -44,7 +44,7 @@ class Identity(NamedTuple):
         return f"{told} of {self.synthesis_date}" if self.synthesis_date else told
 
 
-class Survey(NamedTuple):
+class BoardReading(NamedTuple):
     """What one reading of a board says, decoded and as it came."""
 
     values: Mapping[str, int | str]
@@ -92,7 +92,7 @@ class Board(ABC):
         """Ask the board what it is; reads only. Raises LinkError if it does not answer in its protocol."""
 
     @abstractmethod
-    def survey(self, names: Collection[str] = ()) -> Survey:
+    def survey(self, names: Collection[str] = ()) -> BoardReading:
         """Read a board that was entered, or is only read, once, trust aside: the named fields, or all; writes nothing.
 
         Raises LinkError if the board does not answer in its protocol, BoardError if it has no field of such a name.

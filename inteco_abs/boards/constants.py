@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from firmware_protocol import FrameTable
 from firmware_protocol.fields import BYTE_BITS
 from inteco_abs.config import BoardConfig
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 _PIN: Final = re.compile(r"pin([0-9]|1[0-9]|2[0-5])")
 _PINS_NEED: Final = ("pin_direction", "pin_output")
@@ -33,7 +33,7 @@ def constants_of(wiring: BoardConfig, send: FrameTable, owned: Collection[str]) 
     rest of the wiring or another constant decides.
     """
     found = Constants({}, {}, {})
-    mistakes: list[Mistake] = []
+    mistakes: list[ConfigIssue] = []
     word = re.compile(rf"{'b' if send.word_bits == BYTE_BITS else 'w'}(0|[1-9][0-9]*)")
     for key, value in wiring.constants.items():
         if key in send.fields:
@@ -48,36 +48,36 @@ def constants_of(wiring: BoardConfig, send: FrameTable, owned: Collection[str]) 
             found.words[int(match[1])] = value
         else:
             problem = f"neither a field, a pin nor a word of {send.title}{near_match(key, send.fields)}"
-            mistakes.append(Mistake(f"board.constants.{key}", problem))
+            mistakes.append(ConfigIssue(f"board.constants.{key}", problem))
     if mistakes:
         raise ConfigError(mistakes)
     return found
 
 
-def _field_mistake(key: str, value: int, send: FrameTable, owned: Collection[str]) -> Iterator[Mistake]:
+def _field_mistake(key: str, value: int, send: FrameTable, owned: Collection[str]) -> Iterator[ConfigIssue]:
     field, layout = send.fields[key]
     low, high = field.range(layout)
     if key in owned:
-        yield Mistake(f"board.constants.{key}", "the rest of [board] decides it: set it there")
+        yield ConfigIssue(f"board.constants.{key}", "the rest of [board] decides it: set it there")
     elif not low <= value <= high:
-        yield Mistake(f"board.constants.{key}", f"{value}: must be in {low}..{high}")
+        yield ConfigIssue(f"board.constants.{key}", f"{value}: must be in {low}..{high}")
 
 
-def _pin_mistake(key: str, wiring: BoardConfig) -> Iterator[Mistake]:
+def _pin_mistake(key: str, wiring: BoardConfig) -> Iterator[ConfigIssue]:
     if wiring.constants[key] not in (0, 1):
-        yield Mistake(f"board.constants.{key}", f"{wiring.constants[key]}: must be 0 or 1, the pin's level")
+        yield ConfigIssue(f"board.constants.{key}", f"{wiring.constants[key]}: must be 0 or 1, the pin's level")
     elif "pin_output" in wiring.constants:
-        yield Mistake(f"board.constants.{key}", "pin_output decides it: name the pins or the whole field")
+        yield ConfigIssue(f"board.constants.{key}", "pin_output decides it: name the pins or the whole field")
 
 
-def _word_mistake(key: str, word: int, value: int, send: FrameTable, taken: Collection[str]) -> Iterator[Mistake]:
+def _word_mistake(key: str, word: int, value: int, send: FrameTable, taken: Collection[str]) -> Iterator[ConfigIssue]:
     most = (1 << send.payload_bits) - 1
     first = 0 if send.command is None or send.data_from else 1  # the command's own word is no data
     last = send.size * BYTE_BITS // send.word_bits - send.data_from - 1
     carried = [name for name in taken if any(part.word == word for part in send.fields[name][1])]
     if not first <= word <= last:
-        yield Mistake(f"board.constants.{key}", f"{send.title} has data in {key[0]}{first} to {key[0]}{last}")
+        yield ConfigIssue(f"board.constants.{key}", f"{send.title} has data in {key[0]}{first} to {key[0]}{last}")
     elif carried:
-        yield Mistake(f"board.constants.{key}", f"it carries {', '.join(carried)}, which is decided elsewhere")
+        yield ConfigIssue(f"board.constants.{key}", f"it carries {', '.join(carried)}, which is decided elsewhere")
     elif not 0 <= value <= most:
-        yield Mistake(f"board.constants.{key}", f"{value}: must be in 0..{most}, the top bit marks a command")
+        yield ConfigIssue(f"board.constants.{key}", f"{value}: must be in 0..{most}, the top bit marks a command")

@@ -10,15 +10,15 @@ from typing import Final
 
 from firmware_protocol import Field, FrameTable, ProtocolError
 from firmware_protocol.fields import BYTE_BITS, sent_back
-from inteco_abs.boards.authorization import distrust
-from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
+from inteco_abs.boards.authorization import read_only_reason
+from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity
 from inteco_abs.boards.board_clock import BoardClock
 from inteco_abs.boards.constants import constants_of
 from inteco_abs.boards.echoed_pins import EchoedPins
 from inteco_abs.boards.first_write import PlannedWord, planned_words
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.config import BoardConfig
-from inteco_abs.errors import BoardError, ConfigError, LinkError, Mistake, NoAnswerError
+from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, LinkError, NoAnswerError
 from inteco_abs.signals import Command
 
 _EXACT: Final = 1e-9
@@ -124,12 +124,12 @@ class FrameBoard(Board):
         if not self._ready:  # an open board that now calls itself something else has been reset or replaced
             self._header = frame[: self._layout.header_bytes]
         version, name = int(values["logic_version"]), str(values["application_name"])
-        because = distrust(self._wiring, version, name, self._relied_on())
+        because = read_only_reason(self._wiring, version, name, self._relied_on())
         if because:
             because += self._warning(frame)
         return Identity(version, name, str(values.get("synthesis_date", "")), because)
 
-    def survey(self, names: Collection[str] = ()) -> Survey:
+    def survey(self, names: Collection[str] = ()) -> BoardReading:
         """Read the board once: the named fields, or all."""
         table = self._layout.read
         unknown = [name for name in names if name not in table.fields]
@@ -142,7 +142,7 @@ class FrameBoard(Board):
             raise LinkError(f"the board's answer is no READ frame: {error}") from error
         if not frame.startswith(self._header):
             raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
-        return Survey(values, frame)
+        return BoardReading(values, frame)
 
     def _relied_on(self) -> list[Field]:
         """What outputs rest on of the frames."""
@@ -395,14 +395,14 @@ def _insist_on_channels(wiring: BoardConfig, layout: FrameLayout) -> None:
         "road_encoder": f"encoder{wiring.road_encoder}_count",
     }
     mistakes = [
-        Mistake(f"board.{key}", f"{getattr(wiring, key)}: {layout.read.title} has no such channel")
+        ConfigIssue(f"board.{key}", f"{getattr(wiring, key)}: {layout.read.title} has no such channel")
         for key, name in wanted.items()
         if name not in layout.read.fields
     ]
     if _functions(wiring) and "pin_mode" not in layout.send.fields:
         key = "pwm_pins" if wiring.pwm_functions is None else "pwm_functions"
         problem = f"{layout.send.title} has no pin mode: set board.pwm_functions to []"
-        mistakes.append(Mistake(f"board.{key}", problem))
+        mistakes.append(ConfigIssue(f"board.{key}", problem))
     mistakes += _pin_mistakes(wiring, layout)
     if mistakes:
         raise ConfigError(mistakes)
@@ -413,7 +413,7 @@ def _functions(wiring: BoardConfig) -> int:
     return _mask(wiring.pwm_pins if wiring.pwm_functions is None else wiring.pwm_functions)
 
 
-def _pin_mistakes(wiring: BoardConfig, layout: FrameLayout) -> Iterator[Mistake]:
+def _pin_mistakes(wiring: BoardConfig, layout: FrameLayout) -> Iterator[ConfigIssue]:
     """One pin has one use, and a watchdog that cannot be proven is none."""
     constants = [int(key[3:]) for key in wiring.constants if key.startswith("pin") and key[3:].isdecimal()]
     used = {"pwm_pins": wiring.pwm_pins, "constants": constants, "numbering_pins": wiring.numbering_pins}
@@ -422,15 +422,15 @@ def _pin_mistakes(wiring: BoardConfig, layout: FrameLayout) -> Iterator[Mistake]
     for key, pins in used.items():
         for pin in pins:
             if pin in owner:
-                yield Mistake(f"board.{key}", f"{pin}: is in board.{owner[pin]} already")
+                yield ConfigIssue(f"board.{key}", f"{pin}: is in board.{owner[pin]} already")
             owner[pin] = key
     if (wiring.watchdog_pin >= 0) is not (wiring.watchdog_contact_pin >= 0):
         problem = "a watchdog is proven before each run by its contact: name both pins or neither (docs/watchdog.md)"
-        yield Mistake("board.watchdog_contact_pin", problem)
+        yield ConfigIssue("board.watchdog_contact_pin", problem)
     needed = {"pin_output", "pin_direction"} if wiring.watchdog_pin >= 0 else {"pin_output"}
     if _latched(wiring) and not needed <= layout.send.fields.keys():
         key = "watchdog_pin" if wiring.watchdog_pin >= 0 else "numbering_pins"
-        yield Mistake(f"board.{key}", f"{layout.send.title} has no {' and '.join(sorted(needed))}")
+        yield ConfigIssue(f"board.{key}", f"{layout.send.title} has no {' and '.join(sorted(needed))}")
 
 
 def _watchdog(wiring: BoardConfig) -> tuple[int, int]:

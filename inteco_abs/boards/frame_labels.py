@@ -12,7 +12,7 @@ from typing import Final
 from firmware_protocol import rtdac_usb, rtdac_usb2
 from firmware_protocol.fields import BYTE_BITS, FrameTable, Layout, Value
 from inteco_abs.config import BoardConfig
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 UNKNOWN: Final = "unknown"
 COMMAND: Final = "command"
@@ -61,7 +61,7 @@ class Protocol:
         known = self.send.fields.keys() | self.read.fields.keys()
         chosen = frozenset(names)
         for name in sorted(chosen - known):
-            raise ConfigError([Mistake("field", f"{self.title} has no field {name!r}{near_match(name, known)}")])
+            raise ConfigError([ConfigIssue("field", f"{self.title} has no field {name!r}{near_match(name, known)}")])
         return chosen
 
 
@@ -113,7 +113,7 @@ def protocol_name(wiring: BoardConfig) -> str:
 def protocol_of(board: str) -> Protocol:
     """Raises ConfigError for a board that has no tables here."""
     if board not in PROTOCOLS:
-        raise ConfigError([Mistake("board", f"no protocol {board!r}{near_match(board, PROTOCOLS)}")])
+        raise ConfigError([ConfigIssue("board", f"no protocol {board!r}{near_match(board, PROTOCOLS)}")])
     return PROTOCOLS[board]
 
 

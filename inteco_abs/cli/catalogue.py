@@ -9,7 +9,7 @@ import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names
 from inteco_abs.cli.options import json_option, print_json, say
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 if TYPE_CHECKING:
     from inteco_abs.control import Gain
@@ -83,7 +83,7 @@ def _tell_controller(name: str, *, as_json: bool) -> None:
 
     known = known_controllers(name)
     if name not in known:
-        raise ConfigError([Mistake("NAME", f"no controller {name!r}{near_match(name, known)}")])
+        raise ConfigError([ConfigIssue("NAME", f"no controller {name!r}{near_match(name, known)}")])
     kind = known[name]
     one = _About(name, _docstring(kind), kind.gains, kind.internals, getattr(kind, "estimator", ""))
     values = {gain.name: gain.default for gain in kind.gains}
@@ -95,7 +95,7 @@ def _tell_estimator(name: str, *, as_json: bool) -> None:
     from inteco_abs.control import ESTIMATORS
 
     if name not in ESTIMATORS:
-        raise ConfigError([Mistake("NAME", f"no estimator {name!r}{near_match(name, ESTIMATORS)}")])
+        raise ConfigError([ConfigIssue("NAME", f"no estimator {name!r}{near_match(name, ESTIMATORS)}")])
     kind = ESTIMATORS[name]
     one = _About(name, f"{kind.summary}.\n\n{_docstring(kind.works)}", kind.parameters)
     values = {each.name: each.default for each in kind.parameters}
@@ -143,7 +143,7 @@ def profiles(name: str | None, as_json: bool) -> int:
 
     if name is not None:
         if name not in shipped():
-            raise ConfigError([Mistake("NAME", f"{name!r} is not a shipped profile{near_match(name, shipped())}")])
+            raise ConfigError([ConfigIssue("NAME", f"{name!r} is not a shipped profile{near_match(name, shipped())}")])
         say(profile_text(name), nl=False)
         return 0
     boards = {one: load_config(profile=one).board for one in shipped()}

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, TextIO
 import click
 
 from inteco_abs.cli.options import SETTING, on_terminal, plain, say
-from inteco_abs.errors import AbsError, ConfigError, Mistake, Stopped
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, Stopped
 
 if TYPE_CHECKING:
-    from inteco_abs.commissioning import Bench, Draft, Walk
+    from inteco_abs.commissioning import Procedure, ProfileDraft, RigAccess
 
 
 class Terminal:
@@ -53,7 +53,7 @@ def _insist_on_answers() -> None:
     if sys.stdin is not None and (sys.stdin.isatty() or not _ended(sys.stdin)):
         return
     problem = "is missing: nobody can answer questions here; run it on a terminal, or do only steps 1 to 3, which read"
-    raise ConfigError([Mistake("--yes-read-only", problem)])
+    raise ConfigError([ConfigIssue("--yes-read-only", problem)])
 
 
 def _ended(stream: TextIO) -> bool:
@@ -108,19 +108,19 @@ def probe(
     Goes on where it was left. Steps 1 to 4 only read.
     """
     from inteco_abs.boards import check_address, check_kind, simulated
-    from inteco_abs.commissioning import Draft, Walk
+    from inteco_abs.commissioning import Procedure, ProfileDraft
     from inteco_abs.commissioning.procedure import find_step
-    from inteco_abs.commissioning.step import Visit
+    from inteco_abs.commissioning.step import StepContext
     from inteco_abs.wire.capture import check_target
 
     check_address(board)
     if virtual and not simulated(board):
-        raise ConfigError([Mistake("--virtual", f"{board} is a real board, and real boards have their own time")])
+        raise ConfigError([ConfigIssue("--virtual", f"{board} is a real board, and real boards have their own time")])
     for name in (only, redo):
         if name:
             find_step(name)
     if only and redo:
-        raise ConfigError([Mistake("--redo", "goes on after its step, --step does not: name one of them")])
+        raise ConfigError([ConfigIssue("--redo", "goes on after its step, --step does not: name one of them")])
     if dry_run:
         _tell_steps(as_json=as_json)
         return 0
@@ -130,9 +130,9 @@ def probe(
         check_target(report)
     base = profile or _real_profile(board)
     forgiving = [] if file.exists() else _forgiving(board)
-    draft = Draft.open(file, board, base, [*forgiving, *settings], given=profile is not None)
+    draft = ProfileDraft.open(file, board, base, [*forgiving, *settings], given=profile is not None)
     check_kind(board, draft.config)
-    walk = Walk(Visit(_bench(board, draft, virtual=virtual), draft, Terminal(), quiet))
+    walk = Procedure(StepContext(_bench(board, draft, virtual=virtual), draft, Terminal(), quiet))
     _print_state(walk, file)
     try:
         _go(walk, only, redo, lambda: None if report is None else _write_report(draft, report))
@@ -144,7 +144,7 @@ def probe(
     return 0
 
 
-def _go(walk: Walk, only: str, redo: str, keep: Callable[[], None]) -> None:
+def _go(walk: Procedure, only: str, redo: str, keep: Callable[[], None]) -> None:
     """Do the steps, and keep what was seen of the board also where one of them fails."""
     try:
         walk.go(only, redo)
@@ -190,17 +190,17 @@ def _forgiving(board: str) -> list[str]:
     ]
 
 
-def _bench(board: str, draft: Draft, *, virtual: bool) -> Bench:
+def _bench(board: str, draft: ProfileDraft, *, virtual: bool) -> RigAccess:
     from inteco_abs.boards import simulated
-    from inteco_abs.commissioning import MockBench, PacedMockBench, RealBench
+    from inteco_abs.commissioning import MockRigAccess, PacedMockRigAccess, RealRigAccess
     from inteco_abs.experiment import by_hand
 
     if simulated(board):
-        return MockBench(draft.config) if virtual else PacedMockBench(draft.config, by_hand)
-    return RealBench(board, by_hand)
+        return MockRigAccess(draft.config) if virtual else PacedMockRigAccess(draft.config, by_hand)
+    return RealRigAccess(board, by_hand)
 
 
-def _report(walk: Walk, draft: Draft, board: str) -> dict[str, Any]:
+def _report(walk: Procedure, draft: ProfileDraft, board: str) -> dict[str, Any]:
     config = draft.config
     return {
         "schema_version": 1,
@@ -215,7 +215,7 @@ def _report(walk: Walk, draft: Draft, board: str) -> dict[str, Any]:
     }
 
 
-def _write_report(draft: Draft, file: Path) -> None:
+def _write_report(draft: ProfileDraft, file: Path) -> None:
     from inteco_abs.commissioning.board_report import board_seen
     from inteco_abs.wire.capture import write_capture
 
@@ -225,7 +225,7 @@ def _write_report(draft: Draft, file: Path) -> None:
     )
 
 
-def _print_state(walk: Walk, file: Path) -> None:
+def _print_state(walk: Procedure, file: Path) -> None:
     words = ", ".join(f"{one['step']} {one['name']}: {one['outcome']}" for one in walk.state())
     ahead = f"next is {walk.next}" if walk.next else "all is done"
     say(f"{file}: {words}; {ahead}", err=True)

@@ -8,11 +8,11 @@ from pathlib import Path
 import click
 
 from inteco_abs.cli.completion import key_names
-from inteco_abs.cli.options import FILE, SETTING, Verbs, json_option, print_json, say
-from inteco_abs.errors import AbsError, disk_in_words
+from inteco_abs.cli.options import FILE, SETTING, VerbGroup, json_option, print_json, say
+from inteco_abs.errors import AbsError, describe_disk
 
 
-@click.group(cls=Verbs)
+@click.group(cls=VerbGroup)
 def config() -> None:
     """Begin a rig.toml, show what holds, explain a key."""
 
@@ -21,15 +21,15 @@ def config() -> None:
 @click.argument("file", type=FILE, default="rig.toml")
 def init(file: Path) -> int:
     """Write a rig.toml with every key, its meaning and its default, commented out."""
-    from inteco_abs.sessions import check_output, only_whole
+    from inteco_abs.sessions import atomic_write, check_output
     from inteco_abs.views.config_keys import template
 
     check_output(file, "FILE")
     try:
-        with only_whole(file) as part:
+        with atomic_write(file) as part:
             part.write_text(template(), encoding="utf-8")
     except OSError as error:
-        raise AbsError(f"{file} cannot be written: {disk_in_words(error)}") from error
+        raise AbsError(f"{file} cannot be written: {describe_disk(error)}") from error
     say(f"{file}: uncomment what is different on your rig, and use it with --config {file}", err=True)
     return 0
 

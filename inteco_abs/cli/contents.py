@@ -19,7 +19,7 @@ from inteco_abs.cli.options import (
     say,
     tell_of_losses,
 )
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
     from inteco_abs.sessions import Session
@@ -62,12 +62,12 @@ def _form_and_out(file: Path, form: str | None, out: Path | None) -> tuple[str, 
     """Each follows from the other, and both together must agree: programs open a file by its name."""
     if out is None:
         if form is None:
-            raise ConfigError([Mistake("--format", f"is missing: {', '.join(_FORMATS)}, or --out that ends so")])
+            raise ConfigError([ConfigIssue("--format", f"is missing: {', '.join(_FORMATS)}, or --out that ends so")])
         return form, file.with_suffix(f".{form}")
     ending = out.suffix.removeprefix(".")
     wanted = _FORMATS if form is None else (form,)
     if ending not in wanted:
-        raise ConfigError([Mistake("--out", f"{out}: must end in .{', .'.join(wanted)}")])
+        raise ConfigError([ConfigIssue("--out", f"{out}: must end in .{', .'.join(wanted)}")])
     return ending, out
 
 
@@ -81,9 +81,9 @@ def get(file: Path, name: str | None, out: Path | None, as_json: bool) -> int:
     from inteco_abs.sessions import attached, extract, read_session
 
     if name is None and out is not None:
-        raise ConfigError([Mistake("--out", f"{out}: say which file to write there: get FILE NAME --out OUT")])
+        raise ConfigError([ConfigIssue("--out", f"{out}: say which file to write there: get FILE NAME --out OUT")])
     if name is not None and out is None and as_json:
-        raise ConfigError([Mistake("--json", "standard output has the file itself; name another place with --out")])
+        raise ConfigError([ConfigIssue("--json", "standard output has the file itself; name another place with --out")])
     session = read_whole(file, read_session)
     if name is None:
         _list(session, as_json)

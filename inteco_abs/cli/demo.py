@@ -66,12 +66,12 @@ def demo(context: click.Context, folder: Path, no_wait: bool) -> int:
     Each step is a command, printed as you would type it. Nothing but the folder is written to, and no hardware is
     touched. Ends with 3 if the computer was late in the step in real time.
     """
-    from inteco_abs.sessions import made_folder
+    from inteco_abs.sessions import ensured_directory
 
     folder = folder.absolute()
     waits = not no_wait and on_terminal(sys.stdin)
     worst = 0
-    with made_folder(folder, new=True), chdir(folder):
+    with ensured_directory(folder, new=True), chdir(folder):
         for number, step in enumerate(STEPS, 1):
             click.secho("\n" + fill(f"{number} of {len(STEPS)}: {step.why}", _WIDTH), bold=True, err=True)
             if step.needs and importlib.util.find_spec(step.needs) is None:

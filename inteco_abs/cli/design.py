@@ -20,7 +20,7 @@ from inteco_abs.cli.options import (
     known_controllers,
     print_json,
 )
-from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 _SLOWEST_RAD_S: Final = 10.0
 _FASTEST_RAD_S: Final = 245.0
@@ -89,7 +89,7 @@ def design(
     from inteco_abs.control import control_check, preferred_estimator
     from inteco_abs.gain_design import HARD, judge_gains, stated_box
     from inteco_abs.gain_design.figure import draw_design
-    from inteco_abs.rig import believed_parameters
+    from inteco_abs.rig import nominal_parameters
     from inteco_abs.views.figure import check_figure
 
     chosen = [f"controller.name={controller}"] if controller else []
@@ -102,7 +102,7 @@ def design(
     check_table(table)
     if figure is not None:
         check_figure(figure)
-    box = stated_box(uncertain or HARD, believed_parameters(rig.model))
+    box = stated_box(uncertain or HARD, nominal_parameters(rig.model))
     report = judge_gains(rig, box, speeds, slip_band, slips).report()
     if table is not None:
         _write_table(report["curves"], table)
@@ -121,36 +121,40 @@ def _insist_on_ranges(
     mistakes = [*_range_mistakes("--speeds", speeds, 0.1, _FASTEST_RAD_S, "rad/s")]
     if slip_band is not None:
         mistakes += _range_mistakes("--slip-band", slip_band, _LEAST_SLIP, 1.0, "of slip")
-    mistakes += [Mistake("--from-slip", f"{slip:g}: must be in 0..1") for slip in from_slips if not 0.0 <= slip <= 1.0]
+    mistakes += [
+        ConfigIssue("--from-slip", f"{slip:g}: must be in 0..1") for slip in from_slips if not 0.0 <= slip <= 1.0
+    ]
     if reference < _LEAST_SLIP:
         problem = (
             f"{reference:g}: must be at least {_LEAST_SLIP:g} for a design; below, the model has next to no adhesion"
         )
-        mistakes.append(Mistake("controller.reference_slip", problem))
+        mistakes.append(ConfigIssue("controller.reference_slip", problem))
     if mistakes:
         raise ConfigError(mistakes)
 
 
-def _range_mistakes(option: str, stated: tuple[float, float], least: float, most: float, unit: str) -> list[Mistake]:
+def _range_mistakes(
+    option: str, stated: tuple[float, float], least: float, most: float, unit: str
+) -> list[ConfigIssue]:
     low, high = stated
     if not (least <= low <= most and least <= high <= most):
-        return [Mistake(option, f"{low:g} {high:g}: must both be in {least:g}..{most:g} {unit}")]
+        return [ConfigIssue(option, f"{low:g} {high:g}: must both be in {least:g}..{most:g} {unit}")]
     if not low < high:
-        return [Mistake(option, f"{low:g} {high:g}: must rise; write {option} {high:g} {low:g}")]
+        return [ConfigIssue(option, f"{low:g} {high:g}: must rise; write {option} {high:g} {low:g}")]
     return []
 
 
 def _write_table(curves: Mapping[str, Any], path: Path) -> None:
     """One row a road speed; what has no bound is empty."""
-    from inteco_abs.sessions import only_whole
+    from inteco_abs.sessions import atomic_write
 
     try:
-        with only_whole(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(curves)
             writer.writerows(zip(*curves.values(), strict=True))
     except OSError as error:
-        raise AbsError(f"{path}: the table cannot be written: {disk_in_words(error)}") from error
+        raise AbsError(f"{path}: the table cannot be written: {describe_disk(error)}") from error
 
 
 def _print_report(report: Mapping[str, Any]) -> None:

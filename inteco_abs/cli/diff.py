@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, Finite, json_option, plain, print_json, read_whole, say
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 if TYPE_CHECKING:
     from inteco_abs.analysis import Change, Diff, SignalChange
@@ -31,7 +31,7 @@ def diff(a: Path, b: Path, only: tuple[str, ...], rel: float, as_json: bool) -> 
     """
     from inteco_abs.analysis import SECTIONS, diff_sessions
 
-    mistakes = [Mistake("--only", f"no section {name!r}{near_match(name, SECTIONS)}") for name in only]
+    mistakes = [ConfigIssue("--only", f"no section {name!r}{near_match(name, SECTIONS)}") for name in only]
     mistakes = [mistake for mistake, name in zip(mistakes, only, strict=True) if name not in SECTIONS]
     if mistakes:
         raise ConfigError(mistakes)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from inteco_abs.cli.options import FILE, LOSSES, Finite, json_option, print_json, say
-from inteco_abs.errors import BoardError, ConfigError, Mistake
+from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
     from inteco_abs.host.checks import Finding
@@ -62,12 +62,12 @@ def doctor(
         say(files[printed], nl=False)
         return 0
     if not SHORTEST_S <= seconds <= LONGEST_S:
-        raise ConfigError([Mistake("--seconds", f"{seconds:g}: must be {SHORTEST_S:g}..{LONGEST_S:g} s")])
+        raise ConfigError([ConfigIssue("--seconds", f"{seconds:g}: must be {SHORTEST_S:g}..{LONGEST_S:g} s")])
     if board is not None:
         check_address(board)
     rig = load_config(config, profile=default_profile(board or "sim:"))
     if sessions.exists() and not sessions.is_dir():
-        raise ConfigError([Mistake("--sessions", f"{sessions}: is a file; name a folder")])
+        raise ConfigError([ConfigIssue("--sessions", f"{sessions}: is a file; name a folder")])
     findings = examine(sessions)
     say(f"measuring for {seconds:g} s", err=True)
     findings += [write_speed(sessions), *examine_wake_ups(seconds)]
@@ -112,5 +112,5 @@ def _serial(ftdi_serial: str | None, *, with_rules: bool) -> str:
     if ftdi_serial is None:
         return ""
     if not with_rules:
-        raise ConfigError([Mistake("--ftdi-serial", "goes with --rules, whose text it changes; add that")])
+        raise ConfigError([ConfigIssue("--ftdi-serial", "goes with --rules, whose text it changes; add that")])
     return check_serial(ftdi_serial)

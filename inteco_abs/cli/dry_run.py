@@ -15,8 +15,8 @@ from inteco_abs.cli.options import print_json
 from inteco_abs.errors import AbsError, ConfigError, refusals
 
 if TYPE_CHECKING:
-    from inteco_abs.commissioning import Bench
-    from inteco_abs.commissioning.preflight import Look
+    from inteco_abs.commissioning import RigAccess
+    from inteco_abs.commissioning.preflight import Preflight
     from inteco_abs.config import RigConfig
     from inteco_abs.experiment import Plan
     from inteco_abs.mock_board import Fault
@@ -122,9 +122,9 @@ def _build(config: RigConfig, plan: Plan) -> None:
 
 
 def _insist_on_memory(config: RigConfig, plan: Plan) -> None:
-    from inteco_abs.realtime.memory import insist_on_room
+    from inteco_abs.realtime.memory import require_room
 
-    insist_on_room(_memory_bytes(config, plan))
+    require_room(_memory_bytes(config, plan))
 
 
 def _memory_bytes(config: RigConfig, plan: Plan) -> int:
@@ -151,12 +151,12 @@ def _disk_bytes(config: RigConfig, plan: Plan) -> int:
     return _ticks(config) * sum(size + _MCAP_BYTES for size in records)
 
 
-def _bench(config: RigConfig, board: str, seed: int = 0) -> Bench:
+def _bench(config: RigConfig, board: str, seed: int = 0) -> RigAccess:
     from inteco_abs.boards import simulated
-    from inteco_abs.commissioning import MockBench, RealBench
+    from inteco_abs.commissioning import MockRigAccess, RealRigAccess
     from inteco_abs.experiment import by_hand
 
-    return MockBench(config, seed) if simulated(board) else RealBench(board, by_hand)
+    return MockRigAccess(config, seed) if simulated(board) else RealRigAccess(board, by_hand)
 
 
 def _told(refused: Iterable[AbsError]) -> list[dict[str, str]]:
@@ -212,7 +212,7 @@ def _memory(planned: Sequence[Planned]) -> dict[str, Any]:
     return {"what": "shared memory", "where": str(FOLDER), "bytes": needed, "free_bytes": free}
 
 
-def _report(planned: Sequence[Planned], look: Look, pause_s: float) -> dict[str, Any]:
+def _report(planned: Sequence[Planned], look: Preflight, pause_s: float) -> dict[str, Any]:
     """What would be done, and with what."""
     config, plan = planned[0][:2]
     guard, runs = config.guard, sum(each.times for each in planned)
@@ -229,7 +229,7 @@ def _report(planned: Sequence[Planned], look: Look, pause_s: float) -> dict[str,
     }
 
 
-def _board(board: str, look: Look) -> dict[str, Any]:
+def _board(board: str, look: Preflight) -> dict[str, Any]:
     identity = look.identity
     return {
         "address": board,

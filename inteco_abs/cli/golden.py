@@ -12,7 +12,7 @@ from inteco_abs.cli.options import (
     DIFFERS,
     FILE,
     Finite,
-    Verbs,
+    VerbGroup,
     json_option,
     known_controllers,
     print_json,
@@ -34,7 +34,7 @@ def _reason_option(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--reason", required=True, help="Why; kept in the history.")(function)
 
 
-@click.group(cls=Verbs)
+@click.group(cls=VerbGroup)
 def golden() -> None:
     """Keep recorded runs as regression tests.
 

@@ -16,14 +16,14 @@ from inteco_abs.cli.options import (
     SETTING,
     Finite,
     drawn_setting,
-    insist_on_different,
     json_option,
     print_json,
     read_whole,
+    require_different,
     rig_option,
     say,
 )
-from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
@@ -85,16 +85,16 @@ def identify(
     from inteco_abs.views.figure import check_figure
 
     if plan and files:
-        raise ConfigError([Mistake("--plan", "records sessions, and takes none; name them without --plan")])
+        raise ConfigError([ConfigIssue("--plan", "records sessions, and takes none; name them without --plan")])
     if not plan and not files:
-        raise ConfigError([Mistake("SESSION", "name at least one session, or --plan to record what is needed")])
+        raise ConfigError([ConfigIssue("SESSION", "name at least one session, or --plan to record what is needed")])
     if plan:
         return _record(board, virtual, drawn, config, settings, out, pause_s, dry_run=dry_run, as_json=as_json)
     if dry_run:
-        raise ConfigError([Mistake("--dry-run", "is for --plan; what is recorded is read, and nothing is moved")])
+        raise ConfigError([ConfigIssue("--dry-run", "is for --plan; what is recorded is read, and nothing is moved")])
     assumed = _assumed(assume)
     rig = load_config(config, settings, [control_check()])
-    insist_on_different({"--out": out, "--figure": figure})
+    require_different({"--out": out, "--figure": figure})
     if out is not None:
         _check_out(out)
     if figure is not None:
@@ -128,7 +128,7 @@ def _tell(found: Identification, out: Path | None, figure: Path | None, *, as_js
 
 def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, float]) -> Identification:
     from inteco_abs.identification import chosen, identify, segments
-    from inteco_abs.rig import believed_parameters
+    from inteco_abs.rig import nominal_parameters
     from inteco_abs.sessions import read_session, session_config
 
     found: list[Segment] = []
@@ -137,8 +137,8 @@ def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, floa
         found += segments(session, session_config(session, ()).encoders.counts_per_turn)
     if not found:
         problem = "no session has a run-up or a braking phase of the open-loop controller; --plan records some"
-        raise ConfigError([Mistake("SESSION", problem)])
-    return identify(chosen(found), believed_parameters(rig.model), assumed)
+        raise ConfigError([ConfigIssue("SESSION", problem)])
+    return identify(chosen(found), nominal_parameters(rig.model), assumed)
 
 
 def _assumed(statements: tuple[str, ...]) -> dict[str, float]:
@@ -153,9 +153,11 @@ def _assumed(statements: tuple[str, ...]) -> dict[str, float]:
         except ValueError:
             percent = -1.0
         if name not in ASSUMED:
-            mistakes.append(Mistake("--assume", f"{statement}: no number that is assumed{near_match(name, ASSUMED)}"))
+            mistakes.append(
+                ConfigIssue("--assume", f"{statement}: no number that is assumed{near_match(name, ASSUMED)}")
+            )
         elif not 0.01 <= percent <= 90.0:
-            mistakes.append(Mistake("--assume", f"{statement}: must look like {name}=5%, with 0.01 % to 90 %"))
+            mistakes.append(ConfigIssue("--assume", f"{statement}: must look like {name}=5%, with 0.01 % to 90 %"))
         shares[name] = percent / 100.0
     if mistakes:
         raise ConfigError(mistakes)
@@ -166,7 +168,7 @@ def _check_out(path: Path) -> None:
     from inteco_abs.sessions import check_output
 
     if path.suffix != ".toml":
-        raise ConfigError([Mistake("--out", f"{path}: must end in .toml")])
+        raise ConfigError([ConfigIssue("--out", f"{path}: must end in .toml")])
     check_output(path)
 
 
@@ -174,7 +176,7 @@ def _write(found: Identification, out: Path) -> None:
     try:
         out.write_text(found.to_toml(), encoding="utf-8")
     except OSError as error:
-        raise AbsError(f"{out}: the parameters cannot be written: {disk_in_words(error)}") from error
+        raise AbsError(f"{out}: the parameters cannot be written: {describe_disk(error)}") from error
     say(f"parameters: {out}; use them with --config {out}", err=True)
 
 
@@ -205,11 +207,13 @@ def _record(
     from inteco_abs.experiment import Plan
     from inteco_abs.identification import experiments
     from inteco_abs.mock_board import rig_check
-    from inteco_abs.sessions import check_folder, check_output, made_folder
+    from inteco_abs.sessions import check_folder, check_output, ensured_directory
 
     check_address(board)
     if drawn is not None and not simulated(board):
-        raise ConfigError([Mistake("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")])
+        raise ConfigError(
+            [ConfigIssue("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")]
+        )
     folder = out or Path("identification")
 
     def configured(*more: str) -> RigConfig:
@@ -226,7 +230,7 @@ def _record(
     if dry_run:
         places = [partial(check_output, each.plan.out) for each in planned] if folder.is_dir() else []
         return rehearse(planned, [partial(check_folder, folder), *places], pause_s=pause_s, as_json=as_json)
-    with made_folder(folder):
+    with ensured_directory(folder):
         for number, each in enumerate(planned):
             if number:
                 time.sleep(pause_s)

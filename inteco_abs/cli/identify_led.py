@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from inteco_abs.cli.options import FILE, Finite, say
-from inteco_abs.errors import BoardError, ConfigError, Mistake
+from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
 
 
 @click.command()
@@ -23,7 +23,7 @@ def blink(board: str, seconds: float, config: Path | None) -> int:
     check_address(board)
     scheme, _, serial = board.partition(":")
     if scheme != "usb2":
-        raise ConfigError([Mistake("--board", f"{board!r}: only an RT-DAC/USB2 has such an LED, as in usb2:123")])
+        raise ConfigError([ConfigIssue("--board", f"{board!r}: only an RT-DAC/USB2 has such an LED, as in usb2:123")])
     from inteco_abs.boards.families.usb2.bridge import identify_led
     from inteco_abs.boards.transports.usb import find_one
 

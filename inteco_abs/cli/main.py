@@ -23,7 +23,7 @@ from inteco_abs.cli.identify import identify
 from inteco_abs.cli.identify_led import blink
 from inteco_abs.cli.list import list_sessions
 from inteco_abs.cli.mock_board import mock_board
-from inteco_abs.cli.options import INTERRUPTED, Verbs, say
+from inteco_abs.cli.options import INTERRUPTED, VerbGroup, say
 from inteco_abs.cli.panel import panel
 from inteco_abs.cli.paper import paper
 from inteco_abs.cli.repeat import repeat
@@ -38,7 +38,7 @@ from inteco_abs.cli.wire import wire
 from inteco_abs.errors import AbsError
 
 
-@click.group(cls=Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(cls=VerbGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="inteco-abs")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def cli(debug: bool) -> None:

@@ -11,7 +11,7 @@ from typing import Final, TextIO
 import click
 
 from inteco_abs.cli.options import FILE, Finite, Whole, drawn_setting, rig_option, say
-from inteco_abs.errors import ConfigError, Mistake, disk_in_words
+from inteco_abs.errors import ConfigError, ConfigIssue, describe_disk
 
 _MOCK_PROFILES: Final = {"usb2": "sim_usb2", "usb": "sim_usb"}
 
@@ -66,23 +66,25 @@ def mock_board(
     """Be an RT-DAC board with the rig on it, in real time, until Ctrl-C; its data are no measurements."""
     from functools import partial
 
-    from inteco_abs.commissioning.reported_board import SeenBoard
+    from inteco_abs.commissioning.reported_board import ReportedBoard
     from inteco_abs.config import load_config
     from inteco_abs.mock_board import rig_check
     from inteco_abs.mock_board_process import Mock, serve_pty, serve_usbip
 
     if (address is None) == (link is None):
-        raise ConfigError([Mistake("--usbip, --pty", "name one of them: to be a USB device, or a serial port")])
-    seen = None if report is None else SeenBoard(report)
+        raise ConfigError([ConfigIssue("--usbip, --pty", "name one of them: to be a USB device, or a serial port")])
+    seen = None if report is None else ReportedBoard(report)
     if seen is not None and kind not in {None, seen.report.kind}:
-        raise ConfigError([Mistake("--board", f"{kind}: the report is of a {seen.report.kind} board; leave this out")])
+        raise ConfigError(
+            [ConfigIssue("--board", f"{kind}: the report is of a {seen.report.kind} board; leave this out")]
+        )
     kind = seen.report.kind if seen is not None else kind or ("usb2" if link is None else "usb")
     _insist_on_plug(kind, at_pty=link is not None)
     settings = [*(seen.settings if seen is not None else ()), *drawn_setting(drawn)]
     rig = load_config(config, settings, [rig_check], _MOCK_PROFILES[kind])
     if rig.board.kind != kind:
         raise ConfigError(
-            [Mistake("board.kind", f"{rig.board.kind!r}: the mock is to be {kind!r}; name another profile")]
+            [ConfigIssue("board.kind", f"{rig.board.kind!r}: the mock is to be {kind!r}; name another profile")]
         )
     with _truth_file(truth) as file:
         mock = Mock(rig, seed, file, truth_hz, seen)
@@ -98,9 +100,9 @@ def _insist_on_plug(kind: str, *, at_pty: bool) -> None:
     """Raise ConfigError unless a mock board of this kind can be plugged in that way."""
     if kind == "pci":
         problem = "no PCI board can be plugged in from outside; for its mock: run --board sim: --set profile=sim_pci"
-        raise ConfigError([Mistake("--board", problem)])
+        raise ConfigError([ConfigIssue("--board", problem)])
     if at_pty and kind != "usb":
-        raise ConfigError([Mistake("--board", f"{kind}: is no serial port; --pty goes with --board usb")])
+        raise ConfigError([ConfigIssue("--board", f"{kind}: is no serial port; --pty goes with --board usb")])
 
 
 @contextmanager
@@ -112,6 +114,6 @@ def _truth_file(name: str | None) -> Iterator[TextIO | None]:
     try:
         file = Path(name).open("w", encoding="utf-8")  # noqa: SIM115  closed below; what is raised inside is not ours
     except OSError as error:
-        raise ConfigError([Mistake("--truth", f"{name}: cannot be written: {disk_in_words(error)}")]) from error
+        raise ConfigError([ConfigIssue("--truth", f"{name}: cannot be written: {describe_disk(error)}")]) from error
     with file:
         yield file

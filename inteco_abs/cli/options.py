@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, TextIO
 
 import click
 
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.quantities import number_hint
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _wanted(what: str, limits: click.IntRange | click.FloatRange, unit: str = ""
     return f"{what}, in {unit}" if unit else what
 
 
-class Verbs(click.Group):
+class VerbGroup(click.Group):
     """Group that suggests the nearest verb, and says of each its whole first sentence."""
 
     def resolve_command(
@@ -198,7 +198,7 @@ def check_session_file(out: Path) -> None:
 
     check_output(out)
     if out.suffix != ".mcap":
-        raise ConfigError([Mistake("--out", f"{out}: must end in .mcap, by which sessions are found")])
+        raise ConfigError([ConfigIssue("--out", f"{out}: must end in .mcap, by which sessions are found")])
 
 
 def check_table(path: Path | None) -> None:
@@ -209,10 +209,10 @@ def check_table(path: Path | None) -> None:
         return
     check_output(path, "--csv")
     if path.suffix != ".csv":
-        raise ConfigError([Mistake("--csv", f"{path}: must end in .csv")])
+        raise ConfigError([ConfigIssue("--csv", f"{path}: must end in .csv")])
 
 
-def insist_on_different(files: dict[str, Path | None]) -> None:
+def require_different(files: dict[str, Path | None]) -> None:
     """Each output its own file: the later would replace the earlier."""
     seen: dict[Path, str] = {}
     for option, file in files.items():
@@ -220,7 +220,7 @@ def insist_on_different(files: dict[str, Path | None]) -> None:
             continue
         other = seen.setdefault(file.resolve(), option)
         if other != option:
-            raise ConfigError([Mistake(option, f"{file}: is the file of {other} already; choose another name")])
+            raise ConfigError([ConfigIssue(option, f"{file}: is the file of {other} already; choose another name")])
 
 
 def known_controllers(name: str | None) -> Controllers:
@@ -232,7 +232,7 @@ def known_controllers(name: str | None) -> Controllers:
         if name is not None and name not in controllers:
             file = name if name.endswith(".py") else f"{name}.py"
             if name == file or os.path.isfile(file):  # noqa: PTH113  a name too long for a file is no error here
-                raise ConfigError([Mistake("--controller", f"{name}: name the class too, as in {file}:Class")])
+                raise ConfigError([ConfigIssue("--controller", f"{name}: name the class too, as in {file}:Class")])
         return controllers
     kind, source = load_controller(name)
     return Controllers({name: (kind, Origin(source))})

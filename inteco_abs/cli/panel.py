@@ -12,7 +12,7 @@ from inteco_abs.cli.commission import Terminal
 from inteco_abs.cli.completion import key_names
 from inteco_abs.cli.dry_run import rehearse_by_hand
 from inteco_abs.cli.options import FILE, SETTING, drawn_setting, on_terminal, rig_option, say
-from inteco_abs.errors import AbsError, ConfigError, Mistake
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue
 
 
 @click.command()
@@ -51,7 +51,7 @@ def panel(
     Without --outputs it only reads.
     """
     from inteco_abs.boards import check_address, default_profile, simulated
-    from inteco_abs.commissioning.operator import insist_on_phrase
+    from inteco_abs.commissioning.operator import require_phrase
     from inteco_abs.commissioning.outputs import PROVES_ITSELF
     from inteco_abs.commissioning.panel import PHRASE, REQUEST, Panel
     from inteco_abs.config import load_config
@@ -61,11 +61,13 @@ def panel(
 
     check_address(board)
     if drawn is not None and not simulated(board):
-        raise ConfigError([Mistake("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")])
+        raise ConfigError(
+            [ConfigIssue("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")]
+        )
     rig = load_config(config, (*settings, *drawn_setting(drawn)), [rig_check], default_profile(board))
     injected = parse_faults(faults)
     if dry_run and not outputs:
-        raise ConfigError([Mistake("--dry-run", "is for --outputs: without them the panel only reads")])
+        raise ConfigError([ConfigIssue("--dry-run", "is for --outputs: without them the panel only reads")])
     if dry_run:
         return rehearse_by_hand(rig, board, injected, (_insist_on_textual, _insist_on_terminal))
     _insist_on_textual()
@@ -73,7 +75,7 @@ def panel(
     from inteco_abs.cli.panel_screen import ARM_AGAIN, PanelApp
 
     if outputs:
-        insist_on_phrase(Terminal(), REQUEST, PHRASE)
+        require_phrase(Terminal(), REQUEST, PHRASE)
     code: int | None = ARM_AGAIN
     while code == ARM_AGAIN:
         if outputs:

@@ -20,7 +20,7 @@ from inteco_abs.commissioning.identity import hex_dump
 from inteco_abs.commissioning.panel import AGAIN, Output, Panel
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import UnsafeError
-from inteco_abs.realtime.processes.manual import Screenside
+from inteco_abs.realtime.processes.manual import ManualClient
 from inteco_abs.signals import EXPLANATIONS, Command, Reason
 
 _REFRESH_S: Final = 0.1
@@ -104,7 +104,7 @@ class PanelApp(App[int]):
     #keys { dock: bottom; height: 2; padding: 0 1; }
     """
 
-    def __init__(self, panel: Panel, side: Screenside, address: str) -> None:
+    def __init__(self, panel: Panel, side: ManualClient, address: str) -> None:
         super().__init__()
         self._panel = panel
         self._side = side

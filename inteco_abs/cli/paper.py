@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.cli.options import Whole, json_option, print_json, say, stops_progress
-from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 if TYPE_CHECKING:
     from inteco_abs.paper import Reproduction
@@ -47,9 +47,9 @@ def paper(folder: Path, draws: int, as_json: bool) -> int:
     same command gives the same files, byte by byte.
     """
     from inteco_abs.paper import reproduce
-    from inteco_abs.views.figure import insist_on_matplotlib
+    from inteco_abs.views.figure import require_matplotlib
 
-    insist_on_matplotlib()
+    require_matplotlib()
     _check_folder(folder)
     with stops_progress() as progress:
         found = reproduce(draws, progress)
@@ -66,9 +66,11 @@ def paper(folder: Path, draws: int, as_json: bool) -> int:
 def _check_folder(folder: Path) -> None:
     """Refuse, before anything is computed, what cannot be written to."""
     if folder.exists() and not folder.is_dir():
-        raise ConfigError([Mistake("--out", f"{folder}: is a file; name a folder")])
+        raise ConfigError([ConfigIssue("--out", f"{folder}: is a file; name a folder")])
     if not folder.absolute().parent.is_dir():
-        raise ConfigError([Mistake("--out", f"{folder}: the folder {folder.parent} does not exist; create it first")])
+        raise ConfigError(
+            [ConfigIssue("--out", f"{folder}: the folder {folder.parent} does not exist; create it first")]
+        )
     changed = folder if folder.exists() else folder.absolute().parent
     if not os.access(changed, os.W_OK | os.X_OK):
         raise AbsError(f"{changed}: no permission to write to this folder; name another with -o")
@@ -90,7 +92,7 @@ def _write(found: Reproduction, report: Mapping[str, Any], folder: Path, command
         (path := folder / "table.md").write_text(paper_markdown(report, command), encoding="utf-8")
         yield path
     except OSError as error:
-        raise AbsError(f"{error.filename or folder}: cannot be written: {disk_in_words(error)}") from error
+        raise AbsError(f"{error.filename or folder}: cannot be written: {describe_disk(error)}") from error
 
 
 def _write_csv(path: Path, records: Sequence[Mapping[str, Any]]) -> Path:

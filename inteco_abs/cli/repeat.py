@@ -20,13 +20,13 @@ from inteco_abs.cli.options import (
     LOSSES,
     Finite,
     Whole,
-    insist_on_different,
     json_option,
     print_json,
+    require_different,
     say,
 )
 from inteco_abs.cli.run import planned_run, run
-from inteco_abs.errors import AbsError, ConfigError, Mistake
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue
 
 _COOL_DOWN_S: Final = 30.0
 """What the manual asks for after a switch-off for heat (docs/facts/rig.md#how-the-rig-is-run)."""
@@ -73,18 +73,18 @@ def repeat(
     stop (5 safety stop, 130 interrupted), 3 if stops had overruns or losses, else 0.
     """
     from inteco_abs.boards import simulated
-    from inteco_abs.sessions import made_folder
+    from inteco_abs.sessions import ensured_directory
     from inteco_abs.views.figure import check_figure
 
     places: list[Condition] = [partial(check_figure, figure)] if figure is not None else []
-    places.append(partial(insist_on_different, {"--out": folder, "--figure": figure}))
+    places.append(partial(require_different, {"--out": folder, "--figure": figure}))
     pause_s = pause_s if pause_s is not None else 0.0 if simulated(choices["board"]) else _COOL_DOWN_S
     folder = folder or Path("sessions") / f"series-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}"
     if dry_run:
         return _rehearse(count, folder, pause_s, places, choices, as_json=as_json)
     for condition in places:
         condition()
-    with made_folder(folder, new=True):
+    with ensured_directory(folder, new=True):
         worst, paths = _brake(context, count, folder, pause_s, choices)
     _tell(paths, figure, as_json=as_json)
     return worst
@@ -134,7 +134,7 @@ def _check_new(folder: Path) -> None:
     from inteco_abs.sessions import check_folder
 
     if folder.exists():
-        raise ConfigError([Mistake("--out", f"{folder}: exists already; name a folder that does not exist")])
+        raise ConfigError([ConfigIssue("--out", f"{folder}: exists already; name a folder that does not exist")])
     check_folder(folder)
 
 

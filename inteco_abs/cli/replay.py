@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, json_option, known_controllers, print_json, read_whole, say
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,14 +43,14 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     """
     from dataclasses import asdict
 
-    from inteco_abs.analysis import REFERENCE, before_the_gap, changed_gains, insist_on_known, parse_tolerances
+    from inteco_abs.analysis import REFERENCE, before_the_gap, changed_gains, parse_tolerances, require_known
     from inteco_abs.analysis import replay as run_again
     from inteco_abs.control import build_pipeline, control_check, gains_in_force
     from inteco_abs.sessions import read_session, session_config
 
     given = parse_tolerances(tolerances)
     recorded = read_whole(file, read_session)
-    insist_on_known(recorded)
+    require_known(recorded)
     session = before_the_gap(recorded)
     left_out = len(recorded.ticks) - len(session.ticks)
     controllers = controllers_for(session, controller)
@@ -85,14 +85,16 @@ def controllers_for(session: Session, controller: str | None) -> Controllers:
     if controller is not None:
         if controller not in controllers:
             raise ConfigError(
-                [Mistake("--controller", f"no controller {controller!r}{near_match(controller, controllers)}")]
+                [ConfigIssue("--controller", f"no controller {controller!r}{near_match(controller, controllers)}")]
             )
         controllers = Controllers({name: (controllers[controller], controllers.origin(controller))})
     elif FROM_FILE in name:
-        raise ConfigError([Mistake("--controller", f"the session was run with {name!r}; name that file to replay it")])
+        raise ConfigError(
+            [ConfigIssue("--controller", f"the session was run with {name!r}; name that file to replay it")]
+        )
     elif package and name not in controllers:
         problem = f"the session was run with {name!r} of the package {package!r}, which is not installed; install it"
-        raise ConfigError([Mistake("--controller", problem)])
+        raise ConfigError([ConfigIssue("--controller", problem)])
     if name in controllers:
         _tell_of_another(controllers.origin(name), session.attachments.get("controller.py"), package)
     return controllers

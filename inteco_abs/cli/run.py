@@ -21,23 +21,23 @@ from inteco_abs.cli.options import (
     check_session_file,
     draw,
     drawn_setting,
-    insist_on_different,
     json_option,
     known_controllers,
     print_card,
     print_json,
+    require_different,
     rig_option,
     say,
 )
 from inteco_abs.cli.screens import live_options, screen_of
-from inteco_abs.errors import AbsError, ConfigError, Mistake
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from inteco_abs.config import RigConfig
     from inteco_abs.experiment import Plan
-    from inteco_abs.sessions import Account
+    from inteco_abs.sessions import RunResult
 
 _LIVE_PORT: Final = 8765
 """Where Lichtblick and Foxglove look if nobody tells them."""
@@ -126,7 +126,7 @@ def run(
 ) -> int:
     """Drive, brake, record: one stop."""
     from inteco_abs.experiment import run_stop
-    from inteco_abs.sessions import check_folder, made_folder
+    from inteco_abs.sessions import check_folder, ensured_directory
 
     places = list(_places(out, figure, wire))
     try:
@@ -144,7 +144,7 @@ def run(
         condition()
     if not virtual:
         _tell_of_left_rings()
-    with made_folder(plan.out.parent), screen_of(rig, live, virtual=virtual, quiet=quiet) as screen:
+    with ensured_directory(plan.out.parent), screen_of(rig, live, virtual=virtual, quiet=quiet) as screen:
         stop = run_stop(rig, plan, screen=screen)
     try:
         _tell(stop, as_json=as_json, quiet=quiet)
@@ -190,7 +190,9 @@ def planned_run(
     chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
     check_address(board)
     if drawn is not None and not simulated(board):
-        raise ConfigError([Mistake("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")])
+        raise ConfigError(
+            [ConfigIssue("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")]
+        )
     checks = [control_check(controllers), rig_check]
     settings = (*settings, *drawn_setting(drawn), *chosen)
     rig = load_config(config, settings, checks, default_profile(board), preferred_estimator(controllers))
@@ -208,10 +210,10 @@ def _places(out: Path | None, figure: Path | None, wire: Path | None) -> Iterato
         yield partial(check_figure, figure)
     if out is not None:
         yield partial(check_session_file, out)
-    yield partial(insist_on_different, {"--out": out, "--figure": figure, "--record-wire": wire})
+    yield partial(require_different, {"--out": out, "--figure": figure, "--record-wire": wire})
 
 
-def _tell(stop: Account, *, as_json: bool, quiet: bool) -> None:
+def _tell(stop: RunResult, *, as_json: bool, quiet: bool) -> None:
     if as_json:
         print_json(stop.card)
     elif not quiet:

@@ -23,17 +23,17 @@ from inteco_abs.cli.options import (
     LOSSES,
     Whole,
     check_table,
-    insist_on_different,
     json_option,
     known_controllers,
     print_json,
+    require_different,
     say,
     stops_progress,
 )
-from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 if TYPE_CHECKING:
-    from inteco_abs.montecarlo import Combination, Draws, Row
+    from inteco_abs.montecarlo import Combination, SampleSet, SweepRow
     from inteco_abs.plugins import Controllers
 
 _SMALLEST_SHARD: Final = 5
@@ -102,7 +102,7 @@ def sweep(
         controllers, sources = _controllers(controller)
     chosen = [f"controller.name={name}" for name in controller] + [f"estimator.name={name}" for name in estimator]
     grid = combinations([*settings, *chosen], controllers, config)
-    insist_on_different({"--csv": table, "--figure": figure})
+    require_different({"--csv": table, "--figure": figure})
     _insist_on_own_rigs(grid, draws)
     check_table(table)
     if figure is not None:
@@ -153,23 +153,23 @@ def _controllers(names: Sequence[str]) -> tuple[Controllers, dict[str, bytes]]:
     return Known(own), {name: origin.source for name, (_, origin) in own.items()}
 
 
-def _insist_on_own_rigs(grid: Sequence[Combination], draws: Sequence[Draws]) -> None:
+def _insist_on_own_rigs(grid: Sequence[Combination], draws: Sequence[SampleSet]) -> None:
     """The rigs are those of --rigs, whatever [simulation] says, and have encoders of their own."""
     from inteco_abs.config import SimulationConfig
 
     mistakes = []
     if any(one.config.simulation != SimulationConfig() for one in grid):
-        mistakes.append(Mistake("simulation", "a sweep brakes the rigs of --rigs; leave this section out"))
+        mistakes.append(ConfigIssue("simulation", "a sweep brakes the rigs of --rigs; leave this section out"))
     believed = {one.config.encoders.counts_per_turn for one in grid}
     drawn = {rig.road_encoder.counts_per_turn for each in draws for rig in each.rigs}
     if believed != drawn:
         shown = ", ".join(map(str, sorted(believed - drawn)))
-        mistakes.append(Mistake("encoders.counts_per_turn", f"{shown}: these rigs have {max(drawn)}; leave it out"))
+        mistakes.append(ConfigIssue("encoders.counts_per_turn", f"{shown}: these rigs have {max(drawn)}; leave it out"))
     if mistakes:
         raise ConfigError(mistakes)
 
 
-def _tell_of_left_out(draws: Sequence[Draws]) -> None:
+def _tell_of_left_out(draws: Sequence[SampleSet]) -> None:
     for each in draws:
         if each.left_out:
             count = len(each.left_out) + len(each.seeds)
@@ -180,7 +180,7 @@ def _tell_of_left_out(draws: Sequence[Draws]) -> None:
             )
 
 
-def _tell_of_errors(rows: Sequence[Row]) -> int:
+def _tell_of_errors(rows: Sequence[SweepRow]) -> int:
     """One line for each row with stops that failed; the exit code."""
     code = 0
     for row in rows:
@@ -245,7 +245,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _print(rows: Sequence[Row], *, as_json: bool) -> None:
+def _print(rows: Sequence[SweepRow], *, as_json: bool) -> None:
     if as_json:
         print_json({"schema_version": 1, "rows": [row.facts() for row in rows]})
         return
@@ -258,15 +258,15 @@ def _print(rows: Sequence[Row], *, as_json: bool) -> None:
     console.print(render_sweep(rows))
 
 
-def _write_csv(rows: Sequence[Row], path: Path) -> None:
-    from inteco_abs.sessions import only_whole
+def _write_csv(rows: Sequence[SweepRow], path: Path) -> None:
+    from inteco_abs.sessions import atomic_write
 
     records: list[dict[str, Any]] = [record for row in rows for record in row.records()]
     columns = dict.fromkeys(key for record in records for key in record)  # gains differ from controller to controller
     try:
-        with only_whole(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
             writer = csv.DictWriter(file, list(columns))
             writer.writeheader()
             writer.writerows(records)
     except OSError as error:
-        raise AbsError(f"{path}: the table cannot be written: {disk_in_words(error)}") from error
+        raise AbsError(f"{path}: the table cannot be written: {describe_disk(error)}") from error

@@ -21,7 +21,7 @@ from inteco_abs.cli.options import (
     read_whole,
     say,
 )
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
     from inteco_abs.analysis.closed_loop import Continuation
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
     from inteco_abs.plugins import Controllers
     from inteco_abs.sessions import Session
-    from inteco_abs.views.what_if import Course
+    from inteco_abs.views.what_if import WhatIfTrace
 
 _MOST: Final = 100
 _METRICS: Final = (
@@ -118,7 +118,7 @@ def what_if(
     """
     from inteco_abs.sessions import read_session
     from inteco_abs.views.figure import check_figure
-    from inteco_abs.views.what_if import MOST, Course, draw_what_if
+    from inteco_abs.views.what_if import MOST, WhatIfTrace, draw_what_if
 
     chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
     grid = list(_grid((*chosen, *settings), sweeps))
@@ -126,11 +126,11 @@ def what_if(
         check_figure(figure)
         if len(grid) > MOST:
             problem = f"{len(grid)} alternatives: at most {MOST} can be told apart; sweep fewer, or leave it out"
-            raise ConfigError([Mistake("--figure", problem)])
+            raise ConfigError([ConfigIssue("--figure", problem)])
     session = read_whole(file, read_session)
     controllers = known_controllers(controller)
     courses = [
-        Course(name, *_ask(session, given, controllers, at_s, (duty, torque), closed_loop)) for name, given in grid
+        WhatIfTrace(name, *_ask(session, given, controllers, at_s, (duty, torque), closed_loop)) for name, given in grid
     ]
     own = _own_error(session, controllers, at_s) if closed_loop else None
     if figure is not None:
@@ -151,10 +151,10 @@ def _grid(settings: Sequence[str], sweeps: Sequence[str]) -> Iterator[tuple[str,
     for axis in axes:
         count *= len(axis)
     if count > _MOST:
-        raise ConfigError([Mistake("--sweep", f"{count} alternatives: must be at most {_MOST}; give fewer values")])
+        raise ConfigError([ConfigIssue("--sweep", f"{count} alternatives: must be at most {_MOST}; give fewer values")])
     if not (settings or axes):
         problem = "nothing was asked; name other gains, as controller.gains.Mk=5, or a --controller or --estimator"
-        raise ConfigError([Mistake("--set", problem)])
+        raise ConfigError([ConfigIssue("--set", problem)])
     for values in product(*axes):
         yield ", ".join(values or settings), [*settings, *values]
 
@@ -163,7 +163,7 @@ def _axis(sweep: str) -> list[str]:
     key, equals, text = sweep.partition("=")
     values = [value.strip() for value in text.split(",")]
     if not (equals and key.strip() and all(values)):
-        raise ConfigError([Mistake(f"--sweep {sweep}", "must look like controller.gains.Mk=1,2,5")])
+        raise ConfigError([ConfigIssue(f"--sweep {sweep}", "must look like controller.gains.Mk=1,2,5")])
     return [f"{key.strip()}={value}" for value in dict.fromkeys(values)]
 
 
@@ -201,7 +201,7 @@ def _own_error(session: Session, controllers: Controllers, at_s: float | None) -
     return distance(session, _continued(session, own, controllers, at_s))
 
 
-def _report(session: Session, courses: Sequence[Course], own: dict[str, Any] | None) -> dict[str, Any]:
+def _report(session: Session, courses: Sequence[WhatIfTrace], own: dict[str, Any] | None) -> dict[str, Any]:
     from dataclasses import asdict
 
     from inteco_abs.sessions import result_card, session_config

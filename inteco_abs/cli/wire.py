@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.options import DIFFERS, FILE, SETTING, Verbs, Whole, json_option, print_json, say
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.cli.options import DIFFERS, FILE, SETTING, VerbGroup, Whole, json_option, print_json, say
+from inteco_abs.errors import ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
     from inteco_abs.boards.board_report import BoardReport
@@ -22,7 +22,7 @@ _PROFILES: Final = {"usb1-111": "sim_usb", "usb1-112": "usb1_0112"}
 """To begin with, by the capture's board: the driver's part does not depend on whose rig it was."""
 
 
-@click.group(cls=Verbs)
+@click.group(cls=VerbGroup)
 def wire() -> None:
     """Captures of what passes between a host and the board.
 
@@ -156,7 +156,7 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
     ignored = [*ignore, *([] if numbering_pwm is None else [f"pwm{numbering_pwm}_prescaler"])]
     one, other = _read(first), _read(second)
     if one.board != other.board:
-        raise ConfigError([Mistake("SECOND", f"{second} is of a {other.board} board, {first} of a {one.board}")])
+        raise ConfigError([ConfigIssue("SECOND", f"{second} is of a {other.board} board, {first} of a {one.board}")])
     outcome = compare_sends(one, other, ignored)
     if as_json:
         words = [word._asdict() for word in outcome.words]

@@ -15,9 +15,9 @@ import inteco_abs
 from inteco_abs.boards.board_report import BoardReport, Bus, Identity, Reads, Values
 from inteco_abs.boards.families.usb2.bridge import NOT_TOLD
 from inteco_abs.boards.frame_labels import PROTOCOLS, protocol_name
-from inteco_abs.commissioning.profile_draft import Draft
+from inteco_abs.commissioning.profile_draft import ProfileDraft
 from inteco_abs.config import BoardConfig
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.host.checks import Computer
 from inteco_abs.sessions.provenance import host_facts
 from inteco_abs.wire.capture import Capture, Kind, Record
@@ -37,12 +37,12 @@ _SHORTEST: Final = 3
 """Shorter names are within too many words."""
 
 
-def board_seen(draft: Draft) -> Capture:
+def board_seen(draft: ProfileDraft) -> Capture:
     """What the commissioning has found so far. Raises ConfigError if it has not read the board yet."""
     results, wiring = draft.results, draft.config.board
     header = results.get("header", {})
     if "raw" not in header:
-        raise ConfigError([Mistake("--send-report", "the board was not read yet: do step 2, header, first")])
+        raise ConfigError([ConfigIssue("--send-report", "the board was not read yet: do step 2, header, first")])
     told = _told(draft)
     named = [("header", header["raw"]), *zip(_MOVED, results.get("wheels", {}).get("images", ()), strict=False)]
     report = BoardReport(
@@ -86,7 +86,7 @@ def _identity(header: Mapping[str, Any]) -> Identity:
     )
 
 
-def _told(draft: Draft) -> dict[str, str]:
+def _told(draft: ProfileDraft) -> dict[str, str]:
     """By the device among those that were listed that is this board; nothing where that is not certain."""
     listed = draft.results.get("list", {}).get("devices", [])
     serial = draft.results["header"].get("bridge", {}).get("serial", "")

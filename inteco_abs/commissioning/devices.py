@@ -21,7 +21,7 @@ _PCI_HEADER_BYTES: Final = 64
 """Of the configuration space, what every user may read."""
 
 
-class Found(NamedTuple):
+class FoundBoard(NamedTuple):
     """A device that may be the board."""
 
     address: str
@@ -32,7 +32,7 @@ class Found(NamedTuple):
     """Strings and descriptors of the device, for a report."""
 
 
-def found_devices(address: str, config: RigConfig, computer: Computer | None = None) -> list[Found]:
+def found_devices(address: str, config: RigConfig, computer: Computer | None = None) -> list[FoundBoard]:
     """Devices of the kind that `address` names, in the order of their places; one alone if it names that one."""
     kind, _, rest = address.partition(":")
     found = _KINDS[kind](computer or Computer(), config)
@@ -42,10 +42,10 @@ def found_devices(address: str, config: RigConfig, computer: Computer | None = N
     if not named.is_char_device():
         return []
     chosen = [one for one in found if Path(one.address.removeprefix("usb:")) == named]
-    return chosen or [Found(address, "a serial port that is behind no USB chip")]
+    return chosen or [FoundBoard(address, "a serial port that is behind no USB chip")]
 
 
-def _usb2(computer: Computer, config: RigConfig) -> list[Found]:
+def _usb2(computer: Computer, config: RigConfig) -> list[FoundBoard]:
     vendor, wanted = config.usb.vendor_id, config.usb.manufacturer.lower()
     found = []
     for folder in computer.matching(_USB):
@@ -56,27 +56,27 @@ def _usb2(computer: Computer, config: RigConfig) -> list[Found]:
         ):
             serial = computer.text_or(f"{folder}/serial", "")
             address = f"usb2:{serial if serial.isdecimal() else ''}"
-            found.append(Found(address, _usb_words(computer, folder), _usb_told(computer, folder)))
+            found.append(FoundBoard(address, _usb_words(computer, folder), _usb_told(computer, folder)))
     return found
 
 
-def _usb(computer: Computer, _: RigConfig) -> list[Found]:
+def _usb(computer: Computer, _: RigConfig) -> list[FoundBoard]:
     """Serial ports behind USB chips: the first RT-DAC/USB looks like any of them."""
     found = []
     for port in computer.matching(_PORTS):
         device = str((computer.root / port).resolve().parent.parent)  # port -> interface -> device
         words, told = _usb_words(computer, device), _usb_told(computer, device)
-        found.append(Found(f"usb:/dev/{_name(port)}", words, told))
+        found.append(FoundBoard(f"usb:/dev/{_name(port)}", words, told))
     return found
 
 
-def _pci(computer: Computer, _: RigConfig) -> list[Found]:
+def _pci(computer: Computer, _: RigConfig) -> list[FoundBoard]:
     def is_board(folder: str) -> bool:
         ids = (computer.text_or(f"{folder}/vendor", ""), computer.text_or(f"{folder}/device", ""))
         return ids == (PCI_VENDOR, PCI_DEVICE)
 
     return [
-        Found(
+        FoundBoard(
             f"pci:{_name(folder)}",
             f"{PCI_VENDOR}:{PCI_DEVICE} at {_name(folder)}",
             {"descriptors": computer.bytes_of(f"{folder}/config", _PCI_HEADER_BYTES).hex()},
@@ -102,4 +102,4 @@ def _name(folder: str) -> str:
     return folder.rpartition("/")[2]
 
 
-_KINDS: Final[dict[str, Callable[[Computer, RigConfig], list[Found]]]] = {"usb2": _usb2, "usb": _usb, "pci": _pci}
+_KINDS: Final[dict[str, Callable[[Computer, RigConfig], list[FoundBoard]]]] = {"usb2": _usb2, "usb": _usb, "pci": _pci}

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from inteco_abs.boards import Board
-from inteco_abs.commissioning.hand_turning import USUAL_COUNTS, Turned, Unclear, counts_per_turn, watch
+from inteco_abs.commissioning.hand_turning import USUAL_COUNTS, HandTurn, Unclear, counts_per_turn, watch
 from inteco_abs.commissioning.operator import agree, ask_for, wait_for
-from inteco_abs.commissioning.reading import insist_on_outputs_off, insist_on_same_board, open_for_reading
+from inteco_abs.commissioning.reading import open_for_reading, require_outputs_off, require_same_board
 from inteco_abs.commissioning.rig_access import TURNS, Wheel
-from inteco_abs.commissioning.step import Facts, Visit, today
+from inteco_abs.commissioning.step import Facts, StepContext, today
 from inteco_abs.errors import ProbeError
 
 _TRIALS: Final = 3
@@ -23,10 +23,10 @@ class _Encoder(NamedTuple):
     channel: int
     sign: int
     per_turn: int
-    turned: Turned
+    turned: HandTurn
 
 
-def turn_wheels(visit: Visit) -> Facts:
+def turn_wheels(visit: StepContext) -> Facts:
     """Upper wheel, then lower; the draft gets channels, signs and counts per turn."""
     visit.person.tell(
         "  Power interface off. Lift the balance lever, so that the wheels do not touch. Forwards is as the drive\n"
@@ -34,8 +34,8 @@ def turn_wheels(visit: Visit) -> Facts:
         "other."
     )
     with open_for_reading(visit) as board:
-        insist_on_same_board(board, visit.draft.config)
-        insist_on_outputs_off(board)
+        require_same_board(board, visit.draft.config)
+        require_outputs_off(board)
         images = [board.survey().raw.hex()]
         wheel = _turn(visit, board, "wheel", None)
         images.append(board.survey().raw.hex())
@@ -51,7 +51,7 @@ def turn_wheels(visit: Visit) -> Facts:
     return {**found, "images": images}
 
 
-def _turn(visit: Visit, board: Board, which: Wheel, other: _Encoder | None) -> _Encoder:
+def _turn(visit: StepContext, board: Board, which: Wheel, other: _Encoder | None) -> _Encoder:
     """One wheel, again if it was not clear."""
     trouble = ""
     for _ in range(_TRIALS):
@@ -66,7 +66,7 @@ def _turn(visit: Visit, board: Board, which: Wheel, other: _Encoder | None) -> _
     raise ProbeError(f"{_NAMES[which]} wheel: not clear in {_TRIALS} trials; the last time {trouble}")
 
 
-def _understood(visit: Visit, turned: Turned, other: _Encoder | None) -> _Encoder:
+def _understood(visit: StepContext, turned: HandTurn, other: _Encoder | None) -> _Encoder:
     if other is not None and turned.channel == other.channel:
         raise Unclear(f"channel {turned.channel} is the upper wheel's: turn the lower wheel")
     visit.person.tell(f"  channel {turned.channel}: {turned.counts:+d} counts")
@@ -77,7 +77,7 @@ def _understood(visit: Visit, turned: Turned, other: _Encoder | None) -> _Encode
     return _Encoder(turned.channel, sign, _per_turn(visit, turned), turned)
 
 
-def _per_turn(visit: Visit, turned: Turned) -> int:
+def _per_turn(visit: StepContext, turned: HandTurn) -> int:
     """Counts per turn; what neither the turns nor the profile lead one to expect is asked about."""
     believed = visit.draft.config.encoders.counts_per_turn
     found = counts_per_turn(turned.counts)
@@ -108,7 +108,7 @@ def _positive(text: str) -> float | None:
     return turns if 0.0 < turns < 1e6 else None
 
 
-def _write(visit: Visit, wheel: _Encoder, road: _Encoder) -> None:
+def _write(visit: StepContext, wheel: _Encoder, road: _Encoder) -> None:
     visit.draft.write(
         {
             "board.wheel_encoder": wheel.channel,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from inteco_abs.commissioning.reading import insist_on_same_board, open_for_reading
-from inteco_abs.commissioning.step import Facts, Visit
+from inteco_abs.commissioning.reading import open_for_reading, require_same_board
+from inteco_abs.commissioning.step import Facts, StepContext
 from inteco_abs.errors import LinkError, ProbeError
 from inteco_abs.realtime.histogram import Histogram
 from inteco_abs.realtime.round_trips import quantiles
@@ -21,14 +21,14 @@ _WINDOW_PERIODS: Final = 5
 _RATES_HZ: Final = (10_000.0, 5000.0, 2000.0, 1000.0, 500.0, 250.0, 200.0, 100.0, 50.0)
 
 
-def measure_reads(visit: Visit) -> Facts:
+def measure_reads(visit: StepContext) -> Facts:
     """A thousand readings, one after the other."""
     config = visit.draft.config
     names = [f"encoder{i}_count" for i in (config.board.road_encoder, config.board.wheel_encoder)]
     times_us: list[float] = []
     failed = 0
     with open_for_reading(visit) as board:
-        insist_on_same_board(board, config)
+        require_same_board(board, config)
         for _ in range(READS):
             start_ns = visit.bench.now_ns()
             try:

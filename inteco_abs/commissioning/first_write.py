@@ -8,14 +8,14 @@ from typing import Any, Final
 from inteco_abs.boards import STILL_ON
 from inteco_abs.boards.first_write import PlannedWord, Remark
 from inteco_abs.commissioning.operator import agree
-from inteco_abs.commissioning.step import Visit
+from inteco_abs.commissioning.step import StepContext
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import ProbeError, Stopped
 
 _NAME: Final = "first_write"
 
 
-def agree_on_first_write(visit: Visit, config: RigConfig) -> dict[str, list[dict[str, Any]]]:
+def agree_on_first_write(visit: StepContext, config: RigConfig) -> dict[str, list[dict[str, Any]]]:
     """Show what entering the board with `config` would change, and ask, unless an earlier step was answered yes to it.
 
     The board is only read. Gives back what was shown, for the step's result. Raises ProbeError for a board on which a

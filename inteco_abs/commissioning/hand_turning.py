@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from inteco_abs.boards import Board
-from inteco_abs.commissioning.operator import Person
+from inteco_abs.commissioning.operator import Operator
 from inteco_abs.commissioning.reading import read_patiently
-from inteco_abs.commissioning.rig_access import TURNS, Bench
+from inteco_abs.commissioning.rig_access import TURNS, RigAccess
 from inteco_abs.errors import ProbeError
 
 USUAL_COUNTS: Final = (2048, 4096)
@@ -28,7 +28,7 @@ _NEAR: Final = 0.04
 _COUNTER_RANGE: Final = 1 << 32
 
 
-class Turned(NamedTuple):
+class HandTurn(NamedTuple):
     """What one channel counted."""
 
     channel: int
@@ -40,7 +40,7 @@ class Unclear(Exception):  # noqa: N818  no error yet: the person may turn again
     """What was seen says nothing, and what to do about it."""
 
 
-def watch(bench: Bench, board: Board, person: Person) -> Turned:
+def watch(bench: RigAccess, board: Board, person: Operator) -> HandTurn:
     """The channel that counted while one wheel was turned, once all have rested for three seconds.
 
     Raises Unclear if it cannot be told which, LinkError if the board stops to answer, ProbeError after three minutes.
@@ -69,7 +69,7 @@ def watch(bench: Bench, board: Board, person: Person) -> Turned:
             raise ProbeError(f"counters still move after {_LONGEST_S:g} s: is a motor on? Channels {_moving(net)}")
 
 
-def judge(net: Mapping[int, int], travelled: Mapping[int, int]) -> Turned:
+def judge(net: Mapping[int, int], travelled: Mapping[int, int]) -> HandTurn:
     """The one channel that counted; raises Unclear if there is none, more than one, or it went to and fro."""
     most = max(travelled, key=lambda channel: travelled[channel])
     if travelled[most] < _BEGUN_COUNTS:
@@ -82,7 +82,7 @@ def judge(net: Mapping[int, int], travelled: Mapping[int, int]) -> Turned:
         raise Unclear(f"channels {both} counted together: lift the balance lever, so that only one wheel turns")
     if abs(net[most]) < _TO_AND_FRO * travelled[most]:
         raise Unclear(f"channel {most} counted to and fro: turn the wheel in one direction only")
-    return Turned(most, net[most])
+    return HandTurn(most, net[most])
 
 
 def counts_per_turn(counts: int, turns: float = TURNS) -> int | None:

@@ -7,7 +7,7 @@ from typing import Final
 from inteco_abs.boards import Identity
 from inteco_abs.commissioning.operator import agree
 from inteco_abs.commissioning.reading import open_for_reading, outputs_left_on
-from inteco_abs.commissioning.step import Facts, Visit
+from inteco_abs.commissioning.step import Facts, StepContext
 from inteco_abs.config import profiles, read_profile
 from inteco_abs.errors import ConfigError, ProbeError
 
@@ -15,7 +15,7 @@ _BYTES_A_LINE: Final = 16
 _CANDIDATE: Final = "_abs_candidate"
 
 
-def list_boards(visit: Visit) -> Facts:
+def list_boards(visit: StepContext) -> Facts:
     """What the kernel tells of devices that may be the board."""
     found = visit.bench.devices(visit.draft.config)
     if not found:
@@ -25,7 +25,7 @@ def list_boards(visit: Visit) -> Facts:
     return {"devices": [{**one._asdict(), "told": dict(one.told)} for one in found]}
 
 
-def read_header(visit: Visit) -> Facts:
+def read_header(visit: StepContext) -> Facts:
     """One reading: who the board is; the draft is made for it from here on."""
     bridge = visit.bench.bridge(visit.draft.config)
     with open_for_reading(visit) as board:
@@ -69,14 +69,14 @@ def hex_dump(raw: bytes) -> str:
     return "\n".join(shown)
 
 
-def _suggest(visit: Visit, suggested: str) -> None:
+def _suggest(visit: StepContext, suggested: str) -> None:
     """A profile that fits better is taken only if the person says so: it may be their own that does not ship."""
     visit.person.tell(f"  the shipped profile that fits is {suggested}; the draft was begun from {visit.draft.profile}")
     if not visit.quiet and agree(visit.person, f"Begin the draft anew from {suggested}?"):
         visit.draft.begin_from(suggested)
 
 
-def _write(visit: Visit, identity: Identity) -> None:
+def _write(visit: StepContext, identity: Identity) -> None:
     board = visit.draft.config.board
     found = {"board.logic_version": identity.logic_version}
     changed = board.model_copy(update={"logic_version": identity.logic_version})

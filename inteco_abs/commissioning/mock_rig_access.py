@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
 from inteco_abs.boards import Board, InProcessLink, Link, board_behind
-from inteco_abs.commissioning.devices import Found
-from inteco_abs.commissioning.rig_access import TURNS, Bench, Hold, Wheel
+from inteco_abs.commissioning.devices import FoundBoard
+from inteco_abs.commissioning.rig_access import TURNS, Hold, RigAccess, Wheel
 from inteco_abs.config import RigConfig
 from inteco_abs.format import TICK
 from inteco_abs.mock_board import Device, face_of, parse_faults
 from inteco_abs.realtime import StopWord
 from inteco_abs.realtime.memory import RunMemory
-from inteco_abs.realtime.processes.manual import Driven, Screenside, slowed
+from inteco_abs.realtime.processes.manual import DriveLoop, ManualClient, slowed
 from inteco_abs.realtime.signal_handlers import hearing
 from inteco_abs.signals import Reason
 
@@ -29,7 +29,7 @@ _TURNING_S: Final = 5.0
 _SWITCHED_OFF: Final = parse_faults(["power-off@start"])
 
 
-class MockBench(Bench):
+class MockRigAccess(RigAccess):
     """The mock of the configured board in this process and in virtual time, powered up once for the whole walk."""
 
     def __init__(self, config: RigConfig, seed: int = 0) -> None:
@@ -38,22 +38,22 @@ class MockBench(Bench):
         self.device = Device(config, self.now_ns, seed)
         self._face = face_of(self.device)
 
-    def devices(self, config: RigConfig) -> list[Found]:
+    def devices(self, config: RigConfig) -> list[FoundBoard]:
         """The mock alone."""
-        return [Found("sim:", f"the mock {config.board.kind} board with the simulated rig, in this program")]
+        return [FoundBoard("sim:", f"the mock {config.board.kind} board with the simulated rig, in this program")]
 
     def open(self, config: RigConfig) -> Board:
         """The mock, by direct calls."""
         return board_behind(self.link(), config, self.now_ns)
 
     @contextmanager
-    def held(self, config: RigConfig) -> Iterator[Screenside]:
+    def held(self, config: RigConfig) -> Iterator[ManualClient]:
         """In this process: there is no motor, and no time in which it could die."""
         config, stop = slowed(config), StopWord()
         memory = RunMemory.private(TICK.size, round(config.loop.rate_hz))
         with hearing(stop.request), self.open(config) as board:
             board.insist()
-            driven = Driven(board, config, memory, stop)
+            driven = DriveLoop(board, config, memory, stop)
             yield _VirtualSide(self, config.period_ns, memory, driven, stop)
 
     def link(self) -> Link:
@@ -83,7 +83,7 @@ class MockBench(Bench):
         self.device.power(on=on)
 
 
-class PacedMockBench(MockBench):
+class PacedMockRigAccess(MockRigAccess):
     """The mock bench in real time: for outputs, the mock is a process of its own, held as a real board is.
 
     Where the board is only read, its time is virtual, so that a busy computer is never late, and never ahead of real
@@ -104,7 +104,7 @@ class PacedMockBench(MockBench):
         time.sleep(self._due_s - now_s)
 
     @contextmanager
-    def held(self, config: RigConfig) -> Iterator[Screenside]:
+    def held(self, config: RigConfig) -> Iterator[ManualClient]:
         """A mock that is powered up now, its power interface switched as it is here."""
         with self._hold(config, self.address, outputs=True, faults=() if self._on else _SWITCHED_OFF) as side:
             yield side
@@ -115,10 +115,10 @@ class PacedMockBench(MockBench):
         self._on = on
 
 
-class _VirtualSide(Screenside):
+class _VirtualSide(ManualClient):
     """Time passes, and the board is held, while the next tick is waited for."""
 
-    def __init__(self, bench: Bench, period_ns: int, memory: RunMemory, driven: Driven, stop: StopWord) -> None:
+    def __init__(self, bench: RigAccess, period_ns: int, memory: RunMemory, driven: DriveLoop, stop: StopWord) -> None:
         super().__init__(memory)
         self._bench = bench
         self._beats = bench.beats(period_ns)

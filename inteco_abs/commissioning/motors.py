@@ -11,7 +11,7 @@ from inteco_abs.commissioning.first_write import agree_on_first_write
 from inteco_abs.commissioning.operator import agree, wait_for
 from inteco_abs.commissioning.outputs import PROVES_ITSELF, Motion, Outputs, outputs, turns
 from inteco_abs.commissioning.permission import DRIVE_LIMIT, outputs_permitted
-from inteco_abs.commissioning.step import Facts, Visit, today
+from inteco_abs.commissioning.step import Facts, StepContext, today
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import ProbeError
 
@@ -60,7 +60,7 @@ class _Braked(NamedTuple):
     """First duty that braked; None if the wheels were too slow before."""
 
 
-def try_motors(visit: Visit) -> Facts:
+def try_motors(visit: StepContext) -> Facts:
     """Emergency switch, drive, brake; every part of it ends with the outputs off."""
     config = outputs_permitted(visit, _REQUEST, PHRASE)
     agreed = agree_on_first_write(visit, config)
@@ -192,7 +192,7 @@ def _counts_per_turn(out: Outputs, config: RigConfig) -> int | None:
     return round(median(ratios) * config.encoders.counts_per_turn) if len(ratios) == _VELOCITIES else None
 
 
-def _compare_counts(visit: Visit, config: RigConfig, by_velocity: int | None) -> None:
+def _compare_counts(visit: StepContext, config: RigConfig, by_velocity: int | None) -> None:
     """Ask if the board's own velocity has found another number than the hands that turned the wheels."""
     by_hand = config.encoders.counts_per_turn
     if by_velocity is None or abs(by_velocity - by_hand) <= _MOST_OFF * by_hand:

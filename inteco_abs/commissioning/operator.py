@@ -14,7 +14,7 @@ _YES_NO: Final = {"yes": True, "y": True, "no": False, "n": False}
 T = TypeVar("T")
 
 
-class Person(Protocol):
+class Operator(Protocol):
     """Whoever answers. Everything that is asked is answered by one line of text."""
 
     def tell(self, text: str) -> None:
@@ -30,7 +30,7 @@ class Person(Protocol):
         ...
 
 
-def ask_for(person: Person, question: str, read: Callable[[str], T | None], wanted: str) -> T:
+def ask_for(person: Operator, question: str, read: Callable[[str], T | None], wanted: str) -> T:
     """Ask until `read` makes something of the answer, which is to be `wanted`.
 
     Raises Stopped for the answer `stop`, ProbeError after three answers that are nothing of the kind.
@@ -46,17 +46,17 @@ def ask_for(person: Person, question: str, read: Callable[[str], T | None], want
     raise ProbeError(f"no usable answer in {_MOST_TRIALS} trials to: {question}")
 
 
-def agree(person: Person, question: str) -> bool:
+def agree(person: Operator, question: str) -> bool:
     """Yes or no; nothing is taken for either."""
     return ask_for(person, f"{question} (yes/no)", lambda answer: _YES_NO.get(answer.lower()), "yes or no")
 
 
-def wait_for(person: Person, request: str) -> None:
+def wait_for(person: Operator, request: str) -> None:
     """Ask the person to do something and to press Enter."""
     ask_for(person, f"{request} Press Enter, or type stop.", lambda answer: True if not answer else None, "just Enter")
 
 
-def insist_on_phrase(person: Person, request: str, phrase: str) -> None:
+def require_phrase(person: Operator, request: str, phrase: str) -> None:
     """Have `phrase` typed; anything else is a refusal. Case and spacing do not matter. Raises ProbeError."""
     answer = person.ask(f'{request}\nType "{phrase}":')
     if answer.lower().split() != phrase.lower().split():

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final, NamedTuple
 
-from inteco_abs.commissioning.step import Visit
+from inteco_abs.commissioning.step import StepContext
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import ProbeError
-from inteco_abs.realtime.processes.manual import Screenside
+from inteco_abs.realtime.processes.manual import ManualClient
 from inteco_abs.signals import EXPLANATIONS, Command, Reason
 
 PROVES_ITSELF: Final = "starting: first of all, the guardian has to prove itself"
@@ -38,7 +38,7 @@ class Outputs:
     A program that hangs, dies or waits for an answer thus takes the outputs away by doing nothing.
     """
 
-    def __init__(self, side: Screenside) -> None:
+    def __init__(self, side: ManualClient) -> None:
         self._side = side
 
     def beat(self, drive: float, brake: float) -> Motion:
@@ -77,7 +77,7 @@ class Outputs:
 
 
 @contextmanager
-def outputs(visit: Visit, config: RigConfig) -> Iterator[Outputs]:
+def outputs(visit: StepContext, config: RigConfig) -> Iterator[Outputs]:
     """The board, held for output by a process that a guardian watches; a signal ends it with SAFE, read back.
 
     Raises KeyboardInterrupt then; ReadOnlyError for a board that the configuration does not trust, UnsafeError if SAFE

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from inteco_abs.commissioning.operator import insist_on_phrase
-from inteco_abs.commissioning.step import Visit, today
+from inteco_abs.commissioning.operator import require_phrase
+from inteco_abs.commissioning.step import StepContext, today
 from inteco_abs.config import RigConfig, bounded_in_time
 from inteco_abs.errors import ReadOnlyError
 
@@ -17,7 +17,7 @@ SPEED_LIMIT_RAD_S: Final = 60.0
 """A quarter of the rig's limit."""
 
 
-def outputs_permitted(visit: Visit, request: str, phrase: str) -> RigConfig:
+def outputs_permitted(visit: StepContext, request: str, phrase: str) -> RigConfig:
     """Configuration with which the board may be entered for output, once `phrase` has been typed.
 
     It is signed in memory only, for the very logic that the header step has read, and its guard's limits are the
@@ -28,7 +28,7 @@ def outputs_permitted(visit: Visit, request: str, phrase: str) -> RigConfig:
     board, guard, plan = config.board, config.guard, config.experiment
     if board.read_only:
         raise ReadOnlyError(f"the profile's outputs are never to be used: {board.read_only}")
-    insist_on_phrase(visit.person, request, phrase)
+    require_phrase(visit.person, request, phrase)
     signature: dict[str, Any] = {
         "verified_by": _BY,
         "verified_on": today(),

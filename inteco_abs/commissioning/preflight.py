@@ -11,7 +11,7 @@ from inteco_abs.boards.board import count_step
 from inteco_abs.boards.first_write import PlannedWord, Remark
 from inteco_abs.commissioning.exchange_rate import MORE_THAN_A_READ
 from inteco_abs.commissioning.reading import read_patiently
-from inteco_abs.commissioning.rig_access import Bench
+from inteco_abs.commissioning.rig_access import RigAccess
 from inteco_abs.config import RigConfig
 from inteco_abs.control.phase_machine import REST_COUNTS
 from inteco_abs.errors import AbsError, BoardError
@@ -37,7 +37,7 @@ class Part(NamedTuple):
 
 
 @dataclass
-class Look:
+class Preflight:
     """What was read of a board, and what that has against a run."""
 
     identity: Identity | None = None
@@ -52,14 +52,14 @@ class Look:
     cautions: list[str] = field(default_factory=list)
 
 
-def look_at(bench: Bench, config: RigConfig, *, rest: bool = True) -> Look:
+def look_at(bench: RigAccess, config: RigConfig, *, rest: bool = True) -> Preflight:
     """Read the board at the bench; nothing is written to it.
 
     Which board it is, whether its outputs may be used, and with `rest`, for as long as a run watches them, whether the
     wheels stand still and readings fit into a period. What does not suit is in `refused`, a board that cannot be opened
     or read too.
     """
-    look = Look()
+    look = Preflight()
     try:
         with bench.open(config).reading() as board:
             look.identity = board.identity
@@ -88,7 +88,7 @@ def course(config: RigConfig) -> Iterator[Part]:
     yield Part(Phase.STOPPED.name, plan.hold_s, fixed=True, does="the brake is held, then both outputs are off")
 
 
-def _judge(board: Board, config: RigConfig, look: Look) -> None:
+def _judge(board: Board, config: RigConfig, look: Preflight) -> None:
     """Whether a run could drive it."""
     try:
         board.insist()
@@ -110,7 +110,7 @@ def _judge(board: Board, config: RigConfig, look: Look) -> None:
         )
 
 
-def _watch(bench: Bench, board: Board, config: RigConfig, look: Look) -> None:
+def _watch(bench: RigAccess, board: Board, config: RigConfig, look: Preflight) -> None:
     """Both counters, for as long as the phases IDLE and ARMED last together."""
     wiring = config.board
     names = wheel, road = f"encoder{wiring.wheel_encoder}_count", f"encoder{wiring.road_encoder}_count"
@@ -135,7 +135,7 @@ def _watch(bench: Bench, board: Board, config: RigConfig, look: Look) -> None:
         _judge_rate(spread, config, look)
 
 
-def _judge_rate(spread: Quantiles, config: RigConfig, look: Look) -> None:
+def _judge_rate(spread: Quantiles, config: RigConfig, look: Preflight) -> None:
     """A run measures whole exchanges, which takes writing; readings tell what cannot be, and what is doubtful."""
     period_us = config.period_ns * 1e-3
     if spread.p50 > period_us:

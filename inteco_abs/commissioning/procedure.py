@@ -13,9 +13,9 @@ from inteco_abs.commissioning.motors import try_motors
 from inteco_abs.commissioning.operator import wait_for
 from inteco_abs.commissioning.pwm_echo import echo_settings
 from inteco_abs.commissioning.sign_off import sign
-from inteco_abs.commissioning.step import Step, Visit
+from inteco_abs.commissioning.step import Step, StepContext
 from inteco_abs.config import WIRING
-from inteco_abs.errors import AbsError, ConfigError, Mistake, Stopped, near_match
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, Stopped, near_match
 
 DONE: Final = "done"
 _FAILED: Final = "failed"
@@ -95,10 +95,10 @@ _QUIET: Final = ("list", "header", "reads")
 """Steps that need no person."""
 
 
-class Walk:
+class Procedure:
     """The steps in their order, over as many sessions as it takes."""
 
-    def __init__(self, visit: Visit) -> None:
+    def __init__(self, visit: StepContext) -> None:
         self._visit = visit
         self._draft = visit.draft
 
@@ -150,7 +150,7 @@ class Walk:
         for earlier in STEPS[: STEPS.index(step)]:
             if self.outcome(earlier) != DONE:
                 problem = f"{step.name} comes after {earlier.name}, which is {self.outcome(earlier)}"
-                raise ConfigError([Mistake("--step", problem)])
+                raise ConfigError([ConfigIssue("--step", problem)])
 
     def _do(self, step: Step) -> None:
         person = self._visit.person
@@ -176,7 +176,7 @@ def find_step(name: str) -> Step:
         if name in (step.name, str(number)):
             return step
     names = [step.name for step in STEPS]
-    raise ConfigError([Mistake("--step", f"no step {name!r}, 1..{len(STEPS)}{near_match(name, names)}")])
+    raise ConfigError([ConfigIssue("--step", f"no step {name!r}, 1..{len(STEPS)}{near_match(name, names)}")])
 
 
 def _now() -> str:

@@ -26,7 +26,7 @@ from inteco_abs.config import (
     read_profile,
     wiring_of,
 )
-from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 _SCHEMA: Final = 1
 _SIGNATURE: Final = ("verified_by", "verified_on", "verified_logic")
@@ -39,7 +39,7 @@ _HEADING: Final = """\
 """
 
 
-class Draft:
+class ProfileDraft:
     """A profile draft at `file`, which ends in .toml, with the results at `results_file`."""
 
     def __init__(self, file: Path, table: Table, results: dict[str, Any]) -> None:
@@ -56,9 +56,11 @@ class Draft:
         unless something is new. Raises ConfigError, or AbsError where the disk refuses.
         """
         if file.suffix != ".toml":
-            raise ConfigError([Mistake("--draft", f"{file}: a profile's name must end in .toml")])
+            raise ConfigError([ConfigIssue("--draft", f"{file}: a profile's name must end in .toml")])
         if not file.parent.is_dir():
-            raise ConfigError([Mistake("--draft", f"{file}: the folder {file.parent} does not exist; create it first")])
+            raise ConfigError(
+                [ConfigIssue("--draft", f"{file}: the folder {file.parent} does not exist; create it first")]
+            )
         if file.exists():
             draft = cls(file, read_profile(str(file)), _read_results(results_of(file)))
             parse_config(tomli_w.dumps(draft._table))
@@ -145,10 +147,10 @@ class Draft:
         begun = str(self._results["board"] or board)
         if begun.partition(":")[0] != board.partition(":")[0]:
             problem = f"{self.file} was begun with the board {begun}, this is {board}; name another file"
-            raise ConfigError([Mistake("--draft", problem)])
+            raise ConfigError([ConfigIssue("--draft", problem)])
         if profile and profile != self.profile:
             problem = f"{profile}: {self.file} was begun from {self.profile}; name another draft, or leave this out"
-            raise ConfigError([Mistake("--profile", problem)])
+            raise ConfigError([ConfigIssue("--profile", problem)])
 
     def _void_signature(self, before: Table) -> None:
         if wiring_of(before) != wiring_of(self._table) or laxer_limits(before, self._table):
@@ -184,12 +186,12 @@ def _read_results(file: Path) -> dict[str, Any]:
     except FileNotFoundError:
         return _no_results("", "unknown")
     except (OSError, ValueError) as error:
-        raise ConfigError([Mistake("--draft", f"{problem} ({error})")]) from error
+        raise ConfigError([ConfigIssue("--draft", f"{problem} ({error})")]) from error
     whole = isinstance(results, dict) and isinstance(results.get("steps"), dict)
     if not (whole and results.get("schema_version") == _SCHEMA and {"board", "profile"} <= results.keys()):
-        raise ConfigError([Mistake("--draft", problem)])
+        raise ConfigError([ConfigIssue("--draft", problem)])
     if not all(isinstance(one, dict) and "outcome" in one for one in results["steps"].values()):
-        raise ConfigError([Mistake("--draft", problem)])
+        raise ConfigError([ConfigIssue("--draft", problem)])
     return dict(results)
 
 
@@ -197,7 +199,7 @@ def _with_settings(table: Table, settings: Sequence[str]) -> Table:
     table = _deep_copy(table)
     mistakes = [mistake for setting in settings for mistake in apply_setting(table, setting)]
     if any(setting.partition("=")[0].strip() in {f"board.{key}" for key in _SIGNATURE} for setting in settings):
-        mistakes.append(Mistake("--set", "a draft is signed in the walk's last step"))
+        mistakes.append(ConfigIssue("--set", "a draft is signed in the walk's last step"))
     if mistakes:
         raise ConfigError(mistakes)
     return table
@@ -219,4 +221,4 @@ def _replace(file: Path, text: str) -> None:
     except OSError as error:
         with suppress(OSError):  # it may not even have been made
             new.unlink()
-        raise AbsError(f"{file} cannot be written: {disk_in_words(error)}") from error
+        raise AbsError(f"{file} cannot be written: {describe_disk(error)}") from error

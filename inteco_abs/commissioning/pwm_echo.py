@@ -9,7 +9,7 @@ from inteco_abs.commissioning.first_write import agree_on_first_write
 from inteco_abs.commissioning.outputs import PROVES_ITSELF, outputs
 from inteco_abs.commissioning.permission import outputs_permitted
 from inteco_abs.commissioning.reading import open_for_reading
-from inteco_abs.commissioning.step import Facts, Visit
+from inteco_abs.commissioning.step import Facts, StepContext
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import ProbeError
 
@@ -27,7 +27,7 @@ _MOST_COUNTS: Final = 8
 """A wheel that stands on an edge may count a little."""
 
 
-def echo_settings(visit: Visit) -> Facts:
+def echo_settings(visit: StepContext) -> Facts:
     """Each mode, prescaler and width of both channels; the last one written are the profile's own, widths zero."""
     config = outputs_permitted(visit, _REQUEST, PHRASE)
     visit.bench.powered(on=False)
@@ -56,7 +56,7 @@ def _with_pwm(config: RigConfig, mode: str, prescaler: int) -> RigConfig:
     return config.model_copy(update={"board": board})
 
 
-def _echo(visit: Visit, config: RigConfig) -> None:
+def _echo(visit: StepContext, config: RigConfig) -> None:
     """Entering the board writes mode, prescaler and pins and compares them, each beat compares the widths."""
     with outputs(visit, config) as out:
         for drive, brake in _DUTIES:
@@ -68,7 +68,7 @@ def _echo(visit: Visit, config: RigConfig) -> None:
                     )
 
 
-def _settings(visit: Visit) -> dict[str, int | str]:
+def _settings(visit: StepContext) -> dict[str, int | str]:
     """What the board echoes of its settings."""
     with open_for_reading(visit) as board:
         values = board.survey().values

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Final
 
 from inteco_abs.boards import STILL_ON, Board
-from inteco_abs.commissioning.step import Visit
+from inteco_abs.commissioning.step import StepContext
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import LinkError, ProbeError
 
@@ -16,7 +16,7 @@ _ONLY_READ: Final = "this step of the walk only reads"
 
 
 @contextmanager
-def open_for_reading(visit: Visit, config: RigConfig | None = None) -> Iterator[Board]:
+def open_for_reading(visit: StepContext, config: RigConfig | None = None) -> Iterator[Board]:
     """The board, entered so that nothing can be written to it, whatever the draft says and whoever signed it."""
     config = config or visit.draft.config
     reading = config.model_copy(update={"board": config.board.model_copy(update={"read_only": _ONLY_READ})})
@@ -29,7 +29,7 @@ def outputs_left_on(board: Board) -> bool:
     return board.identity is not None and STILL_ON in board.identity.read_only_because
 
 
-def insist_on_outputs_off(board: Board) -> None:
+def require_outputs_off(board: Board) -> None:
     """Raise ProbeError, saying what to do, if an earlier program has left an output on."""
     if outputs_left_on(board):
         raise ProbeError(
@@ -38,7 +38,7 @@ def insist_on_outputs_off(board: Board) -> None:
         )
 
 
-def insist_on_same_board(board: Board, config: RigConfig) -> None:
+def require_same_board(board: Board, config: RigConfig) -> None:
     """Raise ProbeError if an entered board is not the one whose header is in the draft."""
     identity, wiring = board.identity, config.board
     if (

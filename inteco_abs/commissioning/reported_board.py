@@ -11,17 +11,26 @@ from inteco_abs.boards.board_report import BoardReport
 from inteco_abs.boards.families.pci.board import registers_of
 from inteco_abs.boards.frame_labels import protocol_of
 from inteco_abs.errors import CaptureError
-from inteco_abs.mock_board import Device, Face, PciFace, SeenFace, SeenIdentity, Usb2Face, UsbFace, UsbIdentity
+from inteco_abs.mock_board import (
+    Device,
+    FrontEnd,
+    PciFrontEnd,
+    ReportedFrontEnd,
+    ReportedIdentity,
+    Usb2FrontEnd,
+    UsbFrontEnd,
+    UsbIdentity,
+)
 from inteco_abs.wire.capture import Kind, read_capture
 
 _CABLE: Final = ("drive_pwm", "brake_pwm", "road_encoder", "wheel_encoder", "road_sign", "wheel_sign")
 _BOARDS: Final = {"usb2": "usb2", "usb": "usb1-", "pci": "pci"}
 """How a capture's board begins, by kind."""
-_FACES: Final[dict[str, Callable[[Device, bytes], Face]]] = {"usb2": Usb2Face, "usb": UsbFace}
+_FACES: Final[dict[str, Callable[[Device, bytes], FrontEnd]]] = {"usb2": Usb2FrontEnd, "usb": UsbFrontEnd}
 _PROFILES: Final = {"usb2": "sim_usb2", "usb": "sim_usb", "pci": "sim_pci"}
 
 
-class SeenBoard:
+class ReportedBoard:
     """The board of the report at `path`. Raises CaptureError for a file that is no such report, or has no image."""
 
     def __init__(self, path: Path) -> None:
@@ -58,13 +67,13 @@ class SeenBoard:
             values["board.frame_map"] = self._capture.board.partition("-")[2] or "generic"
         return [f"{key}={json.dumps(value)}" for key, value in values.items()]
 
-    def face(self, device: Device) -> Face:
+    def face(self, device: Device) -> FrontEnd:
         """The board's side of the wire, with `device` behind it. Raises CaptureError for an image that cannot be."""
         try:
             if self.report.kind == "pci":
                 return self._registers(device)
             protocol = protocol_of(self._capture.board)
-            return SeenFace(_FACES[self.report.kind], device, protocol.read, protocol.send, self._image)
+            return ReportedFrontEnd(_FACES[self.report.kind], device, protocol.read, protocol.send, self._image)
         except ValueError as error:
             raise CaptureError(f"{self._capture.name}: the image is not one of this board: {error}") from error
 
@@ -75,11 +84,11 @@ class SeenBoard:
             return like
         strings = {"manufacturer": bus.manufacturer, "product": bus.product, "speed": bus.speed}
         try:
-            return SeenIdentity.of(like, bytes.fromhex(bus.descriptors), strings)
+            return ReportedIdentity.of(like, bytes.fromhex(bus.descriptors), strings)
         except ValueError as error:
             raise CaptureError(f"{self._capture.name}, line 1: report.bus.descriptors: {error}") from error
 
-    def _registers(self, device: Device) -> Face:
+    def _registers(self, device: Device) -> FrontEnd:
         still: dict[int, int] = {}
         settings: dict[str, int] = {}
         counts: dict[str, int] = {}
@@ -93,4 +102,4 @@ class SeenBoard:
         device.write(settings)
         cable = device.cable
         device.begin_counts(counts[f"encoder{cable.road_encoder}_count"], counts[f"encoder{cable.wheel_encoder}_count"])
-        return PciFace(device, still)
+        return PciFrontEnd(device, still)

@@ -9,12 +9,12 @@ from contextlib import AbstractContextManager
 from typing import Any, Final, Literal, Protocol
 
 from inteco_abs.boards import Board, open_board
-from inteco_abs.commissioning.devices import Found, found_devices
+from inteco_abs.commissioning.devices import FoundBoard, found_devices
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import LinkError
 from inteco_abs.mock_board import Fault
 from inteco_abs.realtime import PacedClock
-from inteco_abs.realtime.processes.manual import Screenside
+from inteco_abs.realtime.processes.manual import ManualClient
 
 Wheel = Literal["wheel", "road"]
 """The upper, braked wheel, or the lower one."""
@@ -27,12 +27,12 @@ class Hold(Protocol):
 
     def __call__(
         self, config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault, ...] = ()
-    ) -> AbstractContextManager[Screenside]:
+    ) -> AbstractContextManager[ManualClient]:
         """While inside, the board at the address `board` is held for output, or only to be read."""
         ...
 
 
-class Bench(ABC):
+class RigAccess(ABC):
     """A rig to be commissioned.
 
     What the person is asked to do with it is told here too, just before: on a simulated rig nobody else would do it.
@@ -42,7 +42,7 @@ class Bench(ABC):
         self.address = address
 
     @abstractmethod
-    def devices(self, config: RigConfig) -> list[Found]:
+    def devices(self, config: RigConfig) -> list[FoundBoard]:
         """Boards that are there; nothing is written to any."""
 
     def bridge(self, config: RigConfig) -> dict[str, str]:  # noqa: ARG002  not every bus has a bridge that tells
@@ -54,7 +54,7 @@ class Bench(ABC):
         """The board, not entered yet. Raises BoardError or ConfigError."""
 
     @abstractmethod
-    def held(self, config: RigConfig) -> AbstractContextManager[Screenside]:
+    def held(self, config: RigConfig) -> AbstractContextManager[ManualClient]:
         """While inside, the board is held for output; leaving ends with SAFE, read back.
 
         Raises ReadOnlyError for a board that the configuration does not trust, BoardError if it cannot be opened,
@@ -80,14 +80,14 @@ class Bench(ABC):
         """The person has switched the power interface, or the emergency switch."""
 
 
-class RealBench(Bench):
+class RealRigAccess(RigAccess):
     """A real rig, in real time; `hold` is what holds its board for output."""
 
     def __init__(self, address: str, hold: Hold) -> None:
         super().__init__(address)
         self._hold = hold
 
-    def devices(self, config: RigConfig) -> list[Found]:
+    def devices(self, config: RigConfig) -> list[FoundBoard]:
         """What this computer has plugged in."""
         return found_devices(self.address, config)
 
@@ -104,7 +104,7 @@ class RealBench(Bench):
         """The board at the address."""
         return open_board(self.address, config, self.now_ns)
 
-    def held(self, config: RigConfig) -> AbstractContextManager[Screenside]:
+    def held(self, config: RigConfig) -> AbstractContextManager[ManualClient]:
         """By a process of its own, which a guardian watches that has proved itself before."""
         return self._hold(config, self.address, outputs=True)
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Final
 
 from inteco_abs.commissioning.operator import agree, ask_for
-from inteco_abs.commissioning.step import Facts, Visit, today
+from inteco_abs.commissioning.step import Facts, StepContext, today
 from inteco_abs.errors import ReadOnlyError, Stopped
 
 _LONGEST: Final = 100
 
 
-def sign(visit: Visit) -> Facts:
+def sign(visit: StepContext) -> Facts:
     """Show what is still not confirmed, then ask who has verified the rest; the guard's limits are signed with it."""
     board, guard = visit.draft.config.board, visit.draft.config.guard
     if board.read_only:

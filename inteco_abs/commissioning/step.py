@@ -7,21 +7,21 @@ from dataclasses import dataclass
 from datetime import date, datetime
 from typing import Any, NamedTuple
 
-from inteco_abs.commissioning.operator import Person
-from inteco_abs.commissioning.profile_draft import Draft
-from inteco_abs.commissioning.rig_access import Bench
+from inteco_abs.commissioning.operator import Operator
+from inteco_abs.commissioning.profile_draft import ProfileDraft
+from inteco_abs.commissioning.rig_access import RigAccess
 
 Facts = Mapping[str, Any]
 """What a step has found, as JSON has it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Visit:
+class StepContext:
     """A person at a rig, with a draft to be written."""
 
-    bench: Bench
-    draft: Draft
-    person: Person
+    bench: RigAccess
+    draft: ProfileDraft
+    person: Operator
     quiet: bool = False
     """Ask nothing where a suggestion or a default will do."""
 
@@ -38,7 +38,7 @@ class Step(NamedTuple):
     does: str
     risk: str
     if_it_fails: str
-    run: Callable[[Visit], Facts]
+    run: Callable[[StepContext], Facts]
     rests_on: tuple[str, ...] = ()
     """What of the wiring the result holds for; with another it has to be done again."""
 

@@ -1,7 +1,7 @@
 """The decision path, pure: no clock, no I/O, no randomness, scalar floats. That is what makes replay exact."""
 
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, PredictiveReaching, ReachingLaw, Relay, Setup
-from inteco_abs.control.count_speed import SpeedWindow
+from inteco_abs.control.count_speed import MovingAverageSpeed
 from inteco_abs.control.estimators import (
     ESTIMATORS,
     EdgeTime,
@@ -23,7 +23,7 @@ from inteco_abs.control.factory import (
     preferred_estimator,
 )
 from inteco_abs.control.guard import Guard
-from inteco_abs.control.phase_machine import Sequence
+from inteco_abs.control.phase_machine import PhaseMachine
 from inteco_abs.control.pipeline import Pipeline
 from inteco_abs.control.slip_dynamics import BrakingModel, reaching_law_torque, reaching_time_bound
 
@@ -38,16 +38,16 @@ __all__ = [
     "Guard",
     "HeldDifference",
     "KalmanFilter",
+    "MovingAverageSpeed",
     "MovingWindow",
     "Observer",
+    "PhaseMachine",
     "Pipeline",
     "PredictiveReaching",
     "ReachingLaw",
     "Relay",
-    "Sequence",
     "Setup",
     "SpeedFilter",
-    "SpeedWindow",
     "TrackingLoop",
     "TwoWheels",
     "build_pipeline",

@@ -6,7 +6,7 @@ import math
 from collections import deque
 
 
-class SpeedWindow:
+class MovingAverageSpeed:
     """Mean speed over the last `length` samples, (count - earlier count) * 2 pi / (N * elapsed time).
 
     With length 1 it is the paper's Euler formula. Until the window is full, the samples so far are used.
@@ -30,8 +30,8 @@ class SpeedWindow:
         return (count - before) * self._angle_ns / (time_ns - then) if time_ns > then else 0.0
 
 
-class SpeedWindows:
-    """A `SpeedWindow` of both wheels, to the same last digit: what they have in common is done and kept once."""
+class MovingAverageSpeeds:
+    """A `MovingAverageSpeed` of both wheels, to the same last digit: what they have in common is done and kept once."""
 
     __slots__ = ("_angle_ns", "_samples")
 

@@ -11,8 +11,8 @@ from inteco_abs.config import Check, EstimatorConfig, LoopConfig, RigConfig
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
 from inteco_abs.control.estimators import ESTIMATORS, Estimator
 from inteco_abs.control.pipeline import Pipeline
-from inteco_abs.errors import ConfigError, Mistake, near_match, place_in
-from inteco_abs.rig import believed_brake, believed_parameters
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match, place_in
+from inteco_abs.rig import nominal_brake_map, nominal_parameters
 
 _LARGEST: Final = 1e300
 """Of the numbers that are worth comparing with a range; what is wrong with others is told elsewhere."""
@@ -32,7 +32,7 @@ def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]
 
 def make_estimator(config: RigConfig) -> Estimator:
     """Estimator of a configuration that passed `control_check`."""
-    return ESTIMATORS[config.estimator.name](config, believed_parameters(config.model))
+    return ESTIMATORS[config.estimator.name](config, nominal_parameters(config.model))
 
 
 def make_controller(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Controller:
@@ -40,8 +40,8 @@ def make_controller(config: RigConfig, controllers: Mapping[str, type[Controller
 
     Raises ConfigError if its constructor fails.
     """
-    parameters = believed_parameters(config.model)
-    brake, reference = believed_brake(config.model), config.controller.reference_slip
+    parameters = nominal_parameters(config.model)
+    brake, reference = nominal_brake_map(config.model), config.controller.reference_slip
     setup = Setup(reference, parameters, config.controller.hold_below_rad_s, brake)
     make: Any = controllers[config.controller.name]  # each controller's constructor takes its own gains
     with _blamed_on(config):
@@ -58,7 +58,7 @@ def _blamed_on(config: RigConfig) -> Iterator[None]:
         name = config.controller.name
         where = place_in(error, name.rpartition(":")[0])
         problem = f"{name}{where} cannot be made: {type(error).__name__}: {error}"
-        raise ConfigError([Mistake("controller.name", problem)]) from error
+        raise ConfigError([ConfigIssue("controller.name", problem)]) from error
 
 
 def gains_in_force(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> dict[str, float]:
@@ -97,24 +97,24 @@ def control_check(
 ) -> Check:
     """Check of names and gains for `load_config`: unknown ones with near matches, gains out of range."""
 
-    def check(table: Mapping[str, Any]) -> Iterator[Mistake]:
+    def check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
         estimator, controller = _section(table, "estimator"), _section(table, "controller")
         name = estimator.get("name", "moving-window")
         needed = _needed_estimator(table, controllers)
         if isinstance(name, str) and name not in estimators:
-            yield Mistake("estimator.name", f"no estimator {name!r}{near_match(name, estimators)}")
+            yield ConfigIssue("estimator.name", f"no estimator {name!r}{near_match(name, estimators)}")
         elif isinstance(name, str) and needed not in {"", name}:
             problem = (
                 f"{name!r}: the controller {controller['name']} needs {needed!r}; choose it, or another controller"
             )
-            yield Mistake("estimator.name", problem)
+            yield ConfigIssue("estimator.name", problem)
         if name == "tracking":
             yield from _tracking_mistakes(estimator, _section(table, "loop"))
         name = controller.get("name", "reaching-law")
         if isinstance(name, str) and name not in controllers and ".py:" in name:
-            yield Mistake("controller.name", f"{name!r} is code, which runs only if named by --controller")
+            yield ConfigIssue("controller.name", f"{name!r} is code, which runs only if named by --controller")
         elif isinstance(name, str) and name not in controllers:
-            yield Mistake("controller.name", f"no controller {name!r}{near_match(name, controllers)}")
+            yield ConfigIssue("controller.name", f"no controller {name!r}{near_match(name, controllers)}")
         elif isinstance(name, str):
             try:
                 gains = controllers[name].gains
@@ -126,24 +126,24 @@ def control_check(
     return check
 
 
-def _tracking_mistakes(estimator: Mapping[str, Any], loop: Mapping[str, Any]) -> Iterator[Mistake]:
+def _tracking_mistakes(estimator: Mapping[str, Any], loop: Mapping[str, Any]) -> Iterator[ConfigIssue]:
     """A tracking loop swings when it is too quick for the time between two samples, a few of which may be missing."""
     frequency = estimator.get("natural_frequency_rad_s", EstimatorConfig().natural_frequency_rad_s)
     rate_hz = loop.get("rate_hz", LoopConfig().rate_hz)
     if isinstance(frequency, int | float) and isinstance(rate_hz, int | float) and frequency > 0.1 * rate_hz:
         problem = f"{frequency!r}: must be at most a tenth of loop.rate_hz = {rate_hz!r}"
-        yield Mistake("estimator.natural_frequency_rad_s", problem)
+        yield ConfigIssue("estimator.natural_frequency_rad_s", problem)
 
 
-def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterator[Mistake]:
+def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterator[ConfigIssue]:
     known = {gain.name: gain for gain in gains}
     for name, value in values.items():
         path, gain = f"controller.gains.{name}", known.get(name)
         if gain is None:
-            yield Mistake(path, f"unknown gain{near_match(name, known) if known else '; the controller has none'}")
+            yield ConfigIssue(path, f"unknown gain{near_match(name, known) if known else '; the controller has none'}")
         elif isinstance(value, int | float) and abs(value) <= _LARGEST and not gain.low <= value <= gain.high:
             unit = "" if gain.unit == "1" else f" {gain.unit}"
-            yield Mistake(path, f"{value!r}: must be in {gain.low:g}..{gain.high:g}{unit} ({gain.meaning})")
+            yield ConfigIssue(path, f"{value!r}: must be in {gain.low:g}..{gain.high:g}{unit} ({gain.meaning})")
 
 
 def _section(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:

@@ -7,9 +7,9 @@ from collections import deque
 from typing import Final
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control.count_speed import SpeedWindows
+from inteco_abs.control.count_speed import MovingAverageSpeeds
 from inteco_abs.control.run_up import RunUp
-from inteco_abs.rig import believed_parameters
+from inteco_abs.rig import nominal_parameters
 from inteco_abs.signals import BoardFlags, Command, Estimate, Reason, Sample
 
 _NONE: Final = Reason.NONE  # looked up in an enum a dozen times a tick, it would take a tenth of it
@@ -61,7 +61,7 @@ class Guard:
         self._period_s = 1.0 / config.loop.rate_hz
         self._period_ns = config.period_ns  # how late a good sample's time stamp may be
         length = max(_LEAST_PERIODS, round(_SPEED_WINDOW_S * config.loop.rate_hz))
-        self._speeds = SpeedWindows(counts, length)
+        self._speeds = MovingAverageSpeeds(counts, length)
         # until a window is full a count more or less, as of a wheel that rests on an edge, is many rad/s in it
         self._filling = length
         history = max(length, round(_HISTORY_S * config.loop.rate_hz))
@@ -69,7 +69,7 @@ class Guard:
         self._counts_per_rad = counts / (2.0 * math.pi)
         self._timing_share = max(_TIMING_SHARE, 2.0 / length)
         self._slack = 2.0 / (self._counts_per_rad * length * self._period_s)  # two counts in a window, as a speed
-        parameters = believed_parameters(config.model)
+        parameters = nominal_parameters(config.model)
         self._rim_ratio = parameters.r1 / parameters.r2
         self._fastest_per_ns = _FASTEST_RAD_S * self._counts_per_rad * 1e-9
         self._late_s = 1.5 * self._period_s

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control.controllers import Controller
-from inteco_abs.control.count_speed import SpeedWindow
+from inteco_abs.control.count_speed import MovingAverageSpeed
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason, Sample
 
 _NONE: Final = Reason.NONE
@@ -23,7 +23,7 @@ _NUMBERS: Final[type] = Real
 _NO_DEMAND: Final = BrakeDemand(0.0)
 
 
-class Wish(NamedTuple):
+class Request(NamedTuple):
     """What the sequence would like the outputs to be, and why it would rather stop."""
 
     command: Command
@@ -31,10 +31,10 @@ class Wish(NamedTuple):
     reason: Reason
 
 
-_NOTHING: Final = Wish(Command.SAFE, _NO_DEMAND, Reason.NONE)
+_NOTHING: Final = Request(Command.SAFE, _NO_DEMAND, Reason.NONE)
 
 
-class Sequence:
+class PhaseMachine:
     """Steps through the phases on samples alone, so that a replay takes the same steps.
 
     Rules: drive at `drive_duty` until the road wheel's mean speed over 20 ms reaches the start speed; one tick
@@ -51,18 +51,18 @@ class Sequence:
         self._left = self._config.stops - 1  # stops still to be done after this one
         self._as_made = deepcopy(controller) if self._left else controller
         counts, rate = config.encoders.counts_per_turn, config.loop.rate_hz
-        self._start_speed = SpeedWindow(counts, round(_START_WINDOW_S * rate))
-        self._stop_speed = SpeedWindow(counts, round(_STOP_WINDOW_S * rate))
+        self._start_speed = MovingAverageSpeed(counts, round(_START_WINDOW_S * rate))
+        self._stop_speed = MovingAverageSpeed(counts, round(_STOP_WINDOW_S * rate))
         self._since_ns = -1
         self._rest = (0, 0)
         self._held = _NO_DEMAND
-        self._drive = Wish(Command(self._config.drive_duty, 0.0), _NO_DEMAND, _NONE)
+        self._drive = Request(Command(self._config.drive_duty, 0.0), _NO_DEMAND, _NONE)
 
     def fault(self) -> None:
         """Give up: the guard has taken the outputs away."""
         self.phase = Phase.FAULT
 
-    def step(self, sample: Sample, estimate: Estimate) -> Wish:
+    def step(self, sample: Sample, estimate: Estimate) -> Request:
         """Move on by one sample."""
         since_ns, phase = self._since_ns, self.phase
         if since_ns < 0:
@@ -75,21 +75,21 @@ class Sequence:
             return self._brake(sample, estimate, elapsed_s)
         if phase is _STOPPED:
             if elapsed_s < self._config.hold_s:
-                return Wish(Command(0.0, self._held.brake), self._held, _NONE)
+                return Request(Command(0.0, self._held.brake), self._held, _NONE)
             self._enter(Phase.IDLE if self._left else Phase.DONE, sample)
             self._begin_again(sample)
         elif phase in (Phase.IDLE, Phase.ARMED):
             return self._wait(sample, elapsed_s)
         return _NOTHING
 
-    def _wait(self, sample: Sample, elapsed_s: float) -> Wish:
+    def _wait(self, sample: Sample, elapsed_s: float) -> Request:
         wheel, road = self._rest
         moved = max(abs(sample.wheel_count - wheel), abs(sample.road_count - road)) > REST_COUNTS
         if elapsed_s >= self._config.idle_s and not moved:
             self._enter(Phase.ARMED if self.phase is Phase.IDLE else Phase.SPIN_UP, sample)
-        return Wish(Command.SAFE, _NO_DEMAND, Reason.WHEELS_MOVING if moved else _NONE)
+        return Request(Command.SAFE, _NO_DEMAND, Reason.WHEELS_MOVING if moved else _NONE)
 
-    def _spin_up(self, sample: Sample, elapsed_s: float) -> Wish:
+    def _spin_up(self, sample: Sample, elapsed_s: float) -> Request:
         speed = self._start_speed.update(sample.time_ns, sample.road_count)
         if elapsed_s >= _START_WINDOW_S and speed >= self._config.start_speed_rad_s:
             self._enter(Phase.BRAKING, sample)
@@ -97,13 +97,13 @@ class Sequence:
         late = elapsed_s > self._config.spin_up_timeout_s
         return self._drive._replace(reason=Reason.SPIN_UP_TIMEOUT) if late else self._drive
 
-    def _brake(self, sample: Sample, estimate: Estimate, elapsed_s: float) -> Wish:
+    def _brake(self, sample: Sample, estimate: Estimate, elapsed_s: float) -> Request:
         speed = self._stop_speed.update(sample.time_ns, sample.road_count)
         demand = self._held = recordable(self._controller.update(estimate, sample.dt_s))
         if elapsed_s >= _STOP_WINDOW_S and abs(speed) < self._config.stop_speed_rad_s:
             self._enter(Phase.STOPPED, sample)
         late = elapsed_s > self._config.braking_timeout_s
-        return Wish(Command(0.0, demand.brake), demand, Reason.BRAKING_TIMEOUT if late else _NONE)
+        return Request(Command(0.0, demand.brake), demand, Reason.BRAKING_TIMEOUT if late else _NONE)
 
     def _begin_again(self, sample: Sample) -> None:
         if not self._left:

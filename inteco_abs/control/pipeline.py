@@ -9,14 +9,14 @@ from inteco_abs.config import RigConfig
 from inteco_abs.control.controllers import Controller
 from inteco_abs.control.estimators import Estimator
 from inteco_abs.control.guard import Guard
-from inteco_abs.control.phase_machine import Sequence, Wish
+from inteco_abs.control.phase_machine import PhaseMachine, Request
 from inteco_abs.signals import UNTIMED, BrakeDemand, Command, Estimate, Phase, Reason, Sample, Tick, Timing
 
 _NONE: Final = Reason.NONE
 _BRAKING: Final = Phase.BRAKING
 _OVER: Final = (Phase.DONE, Phase.FAULT)
 _NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
-_GIVEN_UP: Final = Wish(Command.SAFE, BrakeDemand(0.0), Reason.CONTROLLER_ERROR)
+_GIVEN_UP: Final = Request(Command.SAFE, BrakeDemand(0.0), Reason.CONTROLLER_ERROR)
 
 
 class Pipeline:
@@ -28,9 +28,9 @@ class Pipeline:
         self.command = Command.SAFE
         """What the newest tick admitted, to be written at the next exchange."""
         self._estimator = estimator
-        self._sequence = Sequence(config, controller)
+        self._sequence = PhaseMachine(config, controller)
         self._guard = Guard(config)
-        self._decided = _NO_ESTIMATE, Wish(Command.SAFE, BrakeDemand(0.0), Reason.NONE)
+        self._decided = _NO_ESTIMATE, Request(Command.SAFE, BrakeDemand(0.0), Reason.NONE)
         self._reference_slip = config.controller.reference_slip
 
     @property
@@ -94,7 +94,7 @@ class Pipeline:
             skipped,
         )
 
-    def _decide(self, sample: Sample) -> tuple[Estimate, Wish]:
+    def _decide(self, sample: Sample) -> tuple[Estimate, Request]:
         """Estimate and wish; those of the tick before where the sample cannot be trusted."""
         if self.error is not None:
             return _NO_ESTIMATE, _GIVEN_UP

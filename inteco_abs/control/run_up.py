@@ -11,7 +11,7 @@ import math
 from typing import Final, NamedTuple
 
 from inteco_abs.config import RigConfig
-from inteco_abs.rig import DriveMotor, RigParameters, believed_drive, believed_parameters
+from inteco_abs.rig import DriveMotor, RigParameters, nominal_drive_motor, nominal_parameters
 from inteco_abs.signals import Command
 
 _JUDGED_DUTY: Final = 0.5
@@ -50,9 +50,9 @@ class RunUp:
     def __init__(self, config: RigConfig, factor: float) -> None:
         model = config.model
         self._rigs = [_Rig(DriveMotor(), RigParameters.named(model.parameters), factor)]
-        drive = believed_drive(model)
+        drive = nominal_drive_motor(model)
         if drive is not None:
-            self._rigs.append(_Rig(drive, believed_parameters(model), math.sqrt(factor)))
+            self._rigs.append(_Rig(drive, nominal_parameters(model), math.sqrt(factor)))
         self._bounds: list[_Bounds] = []
         self._angle_ns = 2.0 * math.pi / config.encoders.counts_per_turn * 1e9
         self._look_ns = round(max(_LOOK_S, _LOOK_PERIODS / config.loop.rate_hz) * 1e9)

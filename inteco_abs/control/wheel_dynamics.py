@@ -24,7 +24,7 @@ class Accelerations(NamedTuple):
     road_per_nm: float
 
 
-class Contact:
+class WheelDynamics:
     """Forward turning wheels, the upper one slower at its rim: s = s1 = s2 = 1."""
 
     __slots__ = ("_cos", "_k", "_sin")

@@ -10,10 +10,10 @@ from typing import Final, NamedTuple
 
 from inteco_abs.format.descriptors import ENUM
 from inteco_abs.format.protobuf import fields
-from inteco_abs.format.schema import BOOL, DOUBLE, FIXED32, FIXED64, FLOAT, SFIXED64, Column, Kind, Message
+from inteco_abs.format.schema import BOOL, DOUBLE, FIXED32, FIXED64, FLOAT, SFIXED64, Column, Message, MessageKind
 
-_SFIXED32: Final = Kind(15, 5, "i", "<i4")
-_ENUM: Final = Kind(ENUM, 0, "B", "u1")
+_SFIXED32: Final = MessageKind(15, 5, "i", "<i4")
+_ENUM: Final = MessageKind(ENUM, 0, "B", "u1")
 _KINDS: Final = {kind.type_number: kind for kind in (DOUBLE, FLOAT, FIXED64, FIXED32, _SFIXED32, SFIXED64, BOOL, _ENUM)}
 """Types of one width each; an enum as long as its values take one byte."""
 _MOST_FIELDS: Final = 256

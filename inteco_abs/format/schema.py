@@ -27,7 +27,7 @@ PACKAGE: Final = "inteco_abs.v1"
 _FROM_ONE: Final = range(1, 1 << 29)
 
 
-class Kind(NamedTuple):
+class MessageKind(NamedTuple):
     """Type of a field: descriptor.proto type number, wire type, struct code, numpy type, and its enum if any."""
 
     type_number: int
@@ -37,14 +37,14 @@ class Kind(NamedTuple):
     members: type[IntEnum] | None = None
 
 
-DOUBLE: Final = Kind(1, 1, "d", "<f8")
-FLOAT: Final = Kind(2, 5, "f", "<f4")
-FIXED64: Final = Kind(6, 1, "Q", "<u8")
-FIXED32: Final = Kind(7, 5, "I", "<u4")
-SFIXED64: Final = Kind(16, 1, "q", "<i8")
-BOOL: Final = Kind(8, 0, "?", "?")
-PHASE: Final = Kind(14, 0, "B", "u1", Phase)
-REASON: Final = Kind(14, 0, "B", "u1", Reason)
+DOUBLE: Final = MessageKind(1, 1, "d", "<f8")
+FLOAT: Final = MessageKind(2, 5, "f", "<f4")
+FIXED64: Final = MessageKind(6, 1, "Q", "<u8")
+FIXED32: Final = MessageKind(7, 5, "I", "<u4")
+SFIXED64: Final = MessageKind(16, 1, "q", "<i8")
+BOOL: Final = MessageKind(8, 0, "?", "?")
+PHASE: Final = MessageKind(14, 0, "B", "u1", Phase)
+REASON: Final = MessageKind(14, 0, "B", "u1", Reason)
 
 
 class Role(Enum):
@@ -60,7 +60,7 @@ class Column:
     """One field of a message."""
 
     name: str
-    kind: Kind
+    kind: MessageKind
     unit: str
     meaning: str
     role: Role = Role.OUTPUT

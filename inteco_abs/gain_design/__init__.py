@@ -1,7 +1,7 @@
 """Gains for a rig that is known only so well: the paper's conditions as numbers, and the brake's budget."""
 
 from inteco_abs.gain_design.advice import Advice
-from inteco_abs.gain_design.assessment import Judgement, judge_gains
-from inteco_abs.gain_design.uncertainty import HARD, KNOWN, Box, Spread, stated_box
+from inteco_abs.gain_design.assessment import Assessment, judge_gains
+from inteco_abs.gain_design.uncertainty import HARD, KNOWN, Box, ParameterRange, stated_box
 
-__all__ = ["HARD", "KNOWN", "Advice", "Box", "Judgement", "Spread", "judge_gains", "stated_box"]
+__all__ = ["HARD", "KNOWN", "Advice", "Assessment", "Box", "ParameterRange", "judge_gains", "stated_box"]

@@ -28,7 +28,7 @@ _FEWEST_SPEEDS: Final = 11
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
+class Assessment:
     """What there is to say about one set of gains on one box of rigs."""
 
     config: RigConfig
@@ -74,7 +74,7 @@ def judge_gains(
     speeds: tuple[float, float],
     slip_band: tuple[float, float] | None = None,
     from_slips: Sequence[float] = (0.0,),
-) -> Judgement:
+) -> Assessment:
     """Look at the configured gains over road speeds from..to, rad/s, both above 0.
 
     The conditions of sliding are those of the reference slip, or of the worst slip in a band; the torques are those
@@ -94,7 +94,7 @@ def judge_gains(
         period_s=config.period_ns * 1e-9,
     )
     ways = [reaching(config, slip, gains.width, gains.time_bound(slip, reference.slip)) for slip in from_slips]
-    return Judgement(
+    return Assessment(
         config,
         box,
         case,

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.control import BrakingModel
-from inteco_abs.errors import ConfigError, Mistake
-from inteco_abs.gain_design.uncertainty import Box, Drawn
+from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.gain_design.uncertainty import Box, SampledRig
 from inteco_abs.rig import RigParameters, adhesion
-from inteco_abs.rig.adhesion_curve import Surface
+from inteco_abs.rig.adhesion_curve import AdhesionCurve
 
 Floats = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class Bounds(NamedTuple):
     """Above this (26) holds, 1/s; it needs eps_g < 1."""
 
 
-def terms(drawn: Drawn, slip: float, believed: RigParameters) -> Terms:
+def terms(drawn: SampledRig, slip: float, believed: RigParameters) -> Terms:
     """Terms of one rig at `slip` in 0..1, 0 excluded.
 
     The law makes a duty out of its torque by the line of `believed`; what the rig's brake makes of that duty is a
@@ -58,10 +58,10 @@ def terms(drawn: Drawn, slip: float, believed: RigParameters) -> Terms:
     whose lever would jam.
     """
     rig, k = drawn.rig, drawn.rig.parameters
-    mu = Surface(rig.adhesion_scale, rig.adhesion_blend).adhesion(slip, k)
+    mu = AdhesionCurve(rig.adhesion_scale, rig.adhesion_blend).adhesion(slip, k)
     if not 0.0 < mu < math.tan(k.phi_rad):
         where = f"an adhesion of {mu:.3g} at slip {slip:g} and phi = {k.phi_rad:.3g} rad"
-        raise ConfigError([Mistake("--uncertain", f"{where}: must be in 0..tan(phi); state less")])
+        raise ConfigError([ConfigIssue("--uncertain", f"{where}: must be in 0..tan(phi); state less")])
     as_here = mu / adhesion(slip, k)
     model = BrakingModel(replace(k, w1=k.w1 * as_here, w2=k.w2 * as_here, w3=k.w3 * as_here, w4=k.w4 * as_here))
     f1, g1 = model.terms(slip, 1.0)

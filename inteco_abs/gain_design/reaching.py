@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Setup, gains_in_force
-from inteco_abs.rig import Plant, RigParameters, believed_parameters
+from inteco_abs.rig import Plant, RigParameters, nominal_parameters
 from inteco_abs.signals import Estimate
 
 _LONGEST_S: Final = 10.0
@@ -31,7 +31,7 @@ class Reaching(NamedTuple):
 
 def reaching(config: RigConfig, from_slip: float, width: float, bound_s: float) -> Reaching:
     """Simulate until the slip error changes its sign or is within `width`, with the brake's limit and without."""
-    believed = believed_parameters(config.model)
+    believed = nominal_parameters(config.model)
     strong = replace(believed, b1=_STRONG_NM, b2=0.0, u0=0.0)  # as a duty of 1 is never asked for, there is no limit
     _, asked_nm = _way(config, strong, 1.0, from_slip, width)
     time_s, _ = _way(config, believed, config.guard.brake_limit, from_slip, width)

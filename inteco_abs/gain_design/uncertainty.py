@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Any, Final, NamedTuple
 
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.rig import RigParameters, RigVariation
 
 HARD: Final = (
@@ -47,7 +47,7 @@ KNOWN: Final = (
 """What can be uncertain: constants of the model and of the brake's line, factors on adhesion and brake, f and g."""
 
 
-class Spread(NamedTuple):
+class ParameterRange(NamedTuple):
     """From where to where one number may be, in its own unit."""
 
     name: str
@@ -55,7 +55,7 @@ class Spread(NamedTuple):
     high: float
 
 
-class Drawn(NamedTuple):
+class SampledRig(NamedTuple):
     """One rig of the box."""
 
     rig: RigVariation
@@ -69,16 +69,16 @@ class Box:
     """Every combination of the spreads around the parameters that the controller believes in."""
 
     believed: RigParameters
-    spreads: tuple[Spread, ...]
+    spreads: tuple[ParameterRange, ...]
 
-    def draw(self, values: Mapping[str, float]) -> Drawn:
+    def draw(self, values: Mapping[str, float]) -> SampledRig:
         """The rig with these numbers; those that are not named are as believed."""
         own: dict[str, Any] = {_OF_THE_RIG[name]: value for name, value in values.items() if name in _OF_THE_RIG}
         constants = {name: value for name, value in values.items() if name not in {*_OF_THE_RIG, *_TERMS}}
         rig = replace(RigVariation(replace(self.believed, **constants)), **own)
-        return Drawn(rig, values.get("f", 1.0), values.get("g", 1.0))
+        return SampledRig(rig, values.get("f", 1.0), values.get("g", 1.0))
 
-    def corners(self) -> Iterator[Drawn]:
+    def corners(self) -> Iterator[SampledRig]:
         """The rigs that have each number at one of its ends."""
         names = [spread.name for spread in self.spreads]
         for ends in product(*((spread.low, spread.high) for spread in self.spreads)):
@@ -90,27 +90,29 @@ def stated_box(statements: Sequence[str], believed: RigParameters) -> Box:
 
     Raises ConfigError with everything that is wrong with them.
     """
-    spreads: dict[str, Spread] = {}
+    spreads: dict[str, ParameterRange] = {}
     mistakes = []
     for statement in statements:
         try:
             spread = _spread(statement, believed)
         except ValueError as error:
-            mistakes.append(Mistake("--uncertain", f"{statement}: {error}"))
+            mistakes.append(ConfigIssue("--uncertain", f"{statement}: {error}"))
             continue
         if spread.name in spreads:
-            mistakes.append(Mistake("--uncertain", f"{statement}: {spread.name} is stated twice; once is enough"))
+            mistakes.append(ConfigIssue("--uncertain", f"{statement}: {spread.name} is stated twice; once is enough"))
         spreads[spread.name] = spread
     if len(spreads) > _MOST_NAMES:
         mistakes.append(
-            Mistake("--uncertain", f"{len(spreads)} names: must be at most {_MOST_NAMES}; leave out what matters least")
+            ConfigIssue(
+                "--uncertain", f"{len(spreads)} names: must be at most {_MOST_NAMES}; leave out what matters least"
+            )
         )
     if mistakes:
         raise ConfigError(mistakes)
     return Box(believed, tuple(spreads.values()))
 
 
-def _spread(statement: str, believed: RigParameters) -> Spread:
+def _spread(statement: str, believed: RigParameters) -> ParameterRange:
     """One statement in numbers; raises ValueError with what is wrong with it."""
     name, equals, text = (part.strip() for part in statement.partition("="))
     if not equals or not name:
@@ -130,19 +132,19 @@ def _spread(statement: str, believed: RigParameters) -> Spread:
     return _from_zero(name, number, text) if name in _FROM_ZERO else _around(name, number, text, believed)
 
 
-def _from_zero(name: str, number: float, text: str) -> Spread:
+def _from_zero(name: str, number: float, text: str) -> ParameterRange:
     most = _FROM_ZERO[name]
     if text.endswith("%"):
         raise ValueError(f"percent of nothing: {name} is 0 as believed, state it as a number up to {most:g}")
     if number > most:
         raise ValueError(f"must be at most {most:g}")
-    return Spread(name, 0.0 if name == "adhesion_blend" else -number, number)
+    return ParameterRange(name, 0.0 if name == "adhesion_blend" else -number, number)
 
 
-def _around(name: str, number: float, text: str, believed: RigParameters) -> Spread:
+def _around(name: str, number: float, text: str, believed: RigParameters) -> ParameterRange:
     nominal: float = getattr(believed, name, 1.0)
     off = abs(nominal) * number / 100.0 if text.endswith("%") else number
     most = abs(nominal) * _MOST_PERCENT / 100.0
     if off > most:
         raise ValueError(f"must be at most {_MOST_PERCENT:g} % of {name} = {nominal:g}, which is {most:g}")
-    return Spread(name, nominal - off, nominal + off)
+    return ParameterRange(name, nominal - off, nominal + off)

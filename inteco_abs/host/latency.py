@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 from inteco_abs.host.checks import Finding, Judgement, amber, green, red
 from inteco_abs.realtime.clock import Clock, PacedClock
 from inteco_abs.realtime.round_trips import Quantiles, quantiles
-from inteco_abs.realtime.tuning import Setting, loop_wishes, prepare
+from inteco_abs.realtime.tuning import Setting, loop_tuning, prepare
 
 SHORTEST_S, LONGEST_S = 0.2, 60.0
 """Of a wake-up test."""
@@ -142,7 +142,7 @@ def _parse(text: str) -> WakeUps:
 
 def _main() -> None:
     seconds = float(sys.argv[1])
-    settings = prepare(loop_wishes())
+    settings = prepare(loop_tuning())
     late_ns, missed = wake_ups(PacedClock(_PERIOD_NS), round(seconds * _RATE_HZ))
     late_us = quantiles([late / 1e3 for late in late_ns])
     print(json.dumps(WakeUps(settings, late_us, len(late_ns), missed)._asdict()))  # noqa: T201  to the parent

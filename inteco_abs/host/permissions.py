@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.host.checks import Check, Computer, Judgement, amber, green, red
 from inteco_abs.realtime.tuning import GUARDIAN_PRIORITY
 
@@ -46,7 +46,7 @@ def check_serial(serial: str) -> str:
     """`serial` if it can be an FTDI chip's serial number in a rule; raises ConfigError."""
     if not _SERIAL.fullmatch(serial):
         problem = f"{serial!r}: must be 1 to 32 letters, digits, - and _, as inteco-abs doctor prints it"
-        raise ConfigError([Mistake("--ftdi-serial", problem)])
+        raise ConfigError([ConfigIssue("--ftdi-serial", problem)])
     return serial
 
 

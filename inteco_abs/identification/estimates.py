@@ -12,7 +12,7 @@ import tomli_w
 from scipy.stats import norm
 
 from inteco_abs.identification.fit import Fit, fit
-from inteco_abs.identification.parameters import ASSUMED, Beliefs, torque_name
+from inteco_abs.identification.parameters import ASSUMED, Priors, torque_name
 from inteco_abs.identification.segments import Kind, Segment
 from inteco_abs.rig import DriveMotor, RigParameters, adhesion, measured_torque
 
@@ -57,7 +57,7 @@ class Estimate:
         return facts | {"published": None if math.isnan(self.published) else self.published}
 
 
-class _Told:
+class _Derived:
     """A number that follows from those of the search."""
 
     def __init__(self, name: str, unit: str, of: Callable[[Mapping[str, float]], float], published: float) -> None:
@@ -140,7 +140,7 @@ def identify(
 ) -> Identification:
     """The rig of `segments`, which is believed to be as `base`: geometry exactly, `assumed` within these shares."""
     levels = tuple(sorted({level for segment in segments for level in segment.levels}))
-    found = fit(segments, Beliefs(base, levels, {**ASSUMED, **assumed}))
+    found = fit(segments, Priors(base, levels, {**ASSUMED, **assumed}))
     kinds = {segment.kind for segment in segments}
     return Identification(found, tuple(segments), tuple(_estimates(found, kinds)))
 
@@ -162,7 +162,7 @@ def _estimates(found: Fit, kinds: set[Kind]) -> Iterator[Estimate]:
         yield Estimate(told.name, told.unit, value, value - off, value + off, told.published, status, why)
 
 
-def _slope(told: _Told, found: Fit) -> Any:
+def _slope(told: _Derived, found: Fit) -> Any:
     """By each number of the search."""
     rows = np.repeat(found.found[None, :], 2 * len(found.found), axis=0)
     count = len(found.found)
@@ -172,30 +172,30 @@ def _slope(told: _Told, found: Fit) -> Any:
     return (values[:count] - values[count:]) / (2.0 * _STEP)
 
 
-def _all_told(beliefs: Beliefs) -> Iterator[_Told]:
+def _all_told(beliefs: Priors) -> Iterator[_Derived]:
     base, share = beliefs.base, beliefs.rolling_share
     ratio, motor = base.r2 / base.r1, DriveMotor()
     published_d, published_M0 = base.d2 + share * base.d1, base.M20 + ratio * base.M10
     inertia = base.J2 + share * base.J1
     for name, unit in (("J1", "kg m2"), ("J2", "kg m2"), ("Mg", "N m"), ("d1", "N m s"), ("M10", "N m")):
-        yield _Told(name, unit, _constant(beliefs, name), getattr(base, name))
-    yield _Told("d", "N m s", lambda v: v["scale"] * v["d"], published_d)
-    yield _Told("M0", "N m", lambda v: v["scale"] * v["M0"], published_M0)
-    yield _Told("d/J", "1/s", lambda v: v["d"] / inertia, published_d / inertia)
-    yield _Told("M0/J", "rad/s2", lambda v: v["M0"] / inertia, published_M0 / inertia)
-    yield _Told("d2", "N m s", _constant(beliefs, "d2"), base.d2)
-    yield _Told("M20", "N m", _constant(beliefs, "M20"), base.M20)
-    yield _Told("drive_stall_torque", "N m", lambda v: v["scale"] * v["stall"], motor.stall_torque_nm)
-    yield _Told("drive_no_load_speed", "rad/s", lambda v: v["no_load"], motor.no_load_speed_rad_s)
-    yield _Told("brake_lag", "s", lambda v: v["lag"], 1.0 / base.c31)
-    yield _Told("brake_dead_time", "s", lambda v: v["dead_time"], math.nan)
+        yield _Derived(name, unit, _constant(beliefs, name), getattr(base, name))
+    yield _Derived("d", "N m s", lambda v: v["scale"] * v["d"], published_d)
+    yield _Derived("M0", "N m", lambda v: v["scale"] * v["M0"], published_M0)
+    yield _Derived("d/J", "1/s", lambda v: v["d"] / inertia, published_d / inertia)
+    yield _Derived("M0/J", "rad/s2", lambda v: v["M0"] / inertia, published_M0 / inertia)
+    yield _Derived("d2", "N m s", _constant(beliefs, "d2"), base.d2)
+    yield _Derived("M20", "N m", _constant(beliefs, "M20"), base.M20)
+    yield _Derived("drive_stall_torque", "N m", lambda v: v["scale"] * v["stall"], motor.stall_torque_nm)
+    yield _Derived("drive_no_load_speed", "rad/s", lambda v: v["no_load"], motor.no_load_speed_rad_s)
+    yield _Derived("brake_lag", "s", lambda v: v["lag"], 1.0 / base.c31)
+    yield _Derived("brake_dead_time", "s", lambda v: v["dead_time"], math.nan)
     for level in beliefs.levels:
-        yield _Told(torque_name(level), "N m", _torque(torque_name(level)), measured_torque(level))
+        yield _Derived(torque_name(level), "N m", _torque(torque_name(level)), measured_torque(level))
     for slip in SLIPS:
-        yield _Told(_mu_name(slip), "1", _mu(beliefs, slip), adhesion(slip, base))
+        yield _Derived(_mu_name(slip), "1", _mu(beliefs, slip), adhesion(slip, base))
 
 
-def _constant(beliefs: Beliefs, name: str) -> Callable[[Mapping[str, float]], float]:
+def _constant(beliefs: Priors, name: str) -> Callable[[Mapping[str, float]], float]:
     return lambda values: float(getattr(beliefs.parameters(values), name))
 
 
@@ -203,7 +203,7 @@ def _torque(name: str) -> Callable[[Mapping[str, float]], float]:
     return lambda values: values["scale"] * values[name]
 
 
-def _mu(beliefs: Beliefs, slip: float) -> Callable[[Mapping[str, float]], float]:
+def _mu(beliefs: Priors, slip: float) -> Callable[[Mapping[str, float]], float]:
     return lambda values: adhesion(slip, beliefs.parameters(values))
 
 

@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy.optimize import least_squares
 
-from inteco_abs.identification.parameters import ASSUMED, Beliefs, torque_name
+from inteco_abs.identification.parameters import ASSUMED, Priors, torque_name
 from inteco_abs.identification.segments import Floats, Segment
 from inteco_abs.identification.simulation import angles
 
@@ -74,7 +74,7 @@ def channels(segment: Segment) -> list[Channel]:
 class Fit:
     """What was found, as the search sees it."""
 
-    beliefs: Beliefs
+    beliefs: Priors
     found: Floats
     covariance: Floats
     before: Floats
@@ -88,7 +88,7 @@ class Fit:
         return self.beliefs.values(self.found.tolist())
 
 
-def fit(segments: Sequence[Segment], beliefs: Beliefs) -> Fit:
+def fit(segments: Sequence[Segment], beliefs: Priors) -> Fit:
     """Least squares of count residuals and of what is believed, each over its standard deviation.
 
     All counts weigh the same: weighed by what is left of them, what the model explains badly would be explained still
@@ -142,7 +142,7 @@ def _searched(problem: _Problem, start: Floats) -> tuple[Floats, bool]:
 class _Problem:
     """Residuals over their deviations, and their slopes; the last of the numbers are each segment's own speeds."""
 
-    def __init__(self, segments: Sequence[Segment], beliefs: Beliefs) -> None:
+    def __init__(self, segments: Sequence[Segment], beliefs: Priors) -> None:
         self._beliefs = beliefs
         self.noise = _ROUNDS[0][0]
         """Standard deviation of a residual in counts."""

@@ -31,7 +31,7 @@ _UNIFORM: Final = math.sqrt(3.0)
 """Half the width of an even spread over its standard deviation."""
 
 
-class Unknown(NamedTuple):
+class FitParameter(NamedTuple):
     """One number of the search. With `log` it is the logarithm of what it is over what is believed."""
 
     name: str
@@ -56,7 +56,7 @@ def torque_name(duty: float) -> str:
 
 
 @dataclass(frozen=True)
-class Beliefs:
+class Priors:
     """All numbers of the search for a rig that is `base` as far as is known, its brake driven with `levels`."""
 
     base: RigParameters
@@ -64,29 +64,29 @@ class Beliefs:
     assumed: Mapping[str, float]
 
     @cached_property
-    def unknowns(self) -> tuple[Unknown, ...]:
+    def unknowns(self) -> tuple[FitParameter, ...]:
         """What is assumed, as in ASSUMED (`scale` is in place of J2), then what is looked for."""
         k, motor, share = self.base, DriveMotor(), self.rolling_share
         lag = 1.0 / k.c31 if math.isfinite(k.c31) else 0.05
         return (
-            Unknown("scale", 1.0, 1.0),
-            Unknown("J1", k.J1, 1.0),
-            Unknown("Mg", k.Mg, 1.0),
-            Unknown("d1", k.d1, self.assumed["d1"] / _UNIFORM),
-            Unknown("M10", k.M10, self.assumed["M10"] / _UNIFORM),
-            Unknown("d", k.d2 + share * k.d1, 1.0),
-            Unknown("M0", k.M20 + k.r2 / k.r1 * k.M10, 1.0),
-            Unknown("stall", motor.stall_torque_nm, 1.0),
-            Unknown("no_load", motor.no_load_speed_rad_s, 1.0),
-            Unknown("w4", k.w4, 0.3),
-            Unknown("w1/w4", k.w1 / k.w4, 0.5, log=False),
-            Unknown("w2/w4", k.w2 / k.w4, 0.5, log=False),
-            Unknown("w3/w4", k.w3 / k.w4, 0.5, log=False),
-            Unknown("a", k.a, 1.0),
-            Unknown("p", k.p, 0.1),
-            Unknown("lag", lag, 0.05, log=False),
-            Unknown("dead_time", 0.01, 1.0),
-            *(Unknown(torque_name(duty), measured_torque(duty), 3.0, log=False) for duty in self.levels),
+            FitParameter("scale", 1.0, 1.0),
+            FitParameter("J1", k.J1, 1.0),
+            FitParameter("Mg", k.Mg, 1.0),
+            FitParameter("d1", k.d1, self.assumed["d1"] / _UNIFORM),
+            FitParameter("M10", k.M10, self.assumed["M10"] / _UNIFORM),
+            FitParameter("d", k.d2 + share * k.d1, 1.0),
+            FitParameter("M0", k.M20 + k.r2 / k.r1 * k.M10, 1.0),
+            FitParameter("stall", motor.stall_torque_nm, 1.0),
+            FitParameter("no_load", motor.no_load_speed_rad_s, 1.0),
+            FitParameter("w4", k.w4, 0.3),
+            FitParameter("w1/w4", k.w1 / k.w4, 0.5, log=False),
+            FitParameter("w2/w4", k.w2 / k.w4, 0.5, log=False),
+            FitParameter("w3/w4", k.w3 / k.w4, 0.5, log=False),
+            FitParameter("a", k.a, 1.0),
+            FitParameter("p", k.p, 0.1),
+            FitParameter("lag", lag, 0.05, log=False),
+            FitParameter("dead_time", 0.01, 1.0),
+            *(FitParameter(torque_name(duty), measured_torque(duty), 3.0, log=False) for duty in self.levels),
         )
 
     @cached_property

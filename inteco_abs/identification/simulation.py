@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from inteco_abs.identification.parameters import FULL_NM, Beliefs, torque_name
+from inteco_abs.identification.parameters import FULL_NM, Priors, torque_name
 from inteco_abs.identification.segments import Floats, Kind, Segment
 from inteco_abs.montecarlo import BatchPlant
 from inteco_abs.rig import DriveMotor
@@ -17,7 +17,7 @@ _STEP_S: Final[dict[Kind, float]] = {"run-up": 0.005, "coast-down": 0.005, "brak
 
 
 def angles(
-    segment: Segment, beliefs: Beliefs, sets: Sequence[Mapping[str, float]], speeds: Sequence[tuple[float, float]]
+    segment: Segment, beliefs: Priors, sets: Sequence[Mapping[str, float]], speeds: Sequence[tuple[float, float]]
 ) -> tuple[Floats, Floats]:
     """Angles in rad of wheel and road at the compared samples, a row for each set of numbers.
 

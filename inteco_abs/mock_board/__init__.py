@@ -12,18 +12,18 @@ from inteco_abs.mock_board.faults import (
     Event,
     Fault,
     FaultyDevice,
-    FaultyFace,
+    FaultyFrontEnd,
     FaultyHost,
     Schedule,
-    insist_on_possible,
     parse_faults,
+    require_possible,
 )
-from inteco_abs.mock_board.frontend import Face
-from inteco_abs.mock_board.frontends.pci import PciFace
-from inteco_abs.mock_board.frontends.usb import ByteStream, UsbFace
-from inteco_abs.mock_board.frontends.usb2 import Usb2Face
+from inteco_abs.mock_board.frontend import FrontEnd
+from inteco_abs.mock_board.frontends.pci import PciFrontEnd
+from inteco_abs.mock_board.frontends.usb import ByteStream, UsbFrontEnd
+from inteco_abs.mock_board.frontends.usb2 import Usb2FrontEnd
 from inteco_abs.mock_board.pty_board import PtyServer
-from inteco_abs.mock_board.reported_board import SeenFace, SeenIdentity
+from inteco_abs.mock_board.reported_board import ReportedFrontEnd, ReportedIdentity
 from inteco_abs.mock_board.simulated_rig import drawn_facts, rig_check, simulated_rig
 from inteco_abs.mock_board.socket_server import SocketServer
 from inteco_abs.mock_board.truth_log import TruthLog
@@ -43,18 +43,18 @@ __all__ = [
     "Cable",
     "Device",
     "Event",
-    "Face",
     "Facts",
     "Fault",
     "FaultyDevice",
-    "FaultyFace",
+    "FaultyFrontEnd",
     "FaultyHost",
+    "FrontEnd",
     "FtdiBoard",
-    "PciFace",
+    "PciFrontEnd",
     "PtyServer",
+    "ReportedFrontEnd",
+    "ReportedIdentity",
     "Schedule",
-    "SeenFace",
-    "SeenIdentity",
     "SocketServer",
     "Speed",
     "TcpAddress",
@@ -62,25 +62,25 @@ __all__ = [
     "TruthLog",
     "UnixAddress",
     "Urb",
-    "Usb2Face",
+    "Usb2FrontEnd",
     "UsbBoard",
-    "UsbFace",
+    "UsbFrontEnd",
     "UsbHost",
     "UsbIdentity",
     "UsbIpServer",
     "drawn_facts",
     "face_of",
     "ftdi_identity",
-    "insist_on_possible",
     "parse_address",
     "parse_faults",
+    "require_possible",
     "rig_check",
     "simulated_rig",
 ]
 
-_FACES: Final[dict[str, Callable[[Device], Face]]] = {"usb2": Usb2Face, "usb": UsbFace, "pci": PciFace}
+_FACES: Final[dict[str, Callable[[Device], FrontEnd]]] = {"usb2": Usb2FrontEnd, "usb": UsbFrontEnd, "pci": PciFrontEnd}
 
 
-def face_of(device: Device) -> Face:
+def face_of(device: Device) -> FrontEnd:
     """What a host sees of `device`: messages in, messages out, as its kind of board has them."""
     return _FACES[device.kind](device)

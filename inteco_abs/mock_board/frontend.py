@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Protocol
 
 from firmware_protocol import FrameTable
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.mock_board.device import Cable, Device
 
 
-class Face(Protocol):
+class FrontEnd(Protocol):
     """A device in its kind of board's frames: messages in, messages out.
 
     Malformed messages are dropped, as nothing is known of any complaint of a real board; `rejected` counts them.
@@ -27,7 +27,7 @@ class Face(Protocol):
         ...
 
 
-def insist_on_terminals(cable: Cable, read: FrameTable) -> None:
+def require_terminals(cable: Cable, read: FrameTable) -> None:
     """Raise ConfigError for a rig that is plugged into a channel which the logic with these answers does not have."""
     wanted = {
         "drive_pwm": f"pwm{cable.drive_pwm}_width",
@@ -36,7 +36,7 @@ def insist_on_terminals(cable: Cable, read: FrameTable) -> None:
         "wheel_encoder": f"encoder{cable.wheel_encoder}_count",
     }
     mistakes = [
-        Mistake(f"simulation.{key}", f"{getattr(cable, key)}: {read.title} has no such channel")
+        ConfigIssue(f"simulation.{key}", f"{getattr(cable, key)}: {read.title} has no such channel")
         for key, name in wanted.items()
         if name not in read.fields
     ]

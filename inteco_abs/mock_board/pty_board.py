@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.errors import BoardError, disk_in_words
+from inteco_abs.errors import BoardError, describe_disk
 from inteco_abs.mock_board.frontends.usb import ByteStream
 
 _CHUNK: Final = 4096
@@ -96,4 +96,4 @@ def _point(link: Path, name: str) -> None:
             link.unlink()
         link.symlink_to(name)
     except OSError as error:
-        raise BoardError(f"{link}: no symbolic link to {name} can be made there: {disk_in_words(error)}") from error
+        raise BoardError(f"{link}: no symbolic link to {name} can be made there: {describe_disk(error)}") from error

@@ -9,7 +9,7 @@ from typing import Final
 
 from firmware_protocol import FrameTable
 from inteco_abs.mock_board.device import Device
-from inteco_abs.mock_board.frontend import Face
+from inteco_abs.mock_board.frontend import FrontEnd
 from inteco_abs.mock_board.usbip.usb_descriptors import Speed, UsbIdentity
 
 _DEVICE, _CONFIGURATION, _STRING, _INTERFACE, _ENDPOINT = 1, 2, 3, 4, 5
@@ -21,14 +21,14 @@ _MANUFACTURER_AT: Final = 14
 
 
 @dataclass(frozen=True, slots=True)
-class SeenIdentity(UsbIdentity):
+class ReportedIdentity(UsbIdentity):
     """Descriptors as they were read; the serial number is a mock's all the same."""
 
     raw: bytes = b""
     """Device descriptor, then all of the first configuration's."""
 
     @classmethod
-    def of(cls, like: UsbIdentity, raw: bytes, strings: Mapping[str, str]) -> SeenIdentity:
+    def of(cls, like: UsbIdentity, raw: bytes, strings: Mapping[str, str]) -> ReportedIdentity:
         """What was read, with `like` for what was not. Raises ValueError for what are no descriptors.
 
         `strings` may have `manufacturer`, `product`, and `speed` in Mbit/s.
@@ -77,7 +77,7 @@ def _parts(raw: bytes, at: int) -> list[bytes]:
     return parts
 
 
-class SeenFace:
+class ReportedFrontEnd:
     """The face of a device that answers with the image of a board that was seen, until something changes it.
 
     What the board only tells, its header for one, stays as it was seen; what it echoes is what the host writes, and
@@ -87,7 +87,12 @@ class SeenFace:
     """
 
     def __init__(
-        self, face: Callable[[Device, bytes], Face], device: Device, read: FrameTable, send: FrameTable, image: bytes
+        self,
+        face: Callable[[Device, bytes], FrontEnd],
+        device: Device,
+        read: FrameTable,
+        send: FrameTable,
+        image: bytes,
     ) -> None:
         if len(image) != read.size:
             raise ValueError(f"an image of {len(image)} bytes: a {read.title} frame has {read.size}")

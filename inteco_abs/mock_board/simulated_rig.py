@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from typing import Any, Final
 
 from inteco_abs.config import EncodersConfig, RigConfig, SimulationConfig
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.rig import POPULATIONS, EncoderVariation, RigParameters, RigVariation, draw
 
 _MOST_DIGITS: Final = 20
@@ -50,7 +50,7 @@ def drawn_facts(config: RigConfig) -> dict[str, str]:
     return {name: value if isinstance(value, str) else repr(value) for name, value in own.items()}
 
 
-def rig_check(table: Mapping[str, Any]) -> Iterator[Mistake]:
+def rig_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
     """Check for `load_config`: a drawn rig must exist, and the rest of the configuration must fit it."""
     simulation = _section(table, "simulation")
     name = simulation.get("rig", "")
@@ -60,28 +60,30 @@ def rig_check(table: Mapping[str, Any]) -> Iterator[Mistake]:
     population, _, seed = name.partition(":")
     if population not in POPULATIONS:
         known = f"there is no population {reprlib.repr(population)}{near_match(population, POPULATIONS)}"
-        yield Mistake("simulation.rig", f"{shown}: must be population and seed, as in hard:17; {known}")
+        yield ConfigIssue("simulation.rig", f"{shown}: must be population and seed, as in hard:17; {known}")
         return
     if not _is_seed(seed):
         problem = f"{shown}: the seed must be a whole number in 0..2^64-1, as in {population}:17"
-        yield Mistake("simulation.rig", problem)
+        yield ConfigIssue("simulation.rig", problem)
         return
     for key in _OWN:
         default = SimulationConfig.model_fields[key].default
         if simulation.get(key, default) != default:
-            yield Mistake(f"simulation.{key}", f"{simulation[key]!r}: {name} has its own; leave one of them out")
+            yield ConfigIssue(f"simulation.{key}", f"{simulation[key]!r}: {name} has its own; leave one of them out")
     yield from _counts_mistakes(table, name, draw(population, int(seed)).road_encoder.counts_per_turn)
 
 
-def _counts_mistakes(table: Mapping[str, Any], name: str, counts: int) -> Iterator[Mistake]:
+def _counts_mistakes(table: Mapping[str, Any], name: str, counts: int) -> Iterator[ConfigIssue]:
     """The drawn encoders are what they are; that the host believes something else must be said to be meant."""
     stated = _section(table, "simulation").get("counts_per_turn")
     believed = _section(table, "encoders").get("counts_per_turn", EncodersConfig().counts_per_turn)
     if stated is not None and stated != counts:
-        yield Mistake("simulation.counts_per_turn", f"{stated!r}: {name} has {counts}; leave the key out")
+        yield ConfigIssue("simulation.counts_per_turn", f"{stated!r}: {name} has {counts}; leave the key out")
     elif stated is None and believed != counts:
         problem = f"{believed!r}: {name} has {counts} counts per turn; set this to {counts} too"
-        yield Mistake("encoders.counts_per_turn", f"{problem}, or simulation.counts_per_turn if the mistake is meant")
+        yield ConfigIssue(
+            "encoders.counts_per_turn", f"{problem}, or simulation.counts_per_turn if the mistake is meant"
+        )
 
 
 def _is_seed(text: str) -> bool:

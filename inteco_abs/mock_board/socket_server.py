@@ -8,7 +8,7 @@ from typing import Final
 
 from firmware_protocol.local_socket import GREETING
 from inteco_abs.errors import LinkError
-from inteco_abs.mock_board.frontend import Face
+from inteco_abs.mock_board.frontend import FrontEnd
 
 _LARGEST: Final = 4096
 _CATCH_UP_S: Final = 0.0001
@@ -22,7 +22,7 @@ class SocketServer:
     The outputs stay as they are when a host leaves, as no RT-DAC board is known to do anything else.
     """
 
-    def __init__(self, face: Face, path: str) -> None:
+    def __init__(self, face: FrontEnd, path: str) -> None:
         self._face = face
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._listener.bind(path)

@@ -4,11 +4,11 @@ from inteco_abs.montecarlo.batch import BatchPlant
 from inteco_abs.montecarlo.batch_run import LONGEST_BRAKING_S, Experiment
 from inteco_abs.montecarlo.grid import MOST_COMBINATIONS, Combination, combinations, split_list
 from inteco_abs.montecarlo.oracle import Oracle
-from inteco_abs.montecarlo.policies import ESTIMATOR_NAMES, IDEAL, AsConfigured, Ideal, Maker, TrueState
-from inteco_abs.montecarlo.results import METRICS, Spread, Stops, Summary, Trace
-from inteco_abs.montecarlo.samples import Draws, parse_draws
+from inteco_abs.montecarlo.policies import ESTIMATOR_NAMES, IDEAL, ConfiguredPolicy, IdealPolicy, Maker, TrueState
+from inteco_abs.montecarlo.results import METRICS, Distribution, StopResults, Summary, Trace
+from inteco_abs.montecarlo.samples import SampleSet, parse_draws
 from inteco_abs.montecarlo.stops import SHARD, Progress, run_all, run_stops
-from inteco_abs.montecarlo.sweep import Row, sweep
+from inteco_abs.montecarlo.sweep import SweepRow, sweep
 
 __all__ = [
     "ESTIMATOR_NAMES",
@@ -17,19 +17,19 @@ __all__ = [
     "METRICS",
     "MOST_COMBINATIONS",
     "SHARD",
-    "AsConfigured",
     "BatchPlant",
     "Combination",
-    "Draws",
+    "ConfiguredPolicy",
+    "Distribution",
     "Experiment",
-    "Ideal",
+    "IdealPolicy",
     "Maker",
     "Oracle",
     "Progress",
-    "Row",
-    "Spread",
-    "Stops",
+    "SampleSet",
+    "StopResults",
     "Summary",
+    "SweepRow",
     "Trace",
     "TrueState",
     "combinations",

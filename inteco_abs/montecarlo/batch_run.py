@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control import Controller, Estimator, Sequence
+from inteco_abs.control import Controller, Estimator, PhaseMachine
 from inteco_abs.errors import in_words
 from inteco_abs.montecarlo.batch import BatchPlant
 from inteco_abs.montecarlo.policies import Maker, TrueState
-from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, Stops, Trace
-from inteco_abs.rig import RigVariation, believed_parameters
-from inteco_abs.sessions.metrics import STANDSTILL_RAD_S, Array, Course, stop_metrics
+from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, StopResults, Trace
+from inteco_abs.rig import RigVariation, nominal_parameters
+from inteco_abs.sessions.metrics import STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
 from inteco_abs.signals import EXPLANATIONS, Command, Phase, Reason, Sample
 
 LONGEST_BRAKING_S: Final = 4.0
@@ -50,12 +50,12 @@ class Experiment:
             )
 
 
-def run_shard(experiment: Experiment) -> Stops:
+def run_shard(experiment: Experiment) -> StopResults:
     """All stops of one experiment, in this thread. Raises ConfigError if a rig's parts cannot be made."""
     return _Shard(experiment).run()
 
 
-class _Mind:
+class _Policy:
     """What decides on one rig, and where its stop stands."""
 
     __slots__ = ("_estimator", "_limit", "_sequence", "began", "command", "ended", "error", "slip", "ticks")
@@ -65,7 +65,7 @@ class _Mind:
     ) -> None:
         self._estimator = estimator
         self._limit = limit  # of the brake's duty
-        self._sequence = Sequence(config, controller, phase)
+        self._sequence = PhaseMachine(config, controller, phase)
         self.command = Command.SAFE
         """What the newest tick decided, written at the next one."""
         self.slip = 0.0
@@ -116,7 +116,7 @@ class _Shard:
         once = config.model_copy(update={"experiment": config.experiment.model_copy(update={"stops": 1})})
         most = config.guard.brake_limit
         self._minds = [
-            _Mind(once, *experiment.maker(rig, TrueState(self._batch, i, rig)), phase, min(most, rig.brake_duty_cap))
+            _Policy(once, *experiment.maker(rig, TrueState(self._batch, i, rig)), phase, min(most, rig.brake_duty_cap))
             for i, rig in enumerate(rigs)
         ]
         self._period_ns = config.period_ns
@@ -125,7 +125,7 @@ class _Shard:
         self._rows = np.empty((_FIRST_ROWS, _COLUMNS, len(rigs)))
         self._drives, self._brakes, self._slips = np.zeros((3, len(rigs)))
 
-    def run(self) -> Stops:
+    def run(self) -> StopResults:
         """All ticks, until every stop has ended."""
         running = list(enumerate(self._minds))
         tick, period_s = 0, self._period_ns / 1e9
@@ -138,7 +138,7 @@ class _Shard:
             tick += 1
         return self._stops()
 
-    def _tick(self, running: list[tuple[int, _Mind]], tick: int, period_s: float) -> None:
+    def _tick(self, running: list[tuple[int, _Policy]], tick: int, period_s: float) -> None:
         """Read, decide; what was decided takes the rig's own delay from here, as in a loop that writes before it reads.
 
         A stop that has ended keeps its brake, one that has failed does not.
@@ -168,19 +168,19 @@ class _Shard:
         row[3], row[4] = batch.brake_torque, batch.road_angle
         row[5], row[6] = self._slips, self._brakes
 
-    def _stops(self) -> Stops:
+    def _stops(self) -> StopResults:
         minds, traced = self._minds, self._experiment.traced
         traces = {i: self._trace(i) for i in sorted(traced) if minds[i].began >= 0}
         rows = [self._metrics(i) for i in range(len(minds))]
         errors = tuple(mind.error for mind in minds)
-        return Stops(np.array(rows, METRICS_ROW), errors, sum(mind.ticks for mind in minds), traces)
+        return StopResults(np.array(rows, METRICS_ROW), errors, sum(mind.ticks for mind in minds), traces)
 
     def _metrics(self, i: int) -> tuple[float, ...]:
         """NaN for what the stop does not have; a stop that failed has nothing."""
         if self._minds[i].error:
             return (math.nan,) * len(METRICS)
         trace, config = self._trace(i), self._experiment.config
-        course = Course(
+        course = StopTrace(
             self._since_ns(i),
             trace.slip,
             trace.slip_estimated,
@@ -188,7 +188,7 @@ class _Shard:
             trace.road_angle_rad,
             trace.brake,
         )
-        parameters = believed_parameters(config.model)
+        parameters = nominal_parameters(config.model)
         found = stop_metrics(course, config.controller.reference_slip, parameters)
         values = (found[name.removesuffix("_true")] for name in METRICS)
         return tuple(math.nan if value is None else value for value in values)

@@ -11,7 +11,7 @@ from typing import Final
 
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import Controller, control_check, preferred_estimator
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.montecarlo.policies import ESTIMATOR_NAMES
 
 MOST_COMBINATIONS: Final = 1000
@@ -53,11 +53,15 @@ def combinations(
     count = sum(len(estimators) * math.prod(map(len, grid.values())) for grid in grids.values())
     if count > MOST_COMBINATIONS:
         raise ConfigError(
-            [Mistake("--set", f"{count} combinations: must be at most {MOST_COMBINATIONS}; give fewer values at once")]
+            [
+                ConfigIssue(
+                    "--set", f"{count} combinations: must be at most {MOST_COMBINATIONS}; give fewer values at once"
+                )
+            ]
         )
     check = control_check(controllers, ESTIMATOR_NAMES)
     found: list[Combination] = []
-    mistakes: dict[Mistake, None] = {}
+    mistakes: dict[ConfigIssue, None] = {}
     for name, estimator in product(names, estimators):
         for chosen in _choices(grids[name]):
             own = [f"{_CONTROLLER}={name}", *([f"{_ESTIMATOR}={estimator}"] if estimator else [])]
@@ -79,7 +83,7 @@ def _axes(settings: Sequence[str]) -> Axes:
         key, equals, text = setting.partition("=")
         values = [value.strip() for value in split_list(text)]
         if not equals or not key.strip() or not all(values):
-            raise ConfigError([Mistake(f"--set {setting}", "must look like controller.gains.Mk=2 or ...=2,5,10")])
+            raise ConfigError([ConfigIssue(f"--set {setting}", "must look like controller.gains.Mk=2 or ...=2,5,10")])
         axes[key.strip()] = list(dict.fromkeys([*axes.get(key.strip(), ()), *values]))
     return axes
 

@@ -11,11 +11,11 @@ from typing import Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller, Estimator, PredictiveReaching, Setup, gains_in_force
-from inteco_abs.control.estimators.prediction import Pending, braking_slip, outlook
-from inteco_abs.control.wheel_dynamics import Contact
+from inteco_abs.control.estimators.prediction import DelayLine, braking_slip, outlook
+from inteco_abs.control.wheel_dynamics import WheelDynamics
 from inteco_abs.montecarlo.policies import TrueState
-from inteco_abs.rig import RigVariation, Surface, adhesion, brake_duty, measured_duty, settled_torque
-from inteco_abs.signals import Command, Estimate, Outlook, Sample
+from inteco_abs.rig import AdhesionCurve, RigVariation, adhesion, brake_duty, measured_duty, settled_torque
+from inteco_abs.signals import Command, Estimate, Prediction, Sample
 
 _LEAST_SLIP: Final = 0.001
 """Below, the adhesion of (8) goes through zero."""
@@ -57,9 +57,9 @@ class _Truth:
     def __init__(self, variation: RigVariation, state: TrueState, period_s: float) -> None:
         self._variation = variation
         self._state = state
-        self._contact = Contact(variation.parameters)
-        self._pending = Pending(period_s)
-        self._surface = Surface(variation.adhesion_scale, variation.adhesion_blend)
+        self._contact = WheelDynamics(variation.parameters)
+        self._pending = DelayLine(period_s)
+        self._surface = AdhesionCurve(variation.adhesion_scale, variation.adhesion_blend)
         self._braked_since_ns = math.inf
 
     def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:
@@ -77,7 +77,7 @@ class _Truth:
             seen = self._outlook(x1, x2, 1.0 + rig.grip_step if stepped else 1.0)
         return Estimate(x1, x2, state.slip, valid=True, outlook=seen)
 
-    def _outlook(self, x1: float, x2: float, grip: float) -> Outlook:
+    def _outlook(self, x1: float, x2: float, grip: float) -> Prediction:
         rig, k, state = self._variation, self._variation.parameters, self._state
         slip = max(braking_slip(x1, x2, k), _LEAST_SLIP)
         factor = grip * self._surface.adhesion(slip, k) / adhesion(slip, k)

@@ -56,7 +56,7 @@ class TrueState:
         return self._batch.brake_torque.item(self._rig)
 
 
-class Ideal:
+class IdealPolicy:
     """Estimator with the true speeds and slip, whatever the encoders count: the paper's simulation."""
 
     __slots__ = ("_state",)
@@ -78,7 +78,7 @@ Shards may run in other processes: a maker must be picklable, as a function of a
 
 
 @dataclass(frozen=True, slots=True)
-class AsConfigured:
+class ConfiguredPolicy:
     """Makes what the configuration names, as a run on the rig does; its estimator may also be `ideal`.
 
     Without `controllers`, all that are installed are known. A user's `file.py:Class` comes with its `source`: its class
@@ -93,7 +93,7 @@ class AsConfigured:
         """Estimator and controller of one rig. Raises ConfigError if the controller cannot be made."""
         name = self.config.controller.name
         controllers = {name: _loaded(name, self.source)} if self.source else self.controllers or _installed()
-        estimator = Ideal(state) if self.config.estimator.name == IDEAL else make_estimator(self.config)
+        estimator = IdealPolicy(state) if self.config.estimator.name == IDEAL else make_estimator(self.config)
         return estimator, make_controller(self.config, controllers)
 
 

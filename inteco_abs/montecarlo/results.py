@@ -47,7 +47,7 @@ class Trace(NamedTuple):
     """Duty asked for at each tick; it acts the rig's `command_delay_ticks` later."""
 
 
-class Spread(NamedTuple):
+class Distribution(NamedTuple):
     """Distribution of one metric over stops; a stop without that metric counts as infinitely bad."""
 
     median: float
@@ -69,12 +69,12 @@ class Summary:
     """Share of stops with a locked wheel above 10 rad/s."""
     never_entered: float
     """Share of stops whose slip was never within 0.01 of the reference."""
-    spreads: Mapping[str, Spread]
+    spreads: Mapping[str, Distribution]
     """By metric."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stops:
+class StopResults:
     """One stop of each of many rigs, in their order."""
 
     metrics: Rows
@@ -106,10 +106,10 @@ class Stops:
         )
 
     @staticmethod
-    def joined(parts: Sequence[Stops]) -> Stops:
+    def joined(parts: Sequence[StopResults]) -> StopResults:
         """The stops of all parts, one part after the other."""
         starts = np.cumsum([0, *map(len, parts)]).tolist()
-        return Stops(
+        return StopResults(
             np.concatenate([part.metrics for part in parts]),
             tuple(error for part in parts for error in part.errors),
             sum(part.ticks for part in parts),
@@ -121,11 +121,11 @@ class Stops:
         )
 
 
-def _spread(values: NDArray[np.float64]) -> Spread:
+def _spread(values: NDArray[np.float64]) -> Distribution:
     ranked = np.where(np.isnan(values), np.inf, values)
     worst = int(ranked.argmax())
     ordered = np.sort(ranked).tolist()
-    return Spread(_quantile(ordered, 0.5), _quantile(ordered, 0.99), ordered[-1], worst)
+    return Distribution(_quantile(ordered, 0.5), _quantile(ordered, 0.99), ordered[-1], worst)
 
 
 def _quantile(ordered: Sequence[float], share: float) -> float:

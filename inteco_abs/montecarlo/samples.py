@@ -6,8 +6,8 @@ import re
 from dataclasses import dataclass
 from typing import Final
 
-from inteco_abs.errors import ConfigError, Mistake, near_match
-from inteco_abs.rig import POPULATIONS, RigVariation, draw, torque_to_spare
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
+from inteco_abs.rig import POPULATIONS, RigVariation, draw, torque_margin
 
 _NAMED: Final = re.compile(r"([^:]*):([0-9]+)(?:-([0-9]+))?")
 _MOST_SEED: Final = (1 << 64) - 1
@@ -19,7 +19,7 @@ _NEEDY: Final = "capped"
 
 
 @dataclass(frozen=True, slots=True)
-class Draws:
+class SampleSet:
     """Rigs of one population, by their seeds."""
 
     population: str
@@ -38,7 +38,7 @@ class Draws:
         return f"{self.population}:{self.first}" + (f"-{self.last}" if self.last > self.first else "")
 
 
-def parse_draws(text: str) -> Draws:
+def parse_draws(text: str) -> SampleSet:
     """Draws named POPULATION:FIRST-LAST or POPULATION:SEED; raises ConfigError for anything else."""
     named = _NAMED.fullmatch(text.strip())
     if named is None:
@@ -51,12 +51,12 @@ def parse_draws(text: str) -> Draws:
     if last > _MOST_SEED or last - first >= _MOST_DRAWS:
         raise _mistake(f"{text}: must be at most {_MOST_DRAWS} draws with seeds of at most {_MOST_SEED}")
     rigs = {seed: draw(population, seed) for seed in range(first, last + 1)}
-    weak = {seed for seed, rig in rigs.items() if population == _NEEDY and torque_to_spare(rig, HELD_SLIP) < SPARE_NM}
+    weak = {seed for seed, rig in rigs.items() if population == _NEEDY and torque_margin(rig, HELD_SLIP) < SPARE_NM}
     seeds = tuple(seed for seed in rigs if seed not in weak)
     if not seeds:
         raise _mistake(f"{text}: none of these rigs can hold slip {HELD_SLIP:g} with {SPARE_NM:g} N m to spare")
-    return Draws(population, first, last, seeds, tuple(rigs[seed] for seed in seeds), tuple(sorted(weak)))
+    return SampleSet(population, first, last, seeds, tuple(rigs[seed] for seed in seeds), tuple(sorted(weak)))
 
 
 def _mistake(problem: str) -> ConfigError:
-    return ConfigError([Mistake("--rigs", problem)])
+    return ConfigError([ConfigIssue("--rigs", problem)])

@@ -10,8 +10,8 @@ from typing import Final
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller
 from inteco_abs.montecarlo.batch_run import Experiment, run_shard
-from inteco_abs.montecarlo.policies import AsConfigured, Maker
-from inteco_abs.montecarlo.results import Stops
+from inteco_abs.montecarlo.policies import ConfiguredPolicy, Maker
+from inteco_abs.montecarlo.results import StopResults
 from inteco_abs.rig import RigVariation
 
 SHARD: Final = 50
@@ -32,12 +32,12 @@ def run_stops(
     executor: Executor | None = None,
     shard: int = SHARD,
     progress: Progress | None = None,
-) -> Stops:
+) -> StopResults:
     """One stop of each rig with the configured estimator and controller, or with what `maker` makes.
 
     The rest is as in `Experiment` and `run_all`.
     """
-    made = AsConfigured(config, controllers) if maker is None else maker
+    made = ConfiguredPolicy(config, controllers) if maker is None else maker
     experiment = Experiment(tuple(rigs), config, made, run_up_from_rad_s, traced)
     return run_all([experiment], executor=executor, shard=shard, progress=progress)[0]
 
@@ -48,7 +48,7 @@ def run_all(
     executor: Executor | None = None,
     shard: int = SHARD,
     progress: Progress | None = None,
-) -> list[Stops]:
+) -> list[StopResults]:
     """The stops of each experiment, the same to the last digit on any executor and in shards of any size.
 
     Without an executor they run here. On one, all shards are handed over at once, and what is not yet begun is taken
@@ -67,7 +67,7 @@ def run_all(
             done += len(stops[-1])
             if progress is not None:
                 progress(done, total)
-        outcomes.append(Stops.joined(stops))
+        outcomes.append(StopResults.joined(stops))
     return outcomes
 
 
@@ -80,12 +80,12 @@ def _shards(experiment: Experiment, size: int) -> Iterator[Experiment]:
         yield replace(experiment, rigs=rigs, traced=traced)
 
 
-def _results(shards: Sequence[Experiment], executor: Executor | None) -> Iterator[Stops]:
+def _results(shards: Sequence[Experiment], executor: Executor | None) -> Iterator[StopResults]:
     """In order."""
     if executor is None:
         yield from map(run_shard, shards)
         return
-    futures: list[Future[Stops]] = [executor.submit(run_shard, shard) for shard in shards]
+    futures: list[Future[StopResults]] = [executor.submit(run_shard, shard) for shard in shards]
     try:
         for future in futures:
             yield future.result()

@@ -10,9 +10,9 @@ from typing import Any, Final
 
 from inteco_abs.montecarlo.batch_run import Experiment
 from inteco_abs.montecarlo.grid import Combination
-from inteco_abs.montecarlo.policies import AsConfigured
-from inteco_abs.montecarlo.results import METRICS, Stops
-from inteco_abs.montecarlo.samples import Draws
+from inteco_abs.montecarlo.policies import ConfiguredPolicy
+from inteco_abs.montecarlo.results import METRICS, StopResults
+from inteco_abs.montecarlo.samples import SampleSet
 from inteco_abs.montecarlo.stops import SHARD, Progress, run_all
 
 RUN_UP_RAD_S: Final = 15.0
@@ -20,12 +20,12 @@ RUN_UP_RAD_S: Final = 15.0
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class SweepRow:
     """One configuration on one range of draws."""
 
-    draws: Draws
+    draws: SampleSet
     combination: Combination
-    stops: Stops
+    stops: StopResults
 
     def facts(self) -> dict[str, Any]:
         """As JSON has it: None for what is infinite, because a stop has no such thing."""
@@ -69,14 +69,14 @@ class Row:
 
 def sweep(
     grid: Sequence[Combination],
-    draws: Sequence[Draws],
+    draws: Sequence[SampleSet],
     *,
     sources: Mapping[str, bytes] | None = None,
     run_up: bool = True,
     executor: Executor | None = None,
     shard: int = SHARD,
     progress: Progress | None = None,
-) -> list[Row]:
+) -> list[SweepRow]:
     """Every configuration on every range of draws, range by range; executor, shard and progress as for `run_all`.
 
     `sources` has the source of each controller of the user's own, by its name. Raises ConfigError if a controller
@@ -86,11 +86,11 @@ def sweep(
     experiments = []
     for rigs, combination in pairs:
         config = combination.config
-        maker = AsConfigured(config, source=(sources or {}).get(config.controller.name, b""))
+        maker = ConfiguredPolicy(config, source=(sources or {}).get(config.controller.name, b""))
         start = max(0.0, config.experiment.start_speed_rad_s - RUN_UP_RAD_S) if run_up else None
         experiments.append(Experiment(rigs.rigs, config, maker, start))
     outcomes = run_all(experiments, executor=executor, shard=shard, progress=progress)
-    return [Row(*pair, stops) for pair, stops in zip(pairs, outcomes, strict=True)]
+    return [SweepRow(*pair, stops) for pair, stops in zip(pairs, outcomes, strict=True)]
 
 
 def _finite(value: float) -> float | None:

@@ -13,7 +13,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from inteco_abs.montecarlo import Row
+from inteco_abs.montecarlo import SweepRow
 from inteco_abs.views.figure import check_figure, save_figure
 
 if TYPE_CHECKING:
@@ -31,13 +31,13 @@ _NOTE: Final = (
 _HEADINGS: Final = ("median", "p99", "max", "worst\nseed", "locked", "never\nin band", "stop\nm", "N m/s")
 
 
-def render_sweep(rows: Sequence[Row]) -> RenderableType:
+def render_sweep(rows: Sequence[SweepRow]) -> RenderableType:
     """A table for each range of draws, best configuration first."""
     tables: list[RenderableType] = [_table(name, mine) for name, mine in _by_range(rows)]
     return Group(*tables, Text(_NOTE, style="dim"))
 
 
-def _table(name: str, rows: Sequence[Row]) -> Table:
+def _table(name: str, rows: Sequence[SweepRow]) -> Table:
     count = len(rows[0].stops)
     title = f"{name}: slip RMS of {count} {'stops' if count > 1 else 'stop'} each"
     table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
@@ -59,10 +59,10 @@ def _table(name: str, rows: Sequence[Row]) -> Table:
     return table
 
 
-def _by_range(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
+def _by_range(rows: Sequence[SweepRow]) -> list[tuple[str, list[SweepRow]]]:
     """Ranges of draws in their order, each with its rows by the 99th percentile of the slip's RMS."""
 
-    def p99(row: Row) -> float:
+    def p99(row: SweepRow) -> float:
         return row.stops.summary().spreads["slip_rms_true"].p99
 
     names = dict.fromkeys(row.draws.name for row in rows)
@@ -73,7 +73,7 @@ def _number(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else "never"
 
 
-def draw_sweep(rows: Sequence[Row], path: Path) -> None:
+def draw_sweep(rows: Sequence[SweepRow], path: Path) -> None:
     """Draw to `path` (.png, .svg or .pdf) which share of the stops has at most which slip RMS, a panel for each range.
 
     A stop that never came near the reference is beyond every RMS. Only the best MOST_LINES of a range are drawn.
@@ -100,7 +100,7 @@ def draw_sweep(rows: Sequence[Row], path: Path) -> None:
     save_figure(figure, path)
 
 
-def _shares(panel: Axes, row: Row, **look: Any) -> None:
+def _shares(panel: Axes, row: SweepRow, **look: Any) -> None:
     values = row.stops["slip_rms_true"]
     finite = np.sort(values[np.isfinite(values)])
     corners = np.concatenate([finite[:1], finite])  # up from zero at the first

@@ -2,15 +2,15 @@
 
 from inteco_abs.paper.cases import Condition, Law, conditions
 from inteco_abs.paper.comparison import Comparison, compare, verdict
-from inteco_abs.paper.reproduction import Course, Reproduction, Row, reproduce
+from inteco_abs.paper.reproduction import PaperRow, PaperTrace, Reproduction, reproduce
 
 __all__ = [
     "Comparison",
     "Condition",
-    "Course",
     "Law",
+    "PaperRow",
+    "PaperTrace",
     "Reproduction",
-    "Row",
     "compare",
     "conditions",
     "reproduce",

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import CONTROLLERS, control_check, reaching_time_bound
-from inteco_abs.montecarlo import ESTIMATOR_NAMES, IDEAL, AsConfigured, Draws, Experiment, parse_draws
+from inteco_abs.montecarlo import ESTIMATOR_NAMES, IDEAL, ConfiguredPolicy, Experiment, SampleSet, parse_draws
 from inteco_abs.rig import RigParameters
 
 REFERENCE: Final = 0.2
@@ -59,7 +59,7 @@ class Condition:
     name: str
     """For files and tables."""
     title: str
-    draws: Draws
+    draws: SampleSet
     estimator: str
     laws: tuple[Law, ...]
     run_up_from_rad_s: float | None = None
@@ -68,7 +68,7 @@ class Condition:
     def experiment(self, law: Law) -> Experiment:
         """Of one of the laws."""
         config = law.config(self.estimator)
-        return Experiment(self.draws.rigs, config, AsConfigured(config, CONTROLLERS), self.run_up_from_rad_s)
+        return Experiment(self.draws.rigs, config, ConfiguredPolicy(config, CONTROLLERS), self.run_up_from_rad_s)
 
 
 def conditions(draws: int) -> tuple[Condition, ...]:
@@ -94,7 +94,7 @@ def _laws(Mk: float, Mq: float) -> tuple[Law, ...]:
     )
 
 
-def _capped(count: int) -> Draws:
+def _capped(count: int) -> SampleSet:
     """The first rigs of `capped` that can hold the slip at all: of the others no law can be judged."""
     last = count
     while len((found := parse_draws(f"capped:0-{last}")).seeds) < count:
@@ -102,7 +102,7 @@ def _capped(count: int) -> Draws:
     return parse_draws(f"capped:0-{found.seeds[count - 1]}")
 
 
-def _breaks(nominal: Draws, law: Law) -> Iterator[Condition]:
+def _breaks(nominal: SampleSet, law: Law) -> Iterator[Condition]:
     """The simulation with one thing each that the paper's recipe leaves out."""
     (rig,) = nominal.rigs
     published = RigParameters.named("mask")

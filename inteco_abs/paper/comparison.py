@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from inteco_abs.montecarlo import Stops
+from inteco_abs.montecarlo import StopResults
 
 ACCURACY: Final = "slip_rms_fixed_true"
 """What the claim is judged by: every stop has it, however late its slip arrives, or never."""
@@ -41,7 +41,7 @@ class Comparison(NamedTuple):
     """Why, with the figures."""
 
 
-def compare(ours: Stops, rival: Stops) -> Comparison:
+def compare(ours: StopResults, rival: StopResults) -> Comparison:
     """Judge the claim that `ours` are more accurate than those of the `rival`, on the same rigs in the same order.
 
     It is confirmed by a median ratio of slip RMS below 0.99 and, of several rigs, more wins than chance gives in one of

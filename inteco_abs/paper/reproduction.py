@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.control import reaching_time_bound
-from inteco_abs.montecarlo import IDEAL, METRICS, Progress, Stops, run_all
+from inteco_abs.montecarlo import IDEAL, METRICS, Progress, StopResults, run_all
 from inteco_abs.paper.cases import REFERENCE, Condition, Law, conditions
 from inteco_abs.paper.comparison import ACCURACY, Comparison, compare, verdict
 
@@ -35,12 +35,12 @@ _SLOWEST_RAD_S: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class PaperRow:
     """One law under one condition."""
 
     condition: Condition
     law: Law
-    stops: Stops
+    stops: StopResults
     comparison: Comparison | None
     """With the paper's law under this condition; None for that law itself."""
 
@@ -84,7 +84,7 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class PaperTrace:
     """One stop for a figure."""
 
     name: str
@@ -97,8 +97,8 @@ class Course:
 class Reproduction:
     """All that was found."""
 
-    rows: tuple[Row, ...]
-    courses: tuple[Course, ...]
+    rows: tuple[PaperRow, ...]
+    courses: tuple[PaperTrace, ...]
 
     def report(self) -> dict[str, Any]:
         """For JSON, tables and figures."""
@@ -133,14 +133,14 @@ def reproduce(draws: int, progress: Progress | None = None) -> Reproduction:
     return Reproduction(rows, tuple(_course(drawn[name]) for name in _DRAWN))
 
 
-def _rows(pairs: Sequence[tuple[Condition, Law]], outcomes: Sequence[Stops]) -> Iterator[Row]:
+def _rows(pairs: Sequence[tuple[Condition, Law]], outcomes: Sequence[StopResults]) -> Iterator[PaperRow]:
     ours = outcomes[0]
     for (condition, law), stops in zip(pairs, outcomes, strict=True):
         ours = ours if law.pairing else stops
-        yield Row(condition, law, stops, compare(ours, stops) if law.pairing else None)
+        yield PaperRow(condition, law, stops, compare(ours, stops) if law.pairing else None)
 
 
-def _course(row: Row) -> Course:
+def _course(row: PaperRow) -> PaperTrace:
     """The stop in the middle of a row, by its slip RMS; braked once more, as it then comes out to the last digit."""
     order = np.argsort(row.stops[ACCURACY], kind="stable")
     place = int(order[(len(order) - 1) // 2])
@@ -159,10 +159,10 @@ def _course(row: Row) -> Course:
         "brake_torque_nm": trace.brake_torque_nm,
         "brake_duty": trace.brake,
     }
-    return Course(row.condition.name, title, columns)
+    return PaperTrace(row.condition.name, title, columns)
 
 
-def _simulation(row: Row, course: Course) -> dict[str, Any]:
+def _simulation(row: PaperRow, course: PaperTrace) -> dict[str, Any]:
     """What theory says of an ideal loop, beside what was seen."""
     law, (stop,) = row.law, row.records()
     fast = course.columns["road_speed_rad_s"][:-1] > _SLOWEST_RAD_S

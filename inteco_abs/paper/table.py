@@ -12,7 +12,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from inteco_abs.views.figure import COLOURS, insist_on_matplotlib, save_figure
+from inteco_abs.views.figure import COLOURS, require_matplotlib, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -144,7 +144,7 @@ def draw_course(columns: Mapping[str, Any], title: str, path: Path) -> None:
     The estimated slip is drawn if there is one, and a file of that name is replaced. Raises AbsError if it cannot be
     written, or without matplotlib.
     """
-    insist_on_matplotlib()
+    require_matplotlib()
     from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
 
     time_s = columns["time_s"]

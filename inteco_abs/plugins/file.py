@@ -8,8 +8,8 @@ from types import ModuleType
 from typing import Final
 
 from inteco_abs.control import Controller
-from inteco_abs.errors import ConfigError, Mistake, near_file, near_match
-from inteco_abs.plugins.shape import foreign_code, insist_on_controller
+from inteco_abs.errors import ConfigError, ConfigIssue, near_file, near_match
+from inteco_abs.plugins.shape import foreign_code, require_controller
 
 FROM_FILE: Final = ".py:"
 """In the name of a controller that comes from a user's file."""
@@ -40,8 +40,8 @@ def load_controller(name: str, source: bytes | None = None) -> tuple[type[Contro
     if not isinstance(kind, type):
         classes = [key for key, value in vars(module).items() if isinstance(value, type)]
         raise _mistake(f"{file} has no class {class_name!r}{near_match(class_name, classes)}")
-    return insist_on_controller(_PATH, kind, name), source
+    return require_controller(_PATH, kind, name), source
 
 
 def _mistake(problem: str) -> ConfigError:
-    return ConfigError([Mistake(_PATH, problem)])
+    return ConfigError([ConfigIssue(_PATH, problem)])

@@ -10,8 +10,8 @@ from itertools import chain
 from typing import Final, NamedTuple
 
 from inteco_abs.control import CONTROLLERS, Controller
-from inteco_abs.errors import ConfigError, Mistake
-from inteco_abs.plugins.shape import foreign_code, insist_on_controller
+from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.plugins.shape import foreign_code, require_controller
 
 GROUP: Final = "inteco_abs.controllers"
 _PATH: Final = "controller.name"
@@ -36,10 +36,10 @@ class Packaged(NamedTuple):
         """The class, freshly imported; raises ConfigError if it cannot be, or is no controller."""
         what = f"{self.name} of the package {self.package}"
         if self.problem:
-            raise ConfigError([Mistake(_PATH, f"{what}: {self.problem}")])
+            raise ConfigError([ConfigIssue(_PATH, f"{what}: {self.problem}")])
         with foreign_code(_PATH, what):
             kind = self.entry.load()
-        return insist_on_controller(_PATH, kind, f"{what}: {self.entry.value}")
+        return require_controller(_PATH, kind, f"{what}: {self.entry.value}")
 
 
 def packaged_controllers() -> dict[str, Packaged]:

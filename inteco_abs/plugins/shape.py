@@ -10,7 +10,7 @@ from contextlib import contextmanager, redirect_stdout
 from typing import Any, Final
 
 from inteco_abs.control import Controller, Gain
-from inteco_abs.errors import ConfigError, Mistake, place_in
+from inteco_abs.errors import ConfigError, ConfigIssue, place_in
 
 _MOST_INTERNALS: Final = 4
 
@@ -28,14 +28,16 @@ def foreign_code(path: str, what: str) -> Iterator[None]:
         told = str(error)
         if isinstance(error, SyntaxError) and error.filename == what:
             told = error.msg  # its text names file and line once more
-        raise ConfigError([Mistake(path, f"{what}{place_in(error, what)}: {type(error).__name__}: {told}")]) from error
+        raise ConfigError(
+            [ConfigIssue(path, f"{what}{place_in(error, what)}: {type(error).__name__}: {told}")]
+        ) from error
 
 
-def insist_on_controller(path: str, kind: object, name: str) -> type[Controller]:
+def require_controller(path: str, kind: object, name: str) -> type[Controller]:
     """`kind`, if it is a class with update, gains and internals as `Controller` has them; else raises ConfigError."""
     problem = _problem_of(kind, name)
     if problem:
-        raise ConfigError([Mistake(path, problem)])
+        raise ConfigError([ConfigIssue(path, problem)])
     found: Any = kind
     checked: type[Controller] = found
     return checked

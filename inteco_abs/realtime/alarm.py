@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import Final
 
 from inteco_abs.boards import STILL_ON
-from inteco_abs.realtime.memory import RunMemory, Word
+from inteco_abs.realtime.memory import Field, RunMemory
 from inteco_abs.realtime.rules import Silence
 
 _WINDOW_NS: Final = 300_000_000
@@ -36,14 +36,14 @@ class Alarm:
         now_ns = time.monotonic_ns()
         passed_ns, self._before_ns = now_ns - self._before_ns, now_ns
         words = self._words
-        holder = words[Word.HOLDER_PID]
-        held = holder == words[Word.LOOP_PID] != 0 and words[Word.RESCUED_PID] != holder
+        holder = words[Field.HOLDER_PID]
+        held = holder == words[Field.LOOP_PID] != 0 and words[Field.RESCUED_PID] != holder
         if not held or not self._ticks.written:
             self._silence.forget()
         elif self._silence.lasts(self._ticks.written, passed_ns) and not self._tried:
             self._tried = True
-            if not words[Word.ALARMED] and self._say(TEXT):
-                words[Word.ALARMED] = 1
+            if not words[Field.ALARMED] and self._say(TEXT):
+                words[Field.ALARMED] = 1
 
     def _aloud(self, text: str) -> bool:
         """From a thread: a terminal that was halted keeps its writer waiting, and whoever watches must not wait."""
@@ -51,7 +51,7 @@ class Alarm:
         def write() -> None:
             with suppress(OSError, ValueError):
                 os.write(2, f"\ninteco-abs: {text}\n".encode())
-                self._words[Word.ALARMED] = 1
+                self._words[Field.ALARMED] = 1
 
         with suppress(RuntimeError):  # no more threads: the next in turn says it
             threading.Thread(target=write, daemon=True).start()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.realtime.screen import Screen
 from inteco_abs.signals import Reason
 
@@ -28,13 +28,13 @@ class DiskWatch:
         self._say_troubles(screen)
         self._say_if_slow(screen)
         words = self._memory.words
-        if self._ticks.room < _STOP_S * self._job.config.loop.rate_hz and not words[Word.STOP]:
-            words[Word.STOP] = Reason.RECORDER_LOST
+        if self._ticks.room < _STOP_S * self._job.config.loop.rate_hz and not words[Field.STOP]:
+            words[Field.STOP] = Reason.RECORDER_LOST
 
     def _say_troubles(self, screen: Screen) -> None:
-        if self._memory.words[Word.TROUBLES] == self._heard:
+        if self._memory.words[Field.TROUBLES] == self._heard:
             return
-        told = self._memory.note(Note.TROUBLES)
+        told = self._memory.note(Mailbox.TROUBLES)
         if told is not None:
             for text in told["texts"][self._heard :]:
                 screen.warn(text)
@@ -42,7 +42,7 @@ class DiskWatch:
 
     def _say_if_slow(self, screen: Screen) -> None:
         words = self._memory.words
-        behind = self._ticks.written - words[Word.FLUSHED]
-        if not (self._slow or words[Word.TROUBLES]) and behind > _SLOW_S * self._job.config.loop.rate_hz:
+        behind = self._ticks.written - words[Field.FLUSHED]
+        if not (self._slow or words[Field.TROUBLES]) and behind > _SLOW_S * self._job.config.loop.rate_hz:
             self._slow = True
             screen.warn(f"the disk of {self._job.session} is slow: for now, ticks are in memory only; the run goes on")

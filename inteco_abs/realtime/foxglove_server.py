@@ -25,7 +25,7 @@ from typing import Any, Final
 from inteco_abs.errors import AbsError
 from inteco_abs.format import TICK
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import RunMemory, Word
+from inteco_abs.realtime.memory import Field, RunMemory
 from inteco_abs.realtime.ring import RingReader
 
 HOST: Final = "127.0.0.1"
@@ -53,7 +53,7 @@ _MOST_BEHIND: Final = 1 << 16
 """Bytes that a viewer may leave untaken before ticks are left out for it."""
 
 
-def insist_on_foxglove(port: int) -> None:
+def require_foxglove(port: int) -> None:
     """Raise AbsError if what serves is not installed, or cannot have that port now."""
     if importlib.util.find_spec("websockets") is None:
         raise AbsError("--foxglove needs websockets: pip install 'inteco-abs[foxglove]'; nothing was started")
@@ -86,8 +86,8 @@ def live_view(memory: RunMemory, job: Job) -> Iterator[None]:
     if job.live_port is None:
         yield
         return
-    view = _View(memory.tick_reader(), job.live_port, job.session_id, memory.words[Word.EPOCH_NS])
-    memory.words[Word.LIVE_PORT] = view.port
+    view = _View(memory.tick_reader(), job.live_port, job.session_id, memory.words[Field.EPOCH_NS])
+    memory.words[Field.LIVE_PORT] = view.port
     try:
         yield
     finally:

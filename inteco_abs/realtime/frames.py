@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from inteco_abs.errors import CaptureError
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import Note, RunMemory
+from inteco_abs.realtime.memory import Mailbox, RunMemory
 from inteco_abs.wire.capture import Capture, Record, opened_capture, write_capture
 from inteco_abs.wire.recording import Recording
 
@@ -53,7 +53,7 @@ def frames_of(memory: RunMemory, job: Job) -> Frames | None:
     @contextmanager
     def opened() -> Iterator[tuple[Capture, Iterable[Record]]]:
         if not memory.frames.exists():
-            failure = memory.note(Note.FAILURE)
+            failure = memory.note(Mailbox.FAILURE)
             raise CaptureError(failure["text"] if failure else "the loop's process ended before it had saved them")
         with opened_capture(memory.frames) as parts:
             yield parts

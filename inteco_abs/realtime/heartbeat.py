@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from typing import Final
 
 from inteco_abs.errors import BoardError
-from inteco_abs.realtime.memory import RunMemory, Word
-from inteco_abs.realtime.tuning import Wish, prepare
+from inteco_abs.realtime.memory import Field, RunMemory
+from inteco_abs.realtime.tuning import Tuning, prepare
 
 NO_MORE: Final = "end other programs, or raise the limit of processes (ulimit -u); nothing was started"
 
 
 @contextmanager
-def repeating(act: Callable[[], object], every_s: float, wishes: Collection[Wish] = ()) -> Iterator[None]:
+def repeating(act: Callable[[], object], every_s: float, wishes: Collection[Tuning] = ()) -> Iterator[None]:
     """While inside, `act` so often in a thread with these wishes. Raises BoardError if no thread can be started."""
     over = threading.Event()
 
@@ -38,7 +38,7 @@ def repeating(act: Callable[[], object], every_s: float, wishes: Collection[Wish
 
 
 @contextmanager
-def beating(memory: RunMemory, word: Word, every_s: float, wishes: Collection[Wish] = ()) -> Iterator[None]:
+def beating(memory: RunMemory, word: Field, every_s: float, wishes: Collection[Tuning] = ()) -> Iterator[None]:
     """While inside, note the time in `word` so often, from a thread as of `repeating`."""
 
     def beat() -> None:

@@ -10,7 +10,7 @@ from typing import Any, Final, Self
 
 from inteco_abs.config import RigConfig, parse_config
 from inteco_abs.errors import SessionError
-from inteco_abs.realtime.memory import Note, RunMemory
+from inteco_abs.realtime.memory import Mailbox, RunMemory
 
 _FILES: Final = ("controller_source", "profile")
 
@@ -52,12 +52,12 @@ class Job:
     def post(self, memory: RunMemory) -> None:
         """Leave it for the others."""
         files = {name: base64.b64encode(getattr(self, name)).decode() for name in _FILES}
-        memory.post(Note.JOB, asdict(self) | files | {"config": self.config.to_toml()})
+        memory.post(Mailbox.JOB, asdict(self) | files | {"config": self.config.to_toml()})
 
     @classmethod
     def of(cls, memory: RunMemory) -> Self:
         """The job of a run."""
-        told: dict[str, Any] | None = memory.note(Note.JOB)
+        told: dict[str, Any] | None = memory.note(Mailbox.JOB)
         if told is None:
             raise SessionError(f"{memory.path}: holds no job: the run died before it began; remove it")
         told["config"] = parse_config(told["config"])

@@ -41,7 +41,7 @@ _START_TIME: Final = 19
 """Field of /proc/PID/stat, counted from 0 behind the name (proc(5): field 22)."""
 
 
-class Word(IntEnum):
+class Field(IntEnum):
     """Eight-byte words, by their writer.
 
     The drill comes before the loop, and the supervisor after a guardian that is gone: one takes the other's place.
@@ -113,7 +113,7 @@ class Word(IntEnum):
     RECORDER_STARTED = auto()
 
 
-class Note(IntEnum):
+class Mailbox(IntEnum):
     """Texts and images that one process leaves for the others."""
 
     JOB = 0
@@ -135,21 +135,21 @@ class Note(IntEnum):
     """What the recorder has to say of its disks, and which file it writes by now."""
 
 
-_NOTE_BYTES: Final = {Note.JOB: 2 << 20, Note.SURROUNDINGS: 2 << 20}
+_NOTE_BYTES: Final = {Mailbox.JOB: 2 << 20, Mailbox.SURROUNDINGS: 2 << 20}
 _OTHER_NOTE_BYTES: Final = 64 << 10
 _WORDS_AT: Final = 4096
 _NOTES_AT: Final = 8192
 _OWNERS: Final = {
-    Word.SUPERVISOR_PID: Word.SUPERVISOR_STARTED,
-    Word.LOOP_PID: Word.LOOP_STARTED,
-    Word.RECORDER_PID: Word.RECORDER_STARTED,
+    Field.SUPERVISOR_PID: Field.SUPERVISOR_STARTED,
+    Field.LOOP_PID: Field.LOOP_STARTED,
+    Field.RECORDER_PID: Field.RECORDER_STARTED,
 }
 """Processes that a run belongs to: number, and start."""
 
 
-def _note_places() -> tuple[dict[Note, tuple[int, int]], int]:
+def _note_places() -> tuple[dict[Mailbox, tuple[int, int]], int]:
     places, at = {}, _NOTES_AT
-    for note in Note:
+    for note in Mailbox:
         size = _NOTE_BYTES.get(note, _OTHER_NOTE_BYTES)
         places[note] = at, size
         at += size
@@ -165,7 +165,7 @@ def run_bytes(tick_bytes: int, tick_capacity: int, truth_bytes: int, truth_capac
     return _RINGS_AT + ring_bytes(tick_bytes, tick_capacity) + ring_bytes(truth_bytes, truth_capacity)
 
 
-def insist_on_room(size: int) -> None:
+def require_room(size: int) -> None:
     """Raise SessionError unless the system has so many bytes of shared memory now; takes none of it."""
     try:
         free = shutil.disk_usage(FOLDER).free
@@ -216,8 +216,8 @@ class RunMemory:
         except BaseException:
             _unlink(path)
             raise
-        memory.name(Word.SUPERVISOR_PID, os.getpid())
-        memory.words[Word.EPOCH_NS] = time.time_ns() - time.monotonic_ns()
+        memory.name(Field.SUPERVISOR_PID, os.getpid())
+        memory.words[Field.EPOCH_NS] = time.time_ns() - time.monotonic_ns()
         return memory
 
     @classmethod
@@ -250,7 +250,7 @@ class RunMemory:
     def keep(self) -> None:
         """Make `remove` leave everything where it is: what it holds is nowhere else."""
         self._kept = True
-        self.words[Word.KEPT] = 1
+        self.words[Field.KEPT] = 1
         _unlink(self.socket)
 
     def remove(self) -> None:
@@ -272,7 +272,7 @@ class RunMemory:
         """Where the loop's process leaves what passed between it and the board, if that was asked for."""
         return self.path.with_suffix(_FRAMES)
 
-    def name(self, owner: Word, pid: int) -> None:
+    def name(self, owner: Field, pid: int) -> None:
         """Process `pid` is now the run's `owner`: SUPERVISOR_PID, LOOP_PID or RECORDER_PID."""
         self.words[_OWNERS[owner]] = start_time(pid)
         self.words[owner] = pid
@@ -281,7 +281,7 @@ class RunMemory:
         """Whether any process of the run may still need it."""
         return _in_use(self.words)
 
-    def post(self, note: Note, content: Any) -> None:
+    def post(self, note: Mailbox, content: Any) -> None:
         """Leave a note: bytes, or anything that JSON can say."""
         data = content if isinstance(content, bytes) else json.dumps(content).encode()
         at, size = _NOTES[note]
@@ -291,14 +291,14 @@ class RunMemory:
         self._memory[at + 8 : at + 8 + len(data)] = data
         struct.pack_into("<Q", self._memory, at, len(data) + 1)  # last: a note is there as a whole or not at all
 
-    def image(self, note: Note) -> bytes | None:
+    def image(self, note: Mailbox) -> bytes | None:
         """A note's bytes; None if it was not left yet, or is just being replaced."""
         at, _ = _NOTES[note]
         (length,) = struct.unpack_from("<Q", self._memory, at)
         data = bytes(self._memory[at + 8 : at + 7 + length]) if length else None
         return data if struct.unpack_from("<Q", self._memory, at) == (length,) else None
 
-    def note(self, note: Note) -> Any:
+    def note(self, note: Mailbox) -> Any:
         """A note; None if it was not left yet."""
         data = self.image(note)
         return None if data is None else json.loads(data)
@@ -350,9 +350,9 @@ def left_rings(folder: Path = FOLDER) -> Iterator[Path]:
         if len(head) < _RINGS_AT + 8 or not head.startswith(_MAGIC):
             continue
         words = memoryview(head)[_WORDS_AT:_NOTES_AT].cast("q")
-        if not words[Word.SUPERVISOR_PID] or _in_use(words):
+        if not words[Field.SUPERVISOR_PID] or _in_use(words):
             continue  # just being made, or in use
-        if struct.unpack_from("<Q", head, _RINGS_AT)[0] and not words[Word.UNRECORDED]:
+        if struct.unpack_from("<Q", head, _RINGS_AT)[0] and not words[Field.UNRECORDED]:
             yield path
         else:
             _unlink_all(path)
@@ -374,7 +374,7 @@ def _head_of_own(path: Path) -> bytes:
 
 def _in_use(words: memoryview) -> bool:
     """Whether any process that the run belongs to has not ended; a kept memory needs none of them."""
-    return not words[Word.KEPT] and any(
+    return not words[Field.KEPT] and any(
         alive(words[pid]) and words[started] in {0, start_time(words[pid])} for pid, started in _OWNERS.items()
     )
 

@@ -97,7 +97,7 @@ def choose_engine(board: Board) -> dict[str, str]:
     return {"engine": board.engine, **{f"exchanges, {engine}": str(spread) for engine, spread in spreads.items()}}
 
 
-def insist_on_rate(board: Board, period_ns: int) -> dict[str, str]:
+def require_rate(board: Board, period_ns: int) -> dict[str, str]:
     """Raise BoardError, naming the rate that can be kept, if exchanges with an entered board take longer than a period.
 
     Chooses the engine first. Judged by the 99th percentile of a thousand, failed ones among them, with all outputs

@@ -19,7 +19,7 @@ SUPERVISOR_WINDOW_NS: Final = 200_000_000
 """After which the guardian takes a silent supervisor for lost."""
 
 
-class Deed(Flag):
+class Action(Flag):
     """What has to be done now."""
 
     NONE = 0
@@ -31,24 +31,24 @@ class Deed(Flag):
     """Take the board and write SAFE: only ever after the end of everybody else who might write to it."""
 
 
-def guardian_does(*, held: bool, loop_ended: bool, loop_silent: bool) -> Deed:
+def guardian_does(*, held: bool, loop_ended: bool, loop_silent: bool) -> Action:
     """Of a guardian that watches. `held`: the loop has the board, and nobody has taken it since."""
     if loop_ended:
-        return Deed.RESCUE if held else Deed.NONE
-    return Deed.KILL_LOOP if loop_silent else Deed.NONE
+        return Action.RESCUE if held else Action.NONE
+    return Action.KILL_LOOP if loop_silent else Action.NONE
 
 
 def supervisor_does(
     *, held: bool, loop_ended: bool, loop_silent: bool, guardian_ended: bool, guardian_silent: bool
-) -> Deed:
+) -> Action:
     """Of the supervisor, which takes the guardian's place only once that is lost."""
     if not (guardian_ended or guardian_silent) or (loop_ended and not held):
-        return Deed.NONE
+        return Action.NONE
     if not held or not (loop_ended or loop_silent):
-        return Deed.STOP
+        return Action.STOP
     if loop_ended and guardian_ended:
-        return Deed.RESCUE
-    return Deed.STOP | Deed.KILL_LOOP | Deed.KILL_GUARDIAN  # a guardian that wakes up must not be a second host
+        return Action.RESCUE
+    return Action.STOP | Action.KILL_LOOP | Action.KILL_GUARDIAN  # a guardian that wakes up must not be a second host
 
 
 class Silence:

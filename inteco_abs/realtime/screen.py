@@ -78,7 +78,7 @@ class Screen(Protocol):
         ...
 
 
-class Unbreakable:
+class SafeScreen:
     """A screen whose trouble is not the run's: a terminal may be closed at any time."""
 
     def __init__(self, screen: Screen) -> None:
@@ -159,7 +159,7 @@ class Lines(NoScreen):
         self._say(text)
 
 
-class Onlooker:
+class SnapshotSource:
     """Makes snapshots of the ticks in a ring, taking none of them."""
 
     def __init__(self, ticks: RingReader, histogram: Histogram, rate_hz: float) -> None:

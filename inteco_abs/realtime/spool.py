@@ -7,21 +7,21 @@ from typing import Any
 
 from inteco_abs.realtime.frames import stow_frames
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import Note, RunMemory
+from inteco_abs.realtime.memory import Mailbox, RunMemory
 from inteco_abs.realtime.ring import TickRing
-from inteco_abs.sessions import TICK, TRUTH, Conclusion, Introduction
+from inteco_abs.sessions import TICK, TRUTH, RunEnd, RunHeader
 
 
-def stow(job: Job, introduction: Introduction, end: Conclusion, ticks: bytes, truths: bytes) -> Path:
+def stow(job: Job, introduction: RunHeader, end: RunEnd, ticks: bytes, truths: bytes) -> Path:
     """A ring with the whole of a run that another process than a recorder's has recorded.
 
     Raises SessionError if memory has no room for it.
     """
     memory = RunMemory.create(TICK.size, max(len(ticks) // TICK.size, 1), TRUTH.size, max(len(truths) // TRUTH.size, 1))
     job.post(memory)
-    memory.post(Note.SURROUNDINGS, introduction.surroundings.as_note())
+    memory.post(Mailbox.SURROUNDINGS, introduction.surroundings.as_note())
     memory.post(
-        Note.INTRODUCTION,
+        Mailbox.INTRODUCTION,
         {
             "identity": dict(introduction.identity),
             "gains": dict(introduction.gains),
@@ -29,7 +29,9 @@ def stow(job: Job, introduction: Introduction, end: Conclusion, ticks: bytes, tr
             "settings": [],
         },
     )
-    memory.post(Note.CONCLUSION, {"reason": int(end.reason), "detail": end.detail, "aborted": end.aborted, "cost": {}})
+    memory.post(
+        Mailbox.CONCLUSION, {"reason": int(end.reason), "detail": end.detail, "aborted": end.aborted, "cost": {}}
+    )
     _fill(memory.tick_ring(_copy), ticks, TICK.size)
     _fill(memory.truth_ring(_copy), truths, TRUTH.size)
     if end.frames is not None:

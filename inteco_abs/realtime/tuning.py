@@ -50,7 +50,7 @@ class Setting(NamedTuple):
     refused: str = ""
 
 
-class Wish(NamedTuple):
+class Tuning(NamedTuple):
     """How one thing is asked for: `ask` gives the value in force or raises OSError; `fix` goes with a refusal."""
 
     name: str
@@ -129,7 +129,7 @@ def kernel_list(cpus: Collection[int]) -> str:
     return ",".join(map(str, sorted(cpus)))
 
 
-def prepare(wishes: Collection[Wish]) -> list[Setting]:
+def prepare(wishes: Collection[Tuning]) -> list[Setting]:
     """Ask for everything in order; what is refused is reported, never an error."""
     settings = []
     for name, ask, fix in wishes:
@@ -141,26 +141,26 @@ def prepare(wishes: Collection[Wish]) -> list[Setting]:
     return settings
 
 
-def loop_wishes() -> tuple[Wish, ...]:
+def loop_tuning() -> tuple[Tuning, ...]:
     """Everything for the process that runs the loop. Garbage goes last: it freezes what exists by then."""
     allowed, isolated = _allowed(), isolated_cpus()
     return (
         _affinity(loop_cpus(allowed, isolated, cores_of()), "the loop shares its CPUs; a second core would help"),
         *_common(lambda: _below_the_guardian(LOOP_PRIORITY)),
-        Wish("heap", _reserve_heap, ""),
-        Wish("C-states", _keep_awake, "deep sleep states add up to 100 us; allow writing /dev/cpu_dma_latency"),
-        Wish("garbage", _freeze_garbage, ""),
+        Tuning("heap", _reserve_heap, ""),
+        Tuning("C-states", _keep_awake, "deep sleep states add up to 100 us; allow writing /dev/cpu_dma_latency"),
+        Tuning("garbage", _freeze_garbage, ""),
     )
 
 
-def controller_wishes() -> tuple[Wish, ...]:
+def controller_tuning() -> tuple[Tuning, ...]:
     """Everything for the process of a user's controller, which shares the loop's CPU: a message is quickest there."""
     return (
         _affinity(
             loop_cpus(_allowed(), isolated_cpus(), cores_of()), "the loop shares its CPUs; a second core would help"
         ),
         *_common(lambda: _below_the_guardian(CONTROLLER_PRIORITY)),
-        Wish("garbage", _freeze_garbage, ""),
+        Tuning("garbage", _freeze_garbage, ""),
     )
 
 
@@ -169,49 +169,49 @@ def end_with_parent() -> None:
     _call("prctl", _PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
-def guardian_wishes(priority: int = GUARDIAN_PRIORITY) -> tuple[Wish, ...]:
+def guardian_tuning(priority: int = GUARDIAN_PRIORITY) -> tuple[Tuning, ...]:
     """Everything for the guardian and for the mock board: beside the loop, never on its CPU."""
     return (
         _affinity(other_cpus(_allowed(), isolated_cpus(), cores_of()), "a second core would help"),
         *_common(lambda: _first_in_first_out(priority)),
-        Wish("out of memory", _survive, "the kernel may choose this process when memory runs out"),
-        Wish("garbage", _freeze_garbage, ""),
+        Tuning("out of memory", _survive, "the kernel may choose this process when memory runs out"),
+        Tuning("garbage", _freeze_garbage, ""),
     )
 
 
-def recorder_wishes() -> tuple[Wish, ...]:
+def recorder_tuning() -> tuple[Tuning, ...]:
     """The recorder is an ordinary process that keeps off the loop's CPU."""
     return (
         _affinity(other_cpus(_allowed(), isolated_cpus(), cores_of()), "a second core would help"),
-        Wish("signals", _block_signals, ""),
+        Tuning("signals", _block_signals, ""),
     )
 
 
-def supervisor_wishes() -> tuple[Wish, ...]:
+def supervisor_tuning() -> tuple[Tuning, ...]:
     """The supervisor and its screen keep off the loop's CPU."""
     return (_affinity(other_cpus(_allowed(), isolated_cpus(), cores_of()), "a second core would help"),)
 
 
-def watch_wishes(priority: int = WATCH_PRIORITY) -> tuple[Wish, ...]:
+def watch_tuning(priority: int = WATCH_PRIORITY) -> tuple[Tuning, ...]:
     """The thread in which a process watches others or beats: it must not wait for a loop that spins."""
     return (
         _affinity(other_cpus(_allowed(), isolated_cpus(), cores_of()), "a second core would help"),
-        Wish("signals", _block_signals, ""),
-        Wish("scheduler", lambda: _first_in_first_out(priority), "a busy program delays it"),
+        Tuning("signals", _block_signals, ""),
+        Tuning("scheduler", lambda: _first_in_first_out(priority), "a busy program delays it"),
     )
 
 
-def _common(schedule: Callable[[], str]) -> tuple[Wish, ...]:
+def _common(schedule: Callable[[], str]) -> tuple[Tuning, ...]:
     return (
-        Wish("signals", _block_signals, ""),
-        Wish("malloc", _keep_heap, "the C library is not glibc"),
-        Wish(
+        Tuning("signals", _block_signals, ""),
+        Tuning("malloc", _keep_heap, "the C library is not glibc"),
+        Tuning(
             "memory",
             _lock_memory,
             "a page fault may cost a tick; raise memlock to unlimited in /etc/security/limits.d",
         ),
-        Wish("timer slack", _no_slack, "wake-ups may come 50 us late"),
-        Wish(
+        Tuning("timer slack", _no_slack, "wake-ups may come 50 us late"),
+        Tuning(
             "scheduler",
             schedule,
             "ordinary priority, so any busy program delays the loop; raise rtprio to 90 in /etc/security/limits.d",
@@ -219,14 +219,14 @@ def _common(schedule: Callable[[], str]) -> tuple[Wish, ...]:
     )
 
 
-def _affinity(cpus: set[int], fix: str) -> Wish:
+def _affinity(cpus: set[int], fix: str) -> Tuning:
     def ask() -> str:
         if not cpus:
             raise OSError(None, "there is one CPU only")
         os.sched_setaffinity(0, cpus)
         return f"CPU {kernel_list(cpus)}"
 
-    return Wish("affinity", ask, fix)
+    return Tuning("affinity", ask, fix)
 
 
 def _allowed() -> set[int]:

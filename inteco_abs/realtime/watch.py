@@ -12,10 +12,10 @@ from typing import Final
 from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.heartbeat import repeating
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import RunMemory, Word, has_ended
+from inteco_abs.realtime.memory import Field, RunMemory, has_ended
 from inteco_abs.realtime.processes.guardian import loop_window_ns, take_over
-from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_S, Deed, Silence, supervisor_does
-from inteco_abs.realtime.tuning import watch_wishes
+from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_S, Action, Silence, supervisor_does
+from inteco_abs.realtime.tuning import watch_tuning
 from inteco_abs.signals import Reason
 
 _MAIN_WINDOW_NS: Final = 1_000_000_000
@@ -47,7 +47,7 @@ class Watch:
     def watching(self) -> Iterator[None]:
         """While inside, look every 5 ms. Raises BoardError if no thread can be started for that."""
         try:
-            with repeating(self.look, POLL_S, watch_wishes()):
+            with repeating(self.look, POLL_S, watch_tuning()):
                 yield
         finally:
             os.close(self._loop)
@@ -58,21 +58,21 @@ class Watch:
         now_ns = time.monotonic_ns()
         passed_ns, self._before_ns = now_ns - self._before_ns, now_ns
         if self.main_ns is None or now_ns - self.main_ns <= _MAIN_WINDOW_NS:
-            self._words[Word.SUPERVISOR_BEAT_NS] = now_ns
+            self._words[Field.SUPERVISOR_BEAT_NS] = now_ns
         if self.judging:
             self._do(self._decide(passed_ns))
             self._alarm.look()
 
-    def _decide(self, passed_ns: int) -> Deed:
+    def _decide(self, passed_ns: int) -> Action:
         words = self._words
         loop_ended = has_ended(self._loop)
-        held = words[Word.HOLDER_PID] == self._loop_pid != words[Word.RESCUED_PID]
+        held = words[Field.HOLDER_PID] == self._loop_pid != words[Field.RESCUED_PID]
         written = self._ticks.written
         if not held or not written:
             self._loop_silence.forget()
         if not held or not loop_ended:
             self._rescue_silence.forget()
-        silent = self._guardian_silence.lasts(words[Word.GUARDIAN_BEAT_NS], passed_ns)
+        silent = self._guardian_silence.lasts(words[Field.GUARDIAN_BEAT_NS], passed_ns)
         return supervisor_does(
             held=held,
             loop_ended=loop_ended,
@@ -81,15 +81,15 @@ class Watch:
             guardian_silent=silent or self._rescue_silence.lasts(0, passed_ns),
         )
 
-    def _do(self, deed: Deed) -> None:
-        if Deed.STOP in deed:
-            self._words[Word.STOP] = self._words[Word.STOP] or Reason.GUARDIAN_LOST
-        if Deed.KILL_GUARDIAN in deed:
+    def _do(self, deed: Action) -> None:
+        if Action.STOP in deed:
+            self._words[Field.STOP] = self._words[Field.STOP] or Reason.GUARDIAN_LOST
+        if Action.KILL_GUARDIAN in deed:
             _kill(self._guardian)
-        if Deed.KILL_LOOP in deed and not has_ended(self._loop):
+        if Action.KILL_LOOP in deed and not has_ended(self._loop):
             self._killed = True
             _kill(self._loop)
-        if Deed.RESCUE in deed:
+        if Action.RESCUE in deed:
             take_over(self._memory, self._job, self._loop_pid, "hung" if self._killed else "died", "supervisor")
 
 

@@ -1,22 +1,23 @@
 """The physics of the rig, pure: parameters, friction, actuators, the plant in all its regimes, and rigs that differ."""
 
 from inteco_abs.rig.actuators import DriveMotor, brake_duty, brake_torque
-from inteco_abs.rig.adhesion_curve import Surface, measured_adhesion, measured_adhesion_slope
+from inteco_abs.rig.adhesion_curve import AdhesionCurve, measured_adhesion, measured_adhesion_slope
 from inteco_abs.rig.brake_actuator import MEASURED_MAP, measured_duty, measured_torque, settled_torque
 from inteco_abs.rig.brake_map import BrakeMap
 from inteco_abs.rig.encoder import Encoder
 from inteco_abs.rig.friction import adhesion, adhesion_slope
 from inteco_abs.rig.model import Motion, accelerations, kinetic_energy, wheel_slip
-from inteco_abs.rig.nominal import believed_brake, believed_drive, believed_parameters
+from inteco_abs.rig.nominal import nominal_brake_map, nominal_drive_motor, nominal_parameters
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.plant import Plant
 from inteco_abs.rig.population import POPULATIONS, draw
-from inteco_abs.rig.torque_margin import holding_torque, torque_to_spare
+from inteco_abs.rig.torque_margin import holding_torque, torque_margin
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
 
 __all__ = [
     "MEASURED_MAP",
     "POPULATIONS",
+    "AdhesionCurve",
     "BrakeMap",
     "DriveMotor",
     "Encoder",
@@ -25,13 +26,9 @@ __all__ = [
     "Plant",
     "RigParameters",
     "RigVariation",
-    "Surface",
     "accelerations",
     "adhesion",
     "adhesion_slope",
-    "believed_brake",
-    "believed_drive",
-    "believed_parameters",
     "brake_duty",
     "brake_torque",
     "draw",
@@ -41,7 +38,10 @@ __all__ = [
     "measured_adhesion_slope",
     "measured_duty",
     "measured_torque",
+    "nominal_brake_map",
+    "nominal_drive_motor",
+    "nominal_parameters",
     "settled_torque",
-    "torque_to_spare",
+    "torque_margin",
     "wheel_slip",
 ]

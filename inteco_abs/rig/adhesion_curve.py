@@ -78,7 +78,7 @@ def _measured_piece(slip: float) -> Cubic:
     return found
 
 
-class Surface:
+class AdhesionCurve:
     """The contact of one rig: a scaled blend of equation (8) and the measured curve, times the present `grip`.
 
     Takes the place of `adhesion` and `adhesion_slope` in the model.

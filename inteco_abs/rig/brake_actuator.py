@@ -56,7 +56,7 @@ def settled_torque(duty: float, variation: RigVariation) -> float:
     return variation.brake_gain * settled
 
 
-class VariedBrake:
+class BrakeActuator:
     """What the brake is told now, and what it acts on now, a dead time later. Times in s, never decreasing."""
 
     __slots__ = ("_coming", "_newest", "_variation", "settled_torque")

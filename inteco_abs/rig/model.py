@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from inteco_abs.rig.adhesion_curve import Surface
+from inteco_abs.rig.adhesion_curve import AdhesionCurve
 from inteco_abs.rig.friction import adhesion, adhesion_slope
 from inteco_abs.rig.parameters import RigParameters
 
@@ -47,7 +47,7 @@ class Model:
 
     __slots__ = ("_L_cos", "_L_sin", "_adhesion", "_adhesion_slope", "_k")
 
-    def __init__(self, parameters: RigParameters, surface: Surface | None = None) -> None:
+    def __init__(self, parameters: RigParameters, surface: AdhesionCurve | None = None) -> None:
         self._k = parameters
         self._adhesion = surface.adhesion if surface else adhesion
         self._adhesion_slope = surface.adhesion_slope if surface else adhesion_slope

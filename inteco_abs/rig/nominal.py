@@ -11,14 +11,14 @@ from inteco_abs.rig.brake_map import BrakeMap
 from inteco_abs.rig.parameters import RigParameters
 
 
-def believed_parameters(model: ModelConfig) -> RigParameters:
+def nominal_parameters(model: ModelConfig) -> RigParameters:
     """The set that the configuration names, with what is given in [model.identified] in its place."""
     given = model.identified.model_dump(exclude_none=True)
     own = {field.name: given[field.name] for field in fields(RigParameters) if field.name in given}
     return replace(RigParameters.named(model.parameters), **own)
 
 
-def believed_brake(model: ModelConfig) -> BrakeMap:
+def nominal_brake_map(model: ModelConfig) -> BrakeMap:
     """The brake's static map: identified points, or those measured in the manual."""
     own = model.identified
     if own.brake_duties is None or own.brake_torques_nm is None:
@@ -26,7 +26,7 @@ def believed_brake(model: ModelConfig) -> BrakeMap:
     return BrakeMap(tuple(zip(own.brake_duties, own.brake_torques_nm, strict=True)))
 
 
-def believed_drive(model: ModelConfig) -> DriveMotor | None:
+def nominal_drive_motor(model: ModelConfig) -> DriveMotor | None:
     """The drive motor as the lab has identified it; None if it has not."""
     own = model.identified
     if own.drive_stall_torque_nm is None or own.drive_no_load_speed_rad_s is None:

@@ -14,8 +14,8 @@ import math
 from typing import Final
 
 from inteco_abs.rig.actuators import DriveMotor, brake_torque
-from inteco_abs.rig.adhesion_curve import Surface
-from inteco_abs.rig.brake_actuator import SAME_TIME_S, VariedBrake
+from inteco_abs.rig.adhesion_curve import AdhesionCurve
+from inteco_abs.rig.brake_actuator import SAME_TIME_S, BrakeActuator
 from inteco_abs.rig.model import Model, wheel_slip
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.variation import RigVariation
@@ -66,10 +66,10 @@ class Plant:
         self._max_step_s = max_step_s
         self._variation = variation
         self._plain = variation.plain_plant
-        self._surface = Surface(variation.adhesion_scale, variation.adhesion_blend)
+        self._surface = AdhesionCurve(variation.adhesion_scale, variation.adhesion_blend)
         self._model = Model(self.parameters, None if self._plain else self._surface)
         self._rates = self._model.rates
-        self._brake = VariedBrake(variation)
+        self._brake = BrakeActuator(variation)
         self._ripple = variation.load_ripple
         self._braking_since_s = math.inf
         # a step in s; the share of the brake's distance to its target that is left after it, and over it in the mean

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from inteco_abs.rig.adhesion_curve import Surface
+from inteco_abs.rig.adhesion_curve import AdhesionCurve
 from inteco_abs.rig.brake_actuator import settled_torque
 from inteco_abs.rig.model import Model
 from inteco_abs.rig.variation import RigVariation
@@ -23,7 +23,7 @@ def holding_torque(variation: RigVariation, slip: float, road_speed: float) -> f
     if not (0.0 < slip < 1.0 and road_speed > 0.0):
         raise ValueError(f"slip {slip!r}, road speed {road_speed!r} rad/s: must be within 0..1, and above 0")
     k = variation.parameters
-    model = Model(k, Surface(variation.adhesion_scale, variation.adhesion_blend))
+    model = Model(k, AdhesionCurve(variation.adhesion_scale, variation.adhesion_blend))
     rim_ratio = (1.0 - slip) * k.r2 / k.r1
 
     def excess(torque: float) -> float:
@@ -35,7 +35,7 @@ def holding_torque(variation: RigVariation, slip: float, road_speed: float) -> f
     return released * _PROBE_NM / (released - excess(_PROBE_NM))
 
 
-def torque_to_spare(variation: RigVariation, slip: float = 0.2) -> float:
+def torque_margin(variation: RigVariation, slip: float = 0.2) -> float:
     """Torque in N m that the fully driven brake has beyond what holds `slip`, at the speed where that is least.
 
     Over road speeds from 10 to 180 rad/s, at one end of which it is, because it is affine in the speed. Negative

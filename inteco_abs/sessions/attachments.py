@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.errors import ConfigError, Mistake, SessionError, disk_in_words, near_match
-from inteco_abs.sessions.files import check_output, only_whole
+from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_disk, near_match
+from inteco_abs.sessions.files import atomic_write, check_output
 from inteco_abs.sessions.reader import Session
 
 _LONGEST_NAME: Final = 200
@@ -17,7 +17,7 @@ def attached(session: Session, name: str) -> bytes:
     """The attachment `name`; raises ConfigError if the session has none of that name."""
     if name not in session.attachments:
         known = near_match(name, session.attachments) if session.attachments else "; it has none"
-        raise ConfigError([Mistake("NAME", f"{session.path} has no attachment {name!r}{known}")])
+        raise ConfigError([ConfigIssue("NAME", f"{session.path} has no attachment {name!r}{known}")])
     return session.attachments[name]
 
 
@@ -29,12 +29,12 @@ def extract(session: Session, name: str, out: Path) -> Path:
     data = attached(session, name)
     path = out / _plain(session, name) if out.is_dir() else out
     check_output(path)
-    with only_whole(path) as part:
+    with atomic_write(path) as part:
         try:
             with part.open("xb") as file:
                 file.write(data)
         except OSError as error:
-            raise SessionError(f"{path} cannot be written: {disk_in_words(error)}") from error
+            raise SessionError(f"{path} cannot be written: {describe_disk(error)}") from error
     return path
 
 

@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import SessionError
-from inteco_abs.rig import believed_parameters
-from inteco_abs.sessions.metrics import Course, stop_metrics
+from inteco_abs.rig import nominal_parameters
+from inteco_abs.sessions.metrics import StopTrace, stop_metrics
 from inteco_abs.sessions.reader import Session
 from inteco_abs.sessions.recorded_config import session_config
 from inteco_abs.signals import BoardFlags, Phase
@@ -113,7 +113,7 @@ def _stop_card(config: RigConfig, stop: Array, truth: Array) -> dict[str, Any]:
     true = aligned_truth(truth, stop["time_ns"])
     source = stop if true is None else true
     counts = stop["road_count"].astype(np.int64) - int(stop["road_count"][0])
-    course = Course(
+    course = StopTrace(
         since_ns=stop["time_ns"].astype(np.int64) - int(stop["time_ns"][0]),
         slip=source["slip"],
         slip_estimated=stop["slip"],
@@ -121,7 +121,7 @@ def _stop_card(config: RigConfig, stop: Array, truth: Array) -> dict[str, Any]:
         road_angle_rad=counts * 2.0 * math.pi / config.encoders.counts_per_turn,
         brake=stop["brake"],
     )
-    metrics = stop_metrics(course, config.controller.reference_slip, believed_parameters(config.model))
+    metrics = stop_metrics(course, config.controller.reference_slip, nominal_parameters(config.model))
     if true is not None:
         metrics |= {name: metrics[name.removesuffix("_true")] for name in _STOP_METRICS if name.endswith("_true")}
     return {"start_speed_rad_s": float(source["road_speed_rad_s"][0]), **metrics}

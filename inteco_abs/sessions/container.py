@@ -108,7 +108,7 @@ class Entry(NamedTuple):
         return self.at + len(self.data)
 
 
-class Run(NamedTuple):
+class FixedRun(NamedTuple):
     """Messages of one channel and one size, one after the other in a chunk."""
 
     channel: int
@@ -116,7 +116,7 @@ class Run(NamedTuple):
     """Columns `sequence`, `log_time` in ns and `data`; a view."""
 
 
-class Stretch(NamedTuple):
+class VariableRun(NamedTuple):
     """Messages of one channel, of any sizes, one after the other in a chunk."""
 
     channel: int
@@ -139,7 +139,7 @@ class Stretch(NamedTuple):
             at += length
 
 
-class Allowance:
+class DecompressionBudget:
     """How much the chunks of a file may unpack to, all together, and of how many parts.
 
     A part of a few packed bits becomes an object of some hundred bytes, and takes microseconds to make.
@@ -218,7 +218,7 @@ def fields(opcode: int, data: memoryview, *, exact: bool = False) -> list[Any]:
     return found
 
 
-def text_map(data: memoryview, allowance: Allowance | None = None) -> dict[str, str]:
+def text_map(data: memoryview, allowance: DecompressionBudget | None = None) -> dict[str, str]:
     """Texts by name, as metadata and channels have them; raises DamagedError."""
     if allowance is not None:
         allowance.part(size=len(data))
@@ -248,7 +248,7 @@ def attachment(data: memoryview) -> tuple[str, str, bytes]:
     return name, media_type, bytes(content)
 
 
-def unpack_chunk(data: memoryview, allowance: Allowance, *, checked: bool = False) -> bytes:
+def unpack_chunk(data: memoryview, allowance: DecompressionBudget, *, checked: bool = False) -> bytes:
     """Records of a chunk; raises DamagedError if it contradicts itself, or if `checked` and it has no checksum."""
     _, _, size, crc, compression, packed = fields(Opcode.CHUNK, data, exact=True)
     if size > _LARGEST_CHUNK:
@@ -291,7 +291,7 @@ _UNPACK: Final[dict[str, Callable[[memoryview, int], bytes]]] = {
 """By the name of a chunk's compression: its bytes, never many more than it claims."""
 
 
-def chunk_parts(raw: bytes, uneven: Collection[int] = ()) -> Iterator[Entry | Run | Stretch]:
+def chunk_parts(raw: bytes, uneven: Collection[int] = ()) -> Iterator[Entry | FixedRun | VariableRun]:
     """What an unpacked chunk holds, in order; raises DamagedError at a record that leaves it.
 
     Messages of the channels `uneven`, which have many sizes, come as stretches: nobody has looked at one by then.
@@ -317,11 +317,11 @@ def chunk_parts(raw: bytes, uneven: Collection[int] = ()) -> Iterator[Entry | Ru
             at = stretch.end
             continue
         rows = _run(raw, at - HEAD.size, length)
-        yield Run(channel, rows)
+        yield FixedRun(channel, rows)
         at += len(rows) * (HEAD.size + length) - HEAD.size
 
 
-def _stretch(raw: bytes, start: int, channel: int) -> Stretch:
+def _stretch(raw: bytes, start: int, channel: int) -> VariableRun:
     """From `start` to the first record that is no message of the channel, or is not all there."""
     at, count, size, message, head = start, 0, len(raw), int(Opcode.MESSAGE), _MESSAGE_BEGIN.unpack_from
     while at + HEAD.size + _MESSAGE_HEAD <= size:
@@ -330,7 +330,7 @@ def _stretch(raw: bytes, start: int, channel: int) -> Stretch:
         if opcode != message or length < _MESSAGE_HEAD or end > size or found != channel:
             break
         at, count = end, count + 1
-    return Stretch(channel, count, raw, start, at)
+    return VariableRun(channel, count, raw, start, at)
 
 
 def _run(raw: bytes, at: int, length: int) -> npt.NDArray[np.void]:

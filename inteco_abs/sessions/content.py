@@ -15,12 +15,12 @@ from inteco_abs.format.io_frame import IO_TOPIC
 from inteco_abs.format.protobuf import fields as wire_fields
 from inteco_abs.format.schema import LOG_TOPIC, PARAMETERS_TOPIC, TICK, TRUTH, Message
 from inteco_abs.sessions.container import (
-    Allowance,
     DamagedError,
+    DecompressionBudget,
     Entry,
+    FixedRun,
     Opcode,
-    Run,
-    Stretch,
+    VariableRun,
     attachment,
     chunk_parts,
     fields,
@@ -78,7 +78,7 @@ class Batch(NamedTuple):
     """UNIX time, ns."""
 
     @classmethod
-    def of(cls, runs: Sequence[Run], found: Layout) -> Self:
+    def of(cls, runs: Sequence[FixedRun], found: Layout) -> Self:
         """The messages of `runs`; raises DamagedError unless each of them has the layout that was `found`."""
         data = b"".join([run.rows["data"].tobytes() for run in runs])
         sizes = {run.rows.dtype["data"].itemsize for run in runs}
@@ -89,7 +89,7 @@ class Batch(NamedTuple):
         return cls(data, today, FLAT[found.message.topic].array(today), sequence, log_time)
 
 
-def _encoded_anew(runs: Sequence[Run], found: Layout) -> bytes:
+def _encoded_anew(runs: Sequence[FixedRun], found: Layout) -> bytes:
     """The messages as they were recorded, if another program has left zeros out. Raises DamagedError if not."""
     try:
         data = b"".join(found.message.repacked(each) for run in runs for each in run.rows["data"].tolist())
@@ -108,7 +108,7 @@ class Content:
     """What was read so far; `rows` is where ticks and truths go, by topic, back to back."""
 
     rows: Mapping[str, Rows] = field(default_factory=dict)
-    allowance: Allowance = field(default_factory=lambda: Allowance(0))
+    allowance: DecompressionBudget = field(default_factory=lambda: DecompressionBudget(0))
     """Of how many parts it may be."""
     library: str = LIBRARY
     """Program that wrote the file; assumed ours until the header says otherwise."""
@@ -149,11 +149,11 @@ class Content:
 
     def take_chunk(self, raw: bytes) -> dict[str, Batch]:
         """Everything in an unpacked chunk; ticks and truths by topic. Raises DamagedError."""
-        runs: dict[str, list[Run]] = {}
+        runs: dict[str, list[FixedRun]] = {}
         for part in chunk_parts(raw, self.uneven):
             if isinstance(part, Entry):
                 self.take(part)
-            elif isinstance(part, Stretch):
+            elif isinstance(part, VariableRun):
                 self.allowance.part()
                 self.frames += part.number
                 self.messages += part.number
@@ -174,7 +174,7 @@ class Content:
             self._keep(topic, batch)
         return batches
 
-    def take_log(self, runs: Iterable[Run]) -> None:
+    def take_log(self, runs: Iterable[FixedRun]) -> None:
         """Lines of the log; raises DamagedError at one that cannot be read."""
         for run in runs:
             self.allowance.part(len(run.rows), run.rows.nbytes)

@@ -30,7 +30,7 @@ class Enclosure(NamedTuple):
     data: bytes
 
 
-class Surroundings(NamedTuple):
+class Environment(NamedTuple):
     """Files, and what is said about them among the facts about the software."""
 
     files: tuple[Enclosure, ...] = ()
@@ -49,7 +49,7 @@ class Surroundings(NamedTuple):
 
 
 @cache
-def surroundings() -> Surroundings:
+def surroundings() -> Environment:
     """Those of this process."""
     packages = installed_packages()
     files = [Enclosure(REQUIREMENTS_NAME, "text/plain", packages)]
@@ -59,7 +59,7 @@ def surroundings() -> Surroundings:
         files.append(Enclosure(DIFF_NAME, "text/x-diff", diff))
     if cut:
         software["git_diff"] = f"cut after its first {MOST_DIFF_BYTES} bytes"
-    return Surroundings(tuple(files), software)
+    return Environment(tuple(files), software)
 
 
 def installed_packages() -> bytes:

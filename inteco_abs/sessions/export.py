@@ -15,8 +15,8 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.lib.recfunctions import repack_fields
 
-from inteco_abs.errors import AbsError, SessionError, disk_in_words
-from inteco_abs.sessions.files import check_output, only_whole
+from inteco_abs.errors import AbsError, SessionError, describe_disk
+from inteco_abs.sessions.files import atomic_write, check_output
 from inteco_abs.sessions.reader import Session, read_session
 from inteco_abs.sessions.tables import Table, columns_of, tables
 
@@ -69,7 +69,7 @@ def export_session(source: Path, form: str, out: Path) -> Export:
         check_output(path)
     with ExitStack() as parts:
         for path, group in zip(paths, groups, strict=True):
-            _write(chosen, path, parts.enter_context(only_whole(path)), group, session)
+            _write(chosen, path, parts.enter_context(atomic_write(path)), group, session)
     return Export(session, list(map(_written, paths, groups)))
 
 
@@ -77,7 +77,7 @@ def _write(chosen: _Format, path: Path, part: Path, group: list[Table], session:
     try:
         chosen.write(part, group, session)
     except (OSError, ValueError) as error:  # scipy's own errors of arrays too large for its format are ValueErrors
-        why = disk_in_words(error) if isinstance(error, OSError) else error
+        why = describe_disk(error) if isinstance(error, OSError) else error
         raise SessionError(f"{path} cannot be written: {why}") from error
 
 

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Self
 
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import AbsError, ConfigError, Mistake, SessionError, disk_in_words, in_a_line
-from inteco_abs.sessions.environment import Surroundings
-from inteco_abs.sessions.files import insist_on_own, only_whole
-from inteco_abs.sessions.session_writer import Account, Conclusion, Introduction, Scribe
-from inteco_abs.sessions.writer import Recorder
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, SessionError, describe_disk, in_a_line
+from inteco_abs.sessions.environment import Environment
+from inteco_abs.sessions.files import atomic_write, require_own_file
+from inteco_abs.sessions.session_writer import RunEnd, RunHeader, RunResult, SessionWriter
+from inteco_abs.sessions.writer import FileWriter
 
-Opener = Callable[[Path], Recorder]
+Opener = Callable[[Path], FileWriter]
 """Opens a file for the session at a path; the same session, with the same times, whichever the path."""
 Say = Callable[[str, Path], None]
 """Told what a disk has refused and what came of it, and which file is written by now."""
@@ -29,9 +29,9 @@ def check_spill(config: RigConfig) -> None:
         if folder and not Path(folder).expanduser().is_dir():
             problem = "is no folder; create it first"
     except OSError as error:
-        problem = disk_in_words(error)
+        problem = describe_disk(error)
     if problem:
-        raise ConfigError([Mistake("session.spill", f"{folder}: {problem}")])
+        raise ConfigError([ConfigIssue("session.spill", f"{folder}: {problem}")])
 
 
 def spill_path(out: Path, config: RigConfig, session_id: str) -> Path | None:
@@ -46,7 +46,7 @@ def spill_path(out: Path, config: RigConfig, session_id: str) -> Path | None:
     return path.with_name(f"{out.stem}-{session_id[:8]}{out.suffix}") if taken else path
 
 
-class Keeper:
+class FailoverWriter:
     """Tells one run to a file at `out`. A disk that refuses before the run was introduced is a SessionError.
 
     Later it is none before the end: the run is told anew to a file at `spill`, or, where that refuses too, kept in
@@ -63,7 +63,7 @@ class Keeper:
         self._troubles: list[str] = []
         self._remarks: list[tuple[int, str]] = []
         self._recorder = opener(out)
-        self._scribe: Scribe | None = None
+        self._scribe: SessionWriter | None = None
         self._refused = False
 
     def __enter__(self) -> Self:
@@ -83,7 +83,7 @@ class Keeper:
         return self._scribe.ticks if self._scribe is not None else 0
 
     @property
-    def introduction(self) -> Introduction:
+    def introduction(self) -> RunHeader:
         """What the run was introduced with."""
         return self._told.introduction
 
@@ -92,10 +92,10 @@ class Keeper:
         """Everything that was added."""
         return self._told.everything
 
-    def introduce(self, config: RigConfig, introduction: Introduction, session: Path) -> None:
+    def introduce(self, config: RigConfig, introduction: RunHeader, session: Path) -> None:
         """Everything that explains the run, on the disk before the first tick; the user calls the file `session`."""
         self._session = session
-        scribe = Scribe(self._recorder, config, introduction, session)
+        scribe = SessionWriter(self._recorder, config, introduction, session)
         try:
             scribe.introduce()
         except SessionError as error:
@@ -104,7 +104,7 @@ class Keeper:
             raise SessionError(f"{error}; the rig was not moved") from error
         self._scribe = scribe
 
-    def surround(self, found: Surroundings) -> None:
+    def surround(self, found: Environment) -> None:
         """What surrounded the run, if it was introduced without."""
         self._attempt(lambda: self._told.surround(found))
 
@@ -126,7 +126,7 @@ class Keeper:
         if not self._refused:
             self._attempt(lambda: self._recorder.warn(unix_ns, text))
 
-    def conclude(self, end: Conclusion) -> Account:
+    def conclude(self, end: RunEnd) -> RunResult:
         """Complete the file, or make it as a whole where that can be done by now.
 
         Raises SessionError if no disk takes it: there is no complete file then.
@@ -146,7 +146,7 @@ class Keeper:
         self._recorder.discard()
 
     @property
-    def _told(self) -> Scribe:
+    def _told(self) -> SessionWriter:
         if self._scribe is None:
             raise RuntimeError("a run is introduced before anything else is told of it")
         return self._scribe
@@ -182,20 +182,20 @@ class Keeper:
             raise
         self._recorder, self._scribe, self.path, self._refused = recorder, scribe, path, False
 
-    def _as_a_whole(self, place: Path, end: Conclusion) -> Account:
-        with only_whole(place) as part, self._open(part) as recorder:
-            insist_on_own(place, recorder.session_id)
+    def _as_a_whole(self, place: Path, end: RunEnd) -> RunResult:
+        with atomic_write(place) as part, self._open(part) as recorder:
+            require_own_file(place, recorder.session_id)
             account = self._retold(recorder, place).conclude(end)
         self.path = place
         return account
 
-    def _retold(self, recorder: Recorder, place: Path) -> Scribe:
+    def _retold(self, recorder: FileWriter, place: Path) -> SessionWriter:
         scribe = self._told.anew(recorder, self._session if place == self._out else place)
         for unix_ns, text in (*self._remarks, *((recorder.started_ns, text) for text in self._troubles)):
             recorder.warn(unix_ns, text)
         return scribe
 
-    def _accounted(self, account: Account) -> Account:
+    def _accounted(self, account: RunResult) -> RunResult:
         if not self._troubles:
             return account
         troubles = "; ".join([*self._troubles, *filter(None, [account.trouble])])

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.errors import ConfigError, Mistake, SessionError, disk_in_words
+from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_disk
 
 _PART: Final = ".part"
 _NO_PLACE: Final = (errno.EEXIST, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ)
@@ -30,15 +30,15 @@ def check_output(path: Path, option: str = "--out") -> None:
         elif not path.parent.is_dir():
             problem = f"the folder {path.parent} does not exist; create it first"
     except OSError as error:  # a name that no file can have
-        problem = disk_in_words(error)
+        problem = describe_disk(error)
     if problem:
-        raise ConfigError([Mistake(option, f"{path}: {problem}")])
+        raise ConfigError([ConfigIssue(option, f"{path}: {problem}")])
     if not os.access(path.parent, os.W_OK):
         raise SessionError(f"{path} cannot be created: the folder {path.parent} cannot be written to; name another")
 
 
 @contextmanager
-def made_folder(folder: Path, option: str = "--out", *, new: bool = False) -> Iterator[None]:
+def ensured_directory(folder: Path, option: str = "--out", *, new: bool = False) -> Iterator[None]:
     """With `folder`, made with its parents where there is none; of what was made, what is empty at the end goes again.
 
     Raises ConfigError for a path where no folder can be, or of an old one where a `new` one is wanted, and
@@ -52,9 +52,9 @@ def made_folder(folder: Path, option: str = "--out", *, new: bool = False) -> It
             folder.mkdir(parents=True, exist_ok=not new)
         except OSError as error:
             if error.errno not in _NO_PLACE:
-                raise SessionError(f"the folder {folder} cannot be made: {disk_in_words(error)}") from error
-            problem = "exists already; name a folder that does not exist" if folder.is_dir() else disk_in_words(error)
-            raise ConfigError([Mistake(option, f"the folder {folder} cannot be made: {problem}")]) from error
+                raise SessionError(f"the folder {folder} cannot be made: {describe_disk(error)}") from error
+            problem = "exists already; name a folder that does not exist" if folder.is_dir() else describe_disk(error)
+            raise ConfigError([ConfigIssue(option, f"the folder {folder} cannot be made: {problem}")]) from error
         yield
     finally:
         for each in made:
@@ -70,7 +70,7 @@ def check_folder(folder: Path, option: str = "--out") -> None:
     above = nearest_folder(folder)
     blocked = next((place for place in (folder, *folder.parents) if place.exists() and not place.is_dir()), None)
     if blocked is not None:
-        raise ConfigError([Mistake(option, f"{folder}: {blocked} is no folder; choose another name")])
+        raise ConfigError([ConfigIssue(option, f"{folder}: {blocked} is no folder; choose another name")])
     if not os.access(above, os.W_OK):
         raise SessionError(f"nothing can be made in {folder}: the folder {above} cannot be written to")
 
@@ -81,7 +81,7 @@ def nearest_folder(path: Path) -> Path:
     return next(place for place in (path, *path.parents) if place.is_dir())
 
 
-def insist_on_own(path: Path, session_id: str) -> None:
+def require_own_file(path: Path, session_id: str) -> None:
     """Raise SessionError if at `path` there is anything but a beginning of the session with that id."""
     try:
         data = path.read_bytes()
@@ -94,7 +94,7 @@ def insist_on_own(path: Path, session_id: str) -> None:
 
 
 @contextmanager
-def only_whole(out: Path) -> Iterator[Path]:
+def atomic_write(out: Path) -> Iterator[Path]:
     """Where to write what becomes `out` at the end. Its source still exists: of a failure nothing is left."""
     part = out.with_name(f"{out.name}.{os.getpid()}{_PART}")
     try:

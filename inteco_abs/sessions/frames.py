@@ -10,12 +10,12 @@ from typing import Final
 from inteco_abs.errors import SessionError
 from inteco_abs.format.io_frame import IO_TOPIC, Direction, IoFrame, pack_io_frame, unpack_io_frame
 from inteco_abs.sessions.container import (
-    Allowance,
     DamagedError,
+    DecompressionBudget,
     Entry,
     Opcode,
     RecordFile,
-    Stretch,
+    VariableRun,
     chunk_parts,
     unpack_chunk,
 )
@@ -49,7 +49,7 @@ def read_frames(path: Path) -> Capture:
     messages: list[bytes] = []
     ended = False
     with opened(path) as (file, size):
-        content = Content(allowance=Allowance(size))
+        content = Content(allowance=DecompressionBudget(size))
         try:
             for entry in RecordFile(file, size):
                 if entry.opcode == Opcode.DATA_END:
@@ -71,7 +71,7 @@ def _messages(content: Content, raw: bytes) -> Iterator[bytes]:
             content.take(part)
             continue
         content.allowance.part()
-        if isinstance(part, Stretch):
+        if isinstance(part, VariableRun):
             yield from (data for _, _, data in part.messages())
 
 

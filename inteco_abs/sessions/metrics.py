@@ -24,7 +24,7 @@ Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class StopTrace:
     """One stop, from the first tick of braking to the last one with the brake held; one entry per tick."""
 
     since_ns: Array
@@ -40,7 +40,7 @@ class Course:
     """Duty that each tick decided on, in 0..1."""
 
 
-def stop_metrics(course: Course, reference: float, parameters: RigParameters) -> dict[str, float | None]:
+def stop_metrics(course: StopTrace, reference: float, parameters: RigParameters) -> dict[str, float | None]:
     """Metrics of a stop of at least one tick with the slip `reference`; None where the stop has no such thing.
 
     Reaching is the first crossing of the reference, band entry the first slip within 0.01 of it. Slip RMS is that of

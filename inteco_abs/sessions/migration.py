@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from inteco_abs.format.declared_layout import Declared, Members, declared
 from inteco_abs.format.descriptors import ENUM
-from inteco_abs.format.schema import DOUBLE, FLOAT, Kind, Message
+from inteco_abs.format.schema import DOUBLE, FLOAT, Message, MessageKind
 from inteco_abs.sessions.container import DamagedError
 
 Array = npt.NDArray[Any]
@@ -202,7 +202,7 @@ def _made(topic: str, there: set[str]) -> list[Made]:
     return found
 
 
-def _serves(own: Kind | None, today: Kind) -> bool:
+def _serves(own: MessageKind | None, today: MessageKind) -> bool:
     """Whether a column of one kind can say everything that was said in one of another."""
     if own is None or (own.type_number == ENUM) != (today.type_number == ENUM):
         return False

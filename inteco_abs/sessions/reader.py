@@ -16,8 +16,8 @@ from inteco_abs.errors import SessionError, near_file
 from inteco_abs.format.schema import TICK, TRUTH
 from inteco_abs.sessions.container import (
     MAGIC,
-    Allowance,
     DamagedError,
+    DecompressionBudget,
     Entry,
     Opcode,
     RecordFile,
@@ -90,7 +90,7 @@ def read_session(path: Path, spool: Path | None = None) -> Session:
             rows: dict[str, Rows] = {
                 topic: RowsInMemory() if spool is None else files.enter_context(RowsOnDisk(spool)) for topic in FLAT
             }
-            content, incomplete = _read(file, size, Content(rows, Allowance(size)))
+            content, incomplete = _read(file, size, Content(rows, DecompressionBudget(size)))
             return _session(path, content, incomplete)
         except StrangeError as error:
             raise SessionError(f"{path}: cannot be read: {error}") from error

@@ -17,15 +17,24 @@ from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.format.io_frame import IO_TOPIC
 from inteco_abs.format.schema import LOG_TOPIC, TICK, TRUTH, Message
 from inteco_abs.sessions.card import link_errors, result_card, timing_card
-from inteco_abs.sessions.container import Allowance, DamagedError, Entry, Opcode, Run, Stretch, chunk_parts, kind
+from inteco_abs.sessions.container import (
+    DamagedError,
+    DecompressionBudget,
+    Entry,
+    FixedRun,
+    Opcode,
+    VariableRun,
+    chunk_parts,
+    kind,
+)
 from inteco_abs.sessions.content import FLAT, Batch, Content
-from inteco_abs.sessions.files import check_output, only_whole
+from inteco_abs.sessions.files import atomic_write, check_output
 from inteco_abs.sessions.migration import Layout, migrated
 from inteco_abs.sessions.reader import check_data, regular_file
 from inteco_abs.sessions.recorded_config import CONFIG_NAME, RECOVERED
-from inteco_abs.sessions.scanner import Survey, Whole
+from inteco_abs.sessions.scanner import Scan, Whole
 from inteco_abs.sessions.storage import Rows, RowsOnDisk
-from inteco_abs.sessions.writer import Recorder, utc
+from inteco_abs.sessions.writer import FileWriter, utc
 
 _LATEST_NS: Final = 1 << 63
 _BLOCK_TICKS: Final = 4096
@@ -112,7 +121,7 @@ class _TakenFrames:
         self._sequence = -1
         self.number = 0
 
-    def take(self, stretch: Stretch) -> None:
+    def take(self, stretch: VariableRun) -> None:
         """All of them or none. Raises DamagedError if they do not come after those that were taken."""
         sequence, parts = self._sequence, list[bytes]()
         for number, log_time, data in stretch.messages():
@@ -137,7 +146,7 @@ class _Remains:
     """What is whole in a file."""
 
     def __init__(self, ticks: _Taken, truths: _Taken, frames: _TakenFrames, size: int) -> None:
-        self.content = Content(allowance=Allowance(size))
+        self.content = Content(allowance=DecompressionBudget(size))
         self.frames = frames
         self.rows = {TICK.topic: ticks, TRUTH.topic: truths}
         self.losses: list[str] = []
@@ -147,7 +156,7 @@ class _Remains:
 
     def gather(self, file: BinaryIO, size: int) -> None:
         """Everything that proves itself. Raises SessionError if another version wrote it."""
-        for part in Survey(file, size):
+        for part in Scan(file, size):
             if isinstance(part, Whole):
                 self._take(part)
             elif not self.data_ended:  # behind the data's end there is only an index, which is made anew
@@ -174,13 +183,13 @@ class _Remains:
 
     def _take_chunk(self, raw: bytes) -> None:
         """All of its rows or none."""
-        runs: dict[str, list[Run]] = {}
+        runs: dict[str, list[FixedRun]] = {}
         for part in chunk_parts(raw, self.content.uneven):
             if isinstance(part, Entry):
                 self.content.take(part)
                 continue
             self.content.allowance.part()
-            if isinstance(part, Stretch):
+            if isinstance(part, VariableRun):
                 self.frames.take(part)
             else:
                 runs.setdefault(self._topic(part), []).append(part)
@@ -204,7 +213,7 @@ class _Remains:
                 self.content.hash.update(batch.data)
         self.content.take_log(runs.get(LOG_TOPIC, ()))
 
-    def _topic(self, run: Run) -> str:
+    def _topic(self, run: FixedRun) -> str:
         """Of a message; where its channel's declaration is lost, by the layout that no other message has."""
         if run.channel in self.content.channels:
             self.content.check_schemas()
@@ -242,8 +251,8 @@ class _Anew:
         start_ns = int(self._ticks["time_ns"][0])
         internals = self._internals()
         with (
-            only_whole(self._out) as part,
-            Recorder(
+            atomic_write(self._out) as part,
+            FileWriter(
                 part, start_ns, internals, session.get("session_id", ""), self._epoch_ns, durable=True
             ) as recorder,
         ):
@@ -287,7 +296,7 @@ class _Anew:
             return []
         return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 
-    def _introduce(self, recorder: Recorder) -> None:
+    def _introduce(self, recorder: FileWriter) -> None:
         for name, attached in self._content.attachments.items():
             recorder.attach(name, attached.media_type, attached.data)
         recorder.begin(dict(self._parameters()))
@@ -308,7 +317,7 @@ class _Anew:
                     continue
         return found
 
-    def _copy(self, recorder: Recorder) -> None:
+    def _copy(self, recorder: FileWriter) -> None:
         """Ticks in blocks, each behind the log of its time and followed by its truths."""
         truths_ns, done = self._truths["time_ns"], 0
         log = sorted(self._content.events, reverse=True)
@@ -323,7 +332,7 @@ class _Anew:
             recorder.truths(self._truths[done:end].tobytes())
             done = end
 
-    def _copy_frames(self, recorder: Recorder) -> None:
+    def _copy_frames(self, recorder: FileWriter) -> None:
         """The raw frames, if there were any, and what became of them."""
         told = dict(self._facts.get("frames", {}))
         facts = self._content.channel_facts.get(IO_TOPIC)

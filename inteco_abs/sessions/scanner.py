@@ -17,8 +17,8 @@ from inteco_abs.sessions.container import (
     LARGEST_RECORD,
     LAYOUTS,
     MAGIC,
-    Allowance,
     DamagedError,
+    DecompressionBudget,
     Entry,
     Opcode,
     attachment,
@@ -61,13 +61,13 @@ class _CutError(DamagedError):
     """The file ends before the record does, or so the record says."""
 
 
-class Survey:
+class Scan:
     """The walk through a file of `size` bytes; iterate once."""
 
     def __init__(self, file: BinaryIO, size: int) -> None:
         self._file = file
         self._size = size
-        self._allowance = Allowance(size)
+        self._allowance = DecompressionBudget(size)
         self._trials = LARGEST_RECORD + _MOST_TRIALS * size
 
     def __iter__(self) -> Iterator[Whole | Damage]:

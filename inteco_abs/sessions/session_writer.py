@@ -12,13 +12,13 @@ from inteco_abs.boards import simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import CaptureError
 from inteco_abs.format.schema import TICK, TRUTH
-from inteco_abs.rig import believed_parameters
+from inteco_abs.rig import nominal_parameters
 from inteco_abs.sessions.card import link_errors, result_card
-from inteco_abs.sessions.environment import Surroundings
+from inteco_abs.sessions.environment import Environment
 from inteco_abs.sessions.frames import Frames, frame_facts, packed_frames
 from inteco_abs.sessions.provenance import controller_facts
 from inteco_abs.sessions.recorded_config import CONFIG_NAME
-from inteco_abs.sessions.writer import Recorder
+from inteco_abs.sessions.writer import FileWriter
 from inteco_abs.signals import EXPLANATIONS, Reason
 
 _OUTCOMES: Final = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}
@@ -29,7 +29,7 @@ LOSSES: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Introduction:
+class RunHeader:
     """Everything that explains a run before it begins."""
 
     board: str
@@ -48,11 +48,11 @@ class Introduction:
     """Name and version of the package that the controller comes from; empty if from none."""
     profile: bytes = b""
     """The profile as it was written; the configuration has what became of it."""
-    surroundings: Surroundings = field(default_factory=Surroundings)
+    surroundings: Environment = field(default_factory=Environment)
 
 
 @dataclass(frozen=True, slots=True)
-class Conclusion:
+class RunEnd:
     """How a run ended, as told by who drove it."""
 
     reason: Reason
@@ -76,7 +76,7 @@ class Conclusion:
 
 
 @dataclass(frozen=True, slots=True)
-class Account:
+class RunResult:
     """How a run ended, as told to the user."""
 
     outcome: str
@@ -97,11 +97,11 @@ class Account:
         return EXIT_CODES.get(self.outcome, LOSSES if losses else 0)
 
 
-class Scribe:
+class SessionWriter:
     """Writes one run through a `recorder` that was just opened."""
 
     def __init__(
-        self, recorder: Recorder, config: RigConfig, introduction: Introduction, session: Path | None = None
+        self, recorder: FileWriter, config: RigConfig, introduction: RunHeader, session: Path | None = None
     ) -> None:
         self._recorder = recorder
         self._session = session or recorder.path  # what the file will be called
@@ -129,7 +129,7 @@ class Scribe:
     def introduce(self) -> None:
         """Everything that explains the run, on the disk before the first tick."""
         told, config, recorder = self.introduction, self._config, self._recorder
-        parameters = believed_parameters(config.model)
+        parameters = nominal_parameters(config.model)
         for name, facts in told.facts.items():
             recorder.describe(name, facts)
         recorder.describe(
@@ -160,7 +160,7 @@ class Scribe:
         self._enclose()
         recorder.begin({"reference_slip": config.controller.reference_slip, **told.gains})
 
-    def surround(self, found: Surroundings) -> None:
+    def surround(self, found: Environment) -> None:
         """What surrounded the run, where it could not wait for that to be gathered."""
         self.introduction = replace(self.introduction, surroundings=found)
         self._enclose()
@@ -176,14 +176,14 @@ class Scribe:
         self._ticks += ticks
         self._truths += truths
 
-    def anew(self, recorder: Recorder, session: Path) -> Scribe:
+    def anew(self, recorder: FileWriter, session: Path) -> SessionWriter:
         """One that has told another recorder everything so far, whose file the user calls `session`."""
-        other = Scribe(recorder, self._config, self.introduction, session)
+        other = SessionWriter(recorder, self._config, self.introduction, session)
         other.introduce()
         other.add(*self.everything)
         return other
 
-    def conclude(self, end: Conclusion) -> Account:
+    def conclude(self, end: RunEnd) -> RunResult:
         """Complete the file with the result card and everything that is known about the end."""
         outcome = end.outcome
         parts = [EXPLANATIONS[end.reason]] if end.reason is not Reason.NONE or not end.aborted else []
@@ -197,7 +197,7 @@ class Scribe:
         told = {"last_tick": self._last_tick() if outcome != "completed" else "", "died": ", ".join(end.died)}
         self._recorder.describe("session", {name: text for name, text in told.items() if text})
         self._recorder.finish(outcome, explanation, card)
-        return Account(outcome, end.reason, explanation, card, missing, end.facts.get("injected", {}))
+        return RunResult(outcome, end.reason, explanation, card, missing, end.facts.get("injected", {}))
 
     def _enclose_frames(self, frames: Frames) -> str:
         """What has passed between host and board, behind all ticks; if it was not kept, why."""
@@ -229,7 +229,7 @@ class Scribe:
             return {"simulated_parameters": self._config.simulation.parameters}
         return {}
 
-    def _card(self, outcome: str, end: Conclusion, explanation: str) -> dict[str, Any]:
+    def _card(self, outcome: str, end: RunEnd, explanation: str) -> dict[str, Any]:
         ticks = TICK.array(bytes(self._ticks))
         metrics = result_card(self._config, ticks, TRUTH.array(bytes(self._truths)))
         return {

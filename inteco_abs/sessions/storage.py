@@ -10,7 +10,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Protocol, Self
 
-from inteco_abs.errors import SessionError, disk_in_words
+from inteco_abs.errors import SessionError, describe_disk
 
 
 class Rows(Protocol):
@@ -63,4 +63,4 @@ class RowsOnDisk:
             self._file.close()
 
     def _no_room(self, error: OSError) -> SessionError:
-        return SessionError(f"{self._folder}: has no room for what the session unpacks to: {disk_in_words(error)}")
+        return SessionError(f"{self._folder}: has no room for what the session unpacks to: {describe_disk(error)}")

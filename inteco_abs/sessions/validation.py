@@ -12,12 +12,12 @@ import numpy.typing as npt
 
 from inteco_abs.errors import SessionError
 from inteco_abs.format.schema import TICK, TRUTH
-from inteco_abs.sessions.container import Allowance, DamagedError, Entry, Opcode, fields, kind
+from inteco_abs.sessions.container import DamagedError, DecompressionBudget, Entry, Opcode, fields, kind
 from inteco_abs.sessions.content import LIBRARY, Batch, Content
 from inteco_abs.sessions.migration import migrated
 from inteco_abs.sessions.reader import check_data, ends_well, opened
 from inteco_abs.sessions.recorded_config import CONFIG_NAME
-from inteco_abs.sessions.scanner import Damage, Survey, Whole, checksum
+from inteco_abs.sessions.scanner import Damage, Scan, Whole, checksum
 
 _MOST_ALIKE: Final = 20
 """Findings of one kind that are told one by one."""
@@ -90,7 +90,7 @@ class _Inspector:
 
     def __init__(self, file: BinaryIO, size: int, inspection: Inspection) -> None:
         self._file, self._size, self._told = file, size, inspection
-        self._content = Content(allowance=Allowance(size))
+        self._content = Content(allowance=DecompressionBudget(size))
         self._numbers = {TICK.topic: _Numbers("tick"), TRUTH.topic: _Numbers("truth")}
         self._chunks: set[int] = set()
         self._indexed: set[int] = set()
@@ -98,7 +98,7 @@ class _Inspector:
         self._data_ended = self._footed = False
 
     def inspect(self) -> None:
-        for part in Survey(self._file, self._size):
+        for part in Scan(self._file, self._size):
             if isinstance(part, Damage):
                 self._damage(part)
             else:

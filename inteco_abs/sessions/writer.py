@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from mcap.writer import CompressionType, Writer
 
-from inteco_abs.errors import SessionError, disk_in_words
+from inteco_abs.errors import SessionError, describe_disk
 from inteco_abs.format import schema
 from inteco_abs.format.io_frame import IO_NAME, IO_TOPIC, io_frame_descriptor
 from inteco_abs.format.protobuf import chunk, double, integer, tag
@@ -44,7 +44,7 @@ class _Disk(FileIO):
         try:
             super().__init__(path, "xb")
         except OSError as error:
-            raise SessionError(f"{path} cannot be created: {disk_in_words(error)}") from error
+            raise SessionError(f"{path} cannot be created: {describe_disk(error)}") from error
 
     def write(self, data: Buffer, /) -> int:
         """Write some of `data`."""
@@ -67,7 +67,7 @@ class _Disk(FileIO):
         except OSError as error:
             raise self._refused(error) from error
 
-    def insist_on_its_place(self) -> None:
+    def require_its_place(self) -> None:
         """Raise SessionError if the file is not where it was made: writing to it then goes well, and to nowhere."""
         try:
             found, ours = self.path.stat(), os.fstat(self.fileno())
@@ -77,10 +77,10 @@ class _Disk(FileIO):
             raise SessionError(f"{self.name} is gone: another file has its name")
 
     def _refused(self, error: OSError) -> SessionError:
-        return SessionError(f"{self.name} cannot be written: {disk_in_words(error)}")
+        return SessionError(f"{self.name} cannot be written: {describe_disk(error)}")
 
 
-class Recorder:
+class FileWriter:
     """A session being written at `path`; a context manager. Raises SessionError when the disk refuses.
 
     `session_id`, and `epoch_ns` (UNIX time of the monotonic clock's zero), are those of a session whose file is made
@@ -279,7 +279,7 @@ class Recorder:
 
     def _settle(self) -> None:
         self._file.flush()
-        self._disk.insist_on_its_place()
+        self._disk.require_its_place()
         if self._durable and self._in_doubt:
             self._disk.sync()
         self._in_doubt = False

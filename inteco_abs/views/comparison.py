@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.analysis import settings_of
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.sessions import Session
 from inteco_abs.signals import Phase
 
@@ -32,13 +32,13 @@ class Stretch(NamedTuple):
     end: int
 
 
-def insist_on_distinct(sessions: Sequence[Session]) -> None:
+def require_distinct(sessions: Sequence[Session]) -> None:
     """Raise ConfigError if there are too many, or one of them twice."""
     paths = [session.path.resolve() for session in sessions]
     twice = [str(session.path) for session, path in zip(sessions, paths, strict=True) if paths.count(path) > 1]
-    mistakes = [Mistake("FILE", f"{name}: is named more than once") for name in twice[:1]]
+    mistakes = [ConfigIssue("FILE", f"{name}: is named more than once") for name in twice[:1]]
     if len(sessions) > MOST:
-        mistakes.append(Mistake("FILE", f"{len(sessions)} sessions, and at most {MOST} can be told apart"))
+        mistakes.append(ConfigIssue("FILE", f"{len(sessions)} sessions, and at most {MOST} can be told apart"))
     if mistakes:
         raise ConfigError(mistakes)
 

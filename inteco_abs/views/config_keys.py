@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 
 from inteco_abs.config import RigConfig, limits
 from inteco_abs.control import CONTROLLERS
-from inteco_abs.errors import ConfigError, Mistake, near_match
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 _WIDTH: Final = 100
 _GAINS: Final = "controller.gains"
@@ -81,7 +81,7 @@ def _asked(path: str) -> tuple[list[Key], list[Key]]:
     within = [key for key in keys if key.path.startswith(f"{asked}.")]
     if mine or within:
         return mine, within
-    raise ConfigError([Mistake(path or "KEY", f"is no key of rig.toml{_hint(asked, keys)}")])
+    raise ConfigError([ConfigIssue(path or "KEY", f"is no key of rig.toml{_hint(asked, keys)}")])
 
 
 def _hint(asked: str, keys: Iterable[Key]) -> str:

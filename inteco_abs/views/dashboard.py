@@ -23,8 +23,8 @@ from inteco_abs.realtime.screen import Check, Snapshot
 from inteco_abs.signals import Phase
 from inteco_abs.views.keys import stop_keys
 from inteco_abs.views.plot import Axes, Curve, plot
-from inteco_abs.views.text_lines import Line, Picture, apart, length, padded
-from inteco_abs.views.trace import Course
+from inteco_abs.views.text_lines import Line, TextLines, apart, length, padded
+from inteco_abs.views.trace import RunTrace
 
 LEAST: Final = (80, 24)
 """Columns and rows of the smallest terminal that the whole picture is made for."""
@@ -70,7 +70,7 @@ class Dashboard:
         self._config = config
         self._virtual = virtual
         self._only_line = line
-        self._course = Course(config.experiment.start_speed_rad_s)
+        self._course = RunTrace(config.experiment.start_speed_rad_s)
         self._passed: dict[Check, str] = {}
         self._snapshot: Snapshot | None = None
         self._hint = CTRL_C
@@ -131,7 +131,7 @@ class Dashboard:
         if self._console.size != self._size:  # what was drawn has been wrapped by the terminal: begin on an empty one
             self._size = self._console.size
             self._console.clear()
-        self._live.update(self._line() if self.in_line else Picture(self.lines()), refresh=True)
+        self._live.update(self._line() if self.in_line else TextLines(self.lines()), refresh=True)
 
     def _line(self) -> Text:
         if self._snapshot is not None:

@@ -15,7 +15,7 @@ _LARGEST: Final = 1e30
 """What a controller may ask for has no limit, float32 has."""
 
 
-class Thinned(NamedTuple):
+class Decimated(NamedTuple):
     """What is left of some columns."""
 
     time_s: Array
@@ -27,7 +27,7 @@ class Thinned(NamedTuple):
     """The same elsewhere."""
 
 
-def thin(columns: Mapping[str, Array], time_s: Array, matters: Array, most: int) -> Thinned:
+def decimate(columns: Mapping[str, Array], time_s: Array, matters: Array, most: int) -> Decimated:
     """About `most` points of the columns, up to three quarters of them for the rows that `matters` is true for.
 
     Of each so many neighbouring rows there are two points, the smallest and the largest value in the order in which
@@ -44,7 +44,7 @@ def thin(columns: Mapping[str, Array], time_s: Array, matters: Array, most: int)
         for name, column in columns.items():
             values[name].append(_extremes(column[first:end], size))
     empty = np.zeros(0)
-    return Thinned(
+    return Decimated(
         np.concatenate([empty, *times]),
         {name: _as_float32(np.concatenate([empty, *parts])) for name, parts in values.items()},
         inside,

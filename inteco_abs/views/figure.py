@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.errors import AbsError, ConfigError, Mistake, disk_in_words
-from inteco_abs.sessions import Session, check_output, only_whole
-from inteco_abs.views.comparison import PALETTE, held_rows, insist_on_distinct, labels, since_s, start_ns
-from inteco_abs.views.decimation import thin
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
+from inteco_abs.sessions import Session, atomic_write, check_output
+from inteco_abs.views.comparison import PALETTE, held_rows, labels, require_distinct, since_s, start_ns
+from inteco_abs.views.decimation import decimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,12 +88,12 @@ def check_figure(path: Path, option: str = "--figure") -> None:
     Raises ConfigError, SessionError where the folder cannot be written to, or AbsError without matplotlib.
     """
     if path.suffix.removeprefix(".") not in FORMATS:
-        raise ConfigError([Mistake(option, f"{path}: must end in .{', .'.join(FORMATS)}")])
+        raise ConfigError([ConfigIssue(option, f"{path}: must end in .{', .'.join(FORMATS)}")])
     check_output(path, option)
-    insist_on_matplotlib()
+    require_matplotlib()
 
 
-def insist_on_matplotlib() -> None:
+def require_matplotlib() -> None:
     """Raise AbsError if there is none."""
     if importlib.util.find_spec("matplotlib") is None:
         raise AbsError("figures need matplotlib: pip install 'inteco-abs[figures]'")
@@ -112,10 +112,10 @@ def draw_stops(sessions: Sequence[Session], path: Path, width: str = "two") -> N
 
 def figure_of(sessions: Sequence[Session], width: str = "two") -> Figure:
     """The same as matplotlib's object, to be changed or shown. Raises as `draw_stops`."""
-    insist_on_matplotlib()
+    require_matplotlib()
     if width not in WIDTHS:
-        raise ConfigError([Mistake("width", f"{width!r}: must be one of {', '.join(WIDTHS)}")])
-    insist_on_distinct(sessions)
+        raise ConfigError([ConfigIssue("width", f"{width!r}: must be one of {', '.join(WIDTHS)}")])
+    require_distinct(sessions)
     with _style(WIDTHS[width]):
         return _drawn(sessions, WIDTHS[width])
 
@@ -136,10 +136,10 @@ def save_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
     try:
         with rc_context({"svg.hashsalt": _SALT, "pdf.fonttype": _TRUETYPE}):
             form, metadata = path.suffix.removeprefix("."), undated.get(path.suffix, {})
-            with only_whole(path) as part:
+            with atomic_write(path) as part:
                 figure.savefig(part, format=form, dpi=dpi, metadata=metadata)
     except OSError as error:
-        raise AbsError(f"{path}: the figure cannot be written: {disk_in_words(error)}") from error
+        raise AbsError(f"{path}: the figure cannot be written: {describe_disk(error)}") from error
 
 
 @contextmanager
@@ -236,7 +236,7 @@ def _fewer(rows: Array, part: _Part, most: int) -> Array:
     time_s = since_s(rows, part.start_ns)
     shown = (time_s >= -_BEFORE_S) & (time_s <= part.end_s)
     columns = {name: rows[name][shown] for name in _DRAWN if name in (rows.dtype.names or ())}
-    thinned = thin(columns, time_s[shown], np.zeros(int(shown.sum()), bool), most)
+    thinned = decimate(columns, time_s[shown], np.zeros(int(shown.sum()), bool), most)
     few = np.zeros(len(thinned.time_s), rows.dtype)
     few["time_ns"] = np.rint(thinned.time_s * 1e9).astype(np.int64) + part.start_ns
     for name, values in thinned.columns.items():

@@ -15,9 +15,9 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any, Final
 
-from inteco_abs.errors import SessionError, disk_in_words
+from inteco_abs.errors import SessionError, describe_disk
 from inteco_abs.format.schema import LOG_TOPIC, TICK, TRUTH, Column
-from inteco_abs.sessions import check_output, only_whole
+from inteco_abs.sessions import atomic_write, check_output
 
 _COLOURS: Final = ("#0072b2", "#d55e00", "#009e73")
 """Blue, red and green of Okabe and Ito: distinct for every kind of colour vision."""
@@ -179,8 +179,8 @@ VIEWERS: Final[Mapping[str, Callable[[], bytes]]] = {"lichtblick": lichtblick, "
 def write_layout(viewer: str, out: Path) -> None:
     """Write the layout for one of `VIEWERS` to the new file `out`; raises ConfigError or SessionError if it cannot."""
     check_output(out)
-    with only_whole(out) as part:
+    with atomic_write(out) as part:
         try:
             part.write_bytes(VIEWERS[viewer]())
         except OSError as error:
-            raise SessionError(f"{out} cannot be written: {disk_in_words(error)}") from error
+            raise SessionError(f"{out} cannot be written: {describe_disk(error)}") from error

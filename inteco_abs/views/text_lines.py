@@ -14,7 +14,7 @@ Piece = tuple[str, str]
 Line = list[Piece]
 
 
-class Picture:
+class TextLines:
     """Lines as they are, cut at the terminal's width. No layout, no wrapping: rich's own take ten times as long."""
 
     def __init__(self, lines: Sequence[Line]) -> None:

@@ -19,7 +19,7 @@ _USUAL_DECELERATION: Final = 120.0
 _EMPTY: Final = np.zeros((0, 4))
 
 
-class Course:
+class RunTrace:
     """Grows point by point. A second stop of the same run begins a new one."""
 
     def __init__(self, start_speed_rad_s: float) -> None:

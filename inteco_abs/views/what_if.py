@@ -47,7 +47,7 @@ _CARD: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class WhatIfTrace:
     """One alternative to draw."""
 
     name: str
@@ -98,7 +98,7 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
-def draw_what_if(session: Session, courses: Sequence[Course], path: Path) -> None:
+def draw_what_if(session: Session, courses: Sequence[WhatIfTrace], path: Path) -> None:
     """Draw log and alternatives to `path` (.png, .svg or .pdf).
 
     An open loop is faint from where it has left the log: there it is no longer what the rig would have seen. A
@@ -127,7 +127,7 @@ def draw_what_if(session: Session, courses: Sequence[Course], path: Path) -> Non
     save_figure(figure, path)
 
 
-def _open_loop(panel: Axes, course: Course, field: str, since_s: Any, colour: str) -> None:
+def _open_loop(panel: Axes, course: WhatIfTrace, field: str, since_s: Any, colour: str) -> None:
     horizon_s, values = course.open_loop.horizon_s, course.open_loop.wishes[field]
     left = since_s >= (np.inf if horizon_s is None else horizon_s)
     panel.plot(since_s[~left], values[~left], color=colour, lw=0.9)

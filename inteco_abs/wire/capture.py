@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from inteco_abs.boards.board_report import BoardReport, parse_report
-from inteco_abs.errors import CaptureError, disk_in_words
+from inteco_abs.errors import CaptureError, describe_disk
 
 FORMAT: Final = "inteco-abs wire"
 VERSION: Final = 1
@@ -94,7 +94,7 @@ def check_target(path: Path) -> None:
         elif not path.parent.is_dir():
             problem = f"the folder {path.parent} does not exist; create it first"
     except OSError as error:
-        problem = disk_in_words(error)
+        problem = describe_disk(error)
     if problem:
         raise CaptureError(f"{path}: {problem}")
 
@@ -119,7 +119,7 @@ def write_capture(path: Path, capture: Capture) -> None:
     try:
         file = part.open("x", encoding="utf-8")  # nothing that is there is truncated, no link followed
     except OSError as error:
-        raise CaptureError(f"{path}: the capture cannot be written: {part.name}: {disk_in_words(error)}") from error
+        raise CaptureError(f"{path}: the capture cannot be written: {part.name}: {describe_disk(error)}") from error
     try:
         with file:
             file.write(json.dumps(head) + "\n")
@@ -128,12 +128,12 @@ def write_capture(path: Path, capture: Capture) -> None:
         with suppress(OSError):  # it is not there, or cannot be removed either
             part.unlink()
         if isinstance(error, OSError):
-            raise CaptureError(f"{path}: the capture cannot be written: {disk_in_words(error)}") from error
+            raise CaptureError(f"{path}: the capture cannot be written: {describe_disk(error)}") from error
         raise
     try:
         part.replace(path)
     except OSError as error:
-        raise CaptureError(f"{part} is complete but cannot be renamed to {path}: {disk_in_words(error)}") from error
+        raise CaptureError(f"{part} is complete but cannot be renamed to {path}: {describe_disk(error)}") from error
 
 
 def _check_regular(path: Path) -> None:

@@ -38,7 +38,7 @@ class Frames(NamedTuple):
     words: Sequence[Sequence[int]]
 
 
-class Moved(NamedTuple):
+class ChangedWord(NamedTuple):
     """A word that had more than one value."""
 
     direction: str
@@ -73,7 +73,7 @@ def frames_of(capture: Capture, role: Role) -> Frames:
     return Frames(table, [record.t_s for record in found], [words_of(table, record.data) for record in found])
 
 
-def moved_words(capture: Capture) -> list[Moved]:
+def moved_words(capture: Capture) -> list[ChangedWord]:
     """SEND frames' words first; in each direction the likeliest to be what was moved by hand comes first.
 
     That is: words that moved while all others stood, unknown ones before named ones, restless ones last.
@@ -91,7 +91,7 @@ def _role(protocol: Protocol, kind: Kind, data: bytes) -> Role | None:
     return protocol.role_in(data) if kind is Kind.IN else None
 
 
-def _ranked(direction: str, frames: Frames) -> list[Moved]:
+def _ranked(direction: str, frames: Frames) -> list[ChangedWord]:
     columns = {word: values for word, values in enumerate(zip(*frames.words, strict=True)) if len(set(values)) > 1}
     steps = {word: _steps(values) for word, values in columns.items()}
     count = len(frames.words) - 1
@@ -102,7 +102,7 @@ def _ranked(direction: str, frames: Frames) -> list[Moved]:
         at, own = steps[word], int(word not in restless)
         bits = reduce(or_, (value ^ values[0] for value in set(values)))
         found.append(
-            Moved(
+            ChangedWord(
                 direction,
                 label(frames.table, word),
                 byte_offset(frames.table, word),

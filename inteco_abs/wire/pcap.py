@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT, FRAME_BYTES
 from firmware_protocol.rtdac_usb2_bridge import ENDPOINT_JTAG_IN, ENDPOINT_JTAG_OUT
 from inteco_abs.boards.frame_labels import protocol_of
-from inteco_abs.errors import CaptureError, ConfigError, Mistake
+from inteco_abs.errors import CaptureError, ConfigError, ConfigIssue
 from inteco_abs.version import __version__
 from inteco_abs.wire.byte_stream import FTDI_IN, FTDI_OUT, ByteStream
 from inteco_abs.wire.capture import Capture, Kind, Record
@@ -48,7 +48,7 @@ def import_pcap(path: Path, *, board: str = _USB2, device: str = "") -> Capture:
     """
     protocol_of(board)
     if device and not _is_device(device):
-        raise ConfigError([Mistake("--device", f"{device!r}: must be bus and address, as in 1.5")])
+        raise ConfigError([ConfigIssue("--device", f"{device!r}: must be bus and address, as in 1.5")])
     link_type, packets = _read(path)
     chosen = device or _only_candidate(path, packets, board)
     own = [packet for packet in packets if packet.urb.device == chosen]

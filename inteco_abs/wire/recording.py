@@ -11,7 +11,7 @@ from typing import Final
 from inteco_abs.boards.frame_labels import protocol_name, protocol_of
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import CaptureError, ConfigError, Mistake
+from inteco_abs.errors import CaptureError, ConfigError, ConfigIssue
 from inteco_abs.version import __version__
 from inteco_abs.wire.capture import Capture, Kind, Record, check_target, write_capture
 
@@ -202,7 +202,7 @@ def recording(
 def check_recordable(option: str, config: RigConfig) -> None:
     """Raise ConfigError, which names the `option` that asks for a recording, if such a board has no messages."""
     if config.board.kind == "pci":
-        raise ConfigError([Mistake(option, "a board on the PCI bus has registers, no messages to record")])
+        raise ConfigError([ConfigIssue(option, "a board on the PCI bus has registers, no messages to record")])
     protocol_name(config.board)
 
 

@@ -10,7 +10,7 @@ from firmware_protocol.pwm import PWM_FULL_WIDTH
 from inteco_abs.boards import board_behind
 from inteco_abs.boards.frame_labels import Role, protocol_name, protocol_of
 from inteco_abs.config import BoardConfig, RigConfig
-from inteco_abs.errors import BoardError, CaptureError, ConfigError, Mistake
+from inteco_abs.errors import BoardError, CaptureError, ConfigError, ConfigIssue
 from inteco_abs.signals import BoardFlags, Command
 from inteco_abs.wire.capture import Capture, Kind
 from inteco_abs.wire.playback import CaptureLink, Difference
@@ -38,7 +38,7 @@ def replay_wire(capture: Capture, config: RigConfig) -> WireReplay:
     """
     if protocol_name(config.board) != capture.board:
         problem = f"{protocol_name(config.board)}, the capture is of a {capture.board} board; name another profile"
-        raise ConfigError([Mistake("board", problem)])
+        raise ConfigError([ConfigIssue("board", problem)])
     numbering = f"pwm{config.board.numbering_pwm}_prescaler" if config.board.numbering_pwm >= 0 else ""
     link = CaptureLink(capture, numbering=numbering)
     trusted = config.board.model_copy(update=_as_signed(capture))

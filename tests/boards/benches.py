@@ -13,7 +13,7 @@ from inteco_abs.boards import InProcessLink, Link, SocketLink, board_behind
 from inteco_abs.boards.transports.serial_link import SerialLink
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.errors import LinkError
-from inteco_abs.mock_board import ByteStream, Device, Face, PtyServer, SocketServer, face_of
+from inteco_abs.mock_board import ByteStream, Device, FrontEnd, PtyServer, SocketServer, face_of
 from inteco_abs.rig import Plant
 from inteco_abs.signals import Command, Sample
 
@@ -72,7 +72,7 @@ class SteeredDevice(Device):
 class MoodyFace:
     """The mock's face. Deaf, it ignores settings; an answer can come late, even later, or twice."""
 
-    def __init__(self, face: Face, request: bytes) -> None:
+    def __init__(self, face: FrontEnd, request: bytes) -> None:
         self.face = face
         self.device = face.device
         self.rejected = 0

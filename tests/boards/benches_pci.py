@@ -14,7 +14,7 @@ from firmware_protocol.registers import Write
 from firmware_protocol.rtdac_pci import ENCODER_INDEX, ENCODER_RESET, LOGIC, PWM_INDEX, PWM_WIDTH
 from inteco_abs.boards import InProcessLink, Link, LinkedRegisters, Registers, RtdacPci, SysfsRegisters
 from inteco_abs.errors import LinkError
-from inteco_abs.mock_board import PciFace
+from inteco_abs.mock_board import PciFrontEnd
 
 INDEXES = (PWM_INDEX.offset, ENCODER_INDEX.offset)
 ALL_ONES = 0xFFFFFFFF
@@ -23,7 +23,7 @@ ALL_ONES = 0xFFFFFFFF
 class MoodyRegisters:
     """The mock's registers. Deaf, they take no setting; the index registers, which reading needs, go on working."""
 
-    def __init__(self, face: PciFace) -> None:
+    def __init__(self, face: PciFrontEnd) -> None:
         self.face = face
         self.device = face.device
         self.deaf = False
@@ -160,7 +160,7 @@ class PciBench:
         self.device = SteeredDevice(self.config, self.clock.now_ns, seed)
         own = {f"pwm{i}_{name}" for i in range(2) for name in ("mode", "prescaler", "width")} | {ENCODER_RESET.name}
         self.device.write({name: value for name, value in (earlier or {}).items() if name in own})
-        self.face = MoodyRegisters(PciFace(self.device))
+        self.face = MoodyRegisters(PciFrontEnd(self.device))
         self.plug_in()
 
     def plug_in(self) -> None:

@@ -17,7 +17,7 @@ from benches_pci import PciBench, StepwisePciBench, SysfsBench
 
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, SEND_COMMAND, encode_send
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import Device, Usb2Face
+from inteco_abs.mock_board import Device, Usb2FrontEnd
 
 BENCHES = {
     "rtdac-usb2": Usb2Bench,
@@ -82,7 +82,7 @@ class MockBoard:
     def __init__(self, *settings: str, seed: int = 0, **device) -> None:
         self.clock = HandClock()
         self.device = Device(load_config(settings=settings), self.clock.now_ns, seed, **device)
-        self.face = Usb2Face(self.device)
+        self.face = Usb2FrontEnd(self.device)
 
     def send(self, **settings: int) -> None:
         self.face.bulk_out(encode_send(settings))

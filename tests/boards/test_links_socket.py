@@ -21,7 +21,7 @@ from inteco_abs.boards import frame_board as frames
 from inteco_abs.boards.transports import links
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, LinkError
-from inteco_abs.mock_board import Device, SocketServer, Usb2Face
+from inteco_abs.mock_board import Device, SocketServer, Usb2FrontEnd
 from inteco_abs.signals import Command
 
 PATIENCE_S = 30.0
@@ -51,7 +51,7 @@ class Served:
     def __init__(self, path):
         self.config = load_config()
         self.device = Device(self.config, time.monotonic_ns, 1)
-        self.face = Usb2Face(self.device)
+        self.face = Usb2FrontEnd(self.device)
         self.server = SocketServer(self.face, path)
         self.path = path
         self._stopping = threading.Event()

@@ -3,7 +3,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb2 import READ, SEND, decode_read, decode_send, encode_send
-from inteco_abs.mock_board import Cable, Usb2Face
+from inteco_abs.mock_board import Cable, Usb2FrontEnd
 
 ECHOED = sorted(set(SEND.fields) & set(READ.fields))
 CABLES = [Cable(), Cable(drive_pwm=5, brake_pwm=2, road_encoder=3, wheel_encoder=0)]
@@ -48,7 +48,7 @@ def test_a_face_that_remembers_answers_as_one_that_decodes_every_frame_anew(new_
     for frame, good, elapsed_ns in frames_of(wire, script):
         mock.face.bulk_out(frame)
         if good:
-            twin.face = Usb2Face(twin.device)  # knows nothing of earlier frames
+            twin.face = Usb2FrontEnd(twin.device)  # knows nothing of earlier frames
             twin.face.bulk_out(frame)
         rejected += not good
         assert mock.read() == twin.read()

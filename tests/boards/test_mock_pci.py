@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from firmware_protocol.register_messages import decode_answer, encode_request
 from firmware_protocol.registers import Write
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import Cable, Device, PciFace
+from inteco_abs.mock_board import Cable, Device, PciFrontEnd
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -32,7 +32,7 @@ class Mock:
         self.truths = []
         config = load_config(profile="sim_pci")
         self.device = Device(config, lambda: self.time_ns, seed, self.truths.append, cable)
-        self.face = PciFace(self.device)
+        self.face = PciFrontEnd(self.device)
         self.read, self.write = self.face.read, self.face.write
 
     def width(self, channel, width):

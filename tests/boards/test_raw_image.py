@@ -11,7 +11,7 @@ from firmware_protocol import rtdac_usb, rtdac_usb2
 from inteco_abs.boards import InProcessLink, board_behind
 from inteco_abs.boards.first_write import Remark
 from inteco_abs.errors import ConfigError
-from inteco_abs.mock_board import Device, Usb2Face, UsbFace
+from inteco_abs.mock_board import Device, Usb2FrontEnd, UsbFrontEnd
 from inteco_abs.signals import BoardFlags, Command
 
 CLOCK = 20_000_000
@@ -52,7 +52,7 @@ class Bench:
         config = configured("sim_usb2", (*(WIRINGS[logic] if wiring is None else wiring), *more))
         self.clock = HandClock()
         self.device = Device(config, self.clock.now_ns)
-        self.face = Usb2Face(self.device, frame(image))
+        self.face = Usb2FrontEnd(self.device, frame(image))
         self.config = config
         self.period_ns = config.period_ns
         self.plug_in()
@@ -227,7 +227,7 @@ def test_the_first_generation_keeps_its_unknown_bytes_too(profile, version):
     image = bytearray(at * 37 % 128 for at in range(150))
     image[:8] = logic.read.encode({})[:8]
     clock = HandClock()
-    face = UsbFace(Device(config, clock.now_ns), bytes(image))
+    face = UsbFrontEnd(Device(config, clock.now_ns), bytes(image))
     link = FaultyLink(InProcessLink(face), rtdac_usb.READ_REQUEST)
     with board_behind(link, config, clock.now_ns) as board:
         board.exchange(Command(0.5, 0.5))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, decode_read, encode_send, logic_of
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError
-from inteco_abs.mock_board import ByteStream, Device, UsbFace, face_of
+from inteco_abs.mock_board import ByteStream, Device, UsbFrontEnd, face_of
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -198,5 +198,5 @@ class TestByteStream:
         stream = ByteStream(Mock().face)
         assert stream.feed(b"\x83" + send_frame(5)[1:]) == b""
         assert stream.face.rejected == 1
-        assert isinstance(stream.face, UsbFace)
+        assert isinstance(stream.face, UsbFrontEnd)
         assert stream.face.device.settings == {}

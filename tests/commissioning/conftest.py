@@ -9,9 +9,9 @@ import pytest
 
 from firmware_protocol.rtdac_usb2 import READ_REQUEST, decode_send
 from inteco_abs.boards import Link
-from inteco_abs.commissioning import Draft, MockBench, Walk
+from inteco_abs.commissioning import MockRigAccess, Procedure, ProfileDraft
 from inteco_abs.commissioning.rig_access import TURNS
-from inteco_abs.commissioning.step import Visit
+from inteco_abs.commissioning.step import StepContext
 from inteco_abs.config import parse_config
 
 ECHO_PHRASE = "the power interface is off"
@@ -86,7 +86,7 @@ class WatchedLink(Link):
         self._inner.close()
 
 
-class WatchedBench(MockBench):
+class WatchedBench(MockRigAccess):
     """The mock bench, whose hands, link and time a test may watch and disturb."""
 
     def __init__(self, config) -> None:
@@ -132,10 +132,10 @@ class Lab:
 
     def session(self, *answers, settings=(), profile="usb2_generic_0103", quiet=False):
         """A walk, not begun, with a person who will give these answers."""
-        self.draft = Draft.open(self.file, "sim:", profile, settings)
+        self.draft = ProfileDraft.open(self.file, "sim:", profile, settings)
         self.person = ScriptedPerson(answers)
         self.bench = WatchedBench(self.draft.config)
-        self.walk = Walk(Visit(self.bench, self.draft, self.person, quiet))
+        self.walk = Procedure(StepContext(self.bench, self.draft, self.person, quiet))
         return self.walk
 
     def done_until(self, step: str, settings=()) -> None:

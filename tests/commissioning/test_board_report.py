@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from inteco_abs.boards import InProcessLink, board_behind
 from inteco_abs.commissioning.board_report import board_seen
-from inteco_abs.commissioning.reported_board import SeenBoard
+from inteco_abs.commissioning.reported_board import ReportedBoard
 from inteco_abs.config import load_config
 from inteco_abs.errors import AbsError, CaptureError, ConfigError
 from inteco_abs.mock_board import Device, UsbBoard, UsbIdentity, ftdi_identity, rig_check
@@ -52,7 +52,7 @@ def reported(lab, scripts, tmp_path):
 
 def plugged_in(file):
     """Everything that `mock-board --from-report` does with the file."""
-    seen = SeenBoard(file)
+    seen = ReportedBoard(file)
     mocked(seen)
     return seen.identity(UsbIdentity())
 
@@ -66,7 +66,7 @@ def mocked(seen):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_mock_made_of_the_report_begins_as_the_board_that_was_seen_and_has_the_rig_behind_it(reported, kind):
-    seen = SeenBoard(reported(kind))
+    seen = ReportedBoard(reported(kind))
     first = read_capture(seen.path).records
     config, face, clock = mocked(seen)
     board = board_behind(InProcessLink(face), config, lambda: clock[0])
@@ -85,7 +85,7 @@ def test_a_mock_made_of_the_report_begins_as_the_board_that_was_seen_and_has_the
 @pytest.mark.parametrize(("raw", "like"), [(ODD, UsbIdentity()), (FTDI, ftdi_identity())], ids=["usb2", "ftdi"])
 def test_its_descriptors_are_those_of_the_board_and_its_serial_number_is_a_mocks(reported, raw, like):
     told = {"descriptors": raw.hex(), "manufacturer": "InTeCo", "product": "RT-DAC", "serial": "77", "speed": "480"}
-    identity = SeenBoard(reported(told=told)).identity(like)
+    identity = ReportedBoard(reported(told=told)).identity(like)
     assert identity.descriptor(1, 0) + identity.descriptor(2, 0) == raw
     manufacturer, product, serial = raw[14:17]
     texts = [identity.descriptor(3, index)[2:].decode("utf-16-le") for index in (manufacturer, product, serial)]
@@ -94,7 +94,7 @@ def test_its_descriptors_are_those_of_the_board_and_its_serial_number_is_a_mocks
 
 
 def test_a_host_reads_them_from_the_mock(reported):
-    seen = SeenBoard(reported(told={"descriptors": ODD.hex(), "manufacturer": "InTeCo", "speed": "480"}))
+    seen = ReportedBoard(reported(told={"descriptors": ODD.hex(), "manufacturer": "InTeCo", "speed": "480"}))
     _, face, _ = mocked(seen)
     device = UsbBoard(face, seen.identity(UsbIdentity()))
     assert device.control(Setup(0x80, 6, 0x0100, 0, 18)) == ODD[:18]
@@ -171,7 +171,7 @@ def test_a_capture_without_a_report_makes_no_mock(reported):
     plain = {key: value for key, value in json.loads(head).items() if key != "report"}
     file.write_text("".join([json.dumps(plain) + "\n", *rest]))
     with pytest.raises(CaptureError, match="not the report of a commissioning"):
-        SeenBoard(file)
+        ReportedBoard(file)
 
 
 WRONG = {
@@ -208,4 +208,4 @@ def test_an_image_of_another_length_is_refused(reported, length):
     lines[2] = json.dumps(json.loads(lines[2]) | {"hex": "00" * length})
     file.write_text("\n".join([*lines[:3], ""]))
     with pytest.raises(CaptureError, match=f"an image of {length} bytes"):
-        mocked(SeenBoard(file))
+        mocked(ReportedBoard(file))

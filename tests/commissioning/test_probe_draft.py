@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from inteco_abs.commissioning import Draft
+from inteco_abs.commissioning import ProfileDraft
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError
 
@@ -63,13 +63,13 @@ def test_a_wrong_setting_is_refused_and_nothing_is_written(lab):
 def test_the_profile_of_a_draft_cannot_be_changed_in_passing(lab):
     lab.session()
     with pytest.raises(ConfigError, match="was begun from usb2_generic_0103"):
-        Draft.open(lab.file, "sim:", "usb1_0111", given=True)
+        ProfileDraft.open(lab.file, "sim:", "usb1_0111", given=True)
 
 
 def test_a_draft_belongs_to_one_kind_of_board(lab):
     lab.session()
     with pytest.raises(ConfigError, match="begun with the board sim:"):
-        Draft.open(lab.file, "usb2:7", "usb2_generic_0103")
+        ProfileDraft.open(lab.file, "usb2:7", "usb2_generic_0103")
 
 
 @pytest.mark.parametrize(

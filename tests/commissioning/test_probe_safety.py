@@ -6,9 +6,9 @@ import signal
 import pytest
 
 from inteco_abs.boards import STILL_ON, check_limits
-from inteco_abs.commissioning import Draft
+from inteco_abs.commissioning import ProfileDraft
 from inteco_abs.commissioning.permission import outputs_permitted
-from inteco_abs.commissioning.step import Visit
+from inteco_abs.commissioning.step import StepContext
 from inteco_abs.config import load_config
 from inteco_abs.errors import LinkError, ProbeError, ReadOnlyError, UnsafeError
 
@@ -178,7 +178,7 @@ def test_outputs_left_on_by_another_program_are_told_and_hands_kept_off(lab):
 def test_what_is_permitted_is_within_a_real_boards_ceilings(lab, profile):
     kind = load_config(profile=profile).board.kind
     lab.session("the phrase")
-    draft = Draft.open(lab.file.with_name("real.toml"), f"{kind}:", profile)
+    draft = ProfileDraft.open(lab.file.with_name("real.toml"), f"{kind}:", profile)
     draft.record("header", {"outcome": "done", "logic_version": "0x0111"})
-    permitted = outputs_permitted(Visit(lab.bench, draft, lab.person), "", "the phrase")
+    permitted = outputs_permitted(StepContext(lab.bench, draft, lab.person), "", "the phrase")
     check_limits(f"{kind}:", permitted)

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from inteco_abs.boards import Board
-from inteco_abs.commissioning import MockBench, PacedMockBench
+from inteco_abs.commissioning import MockRigAccess, PacedMockRigAccess
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError, ProbeError, Stopped
 from inteco_abs.experiment import by_hand
@@ -200,12 +200,12 @@ class TestTimeOfTheMock:
         return clock
 
     def test_virtual_time_waits_for_nothing(self, clock):
-        bench = MockBench(load_config())
+        bench = MockRigAccess(load_config())
         bench.pause(5.0)
         assert (bench.now_ns(), clock.slept_s) == (5_000_000_000, [])
 
     def test_otherwise_it_is_never_ahead_of_real_time(self, clock):
-        bench = PacedMockBench(load_config(), by_hand)
+        bench = PacedMockRigAccess(load_config(), by_hand)
         bench.pause(0.5)
         clock.now_s += 0.2  # something else took a while
         bench.pause(0.5)
@@ -214,7 +214,7 @@ class TestTimeOfTheMock:
         assert bench.now_ns() == 1_500_000_000
 
     def test_a_long_question_is_not_made_up_for(self, clock):
-        bench = PacedMockBench(load_config(), by_hand)
+        bench = PacedMockRigAccess(load_config(), by_hand)
         bench.pause(0.5)
         clock.now_s += 60.0
         bench.pause(0.5)

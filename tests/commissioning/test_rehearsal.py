@@ -4,16 +4,16 @@ import pytest
 
 from firmware_protocol.rtdac_usb2 import READ_REQUEST, encode_send
 from inteco_abs.boards import InProcessLink
-from inteco_abs.commissioning import MockBench
+from inteco_abs.commissioning import MockRigAccess
 from inteco_abs.commissioning.preflight import course, look_at
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import Face
+from inteco_abs.mock_board import FrontEnd
 
 
 class Overheard(InProcessLink):
     """Keeps every message to the board; an answer comes after `wait`."""
 
-    def __init__(self, face: Face, wait) -> None:
+    def __init__(self, face: FrontEnd, wait) -> None:
         super().__init__(face)
         self._wait = wait
         self.written = []
@@ -27,7 +27,7 @@ class Overheard(InProcessLink):
         return super().read(length)
 
 
-class Bench(MockBench):
+class Bench(MockRigAccess):
     """A bench of which everything that goes to the board is kept; `read_ns` is how long each reading takes."""
 
     def __init__(self, *settings, read_s=0.0):

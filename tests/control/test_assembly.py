@@ -14,7 +14,7 @@ from inteco_abs.control import (
     preferred_estimator,
 )
 from inteco_abs.errors import ConfigError
-from inteco_abs.rig import RigParameters, believed_parameters
+from inteco_abs.rig import RigParameters, nominal_parameters
 from inteco_abs.signals import BrakeDemand, Phase
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -273,5 +273,5 @@ def test_observer_and_law_believe_in_the_identified_brake():
     config = load_config(settings=settings, checks=[control_check()])
     controller = make_controller(config)
     assert controller.duty(3.0) == pytest.approx(0.6)
-    assert believed_parameters(config.model).J1 == 0.008
-    assert believed_parameters(config.model).J2 == RigParameters.named("mask").J2
+    assert nominal_parameters(config.model).J1 == 0.008
+    assert nominal_parameters(config.model).J2 == RigParameters.named("mask").J2

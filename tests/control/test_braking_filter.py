@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from inteco_abs.control import PredictiveReaching, Setup
-from inteco_abs.control.estimators.braking_ekf import BrakingFilter, Spread
-from inteco_abs.control.estimators.eccentricity import DiscFilter
-from inteco_abs.control.wheel_dynamics import Contact
-from inteco_abs.rig import MEASURED_MAP, EncoderVariation, RigParameters, RigVariation, Surface, adhesion
+from inteco_abs.control.estimators.braking_ekf import BrakingEkf, EkfTuning
+from inteco_abs.control.estimators.eccentricity import EccentricityFilter
+from inteco_abs.control.wheel_dynamics import WheelDynamics
+from inteco_abs.rig import MEASURED_MAP, AdhesionCurve, EncoderVariation, RigParameters, RigVariation, adhesion
 from inteco_abs.signals import Command, Estimate
 
 MASK = RigParameters.named("mask")
@@ -95,7 +95,7 @@ OWN = [
 @pytest.mark.untraced
 @pytest.mark.parametrize("variation", OWN)
 def test_the_adhesion_of_the_slip_that_is_held_is_found(stop, variation):
-    surface = Surface(variation["adhesion_scale"], variation.get("adhesion_blend", 0.0))
+    surface = AdhesionCurve(variation["adhesion_scale"], variation.get("adhesion_blend", 0.0))
     factor = surface.adhesion(0.2, MASK) / adhesion(0.2, MASK)
     for moment in learnt(stop(quiet(**variation))):
         assert moment.outlook.adhesion_factor == pytest.approx(factor, rel=0.02)
@@ -185,7 +185,10 @@ START, STEPS, NEGLECTED = map(np.array, zip(*STATES.values(), strict=True))
 
 def anywhere(state, covariance):
     """A filter in any state, where nothing public begins, with commands of rising duty under way."""
-    rig, disc = BrakingFilter(MASK, MEASURED_MAP, Spread(), COUNT_RAD, PERIOD_S), DiscFilter(COUNT_RAD, COUNT_RAD)
+    rig, disc = (
+        BrakingEkf(MASK, MEASURED_MAP, EkfTuning(), COUNT_RAD, PERIOD_S),
+        EccentricityFilter(COUNT_RAD, COUNT_RAD),
+    )
     rig.begin(disc, disc)
     for tick in range(60):
         rig.tell(0.5 + 0.005 * tick, 1)
@@ -218,7 +221,7 @@ def test_both_angles_correct_the_states_as_one_measurement():
     root = random.normal(size=(11, 11)) * np.abs(START)[:, None] * 1e-3
     covariance, measured = root @ root.T, START[[0, 2]] + [0.002, -0.001]
     seen = np.eye(11)[[0, 2]]
-    noise = (Spread().count_noise * COUNT_RAD) ** 2 * np.eye(2)
+    noise = (EkfTuning().count_noise * COUNT_RAD) ** 2 * np.eye(2)
     gain = covariance @ seen.T @ np.linalg.inv(seen @ covariance @ seen.T + noise)
     rig = anywhere(START, covariance)
     rig._correct(*measured)
@@ -229,7 +232,7 @@ def test_both_angles_correct_the_states_as_one_measurement():
 def test_looking_ahead_is_a_straight_line_through_the_middle_of_the_ripple():
     state = START * [1, 1, 1, 1, 1, 0, 1, 0, 0, 1, 1] + [0, 0, 0, 0, 0, 0, 0, 0.03, 0.02, 0, 0]
     rig = anywhere(state, np.zeros((11, 11)))
-    expected, contact, step_s = rig.outlook(), Contact(MASK), 1e-5
+    expected, contact, step_s = rig.outlook(), WheelDynamics(MASK), 1e-5
     angle, wheel, _, road = state[:4]
     horizon_s, _, mean_nm = rig._pending.ahead(*state[[4, 9, 10]])
     for _ in range(round(horizon_s / step_s)):

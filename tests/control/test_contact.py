@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.control.wheel_dynamics import Contact
+from inteco_abs.control.wheel_dynamics import WheelDynamics
 from inteco_abs.rig import RigParameters, accelerations, adhesion
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -32,7 +32,7 @@ def slope(function, at, step):
 @given(slip=SLIPS, road=SPEEDS, torque=TORQUES)
 def test_accelerations_are_those_of_the_plants_model(k, slip, road, torque):
     wheel = wheel_at(slip, road, k)
-    moving = Contact(k).accelerations(wheel, road, torque, adhesion(slip, k))
+    moving = WheelDynamics(k).accelerations(wheel, road, torque, adhesion(slip, k))
     plant = accelerations(wheel, road, torque, 0.0, k)
     assert moving.wheel == pytest.approx(plant.wheel_acceleration, rel=1e-9, abs=1e-9)
     assert moving.road == pytest.approx(plant.road_acceleration, rel=1e-9, abs=1e-9)
@@ -41,7 +41,7 @@ def test_accelerations_are_those_of_the_plants_model(k, slip, road, torque):
 @parameters
 @given(slip=SLIPS, road=SPEEDS, torque=TORQUES, mu=ADHESIONS)
 def test_accelerations_have_their_own_slopes(k, slip, road, torque, mu):
-    contact, wheel = Contact(k), wheel_at(slip, road, k)
+    contact, wheel = WheelDynamics(k), wheel_at(slip, road, k)
     moving = contact.accelerations(wheel, road, torque, mu)
     by_adhesion = slope(lambda each: contact.accelerations(wheel, road, torque, each)[:2], mu, 1e-5)
     by_torque = slope(lambda each: contact.accelerations(wheel, road, each, mu)[:2], torque, 1e-3)
@@ -53,7 +53,7 @@ def test_accelerations_have_their_own_slopes(k, slip, road, torque, mu):
 @given(slip=SLIPS, road=SPEEDS, rate=RATES)
 def test_the_torque_moves_the_plants_slip_as_was_asked(k, slip, road, rate):
     wheel = wheel_at(slip, road, k)
-    torque, _, _ = Contact(k).torque(slip, rate, wheel, road, adhesion(slip, k))
+    torque, _, _ = WheelDynamics(k).torque(slip, rate, wheel, road, adhesion(slip, k))
     plant = accelerations(wheel, road, torque, 0.0, k)
     slip_rate = ((1.0 - slip) * plant.road_acceleration - k.r1 / k.r2 * plant.wheel_acceleration) / road
     assert slip_rate == pytest.approx(rate, rel=1e-9, abs=1e-9)
@@ -62,7 +62,7 @@ def test_the_torque_moves_the_plants_slip_as_was_asked(k, slip, road, rate):
 @parameters
 @given(slip=SLIPS, road=SPEEDS, rate=RATES, mu=ADHESIONS)
 def test_the_torque_has_its_own_slopes(k, slip, road, rate, mu):
-    contact, wheel = Contact(k), wheel_at(slip, road, k)
+    contact, wheel = WheelDynamics(k), wheel_at(slip, road, k)
     _, by_rate, by_adhesion = contact.torque(slip, rate, wheel, road, mu)
     over_rates = slope(lambda each: contact.torque(slip, each, wheel, road, mu)[:1], rate, 1e-2)
     over_adhesions = slope(lambda each: contact.torque(slip, rate, wheel, road, each)[:1], mu, 1e-5)

@@ -5,7 +5,7 @@ import statistics
 
 import pytest
 
-from inteco_abs.control.estimators.eccentricity import DiscFilter
+from inteco_abs.control.estimators.eccentricity import EccentricityFilter
 from inteco_abs.rig import Encoder, EncoderVariation, RigVariation
 
 COUNT_RAD = 2.0 * math.pi / 2048
@@ -15,7 +15,7 @@ TURN = [n * math.pi / 18.0 for n in range(36)]
 
 
 def fresh():
-    return DiscFilter(COUNT_RAD, 1.4 * COUNT_RAD)
+    return EccentricityFilter(COUNT_RAD, 1.4 * COUNT_RAD)
 
 
 def off_centre(phase_rad, counts=0.5, jitter=0.3, seed=1):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.control import EdgeTime, SpeedWindow
+from inteco_abs.control import EdgeTime, MovingAverageSpeed
 
 PER_TURN = 2048
 LINE = 2.0 * math.pi / PER_TURN
@@ -53,14 +53,14 @@ def test_stamped_edges_lag_a_stop_by_half_a_period_and_have_no_noise():
 @pytest.mark.parametrize("speed", [180.0, 50.0, 9.0])
 def test_without_stamps_a_quick_wheel_is_seen_as_by_the_moving_window(speed):
     edges = sampled(EdgeTime(PER_TURN, 0.010), lambda t: speed * t, range(1000))
-    window = sampled(SpeedWindow(PER_TURN, 20), lambda t: speed * t, range(1000))
+    window = sampled(MovingAverageSpeed(PER_TURN, 20), lambda t: speed * t, range(1000))
     assert edges[50:] == pytest.approx(window[50:], rel=1e-12)
 
 
 @pytest.mark.parametrize("speed", [3.14159, 1.2345, 0.41])
 def test_without_stamps_a_slow_wheel_has_the_noise_of_a_period_and_not_of_a_count(speed):
     edges = sampled(EdgeTime(PER_TURN, 0.010), lambda t: speed * t, range(4000))[1000:]
-    window = sampled(SpeedWindow(PER_TURN, 20), lambda t: speed * t, range(4000))[1000:]
+    window = sampled(MovingAverageSpeed(PER_TURN, 20), lambda t: speed * t, range(4000))[1000:]
     assert statistics.fmean(edges) == pytest.approx(speed, rel=0.01)
     assert statistics.stdev(edges) < speed * 5e-4 / 0.010 / math.sqrt(6.0) * 1.2
     assert statistics.stdev(edges) < 0.6 * statistics.stdev(window)

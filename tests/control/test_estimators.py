@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inteco_abs.config import load_config
-from inteco_abs.control import ESTIMATORS, SpeedWindow, TwoWheels, control_check
+from inteco_abs.control import ESTIMATORS, MovingAverageSpeed, TwoWheels, control_check
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import BoardFlags, Estimate, Sample
 
@@ -25,7 +25,7 @@ def estimator(*settings: str):
 
 
 def window(length: int, per_turn: int = 2048) -> TwoWheels:
-    return TwoWheels(SpeedWindow(per_turn, length), SpeedWindow(per_turn, length), MASK)
+    return TwoWheels(MovingAverageSpeed(per_turn, length), MovingAverageSpeed(per_turn, length), MASK)
 
 
 @pytest.mark.parametrize("name", WINDOWS)

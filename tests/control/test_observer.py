@@ -8,7 +8,7 @@ import pytest
 
 from inteco_abs.control import Pipeline, PredictiveReaching, Setup, make_controller
 from inteco_abs.control.estimators import Observer
-from inteco_abs.control.estimators.braking_ekf import Spread
+from inteco_abs.control.estimators.braking_ekf import EkfTuning
 from inteco_abs.rig import EncoderVariation, RigParameters, draw
 from inteco_abs.signals import BoardFlags, Command, Phase, Reason, Sample
 
@@ -291,7 +291,7 @@ def test_a_rig_that_only_coasts_is_followed_to_its_end(rolling):
 @pytest.mark.untraced
 @pytest.mark.parametrize(
     "spread",
-    [Spread(wheel_walk_rad_s=math.inf), Spread(torque_sd_nm=math.nan), Spread(adhesion_walk=math.nan)],
+    [EkfTuning(wheel_walk_rad_s=math.inf), EkfTuning(torque_sd_nm=math.nan), EkfTuning(adhesion_walk=math.nan)],
     ids=["infinite", "no number", "no number on the way"],
 )
 def test_an_observer_that_loses_its_mind_ends_the_run_with_the_outputs_off(experiment, spread):

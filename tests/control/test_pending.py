@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.control.estimators.prediction import LONGEST_DEAD_TIME_S, Pending
+from inteco_abs.control.estimators.prediction import LONGEST_DEAD_TIME_S, DelayLine
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -27,7 +27,7 @@ class Told:
         random = np.random.default_rng(seed)
         torques, ticks = random.uniform(0.0, FULL_NM, 120).tolist(), random.integers(1, 6, 120).tolist()
         torques[-1] = torques[-1] if last is None else last
-        self.pending, self.period_s, self.newest = Pending(period_s), period_s, torques[-1]
+        self.pending, self.period_s, self.newest = DelayLine(period_s), period_s, torques[-1]
         for torque, count in zip(torques, ticks, strict=True):
             self.pending.tell(torque, count)
         held = [before for before, count in zip([0.0, *torques], ticks, strict=False) for _ in range(count)]

@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inteco_abs.control import PredictiveReaching, Setup
-from inteco_abs.control.wheel_dynamics import Contact
+from inteco_abs.control.wheel_dynamics import WheelDynamics
 from inteco_abs.rig import RigParameters, adhesion, measured_torque
-from inteco_abs.signals import BrakeDemand, Estimate, Outlook
+from inteco_abs.signals import BrakeDemand, Estimate, Prediction
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
 MASK = RigParameters.named("mask")
-CONTACT = Contact(MASK)
+CONTACT = WheelDynamics(MASK)
 SETUP = Setup(0.2, MASK, 5.0)
 GAINS = {gain.name: gain.default for gain in PredictiveReaching.gains}
 K, A, A_MOST = GAINS["k"], GAINS["a"], GAINS["a_most"]
@@ -24,7 +24,7 @@ SPEEDS = st.floats(6.0, 245.0)
 LAGS = st.floats(0.025, 0.09)
 
 OUTLOOKS = st.builds(
-    Outlook,
+    Prediction,
     wheel_angle_rad=st.floats(-1e6, 1e6),
     wheel_speed_rad_s=st.floats(-50.0, 300.0),
     road_speed_rad_s=st.floats(-50.0, 300.0),
@@ -45,7 +45,7 @@ def law(**gains):
 def outlook(slip, road_speed, lagged=3.0, **other):
     """Of a rig that is the published one, but for what is named."""
     wheel_speed = (1.0 - slip) * MASK.r2 / MASK.r1 * road_speed
-    nothing = Outlook(0.0, wheel_speed, road_speed, lagged, 0.0, 1.0, 0.0, 0.0, 0.01, 0.05)
+    nothing = Prediction(0.0, wheel_speed, road_speed, lagged, 0.0, 1.0, 0.0, 0.0, 0.01, 0.05)
     return nothing._replace(**other)
 
 

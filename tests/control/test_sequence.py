@@ -4,7 +4,7 @@ from itertools import groupby, pairwise
 import pytest
 
 from inteco_abs.config import load_config
-from inteco_abs.control import Sequence
+from inteco_abs.control import PhaseMachine
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason
 
 SETTINGS = (
@@ -35,7 +35,7 @@ class Play:
 
     def __init__(self, encoders, *settings: str) -> None:
         self.controller = Counting()
-        self.sequence = Sequence(load_config(settings=[*SETTINGS, *settings]), self.controller)
+        self.sequence = PhaseMachine(load_config(settings=[*SETTINGS, *settings]), self.controller)
         self.encoders = encoders()
         self.period_s = self.encoders.period_s
         self.steps = []

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from inteco_abs.config import load_config
-from inteco_abs.control import Sequence
+from inteco_abs.control import PhaseMachine
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason, Sample
 
 SETTINGS = ("experiment.idle_s=0.5", "experiment.hold_s=0.5", "experiment.braking_timeout_s=0.5")
@@ -23,7 +23,7 @@ class Timed:
     """A sequence that begins in a phase, at a time, and sees a road that moves by so many counts."""
 
     def __init__(self, phase: Phase = Phase.IDLE, *settings: str, start_ns: int = 0) -> None:
-        self.sequence = Sequence(load_config(settings=[*SETTINGS, *settings]), Even(), phase)
+        self.sequence = PhaseMachine(load_config(settings=[*SETTINGS, *settings]), Even(), phase)
         self.time_ns, self.road = start_ns, 0
         self.see(0)
 

@@ -5,7 +5,7 @@ from itertools import groupby
 import pytest
 
 from inteco_abs.config import load_config
-from inteco_abs.control import CONTROLLERS, Gain, Sequence, build_pipeline
+from inteco_abs.control import CONTROLLERS, Gain, PhaseMachine, build_pipeline
 from inteco_abs.errors import ConfigError
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason
 
@@ -186,7 +186,7 @@ class Unsteady:
 
     def __init__(self, encoders) -> None:
         settings = ("experiment.start_speed_rad_s=10.0", "experiment.idle_s=1.0", "experiment.hold_s=0.0")
-        self.sequence = Sequence(load_config(settings=[*settings, "experiment.stops=2"]), Even())
+        self.sequence = PhaseMachine(load_config(settings=[*settings, "experiment.stops=2"]), Even())
         self.encoders = encoders()
 
     def step(self, speed, **timing):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.config import load_config
-from inteco_abs.control import KalmanFilter, SpeedWindow, TrackingLoop, control_check
+from inteco_abs.control import KalmanFilter, MovingAverageSpeed, TrackingLoop, control_check
 from inteco_abs.errors import ConfigError
 
 PER_TURN = 2048
@@ -90,7 +90,7 @@ def test_filters_let_less_of_the_counting_through_than_the_papers_difference(nam
     def noise(filtered) -> float:
         return statistics.stdev(follow(filtered, lambda t: 77.77 * t, 2.0)[-2000:])
 
-    assert noise(FILTERS[name]()) < 0.1 * noise(SpeedWindow(PER_TURN, 1))
+    assert noise(FILTERS[name]()) < 0.1 * noise(MovingAverageSpeed(PER_TURN, 1))
 
 
 def test_a_tracking_loop_too_quick_for_the_loop_is_refused_with_both_values():

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from inteco_abs.control import MovingWindow, SpeedWindow, TwoWheels
-from inteco_abs.control.count_speed import SpeedWindows
+from inteco_abs.control import MovingAverageSpeed, MovingWindow, TwoWheels
+from inteco_abs.control.count_speed import MovingAverageSpeeds
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import Sample
 
@@ -22,7 +22,7 @@ counts = st.integers(-(2**40), 2**40)
 
 @given(lengths, turns, st.lists(st.tuples(steps_ns, counts), min_size=1, max_size=100))
 def test_the_speed_is_the_count_difference_over_the_window_by_its_elapsed_time(length, per_turn, track):
-    window, kept, time_ns = SpeedWindow(per_turn, length), deque(maxlen=length + 1), 0
+    window, kept, time_ns = MovingAverageSpeed(per_turn, length), deque(maxlen=length + 1), 0
     for step_ns, count in track:
         time_ns += step_ns
         kept.append((time_ns, count))
@@ -34,7 +34,7 @@ def test_the_speed_is_the_count_difference_over_the_window_by_its_elapsed_time(l
 
 @given(lengths, turns, st.integers(-90, 90), steps_ns, counts, st.integers(0, 2**60))
 def test_a_constant_speed_is_exact_from_the_second_sample_on(length, per_turn, step, step_ns, start, since_ns):
-    window = SpeedWindow(per_turn, length)
+    window = MovingAverageSpeed(per_turn, length)
     exact = step * TURN / per_turn / (step_ns * 1e-9)
     speeds = [window.update(since_ns + k * step_ns, start + k * step) for k in range(2 * length + 3)]
     assert speeds[0] == 0.0
@@ -43,7 +43,7 @@ def test_a_constant_speed_is_exact_from_the_second_sample_on(length, per_turn, s
 
 @given(lengths, st.lists(st.tuples(steps_ns, st.integers(-1000, 1000)), min_size=2, max_size=60), counts)
 def test_only_differences_of_counts_matter(length, track, offset):
-    plain, shifted, time_ns = SpeedWindow(2048, length), SpeedWindow(2048, length), 0
+    plain, shifted, time_ns = MovingAverageSpeed(2048, length), MovingAverageSpeed(2048, length), 0
     for step_ns, count in track:
         time_ns += step_ns
         assert plain.update(time_ns, count) == shifted.update(time_ns, count + offset)
@@ -51,7 +51,7 @@ def test_only_differences_of_counts_matter(length, track, offset):
 
 @given(lengths, st.lists(st.tuples(steps_ns, st.integers(-1000, 1000)), min_size=2, max_size=60))
 def test_counting_the_other_way_is_the_negative_speed(length, track):
-    forward, backward, time_ns = SpeedWindow(2048, length), SpeedWindow(2048, length), 0
+    forward, backward, time_ns = MovingAverageSpeed(2048, length), MovingAverageSpeed(2048, length), 0
     for step_ns, count in track:
         time_ns += step_ns
         assert forward.update(time_ns, count) == -backward.update(time_ns, -count)
@@ -59,7 +59,7 @@ def test_counting_the_other_way_is_the_negative_speed(length, track):
 
 @given(lengths, st.integers(1, 1000))
 def test_a_step_of_counts_is_forgotten_after_one_length(length, jump):
-    window = SpeedWindow(2048, length)
+    window = MovingAverageSpeed(2048, length)
     for k in range(length + 1):
         window.update(k * 500_000, 0)
     at_jump = [window.update((length + 1 + k) * 500_000, jump) for k in range(length + 1)]
@@ -68,7 +68,7 @@ def test_a_step_of_counts_is_forgotten_after_one_length(length, jump):
 
 
 def test_a_window_that_was_cleared_begins_anew():
-    window = SpeedWindow(2048, 5)
+    window = MovingAverageSpeed(2048, 5)
     window.update(0, 0)
     assert window.update(500_000, 20) > 0.0
     window.clear()
@@ -77,7 +77,7 @@ def test_a_window_that_was_cleared_begins_anew():
 
 @pytest.mark.parametrize("later_ns", [1_000_000, 999_999])
 def test_no_time_between_two_samples_gives_no_speed_instead_of_a_division_by_zero(later_ns):
-    window = SpeedWindow(2048, 1)
+    window = MovingAverageSpeed(2048, 1)
     window.update(1_000_000, 0)
     assert window.update(later_ns, 5) == 0.0
 
@@ -88,7 +88,11 @@ tracks = st.lists(st.tuples(st.integers(-1000, 10_000_000), counts, counts), min
 @given(lengths, turns, tracks)
 @example(length=1, per_turn=2048, track=[(0, 0, 0), (1, 5, 7)])
 def test_both_wheels_at_once_have_the_speeds_of_each_to_the_last_bit(length, per_turn, track):
-    both, wheel, road = SpeedWindows(per_turn, length), SpeedWindow(per_turn, length), SpeedWindow(per_turn, length)
+    both, wheel, road = (
+        MovingAverageSpeeds(per_turn, length),
+        MovingAverageSpeed(per_turn, length),
+        MovingAverageSpeed(per_turn, length),
+    )
     time_ns = 0
     for step_ns, wheel_count, road_count in track:
         time_ns += step_ns
@@ -100,7 +104,7 @@ def test_both_wheels_at_once_have_the_speeds_of_each_to_the_last_bit(length, per
 def test_the_moving_window_estimates_as_two_windows_do_to_the_last_bit(length, per_turn, track):
     parameters = RigParameters.named("mask")
     both = MovingWindow(per_turn, length, parameters)
-    each = TwoWheels(SpeedWindow(per_turn, length), SpeedWindow(per_turn, length), parameters)
+    each = TwoWheels(MovingAverageSpeed(per_turn, length), MovingAverageSpeed(per_turn, length), parameters)
     time_ns = 0
     for number, (step_ns, wheel_count, road_count) in enumerate(track):
         time_ns += step_ns

@@ -8,7 +8,7 @@ from enum import IntEnum
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import Device, Usb2Face, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board import Device, Usb2FrontEnd, UsbBoard, UsbHost, UsbIdentity
 from inteco_abs.mock_board.usbip.usb_device import Handshake
 
 
@@ -86,7 +86,7 @@ class HandClock:
 
 
 def new_face(clock=None):
-    return Usb2Face(Device(load_config(), (clock or HandClock()).now_ns))
+    return Usb2FrontEnd(Device(load_config(), (clock or HandClock()).now_ns))
 
 
 def new_host(speed, *, drill=True, clock=None, **identity):

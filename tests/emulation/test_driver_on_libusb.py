@@ -11,7 +11,7 @@ import pytest
 from usbfs import UsbfsTree
 
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import Device, Usb2Face, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board import Device, Usb2FrontEnd, UsbBoard, UsbHost, UsbIdentity
 
 HERE = Path(__file__).parent
 
@@ -24,7 +24,7 @@ def driven():
 
     def drive(engine):
         device = Device(load_config(), time.monotonic_ns, 1)
-        board = UsbBoard(Usb2Face(device), UsbIdentity(serial=900_000_001))
+        board = UsbBoard(Usb2FrontEnd(device), UsbIdentity(serial=900_000_001))
         tree = UsbfsTree(UsbHost(board))
         paths = f"{HERE.parents[1]}{os.pathsep}{HERE}"
         try:

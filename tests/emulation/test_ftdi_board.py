@@ -12,7 +12,7 @@ from pyusb_backend import BusBackend
 
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, decode_read, encode_send
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import ByteStream, Device, FtdiBoard, Speed, UsbFace, UsbHost
+from inteco_abs.mock_board import ByteStream, Device, FtdiBoard, Speed, UsbFrontEnd, UsbHost
 from inteco_abs.mock_board.usbip.usb_device import Handshake, Setup
 
 IN, OUT = 0x81, 0x02
@@ -35,7 +35,7 @@ class SteppingClock(HandClock):
 
 
 def new_board(clock):
-    return FtdiBoard(ByteStream(UsbFace(Device(load_config(profile="sim_usb"), clock.now_ns))), now_ns=clock.now_ns)
+    return FtdiBoard(ByteStream(UsbFrontEnd(Device(load_config(profile="sim_usb"), clock.now_ns))), now_ns=clock.now_ns)
 
 
 @pytest.fixture
@@ -210,7 +210,7 @@ def test_a_bus_reset_leaves_outputs_and_timer_alone(board):
 @given(cuts=st.lists(st.integers(0, 64), max_size=40))
 def test_the_cuts_of_the_packets_do_not_matter(cuts):
     clock, stream = HandClock(), READ_REQUEST + DRIVING + READ_REQUEST
-    board, twin = new_board(clock), UsbFace(Device(load_config(profile="sim_usb"), clock.now_ns))
+    board, twin = new_board(clock), UsbFrontEnd(Device(load_config(profile="sim_usb"), clock.now_ns))
     for cut in [*cuts, *[Speed.FULL.packet_bytes] * 3]:
         board.packet_out(OUT, stream[:cut])
         stream = stream[cut:]

@@ -26,7 +26,7 @@ from inteco_abs.config import UsbConfig, load_config
 from inteco_abs.control import build_pipeline
 from inteco_abs.errors import BoardError, LinkError, UnsafeError
 from inteco_abs.format import TICK, pack_tick
-from inteco_abs.mock_board import Device, Speed, Usb2Face, UsbBoard, UsbHost
+from inteco_abs.mock_board import Device, Speed, Usb2FrontEnd, UsbBoard, UsbHost
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
 from inteco_abs.realtime.loop import detail_of
 from inteco_abs.signals import BoardFlags, Reason
@@ -153,7 +153,7 @@ class Run:
         self.config = load_config(settings=["experiment.start_speed_rad_s=40.0", "guard.missed_in_a_row=4"])
         self.clock = VirtualClock(self.config.period_ns)
         self.device = Device(self.config, self.clock.now_ns)
-        self.host = UsbHost(UsbBoard(Usb2Face(self.device)))
+        self.host = UsbHost(UsbBoard(Usb2FrontEnd(self.device)))
         link = UsbLink("", self.config.usb, BusBackend(self.host))
         self.board = RtdacUsb2(link, self.config.board, self.clock.now_ns, self.config.period_ns)
         self.pipeline = build_pipeline(self.config)

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from live import LiveRun
 
-from inteco_abs.commissioning import STEPS, Draft
-from inteco_abs.realtime.memory import Word
+from inteco_abs.commissioning import STEPS, ProfileDraft
+from inteco_abs.realtime.memory import Field
 
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 
@@ -96,7 +96,7 @@ def live(mock, tmp_path):
 def begins(run):
     """Whether the loop may go; if not, because this computer is too busy for the rate."""
     try:
-        run.until(lambda: run.words[Word.GO])
+        run.until(lambda: run.words[Field.GO])
     except AssertionError as error:
         if any(word in str(error) for word in BUSY):
             return False
@@ -217,7 +217,7 @@ def commissioning(mock, tmp_path):
     started = []
 
     def start(*lines):
-        draft = Draft.open(tmp_path / "draft.toml", f"usb:{mock.port}", "sim_usb")
+        draft = ProfileDraft.open(tmp_path / "draft.toml", f"usb:{mock.port}", "sim_usb")
         found = {"logic_version": "0x0111"}
         for step in STEPS[:5]:
             draft.record(step.name, {"outcome": "done", "rests_on": draft.wiring(step.rests_on), **found})

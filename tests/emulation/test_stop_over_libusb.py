@@ -12,7 +12,7 @@ import pytest
 from usbfs import UsbfsTree
 
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import Device, Usb2Face, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board import Device, Usb2FrontEnd, UsbBoard, UsbHost, UsbIdentity
 from inteco_abs.sessions import read_session
 
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.usefixtures("preload"), pytest.mark.untraced]
@@ -69,7 +69,7 @@ def stop(folder, engine, **trouble):
     """Session, result card and board of a stop, at the first rate that this computer keeps."""
     for rate_hz in RATES_HZ:
         device = Device(load_config(), time.monotonic_ns, 1)
-        board = TroubledBoard(Usb2Face(device), UsbIdentity(serial=900_000_001), **trouble)
+        board = TroubledBoard(Usb2FrontEnd(device), UsbIdentity(serial=900_000_001), **trouble)
         board.host = UsbHost(board)
         tree, out = UsbfsTree(board.host), folder / f"stop{rate_hz}.mcap"
         sets = [

@@ -8,7 +8,7 @@ from inteco_abs.boards import RtdacUsb2
 from inteco_abs.boards.transports.usb import ENDPOINTS, UsbLink, boards
 from inteco_abs.config import UsbConfig, load_config
 from inteco_abs.errors import BoardError, LinkError
-from inteco_abs.mock_board import Device, Speed, Urb, Usb2Face, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board import Device, Speed, Urb, Usb2FrontEnd, UsbBoard, UsbHost, UsbIdentity
 from inteco_abs.mock_board.usbip.usb_device import Setup
 from inteco_abs.signals import BoardFlags, Command
 
@@ -33,7 +33,7 @@ class Bus:
         self.clock = Clock()
         self.config = load_config()
         self.device = Device(self.config, self.clock.now_ns, 1)
-        self.board = UsbBoard(Usb2Face(self.device), UsbIdentity(serial=serial, speed=speed, **identity))
+        self.board = UsbBoard(Usb2FrontEnd(self.device), UsbIdentity(serial=serial, speed=speed, **identity))
         self.host = UsbHost(self.board)
         self.backend = BusBackend(self.host)
 
@@ -123,7 +123,7 @@ def test_the_same_run_gives_the_same_samples_over_usb_and_in_process(bus):
             return made
 
     other = Bus()
-    plain = RtdacUsb2(InProcessLink(Usb2Face(other.device)), other.config.board, other.clock.now_ns, PERIOD_NS)
+    plain = RtdacUsb2(InProcessLink(Usb2FrontEnd(other.device)), other.config.board, other.clock.now_ns, PERIOD_NS)
     assert samples(bus.driver(), bus.clock) == samples(plain, other.clock)
 
 

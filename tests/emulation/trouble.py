@@ -15,7 +15,7 @@ from inteco_abs.boards import RtdacUsb2
 from inteco_abs.boards.families.usb2.bridge import NOT_TOLD, FirmwareDates, firmware_dates, identify_led
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, UnsafeError
-from inteco_abs.mock_board import Device, Speed, Urb, Usb2Face, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board import Device, Speed, Urb, Usb2FrontEnd, UsbBoard, UsbHost, UsbIdentity
 from inteco_abs.mock_board.usbip.usb_device import Handshake, Setup
 from inteco_abs.signals import BoardFlags, Command
 
@@ -41,7 +41,7 @@ class HandClock:
         return event.is_set()
 
 
-class MoodyFace(Usb2Face):
+class MoodyFace(Usb2FrontEnd):
     """The mock's endpoints; the next answer is what `change` makes of it and of the one before, none if nothing."""
 
     change = None

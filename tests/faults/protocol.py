@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from inteco_abs.realtime import rules as code
-from inteco_abs.realtime.rules import Deed
+from inteco_abs.realtime.rules import Action
 
 POLL_NS = 25_000_000
 LOOP_WINDOW = 50_000_000 // POLL_NS
@@ -188,11 +188,11 @@ def _watching(state: State, rules: Rules) -> State:
     silent = drives and state.loop_seen > LOOP_WINDOW and rules.guardian_kills_a_silent_loop
     ended = state.loop == "dead"
     deed = code.guardian_does(held=state.holds, loop_ended=ended, loop_silent=silent)
-    if Deed.RESCUE in deed and rules.guardian_takes_over:
+    if Action.RESCUE in deed and rules.guardian_takes_over:
         return state._replace(guardian="claiming")
-    if Deed.KILL_LOOP in deed and rules.guardian_waits_for_the_end:
+    if Action.KILL_LOOP in deed and rules.guardian_waits_for_the_end:
         return _killed(state)
-    if Deed.KILL_LOOP in deed:
+    if Action.KILL_LOOP in deed:
         return _killed(state)._replace(guardian="claiming", two_hosts=True)  # it has not ended by now
     return state._replace(guardian="done") if ended else state
 
@@ -214,7 +214,7 @@ def _supervisor(state: State, rules: Rules) -> Iterator[State]:
         yield state._replace(supervisor="runs", output=False, holds=False)
         return
     begun = state.loop not in ("new", "held")
-    deed = Deed.NONE
+    deed = Action.NONE
     if begun:
         deed = code.supervisor_does(
             held=state.holds,
@@ -224,20 +224,20 @@ def _supervisor(state: State, rules: Rules) -> Iterator[State]:
             guardian_silent=state.guardian_watched > GUARDIAN_WINDOW,
         )
         if not rules.supervisor_waits_for_both_ends and state.guardian_watched <= GUARDIAN_WINDOW:
-            deed = Deed.NONE
+            deed = Action.NONE
     yield _done(state, deed, rules)
     if not state.stop and state.loop == "driving":
         yield _done(state, deed, rules)._replace(stop=True)  # the operator
 
 
-def _done(state: State, deed: Deed, rules: Rules) -> State:
-    if Deed.STOP in deed and rules.supervisor_stops:
+def _done(state: State, deed: Action, rules: Rules) -> State:
+    if Action.STOP in deed and rules.supervisor_stops:
         state = state._replace(stop=True)
-    if Deed.KILL_GUARDIAN in deed and rules.supervisor_kills and state.guardian != "dead":
+    if Action.KILL_GUARDIAN in deed and rules.supervisor_kills and state.guardian != "dead":
         state = state._replace(guardian="dying", frozen=state.frozen - {"guardian"})
-    if Deed.KILL_LOOP in deed and rules.supervisor_kills:
+    if Action.KILL_LOOP in deed and rules.supervisor_kills:
         state = _killed(state)
-    if Deed.RESCUE in deed and rules.supervisor_rescues:
+    if Action.RESCUE in deed and rules.supervisor_rescues:
         hosts = state.guardian not in GONE or state.loop != "dead"
         state = state._replace(supervisor="rescuing", two_hosts=state.two_hosts or hosts)
     return state

@@ -11,12 +11,12 @@ from inteco_abs.errors import AbsError, UnsafeError
 from inteco_abs.mock_board import (
     Fault,
     FaultyDevice,
-    FaultyFace,
+    FaultyFrontEnd,
     Schedule,
     Truth,
     face_of,
-    insist_on_possible,
     parse_faults,
+    require_possible,
 )
 from inteco_abs.realtime.clock import VirtualClock
 from inteco_abs.realtime.loop import Loop, StopWord
@@ -93,11 +93,11 @@ def ride(
     """One stop with `faults`; `stop_at`: tick at which the operator asks for the end."""
     clock = VirtualClock(config.period_ns)
     parsed = [fault if isinstance(fault, Fault) else parse_faults([fault])[0] for fault in faults]
-    insist_on_possible(parsed, config.board.kind)
+    require_possible(parsed, config.board.kind)
     schedule = Schedule(parsed, clock.now_ns, seed)
     result = Ride(config.period_ns)
     device = FaultyDevice(config, clock.now_ns, seed, result.truths.append, schedule=schedule)
-    face = FaultyFace(
+    face = FaultyFrontEnd(
         face_of,
         device,
         lambda seconds: clock.pass_ns(round(seconds * 1e9)),

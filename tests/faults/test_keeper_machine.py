@@ -24,7 +24,16 @@ from hypothesis.stateful import (
 from mcap.writer import Writer
 
 from inteco_abs.errors import AbsError, SessionError
-from inteco_abs.sessions import TICK, TRUTH, Conclusion, Introduction, Keeper, Recorder, read_session, recover_session
+from inteco_abs.sessions import (
+    TICK,
+    TRUTH,
+    FailoverWriter,
+    FileWriter,
+    RunEnd,
+    RunHeader,
+    read_session,
+    recover_session,
+)
 from inteco_abs.sessions import writer as recorder
 from inteco_abs.signals import Reason
 from tests.faults.stage import SHORTEST, configured, ride
@@ -71,9 +80,9 @@ class Keeping(RuleBasedStateMachine):
 
     @initialize(spill=st.booleans())
     def introduce(self, spill):
-        opener = partial(Recorder, start_ns=0, session_id=ID, epoch_ns=10**18)
-        self.keeper = Keeper(self.places["out"], opener, self.places["spill"] if spill else None)
-        self.keeper.introduce(configured(*SHORTEST), Introduction("sim:", {}, True, {}, [], b""), self.places["out"])
+        opener = partial(FileWriter, start_ns=0, session_id=ID, epoch_ns=10**18)
+        self.keeper = FailoverWriter(self.places["out"], opener, self.places["spill"] if spill else None)
+        self.keeper.introduce(configured(*SHORTEST), RunHeader("sim:", {}, True, {}, [], b""), self.places["out"])
 
     @property
     def left(self):
@@ -153,7 +162,7 @@ class Keeping(RuleBasedStateMachine):
     def _conclude(self):
         with self.keeper:
             try:
-                account = self.keeper.conclude(Conclusion(Reason.NONE, self.keeper.ticks))
+                account = self.keeper.conclude(RunEnd(Reason.NONE, self.keeper.ticks))
             except SessionError:
                 assert self.keeper.everything[0] == self.told
             else:

@@ -67,7 +67,7 @@ def no_threads(monkeypatch):
 @pytest.mark.usefixtures("no_threads")
 def test_a_thread_that_cannot_be_started_is_an_error_of_ours(memories):
     made = memory.RunMemory.create(TICK.size, 1, TRUTH.size, 1)
-    with pytest.raises(BoardError, match="no thread can be started"), beating(made, memory.Word.RECORDER_BEAT_NS, 0.1):
+    with pytest.raises(BoardError, match="no thread can be started"), beating(made, memory.Field.RECORDER_BEAT_NS, 0.1):
         pytest.fail("it was entered")
     memories[-1].remove()
 

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from inteco_abs.control import BrakingModel
 from inteco_abs.errors import ConfigError
-from inteco_abs.gain_design import HARD, KNOWN, Box, Spread, stated_box
+from inteco_abs.gain_design import HARD, KNOWN, Box, ParameterRange, stated_box
 from inteco_abs.gain_design.bounds import AtSlip, terms, worst
 from inteco_abs.gain_design.intervals import Interval, in_words, where_lost
 from inteco_abs.rig import RigParameters, RigVariation, brake_duty, draw, holding_torque, settled_torque, wheel_slip
-from inteco_abs.rig.adhesion_curve import Surface
+from inteco_abs.rig.adhesion_curve import AdhesionCurve
 from inteco_abs.rig.model import Model
 
 MASK = RigParameters.named("mask")
@@ -47,8 +47,8 @@ def test_an_f_that_is_ten_percent_off_is_held_from_the_published_speed_on(Mq, sp
 
 @pytest.mark.parametrize(("Mq", "less", "more"), [(1.0, 65.0, 71.0), (4.0, 16.0, 18.0)])
 def test_friction_that_is_ten_percent_off_is_held_from_the_published_speeds_on(Mq, less, more):
-    assert held_from(Mq, Box(MASK, (Spread("mu", 0.9, 1.0),))) == pytest.approx(less, abs=0.5)
-    assert held_from(Mq, Box(MASK, (Spread("mu", 1.0, 1.1),))) == pytest.approx(more, abs=0.5)
+    assert held_from(Mq, Box(MASK, (ParameterRange("mu", 0.9, 1.0),))) == pytest.approx(less, abs=0.5)
+    assert held_from(Mq, Box(MASK, (ParameterRange("mu", 1.0, 1.1),))) == pytest.approx(more, abs=0.5)
     assert held_from(Mq, box_of("mu=10%")) == pytest.approx(more, abs=0.5)
 
 
@@ -120,7 +120,7 @@ def test_some_rig_on_the_edge_of_the_box_is_as_bad_as_its_bounds():
 def test_f_and_g_are_the_slips_derivative_by_the_physics_of_the_drawn_rig(shares, slip, speed):
     drawn = drawn_from(BOXES["hard"], shares)
     rig, k = drawn.rig, drawn.rig.parameters
-    model = Model(k, Surface(rig.adhesion_scale, rig.adhesion_blend))
+    model = Model(k, AdhesionCurve(rig.adhesion_scale, rig.adhesion_blend))
     rim_ratio = (1.0 - slip) * k.r2 / k.r1
     assert wheel_slip(rim_ratio * speed, speed, k) == pytest.approx(slip)
     a, b, c = terms(drawn, slip, MASK)

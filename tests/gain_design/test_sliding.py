@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.control import BrakingModel, reaching_law_torque
-from inteco_abs.gain_design import Box, Spread
+from inteco_abs.gain_design import Box, ParameterRange
 from inteco_abs.gain_design.bounds import AtSlip
 from inteco_abs.gain_design.intervals import where_lost
 from inteco_abs.rig import Plant, RigParameters, RigVariation, brake_duty
@@ -19,7 +19,7 @@ START_RAD_S, END_RAD_S = 110.0, 12.0
 
 
 def box(mu):
-    return AtSlip(Box(MASK, (Spread("mu", min(mu, 1.0), max(mu, 1.0)),)), REFERENCE)
+    return AtSlip(Box(MASK, (ParameterRange("mu", min(mu, 1.0), max(mu, 1.0)),)), REFERENCE)
 
 
 def needed(at, speed):

@@ -12,7 +12,7 @@ from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.identification import experiments
-from inteco_abs.rig import believed_brake, believed_parameters, draw, settled_torque
+from inteco_abs.rig import draw, nominal_brake_map, nominal_parameters, settled_torque
 
 RIG = draw("hard", 3)
 RECORDED = ("coast", "stop-060", "stop-070")
@@ -93,10 +93,10 @@ def test_what_is_assumed_stays_as_it_is_believed_and_is_called_so(identified):
 def test_the_parameter_file_is_a_configuration_for_all_that_believes_in_a_model(identified):
     model = load_config(identified[2]).model
     estimates = identified[1]
-    parameters = believed_parameters(model)
+    parameters = nominal_parameters(model)
     assert parameters.d2 == pytest.approx(estimates["d2"]["value"])
     assert 1.0 / parameters.c31 == pytest.approx(estimates["brake_lag"]["value"])
-    assert believed_brake(model).torque(0.7) == pytest.approx(estimates["M1(0.7)"]["value"])
+    assert nominal_brake_map(model).torque(0.7) == pytest.approx(estimates["M1(0.7)"]["value"])
     assert model.identified.drive_no_load_speed_rad_s == estimates["drive_no_load_speed"]["value"]
 
 

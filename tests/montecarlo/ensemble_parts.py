@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from inteco_abs.montecarlo import Ideal
+from inteco_abs.montecarlo import IdealPolicy
 from inteco_abs.signals import BrakeDemand, Command, Estimate
 
 
@@ -53,7 +53,7 @@ class LockedAt:
 
 def torque_oracle(variation, state):
     """Knows of each rig what it is and what it does."""
-    return Ideal(state), LockedAt(state, 2.0 * variation.adhesion_scale)
+    return IdealPolicy(state), LockedAt(state, 2.0 * variation.adhesion_scale)
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class OneDuty:
     duty: object
 
     def __call__(self, _variation, state):
-        return Ideal(state), Constant(duty=self.duty)
+        return IdealPolicy(state), Constant(duty=self.duty)
 
 
 def failing(variation, state):
@@ -75,7 +75,7 @@ def failing(variation, state):
                 raise ZeroDivisionError("speed of nothing")
             return super().update(estimate, dt_s)
 
-    return Ideal(state), Failing()
+    return IdealPolicy(state), Failing()
 
 
 class Refusing:

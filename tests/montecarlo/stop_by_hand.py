@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from inteco_abs.control import SpeedWindow, make_controller, make_estimator
+from inteco_abs.control import MovingAverageSpeed, make_controller, make_estimator
 from inteco_abs.rig import Encoder, Plant
 from inteco_abs.signals import Command, Sample
 
@@ -48,7 +48,7 @@ def stop_by_hand(rig, config, run_up_from_rad_s=165.0):
     start = config.experiment.start_speed_rad_s
     loop = Loop(rig, config, start if run_up_from_rad_s is None else run_up_from_rad_s)
     plant = loop.plant
-    estimator, controller, window = make_estimator(config), make_controller(config), SpeedWindow(2048, 40)
+    estimator, controller, window = make_estimator(config), make_controller(config), MovingAverageSpeed(2048, 40)
     ticks, braking, decisions = [], run_up_from_rad_s is None, 0
     while plant.road_speed >= 0.5:
         sample = loop.sample()

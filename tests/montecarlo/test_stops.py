@@ -15,9 +15,9 @@ from inteco_abs.montecarlo import (
     ESTIMATOR_NAMES,
     LONGEST_BRAKING_S,
     METRICS,
-    AsConfigured,
+    ConfiguredPolicy,
     Experiment,
-    Stops,
+    StopResults,
     run_all,
     run_stops,
 )
@@ -92,7 +92,7 @@ def test_what_is_wrong_with_a_controller_is_told_from_other_processes_too(proces
 def test_experiments_are_done_in_order_and_progress_counts_them_all():
     told = []
     others = [draw("hard", 30)]
-    maker = AsConfigured(SHORT)
+    maker = ConfiguredPolicy(SHORT)
     both = run_all(
         [Experiment(tuple(rigs), SHORT, maker, 38.0) for rigs in (RIGS, others)],
         shard=2,
@@ -262,7 +262,7 @@ def made_up(**columns):
     metrics = np.full(count, math.nan, dtype=[(name, float) for name in METRICS])
     for name, values in columns.items():
         metrics[name] = values
-    return Stops(metrics, ("",) * count, 0, {})
+    return StopResults(metrics, ("",) * count, 0, {})
 
 
 def test_quantiles_are_numpys_where_all_stops_have_the_metric():

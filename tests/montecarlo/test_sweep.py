@@ -12,7 +12,7 @@ from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.montecarlo import MOST_COMBINATIONS, combinations, parse_draws, run_stops, split_list, sweep
 from inteco_abs.montecarlo.table import draw_sweep, render_sweep
-from inteco_abs.rig import POPULATIONS, draw, torque_to_spare
+from inteco_abs.rig import POPULATIONS, draw, torque_margin
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -43,7 +43,7 @@ def test_one_rig_is_named_by_its_seed():
 def test_capped_rigs_that_cannot_hold_the_slip_are_left_out():
     draws = parse_draws("capped:0-30")
     assert draws.left_out
-    assert {seed for seed in range(31) if torque_to_spare(draw("capped", seed)) < 0.5} == set(draws.left_out)
+    assert {seed for seed in range(31) if torque_margin(draw("capped", seed)) < 0.5} == set(draws.left_out)
     assert set(draws.seeds) == set(range(31)) - set(draws.left_out)
     weak = draws.left_out[0]
     assert mistakes(parse_draws, f"capped:{weak}") == {

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inteco_abs.montecarlo import METRICS, Stops
+from inteco_abs.montecarlo import METRICS, StopResults
 from inteco_abs.paper import compare, verdict
 
 RIGS = 20
@@ -14,7 +14,7 @@ def stops(fixed_rms, **others):
     rows = np.ones(len(fixed_rms), [(name, float) for name in METRICS])
     for name, values in {"slip_rms_fixed_true": fixed_rms, **others}.items():
         rows[name] = values
-    return Stops(rows, ("",) * len(rows), 0, {})
+    return StopResults(rows, ("",) * len(rows), 0, {})
 
 
 def better_on(count, ratio=0.9):

@@ -15,7 +15,7 @@ from inteco_abs.boards import InProcessLink, Link, RtdacUsb2
 from inteco_abs.config import load_config
 from inteco_abs.control import build_pipeline
 from inteco_abs.errors import LinkError
-from inteco_abs.mock_board import Device, Usb2Face
+from inteco_abs.mock_board import Device, Usb2FrontEnd
 from inteco_abs.realtime import Clock, Loop, StopWord, TickRing, VirtualClock, clock
 from inteco_abs.realtime import memory as shared
 from inteco_abs.realtime.job import Job
@@ -193,7 +193,7 @@ class Stack:
         self.config = load_config(settings=[*QUICK, *settings])
         beats = VirtualClock(self.config.period_ns) if beats is None else beats
         self.device = Device(self.config, beats.now_ns, 1)
-        self.link = FlakyLink(InProcessLink(Usb2Face(self.device)))
+        self.link = FlakyLink(InProcessLink(Usb2FrontEnd(self.device)))
         self.board = RtdacUsb2(self.link, self.config.board, beats.now_ns, self.config.period_ns)
         self.ring = TickRing(pack_tick, TICK.size, capacity)
         self.stop = StopWord()

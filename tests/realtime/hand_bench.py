@@ -5,7 +5,7 @@ from inteco_abs.config import load_config
 from inteco_abs.errors import LinkError
 from inteco_abs.mock_board import Device, face_of
 from inteco_abs.realtime import StopWord, VirtualClock
-from inteco_abs.realtime.processes.manual import RATE_HZ, Driven, Screenside, Watched
+from inteco_abs.realtime.processes.manual import RATE_HZ, DriveLoop, ManualClient, WatchLoop
 
 AS_ON_A_REAL_BOARD = ("guard.missed_in_a_row=4", "guard.bucket_limit=30", "guard.brake_limit=0.7")
 
@@ -51,12 +51,12 @@ class Bench:
         self.board = board_behind(self.link, self.config, self.clock.now_ns)
         self.stop = StopWord()
         self.memory = memory
-        self.side = Screenside(memory)
+        self.side = ManualClient(memory)
         self.hand = None
 
     def __enter__(self):
         self.board.__enter__()
-        kind = Watched if self.config.board.read_only else Driven
+        kind = WatchLoop if self.config.board.read_only else DriveLoop
         self.hand = kind(self.board, self.config, self.memory, self.stop)
         return self
 

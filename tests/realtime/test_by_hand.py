@@ -9,7 +9,7 @@ from firmware_protocol.rtdac_usb2 import READ_REQUEST
 from inteco_abs.config import load_config, parse_config, profiles
 from inteco_abs.errors import ConfigError, LinkError, UnsafeError
 from inteco_abs.experiment import by_hand
-from inteco_abs.realtime.memory import Word
+from inteco_abs.realtime.memory import Field
 from inteco_abs.realtime.processes.manual import HELD_NS, RATE_HZ, read_all, slowed
 from inteco_abs.signals import BoardFlags, Command, Reason
 
@@ -92,12 +92,12 @@ def test_a_wish_counts_for_half_a_second_and_is_passed_on_to_a_millionth(wishes,
 
 @pytest.fixture(scope="session")
 def wishes():
-    from inteco_abs.realtime.processes.manual import Wishes
+    from inteco_abs.realtime.processes.manual import HeldRequest
 
     class Memory:
-        words = memoryview(bytearray(8 * len(Word))).cast("q")
+        words = memoryview(bytearray(8 * len(Field))).cast("q")
 
-    return Wishes(Memory())
+    return HeldRequest(Memory())
 
 
 def test_the_guard_has_the_last_word_on_the_duty(bench):

@@ -1,7 +1,7 @@
 import pytest
 
 from inteco_abs.realtime.disk_watch import DiskWatch
-from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.signals import Reason
 
 CAPACITY, RATE_HZ = 500, 100.0
@@ -37,8 +37,8 @@ class Watched:
         return self
 
     def refuse(self, *texts):
-        self.memory.post(Note.TROUBLES, {"texts": texts, "file": "stop.mcap"})
-        self.words[Word.TROUBLES] = len(texts)
+        self.memory.post(Mailbox.TROUBLES, {"texts": texts, "file": "stop.mcap"})
+        self.words[Field.TROUBLES] = len(texts)
 
 
 @pytest.fixture
@@ -61,11 +61,11 @@ def test_a_recorder_that_is_far_behind_is_said_once(watched):
     watched.ticks(1).ticks(1)
     (text,) = watched.screen.texts
     assert "stop.mcap is slow" in text
-    assert not watched.words[Word.STOP]
+    assert not watched.words[Field.STOP]
 
 
 def test_a_recorder_that_has_written_is_not_behind(watched):
-    watched.words[Word.FLUSHED] = 150
+    watched.words[Field.FLUSHED] = 150
     watched.ticks(300)
     assert watched.screen.texts == []
 
@@ -78,19 +78,19 @@ def test_a_disk_that_refuses_is_not_slow_too(watched):
 
 def test_a_run_whose_ticks_have_no_room_left_is_ended_while_there_is_still_enough_to_stop(watched):
     watched.ticks(CAPACITY - int(RATE_HZ))
-    assert not watched.words[Word.STOP]
+    assert not watched.words[Field.STOP]
     watched.ticks(1)
-    assert watched.words[Word.STOP] == Reason.RECORDER_LOST
+    assert watched.words[Field.STOP] == Reason.RECORDER_LOST
 
 
 def test_ticks_that_were_taken_make_room(watched):
     watched.ticks(300)
     watched.memory.tick_reader().take()
     watched.ticks(300)
-    assert not watched.words[Word.STOP]
+    assert not watched.words[Field.STOP]
 
 
 def test_why_a_run_ends_already_stays(watched):
-    watched.words[Word.STOP] = Reason.OPERATOR_STOP
+    watched.words[Field.STOP] = Reason.OPERATOR_STOP
     watched.ticks(CAPACITY)
-    assert watched.words[Word.STOP] == Reason.OPERATOR_STOP
+    assert watched.words[Field.STOP] == Reason.OPERATOR_STOP

@@ -17,6 +17,7 @@ from inteco_abs.host.latency import (
     wake_ups,
 )
 from inteco_abs.realtime import Beat, VirtualClock
+from inteco_abs.realtime import round_trips as round_trips_module
 from inteco_abs.realtime.round_trips import Quantiles, quantiles, round_trips
 from inteco_abs.realtime.tuning import Setting
 from inteco_abs.signals import BoardFlags, Command
@@ -177,14 +178,14 @@ class TimedBoard:
 
 
 def test_a_round_trip_is_one_exchange_of_safe(fake_time, monkeypatch):
-    monkeypatch.setattr(latency, "time", fake_time)
+    monkeypatch.setattr(round_trips_module, "time", fake_time)
     board = TimedBoard(fake_time, [200, 300, -900, 250])
     assert round_trips(board, 4) == pytest.approx([200.0, 300.0, 250.0], abs=0.2)
     assert board.commands == [Command.SAFE] * 4
 
 
 def test_a_board_that_no_longer_answers_is_not_asked_for_ever(fake_time, monkeypatch):
-    monkeypatch.setattr(latency, "time", fake_time)
+    monkeypatch.setattr(round_trips_module, "time", fake_time)
     board = TimedBoard(fake_time, itertools.chain([-9, -9, -9, 1], itertools.repeat(-9)))
     with pytest.raises(BoardError, match="does not answer: the cable is unplugged"):
         round_trips(board, 1000)

@@ -8,10 +8,10 @@ import pytest
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.errors import CaptureError, LinkError
 from inteco_abs.realtime.frames import frames_of, leaving_frames
-from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.realtime.processes.recorder import rebuild, recover_run
 from inteco_abs.realtime.spool import stow
-from inteco_abs.sessions import TICK, Conclusion, Introduction, pack_tick, read_frames, read_session
+from inteco_abs.sessions import TICK, RunEnd, RunHeader, pack_tick, read_frames, read_session
 from inteco_abs.signals import Reason
 from inteco_abs.wire.capture import Capture, Kind, Record, write_capture
 from inteco_abs.wire.recording import recording
@@ -49,8 +49,8 @@ def ended(new_memory, job_of):
     job = replace(job_of(memory), frames=True)
     job.post(memory)
     told = {"identity": {}, "gains": {}, "internals": [], "settings": []}
-    memory.post(Note.INTRODUCTION, told)
-    memory.post(Note.CONCLUSION, {"reason": 0, "detail": "", "cost": {}})
+    memory.post(Mailbox.INTRODUCTION, told)
+    memory.post(Mailbox.CONCLUSION, {"reason": 0, "detail": "", "cost": {}})
     ring = memory.tick_ring(pack_tick)
     for number in range(8):
         ring.append([number if column.name in {"tick", "time_ns"} else 0 for column in TICK.columns])
@@ -82,7 +82,7 @@ def test_of_a_loop_that_was_killed_the_session_has_everything_else_and_says_so(e
 
 def test_a_loop_that_had_no_room_for_them_is_quoted(ended):
     memory, job = ended
-    memory.post(Note.FAILURE, {"kind": "CaptureError", "text": "No space left on device", "notes": []})
+    memory.post(Mailbox.FAILURE, {"kind": "CaptureError", "text": "No space left on device", "notes": []})
     assert "No space left on device" in rebuild(memory, job, job.path).trouble
 
 
@@ -97,7 +97,7 @@ def test_recover_of_a_ring_finds_the_frames_beside_it(ended, child, tmp_path):
     write_capture(memory.frames, CAPTURE)
     gone = child("true")
     gone.wait()
-    for word in (Word.SUPERVISOR_PID, Word.LOOP_PID):
+    for word in (Field.SUPERVISOR_PID, Field.LOOP_PID):
         memory.words[word] = gone.pid
     recover_run(memory.path, tmp_path / "saved.mcap")
     assert read_frames(tmp_path / "saved.mcap").records == CAPTURE.records
@@ -149,7 +149,7 @@ class TestLeaving:
 def test_a_run_that_is_stowed_without_room_for_its_frames_is_stowed(ended, memory_folder, monkeypatch):
     _, job = ended
     monkeypatch.setattr(RunMemory, "frames", memory_folder / "missing" / "x.frames")
-    end = Conclusion(Reason.NONE, 1, frames=lambda: nullcontext((CAPTURE, CAPTURE.records)))
-    introduction = Introduction("sim:", {}, virtual=True, gains={}, internals=[], controller_source=b"")
+    end = RunEnd(Reason.NONE, 1, frames=lambda: nullcontext((CAPTURE, CAPTURE.records)))
+    introduction = RunHeader("sim:", {}, virtual=True, gains={}, internals=[], controller_source=b"")
     ring = stow(job, introduction, end, TICK.pack([0] * len(TICK.columns)), b"")
     assert ring.exists()

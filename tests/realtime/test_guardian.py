@@ -19,13 +19,13 @@ from firmware_protocol.rtdac_usb2 import FRAME_BYTES, HEADER_BYTES, READ_REQUEST
 from inteco_abs.boards import SocketLink
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError
-from inteco_abs.mock_board import Device, SocketServer, Usb2Face
+from inteco_abs.mock_board import Device, SocketServer, Usb2FrontEnd
 from inteco_abs.realtime import watch as watch_module
-from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.realtime.processes import guardian as guardian_module
 from inteco_abs.realtime.processes.guardian import Guardian, rescue
 from inteco_abs.realtime.rules import Silence
-from inteco_abs.realtime.tuning import guardian_wishes
+from inteco_abs.realtime.tuning import guardian_tuning
 from inteco_abs.sessions import TICK
 from inteco_abs.signals import Reason
 
@@ -36,7 +36,7 @@ SAFE = encode_send(PINS)
 
 def header_of_the_mock():
     """What each of its answers begins with."""
-    face = Usb2Face(Device(load_config(), lambda: 0))
+    face = Usb2FrontEnd(Device(load_config(), lambda: 0))
     face.bulk_out(READ_REQUEST)
     return face.bulk_in(FRAME_BYTES)[:HEADER_BYTES]
 
@@ -115,7 +115,7 @@ class TestSilence:
         assert not silence.lasts(2, POLL_NS)
 
 
-class NotedFace(Usb2Face):
+class NotedFace(Usb2FrontEnd):
     """The mock's endpoints, and everything that the host has written to them."""
 
     def __init__(self, device):
@@ -138,8 +138,8 @@ class Run:
         self.server = SocketServer(self.face, str(memory.socket))
         self.pool = ThreadPoolExecutor(2)
         self.stopping = threading.Event()
-        self.words[Word.SUPERVISOR_PID] = os.getpid()
-        self.words[Word.SUPERVISOR_BEAT_NS] = 1
+        self.words[Field.SUPERVISOR_PID] = os.getpid()
+        self.words[Field.SUPERVISOR_BEAT_NS] = 1
         self.serving = self.pool.submit(self._serve)
         self.watching = self.pool.submit(Guardian(memory, job).watch)
 
@@ -148,7 +148,7 @@ class Run:
             self.server.step()
 
     def close(self):
-        self.words[Word.OVER] = 1
+        self.words[Field.OVER] = 1
         try:
             self.watching.result(30)
         finally:
@@ -161,7 +161,7 @@ class Run:
         """Wait as a supervisor waits, with a beating heart."""
 
         def beating():
-            self.words[Word.SUPERVISOR_BEAT_NS] += 1
+            self.words[Field.SUPERVISOR_BEAT_NS] += 1
             return condition()
 
         self._until(beating, what)
@@ -185,25 +185,25 @@ class Run:
         return host
 
     def guard(self, pid):
-        self.words[Word.GUARDED_PID] = pid
-        self.until(lambda: self.words[Word.GUARDING_PID] == pid, "it is guarded")
+        self.words[Field.GUARDED_PID] = pid
+        self.until(lambda: self.words[Field.GUARDING_PID] == pid, "it is guarded")
 
     def hold(self, pid):
         """The guarded process has the board and has written to it."""
         self.leave_driving()
-        self.memory.post(Note.SAFE_IMAGE, IMAGE)
-        self.words[Word.HOLDER_PID] = pid
+        self.memory.post(Mailbox.SAFE_IMAGE, IMAGE)
+        self.words[Field.HOLDER_PID] = pid
         self.guard(pid)
 
     def until_rescued(self, pid):
-        self.until(lambda: self.words[Word.RESCUED_PID] == pid, "the board is taken over")
-        return self.memory.note(Note.RESCUE)
+        self.until(lambda: self.words[Field.RESCUED_PID] == pid, "the board is taken over")
+        return self.memory.note(Mailbox.RESCUE)
 
     def until_polled(self, times=3):
         """The guardian has looked around that often."""
         for _ in range(times):
-            before = self.words[Word.GUARDIAN_BEAT_NS]
-            self.until(lambda before=before: self.words[Word.GUARDIAN_BEAT_NS] != before, "the guardian polls")
+            before = self.words[Field.GUARDIAN_BEAT_NS]
+            self.until(lambda before=before: self.words[Field.GUARDIAN_BEAT_NS] != before, "the guardian polls")
 
 
 @pytest.fixture
@@ -253,8 +253,8 @@ class TestDeath:
         host = run.host()
         process = child("sleep", "600", pass_fds=[host.fileno()])
         host.close()
-        run.memory.post(Note.SAFE_IMAGE, IMAGE)
-        run.words[Word.HOLDER_PID] = process.pid
+        run.memory.post(Mailbox.SAFE_IMAGE, IMAGE)
+        run.words[Field.HOLDER_PID] = process.pid
         run.guard(process.pid)
         with pytest.raises(BoardError, match="another host"):
             SocketLink(str(run.memory.socket))
@@ -268,7 +268,7 @@ class TestDeath:
         host = run.host()
         process.kill()
         time.sleep(0.1)
-        assert run.words[Word.RESCUED_PID] == 0
+        assert run.words[Field.RESCUED_PID] == 0
         assert run.device.duties == BOTH
         host.close()
         assert run.until_rescued(process.pid)["failure"] == ""
@@ -298,24 +298,24 @@ class TestDeath:
             process.kill()
             process.wait()
             run.until_polled(5)
-            assert run.words[Word.RESCUED_PID] == 0
+            assert run.words[Field.RESCUED_PID] == 0
         run.until_rescued(process.pid)
 
     def test_a_process_that_had_let_go_of_the_board_is_not_taken_for_one_that_held_it(self, run, child):
         process = child()
         run.hold(process.pid)
-        run.words[Word.HOLDER_PID] = 0
+        run.words[Field.HOLDER_PID] = 0
         process.kill()
         run.until_polled(5)
         assert run.face.written == []
-        assert run.memory.note(Note.RESCUE) is None
-        assert run.words[Word.RESCUED_PID] == 0
+        assert run.memory.note(Mailbox.RESCUE) is None
+        assert run.words[Field.RESCUED_PID] == 0
         assert run.device.duties == BOTH
 
     def test_without_an_image_nothing_is_written_as_nothing_was_before(self, run, child):
         process = child()
         run.leave_driving()
-        run.words[Word.HOLDER_PID] = process.pid
+        run.words[Field.HOLDER_PID] = process.pid
         run.guard(process.pid)
         process.kill()
         assert run.until_rescued(process.pid)["failure"] == ""
@@ -330,9 +330,9 @@ class TestDeath:
         assert run.device.duties == OFF
 
     def test_a_number_that_no_process_has_any_more_does_not_end_it(self, run, child, ended):
-        run.words[Word.GUARDED_PID] = ended
+        run.words[Field.GUARDED_PID] = ended
         run.until_polled(5)
-        assert run.words[Word.GUARDING_PID] == 0
+        assert run.words[Field.GUARDING_PID] == 0
         run.guard(child().pid)
 
     def test_of_a_process_that_is_gone_no_descriptor_stays_open(self, run, child, monkeypatch):
@@ -349,7 +349,7 @@ class TestDeath:
         process.wait()
         run.guard(child().pid)
         first = set(opened)
-        run.words[Word.OVER] = 1
+        run.words[Field.OVER] = 1
         run.watching.result(30)
         left = []
         for descriptor in first:
@@ -368,7 +368,7 @@ class TestDeath:
             process.kill()
             run.until_rescued(process.pid)
             assert run.device.duties == OFF
-            assert run.words[Word.GUARDING_PID] == process.pid
+            assert run.words[Field.GUARDING_PID] == process.pid
 
 
 class TestHang:
@@ -402,14 +402,14 @@ class TestHang:
         """Two hosts must not write to the board, and on the PCI bus nothing keeps the second one out."""
         process, asked, kill = child(), threading.Event(), os.kill
         run.hold(process.pid)
-        run.words[Word.LOOP_PID] = process.pid
+        run.words[Field.LOOP_PID] = process.pid
         with monkeypatch.context() as patch:
             patch.setattr(os, "kill", lambda pid, number: asked.set() if pid == process.pid else kill(pid, number))
             run.memory.tick_ring(tick).append(0)
             run.until(asked.is_set, "it is to be killed")
-            run.until(lambda: run.words[Word.ALARMED], "the user is told that nobody drives the board")
+            run.until(lambda: run.words[Field.ALARMED], "the user is told that nobody drives the board")
             assert run.face.written == []
-            assert run.words[Word.RESCUED_PID] == 0
+            assert run.words[Field.RESCUED_PID] == 0
         process.kill()
         assert run.until_rescued(process.pid)["cause"] == "hung"
         assert run.device.duties == OFF
@@ -427,7 +427,7 @@ class TestHang:
         run.hold(process.pid)
         run.until_polled(20)
         assert process.poll() is None
-        run.words[Word.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST
+        run.words[Field.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST
         assert run.until_rescued(process.pid)["cause"] == "hung"
         assert process.wait(30) == -signal.SIGKILL
         assert run.device.duties == OFF
@@ -435,7 +435,7 @@ class TestHang:
     def test_one_that_does_not_hold_the_board_any_more_may_be_silent(self, run, child):
         process = child()
         run.hold(process.pid)
-        run.words[Word.HOLDER_PID] = 0
+        run.words[Field.HOLDER_PID] = 0
         run.memory.tick_ring(tick).append(0)
         run.until_polled(20)
         assert process.poll() is None
@@ -445,19 +445,19 @@ class TestTheOthers:
     def test_a_supervisor_that_is_gone_ends_the_run(self, run, child):
         run.guard(child().pid)
         supervisor = child()
-        run.words[Word.SUPERVISOR_PID] = supervisor.pid
+        run.words[Field.SUPERVISOR_PID] = supervisor.pid
         run.until_polled()
-        assert run.words[Word.GUARDIAN_STOP] == 0
+        assert run.words[Field.GUARDIAN_STOP] == 0
         supervisor.kill()
-        run.until(lambda: run.words[Word.GUARDIAN_STOP], "it asks for the end")
-        assert run.words[Word.GUARDIAN_STOP] == Reason.SUPERVISOR_LOST
+        run.until(lambda: run.words[Field.GUARDIAN_STOP], "it asks for the end")
+        assert run.words[Field.GUARDIAN_STOP] == Reason.SUPERVISOR_LOST
 
     def test_left_alone_it_ends_once_nothing_is_left_to_guard(self, run, child):
         supervisor, process = child(), child()
         run.hold(process.pid)
-        run.words[Word.SUPERVISOR_PID] = supervisor.pid
+        run.words[Field.SUPERVISOR_PID] = supervisor.pid
         supervisor.kill()
-        run.until(lambda: run.words[Word.GUARDIAN_STOP], "it asks for the end")
+        run.until(lambda: run.words[Field.GUARDIAN_STOP], "it asks for the end")
         run.until_polled()
         assert not run.watching.done()
         process.kill()
@@ -466,74 +466,74 @@ class TestTheOthers:
 
     def test_a_recorder_that_is_gone_ends_a_run_that_has_begun(self, run, child):
         recorder = child()
-        run.words[Word.RECORDER_PID] = recorder.pid
-        run.words[Word.GO] = 1
+        run.words[Field.RECORDER_PID] = recorder.pid
+        run.words[Field.GO] = 1
         run.until_polled()
-        assert run.words[Word.GUARDIAN_STOP] == 0
+        assert run.words[Field.GUARDIAN_STOP] == 0
         recorder.kill()
 
         def asked():
-            run.words[Word.RECORDER_BEAT_NS] += 1  # its end is what counts, not that it becomes silent
-            return run.words[Word.GUARDIAN_STOP]
+            run.words[Field.RECORDER_BEAT_NS] += 1  # its end is what counts, not that it becomes silent
+            return run.words[Field.GUARDIAN_STOP]
 
         run.until(asked, "it asks for the end")
-        assert run.words[Word.GUARDIAN_STOP] == Reason.RECORDER_LOST
+        assert run.words[Field.GUARDIAN_STOP] == Reason.RECORDER_LOST
 
     def test_before_the_run_begins_there_need_be_no_recorder(self, run):
         run.until_polled(10)
-        assert run.words[Word.GUARDIAN_STOP] == 0
+        assert run.words[Field.GUARDIAN_STOP] == 0
 
     @pytest.mark.untraced
     @pytest.mark.parametrize(
         ("silent", "beating", "reason", "window_s"),
         [
-            (Word.RECORDER_BEAT_NS, Word.SUPERVISOR_BEAT_NS, Reason.RECORDER_LOST, 1.0),
-            (Word.SUPERVISOR_BEAT_NS, Word.RECORDER_BEAT_NS, Reason.SUPERVISOR_LOST, 0.2),
+            (Field.RECORDER_BEAT_NS, Field.SUPERVISOR_BEAT_NS, Reason.RECORDER_LOST, 1.0),
+            (Field.SUPERVISOR_BEAT_NS, Field.RECORDER_BEAT_NS, Reason.SUPERVISOR_LOST, 0.2),
         ],
         ids=["recorder", "supervisor"],
     )
     def test_a_silent_one_ends_the_run_while_it_lives(self, run, until, silent, beating, reason, window_s):
         before = time.monotonic()
-        run.words[Word.RECORDER_PID] = os.getpid()
+        run.words[Field.RECORDER_PID] = os.getpid()
         run.words[silent] = 5
-        run.words[Word.GO] = 1
+        run.words[Field.GO] = 1
 
         def asked():
             run.words[beating] += 1
-            return run.words[Word.GUARDIAN_STOP]
+            return run.words[Field.GUARDIAN_STOP]
 
         until(asked, "it asks for the end")
-        assert run.words[Word.GUARDIAN_STOP] == reason
+        assert run.words[Field.GUARDIAN_STOP] == reason
         assert time.monotonic() - before > 0.9 * window_s
 
     def test_the_first_reason_stays(self, run, child):
-        run.words[Word.GUARDIAN_STOP] = Reason.RECORDER_LOST
+        run.words[Field.GUARDIAN_STOP] = Reason.RECORDER_LOST
         run.guard(child().pid)
         supervisor = child()
-        run.words[Word.SUPERVISOR_PID] = supervisor.pid
+        run.words[Field.SUPERVISOR_PID] = supervisor.pid
         supervisor.kill()
         supervisor.wait()
         run.until_polled(5)
-        assert run.words[Word.GUARDIAN_STOP] == Reason.RECORDER_LOST
+        assert run.words[Field.GUARDIAN_STOP] == Reason.RECORDER_LOST
 
     def test_the_word_that_all_is_over_ends_it_and_touches_nothing(self, run, child):
         process = child()
         run.hold(process.pid)
-        run.words[Word.OVER] = 1
+        run.words[Field.OVER] = 1
         run.watching.result(30)
         assert process.poll() is None
         assert run.face.written == []
 
 
 def test_a_supervisor_that_was_gone_before_the_guardian_came_ends_the_run(memory, job_of, ended):
-    memory.words[Word.SUPERVISOR_PID] = ended
+    memory.words[Field.SUPERVISOR_PID] = ended
     Guardian(memory, job_of(memory)).watch()
-    assert memory.words[Word.GUARDIAN_STOP] == Reason.SUPERVISOR_LOST
+    assert memory.words[Field.GUARDIAN_STOP] == Reason.SUPERVISOR_LOST
 
 
 class TestRescue:
     def test_a_board_that_is_not_there_is_a_board_error(self, memory, job_of):
-        memory.post(Note.SAFE_IMAGE, IMAGE)
+        memory.post(Mailbox.SAFE_IMAGE, IMAGE)
         with pytest.raises(BoardError, match="no board"):
             rescue(memory, job_of(memory))
 
@@ -545,14 +545,14 @@ class TestRescue:
             raise BoardError("this is all that the test wants to know")
 
         monkeypatch.setattr(guardian_module, "open_board", open_board)
-        memory.post(Note.SAFE_IMAGE, IMAGE)
+        memory.post(Mailbox.SAFE_IMAGE, IMAGE)
         with pytest.raises(BoardError, match="all that"):
             rescue(memory, job_of(memory, "usb.engine=faster"))
         assert chosen == ["one-by-one"]
 
     def test_the_board_is_free_afterwards(self, run):
         run.leave_driving()
-        run.memory.post(Note.SAFE_IMAGE, IMAGE)
+        run.memory.post(Mailbox.SAFE_IMAGE, IMAGE)
 
         def rescued():
             with suppress(BoardError):  # on a busy computer the board's thread may be late
@@ -571,26 +571,26 @@ class TestRescue:
 
 def test_the_process_guards_and_ends_when_all_is_over(memory, job_of, child, until):
     job_of(memory)
-    memory.words[Word.SUPERVISOR_PID] = os.getpid()
+    memory.words[Field.SUPERVISOR_PID] = os.getpid()
     process = child(
         sys.executable, "-m", "inteco_abs.realtime.processes", "guardian", memory.path, stderr=subprocess.PIPE
     )
-    memory.words[Word.GUARDED_PID] = child().pid
-    until(lambda: memory.words[Word.GUARDING_PID], "it guards")
-    memory.words[Word.OVER] = 1
+    memory.words[Field.GUARDED_PID] = child().pid
+    until(lambda: memory.words[Field.GUARDING_PID], "it guards")
+    memory.words[Field.OVER] = 1
     assert process.wait(30) == 0
     assert process.communicate()[1] == b""
 
 
 def test_the_process_prepares_itself_and_then_watches_until_nothing_is_left(memory, job_of, ended, monkeypatch):
-    wishes, done = guardian_wishes(), []
-    monkeypatch.setattr(guardian_module, "guardian_wishes", lambda: wishes)
+    wishes, done = guardian_tuning(), []
+    monkeypatch.setattr(guardian_module, "guardian_tuning", lambda: wishes)
     monkeypatch.setattr(guardian_module, "prepare", done.append)
     job_of(memory)
-    memory.words[Word.SUPERVISOR_PID] = ended
+    memory.words[Field.SUPERVISOR_PID] = ended
     assert guardian_module.main(str(memory.path)) == 0
     assert done == [wishes]
-    assert memory.words[Word.GUARDIAN_STOP] == Reason.SUPERVISOR_LOST
+    assert memory.words[Field.GUARDIAN_STOP] == Reason.SUPERVISOR_LOST
 
 
 def standing_of(pid):
@@ -601,8 +601,8 @@ def standing_of(pid):
 
 
 PREPARED = """
-from inteco_abs.realtime.tuning import guardian_wishes, prepare
-prepare(guardian_wishes())
+from inteco_abs.realtime.tuning import guardian_tuning, prepare
+prepare(guardian_tuning())
 print("prepared", flush=True)
 input()
 """
@@ -613,11 +613,11 @@ def test_the_process_has_the_priority_and_the_locked_memory_that_this_computer_g
     memory, job_of, child, python_child, until
 ):
     job_of(memory)
-    memory.words[Word.SUPERVISOR_PID] = os.getpid()
+    memory.words[Field.SUPERVISOR_PID] = os.getpid()
     like = python_child(PREPARED, stdin=subprocess.PIPE)
     assert like.stdout.readline() == "prepared\n"
     if standing_of(like.pid) == standing_of(os.getpid()):
         pytest.skip("this computer grants neither a real-time priority nor locked memory")
     process = child(sys.executable, "-m", "inteco_abs.realtime.processes", "guardian", memory.path)
-    until(lambda: memory.words[Word.GUARDIAN_BEAT_NS], "it watches")
+    until(lambda: memory.words[Field.GUARDIAN_BEAT_NS], "it watches")
     assert standing_of(process.pid) == standing_of(like.pid)

@@ -6,7 +6,7 @@ import pytest
 
 from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, SessionError, UnsafeError
 from inteco_abs.realtime import ownership as holder
-from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.realtime.ownership import holding, stopped, tell_failure
 from inteco_abs.signals import Reason
 
@@ -14,7 +14,7 @@ from inteco_abs.signals import Reason
 @pytest.fixture
 def guarded(memory):
     """A memory whose guardian watches this process."""
-    memory.words[Word.GUARDING_PID] = os.getpid()
+    memory.words[Field.GUARDING_PID] = os.getpid()
     return memory
 
 
@@ -31,33 +31,33 @@ class TestHolding:
             with holding(memory):
                 steps.append("holds")
 
-        memory.words[Word.GUARDING_PID] = os.getppid()
+        memory.words[Field.GUARDING_PID] = os.getppid()
         thread = threading.Thread(target=hold)
         thread.start()
         thread.join(0.05)
         steps.append("watches")
-        assert memory.words[Word.HOLDER_PID] == 0
-        memory.words[Word.GUARDING_PID] = os.getpid()
+        assert memory.words[Field.HOLDER_PID] == 0
+        memory.words[Field.GUARDING_PID] = os.getpid()
         until(lambda: not thread.is_alive(), "it goes on")
         assert steps == ["watches", "holds"]
 
-    @pytest.mark.parametrize("word", [Word.STOP, Word.GUARDIAN_STOP])
+    @pytest.mark.parametrize("word", [Field.STOP, Field.GUARDIAN_STOP])
     def test_a_run_that_is_to_end_does_not_wait_for_the_guardian_and_opens_nothing(self, memory, word):
         memory.words[word] = Reason.OPERATOR_STOP
         with pytest.raises(BoardError, match="guardian does not watch"):
             hold_and_raise(memory, AssertionError("it must not come so far"))
-        assert memory.words[Word.HOLDER_PID] == 0
+        assert memory.words[Field.HOLDER_PID] == 0
 
     def test_without_a_guardian_nothing_is_opened(self, memory, monkeypatch):
         monkeypatch.setattr(holder, "PATIENCE_S", 0.02)
         with pytest.raises(BoardError, match="guardian does not watch"):
             hold_and_raise(memory, AssertionError("it must not come so far"))
-        assert memory.words[Word.HOLDER_PID] == 0
+        assert memory.words[Field.HOLDER_PID] == 0
 
     def test_this_process_is_the_holder_inside_and_nobody_after_a_normal_end(self, guarded):
         with holding(guarded):
-            assert guarded.words[Word.HOLDER_PID] == os.getpid()
-        assert guarded.words[Word.HOLDER_PID] == 0
+            assert guarded.words[Field.HOLDER_PID] == os.getpid()
+        assert guarded.words[Field.HOLDER_PID] == 0
 
     @pytest.mark.parametrize(
         "error",
@@ -68,17 +68,17 @@ class TestHolding:
         with pytest.raises(type(error)) as caught:
             hold_and_raise(guarded, error)
         assert caught.value is error
-        assert guarded.words[Word.HOLDER_PID] == 0
+        assert guarded.words[Field.HOLDER_PID] == 0
 
     def test_a_board_that_could_not_be_made_safe_stays_held_for_the_guardian(self, guarded):
         with pytest.raises(UnsafeError):
             hold_and_raise(guarded, UnsafeError("SAFE could not be confirmed"))
-        assert guarded.words[Word.HOLDER_PID] == os.getpid()
+        assert guarded.words[Field.HOLDER_PID] == os.getpid()
 
 
 @pytest.mark.parametrize(
     ("words", "wanted"),
-    [((), False), ((Word.STOP,), True), ((Word.GUARDIAN_STOP,), True), ((Word.GO, Word.OVER), False)],
+    [((), False), ((Field.STOP,), True), ((Field.GUARDIAN_STOP,), True), ((Field.GO, Field.OVER), False)],
 )
 def test_a_run_is_to_end_when_either_side_says_so(memory, words, wanted):
     for word in words:
@@ -89,7 +89,7 @@ def test_a_run_is_to_end_when_either_side_says_so(memory, words, wanted):
 def test_a_run_without_a_supervisor_is_to_end(memory):
     with subprocess.Popen(["true"]) as gone:
         gone.wait()
-        memory.words[Word.SUPERVISOR_PID] = gone.pid
+        memory.words[Field.SUPERVISOR_PID] = gone.pid
         assert stopped(memory)
 
 
@@ -104,10 +104,10 @@ def test_a_run_without_a_supervisor_is_to_end(memory):
 )
 def test_what_went_wrong_is_left_with_its_kind_its_text_and_its_notes(memory, error, kind, text):
     error.add_note("and then")
-    tell_failure(memory, Note.FAILURE, error)
-    assert memory.note(Note.FAILURE) == {"kind": kind, "text": text, "notes": ["and then"]}
+    tell_failure(memory, Mailbox.FAILURE, error)
+    assert memory.note(Mailbox.FAILURE) == {"kind": kind, "text": text, "notes": ["and then"]}
 
 
 def test_an_error_of_any_length_is_left(memory):
-    tell_failure(memory, Note.FAILURE, ValueError("x" * 100_000))
-    assert memory.note(Note.FAILURE)["kind"] == "ValueError"
+    tell_failure(memory, Mailbox.FAILURE, ValueError("x" * 100_000))
+    assert memory.note(Mailbox.FAILURE)["kind"] == "ValueError"

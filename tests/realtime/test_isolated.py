@@ -15,7 +15,7 @@ from inteco_abs.errors import BoardError, ConfigError, ControllerError
 from inteco_abs.plugins import Controllers, Origin, load_controller
 from inteco_abs.realtime.processes import controller as isolated
 from inteco_abs.realtime.processes.controller import IsolatedController
-from inteco_abs.signals import Estimate, Outlook
+from inteco_abs.signals import Estimate, Prediction
 
 LAW = """
 import math, os, signal, sys, threading, time
@@ -48,7 +48,7 @@ for fd in range(3, 9):
         pass
 """
 """As many bytes as an answer has."""
-OUTLOOK = Outlook(*(math.pi / n for n in range(1, 11)))
+OUTLOOK = Prediction(*(math.pi / n for n in range(1, 11)))
 ESTIMATES = [
     Estimate(171.3, 164.2, 0.1, valid=True),
     Estimate(1 / 3, 2 / 3, 1 / 7, valid=True, outlook=OUTLOOK),

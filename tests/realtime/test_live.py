@@ -20,8 +20,8 @@ from inteco_abs.config import load_config
 from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.format import TICK, pack_tick
-from inteco_abs.realtime.foxglove_server import MOST_VIEWERS, PERIOD_S, insist_on_foxglove, live_view
-from inteco_abs.realtime.memory import Word, alive
+from inteco_abs.realtime.foxglove_server import MOST_VIEWERS, PERIOD_S, live_view, require_foxglove
+from inteco_abs.realtime.memory import Field, alive
 from inteco_abs.realtime.ring import RingReader
 from inteco_abs.signals import Tick
 
@@ -71,11 +71,11 @@ def loop(memory):
 
 def test_nothing_is_served_unless_it_was_asked_for(memory, job):
     with live_view(memory, replace(job, live_port=None)):
-        assert memory.words[Word.LIVE_PORT] == 0
+        assert memory.words[Field.LIVE_PORT] == 0
 
 
 def test_a_viewer_sees_the_newest_tick_as_it_is_in_the_ring(memory, job, loop):
-    with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+    with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
         _, data = loop.reach(viewer)
         decoded = viewer.decode(data)
     assert data == memory.tick_reader().newest()
@@ -83,7 +83,7 @@ def test_a_viewer_sees_the_newest_tick_as_it_is_in_the_ring(memory, job, loop):
 
 
 def test_a_viewer_is_told_what_it_looks_at(memory, job):
-    with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+    with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
         assert viewer.subprotocol == "foxglove.sdk.v1"
         assert viewer.info["name"] == "inteco-abs"
         told = (viewer.channel["topic"], viewer.channel["schemaName"], viewer.channel["encoding"])
@@ -91,7 +91,7 @@ def test_a_viewer_is_told_what_it_looks_at(memory, job):
 
 
 def test_times_keep_the_distance_that_ticks_have(memory, job, loop):
-    with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+    with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
         first, _ = loop.reach(viewer)
         loop.append(40)
         second, _ = viewer.next()
@@ -99,7 +99,7 @@ def test_times_keep_the_distance_that_ticks_have(memory, job, loop):
 
 
 def test_ticks_come_once_each_and_at_most_a_hundred_a_second(memory, job, loop):
-    with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+    with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
         loop.reach(viewer)
         began = time.monotonic()
         for _ in range(40):
@@ -116,7 +116,7 @@ def test_ticks_come_once_each_and_at_most_a_hundred_a_second(memory, job, loop):
 
 
 def test_the_channel_outlives_the_garbage_collector(memory, job, loop):
-    with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+    with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
         loop.reach(viewer)
         for _ in range(5):
             gc.collect()
@@ -126,7 +126,7 @@ def test_the_channel_outlives_the_garbage_collector(memory, job, loop):
 
 def test_nobody_outside_of_this_computer_can_connect(memory, job):
     with live_view(memory, job):
-        port = f":{memory.words[Word.LIVE_PORT]:04X}"
+        port = f":{memory.words[Field.LIVE_PORT]:04X}"
         rows = [line.split() for name in ("tcp", "tcp6") for line in Path("/proc/net", name).read_text().splitlines()]
         listening = [row[1] for row in rows if row[1].endswith(port) and row[3] == "0A"]
     assert listening == [f"0100007F{port}"]
@@ -140,17 +140,17 @@ def test_a_port_that_is_taken_is_named_with_what_to_do(memory, job):
             live_view(memory, replace(job, live_port=port)),
         ):
             raise AssertionError("it was served")
-    assert memory.words[Word.LIVE_PORT] == 0
+    assert memory.words[Field.LIVE_PORT] == 0
 
 
 def test_a_taken_port_is_told_before_a_run_begins_and_a_free_one_stays_free():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(AbsError, match=f"ws://127.0.0.1:{port} cannot be served: .* name another port, or 0"):
-            insist_on_foxglove(port)
+            require_foxglove(port)
     for _ in range(2):
-        insist_on_foxglove(port)
-    insist_on_foxglove(0)
+        require_foxglove(port)
+    require_foxglove(0)
 
 
 def test_trouble_while_serving_ends_the_view_and_nothing_else(memory, job, loop, monkeypatch, capfd):
@@ -173,7 +173,7 @@ def refuses(port):
 
 def test_it_is_gone_afterwards(memory, job, until):
     with live_view(memory, job):
-        port = memory.words[Word.LIVE_PORT]
+        port = memory.words[Field.LIVE_PORT]
         assert not refuses(port)
     until(lambda: refuses(port))
 
@@ -181,7 +181,7 @@ def test_it_is_gone_afterwards(memory, job, until):
 def test_a_missing_extra_is_named(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
     with pytest.raises(AbsError, match=r"--foxglove needs websockets: pip install 'inteco-abs\[foxglove\]'"):
-        insist_on_foxglove(0)
+        require_foxglove(0)
 
 
 def descriptors():
@@ -209,12 +209,12 @@ class TestStrangers:
     )
     def test_a_page_of_elsewhere_is_refused(self, memory, job, origin):
         with live_view(memory, job):
-            assert self.status(memory.words[Word.LIVE_PORT], Origin=origin) == 403
+            assert self.status(memory.words[Field.LIVE_PORT], Origin=origin) == 403
 
     @pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1"])
     def test_a_name_of_a_stranger_that_leads_here_is_refused(self, memory, job, host):
         with live_view(memory, job):
-            port = memory.words[Word.LIVE_PORT]
+            port = memory.words[Field.LIVE_PORT]
             assert self.status(port, Host=host.format(port=port)) == 403
 
     @pytest.mark.parametrize(
@@ -222,17 +222,17 @@ class TestStrangers:
     )
     def test_viewers_of_this_computer_and_the_foxglove_app_are_let_in(self, memory, job, origin):
         with live_view(memory, job):
-            port = memory.words[Word.LIVE_PORT]
+            port = memory.words[Field.LIVE_PORT]
             assert self.status(port, Origin=origin) == 101
             assert self.status(port, Origin=origin, Host=f"localhost:{port}") == 101
 
     def test_a_thousand_that_only_connect_take_a_few_descriptors_and_the_others_go_on(self, memory, job, loop, until):
-        with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+        with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
             loop.reach(viewer)
             held = descriptors()
             idle = [socket.socket() for _ in range(400)]
             for each in idle:
-                each.connect(("127.0.0.1", memory.words[Word.LIVE_PORT]))
+                each.connect(("127.0.0.1", memory.words[Field.LIVE_PORT]))
             loop.reach(viewer)
             until(lambda: descriptors() <= held + len(idle) + MOST_VIEWERS, "the rest is sent away")
             assert alive(os.getpid())
@@ -247,9 +247,9 @@ class TestStrangers:
         ids=["words", "no websocket", "TLS", "zeros", "nothing"],
     )  # fmt: skip
     def test_what_is_no_handshake_disturbs_nobody(self, memory, job, loop, said):
-        with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+        with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
             for _ in range(MOST_VIEWERS + 4):
-                with suppress(OSError), socket.create_connection(("127.0.0.1", memory.words[Word.LIVE_PORT])) as other:
+                with suppress(OSError), socket.create_connection(("127.0.0.1", memory.words[Field.LIVE_PORT])) as other:
                     other.sendall(said)
             loop.reach(viewer)
 
@@ -267,8 +267,8 @@ class TestStrangers:
         ids=range(7),
     )
     def test_what_is_no_order_of_the_protocol_disturbs_no_other_viewer(self, memory, job, loop, said):
-        with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
-            address = f"ws://127.0.0.1:{memory.words[Word.LIVE_PORT]}"
+        with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
+            address = f"ws://127.0.0.1:{memory.words[Field.LIVE_PORT]}"
             with connect(address, subprotocols=["foxglove.sdk.v1"]) as other:  # not before the first has its answer
                 other.send(said)
                 loop.reach(viewer)
@@ -283,7 +283,7 @@ class TestStrangers:
         monkeypatch.setattr(socket, "create_server", create_server)
         subscriptions = [{"id": number, "channelId": 1} for number in range(MOST_VIEWERS)]
         with live_view(memory, job), socket.socket() as other:
-            port = memory.words[Word.LIVE_PORT]
+            port = memory.words[Field.LIVE_PORT]
             other.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
             other.connect(("127.0.0.1", port))
             client = ClientProtocol(parse_uri(f"ws://127.0.0.1:{port}"), subprotocols=["foxglove.sdk.v1"])
@@ -306,7 +306,7 @@ class TestStrangers:
                 loop.reach(viewer)
 
     def test_who_has_unsubscribed_hears_no_more(self, memory, job, loop):
-        with live_view(memory, job), watching(memory.words[Word.LIVE_PORT]) as viewer:
+        with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
             loop.reach(viewer)
             viewer.unsubscribe()
             loop.append()

@@ -15,12 +15,12 @@ from inteco_abs.realtime.tuning import (
     LOOP_PRIORITY,
     Core,
     Setting,
-    Wish,
-    controller_wishes,
+    Tuning,
+    controller_tuning,
     cores_of,
     isolated_cpus,
     loop_cpus,
-    loop_wishes,
+    loop_tuning,
     other_cpus,
     parse_cpus,
     prepare,
@@ -144,9 +144,9 @@ class TestPrepare:
     def test_a_refused_wish_is_reported_with_its_reason_and_what_to_do_and_stops_no_other(self, error, reason):
         asked = []
         wishes = [
-            Wish("first", lambda: asked.append(1) or "one", "never needed"),
-            Wish("second", refuse(error), "raise the limit"),
-            Wish("third", lambda: asked.append(3) or "three", "never needed"),
+            Tuning("first", lambda: asked.append(1) or "one", "never needed"),
+            Tuning("second", refuse(error), "raise the limit"),
+            Tuning("third", lambda: asked.append(3) or "three", "never needed"),
         ]
         assert prepare(wishes) == [
             Setting("first", "one"),
@@ -157,7 +157,7 @@ class TestPrepare:
 
     def test_a_mistake_of_the_programs_own_is_not_taken_for_a_refusal(self):
         with pytest.raises(ZeroDivisionError):
-            prepare([Wish("wrong", lambda: str(1 // 0), "")])
+            prepare([Tuning("wrong", lambda: str(1 // 0), "")])
 
 
 CHILD = """
@@ -184,10 +184,10 @@ print(json.dumps({
 }))
 """
 NAMES = {
-    "loop_wishes": [
+    "loop_tuning": [
         "affinity", "signals", "malloc", "memory", "timer slack", "scheduler", "heap", "C-states", "garbage",
     ],
-    "controller_wishes": ["affinity", "signals", "malloc", "memory", "timer slack", "scheduler", "garbage"],
+    "controller_tuning": ["affinity", "signals", "malloc", "memory", "timer slack", "scheduler", "garbage"],
     "guardian_wishes": [
         "affinity", "signals", "malloc", "memory", "timer slack", "scheduler", "out of memory", "garbage",
     ],
@@ -225,8 +225,8 @@ def granted(prepared, wishes):
 
 
 every_process = pytest.mark.parametrize("wishes", NAMES)
-real_time_processes = pytest.mark.parametrize("wishes", ["loop_wishes", "controller_wishes", "guardian_wishes"])
-the_loop = pytest.mark.parametrize("wishes", ["loop_wishes"])
+real_time_processes = pytest.mark.parametrize("wishes", ["loop_tuning", "controller_tuning", "guardian_wishes"])
+the_loop = pytest.mark.parametrize("wishes", ["loop_tuning"])
 the_guardian = pytest.mark.parametrize("wishes", ["guardian_wishes"])
 
 
@@ -258,7 +258,7 @@ class TestProcesses:
     @real_time_processes
     def test_the_scheduler_is_the_one_for_real_time(self, granted, wishes):
         value, found = granted("scheduler")
-        names = {"loop_wishes": LOOP_PRIORITY, "controller_wishes": CONTROLLER_PRIORITY}
+        names = {"loop_tuning": LOOP_PRIORITY, "controller_tuning": CONTROLLER_PRIORITY}
         priority = names.get(wishes, GUARDIAN_PRIORITY)
         assert found["policy"] & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
         assert (found["priority"], value) == (priority, f"SCHED_FIFO {priority}")
@@ -267,7 +267,7 @@ class TestProcesses:
     def test_the_process_keeps_to_its_cpus(self, granted, wishes):
         _, found = granted("affinity")
         allowed, isolated = os.sched_getaffinity(0), isolated_cpus()
-        choose = loop_cpus if wishes in {"loop_wishes", "controller_wishes"} else other_cpus
+        choose = loop_cpus if wishes in {"loop_tuning", "controller_tuning"} else other_cpus
         assert set(found["cpus"]) == choose(allowed, isolated)
 
     @real_time_processes
@@ -300,7 +300,7 @@ class TestProcesses:
         _, found = prepared["recorder_wishes"]
         assert found["policy"] == os.SCHED_OTHER
         assert found["collecting"]
-        assert found["oom"] == prepared["loop_wishes"][1]["oom"]
+        assert found["oom"] == prepared["loop_tuning"][1]["oom"]
 
 
 def test_who_spins_on_the_only_cpu_never_keeps_from_it_who_ends_it():
@@ -310,7 +310,7 @@ def test_who_spins_on_the_only_cpu_never_keeps_from_it_who_ends_it():
 @pytest.mark.untraced
 @pytest.mark.parametrize("allowed", [GUARDIAN_PRIORITY, GUARDIAN_PRIORITY - 1])
 @pytest.mark.parametrize(
-    ("wishes", "priority"), [(loop_wishes, LOOP_PRIORITY), (controller_wishes, CONTROLLER_PRIORITY)]
+    ("wishes", "priority"), [(loop_tuning, LOOP_PRIORITY), (controller_tuning, CONTROLLER_PRIORITY)]
 )
 def test_who_may_not_have_its_watchers_above_it_stays_an_ordinary_process(wishes, priority, allowed, monkeypatch):
     asked, granted = [], os.SCHED_OTHER
@@ -334,7 +334,7 @@ def test_who_may_not_have_its_watchers_above_it_stays_an_ordinary_process(wishes
 
 @pytest.mark.parametrize(
     "wishes",
-    [machine.guardian_wishes, machine.recorder_wishes, machine.supervisor_wishes, machine.watch_wishes],
+    [machine.guardian_tuning, machine.recorder_tuning, machine.supervisor_tuning, machine.watch_tuning],
 )
 def test_who_runs_beside_the_loop_keeps_off_its_core_though_that_is_not_the_last(wishes, monkeypatch):
     cores = {cpu: machine.Core(3_000_000 if cpu < 2 else 2_000_000, frozenset({cpu, cpu ^ 1})) for cpu in range(4)}
@@ -343,6 +343,6 @@ def test_who_runs_beside_the_loop_keeps_off_its_core_though_that_is_not_the_last
     monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: set(cores))
     asked = []
     monkeypatch.setattr(os, "sched_setaffinity", lambda _pid, cpus: asked.append(cpus))
-    for made in (machine.loop_wishes, wishes):
+    for made in (machine.loop_tuning, wishes):
         next(wish for wish in made() if wish.name == "affinity").ask()
     assert asked == [{1}, {2, 3}]

@@ -14,13 +14,13 @@ import pytest
 
 from inteco_abs.errors import SessionError
 from inteco_abs.realtime.memory import (
-    Note,
+    Field,
+    Mailbox,
     RunMemory,
-    Word,
     alive,
-    insist_on_room,
     is_ring,
     left_rings,
+    require_room,
     run_bytes,
     start_time,
 )
@@ -29,10 +29,10 @@ from inteco_abs.sessions import TICK, TRUTH
 
 SIZE = 12
 CAPACITY = 3
-MADE = [Word.SUPERVISOR_PID, Word.EPOCH_NS, Word.SUPERVISOR_STARTED]
+MADE = [Field.SUPERVISOR_PID, Field.EPOCH_NS, Field.SUPERVISOR_STARTED]
 """Words of a memory that was just made."""
 RINGS_AT = run_bytes(SIZE, 0, SIZE, 0) - 2 * ring_bytes(SIZE, 0)
-PIDS = (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID)
+PIDS = (Field.SUPERVISOR_PID, Field.LOOP_PID, Field.RECORDER_PID)
 
 
 def pack(buffer, offset, number):
@@ -62,8 +62,8 @@ class TestFile:
         memory, other = small
         assert other.path == memory.path
         assert other.tick_capacity == CAPACITY
-        assert [word for word in Word if other.words[word]] == MADE
-        assert [other.image(note) for note in Note] == [None] * len(Note)
+        assert [word for word in Field if other.words[word]] == MADE
+        assert [other.image(note) for note in Mailbox] == [None] * len(Mailbox)
         assert (other.tick_reader().written, other.truth_reader().written) == (0, 0)
         assert other.histogram.sparse() == {}
 
@@ -82,8 +82,8 @@ class TestFile:
     def test_who_has_it_open_keeps_it_after_it_was_removed(self, small):
         memory, other = small
         memory.remove()
-        memory.words[Word.STOP] = 7
-        assert other.words[Word.STOP] == 7
+        memory.words[Field.STOP] = 7
+        assert other.words[Field.STOP] == 7
 
     @pytest.mark.parametrize(
         ("content", "complaint"),
@@ -141,18 +141,18 @@ class TestFile:
         size = memory.path.stat().st_size
         assert run_bytes(TICK.size, 50, TRUTH.size, 50) == size
         monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=size * (folder == memory_folder)))
-        insist_on_room(size)
+        require_room(size)
         with pytest.raises(SessionError, match=rf"{size / 1e6:.0f} MB are free; free some"):
-            insist_on_room(size + 1)
+            require_room(size + 1)
 
     def test_a_memory_of_this_process_alone_has_no_file(self, memory_folder):
         memory = RunMemory.private(SIZE, CAPACITY)
         memory.tick_ring(pack).append(5)
-        memory.words[Word.GO] = 1
-        memory.post(Note.DRILL, "told")
+        memory.words[Field.GO] = 1
+        memory.post(Mailbox.DRILL, "told")
         assert memory.tick_capacity == CAPACITY
         assert memory.tick_reader().take() == record(5)
-        assert memory.note(Note.DRILL) == "told"
+        assert memory.note(Mailbox.DRILL) == "told"
         assert not list(memory_folder.iterdir())
 
     def test_one_that_is_kept_stays_without_the_boards_socket_and_is_nobodys(self, memory):
@@ -163,7 +163,7 @@ class TestFile:
         assert memory.path.exists()
         assert memory.frames.exists()
         assert not memory.socket.exists()
-        assert memory.words[Word.KEPT] == 1
+        assert memory.words[Field.KEPT] == 1
         assert not RunMemory.open(memory.path).in_use()
 
     def test_a_copy_that_lies_elsewhere_stays(self, memory, tmp_path):
@@ -179,7 +179,7 @@ class TestFile:
         assert not list(memory_folder.iterdir())
 
     def test_it_knows_when_the_monotonic_clock_began(self, memory):
-        assert abs(memory.words[Word.EPOCH_NS] - (time.time_ns() - time.monotonic_ns())) < 10**9
+        assert abs(memory.words[Field.EPOCH_NS] - (time.time_ns() - time.monotonic_ns())) < 10**9
 
     def test_a_ring_is_told_from_anything_else_without_waiting_for_a_pipe(self, memory, memory_folder):
         older, pipe, other = (memory_folder / name for name in ("older", "pipe", "other"))
@@ -192,7 +192,7 @@ class TestFile:
 
 
 class TestNotes:
-    @pytest.mark.parametrize("note", Note)
+    @pytest.mark.parametrize("note", Mailbox)
     def test_a_note_is_none_before_and_then_what_was_left(self, small, note):
         memory, other = small
         assert other.note(note) is None
@@ -200,19 +200,19 @@ class TestNotes:
         content = {"text": "µs \0", "numbers": [1, -2.5, None, True], "nothing": ""}
         memory.post(note, content)
         assert other.note(note) == content
-        assert [each for each in Note if other.image(each) is not None] == [note]
+        assert [each for each in Mailbox if other.image(each) is not None] == [note]
 
     @pytest.mark.parametrize("image", [b"", b"\0", bytes(range(256)) * 2])
     def test_bytes_come_back_as_they_are(self, small, image):
         memory, other = small
-        memory.post(Note.SAFE_IMAGE, image)
-        assert other.image(Note.SAFE_IMAGE) == image
+        memory.post(Mailbox.SAFE_IMAGE, image)
+        assert other.image(Mailbox.SAFE_IMAGE) == image
 
     def test_a_later_note_takes_the_place_of_an_earlier_one(self, small):
         memory, other = small
-        memory.post(Note.DRILL, {"a": "long one"})
-        memory.post(Note.DRILL, 1)
-        assert other.note(Note.DRILL) == 1
+        memory.post(Mailbox.DRILL, {"a": "long one"})
+        memory.post(Mailbox.DRILL, 1)
+        assert other.note(Mailbox.DRILL) == 1
 
     def test_while_a_note_is_replaced_there_is_none(self, small):
         memory, other = small
@@ -220,18 +220,18 @@ class TestNotes:
 
         class Looking(bytes):
             def __len__(self):
-                seen.append(other.image(Note.DRILL))
+                seen.append(other.image(Mailbox.DRILL))
                 return super().__len__()
 
-        memory.post(Note.DRILL, b"one")
-        memory.post(Note.DRILL, Looking(b"two"))
+        memory.post(Mailbox.DRILL, b"one")
+        memory.post(Mailbox.DRILL, Looking(b"two"))
         assert set(seen) == {b"one", None}
-        assert other.image(Note.DRILL) == b"two"
+        assert other.image(Mailbox.DRILL) == b"two"
 
     def test_notes_of_the_greatest_length_stand_side_by_side_and_longer_ones_are_refused(self, small):
         memory, other = small
         posted = {}
-        for note in Note:
+        for note in Mailbox:
             with pytest.raises(SessionError, match=rf"{note.name.lower()} .*too long: at most \d+") as refusal:
                 memory.post(note, bytes(10 << 20))
             most = int(str(refusal.value).rpartition(" ")[2])
@@ -240,21 +240,21 @@ class TestNotes:
             memory.post(note, posted[note])
             with pytest.raises(SessionError, match="too long"):
                 memory.post(note, b"x" * (most + 1))
-        assert {note: other.image(note) for note in Note} == posted
-        assert [word for word in Word if other.words[word]] == MADE
+        assert {note: other.image(note) for note in Mailbox} == posted
+        assert [word for word in Field if other.words[word]] == MADE
         assert other.histogram.sparse() == {}
 
 
 class TestWords:
     def test_every_word_is_seen_by_another_mapping(self, small):
         memory, other = small
-        for word in Word:
+        for word in Field:
             memory.words[word] = -1 - word
-        assert [other.words[word] for word in Word] == [-1 - word for word in Word]
+        assert [other.words[word] for word in Field] == [-1 - word for word in Field]
 
     def test_words_and_notes_are_seen_by_another_process_and_its_own_here(self, memory, python_child):
-        memory.words[Word.GO] = 2**62
-        memory.post(Note.DRILL, "told")
+        memory.words[Field.GO] = 2**62
+        memory.post(Mailbox.DRILL, "told")
         code = """
 import sys
 from pathlib import Path
@@ -266,8 +266,8 @@ memory.post(Note.FAILURE, ["heard"])
 """
         process = python_child(code, memory.path)
         assert process.communicate(timeout=60)[0].split() == ["True", "told"]
-        assert memory.words[Word.STOP] == -5
-        assert memory.note(Note.FAILURE) == ["heard"]
+        assert memory.words[Field.STOP] == -5
+        assert memory.note(Mailbox.FAILURE) == ["heard"]
 
     def test_waiting_ends_with_the_condition_and_sleeps_until_then(self, memory, monkeypatch):
         asked, slept_s = [], []
@@ -323,7 +323,7 @@ class TestRings:
             for number in range(50):
                 ring.append(number)
             assert memory.histogram.sparse() == {}
-            assert [note for note in Note if memory.image(note) is not None] == []
+            assert [note for note in Mailbox if memory.image(note) is not None] == []
         assert memory.truth_reader().written == 50
 
     def test_a_reader_that_begins_anew_finds_what_the_ring_still_holds(self, small):
@@ -352,7 +352,7 @@ class TestLeftRings:
 
     def test_one_whose_ticks_were_for_a_screen_only_is_removed(self, memory, memory_folder, ended):
         memory.tick_ring(pack).append(1)
-        memory.words[Word.UNRECORDED] = 1
+        memory.words[Field.UNRECORDED] = 1
         for word in PIDS:
             memory.words[word] = ended
         assert not list(left_rings(memory_folder))
@@ -367,7 +367,7 @@ class TestLeftRings:
         assert not list(left_rings(memory_folder))
 
     def test_a_living_process_whose_start_is_not_known_keeps_it(self, memory):
-        memory.words[Word.SUPERVISOR_STARTED] = 0
+        memory.words[Field.SUPERVISOR_STARTED] = 0
         assert memory.in_use()
 
     @pytest.mark.parametrize("word", PIDS)
@@ -376,18 +376,18 @@ class TestLeftRings:
         for each in PIDS:
             memory.words[each] = ended
         memory.name(word, os.getpid())
-        memory.words[PIDS.index(word) + Word.SUPERVISOR_STARTED] -= 1
+        memory.words[PIDS.index(word) + Field.SUPERVISOR_STARTED] -= 1
         assert not memory.in_use()
         assert list(left_rings(memory_folder)) == [memory.path]
 
     def test_a_memory_that_is_just_being_made_is_left_alone(self, memory, memory_folder):
-        memory.words[Word.SUPERVISOR_PID] = 0
+        memory.words[Field.SUPERVISOR_PID] = 0
         assert not list(left_rings(memory_folder))
         assert memory.path.exists()
 
     def test_pipes_links_and_other_users_files_are_passed_over_at_once(self, memory, memory_folder, ended, monkeypatch):
         memory.tick_ring(pack).append(1)
-        memory.words[Word.SUPERVISOR_PID] = ended
+        memory.words[Field.SUPERVISOR_PID] = ended
         os.mkfifo(memory_folder / "inteco-abs-pipe.ring")
         (memory_folder / "inteco-abs-link.ring").symlink_to(memory.path)
         (memory_folder / "inteco-abs-nowhere.ring").symlink_to(memory_folder / "not there")
@@ -400,7 +400,7 @@ class TestLeftRings:
         memories = [new_memory() for _ in range(3)]
         for each in memories:
             each.tick_ring(pack).append(1)
-            each.words[Word.SUPERVISOR_PID] = ended
+            each.words[Field.SUPERVISOR_PID] = ended
         whole = memories[1].path.read_bytes()
         (memory_folder / "inteco-abs-foreign.ring").write_bytes(b"x" * len(whole))
         (memory_folder / "inteco-abs-cut.ring").write_bytes(whole[:100])

@@ -16,11 +16,11 @@ from inteco_abs.analysis import replay
 from inteco_abs.boards import STILL_ON, InProcessLink, RtdacUsb2
 from inteco_abs.control import build_pipeline, gains_in_force
 from inteco_abs.errors import ConfigError, SessionError
-from inteco_abs.mock_board import Device, Usb2Face
+from inteco_abs.mock_board import Device, Usb2FrontEnd
 from inteco_abs.realtime import Loop, StopWord, VirtualClock
-from inteco_abs.realtime.memory import Note, RunMemory, Word
-from inteco_abs.realtime.processes.recorder import board_in_words, conclusion, rebuild, recover_run
-from inteco_abs.sessions import TICK, TRUTH, Introduction, Recorder, Scribe, pack_tick, read_session, result_card
+from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
+from inteco_abs.realtime.processes.recorder import conclusion, describe_board, rebuild, recover_run
+from inteco_abs.sessions import TICK, TRUTH, FileWriter, RunHeader, SessionWriter, pack_tick, read_session, result_card
 from inteco_abs.signals import Phase, Reason
 
 EVERYTHING = 1 << 30
@@ -37,7 +37,7 @@ class Filled:
         config, clock = job.config, VirtualClock(job.config.period_ns)
         truths = memory.truth_ring(TRUTH.pack_into)
         device = Device(config, clock.now_ns, job.seed, truths.append)
-        board = RtdacUsb2(InProcessLink(Usb2Face(device)), config.board, clock.now_ns, config.period_ns)
+        board = RtdacUsb2(InProcessLink(Usb2FrontEnd(device)), config.board, clock.now_ns, config.period_ns)
         ring = memory.tick_ring(pack_tick)
         pipeline = build_pipeline(config)
         self.payload = b""
@@ -53,7 +53,7 @@ class Filled:
                     {"name": "memory", "value": "default", "refused": "no right: raise memlock"},
                 ],
             }
-            memory.post(Note.INTRODUCTION, self.introduction)
+            memory.post(Mailbox.INTRODUCTION, self.introduction)
             loop = Loop(board, pipeline, clock, ring, StopWord())
             over = False
             while not over:
@@ -63,7 +63,7 @@ class Filled:
 
     def conclude(self, reason=Reason.NONE, detail=""):
         told = {**NORMAL, "reason": int(reason), "detail": detail}
-        self.memory.post(Note.CONCLUSION, {**told, "written": self.ticks})
+        self.memory.post(Mailbox.CONCLUSION, {**told, "written": self.ticks})
 
 
 def in_ring(memory):
@@ -108,9 +108,9 @@ class Crash:
     def _record(self, run):
         if self._scribe is None:
             told, job = run.introduction, run.job
-            self._recorder = self._stack.enter_context(Recorder(job.path, 0, told["internals"], job.session_id))
-            introduction = Introduction(job.board, told["identity"], False, told["gains"], told["internals"], b"")
-            self._scribe = Scribe(self._recorder, job.config, introduction)
+            self._recorder = self._stack.enter_context(FileWriter(job.path, 0, told["internals"], job.session_id))
+            introduction = RunHeader(job.board, told["identity"], False, told["gains"], told["internals"], b"")
+            self._scribe = SessionWriter(self._recorder, job.config, introduction)
             self._scribe.introduce()
         ticks, truths = run.reader.take(), run.memory.truth_reader().take()
         self.hash.update(ticks)
@@ -144,7 +144,7 @@ class TestRebuild:
 
     def test_the_session_says_how_it_was_made_and_under_which_settings(self, whole):
         whole.conclude()
-        whole.memory.post(Note.DRILL, {"guardian drill": "SAFE 4.0 ms after the kill"})
+        whole.memory.post(Mailbox.DRILL, {"guardian drill": "SAFE 4.0 ms after the kill"})
         account = rebuild(whole.memory, whole.job, whole.job.path)
         session = read_session(whole.job.path)
         assert f"made from what the run left in memory, {whole.ticks} ticks" in account.explanation
@@ -188,7 +188,7 @@ class TestRebuild:
     def test_a_run_without_ticks_or_without_a_beginning_makes_no_session(self, memory, job_of, tmp_path):
         job = job_of(memory)
         assert rebuild(memory, job, job.path) is None
-        memory.post(Note.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
+        memory.post(Mailbox.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
         assert rebuild(memory, job, job.path) is None
         assert not list(tmp_path.iterdir())
 
@@ -273,7 +273,7 @@ def dead(memory):
     ring = memory.tick_ring(pack_tick)
     for number in range(8):
         ring.append([number if name == "tick" else 0 for name in (column.name for column in TICK.columns)])
-    memory.words[Word.LOOP_PID] = PID
+    memory.words[Field.LOOP_PID] = PID
     return memory
 
 
@@ -305,16 +305,16 @@ ENDS = {
 """By what happened: holder, whom the guardian rescued, its report, the loop's failure, and what is made of it."""
 
 DEATHS = {
-    "loop": ({Word.HOLDER_PID: PID}, None),
-    "loop, guardian": ({Word.HOLDER_PID: PID, Word.RESCUED_PID: PID}, {**RESCUED, "by": "supervisor"}),
-    "loop, recorder, supervisor": ({Word.RECORDER_PID: 1 << 30, Word.SUPERVISOR_PID: 1 << 30}, None),
-    "loop, supervisor": ({Word.GUARDIAN_STOP: Reason.SUPERVISOR_LOST}, None),
+    "loop": ({Field.HOLDER_PID: PID}, None),
+    "loop, guardian": ({Field.HOLDER_PID: PID, Field.RESCUED_PID: PID}, {**RESCUED, "by": "supervisor"}),
+    "loop, recorder, supervisor": ({Field.RECORDER_PID: 1 << 30, Field.SUPERVISOR_PID: 1 << 30}, None),
+    "loop, supervisor": ({Field.GUARDIAN_STOP: Reason.SUPERVISOR_LOST}, None),
 }  # fmt: skip
 
 
 class TestConclusion:
     def test_a_normal_end_is_told_as_the_loop_told_it(self, dead):
-        dead.post(Note.CONCLUSION, {**NORMAL, "reason": int(Reason.OVER_SPEED), "detail": "far too fast"})
+        dead.post(Mailbox.CONCLUSION, {**NORMAL, "reason": int(Reason.OVER_SPEED), "detail": "far too fast"})
         dead.histogram.add([3.5, 3.6])
         end = conclusion(dead)
         assert (end.reason, end.detail, end.aborted, end.written) == (Reason.OVER_SPEED, "far too fast", "", 8)
@@ -323,11 +323,11 @@ class TestConclusion:
     @pytest.mark.parametrize("end", ENDS)
     def test_an_end_that_nobody_told_is_put_together_from_what_is_left(self, dead, end):
         holder, rescued, report, trouble, text = ENDS[end]
-        dead.words[Word.HOLDER_PID], dead.words[Word.RESCUED_PID] = holder, rescued
+        dead.words[Field.HOLDER_PID], dead.words[Field.RESCUED_PID] = holder, rescued
         if report is not None:
-            dead.post(Note.RESCUE, report)
+            dead.post(Mailbox.RESCUE, report)
         if trouble is not None:
-            dead.post(Note.FAILURE, trouble)
+            dead.post(Mailbox.FAILURE, trouble)
         found = conclusion(dead)
         assert found.aborted == text
         assert found.written == 8
@@ -338,29 +338,29 @@ class TestConclusion:
         for word, value in words.items():
             dead.words[word] = value
         if report is not None:
-            dead.post(Note.RESCUE, report)
+            dead.post(Mailbox.RESCUE, report)
         assert ", ".join(conclusion(dead).died) == names
 
     def test_of_a_run_that_ended_as_it_should_nobody_died(self, dead, ended):
-        dead.post(Note.CONCLUSION, NORMAL)
-        dead.words[Word.RECORDER_PID] = dead.words[Word.SUPERVISOR_PID] = os.getpid()
+        dead.post(Mailbox.CONCLUSION, NORMAL)
+        dead.words[Field.RECORDER_PID] = dead.words[Field.SUPERVISOR_PID] = os.getpid()
         assert conclusion(dead).died == []
-        dead.words[Word.RECORDER_PID] = ended
+        dead.words[Field.RECORDER_PID] = ended
         assert conclusion(dead).died == ["recorder"]
-        dead.post(Note.RECORDER_FAILURE, failure("SessionError", "no room"))
+        dead.post(Mailbox.RECORDER_FAILURE, failure("SessionError", "no room"))
         assert conclusion(dead).died == []  # it has ended, and said why
-        dead.words[Word.STOP] = Reason.GUARDIAN_LOST
+        dead.words[Field.STOP] = Reason.GUARDIAN_LOST
         assert conclusion(dead).died == ["guardian"]
 
     @pytest.mark.parametrize("reason", [Reason.NONE, Reason.MISSED_EXCHANGES])
     def test_the_reason_of_the_last_tick_is_kept(self, memory, reason):
         values = [int(reason) if column.name == "reason" else 0 for column in TICK.columns]
         memory.tick_ring(pack_tick).append(values)
-        memory.words[Word.LOOP_PID] = PID
+        memory.words[Field.LOOP_PID] = PID
         assert conclusion(memory).reason is reason
 
     def test_a_loop_that_died_holding_the_board_makes_an_aborted_session_that_says_so(self, whole):
-        whole.memory.words[Word.LOOP_PID] = whole.memory.words[Word.HOLDER_PID] = PID
+        whole.memory.words[Field.LOOP_PID] = whole.memory.words[Field.HOLDER_PID] = PID
         account = rebuild(whole.memory, whole.job, whole.job.path)
         assert (account.outcome, account.exit_code) == ("aborted", 5)
         assert STILL_ON in account.explanation
@@ -371,16 +371,16 @@ class TestConclusion:
 
 class TestRecover:
     def test_the_session_is_written_and_the_memory_removed(self, whole, tmp_path, ended):
-        for word in (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID):
+        for word in (Field.SUPERVISOR_PID, Field.LOOP_PID, Field.RECORDER_PID):
             whole.memory.words[word] = ended
         account = recover_run(whole.memory.path, tmp_path / "saved.mcap")
         assert account.card["ticks"] == whole.ticks
         assert len(read_session(tmp_path / "saved.mcap").ticks) == whole.ticks
         assert not whole.memory.path.exists()
 
-    @pytest.mark.parametrize("word", [Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID])
+    @pytest.mark.parametrize("word", [Field.SUPERVISOR_PID, Field.LOOP_PID, Field.RECORDER_PID])
     def test_a_run_that_still_goes_on_is_left_alone(self, whole, tmp_path, ended, word):
-        whole.memory.words[Word.SUPERVISOR_PID] = ended
+        whole.memory.words[Field.SUPERVISOR_PID] = ended
         whole.memory.words[word] = os.getpid()
         with pytest.raises(SessionError, match="still goes on"):
             recover_run(whole.memory.path, tmp_path / "saved.mcap")
@@ -396,14 +396,14 @@ class TestRecover:
 
     def test_a_run_without_a_tick_is_said_to_be_empty(self, memory, job_of, tmp_path, ended):
         job_of(memory)
-        memory.words[Word.SUPERVISOR_PID] = ended
+        memory.words[Field.SUPERVISOR_PID] = ended
         with pytest.raises(SessionError, match="holds no ticks"):
             recover_run(memory.path, tmp_path / "saved.mcap")
         assert memory.path.exists()
         assert not list(tmp_path.iterdir())
 
     def test_a_copy_is_the_users_own_and_stays(self, whole, tmp_path, ended):
-        for word in (Word.SUPERVISOR_PID, Word.LOOP_PID, Word.RECORDER_PID):
+        for word in (Field.SUPERVISOR_PID, Field.LOOP_PID, Field.RECORDER_PID):
             whole.memory.words[word] = ended
         copy = tmp_path / "copy.ring"
         copy.write_bytes(whole.memory.path.read_bytes())
@@ -411,7 +411,7 @@ class TestRecover:
         assert copy.exists()
 
     def test_a_disk_that_is_full_keeps_the_memory(self, whole, tmp_path, ended):
-        whole.memory.words[Word.SUPERVISOR_PID] = ended
+        whole.memory.words[Field.SUPERVISOR_PID] = ended
         before = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
         try:
@@ -432,18 +432,18 @@ class Recording:
 
     def __init__(self, memory, job, child, until, code=""):
         self.memory, self.job, self.until, self.words = memory, job, until, memory.words
-        self.words[Word.SUPERVISOR_PID] = os.getpid()
+        self.words[Field.SUPERVISOR_PID] = os.getpid()
         self.loop = child()
-        self.words[Word.LOOP_PID] = self.loop.pid
+        self.words[Field.LOOP_PID] = self.loop.pid
         self.source = in_ring_of_a_run(job)
         self._ring = memory.tick_ring(lambda buffer, at, data: buffer.__setitem__(slice(at, at + TICK.size), data))
         role = ("-c", code) if code else ("-m", "inteco_abs.realtime.processes", "recorder")
         self.process = child(sys.executable, *role, memory.path)
 
     def ready(self):
-        self.memory.post(Note.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
-        self.words[Word.READY] = self.loop.pid
-        self.until(lambda: self.words[Word.RECORDING], "it records")
+        self.memory.post(Mailbox.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
+        self.words[Field.READY] = self.loop.pid
+        self.until(lambda: self.words[Field.RECORDING], "it records")
 
     def ticks(self, count):
         for _ in range(count):
@@ -456,7 +456,7 @@ class Recording:
 
     def end(self, code=0):
         assert self.process.wait(30) == code
-        return self.memory.note(Note.RESULT)
+        return self.memory.note(Mailbox.RESULT)
 
     def session(self):
         return read_session(self.job.path)
@@ -480,14 +480,14 @@ class TestRecorderProcess:
     def test_everything_that_the_loop_leaves_is_in_the_file_when_it_has_ended(self, recording, until):
         recording.ready()
         assert recording.job.path.exists()
-        until(lambda: recording.memory.note(Note.SURROUNDINGS), "it has looked around")
-        beat = recording.words[Word.RECORDER_BEAT_NS]
+        until(lambda: recording.memory.note(Mailbox.SURROUNDINGS), "it has looked around")
+        beat = recording.words[Field.RECORDER_BEAT_NS]
         recording.ticks(300)
-        until(lambda: recording.words[Word.FLUSHED] == 300, "they are on the disk")
-        assert recording.words[Word.RECORDER_BEAT_NS] > beat
+        until(lambda: recording.words[Field.FLUSHED] == 300, "they are on the disk")
+        assert recording.words[Field.RECORDER_BEAT_NS] > beat
         assert len(recording.session().ticks) == 300
         recording.ticks(300)  # more than there is room for without a recorder that takes
-        recording.memory.post(Note.CONCLUSION, NORMAL)
+        recording.memory.post(Mailbox.CONCLUSION, NORMAL)
         recording.loop.kill()
         result = recording.end()
         assert (result["outcome"], result["card"]["ticks"], result["card"]["lost_ticks"]) == ("completed", 600, 0)
@@ -501,12 +501,12 @@ class TestRecorderProcess:
     def test_after_a_loop_that_died_it_waits_to_be_told_what_became_of_the_board(self, recording):
         recording.ready()
         recording.ticks(50)
-        recording.words[Word.HOLDER_PID] = recording.loop.pid
+        recording.words[Field.HOLDER_PID] = recording.loop.pid
         recording.loop.kill()
         time.sleep(0.1)
         assert recording.process.poll() is None
-        recording.memory.post(Note.RESCUE, RESCUED)
-        recording.words[Word.RESCUED_PID] = recording.loop.pid
+        recording.memory.post(Mailbox.RESCUE, RESCUED)
+        recording.words[Field.RESCUED_PID] = recording.loop.pid
         result = recording.end()
         assert result["outcome"] == "aborted"
         assert "the loop's process died after tick 49" in result["explanation"]
@@ -518,7 +518,7 @@ class TestRecorderProcess:
         recording.loop.kill()
         assert recording.end() is None
         assert not recording.job.path.exists()
-        assert recording.memory.note(Note.RECORDER_FAILURE) is None
+        assert recording.memory.note(Mailbox.RECORDER_FAILURE) is None
 
     def test_a_loop_that_never_was_ready_leaves_no_file(self, recording):
         recording.loop.kill()
@@ -527,11 +527,11 @@ class TestRecorderProcess:
 
     def test_when_nobody_waits_for_the_result_it_removes_the_memory_itself(self, recording, child):
         supervisor = child()
-        recording.words[Word.SUPERVISOR_PID] = supervisor.pid
+        recording.words[Field.SUPERVISOR_PID] = supervisor.pid
         recording.ready()
         recording.ticks(20)
         supervisor.kill()
-        recording.memory.post(Note.CONCLUSION, NORMAL)
+        recording.memory.post(Mailbox.CONCLUSION, NORMAL)
         recording.loop.kill()
         assert recording.end()["card"]["ticks"] == 20
         assert not recording.memory.path.exists()
@@ -539,20 +539,20 @@ class TestRecorderProcess:
 
     def test_a_file_that_cannot_be_made_is_told_and_ends_it(self, recording):
         recording.job.path.mkdir()
-        recording.memory.post(Note.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
-        recording.words[Word.READY] = recording.loop.pid
+        recording.memory.post(Mailbox.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
+        recording.words[Field.READY] = recording.loop.pid
         assert recording.process.wait(30) != 0
-        assert "is a folder" in recording.memory.note(Note.RECORDER_FAILURE)["text"]
+        assert "is a folder" in recording.memory.note(Mailbox.RECORDER_FAILURE)["text"]
 
     def test_a_recorder_that_is_killed_loses_nothing_that_rebuild_does_not_find(self, recording, until):
         recording.ready()
         for part in range(3):
             recording.ticks(250)
-            until(lambda part=part: recording.words[Word.FLUSHED] == 250 * (part + 1), "they are on the disk")
+            until(lambda part=part: recording.words[Field.FLUSHED] == 250 * (part + 1), "they are on the disk")
         recording.process.kill()
         recording.process.wait()
         recording.ticks(400)
-        recording.memory.post(Note.CONCLUSION, NORMAL)
+        recording.memory.post(Mailbox.CONCLUSION, NORMAL)
         recording.loop.kill()
         account = rebuild(recording.memory, recording.job, recording.job.path)
         assert (account.card["ticks"], account.card["lost_ticks"]) == (1150, 0)
@@ -579,7 +579,7 @@ class TestDisk:
     def test_what_is_not_in_the_file_stays_in_the_ring(self, recording, until):
         recording.ready()
         recording.ticks(100)
-        until(lambda: recording.words[Word.FLUSHED] == 100, "they are on the disk")
+        until(lambda: recording.words[Field.FLUSHED] == 100, "they are on the disk")
         until(lambda: recording.memory.tick_reader().taken == 100, "the ring is free again")
         recording.process.send_signal(signal.SIGSTOP)
         recording.ticks(50)
@@ -590,14 +590,14 @@ class TestDisk:
         slow = Recording(memory, job_of(memory), child, until, SLOW)
         slow.ready()
         slow.ticks(100)
-        until(lambda: memory.tick_reader().written - memory.words[Word.FLUSHED] == 100, "it waits for the disk")
+        until(lambda: memory.tick_reader().written - memory.words[Field.FLUSHED] == 100, "it waits for the disk")
         time.sleep(0.3)
-        waiting = [memory.words[Word.RECORDER_BEAT_NS]]
-        until(lambda: memory.words[Word.RECORDER_BEAT_NS] > waiting[0], "it shows that it is alive")
-        assert memory.words[Word.FLUSHED] == 0
+        waiting = [memory.words[Field.RECORDER_BEAT_NS]]
+        until(lambda: memory.words[Field.RECORDER_BEAT_NS] > waiting[0], "it shows that it is alive")
+        assert memory.words[Field.FLUSHED] == 0
         slow.ticks(200)
-        until(lambda: memory.words[Word.FLUSHED] == 300, "the disk has taken it all")
-        memory.post(Note.CONCLUSION, NORMAL)
+        until(lambda: memory.words[Field.FLUSHED] == 300, "the disk has taken it all")
+        memory.post(Mailbox.CONCLUSION, NORMAL)
         slow.loop.kill()
         assert slow.end()["card"]["lost_ticks"] == 0
         assert slow.session().payload == slow.payload
@@ -607,20 +607,20 @@ class TestDisk:
     def vanish(self, recording, until):
         recording.job.path.unlink()
         recording.ticks(100)
-        until(lambda: recording.words[Word.TROUBLES], "it says so")
-        return recording.memory.note(Note.TROUBLES)
+        until(lambda: recording.words[Field.TROUBLES], "it says so")
+        return recording.memory.note(Mailbox.TROUBLES)
 
     def test_a_disk_that_refuses_is_told_at_once_and_nothing_leaves_the_ring(self, recording, until):
         recording.ready()
         recording.ticks(100)
-        until(lambda: recording.words[Word.FLUSHED] == 100, "they are on the disk")
+        until(lambda: recording.words[Field.FLUSHED] == 100, "they are on the disk")
         told = self.vanish(recording, until)
         assert "its ticks are kept in memory" in told["texts"][0]
         recording.ticks(100)
         time.sleep(0.2)
         assert recording.memory.tick_reader().taken == 100
         assert recording.process.poll() is None
-        recording.memory.post(Note.CONCLUSION, NORMAL)
+        recording.memory.post(Mailbox.CONCLUSION, NORMAL)
         recording.loop.kill()
         result = recording.end()
         assert (result["outcome"], result["card"]["ticks"]) == ("completed", 300)
@@ -634,10 +634,10 @@ class TestDisk:
         recording.ticks(100)
         told = self.vanish(recording, until)
         recording.job.path.write_bytes(b"somebody else's")
-        recording.memory.post(Note.CONCLUSION, NORMAL)
+        recording.memory.post(Mailbox.CONCLUSION, NORMAL)
         recording.loop.kill()
         recording.end(code=1)
-        assert "nor could the file be made anew" in recording.memory.note(Note.RECORDER_FAILURE)["text"]
+        assert "nor could the file be made anew" in recording.memory.note(Mailbox.RECORDER_FAILURE)["text"]
         assert told["file"] == str(recording.job.path)
         account = rebuild(recording.memory, recording.job, tmp_path / "saved.mcap")
         session = read_session(tmp_path / "saved.mcap")
@@ -654,16 +654,16 @@ class TestDisk:
         recording.ready()
         for part in range(3):
             recording.ticks(200)
-            until(lambda part=part: recording.words[Word.FLUSHED] == 200 * (part + 1), "they are on the disk")
+            until(lambda part=part: recording.words[Field.FLUSHED] == 200 * (part + 1), "they are on the disk")
         told = self.vanish(recording, until)
         spilt = tmp_path / "spill" / "stop.mcap"
         assert told["file"] == str(spilt)
-        until(lambda: recording.words[Word.FLUSHED] == 700, "they are on the other disk")
+        until(lambda: recording.words[Field.FLUSHED] == 700, "they are on the other disk")
         if killed:
             recording.process.kill()
             recording.process.wait()
         recording.ticks(100)
-        recording.memory.post(Note.CONCLUSION, NORMAL)
+        recording.memory.post(Mailbox.CONCLUSION, NORMAL)
         recording.loop.kill()
         if killed:
             rebuild(memory, recording.job, spilt)
@@ -682,12 +682,12 @@ def test_a_filled_memory_holds_a_whole_stop(whole):
 
 class TestBoardInWords:
     def test_a_loop_that_let_go_of_its_board_stopped_safely(self, dead):
-        assert board_in_words(dead) == "the run was stopped safely"
+        assert describe_board(dead) == "the run was stopped safely"
 
     @pytest.mark.parametrize(
         ("rescued", "report", "text"), [(PID, RESCUED, MADE_SAFE), (PID, IN_VAIN, NOT_SAFE), (OTHER, RESCUED, NOBODY)]
     )
     def test_a_board_that_was_held_is_safe_only_if_somebody_made_it_so(self, dead, rescued, report, text):
-        dead.words[Word.HOLDER_PID], dead.words[Word.RESCUED_PID] = PID, rescued
-        dead.post(Note.RESCUE, report)
-        assert board_in_words(dead) == text
+        dead.words[Field.HOLDER_PID], dead.words[Field.RESCUED_PID] = PID, rescued
+        dead.post(Mailbox.RESCUE, report)
+        assert describe_board(dead) == text

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from inteco_abs.realtime.memory import Word
+from inteco_abs.realtime.memory import Field
 from inteco_abs.realtime.processes import loop as rt
 from inteco_abs.realtime.processes.loop import SharedStop
 from inteco_abs.realtime.rules import LOOPS_WINDOW_NS
@@ -16,7 +16,7 @@ PERIODS_NS = [100_000, 500_000, 20_000_000]
 
 @pytest.fixture
 def stop(memory):
-    memory.words[Word.GUARDIAN_BEAT_NS] = START_NS
+    memory.words[Field.GUARDIAN_BEAT_NS] = START_NS
     return SharedStop(memory)
 
 
@@ -35,12 +35,12 @@ def test_after_a_pause_of_the_whole_computer_the_guardian_gets_its_window_again(
     awake_ns = START_NS + 900_000_000
     assert stop.wanted(awake_ns) is Reason.NONE
     assert stop.wanted(awake_ns + period_ns) is Reason.NONE
-    memory.words[Word.GUARDIAN_BEAT_NS] = awake_ns + 5_000_000
+    memory.words[Field.GUARDIAN_BEAT_NS] = awake_ns + 5_000_000
     assert stop.wanted(awake_ns + 5_000_000 + period_ns) is Reason.NONE
 
 
 @pytest.mark.parametrize(
-    ("word", "reason"), [(Word.STOP, Reason.OPERATOR_STOP), (Word.GUARDIAN_STOP, Reason.RECORDER_LOST)]
+    ("word", "reason"), [(Field.STOP, Reason.OPERATOR_STOP), (Field.GUARDIAN_STOP, Reason.RECORDER_LOST)]
 )
 def test_what_the_others_want_is_passed_on(stop, memory, word, reason):
     memory.words[word] = reason
@@ -48,7 +48,7 @@ def test_what_the_others_want_is_passed_on(stop, memory, word, reason):
 
 
 def test_a_computer_that_was_suspended_ends_the_run_at_the_first_tick_though_no_period_seems_missed(memory):
-    memory.words[Word.GUARDIAN_BEAT_NS] = START_NS
+    memory.words[Field.GUARDIAN_BEAT_NS] = START_NS
     slept = [3_600_000_000_000]  # before this run
     stop = SharedStop(memory, lambda: slept[0])
     assert stop.wanted(START_NS) is Reason.NONE

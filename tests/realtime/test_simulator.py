@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from inteco_abs.boards import open_board
-from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.signals import BoardFlags, Command
 
 pytestmark = [pytest.mark.untraced, pytest.mark.xdist_group("real time")]
@@ -31,7 +31,7 @@ def board_with(memory, job_of, child):
         job = replace(job_of(memory), faults=faults)
         job.post(memory)
         holder = child()
-        memory.words[Word.HOLDER_PID] = memory.words[Word.LOOP_PID] = holder.pid
+        memory.words[Field.HOLDER_PID] = memory.words[Field.LOOP_PID] = holder.pid
         child(sys.executable, "-m", "inteco_abs.mock_board_process", memory.path, start_new_session=True)
         memory.wait(memory.socket.exists, PATIENCE_S)
         return holder, open_board(job.address, job.config, time.monotonic_ns)
@@ -43,7 +43,7 @@ def test_a_fault_that_has_acted_is_told_before_the_next_exchange(memory, board_w
     _, board = board_with("lose@drive+#1")
     with board:
         flags = [board.exchange(Command(0.1, 0.0)).board_flags for _ in range(4)]
-        assert memory.note(Note.INJECTED) == {"lose@drive+#1/#1": "1"}
+        assert memory.note(Mailbox.INJECTED) == {"lose@drive+#1/#1": "1"}
     assert BoardFlags.STALE in flags
 
 

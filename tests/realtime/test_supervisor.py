@@ -10,9 +10,9 @@ from inteco_abs.errors import (
     BoardError,
     CaptureError,
     ConfigError,
+    ConfigIssue,
     ControllerError,
     LinkError,
-    Mistake,
     NoAnswerError,
     ProbeError,
     ReadOnlyError,
@@ -20,11 +20,11 @@ from inteco_abs.errors import (
     UnsafeError,
 )
 from inteco_abs.errors import SessionError as SessionTrouble
-from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.realtime.ownership import tell_failure
 from inteco_abs.realtime.processes import supervisor as supervisor_module
 from inteco_abs.realtime.processes.supervisor import Supervisor, raised_again
-from inteco_abs.realtime.screen import NoScreen, Point, Snapshot, Unbreakable
+from inteco_abs.realtime.screen import NoScreen, Point, SafeScreen, Snapshot
 from inteco_abs.sessions import TICK, pack_tick
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
 
@@ -50,8 +50,8 @@ class TestRaisedAgain:
         error = kind("the board µ is gone\nfor good")
         for note in notes:
             error.add_note(note)
-        tell_failure(memory, Note.FAILURE, error)
-        again = raised_again(memory.note(Note.FAILURE))
+        tell_failure(memory, Mailbox.FAILURE, error)
+        again = raised_again(memory.note(Mailbox.FAILURE))
         assert type(again) is kind
         assert str(again) == str(error)
         assert again.exit_code == error.exit_code
@@ -68,9 +68,9 @@ class TestRaisedAgain:
         assert (str(again), again.__notes__) == ("what happened", ["where"])
 
     def test_a_mistake_in_the_configuration_keeps_its_text(self, memory):
-        error = ConfigError([Mistake("controller.name", "cannot be made"), Mistake("board", "is missing")])
-        tell_failure(memory, Note.FAILURE, error)
-        again = raised_again(memory.note(Note.FAILURE))
+        error = ConfigError([ConfigIssue("controller.name", "cannot be made"), ConfigIssue("board", "is missing")])
+        tell_failure(memory, Mailbox.FAILURE, error)
+        again = raised_again(memory.note(Mailbox.FAILURE))
         assert isinstance(again, AbsError)
         assert str(again) == str(error)
 
@@ -100,7 +100,7 @@ def ring(memory):
 class TestSnapshot:
     def test_a_supervisor_says_who_it_is_at_once(self, supervisor, memory):
         assert supervisor is not None
-        assert memory.words[Word.SUPERVISOR_PID] == os.getpid()
+        assert memory.words[Field.SUPERVISOR_PID] == os.getpid()
 
     def test_before_the_first_tick_there_is_none(self, supervisor):
         assert supervisor.snapshot() is None
@@ -174,8 +174,8 @@ class TestDrill:
             def spawn(self, name, *_words):
                 self._children[name] = process = child()
                 if name == "drill":
-                    memory.words[Word.GUARDING_PID] = memory.words[Word.READY] = process.pid
-                    memory.words[Word.RESCUED_PID] = process.pid if memory.note(Note.RESCUE) else 0
+                    memory.words[Field.GUARDING_PID] = memory.words[Field.READY] = process.pid
+                    memory.words[Field.RESCUED_PID] = process.pid if memory.note(Mailbox.RESCUE) else 0
 
         return Staged(memory, job_of(memory))
 
@@ -192,18 +192,18 @@ class TestDrill:
         self, memory, staged, image, failure, refusal
     ):
         if image is not None:
-            memory.post(Note.SAFE_IMAGE, image)
+            memory.post(Mailbox.SAFE_IMAGE, image)
         if failure is not None:
-            memory.post(Note.RESCUE, {"failure": failure, "done_ns": 0})
+            memory.post(Mailbox.RESCUE, {"failure": failure, "done_ns": 0})
         with pytest.raises(BoardError, match=refusal):
             staged.run(NoScreen())
-        assert memory.words[Word.GO] == 0
-        assert memory.words[Word.GUARDED_PID] != memory.words[Word.LOOP_PID] != 0
+        assert memory.words[Field.GO] == 0
+        assert memory.words[Field.GUARDED_PID] != memory.words[Field.LOOP_PID] != 0
 
 
 class TestALoopWithoutEnd:
     @pytest.mark.parametrize(
-        "words", [{}, {Word.HOLDER_PID: 1, Word.STOP: Reason.OPERATOR_STOP}], ids=["let go", "told to stop"]
+        "words", [{}, {Field.HOLDER_PID: 1, Field.STOP: Reason.OPERATOR_STOP}], ids=["let go", "told to stop"]
     )
     def test_a_loop_that_should_have_ended_long_ago_is_killed(self, memory, job_of, child, monkeypatch, words):
         """A thread, an exit handler or a signal may keep it; the guardian is not concerned, as it has let go."""
@@ -214,5 +214,5 @@ class TestALoopWithoutEnd:
         supervisor = Supervisor(memory, job_of(memory))
         loop = supervisor._children["loop"] = child("sleep", "10")
         supervisor._children["recorder"] = child()
-        supervisor._until_the_loop_ends(Unbreakable(NoScreen()), SimpleNamespace(main_ns=None))
+        supervisor._until_the_loop_ends(SafeScreen(NoScreen()), SimpleNamespace(main_ns=None))
         assert loop.returncode == -signal.SIGKILL

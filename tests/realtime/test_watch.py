@@ -12,7 +12,7 @@ from inteco_abs.boards import STILL_ON
 from inteco_abs.realtime import alarm as alarm_module
 from inteco_abs.realtime import watch as watch_module
 from inteco_abs.realtime.alarm import Alarm
-from inteco_abs.realtime.memory import Note, Word
+from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.realtime.processes import guardian as guardian_module
 from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_NS, POLL_S
 from inteco_abs.realtime.watch import Watch
@@ -36,7 +36,7 @@ class Scene:
         self.rescued = []
         self._until = until
         self._ring = memory.tick_ring(pack_tick)
-        self.words[Word.LOOP_PID] = self.words[Word.HOLDER_PID] = self.loop.pid
+        self.words[Field.LOOP_PID] = self.words[Field.HOLDER_PID] = self.loop.pid
         self.tick()
         self.watch = Watch(memory, job, self.loop.pid, self.guardian.pid)
         self.watch.judging = True
@@ -51,7 +51,7 @@ class Scene:
                 return passed
             self.now_ns += POLL_NS
             if guardian_beats:
-                self.words[Word.GUARDIAN_BEAT_NS] = self.now_ns
+                self.words[Field.GUARDIAN_BEAT_NS] = self.now_ns
             if loop_ticks:
                 self.tick()
             self.watch.look()
@@ -85,8 +85,8 @@ def scene(memory, job_of, child, until, monkeypatch):
 
 def test_while_both_are_there_nothing_is_done_but_to_beat(scene):
     scene.look(2000, guardian_beats=True, loop_ticks=True)
-    assert scene.words[Word.SUPERVISOR_BEAT_NS] == scene.now_ns
-    assert scene.words[Word.STOP] == 0
+    assert scene.words[Field.SUPERVISOR_BEAT_NS] == scene.now_ns
+    assert scene.words[Field.STOP] == 0
     assert scene.loop.poll() is scene.guardian.poll() is None
 
 
@@ -94,13 +94,13 @@ def test_a_guardian_that_dies_has_the_loop_stopped_at_the_next_look(scene):
     scene.look(100, guardian_beats=True, loop_ticks=True)
     scene.kill(scene.guardian)
     scene.look(5, guardian_beats=True, loop_ticks=True)
-    assert scene.words[Word.STOP] == Reason.GUARDIAN_LOST
+    assert scene.words[Field.STOP] == Reason.GUARDIAN_LOST
     assert scene.loop.poll() is None
 
 
 def test_a_guardian_that_stands_still_has_the_loop_stopped_once_its_window_is_over(scene):
     scene.look(100, guardian_beats=True, loop_ticks=True)
-    took_ms = scene.look(1000, loop_ticks=True, until=lambda: scene.words[Word.STOP])
+    took_ms = scene.look(1000, loop_ticks=True, until=lambda: scene.words[Field.STOP])
     assert GUARDIAN_WINDOW_NS / MS < took_ms <= GUARDIAN_WINDOW_NS / MS + 10
     assert scene.loop.poll() is None  # it goes on, so that it can hear of it
 
@@ -119,14 +119,14 @@ def test_more_than_a_thousand_descriptors_are_no_obstacle(scene, memory, job_of)
         for file in taken:
             os.close(file)
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
-    assert scene.words[Word.STOP] == Reason.GUARDIAN_LOST
+    assert scene.words[Field.STOP] == Reason.GUARDIAN_LOST
 
 
 def test_the_first_reason_stays(scene):
-    scene.words[Word.STOP] = Reason.OPERATOR_STOP
+    scene.words[Field.STOP] = Reason.OPERATOR_STOP
     scene.kill(scene.guardian)
     scene.look(100, loop_ticks=True)
-    assert scene.words[Word.STOP] == Reason.OPERATOR_STOP
+    assert scene.words[Field.STOP] == Reason.OPERATOR_STOP
 
 
 @pytest.mark.parametrize("loop", ["killed", "frozen"])
@@ -144,8 +144,8 @@ def test_without_loop_and_guardian_the_board_is_taken_after_the_end_of_both_and_
     scene.look(10)
     assert took_ms <= 200
     assert scene.rescued == [scene.memory]
-    assert scene.words[Word.RESCUED_PID] == scene.loop.pid
-    report = scene.memory.note(Note.RESCUE)
+    assert scene.words[Field.RESCUED_PID] == scene.loop.pid
+    report = scene.memory.note(Mailbox.RESCUE)
     assert (report["by"], report["failure"]) == ("supervisor", "")
     assert report["cause"] == ("died" if loop == "killed" else "hung")
     scene.look(1000)
@@ -178,34 +178,34 @@ def test_one_that_beats_but_does_not_come_to_an_end_is_relieved(scene):
 
 
 def test_a_loop_that_let_go_of_its_board_needs_nobody(scene):
-    scene.words[Word.HOLDER_PID] = 0
+    scene.words[Field.HOLDER_PID] = 0
     for process in (scene.loop, scene.guardian):
         scene.kill(process)
     scene.look(1000)
     assert scene.rescued == []
-    assert scene.words[Word.STOP] == 0
+    assert scene.words[Field.STOP] == 0
 
 
 def test_a_loop_that_was_silent_before_it_held_the_board_is_not_taken_for_hung(scene, monkeypatch):
     killed = []
     monkeypatch.setattr(signal, "pidfd_send_signal", lambda *_: killed.append(1))
-    scene.words[Word.HOLDER_PID] = 0
+    scene.words[Field.HOLDER_PID] = 0
     scene.look(1000, guardian_beats=True)
-    scene.words[Word.HOLDER_PID] = scene.loop.pid
+    scene.words[Field.HOLDER_PID] = scene.loop.pid
     scene.kill(scene.guardian)
     scene.look(5)
-    assert scene.words[Word.STOP] == Reason.GUARDIAN_LOST
+    assert scene.words[Field.STOP] == Reason.GUARDIAN_LOST
     assert killed == []
 
 
 def test_as_long_as_the_loop_lives_the_guardian_has_nothing_to_bring_to_an_end(scene):
     scene.look(9000, guardian_beats=True)
-    assert scene.words[Word.STOP] == 0
+    assert scene.words[Field.STOP] == 0
 
 
 def test_a_loop_that_stands_still_is_told_of_from_here_too(scene, until, capfd):
     scene.look(600, guardian_beats=True)
-    until(lambda: scene.words[Word.ALARMED], "it is said")
+    until(lambda: scene.words[Field.ALARMED], "it is said")
     assert STILL_ON in capfd.readouterr().err
 
 
@@ -215,7 +215,7 @@ def test_it_beats_by_itself_while_it_watches_and_leaves_no_descriptor_open(scene
     watch = Watch(scene.memory, job_of(scene.memory), scene.loop.pid, scene.guardian.pid)
     assert round(POLL_S * 1e9) == POLL_NS
     with watch.watching():
-        until(lambda: scene.words[Word.SUPERVISOR_BEAT_NS] == scene.now_ns, "it beats")
+        until(lambda: scene.words[Field.SUPERVISOR_BEAT_NS] == scene.now_ns, "it beats")
     assert len(opened) == 2
     for descriptor in opened:
         with pytest.raises(OSError, match="Bad file descriptor"):
@@ -225,21 +225,21 @@ def test_it_beats_by_itself_while_it_watches_and_leaves_no_descriptor_open(scene
 def test_before_the_run_has_begun_nobody_is_judged(scene, job_of):
     scene.watch = Watch(scene.memory, job_of(scene.memory), scene.loop.pid, scene.guardian.pid)
     scene.look(2000)
-    assert scene.words[Word.STOP] == 0
-    assert scene.words[Word.SUPERVISOR_BEAT_NS] == scene.now_ns
+    assert scene.words[Field.STOP] == 0
+    assert scene.words[Field.SUPERVISOR_BEAT_NS] == scene.now_ns
 
 
 def test_a_computer_that_stood_still_gives_everybody_the_window_again(scene):
     scene.look(100, guardian_beats=True, loop_ticks=True)
     scene.now_ns += 10**10
     scene.look(100)
-    assert scene.words[Word.STOP] == 0
+    assert scene.words[Field.STOP] == 0
 
 
 def test_a_main_thread_that_does_not_come_round_takes_the_beat_away(scene):
     scene.watch.main_ns = scene.now_ns
     scene.look(2000, guardian_beats=True, loop_ticks=True)
-    assert scene.words[Word.SUPERVISOR_BEAT_NS] == scene.watch.main_ns + 1000 * MS
+    assert scene.words[Field.SUPERVISOR_BEAT_NS] == scene.watch.main_ns + 1000 * MS
 
 
 class TestAlarm:
@@ -275,9 +275,9 @@ class TestAlarm:
     def test_silence_from_before_the_board_was_held_does_not_count(self, scene, look):
         watch = look()
         watch(200)
-        scene.words[Word.HOLDER_PID] = 0
+        scene.words[Field.HOLDER_PID] = 0
         watch(1000)
-        scene.words[Word.HOLDER_PID] = scene.loop.pid
+        scene.words[Field.HOLDER_PID] = scene.loop.pid
         assert watch(2000) > 300
 
     def test_it_is_told_once_and_by_one(self, scene, look, said):
@@ -286,7 +286,7 @@ class TestAlarm:
         for _ in range(3):
             look(0)(1000)
         assert len(said) == 1
-        assert scene.words[Word.ALARMED] == 1
+        assert scene.words[Field.ALARMED] == 1
 
     def test_one_who_cannot_say_it_leaves_it_to_the_next(self, look, said):
         unable = look(0, able=False)
@@ -303,9 +303,9 @@ class TestAlarm:
         ids=["let go", "rescued", "no loop yet"],
     )
     def test_of_a_board_that_is_safe_nothing_is_told(self, scene, look, said, loop, holder, rescued):
-        scene.words[Word.LOOP_PID] = loop * scene.loop.pid
-        scene.words[Word.HOLDER_PID] = holder * scene.loop.pid
-        scene.words[Word.RESCUED_PID] = rescued * scene.loop.pid
+        scene.words[Field.LOOP_PID] = loop * scene.loop.pid
+        scene.words[Field.HOLDER_PID] = holder * scene.loop.pid
+        scene.words[Field.RESCUED_PID] = rescued * scene.loop.pid
         look()(5000)
         assert said == []
 
@@ -323,7 +323,7 @@ class TestAlarm:
 
     def test_the_terminal_is_told_where_nobody_draws(self, scene, tell, until, capfd):
         tell()
-        until(lambda: scene.words[Word.ALARMED] == 1, "it is said")
+        until(lambda: scene.words[Field.ALARMED] == 1, "it is said")
         assert STILL_ON in capfd.readouterr().err
 
     def test_a_terminal_that_was_halted_keeps_nobody_waiting_not_even_at_the_end(self, scene, tell, monkeypatch):
@@ -332,6 +332,6 @@ class TestAlarm:
         tell()
         (writer,) = (thread for thread in threading.enumerate() if thread not in before)
         assert writer.daemon
-        assert scene.words[Word.ALARMED] == 0
+        assert scene.words[Field.ALARMED] == 0
         over.set()
         writer.join()

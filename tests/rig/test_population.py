@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
-from inteco_abs.rig import POPULATIONS, Plant, RigVariation, brake_duty, draw, holding_torque, torque_to_spare
+from inteco_abs.rig import POPULATIONS, Plant, RigVariation, brake_duty, draw, holding_torque, torque_margin
 from inteco_abs.rig.torque_margin import settled_torque
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -161,10 +161,10 @@ def test_holding_torque_has_a_meaning_only_within_a_rolling_stop(slip, speed):
 def test_torque_to_spare_is_the_least_over_the_speeds():
     rig = draw("capped", 3)
     margins = [settled_torque(1.0, rig) - holding_torque(rig, 0.2, speed) for speed in range(10, 181, 5)]
-    assert torque_to_spare(rig) == pytest.approx(min(margins), rel=1e-12)
+    assert torque_margin(rig) == pytest.approx(min(margins), rel=1e-12)
 
 
 def test_about_one_capped_rig_in_six_cannot_hold_the_slip_and_no_uncapped_one():
-    margins = [torque_to_spare(draw("capped", seed)) for seed in MANY]
+    margins = [torque_margin(draw("capped", seed)) for seed in MANY]
     assert sum(margin < 0.0 for margin in margins) == pytest.approx(1000 / 6, abs=40)
-    assert min(torque_to_spare(draw("hard", seed)) for seed in MANY) > 2.0
+    assert min(torque_margin(draw("hard", seed)) for seed in MANY) > 2.0

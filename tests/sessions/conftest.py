@@ -29,7 +29,7 @@ from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.mock_board import Device
-from inteco_abs.sessions import TICK, Account, Recorder, Session, read_session, result_card, session_config
+from inteco_abs.sessions import TICK, FileWriter, RunResult, Session, read_session, result_card, session_config
 from inteco_abs.signals import Phase
 
 QUICK = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
@@ -43,7 +43,7 @@ HEAD = struct.Struct("<BQ")
 
 class Run(NamedTuple):
     path: Path
-    stop: Account
+    stop: RunResult
     config: RigConfig
 
     @property
@@ -96,7 +96,7 @@ def record_anew(run: Run, path: Path, ticks: int, flushed_after: int) -> Path:
     """The first ticks of a run as a session of its own, in chunks of so many ticks."""
     session = run.session
     card = result_card(run.config, session.ticks[:ticks], session.truth[:ticks])
-    with Recorder(path, int(session.ticks["time_ns"][0]), epoch_ns=session.epoch_ns) as recorder:
+    with FileWriter(path, int(session.ticks["time_ns"][0]), epoch_ns=session.epoch_ns) as recorder:
         for name, facts in session.metadata.items():
             if name not in {"session", "result", "integrity"}:
                 recorder.describe(name, facts)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.sessions.container import DamagedError, Entry, Opcode, Run, chunk_parts, fields, text_map
+from inteco_abs.sessions.container import DamagedError, Entry, FixedRun, Opcode, chunk_parts, fields, text_map
 
 MESSAGES = st.lists(st.tuples(st.integers(0, 3), st.sampled_from([0, 1, 7, 255, 256, 70_000]), st.integers(1, 80)))
 
@@ -29,7 +29,7 @@ def test_runs_are_the_messages_in_order(groups, between):
             raw += struct.pack("<BQ", Opcode.METADATA, 3) + b"abc"
     found = []
     for part in chunk_parts(raw):
-        if isinstance(part, Run):
+        if isinstance(part, FixedRun):
             for row in part.rows:
                 found.append((part.channel, row["data"].dtype.itemsize))
                 assert row["channel"] == part.channel
@@ -49,7 +49,7 @@ def test_a_chunk_that_ends_within_a_record_is_damaged(groups, data):
         ends.add(at)
     cut = data.draw(st.integers(0, len(raw)))
     if cut in ends:
-        assert all(isinstance(part, Run) for part in chunk_parts(raw[:cut]))
+        assert all(isinstance(part, FixedRun) for part in chunk_parts(raw[:cut]))
     else:
         with pytest.raises(DamagedError):
             list(chunk_parts(raw[:cut]))

@@ -4,7 +4,7 @@ import pytest
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError
 from inteco_abs.rig import draw, settled_torque
-from inteco_abs.sessions import Conclusion, Introduction, Recorder, Scribe, read_session
+from inteco_abs.sessions import FileWriter, RunEnd, RunHeader, SessionWriter, read_session
 from inteco_abs.signals import Reason
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -96,9 +96,9 @@ def test_a_rig_that_is_none_leaves_no_file(tmp_path, run_at, virtual):
 
 def test_what_is_said_of_a_simulated_rig_is_not_said_of_a_real_one(tmp_path):
     config = load_config(settings=[RIG, "profile=usb2_generic_0103", "simulation.counts_per_turn=2048"])
-    with Recorder(tmp_path / "stop.mcap", 0, []) as recorder:
-        scribe = Scribe(recorder, config, Introduction("usb2:", {}, False, {}, [], b""))
+    with FileWriter(tmp_path / "stop.mcap", 0, []) as recorder:
+        scribe = SessionWriter(recorder, config, RunHeader("usb2:", {}, False, {}, [], b""))
         scribe.introduce()
-        card = scribe.conclude(Conclusion(Reason.NONE, 0)).card
+        card = scribe.conclude(RunEnd(Reason.NONE, 0)).card
     assert card["rig"] is None
     assert "drawn" not in read_session(tmp_path / "stop.mcap").metadata["rig"]

@@ -13,7 +13,7 @@ from inteco_abs.control import CONTROLLERS, build_pipeline, control_check, gains
 from inteco_abs.errors import SessionError
 from inteco_abs.format.protobuf import chunk, double, tag
 from inteco_abs.format.schema import Role
-from inteco_abs.sessions import CONFIG_NAME, TICK, Recorder, read_session, session_config, validate
+from inteco_abs.sessions import CONFIG_NAME, TICK, FileWriter, read_session, session_config, validate
 from inteco_abs.signals import Phase
 
 pytestmark = pytest.mark.untraced
@@ -123,7 +123,7 @@ def test_what_no_replay_can_know_is_left_to_the_hash(flips, name):
 def few(tmp_path_factory, stop, in_force):
     """Bytes of a session of three ticks, whose gains are told in all places."""
     path = tmp_path_factory.mktemp("few") / "few.mcap"
-    with Recorder(path, 0) as recorder:
+    with FileWriter(path, 0) as recorder:
         for name, facts in stop.metadata.items():
             recorder.describe(name, facts)
         recorder.attach(CONFIG_NAME, "application/toml", stop.attachments[CONFIG_NAME])

@@ -15,7 +15,7 @@ from inteco_abs.errors import AbsError, BoardError, ConfigError, ReadOnlyError, 
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.realtime import memory
 from inteco_abs.realtime.processes.recorder import recover_run
-from inteco_abs.sessions import Recorder, read_session
+from inteco_abs.sessions import FileWriter, read_session
 from inteco_abs.signals import EXPLANATIONS, BrakeDemand, Phase, Reason
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -203,11 +203,11 @@ def test_a_disk_that_is_full_from_the_start_leaves_no_file_and_nothing_moves(run
 
 
 def test_a_failure_before_the_first_tick_leaves_no_file(run, devices, monkeypatch, tmp_path):
-    class Failing(Recorder):
+    class Failing(FileWriter):
         def begin(self, _parameters) -> None:
             raise SessionError("no room")
 
-    monkeypatch.setattr(inteco_abs.experiment, "Recorder", Failing)
+    monkeypatch.setattr(inteco_abs.experiment, "FileWriter", Failing)
     with pytest.raises(AbsError, match="no room"):
         run()
     assert list(tmp_path.iterdir()) == []

@@ -3,7 +3,7 @@ import threading
 
 import pytest
 
-from inteco_abs.sessions import Account
+from inteco_abs.sessions import RunResult
 from inteco_abs.signals import Phase, Reason
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -104,4 +104,4 @@ def test_a_run_in_real_time_replays_bit_for_bit(tmp_path, run_at, replayed):
 )
 def test_exit_code(outcome, overruns, link_errors, lost_ticks, code):
     card = {"overruns": overruns, "link_errors": link_errors, "lost_ticks": lost_ticks}
-    assert Account(outcome, Reason.NONE, "", card).exit_code == code
+    assert RunResult(outcome, Reason.NONE, "", card).exit_code == code

@@ -8,7 +8,7 @@ import inteco_abs.experiment
 from inteco_abs.boards import RtdacUsb2
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import ReadOnlyError
-from inteco_abs.sessions import Recorder, read_session
+from inteco_abs.sessions import FileWriter, read_session
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 pytestmark = [pytest.mark.usefixtures("outer_signals"), pytest.mark.untraced]
@@ -76,12 +76,12 @@ def test_a_signal_during_progress_ends_the_run(run, devices, replayed, outer_sig
 
 
 def test_a_signal_before_the_first_tick_still_gives_a_whole_file(run, devices, replayed, monkeypatch, outer_signals):
-    class Interrupted(Recorder):
+    class Interrupted(FileWriter):
         def begin(self, parameters) -> None:
             super().begin(parameters)
             sender(signal.SIGINT)()
 
-    monkeypatch.setattr(inteco_abs.experiment, "Recorder", Interrupted)
+    monkeypatch.setattr(inteco_abs.experiment, "FileWriter", Interrupted)
     made = run()
     check_interrupted(made, devices, replayed)
     assert len(made.session.ticks) == 1
@@ -98,7 +98,7 @@ def test_a_second_signal_at_once_is_harmless(run, devices, replayed, at_phase, o
 def test_a_second_signal_while_the_file_is_completed_is_harmless(
     run, devices, replayed, at_phase, monkeypatch, outer_signals, patience_s
 ):
-    class Interrupted(Recorder):
+    class Interrupted(FileWriter):
         def ticks(self, records) -> None:
             time.sleep(patience_s)
             sender(signal.SIGINT)()
@@ -109,7 +109,7 @@ def test_a_second_signal_while_the_file_is_completed_is_harmless(
             super().finish(*args)
             sender(signal.SIGINT)()
 
-    monkeypatch.setattr(inteco_abs.experiment, "Recorder", Interrupted)
+    monkeypatch.setattr(inteco_abs.experiment, "FileWriter", Interrupted)
     at_phase(Phase.IDLE, sender(signal.SIGINT))
     check_interrupted(run(), devices, replayed)
     assert outer_signals == []
@@ -166,12 +166,12 @@ def test_a_second_late_signal_breaks_into_a_controller_that_never_returns(
 
 
 def test_a_signal_after_the_last_tick_takes_nothing_back(run, monkeypatch, outer_signals):
-    class Interrupted(Recorder):
+    class Interrupted(FileWriter):
         def finish(self, *args) -> None:
             sender(signal.SIGINT)()
             super().finish(*args)
 
-    monkeypatch.setattr(inteco_abs.experiment, "Recorder", Interrupted)
+    monkeypatch.setattr(inteco_abs.experiment, "FileWriter", Interrupted)
     made = run()
     assert made.stop.outcome == made.session.metadata["session"]["outcome"] == "completed"
     assert outer_signals == []

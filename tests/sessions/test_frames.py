@@ -15,10 +15,10 @@ from inteco_abs.format.io_frame import IO_NAME, Direction, IoFrame, io_frame_des
 from inteco_abs.realtime import memory
 from inteco_abs.realtime.processes.recorder import recover_run
 from inteco_abs.sessions import (
-    Conclusion,
-    Introduction,
-    Recorder,
-    Scribe,
+    FileWriter,
+    RunEnd,
+    RunHeader,
+    SessionWriter,
     read_frames,
     read_session,
     recover_session,
@@ -119,7 +119,7 @@ class TestInTheSession:
         def read(*_):
             raise AssertionError("a frame was read")
 
-        monkeypatch.setattr("inteco_abs.sessions.container.Stretch.messages", read)
+        monkeypatch.setattr("inteco_abs.sessions.container.VariableRun.messages", read)
         assert read_session(framed.path).frames
 
     @pytest.mark.parametrize("virtual", [True, False], ids=["virtual", "real time"])
@@ -227,7 +227,7 @@ class TestDamage:
         ],
     )
     def test_frames_that_are_none_are_refused_in_one_sentence(self, tmp_path, facts, message):
-        with Recorder(tmp_path / "x.mcap", 0) as recorder:
+        with FileWriter(tmp_path / "x.mcap", 0) as recorder:
             head = {"board": "usb2", "recorded_by": "", "clock": ""} if facts else {}
             recorder.frames({**head, **facts}, [(0, message)])
         with pytest.raises(SessionError, match="is damaged: its raw frames cannot be read"):
@@ -240,12 +240,12 @@ def concluded(tiny, tmp_path):
     session = tiny.session
 
     def tell(frames):
-        with Recorder(tmp_path / "told.mcap", 0) as recorder:
-            introduction = Introduction("sim:", {}, virtual=True, gains={}, internals=[], controller_source=b"")
-            scribe = Scribe(recorder, tiny.config, introduction)
+        with FileWriter(tmp_path / "told.mcap", 0) as recorder:
+            introduction = RunHeader("sim:", {}, virtual=True, gains={}, internals=[], controller_source=b"")
+            scribe = SessionWriter(recorder, tiny.config, introduction)
             scribe.introduce()
             scribe.add(bytes(session.payload), b"")
-            return scribe.conclude(Conclusion(Reason.NONE, len(session.ticks), frames=frames))
+            return scribe.conclude(RunEnd(Reason.NONE, len(session.ticks), frames=frames))
 
     return tell
 

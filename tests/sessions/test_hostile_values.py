@@ -7,7 +7,7 @@ import pytest
 
 from inteco_abs.analysis import diff_sessions
 from inteco_abs.format.schema import TICK, TRUTH
-from inteco_abs.sessions import Recorder
+from inteco_abs.sessions import FileWriter
 
 CLEAR, TITLE, RIGHT_TO_LEFT = "\x1b[2J", "\x1b]0;mine\x07", "\u202e"
 NASTY = f"{CLEAR}{TITLE}\x9b31m{RIGHT_TO_LEFT}\r\x08end"
@@ -22,7 +22,7 @@ def hostile(tmp_path, quick, monkeypatch):
         session, path = quick.session, tmp_path / name
         if library:
             monkeypatch.setattr("inteco_abs.sessions.writer.version", lambda _package: NASTY)
-        with Recorder(path, 0) as recorder:
+        with FileWriter(path, 0) as recorder:
             recorder.describe("controller", {**session.metadata["controller"], **dict(controller)})
             recorder.describe(NASTY, {NASTY: NASTY})
             recorder.attach("config.toml", "application/toml", config or session.attachments["config.toml"])
@@ -94,7 +94,7 @@ class TestNumbersWithoutEnd:
         monkeypatch.setattr("inteco_abs.sessions.writer.pack_result", lambda _card: b"")  # ours packs no such number
 
         def write(name, **values):
-            with Recorder(tmp_path / name, 0) as recorder:
+            with FileWriter(tmp_path / name, 0) as recorder:
                 for record in ("controller", "rig"):
                     recorder.describe(record, quick.session.metadata.get(record, {}))
                 config = quick.session.attachments["config.toml"] + f"\n[strange]\nnumber = {self.HUGE}\n".encode()
@@ -129,7 +129,7 @@ class TestNumbersWithoutEnd:
         rows = np.frombuffer(records[of], (TICK if of == "ticks" else TRUTH).dtype)
         rows["time_ns"] += np.uint64((1 << 64) - (1 << 40))
         path = tmp_path / "late.mcap"
-        with Recorder(path, 0, epoch_ns=0) as recorder:
+        with FileWriter(path, 0, epoch_ns=0) as recorder:
             recorder.attach("config.toml", "application/toml", quick.session.attachments["config.toml"])
             recorder.begin({})
             recorder.ticks(bytes(records["ticks"]))

@@ -12,10 +12,10 @@ from inteco_abs.errors import CaptureError, ConfigError, SessionError
 from inteco_abs.sessions import (
     TICK,
     TRUTH,
-    Conclusion,
-    Introduction,
-    Keeper,
-    Recorder,
+    FailoverWriter,
+    FileWriter,
+    RunEnd,
+    RunHeader,
     check_spill,
     read_session,
     spill_path,
@@ -38,13 +38,13 @@ class Kept:
         session = source.session
         self.payload, self._truths = session.payload, b"".join(map(TRUTH.pack, session.truth.tolist()))
         self._rows = -(-len(session.ticks) // SLICES)
-        opener = partial(Recorder, start_ns=int(session.ticks["time_ns"][0]), session_id="an-id", epoch_ns=10**18)
-        self.keeper = Keeper(
+        opener = partial(FileWriter, start_ns=int(session.ticks["time_ns"][0]), session_id="an-id", epoch_ns=10**18)
+        self.keeper = FailoverWriter(
             self.out, partial(opener, **recorder), self.spill if spill else None, lambda *told: self.said.append(told)
         )
 
     def introduce(self):
-        self.keeper.introduce(self._config, Introduction("sim:", {}, True, {"Mk": 2.0}, [], b""), Path("stop.mcap"))
+        self.keeper.introduce(self._config, RunHeader("sim:", {}, True, {"Mk": 2.0}, [], b""), Path("stop.mcap"))
         return self
 
     def slice(self, number):
@@ -64,7 +64,7 @@ class Kept:
 
     def conclude(self, frames=None):
         with self.keeper:
-            return self.keeper.conclude(Conclusion(Reason.NONE, self.keeper.ticks, frames=frames))
+            return self.keeper.conclude(RunEnd(Reason.NONE, self.keeper.ticks, frames=frames))
 
     def vanish(self):
         shutil.rmtree(self.out.parent)

@@ -9,7 +9,7 @@ import pytest
 from mcap.writer import Writer
 
 from inteco_abs.errors import SessionError
-from inteco_abs.format.schema import DOUBLE, FIXED32, FLOAT, Column, Kind, Message
+from inteco_abs.format.schema import DOUBLE, FIXED32, FLOAT, Column, Message, MessageKind
 from inteco_abs.sessions import TICK, TRUTH, migration, read_session, recover_session, validate
 from inteco_abs.sessions.migration import Made, Step, not_measured
 from inteco_abs.sessions.writer import FORMAT_VERSION
@@ -31,7 +31,7 @@ def table(of=TICK, *, without=(), kinds=None, also=(), numbers=None):
 
 
 def enum(name, members):
-    return Kind(14, 0, "B", "u1", IntEnum(name, members))
+    return MessageKind(14, 0, "B", "u1", IntEnum(name, members))
 
 
 def write(path, run, version=NEXT, tick=TICK, truth=TRUTH, **values):

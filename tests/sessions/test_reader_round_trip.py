@@ -1,6 +1,6 @@
 import pytest
 
-from inteco_abs.sessions import TICK, TRUTH, Recorder, read_session
+from inteco_abs.sessions import TICK, TRUTH, FileWriter, read_session
 from inteco_abs.signals import Phase, Tick
 
 NOTE = "überprüft: 2 µm, 制动"
@@ -16,7 +16,7 @@ def written(tmp_path_factory, quick):
         for number, phase in enumerate([Phase.IDLE, Phase.IDLE, Phase.BRAKING, Phase.DONE])
     ]
     truths = [(tick.time_ns, 1.0, 2.0, tick.slip, 3.0, 0.5, 0.25, 0.3) for tick in ticks]
-    with Recorder(path, 0, ("f",)) as recorder:
+    with FileWriter(path, 0, ("f",)) as recorder:
         recorder.describe("rig", {"note": NOTE, "": "empty key", "empty value": ""})
         recorder.attach("config.toml", "application/toml", NOTE.encode())
         recorder.attach("empty", "application/octet-stream", b"")

@@ -12,7 +12,7 @@ from mcap.stream_reader import StreamReader
 import inteco_abs
 from inteco_abs.config import parse_config
 from inteco_abs.control import gains_in_force
-from inteco_abs.sessions import TICK, Recorder, read_session
+from inteco_abs.sessions import TICK, FileWriter, read_session
 from inteco_abs.sessions.writer import FORMAT_VERSION
 
 BEFORE = {"inteco_abs.session", "inteco_abs.software", "inteco_abs.host", "inteco_abs.rig", "inteco_abs.controller"}
@@ -170,7 +170,7 @@ def test_outcome_timing_and_integrity_come_after_the_last_tick(chunked):
 
 def test_what_was_told_first_is_on_the_disk_before_the_first_tick(tmp_path):
     path = tmp_path / "stop.mcap"
-    with Recorder(path, 0) as recorder:
+    with FileWriter(path, 0) as recorder:
         recorder.describe("rig", {"board": "sim:"})
         recorder.attach("config.toml", "application/toml", b"profile = 'sim_usb2'\n")
         recorder.begin({"Mk": 2.0})
@@ -184,7 +184,7 @@ def test_what_was_told_first_is_on_the_disk_before_the_first_tick(tmp_path):
 
 def test_without_finish_the_file_is_incomplete(tmp_path, quick):
     path = tmp_path / "stop.mcap"
-    with Recorder(path, 0) as recorder:
+    with FileWriter(path, 0) as recorder:
         recorder.begin({})
         recorder.ticks(quick.session.payload)
     session = read_session(path)
@@ -195,7 +195,7 @@ def test_without_finish_the_file_is_incomplete(tmp_path, quick):
 
 def test_a_later_fact_of_one_name_replaces_and_the_others_stay(tmp_path, quick):
     path = tmp_path / "stop.mcap"
-    with Recorder(path, 0) as recorder:
+    with FileWriter(path, 0) as recorder:
         recorder.describe("rig", {"board": "a", "serial": "7"})
         recorder.begin({})
         recorder.describe("rig", {"board": "b"})
@@ -205,7 +205,7 @@ def test_a_later_fact_of_one_name_replaces_and_the_others_stay(tmp_path, quick):
 
 def test_ticks_in_portions_make_the_same_payload(tmp_path, quick):
     payload, path = quick.session.payload, tmp_path / "stop.mcap"
-    with Recorder(path, 0) as recorder:
+    with FileWriter(path, 0) as recorder:
         recorder.begin({})
         for first in range(0, len(payload), 7 * TICK.size):
             recorder.ticks(payload[first : first + 7 * TICK.size])
@@ -220,7 +220,7 @@ def test_ticks_in_portions_make_the_same_payload(tmp_path, quick):
 
 def test_a_session_may_have_no_ticks_and_no_truth(tmp_path, quick):
     path = tmp_path / "stop.mcap"
-    with Recorder(path, 0) as recorder:
+    with FileWriter(path, 0) as recorder:
         recorder.begin({})
         recorder.finish("fault", "nothing ran", quick.stop.card)
     session = read_session(path)
@@ -229,7 +229,7 @@ def test_a_session_may_have_no_ticks_and_no_truth(tmp_path, quick):
 
 def test_discard_leaves_no_file(tmp_path):
     path = tmp_path / "stop.mcap"
-    with Recorder(path, 0) as recorder:
+    with FileWriter(path, 0) as recorder:
         recorder.begin({})
         recorder.discard()
     assert list(tmp_path.iterdir()) == []

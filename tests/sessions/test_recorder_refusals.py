@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.errors import AbsError, ConfigError, SessionError
-from inteco_abs.sessions import TICK, Recorder, check_output, read_session
+from inteco_abs.sessions import TICK, FileWriter, check_output, read_session
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -24,21 +24,21 @@ def noise():
 def test_an_existing_file_is_not_overwritten(tmp_path):
     path = tmp_path / "stop.mcap"
     path.write_bytes(b"precious")
-    for refuse in (check_output, lambda path: Recorder(path, 0)):
+    for refuse in (check_output, lambda path: FileWriter(path, 0)):
         with pytest.raises(ConfigError, match=r"--out: .*stop\.mcap.* never overwritten"):
             refuse(path)
     assert path.read_bytes() == b"precious"
 
 
 def test_a_folder_is_no_session(tmp_path):
-    for refuse in (check_output, lambda path: Recorder(path, 0)):
+    for refuse in (check_output, lambda path: FileWriter(path, 0)):
         with pytest.raises(ConfigError, match="is a folder"):
             refuse(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_missing_folder_is_not_made(tmp_path):
-    for refuse in (check_output, lambda path: Recorder(path, 0)):
+    for refuse in (check_output, lambda path: FileWriter(path, 0)):
         with pytest.raises(ConfigError, match="missing does not exist"):
             refuse(tmp_path / "missing" / "stop.mcap")
     assert list(tmp_path.iterdir()) == []
@@ -48,7 +48,7 @@ def test_a_file_is_no_folder(tmp_path):
     plain = tmp_path / "plain"
     plain.write_bytes(b"precious")
     with pytest.raises(ConfigError, match="plain"):
-        Recorder(plain / "stop.mcap", 0)
+        FileWriter(plain / "stop.mcap", 0)
     assert plain.read_bytes() == b"precious"
 
 
@@ -56,14 +56,14 @@ def test_a_folder_where_nobody_may_write(tmp_path):
     path = Path("/proc/stop.mcap")
     check_output(path)
     with pytest.raises(SessionError, match=r"stop\.mcap cannot be created: "):
-        Recorder(path, 0)
+        FileWriter(path, 0)
     assert not path.exists()
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_name_that_is_too_long(tmp_path):
     with pytest.raises(AbsError):
-        Recorder(tmp_path / ("n" * 300 + ".mcap"), 0)
+        FileWriter(tmp_path / ("n" * 300 + ".mcap"), 0)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -72,7 +72,7 @@ def test_a_file_that_appears_after_the_check_is_not_overwritten(tmp_path, monkey
     path.write_bytes(b"precious")
     monkeypatch.setattr("inteco_abs.sessions.writer.check_output", lambda _path: None)
     with pytest.raises(SessionError, match="cannot be created"):
-        Recorder(path, 0)
+        FileWriter(path, 0)
     assert path.read_bytes() == b"precious"
 
 
@@ -80,12 +80,12 @@ def test_a_link_to_nowhere_is_not_followed(tmp_path):
     path, target = tmp_path / "stop.mcap", tmp_path / "target"
     path.symlink_to(target)
     with pytest.raises(SessionError, match="cannot be created"):
-        Recorder(path, 0)
+        FileWriter(path, 0)
     assert not target.exists()
 
 
 def record(path, payload, result):
-    with Recorder(path, 0) as recorder:
+    with FileWriter(path, 0) as recorder:
         recorder.describe("rig", {"board": "sim:"})
         recorder.attach("config.toml", "application/toml", b"")
         recorder.begin({})
@@ -113,7 +113,7 @@ def test_a_disk_that_fills_up_is_a_session_error_and_what_is_there_stays_readabl
 
 
 def leave_unfinished(path, room):
-    with Recorder(path, 0) as recorder:
+    with FileWriter(path, 0) as recorder:
         recorder.begin({})
         recorder.describe("rig", {"board": "sim:"})
         room(path.stat().st_size)

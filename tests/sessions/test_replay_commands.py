@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from inteco_abs.cli import main
-from inteco_abs.sessions import Recorder
+from inteco_abs.sessions import FileWriter
 from inteco_abs.signals import Phase
 
 
@@ -33,7 +33,7 @@ def rewritten(tmp_path, quick):
 
     def write(session=quick.session, config=None):
         path = tmp_path / "rewritten.mcap"
-        with Recorder(path, 0) as recorder:
+        with FileWriter(path, 0) as recorder:
             recorder.describe("controller", session.metadata["controller"])
             recorder.attach("config.toml", "application/toml", config or session.attachments["config.toml"])
             recorder.begin({})

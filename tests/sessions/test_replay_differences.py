@@ -10,7 +10,7 @@ import tomli_w
 from inteco_abs.analysis import Difference, changed_gains
 from inteco_abs.errors import SessionError
 from inteco_abs.format.schema import Role
-from inteco_abs.sessions import TICK, Recorder, read_session
+from inteco_abs.sessions import TICK, FileWriter, read_session
 from inteco_abs.signals import Phase, Reason
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -142,7 +142,7 @@ def test_one_bit_of_a_count_in_a_file_is_found(quick, retouched, replayed, tmp_p
     row = row_in(session, Phase.SPIN_UP, 100)
     changed = retouched(session, row, road_count=session.ticks["road_count"][row].item() ^ 1)
     path = tmp_path / "changed.mcap"
-    with Recorder(path, 0) as recorder:
+    with FileWriter(path, 0) as recorder:
         recorder.attach("config.toml", "application/toml", session.attachments["config.toml"])
         recorder.begin({})
         recorder.ticks(changed.payload)

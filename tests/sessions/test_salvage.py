@@ -9,7 +9,7 @@ import zlib
 import pytest
 
 from inteco_abs.errors import ConfigError, SessionError
-from inteco_abs.sessions import TICK, Recorder, content, read_session, recover_session, validate
+from inteco_abs.sessions import TICK, FileWriter, content, read_session, recover_session, validate
 from inteco_abs.sessions import recovery as salvage
 from inteco_abs.sessions.migration import layout
 from inteco_abs.sessions.writer import utc
@@ -229,7 +229,7 @@ def test_metadata_attachments_and_times_are_the_originals(rescue, short):
 
 def test_a_single_tick_that_is_missing_is_named(rescue, short, tmp_path):
     session = read_session(short)
-    with Recorder(tmp_path / "gap.mcap", int(session.ticks["time_ns"][0])) as recorder:
+    with FileWriter(tmp_path / "gap.mcap", int(session.ticks["time_ns"][0])) as recorder:
         recorder.begin({})
         recorder.ticks(session.ticks[:30].tobytes())
         recorder.ticks(session.ticks[31:].tobytes())
@@ -242,7 +242,7 @@ def test_in_however_many_blocks_it_is_copied_nothing_is_left_out(rescue, short, 
     monkeypatch.setattr(salvage, "_BLOCK_TICKS", ticks)
     session = read_session(short)
     times = session.epoch_ns + session.ticks["time_ns"].astype(int)
-    with Recorder(tmp_path / "told.mcap", int(session.ticks["time_ns"][0]), epoch_ns=session.epoch_ns) as recorder:
+    with FileWriter(tmp_path / "told.mcap", int(session.ticks["time_ns"][0]), epoch_ns=session.epoch_ns) as recorder:
         recorder.begin({})
         recorder.ticks(session.ticks.tobytes())
         recorder.truths(session.truth.tobytes())
@@ -259,7 +259,7 @@ def test_in_however_many_blocks_it_is_copied_nothing_is_left_out(rescue, short, 
 
 def test_truths_behind_the_last_tick_are_kept(rescue, short, tmp_path):
     session = read_session(short)
-    with Recorder(tmp_path / "long.mcap", int(session.ticks["time_ns"][0])) as recorder:
+    with FileWriter(tmp_path / "long.mcap", int(session.ticks["time_ns"][0])) as recorder:
         recorder.begin({})
         recorder.ticks(session.ticks[:50].tobytes())
         recorder.truths(session.truth.tobytes())
@@ -271,7 +271,7 @@ def test_truths_behind_the_last_tick_are_kept(rescue, short, tmp_path):
 def test_the_controllers_internals_keep_their_names(rescue, short, tmp_path):
     names = ["s", "sigma", "", "c3"]
     session = read_session(short)
-    with Recorder(tmp_path / "named.mcap", int(session.ticks["time_ns"][0]), names) as recorder:
+    with FileWriter(tmp_path / "named.mcap", int(session.ticks["time_ns"][0]), names) as recorder:
         recorder.begin({})
         recorder.ticks(session.ticks.tobytes())
         recorder.flush()
@@ -436,7 +436,7 @@ def test_parameters_are_told_anew(rescue, officially, short, tmp_path):
 def test_the_log_is_the_originals_with_its_warnings(tmp_path, tiny):
     session, source = tiny.session, tmp_path / "warned.mcap"
     half = len(session.ticks) // 2
-    with Recorder(source, int(session.ticks["time_ns"][0]), epoch_ns=session.epoch_ns) as recorder:
+    with FileWriter(source, int(session.ticks["time_ns"][0]), epoch_ns=session.epoch_ns) as recorder:
         recorder.begin({})
         recorder.ticks(session.ticks[:half].tobytes())
         recorder.warn(session.epoch_ns + int(session.ticks["time_ns"][half]), "the disk is slow")

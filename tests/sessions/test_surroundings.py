@@ -10,7 +10,7 @@ import pytest
 
 import inteco_abs
 from inteco_abs.config import profile_text
-from inteco_abs.sessions.environment import Enclosure, Surroundings, changes, installed_packages, surroundings
+from inteco_abs.sessions.environment import Enclosure, Environment, changes, installed_packages, surroundings
 from inteco_abs.sessions.provenance import profile_source
 
 
@@ -77,8 +77,8 @@ def test_a_package_that_is_there_by_halves_is_left_out(tmp_path, monkeypatch, me
 
 def test_a_note_of_them_gives_the_same_again():
     files = (Enclosure("git.diff", "text/x-diff", b"\xff\0"), Enclosure("requirements.txt", "text/plain", b"a==1\n"))
-    told = Surroundings(files, {"git_diff": "cut"})
-    assert Surroundings.of(json.loads(json.dumps(told.as_note()))) == told
+    told = Environment(files, {"git_diff": "cut"})
+    assert Environment.of(json.loads(json.dumps(told.as_note()))) == told
 
 
 def test_a_cut_diff_is_told_among_the_facts(monkeypatch):

@@ -6,7 +6,7 @@ import zlib
 import numpy as np
 import pytest
 
-from inteco_abs.sessions import TICK, Recorder, Severity, read_session, validate
+from inteco_abs.sessions import TICK, FileWriter, Severity, read_session, validate
 
 CHUNK, ATTACHMENT, METADATA, DATA_END, STATISTICS, FOOTER, CHUNK_INDEX = 6, 9, 12, 15, 11, 2, 8
 
@@ -126,7 +126,7 @@ def test_ticks_that_are_missing_are_named(container, judged):
 
 def recorded(path, ticks):
     """A session that was recorded so, with every checksum and its hash."""
-    with Recorder(path, 0) as recorder:
+    with FileWriter(path, 0) as recorder:
         recorder.begin({})
         recorder.ticks(ticks.tobytes())
         recorder.finish("completed", "", {"overruns": 0, "lost_ticks": 0, "lateness_us": {}})

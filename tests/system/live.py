@@ -7,7 +7,7 @@ import subprocess
 import time
 from pathlib import Path
 
-from inteco_abs.realtime.memory import FOLDER, RunMemory, Word
+from inteco_abs.realtime.memory import FOLDER, Field, RunMemory
 from inteco_abs.sessions import read_session
 
 QUICK = (
@@ -35,7 +35,7 @@ class LiveRun:
         self.words = self.memory.words
         self.ticks = self.memory.tick_reader()
         if begun:
-            self.until(lambda: self.words[Word.GO])
+            self.until(lambda: self.words[Field.GO])
 
     def _find(self, before):
         end = time.monotonic() + 60.0
@@ -45,7 +45,7 @@ class LiveRun:
                     memory = RunMemory.open(path)
                 except Exception:  # noqa: BLE001, S112  just being made; the loop ends in time
                     continue
-                if ancestor(memory.words[Word.SUPERVISOR_PID], self.process.pid):
+                if ancestor(memory.words[Field.SUPERVISOR_PID], self.process.pid):
                     return memory
             time.sleep(0.002)
         raise AssertionError(f"no run began: {self.process.communicate()}")
@@ -62,7 +62,7 @@ class LiveRun:
 
     def pid(self, role):
         """Of `supervisor`, `loop`, `recorder`, `guardian` or `board`."""
-        known = {"supervisor": Word.SUPERVISOR_PID, "loop": Word.LOOP_PID, "recorder": Word.RECORDER_PID}
+        known = {"supervisor": Field.SUPERVISOR_PID, "loop": Field.LOOP_PID, "recorder": Field.RECORDER_PID}
         if role in known:
             return self.words[known[role]]
         end = time.monotonic() + 10.0

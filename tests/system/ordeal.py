@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from live import LiveRun
 
-from inteco_abs.realtime.memory import Word
+from inteco_abs.realtime.memory import Field
 from inteco_abs.sessions import TICK, TRUTH, read_session
 
 ROLES = ("loop", "recorder", "guardian", "supervisor")
@@ -116,7 +116,7 @@ def await_moment(run, stage, ticks, chance):
         wait(run, lambda: run.ticks.written >= tick)
     else:
         longest_s = LONGEST_END_S
-        wait(run, lambda: run.ticks.written and not run.words[Word.HOLDER_PID])
+        wait(run, lambda: run.ticks.written and not run.words[Field.HOLDER_PID])
     time.sleep(chance.random() * longest_s)
 
 

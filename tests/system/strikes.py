@@ -14,7 +14,7 @@ import numpy as np
 from live import LiveRun
 
 from inteco_abs.boards import STILL_ON
-from inteco_abs.realtime.memory import Word
+from inteco_abs.realtime.memory import Field
 from inteco_abs.sessions import TRUTH
 
 ROLES = ("loop", "guardian", "supervisor", "recorder")
@@ -81,7 +81,7 @@ def struck(command, folder, environment, kind, number):
             except ProcessLookupError:  # the strike before has ended it
                 continue
         end = time.monotonic() + PATIENCE_S
-        while run.words[Word.HOLDER_PID] not in (0, run.words[Word.RESCUED_PID]) and time.monotonic() < end:
+        while run.words[Field.HOLDER_PID] not in (0, run.words[Field.RESCUED_PID]) and time.monotonic() < end:
             time.sleep(0.01)
         time.sleep(SAID_S)
         on, off_ms = turned_off(run, last_ns)

@@ -18,7 +18,7 @@ import tracing
 from live import LiveRun, safe_after_ns
 from ordeal import KINDS, RUNS, ordeal, table
 
-from inteco_abs.realtime.memory import Word
+from inteco_abs.realtime.memory import Field
 from inteco_abs.signals import Phase, Reason
 
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
@@ -226,7 +226,7 @@ def test_a_supervisor_that_is_stopped_counts_as_gone(live, replayed):
     run = live("--set", "experiment.start_speed_rad_s=90")
     run.until_tick(TURNING)
     run.strike("supervisor", signal.SIGSTOP)
-    run.until(lambda: not run.words[Word.HOLDER_PID])
+    run.until(lambda: not run.words[Field.HOLDER_PID])
     run.strike("supervisor", signal.SIGCONT)
     code, card, _ = run.end()
     assert (code, card["reason"]) == (5, "SUPERVISOR_LOST")
@@ -307,7 +307,7 @@ def test_of_a_loop_that_cannot_be_killed_the_user_hears_at_once_from_whoever_is_
     freeze(run.pid("loop"))
     for pid in doomed:
         os.kill(pid, signal.SIGKILL)
-    assert run.memory.wait(lambda: run.words[Word.ALARMED], GENEROUS_NS * 1e-9)
+    assert run.memory.wait(lambda: run.words[Field.ALARMED], GENEROUS_NS * 1e-9)
     thaw()
     if "supervisor" in victims:
         message = run.process.communicate(timeout=60)[1]

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from inteco_abs.commissioning import STEPS, MockBench
+from inteco_abs.commissioning import STEPS, MockRigAccess
 from inteco_abs.config import load_config
 from inteco_abs.identification import experiments
 from inteco_abs.realtime import memory
@@ -58,13 +58,13 @@ def test_a_run_in_real_time_tells_of_memory_and_computer_and_takes_no_memory(tol
 def test_no_message_to_a_board_of_any_kind_writes_a_setting(main_here, monkeypatch, profile):
     benches = []
 
-    class Kept(MockBench):
+    class Kept(MockRigAccess):
         def __init__(self, *arguments, **options):
             super().__init__(*arguments, **options)
             self.device.settings = Untouched(self.device.settings)
             benches.append(self)
 
-    monkeypatch.setattr("inteco_abs.commissioning.MockBench", Kept)
+    monkeypatch.setattr("inteco_abs.commissioning.MockRigAccess", Kept)
     main_here(*VIRTUAL, "--set", f"profile={profile}", check=0)
     (bench,) = benches
     assert bench.device.settings.written == set()

@@ -7,7 +7,7 @@ import time
 import pytest
 from live import LiveRun, safe_after_ns
 
-from inteco_abs.realtime.memory import FOLDER, RunMemory, Word
+from inteco_abs.realtime.memory import FOLDER, Field, RunMemory
 from inteco_abs.signals import Reason
 
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
@@ -172,7 +172,7 @@ def test_a_file_of_the_users_is_not_taken_for_a_library(command_path, tmp_path, 
 @pytest.mark.long
 def test_a_loop_that_is_stopped_before_its_first_tick_is_ended(command_path, tmp_path, untraced):
     run = LiveRun(command_path, tmp_path, untraced, begun=False)
-    run.until(lambda: run.words[Word.READY] == run.words[Word.LOOP_PID] != 0)
+    run.until(lambda: run.words[Field.READY] == run.words[Field.LOOP_PID] != 0)
     run.strike("loop", signal.SIGSTOP)
     code, _, _ = run.end(most_s=30.0)
     assert code != 0

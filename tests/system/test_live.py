@@ -6,7 +6,7 @@ import pytest
 from live import LiveRun
 from live_client import watching
 
-from inteco_abs.realtime.memory import Word
+from inteco_abs.realtime.memory import Field
 from inteco_abs.sessions import TICK
 
 SHORT = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
@@ -16,15 +16,15 @@ pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 
 def test_a_viewer_sees_ticks_that_are_in_the_session_and_the_session_is_whole(command_path, tmp_path, untraced):
     run = LiveRun(command_path, tmp_path, untraced, "--foxglove=0", settings=SHORT, begun=False)
-    run.until(lambda: run.words[Word.LIVE_PORT])
-    with watching(run.words[Word.LIVE_PORT]) as viewer:
+    run.until(lambda: run.words[Field.LIVE_PORT])
+    with watching(run.words[Field.LIVE_PORT]) as viewer:
         seen = viewer.rest()
         decoded = [viewer.decode(data) for _, data in seen]
     code, card, told = run.end()
     session = run.session()
     assert code in {0, 3}
     assert (card["outcome"], card["lost_ticks"]) == ("completed", 0)
-    assert f"open the connection ws://127.0.0.1:{run.words[Word.LIVE_PORT]} in Lichtblick" in told
+    assert f"open the connection ws://127.0.0.1:{run.words[Field.LIVE_PORT]} in Lichtblick" in told
     kept = {int(row["tick"]): row.tobytes() for row in TICK.array(bytes(session.payload))}
     span_s = (int(session.ticks["time_ns"][-1]) - int(session.ticks["time_ns"][0])) * 1e-9
     assert 5 < len(seen) <= 100 * span_s + 2

@@ -21,7 +21,7 @@ from inteco_abs.config import load_config
 from inteco_abs.errors import ReadOnlyError
 from inteco_abs.experiment import by_hand
 from inteco_abs.format import TRUTH
-from inteco_abs.realtime.memory import FOLDER, RunMemory, Word, alive
+from inteco_abs.realtime.memory import FOLDER, Field, RunMemory, alive
 from inteco_abs.signals import Command
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -76,7 +76,7 @@ class Terminal:
         for path in set(FOLDER.glob("*.ring")) - self._before:
             with suppress(Exception):  # just being made
                 memory = RunMemory.open(path)
-                if ancestor(memory.words[Word.SUPERVISOR_PID], self.process.pid):
+                if ancestor(memory.words[Field.SUPERVISOR_PID], self.process.pid):
                     self.memory = memory
                     return True
         return False
@@ -116,7 +116,7 @@ class Terminal:
         """Exit code, once every process is gone or has let go of the board."""
         code = self.process.wait(PATIENCE_S)
         words = self.memory.words
-        self.until(lambda: not alive(words[Word.LOOP_PID]), "the board is let go of")
+        self.until(lambda: not alive(words[Field.LOOP_PID]), "the board is let go of")
         return code
 
     def leave(self):
@@ -145,7 +145,7 @@ ENDS = {
     "SIGTERM": (lambda one: one.process.terminate(), 130),
     "window closed": (Terminal.close, None),
     "panel killed": (lambda one: one.process.kill(), -signal.SIGKILL),
-    "board's process killed": (lambda one: os.kill(one.memory.words[Word.LOOP_PID], signal.SIGKILL), 1),
+    "board's process killed": (lambda one: os.kill(one.memory.words[Field.LOOP_PID], signal.SIGKILL), 1),
 }
 IN_SHORT = {"Ctrl-C", "board's process killed"}
 """The others take the same ways: q and hang-ups that of Ctrl-C, and a killed run's loop ends likewise."""
@@ -159,9 +159,9 @@ def test_however_it_ends_the_outputs_are_off_and_read_back(terminal, how):
     end(one)
     assert one.end() == code or code is None
     words = one.memory.words
-    by_itself = words[Word.HOLDER_PID] == 0
+    by_itself = words[Field.HOLDER_PID] == 0
     assert by_itself is (how != "board's process killed")
-    assert by_itself or words[Word.RESCUED_PID] == words[Word.LOOP_PID]
+    assert by_itself or words[Field.RESCUED_PID] == words[Field.LOOP_PID]
     assert one.duties == OFF
     assert not one.memory.path.exists()
     if code in (0, 130):
@@ -184,7 +184,7 @@ def test_what_the_guard_has_taken_away_comes_back_by_arming_anew_and_by_nothing_
     one.until(one.find_memory, "the memory of the second arming is there")
     assert one.memory.path != tripped.path
     one.until(lambda: b"OFF: hold the space bar" in one.shown[shown:], "the second panel is there")
-    assert one.memory.words[Word.RESCUED_PID]  # the guardian has proved itself again
+    assert one.memory.words[Field.RESCUED_PID]  # the guardian has proved itself again
     one.type(b" " * 9)
     assert one.duties == OFF  # its sliders are at zero
     one.type(PAGE_UP)
@@ -254,7 +254,7 @@ def test_a_screen_that_fails_leaves_the_outputs_off(monkeypatch):
     (memory,) = kept
     memory.remove()
     assert drive_of(memory) == 0.0
-    assert memory.words[Word.HOLDER_PID] == 0
+    assert memory.words[Field.HOLDER_PID] == 0
 
 
 def drive_of(memory):

@@ -9,8 +9,8 @@ import pytest
 from inteco_abs.commissioning.panel import Panel
 from inteco_abs.config import load_config
 from inteco_abs.format import TICK, TRUTH, pack_tick
-from inteco_abs.realtime.memory import Note, RunMemory, Word
-from inteco_abs.realtime.processes.manual import HELD_NS, Screenside
+from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
+from inteco_abs.realtime.processes.manual import HELD_NS, ManualClient
 from inteco_abs.signals import BoardFlags, Command, Phase, Reason, Tick
 
 LOOK = {
@@ -29,11 +29,11 @@ class Stage:
 
         self.memory = memory
         self.words = memory.words
-        self.words[Word.LOOP_PID] = os.getpid()
-        memory.post(Note.INTRODUCTION, {"identity": "logic 0x0103 'ABSSIM'", "read_only_because": because})
-        memory.post(Note.RESULT, LOOK)
+        self.words[Field.LOOP_PID] = os.getpid()
+        memory.post(Mailbox.INTRODUCTION, {"identity": "logic 0x0103 'ABSSIM'", "read_only_because": because})
+        memory.post(Mailbox.RESULT, LOOK)
         self._ring = memory.tick_ring(pack_tick)
-        self.side = Screenside(memory)
+        self.side = ManualClient(memory)
         self.panel = Panel(load_config(settings=settings, profile=profile), outputs=outputs)
         self.app = PanelApp(self.panel, self.side, "sim:")
         self._seen_s = time.monotonic()
@@ -97,9 +97,9 @@ def test_holding_space_passes_the_sliders_on_and_a_tap_does_not(stage):
     async def play(pilot):
         await pilot.press("pageup", "up", "right", "right")
         await scene.space(pilot)
-        seen.append(scene.words[Word.KEY_SEEN_NS])
+        seen.append(scene.words[Field.KEY_SEEN_NS])
         await scene.space(pilot)
-        seen.append(scene.side.wishes.at(scene.words[Word.KEY_SEEN_NS]))
+        seen.append(scene.side.wishes.at(scene.words[Field.KEY_SEEN_NS]))
 
     scene.play(play)
     assert seen == [-HELD_NS, Command(0.11, 0.02)]
@@ -112,9 +112,9 @@ def test_any_other_key_takes_the_power_away(stage, key):
     async def play(pilot):
         await pilot.press("pageup")
         await scene.space(pilot, 2)
-        assert scene.words[Word.KEY_SEEN_NS] > 0
+        assert scene.words[Field.KEY_SEEN_NS] > 0
         await pilot.press(key)
-        assert scene.words[Word.KEY_SEEN_NS] == -HELD_NS
+        assert scene.words[Field.KEY_SEEN_NS] == -HELD_NS
 
     scene.play(play)
 
@@ -137,11 +137,11 @@ def test_leaving_takes_the_power_away_first(stage, key, code):
     async def play(pilot):
         await pilot.press("pageup")
         await scene.space(pilot, 2)
-        assert scene.words[Word.KEY_SEEN_NS] > 0
+        assert scene.words[Field.KEY_SEEN_NS] > 0
         await pilot.press(key)
 
     assert scene.play(play) == code
-    assert scene.words[Word.KEY_SEEN_NS] == -HELD_NS
+    assert scene.words[Field.KEY_SEEN_NS] == -HELD_NS
 
 
 def test_who_only_watches_can_hold_what_he_will(stage):
@@ -152,7 +152,7 @@ def test_who_only_watches_can_hold_what_he_will(stage):
         await scene.space(pilot, 3)
 
     scene.play(play)
-    assert scene.words[Word.KEY_SEEN_NS] <= 0
+    assert scene.words[Field.KEY_SEEN_NS] <= 0
 
 
 @pytest.mark.parametrize("size", [(80, 24), (140, 40)])
@@ -219,7 +219,7 @@ def test_r_and_then_y_end_it_to_begin_anew(stage):
         await pilot.press("y")
 
     assert scene.play(play) == ARM_AGAIN
-    assert scene.words[Word.KEY_SEEN_NS] == -HELD_NS
+    assert scene.words[Field.KEY_SEEN_NS] == -HELD_NS
     for wanted in ("arm again?", "a wheel turned faster", "identified", "press y"):
         assert wanted in shown[0]
 
@@ -259,7 +259,7 @@ def test_it_leaves_although_it_asks_when_nobody_holds_the_board_any_more(stage):
     async def play(pilot):
         await scene.look(pilot)
         await pilot.press("r")
-        scene.words[Word.LOOP_PID] = 0
+        scene.words[Field.LOOP_PID] = 0
         await scene.look(pilot)
 
     assert scene.play(play) == 5
@@ -268,9 +268,9 @@ def test_it_leaves_although_it_asks_when_nobody_holds_the_board_any_more(stage):
 @pytest.mark.parametrize(
     ("word", "reason", "code"),
     [
-        (Word.STOP, Reason.OPERATOR_STOP, 130),
-        (Word.GUARDIAN_STOP, Reason.GUARDIAN_LOST, 5),
-        (Word.STOP, Reason.NONE, 5),
+        (Field.STOP, Reason.OPERATOR_STOP, 130),
+        (Field.GUARDIAN_STOP, Reason.GUARDIAN_LOST, 5),
+        (Field.STOP, Reason.NONE, 5),
     ],
 )
 def test_it_leaves_when_nobody_holds_the_board_any_more(stage, word, reason, code):
@@ -278,7 +278,7 @@ def test_it_leaves_when_nobody_holds_the_board_any_more(stage, word, reason, cod
 
     async def play(pilot):
         scene.words[word] = reason
-        scene.words[Word.LOOP_PID] = 0
+        scene.words[Field.LOOP_PID] = 0
         await scene.look(pilot)
 
     assert scene.play(play) == code
@@ -292,7 +292,7 @@ def test_a_dump_is_shown_once_the_board_has_answered_and_any_key_closes_it(stage
         await pilot.press("d")
         await scene.look(pilot)
         shown.append(scene.text())
-        scene.words[Word.LOOKS] = scene.words[Word.LOOKS_ASKED]
+        scene.words[Field.LOOKS] = scene.words[Field.LOOKS_ASKED]
         await scene.look(pilot)
         shown.append(scene.text())
         await pilot.press("pagedown", "x")
@@ -329,4 +329,4 @@ def test_the_pci_board_is_asked_for_its_alarms_all_the_time(stage):
             scene.app.look()
 
     scene.play(play)
-    assert scene.words[Word.LOOKS_ASKED] >= 2
+    assert scene.words[Field.LOOKS_ASKED] >= 2

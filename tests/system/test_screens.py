@@ -4,7 +4,7 @@ import pytest
 
 from inteco_abs.cli.screens import ascii_wanted, screen_of
 from inteco_abs.config import load_config
-from inteco_abs.realtime.screen import Check, Lines, NoScreen, Unbreakable
+from inteco_abs.realtime.screen import Check, Lines, NoScreen, SafeScreen
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def test_trouble_of_a_screen_is_not_the_runs(act):
                 raise OSError("the terminal is gone")
             return super().__getattribute__(name)
 
-    screen = Unbreakable(Broken())
+    screen = SafeScreen(Broken())
     getattr(screen, act)("anything")
     getattr(screen, act)("anything")
     assert calls == [act]

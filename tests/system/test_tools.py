@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from inteco_abs.control import ESTIMATORS
-from inteco_abs.control.estimators.braking_ekf import Spread
+from inteco_abs.control.estimators.braking_ekf import EkfTuning
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -180,7 +180,7 @@ def test_tune_predictive_finds_the_same_again_and_never_a_worse_best(untraced):
 def test_tune_predictive_begins_with_what_is_in_force_and_prints_it_as_code(untraced):
     search = ("--generations=1", "--size=4", "--draws=1", "--sigma=1e-6", "--jobs=2")
     printed = run("tune_predictive", *search, environment=untraced).splitlines()
-    present = {f"    {name}: float = {value!r}" for name, value in Spread()._asdict().items()}
+    present = {f"    {name}: float = {value!r}" for name, value in EkfTuning()._asdict().items()}
     searched = {line for line in printed if ": float = " in line}
     assert searched <= present
     assert len(present - searched) == 3

@@ -7,7 +7,7 @@ import pytest
 
 from inteco_abs.errors import ConfigError
 from inteco_abs.signals import Phase
-from inteco_abs.views.comparison import MOST, insist_on_distinct, labels, since_s, start_ns, stretches
+from inteco_abs.views.comparison import MOST, labels, require_distinct, since_s, start_ns, stretches
 
 
 def test_one_session_is_named_by_what_it_was_run_with(session):
@@ -62,14 +62,14 @@ def test_a_session_that_tells_nothing_has_a_name(session):
 
 def test_the_same_session_twice_is_refused(session):
     with pytest.raises(ConfigError, match=r"stop\.mcap: is named more than once"):
-        insist_on_distinct([session, session])
+        require_distinct([session, session])
 
 
 def test_more_sessions_than_colours_are_refused(session):
     many = [replace(session, path=Path(f"{number}.mcap")) for number in range(MOST + 1)]
-    insist_on_distinct(many[:MOST])
+    require_distinct(many[:MOST])
     with pytest.raises(ConfigError, match=f"{MOST + 1} sessions, and at most {MOST} can be told apart"):
-        insist_on_distinct(many)
+        require_distinct(many)
 
 
 def test_time_counts_from_the_first_tick_of_braking_or_of_all(session):

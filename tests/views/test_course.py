@@ -2,7 +2,7 @@ import pytest
 
 from inteco_abs.realtime.screen import Point
 from inteco_abs.signals import Phase
-from inteco_abs.views.trace import Course
+from inteco_abs.views.trace import RunTrace
 
 PHASES = (Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE)
 
@@ -19,7 +19,7 @@ def points(phases, each_s=1.0, begin_s=7.0, every_s=0.1):
 
 @pytest.fixture
 def course():
-    return Course(180.0)
+    return RunTrace(180.0)
 
 
 def test_before_anything_has_happened_there_is_nothing(course):
@@ -42,7 +42,7 @@ def test_traces_are_of_braking_and_of_what_comes_after_until_the_brake_is_off(co
 
 
 def test_it_is_the_same_whether_told_at_once_or_bit_by_bit(course):
-    other = Course(180.0)
+    other = RunTrace(180.0)
     course.add(points(PHASES))
     for point in points(PHASES):
         other.add([point])
@@ -66,7 +66,7 @@ def test_what_ends_in_a_fault_keeps_its_traces(course):
 
 @pytest.mark.parametrize(("speed", "span"), [(12.0, 0.1), (40.0, 0.5), (100.0, 1.0), (180.0, 2.0), (240.0, 2.0)])
 def test_a_usual_stop_ends_within_its_axis(speed, span):
-    course = Course(speed)
+    course = RunTrace(speed)
     assert course.span_s() == span
     assert speed / 128.0 < span
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.views.decimation import thin
+from inteco_abs.views.decimation import decimate
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -13,7 +13,7 @@ courses = st.lists(values, min_size=1, max_size=200).map(np.array)
 
 def thinned(column, matters=None, most=20):
     matters = np.zeros(len(column), bool) if matters is None else matters
-    return thin({"x": column}, np.arange(len(column)) * 0.5, matters, most)
+    return decimate({"x": column}, np.arange(len(column)) * 0.5, matters, most)
 
 
 def test_few_rows_stay_as_they_are():
@@ -80,5 +80,5 @@ def test_what_float32_cannot_hold_stays_finite(value):
 
 
 def test_nothing_stays_nothing():
-    few = thin({"x": np.zeros(0)}, np.zeros(0), np.zeros(0, bool), 10)
+    few = decimate({"x": np.zeros(0)}, np.zeros(0), np.zeros(0, bool), 10)
     assert len(few.time_s) == len(few.columns["x"]) == 0

@@ -35,7 +35,7 @@ _DEVICES: Final = Path("/sys/bus/usb/devices")
 _LOG: Final = logging.getLogger(__name__)
 
 
-class Seen(NamedTuple):
+class UsbMatch(NamedTuple):
     """A device that may be the board."""
 
     device: Any
@@ -135,7 +135,7 @@ class UsbLink(Link):
             raise LinkError(in_words(error.errno, error)) from error
 
 
-def boards(ids: UsbConfig, backend: Any = None) -> Iterator[Seen]:
+def boards(ids: UsbConfig, backend: Any = None) -> Iterator[UsbMatch]:
     """Devices that may be the board: of its maker, or of an id that is configured or the bridge's own.
 
     The vendor's software knows the board by its maker's name alone, so does this, upper and lower case aside. Raises
@@ -155,15 +155,15 @@ def boards(ids: UsbConfig, backend: Any = None) -> Iterator[Seen]:
             yield seen
 
 
-def _seen(device: Any, ids: UsbConfig) -> Seen:
+def _seen(device: Any, ids: UsbConfig) -> UsbMatch:
     """What can be read of the device; what is no board's according to the kernel is not disturbed."""
     made_by = _kernels_word(device, "manufacturer")
     if made_by and ids.manufacturer.lower() not in made_by.lower():
-        return Seen(device, made_by, _kernels_word(device, "serial"), denied=False)
+        return UsbMatch(device, made_by, _kernels_word(device, "serial"), denied=False)
     try:
-        return Seen(device, str(device.manufacturer), str(device.serial_number), denied=False)
+        return UsbMatch(device, str(device.manufacturer), str(device.serial_number), denied=False)
     except (ValueError, usb.core.USBError):  # pyusb: a device that cannot be opened "has no langid"
-        return Seen(device, made_by, "", denied=True)
+        return UsbMatch(device, made_by, "", denied=True)
 
 
 def _kernels_word(device: Any, name: str) -> str:

@@ -7,9 +7,9 @@ from typing import ClassVar, Final
 
 from inteco_abs.control.controllers.base import Gain, Setup
 from inteco_abs.control.estimators.prediction import braking_slip
-from inteco_abs.control.wheel_dynamics import Contact
+from inteco_abs.control.wheel_dynamics import WheelDynamics
 from inteco_abs.rig import adhesion
-from inteco_abs.signals import BrakeDemand, Estimate, Outlook
+from inteco_abs.signals import BrakeDemand, Estimate, Prediction
 
 _START_RAD_S: Final = 180.0
 _RISEN_SLIP: Final = 0.035
@@ -44,7 +44,7 @@ class PredictiveReaching:
         self._hold_below = setup.hold_below_rad_s
         self._parameters = setup.parameters
         self._brake_map = setup.brake_map
-        self._contact = Contact(setup.parameters)
+        self._contact = WheelDynamics(setup.parameters)
         self._k = k
         self._a = a
         self._a_most = a_most
@@ -67,7 +67,7 @@ class PredictiveReaching:
         """Duty at which the brake is believed to settle to `torque` in N m."""
         return self._brake_map.duty(torque)
 
-    def _torques(self, seen: Outlook, slip: float, switching: float) -> tuple[float, float]:
+    def _torques(self, seen: Prediction, slip: float, switching: float) -> tuple[float, float]:
         """Brake torque that the law asks for, and what the brake is to settle to on the way, in N m."""
         x1, x2, lagged = seen.wheel_speed_rad_s, seen.road_speed_rad_s, seen.lagged_torque_nm
         cosine, sine = math.cos(seen.wheel_angle_rad), math.sin(seen.wheel_angle_rad)

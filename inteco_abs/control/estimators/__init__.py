@@ -5,14 +5,14 @@ from typing import Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control.estimators.base import Estimator, MovingWindow, SpeedFilter, TwoWheels
-from inteco_abs.control.estimators.braking_ekf import Spread
+from inteco_abs.control.estimators.braking_ekf import EkfTuning
 from inteco_abs.control.estimators.difference import SLIP_OFFSET_M_S, HeldDifference
 from inteco_abs.control.estimators.edge_time import EdgeTime
 from inteco_abs.control.estimators.kalman import KalmanFilter
 from inteco_abs.control.estimators.observer import Observer
-from inteco_abs.control.estimators.registry import EstimatorKind, Maker, Parameter, parameter
+from inteco_abs.control.estimators.registry import EstimatorSpec, Maker, Parameter, parameter
 from inteco_abs.control.estimators.tracking import TrackingLoop
-from inteco_abs.rig import RigParameters, believed_brake
+from inteco_abs.rig import RigParameters, nominal_brake_map
 
 
 def _on_both_wheels(make: Callable[[RigConfig], SpeedFilter]) -> Maker:
@@ -49,52 +49,52 @@ def _difference(config: RigConfig, parameters: RigParameters) -> Estimator:
 
 def _observer(config: RigConfig, parameters: RigParameters) -> Estimator:
     own = config.model.identified
-    spread = Spread(
-        dead_time_s=Spread().dead_time_s if own.brake_dead_time_s is None else own.brake_dead_time_s,
-        lag_s=Spread().lag_s if own.c31 is None else 1.0 / own.c31,
+    spread = EkfTuning(
+        dead_time_s=EkfTuning().dead_time_s if own.brake_dead_time_s is None else own.brake_dead_time_s,
+        lag_s=EkfTuning().lag_s if own.c31 is None else 1.0 / own.c31,
     )
-    per_turn, brake_map = config.encoders.counts_per_turn, believed_brake(config.model)
+    per_turn, brake_map = config.encoders.counts_per_turn, nominal_brake_map(config.model)
     return Observer(parameters, per_turn, 1.0 / config.loop.rate_hz, spread, brake_map)
 
 
-ESTIMATORS: Final[dict[str, EstimatorKind]] = {
-    "euler": EstimatorKind(
+ESTIMATORS: Final[dict[str, EstimatorSpec]] = {
+    "euler": EstimatorSpec(
         "The paper's backward difference over one period",
         (),
         _euler,
         MovingWindow,
     ),
-    "moving-window": EstimatorKind(
+    "moving-window": EstimatorSpec(
         "Mean speed over a window of samples",
         (parameter("window_s", "s", "length of the window; the speed lags by half of it"),),
         _moving_window,
         MovingWindow,
     ),
-    "difference": EstimatorKind(
+    "difference": EstimatorSpec(
         "The vendor's demonstrations: difference over T0, held for T0, behind a dead zone of 0.05 m/s",
         (parameter("window_s", "s", "T0; the speed lags by as much in the mean"),),
         _difference,
         HeldDifference,
     ),
-    "edge-time": EstimatorKind(
+    "edge-time": EstimatorSpec(
         "Angle between edges over the time between them, known to a sample as no board stamps edges",
         (parameter("window_s", "s", "least time between the two edges; the speed lags by half of it"),),
         _on_both_wheels(_edge_time),
         EdgeTime,
     ),
-    "tracking": EstimatorKind(
+    "tracking": EstimatorSpec(
         "A model wheel that follows the counted angle through a spring and a damper",
         (parameter("natural_frequency_rad_s", "rad/s", "quicker and noisier if higher; at most rate_hz/10"),),
         _on_both_wheels(_tracking),
         TrackingLoop,
     ),
-    "kalman": EstimatorKind(
+    "kalman": EstimatorSpec(
         "Kalman filter of angle, speed and acceleration for a wheel whose jerk is white noise",
         (parameter("jerk_density", "rad2/s5", "quicker and noisier if higher"),),
         _on_both_wheels(_kalman),
         KalmanFilter,
     ),
-    "observer": EstimatorKind(
+    "observer": EstimatorSpec(
         "Extended Kalman filter of wheels, brake and contact, which learns the encoders' discs in the run-up",
         (),
         _observer,
@@ -107,7 +107,7 @@ __all__ = [
     "ESTIMATORS",
     "EdgeTime",
     "Estimator",
-    "EstimatorKind",
+    "EstimatorSpec",
     "HeldDifference",
     "KalmanFilter",
     "MovingWindow",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from inteco_abs.control.count_speed import SpeedWindows
+from inteco_abs.control.count_speed import MovingAverageSpeeds
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import Command, Estimate, Sample
 
@@ -66,7 +66,7 @@ class MovingWindow:
     __slots__ = ("_ratio", "_valid", "_windows")
 
     def __init__(self, counts_per_turn: int, length: int, parameters: RigParameters) -> None:
-        self._windows = SpeedWindows(counts_per_turn, length)
+        self._windows = MovingAverageSpeeds(counts_per_turn, length)
         self._ratio = parameters.r1 / parameters.r2
         self._valid = False
 

@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from inteco_abs.control.estimators.eccentricity import DiscFilter
-from inteco_abs.control.estimators.prediction import LONGEST_DEAD_TIME_S, Pending, braking_slip, outlook
-from inteco_abs.control.wheel_dynamics import Contact
+from inteco_abs.control.estimators.eccentricity import EccentricityFilter
+from inteco_abs.control.estimators.prediction import LONGEST_DEAD_TIME_S, DelayLine, braking_slip, outlook
+from inteco_abs.control.wheel_dynamics import WheelDynamics
 from inteco_abs.rig import BrakeMap, RigParameters, adhesion, adhesion_slope
-from inteco_abs.signals import Outlook
+from inteco_abs.signals import Prediction
 
 _LONGEST_STEP_S: Final = 0.001
 """Of the explicit steps; the contact at little slip would swing with longer ones."""
@@ -27,7 +27,7 @@ _STEP_PAUSE_S: Final = 0.010
 Row = list[float]
 
 
-class Spread(NamedTuple):
+class EkfTuning(NamedTuple):
     """How far a rig may be from the published one, and how fast it may change, as standard deviations.
 
     Tuned on drawn rigs (`tools/tune_predictive`), of seeds that no test uses.
@@ -71,7 +71,7 @@ class Spread(NamedTuple):
     """Of a new error in that mean."""
 
 
-class BrakingFilter:
+class BrakingEkf:
     """An extended Kalman filter.
 
     Its states: both wheels' angles and speeds; brake torque behind dead time and lag; what it gives beyond that; the
@@ -88,15 +88,15 @@ class BrakingFilter:
     )
 
     def __init__(
-        self, parameters: RigParameters, brake_map: BrakeMap, spread: Spread, count_rad: float, period_s: float
+        self, parameters: RigParameters, brake_map: BrakeMap, spread: EkfTuning, count_rad: float, period_s: float
     ) -> None:
         self._brake_map = brake_map
         self._parameters = parameters
-        self._contact = Contact(parameters)
+        self._contact = WheelDynamics(parameters)
         self._ratio = parameters.r1 / parameters.r2
         self._spread = spread
         self._noise = (spread.count_noise * count_rad) ** 2
-        self._pending = Pending(period_s)
+        self._pending = DelayLine(period_s)
         self._x: Row = []
         self._P: list[Row] = []
         self._by_factor = 0.0, 0.0  # accelerations per adhesion factor
@@ -107,7 +107,7 @@ class BrakingFilter:
         """Take note of the duty that is put out from the present sample on, `ticks` ticks after the last one."""
         self._pending.tell(self._brake_map.torque(duty), ticks)
 
-    def begin(self, wheel: DiscFilter, road: DiscFilter) -> None:
+    def begin(self, wheel: EccentricityFilter, road: EccentricityFilter) -> None:
         """Begin where two wheels roll, or anew in the middle of braking, with what the brake was told last."""
         spread, told = self._spread, self._pending.newest
         self._x = [wheel.angle, wheel.speed, road.angle, road.speed, told, 0.0, 1.0, 0.0, 0.0]
@@ -146,7 +146,7 @@ class BrakingFilter:
         x[10] = min(max(x[10], _LAG_S[0]), _LAG_S[1])
         return True
 
-    def outlook(self) -> Outlook:
+    def outlook(self) -> Prediction:
         """What is expected of the instant at which the next command comes through to the brake."""
         return outlook(self._contact, self._parameters, self._pending, self._x)
 

@@ -16,7 +16,7 @@ _LEARNING_RAD_S: Final = 60.0
 """From here on a turn is short enough to tell the disc from the motion."""
 
 
-class DiscFilter:
+class EccentricityFilter:
     """Kalman filter of angle, speed, acceleration, and of the wave that a disc off centre adds to the counted angle.
 
     z = th + c*cos(z) + s*sin(z) + noise, th''' white. A turn of the wheel is a turn of the disc, so the wave is known

@@ -6,8 +6,8 @@ import math
 from typing import Final
 
 from inteco_abs.control.estimators.base import Angles
-from inteco_abs.control.estimators.braking_ekf import BrakingFilter, Spread
-from inteco_abs.control.estimators.eccentricity import DiscFilter
+from inteco_abs.control.estimators.braking_ekf import BrakingEkf, EkfTuning
+from inteco_abs.control.estimators.eccentricity import EccentricityFilter
 from inteco_abs.control.estimators.prediction import braking_slip
 from inteco_abs.rig import MEASURED_MAP, BrakeMap, RigParameters
 from inteco_abs.signals import Command, Estimate, Sample
@@ -37,14 +37,14 @@ class Observer:
         parameters: RigParameters,
         counts_per_turn: int,
         period_s: float,
-        spread: Spread | None = None,
+        spread: EkfTuning | None = None,
         brake_map: BrakeMap = MEASURED_MAP,
     ) -> None:
-        spread = spread or Spread()
+        spread = spread or EkfTuning()
         count_rad = 2.0 * math.pi / counts_per_turn
         self._angles = Angles(counts_per_turn), Angles(counts_per_turn)
-        self._discs = tuple(DiscFilter(count_rad, spread.count_noise * count_rad) for _ in range(2))
-        self._filter = BrakingFilter(parameters, brake_map, spread, count_rad, period_s)
+        self._discs = tuple(EccentricityFilter(count_rad, spread.count_noise * count_rad) for _ in range(2))
+        self._filter = BrakingEkf(parameters, brake_map, spread, count_rad, period_s)
         self._parameters = parameters
         self._period_s = period_s
         self._braking = False

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
-from inteco_abs.control.wheel_dynamics import Contact
+from inteco_abs.control.wheel_dynamics import WheelDynamics
 from inteco_abs.rig import RigParameters, adhesion
-from inteco_abs.signals import Outlook
+from inteco_abs.signals import Prediction
 
 LONGEST_DEAD_TIME_S: Final = 0.030
 
 
-class Pending:
+class DelayLine:
     """Commands on their way to the brake, as the torques in N m that it settles to with each."""
 
     __slots__ = ("_period_s", "_torques")
@@ -62,7 +62,9 @@ class Pending:
         return int(ticks), ticks - int(ticks)
 
 
-def outlook(contact: Contact, parameters: RigParameters, pending: Pending, state: Sequence[float]) -> Outlook:
+def outlook(
+    contact: WheelDynamics, parameters: RigParameters, pending: DelayLine, state: Sequence[float]
+) -> Prediction:
     """From the states of `BrakingFilter`."""
     th1, x1, _, x2, lagged, excess, factor, cosine, sine, dead_time, lag = state
     horizon, then, mean = pending.ahead(lagged, dead_time, lag)
@@ -70,7 +72,7 @@ def outlook(contact: Contact, parameters: RigParameters, pending: Pending, state
     scale = factor + cosine * math.cos(halfway) + sine * math.sin(halfway)
     mu = scale * adhesion(braking_slip(x1, x2, parameters), parameters)
     moving = contact.accelerations(x1, x2, mean + excess, mu)
-    return Outlook(
+    return Prediction(
         th1 + horizon * (x1 + 0.5 * horizon * moving.wheel),
         x1 + horizon * moving.wheel,
         x2 + horizon * moving.road,

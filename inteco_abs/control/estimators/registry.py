@@ -23,7 +23,7 @@ class Parameter(NamedTuple):
     meaning: str
 
 
-class EstimatorKind(NamedTuple):
+class EstimatorSpec(NamedTuple):
     """One way to estimate: called with configuration and parameters of the rig, it makes a fresh estimator."""
 
     summary: str

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
-from inteco_abs.errors import ConfigError, Mistake, near_match
-from inteco_abs.mock_board.faults.kinds import KINDS, NOT_ON, Kind, Value
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
+from inteco_abs.mock_board.faults.kinds import KINDS, NOT_ON, FaultKind, Value
 
 _FORM: Final = re.compile(r"(?P<kind>[^=@/]+)(?:=(?P<value>[^@/]*))?@(?P<when>[^/]+)(?:/(?P<lasts>.+))?")
 _SPAN: Final = re.compile(
@@ -59,7 +59,7 @@ class Fault:
     value: float = math.nan
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> FaultKind:
         """What it means."""
         return KINDS[self.name]
 
@@ -84,13 +84,13 @@ def parse_faults(texts: Iterable[str], option: str = "--inject") -> tuple[Fault,
         try:
             faults.append(parse_fault(text))
         except ValueError as error:
-            mistakes.append(Mistake(option, f"{text[:80]!r}: {error}"))
+            mistakes.append(ConfigIssue(option, f"{text[:80]!r}: {error}"))
     if mistakes:
         raise ConfigError(mistakes)
     return tuple(faults)
 
 
-def insist_on_possible(
+def require_possible(
     faults: Iterable[Fault], board: str, impossible: Mapping[str, str] | None = None, option: str = "--inject"
 ) -> None:
     """Raise ConfigError for those that this kind of board, as in `board.kind`, cannot have.
@@ -98,7 +98,7 @@ def insist_on_possible(
     `impossible` are other kinds that cannot be, and why.
     """
     why = {name: text for name, (boards, text) in NOT_ON.items() if board in boards} | dict(impossible or {})
-    mistakes = [Mistake(option, f"{fault.name}: {why[fault.name]}") for fault in faults if fault.name in why]
+    mistakes = [ConfigIssue(option, f"{fault.name}: {why[fault.name]}") for fault in faults if fault.name in why]
     if mistakes:
         raise ConfigError(mistakes)
 
@@ -146,7 +146,7 @@ def _span(text: str) -> Span:
     return Span(ns=ns)
 
 
-def _value_of(kind: Kind, name: str, text: str | None) -> float:
+def _value_of(kind: FaultKind, name: str, text: str | None) -> float:
     wanted = kind.value
     if wanted is None:
         if text is not None:

@@ -12,7 +12,7 @@ from inteco_abs.mock_board.device import Device
 from inteco_abs.mock_board.faults.device import FaultyDevice
 from inteco_abs.mock_board.faults.fault import Fault
 from inteco_abs.mock_board.faults.schedule import Schedule
-from inteco_abs.mock_board.frontend import Face
+from inteco_abs.mock_board.frontend import FrontEnd
 
 _LONGEST_REQUEST: Final = 4
 """Bytes: what is longer tells the board to do something."""
@@ -20,7 +20,7 @@ _MOST_BYTES: Final = 4096
 _PWM_BITS: Final = 16
 
 
-class FaultyFace:
+class FaultyFrontEnd:
     """What `schedule` lets through of what a host and the board `make_face(device)` say to each other.
 
     `wait` lets so many seconds pass in an exchange, `pause` lets the host stand still for so many after it; `begun` is
@@ -30,7 +30,7 @@ class FaultyFace:
 
     def __init__(
         self,
-        make_face: Callable[[FaultyDevice], Face],
+        make_face: Callable[[FaultyDevice], FrontEnd],
         device: FaultyDevice,
         wait: Callable[[float], None],
         pause: Callable[[float], None],

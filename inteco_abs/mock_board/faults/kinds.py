@@ -37,7 +37,7 @@ class Value(NamedTuple):
         return f"{number} in {self.low:.15g}..{self.high:.15g} {self.unit}".rstrip()
 
 
-class Kind(NamedTuple):
+class FaultKind(NamedTuple):
     """One kind of fault."""
 
     meaning: str
@@ -56,33 +56,33 @@ _SUPPLY: Final = Value("V", 0.0, 30.0)
 _HEAT: Final = Value("degC", -40.0, 150.0)
 _ALARMS: Final = Value("bits", 1, 7)
 
-ON_THE_WIRE: Final[dict[str, Kind]] = {
-    "lose": Kind("the answer is lost"),
-    "lose-command": Kind("what the host sends is lost"),
-    "late": Kind("the exchange takes so much longer", _TIME),
-    "overdue": Kind("the answer comes after its request has timed out, before the next one"),
-    "twice": Kind("the answer comes twice"),
-    "swap": Kind("the answer comes after the next one"),
-    "stale": Kind("the answer is the one before again"),
-    "corrupt": Kind("one bit of the answer flips; without a number, any", _BIT),
-    "corrupt-command": Kind("one bit of what the host sends flips", _BIT),
-    "cut": Kind("the answer ends after so many bytes", Value("bytes", 0, 2048)),
-    "splice": Kind("so many bytes of the answer are new, the rest is of the one before", Value("bytes", 1, 2048)),
-    "identity": Kind("another board's answer: its header is not the one that was identified", lasting=True),
-    "stall": Kind("the board neither hears nor answers, and holds its outputs", lasting=True),
-    "unplug": Kind("the cable is pulled, and the board holds its outputs", lasting=True),
-    "reset": Kind(
+ON_THE_WIRE: Final[dict[str, FaultKind]] = {
+    "lose": FaultKind("the answer is lost"),
+    "lose-command": FaultKind("what the host sends is lost"),
+    "late": FaultKind("the exchange takes so much longer", _TIME),
+    "overdue": FaultKind("the answer comes after its request has timed out, before the next one"),
+    "twice": FaultKind("the answer comes twice"),
+    "swap": FaultKind("the answer comes after the next one"),
+    "stale": FaultKind("the answer is the one before again"),
+    "corrupt": FaultKind("one bit of the answer flips; without a number, any", _BIT),
+    "corrupt-command": FaultKind("one bit of what the host sends flips", _BIT),
+    "cut": FaultKind("the answer ends after so many bytes", Value("bytes", 0, 2048)),
+    "splice": FaultKind("so many bytes of the answer are new, the rest is of the one before", Value("bytes", 1, 2048)),
+    "identity": FaultKind("another board's answer: its header is not the one that was identified", lasting=True),
+    "stall": FaultKind("the board neither hears nor answers, and holds its outputs", lasting=True),
+    "unplug": FaultKind("the cable is pulled, and the board holds its outputs", lasting=True),
+    "reset": FaultKind(
         "the board starts anew: counters at zero, outputs as told",
         Value("", default=0.0, words=("zero", "held", "random")),
     ),
-    "master": Kind("another program repeats the strongest command it has heard, between ours", lasting=True),
-    "pause": Kind("the computer stands still for so long, between two exchanges", _TIME),
+    "master": FaultKind("another program repeats the strongest command it has heard, between ours", lasting=True),
+    "pause": FaultKind("the computer stands still for so long, between two exchanges", _TIME),
 }
 """Between the host and the board."""
 
-ON_THE_RIG: Final[dict[str, Kind]] = {
+ON_THE_RIG: Final[dict[str, FaultKind]] = {
     **{
-        f"{wheel}-{name}": Kind(meaning.format(wheel), value, lasting)
+        f"{wheel}-{name}": FaultKind(meaning.format(wheel), value, lasting)
         for wheel in ("road", "wheel")
         for name, meaning, value, lasting in (
             ("stuck", "the {} encoder's counter stands still", None, True),
@@ -93,17 +93,21 @@ ON_THE_RIG: Final[dict[str, Kind]] = {
             ("slips", "the {} encoder loses this share of its counts", _SHARE, True),
         )
     },
-    "encoders-swapped": Kind("each encoder's plug is in the other's socket", lasting=True),
-    "drive-dead": Kind("the drive motor gets nothing", lasting=True),
-    "drive-stuck": Kind("the drive motor gets this duty, whatever the board puts out", _SHARE, lasting=True),
-    "brake-dead": Kind("the brake gets nothing", lasting=True),
-    "brake-weak": Kind("the brake gets this share of its duty", _SHARE, lasting=True),
-    "brake-stuck": Kind("the brake gets this duty, whatever the board puts out", _SHARE, lasting=True),
-    "power-off": Kind("the power interface is off, as by the emergency switch", lasting=True),
-    "watchdog-stuck": Kind("the contact of the one-shot in the emergency chain does not open any more", lasting=True),
-    "supply": Kind("the motors' supply has so many volts; below 12.3 V they get nothing here", _SUPPLY, lasting=True),
-    "heat": Kind("the power interface is so hot; above 80 degC the motors get nothing here", _HEAT, lasting=True),
-    "alarm": Kind("in the panel: these alarm flags, 1, 2 and 4 added up, say the opposite", _ALARMS, lasting=True),
+    "encoders-swapped": FaultKind("each encoder's plug is in the other's socket", lasting=True),
+    "drive-dead": FaultKind("the drive motor gets nothing", lasting=True),
+    "drive-stuck": FaultKind("the drive motor gets this duty, whatever the board puts out", _SHARE, lasting=True),
+    "brake-dead": FaultKind("the brake gets nothing", lasting=True),
+    "brake-weak": FaultKind("the brake gets this share of its duty", _SHARE, lasting=True),
+    "brake-stuck": FaultKind("the brake gets this duty, whatever the board puts out", _SHARE, lasting=True),
+    "power-off": FaultKind("the power interface is off, as by the emergency switch", lasting=True),
+    "watchdog-stuck": FaultKind(
+        "the contact of the one-shot in the emergency chain does not open any more", lasting=True
+    ),
+    "supply": FaultKind(
+        "the motors' supply has so many volts; below 12.3 V they get nothing here", _SUPPLY, lasting=True
+    ),
+    "heat": FaultKind("the power interface is so hot; above 80 degC the motors get nothing here", _HEAT, lasting=True),
+    "alarm": FaultKind("in the panel: these alarm flags, 1, 2 and 4 added up, say the opposite", _ALARMS, lasting=True),
 }
 """Between the board and the wheels."""
 
@@ -115,8 +119,8 @@ NOT_ON: Final[dict[str, tuple[frozenset[str], str]]] = {
 
 PROCESSES: Final = ("loop", "recorder", "guardian", "supervisor")
 """Of a run in real time."""
-BY_PROCESS: Final[dict[str, Kind]] = {
-    f"{process}-{name}": Kind(meaning.format(process), lasting=lasting)
+BY_PROCESS: Final[dict[str, FaultKind]] = {
+    f"{process}-{name}": FaultKind(meaning.format(process), lasting=lasting)
     for process in PROCESSES
     for name, meaning, lasting in (
         ("killed", "the {}'s process is killed; in real time", False),
@@ -125,11 +129,11 @@ BY_PROCESS: Final[dict[str, Kind]] = {
 }
 CLOCK_STEP: Final = "clock-step"
 """Only in virtual time: the wall clock of a real computer is everybody's."""
-ON_THE_HOST: Final[dict[str, Kind]] = {
-    "sleep": Kind("the computer sleeps for so long: its clock stands still, rig and board go on", _TIME),
-    "disk-full": Kind("whoever writes the session finds no room for it on any disk", lasting=True),
-    "file-gone": Kind("the session's file is removed while it is being written"),
-    CLOCK_STEP: Kind("the computer's wall clock jumps by so long; in virtual time", _STEP),
+ON_THE_HOST: Final[dict[str, FaultKind]] = {
+    "sleep": FaultKind("the computer sleeps for so long: its clock stands still, rig and board go on", _TIME),
+    "disk-full": FaultKind("whoever writes the session finds no room for it on any disk", lasting=True),
+    "file-gone": FaultKind("the session's file is removed while it is being written"),
+    CLOCK_STEP: FaultKind("the computer's wall clock jumps by so long; in virtual time", _STEP),
     **BY_PROCESS,
 }
 """With the computer."""

@@ -71,7 +71,7 @@ _PWM: Final = {PWM_MODE.offset: PWM_MODE, PWM_PRESCALER.offset: PWM_PRESCALER, P
 _INDEXES: Final = {PWM_INDEX.offset: PWM_INDEX, ENCODER_INDEX.offset: ENCODER_INDEX}
 
 
-class PciFace:
+class PciFrontEnd:
     """Registers of the board: what the host writes and reads, one by one or as messages in the place of a bus.
 
     `seen` is what registers that never change show, by offset, where another board was seen to show something else.

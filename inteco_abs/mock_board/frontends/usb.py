@@ -8,9 +8,9 @@ from firmware_protocol import ProtocolError
 from firmware_protocol.fields import sent_back
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, logic_of
 from inteco_abs.config import MOCK_NAMES
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.mock_board.device import Device
-from inteco_abs.mock_board.frontend import Face, insist_on_terminals
+from inteco_abs.mock_board.frontend import FrontEnd, require_terminals
 
 APPLICATION_NAME: Final = MOCK_NAMES[1]
 _COMMAND_BIT: Final = 0x80
@@ -18,7 +18,7 @@ _ALONE: Final = DUMMY + READ_REQUEST
 """Commands without data."""
 
 
-class UsbFace:
+class UsbFrontEnd:
     """The board's frames, as whole messages: DUMMY, SEND with its data, READ request and answer.
 
     Raises ConfigError for a device whose logic has no tables. Counters, timers and pins are made anew for each
@@ -32,11 +32,11 @@ class UsbFace:
         try:
             logic = logic_of(device.logic_version)
         except ProtocolError as error:
-            raise ConfigError([Mistake("board.logic_version", str(error))]) from error
+            raise ConfigError([ConfigIssue("board.logic_version", str(error))]) from error
         self._read_table, self._send_table = logic.read, logic.send
         self._echoed = tuple(name for name in logic.send.fields if name in logic.read.fields)
         cable = device.cable
-        insist_on_terminals(cable, logic.read)
+        require_terminals(cable, logic.read)
         self._road = logic.read.place(f"encoder{cable.road_encoder}_count")
         self._wheel = logic.read.place(f"encoder{cable.wheel_encoder}_count")
         self._timers = tuple(
@@ -100,7 +100,7 @@ class ByteStream:
     one cuts it short, and the face drops what is no message.
     """
 
-    def __init__(self, face: Face) -> None:
+    def __init__(self, face: FrontEnd) -> None:
         self.face = face
         self._arriving = bytearray()
 

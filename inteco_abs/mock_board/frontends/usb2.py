@@ -10,7 +10,7 @@ from firmware_protocol.fields import sent_back
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, LOGIC_VERSION, LOGICS, READ, READ_REQUEST, SEND, Logic
 from inteco_abs.config import MOCK_NAMES
 from inteco_abs.mock_board.device import Device
-from inteco_abs.mock_board.frontend import insist_on_terminals
+from inteco_abs.mock_board.frontend import require_terminals
 
 APPLICATION_NAME: Final = MOCK_NAMES[0]
 _SYNTHESIS_DATE: Final = "20260101"
@@ -38,7 +38,7 @@ def _header(logic: Logic) -> dict[str, int | str]:
     }
 
 
-class Usb2Face:
+class Usb2FrontEnd:
     """Bulk endpoints of the board: what the host writes and reads, byte for byte, in the words of the device's logic.
 
     Malformed writes are dropped, as nothing is known of any complaint of the real board; `rejected` counts them.
@@ -58,7 +58,7 @@ class Usb2Face:
         self._unnamed = [~(a | b) & 0xFFFF for a, b in zip(read.named_bits, send.named_bits, strict=True)]
         self._numbering = f"pwm{logic.pwm_channels - 1}_prescaler"
         cable = device.cable
-        insist_on_terminals(cable, read)
+        require_terminals(cable, read)
         # what changes with every frame: the two widths that move the rig, and the word that hosts number frames with
         drive, brake, number = f"pwm{cable.drive_pwm}_width", f"pwm{cable.brake_pwm}_width", self._numbering
         self._drive, self._brake = send.place(drive).offset, send.place(brake).offset

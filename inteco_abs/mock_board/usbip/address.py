@@ -6,7 +6,7 @@ import socket
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from inteco_abs.errors import BoardError, ConfigError, Mistake
+from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
 
 USBIP_PORT: Final = 3240
 """Where the `usbip` command looks unless told otherwise."""
@@ -56,7 +56,7 @@ def parse_address(text: str) -> TcpAddress | UnixAddress:
     if text.startswith("unix:"):
         if len(text) > len("unix:"):
             return UnixAddress(Path(text.removeprefix("unix:")))
-        raise ConfigError([Mistake("--usbip", "'unix:' must be followed by a path")])
+        raise ConfigError([ConfigIssue("--usbip", "'unix:' must be followed by a path")])
     host, port = text, str(USBIP_PORT)
     if text.startswith("["):
         host, _, rest = text[1:].partition("]")
@@ -64,5 +64,5 @@ def parse_address(text: str) -> TcpAddress | UnixAddress:
     elif text.count(":") == 1:
         host, port = text.split(":")
     if not port.isascii() or not port.isdigit() or int(port) > 0xFFFF:
-        raise ConfigError([Mistake("--usbip", f"{text!r}: {port!r} is no port, must be 0..65535")])
+        raise ConfigError([ConfigIssue("--usbip", f"{text!r}: {port!r} is no port, must be 0..65535")])
     return TcpAddress(host or LOOPBACK, int(port))

@@ -15,7 +15,7 @@ from firmware_protocol.rtdac_usb2_bridge import (
     REQUEST_LED_OFF,
     REQUEST_LED_ON,
 )
-from inteco_abs.mock_board.frontend import Face
+from inteco_abs.mock_board.frontend import FrontEnd
 from inteco_abs.mock_board.usbip.usb_descriptors import UsbIdentity
 from inteco_abs.mock_board.usbip.usb_device import Answer, Handshake, Setup, UsbDevice
 
@@ -37,7 +37,7 @@ class UsbBoard(UsbDevice):
     UNKNOWN; here the first is dropped and counted by the face, the second and third are described below.
     """
 
-    def __init__(self, face: Face, identity: UsbIdentity | None = None) -> None:
+    def __init__(self, face: FrontEnd, identity: UsbIdentity | None = None) -> None:
         super().__init__(identity or UsbIdentity())
         self.face = face
         self.led = False

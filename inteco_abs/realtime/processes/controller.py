@@ -27,12 +27,12 @@ from typing import IO, Any, Final, cast
 
 from inteco_abs.control import CONTROLLERS, Controller, Gain, Setup
 from inteco_abs.control.phase_machine import recordable
-from inteco_abs.errors import BoardError, ConfigError, ControllerError, Mistake, in_words
+from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, ControllerError, in_words
 from inteco_abs.plugins import FROM_FILE, Controllers, load_controller
 from inteco_abs.realtime.heartbeat import NO_MORE
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.tuning import controller_wishes, end_with_parent, prepare
-from inteco_abs.signals import BrakeDemand, Estimate, Outlook
+from inteco_abs.realtime.tuning import controller_tuning, end_with_parent, prepare
+from inteco_abs.signals import BrakeDemand, Estimate, Prediction
 
 _LOOK_MS: Final = 5
 _LOOKS: Final = range(4)
@@ -139,7 +139,7 @@ class IsolatedController:
             line += part
         told: dict[str, Any] = json.loads(line)
         if "mistakes" in told:
-            raise ConfigError([Mistake(*mistake) for mistake in told["mistakes"]])
+            raise ConfigError([ConfigIssue(*mistake) for mistake in told["mistakes"]])
         if "error" in told:
             raise ControllerError(told["error"])
         return told
@@ -227,7 +227,7 @@ def _serve(requests: int, replies: int) -> None:
     controller = _made(requests, replies)
     if controller is None:
         return
-    prepare(controller_wishes())
+    prepare(controller_tuning())
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))  # without root's rights nothing here rises above the loop
     _tell(replies, {})
     _answer(requests, replies, controller)
@@ -263,7 +263,9 @@ def _answer(requests: int, replies: int, controller: Controller) -> None:
                 answer = _demand(controllers[which].update(Estimate(wheel, road, slip, valid), dt_s))
             elif len(request) == _OBSERVED.size:
                 number, which, dt_s, wheel, road, slip, valid, *outlook = _OBSERVED.unpack(request)
-                answer = _demand(controllers[which].update(Estimate(wheel, road, slip, valid, Outlook(*outlook)), dt_s))
+                answer = _demand(
+                    controllers[which].update(Estimate(wheel, road, slip, valid, Prediction(*outlook)), dt_s)
+                )
             else:
                 number, which = _COPY.unpack(request)
                 controllers = {which: controllers[which], number: deepcopy(controllers[which])}

@@ -13,7 +13,7 @@ from typing import Final
 from inteco_abs.boards import open_board
 from inteco_abs.errors import AbsError
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.realtime.ownership import holding, stopped, tell_failure
 from inteco_abs.signals import Command
 
@@ -27,7 +27,7 @@ def main(path: str) -> int:
     try:
         _hold(memory, Job.of(memory))
     except AbsError as error:
-        tell_failure(memory, Note.FAILURE, error)
+        tell_failure(memory, Mailbox.FAILURE, error)
         return error.exit_code
     return 0
 
@@ -35,8 +35,8 @@ def main(path: str) -> int:
 def _hold(memory: RunMemory, job: Job) -> None:
     with holding(memory), open_board(job.address, job.config, time.monotonic_ns) as board:
         board.insist()
-        memory.post(Note.SAFE_IMAGE, board.safe_image)
-        memory.words[Word.READY] = os.getpid()
+        memory.post(Mailbox.SAFE_IMAGE, board.safe_image)
+        memory.words[Field.READY] = os.getpid()
         end = time.monotonic() + _LONGEST_S
         while time.monotonic() < end and not stopped(memory):
             board.exchange(Command.SAFE)

@@ -20,9 +20,9 @@ from inteco_abs.errors import BoardError
 from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.heartbeat import beating
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
-from inteco_abs.realtime.rules import POLL_NS, POLL_S, SUPERVISOR_WINDOW_NS, Deed, Silence, guardian_does
-from inteco_abs.realtime.tuning import GUARDIAN_PRIORITY, guardian_wishes, prepare, watch_wishes
+from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
+from inteco_abs.realtime.rules import POLL_NS, POLL_S, SUPERVISOR_WINDOW_NS, Action, Silence, guardian_does
+from inteco_abs.realtime.tuning import GUARDIAN_PRIORITY, guardian_tuning, prepare, watch_tuning
 from inteco_abs.signals import Reason
 
 _RECORDER_WINDOW_NS: Final = 1_000_000_000
@@ -56,14 +56,14 @@ class Guardian:
         while not self._over():
             ended = bool(self._poller.poll(POLL_NS / 1e6))
             now = time.monotonic_ns()
-            self._words[Word.GUARDIAN_BEAT_NS] = now
+            self._words[Field.GUARDIAN_BEAT_NS] = now
             silent = self._hangs(now - before) or self._goes_on_after_stop(now - before)
-            held = self._words[Word.HOLDER_PID] == self._guarded != 0
+            held = self._words[Field.HOLDER_PID] == self._guarded != 0
             deed = guardian_does(held=held, loop_ended=ended, loop_silent=silent)
-            if Deed.KILL_LOOP in deed:
+            if Action.KILL_LOOP in deed:
                 self._kill()
             if ended:
-                self._leave(rescue=Deed.RESCUE in deed)
+                self._leave(rescue=Action.RESCUE in deed)
             self._look_after_the_others(now - before)
             self._alarm.look()
             self._follow()
@@ -71,14 +71,14 @@ class Guardian:
 
     def _over(self) -> bool:
         words = self._words
-        left_alone = not alive(words[Word.SUPERVISOR_PID]) and not self._guarded
-        if left_alone and not words[Word.GUARDIAN_STOP]:
-            words[Word.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST  # for whoever still waits to be guarded
-        return bool(words[Word.OVER]) or left_alone
+        left_alone = not alive(words[Field.SUPERVISOR_PID]) and not self._guarded
+        if left_alone and not words[Field.GUARDIAN_STOP]:
+            words[Field.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST  # for whoever still waits to be guarded
+        return bool(words[Field.OVER]) or left_alone
 
     def _follow(self) -> None:
         """Guard whom the supervisor names now."""
-        pid = self._words[Word.GUARDED_PID]
+        pid = self._words[Field.GUARDED_PID]
         if self._guarded or pid in (0, self._left):
             return
         with suppress(ProcessLookupError):  # it has ended already, without having opened the board
@@ -86,18 +86,18 @@ class Guardian:
             self._poller.register(self._end, select.POLLIN)
             self._guarded, self._killed = pid, False
             self._loop.forget()
-            self._words[Word.GUARDING_PID] = pid
+            self._words[Field.GUARDING_PID] = pid
 
     def _hangs(self, passed_ns: int) -> bool:
         """Whether the guarded process drives and has not completed a tick for too long."""
-        if not self._guarded or self._words[Word.HOLDER_PID] != self._guarded or not self._ticks.written:
+        if not self._guarded or self._words[Field.HOLDER_PID] != self._guarded or not self._ticks.written:
             self._loop.forget()
             return False
         return self._loop.lasts(self._ticks.written, passed_ns)
 
     def _goes_on_after_stop(self, passed_ns: int) -> bool:
         """Whether the guarded process is still there long after this one wanted the run to end."""
-        if not self._guarded or not self._words[Word.GUARDIAN_STOP]:
+        if not self._guarded or not self._words[Field.GUARDIAN_STOP]:
             return False
         return self._patience.lasts(0, passed_ns)
 
@@ -117,7 +117,7 @@ class Guardian:
                 with suppress(
                     BoardError
                 ):  # no more threads: the supervisor may take this process for hung, and its place
-                    beat = beating(self._memory, Word.GUARDIAN_BEAT_NS, POLL_S, watch_wishes(GUARDIAN_PRIORITY))
+                    beat = beating(self._memory, Field.GUARDIAN_BEAT_NS, POLL_S, watch_tuning(GUARDIAN_PRIORITY))
                     stack.enter_context(beat)
                 take_over(self._memory, self._job, pid, "hung" if self._killed else "died", "guardian")
         self._left = pid
@@ -125,16 +125,16 @@ class Guardian:
     def _look_after_the_others(self, passed_ns: int) -> None:
         """End the run when nobody could stop it, or nobody records it, any more."""
         words = self._words
-        if words[Word.GUARDIAN_STOP]:
+        if words[Field.GUARDIAN_STOP]:
             return
-        if self._gone(Word.SUPERVISOR_PID) or self._supervisor.lasts(words[Word.SUPERVISOR_BEAT_NS], passed_ns):
-            words[Word.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST
-        elif not words[Word.GO]:
+        if self._gone(Field.SUPERVISOR_PID) or self._supervisor.lasts(words[Field.SUPERVISOR_BEAT_NS], passed_ns):
+            words[Field.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST
+        elif not words[Field.GO]:
             return
-        elif self._gone(Word.RECORDER_PID) or self._recorder.lasts(words[Word.RECORDER_BEAT_NS], passed_ns):
-            words[Word.GUARDIAN_STOP] = Reason.RECORDER_LOST
+        elif self._gone(Field.RECORDER_PID) or self._recorder.lasts(words[Field.RECORDER_BEAT_NS], passed_ns):
+            words[Field.GUARDIAN_STOP] = Reason.RECORDER_LOST
 
-    def _gone(self, word: Word) -> bool:
+    def _gone(self, word: Field) -> bool:
         return not alive(self._words[word])
 
 
@@ -148,8 +148,8 @@ def take_over(memory: RunMemory, job: Job, pid: int, cause: str, by: str) -> Non
     seen_ns = time.monotonic_ns()
     failure = _make_safe(memory, job)
     report = {"cause": cause, "seen_ns": seen_ns, "done_ns": time.monotonic_ns(), "failure": failure, "by": by}
-    memory.post(Note.RESCUE, report)
-    memory.words[Word.RESCUED_PID] = pid
+    memory.post(Mailbox.RESCUE, report)
+    memory.words[Field.RESCUED_PID] = pid
 
 
 def _make_safe(memory: RunMemory, job: Job) -> str:
@@ -168,7 +168,7 @@ def _make_safe(memory: RunMemory, job: Job) -> str:
 
 def rescue(memory: RunMemory, job: Job) -> None:
     """Take the board of a process that is gone and write the SAFE image that it left; raises BoardError."""
-    image = memory.image(Note.SAFE_IMAGE)
+    image = memory.image(Mailbox.SAFE_IMAGE)
     if image is None:
         return  # it had not finished opening the board, and nothing but zero duties was ever written
     # motors are on: no time to measure which engine is quicker
@@ -180,6 +180,6 @@ def main(path: str) -> int:
     """Guard the run in the memory at `path`."""
     memory = RunMemory.open(Path(path))
     guardian = Guardian(memory, Job.of(memory))
-    prepare(guardian_wishes())
+    prepare(guardian_tuning())
     guardian.watch()
     return 0

@@ -19,12 +19,12 @@ from inteco_abs.realtime.clock import PacedClock
 from inteco_abs.realtime.frames import leaving_frames
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.loop import Loop, detail_of
-from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.realtime.ownership import PATIENCE_S, holding, stopped, tell_failure
 from inteco_abs.realtime.processes.controller import controllers_of
-from inteco_abs.realtime.round_trips import insist_on_rate
+from inteco_abs.realtime.round_trips import require_rate
 from inteco_abs.realtime.rules import LOOPS_WINDOW_NS
-from inteco_abs.realtime.tuning import loop_wishes, prepare
+from inteco_abs.realtime.tuning import loop_tuning, prepare
 from inteco_abs.realtime.watchdog import prove_watchdog
 from inteco_abs.signals import Reason
 from inteco_abs.wire.recording import recording
@@ -34,7 +34,7 @@ _STALL_NS: Final = 100_000_000
 """A tick so late is a pause of the computer: as long as five periods of the slowest loop, well within the window."""
 _NAP_NS: Final = 50_000_000
 """No suspension is so short."""
-_STOP, _GUARDIAN_STOP, _GUARDIAN_BEAT = int(Word.STOP), int(Word.GUARDIAN_STOP), int(Word.GUARDIAN_BEAT_NS)
+_STOP, _GUARDIAN_STOP, _GUARDIAN_BEAT = int(Field.STOP), int(Field.GUARDIAN_STOP), int(Field.GUARDIAN_BEAT_NS)
 _REASONS: Final = {int(reason): reason for reason in Reason}
 
 
@@ -81,11 +81,11 @@ def main(path: str) -> int:
     try:
         _run(memory, Job.of(memory))
     except AbsError as error:
-        tell_failure(memory, Note.FAILURE, error)
+        tell_failure(memory, Mailbox.FAILURE, error)
         code = error.exit_code
     except BaseException as error:  # noqa: BLE001  the top of a process: its end must explain itself
         traceback.print_exc()
-        tell_failure(memory, Note.FAILURE, error)
+        tell_failure(memory, Mailbox.FAILURE, error)
         code = 1
     sys.stderr.flush()
     os._exit(code)  # at once: the guardian may wait for it to take the board
@@ -101,7 +101,7 @@ def _run(memory: RunMemory, job: Job) -> None:
         try:
             _hold(memory, job, around, controllers)
         finally:
-            memory.words[Word.SAVING] = bool(job.wire) or job.frames  # with the board let go of, and all said
+            memory.words[Field.SAVING] = bool(job.wire) or job.frames  # with the board let go of, and all said
 
 
 def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, type[Controller]]) -> None:
@@ -112,13 +112,13 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
     cost: dict[str, str] = {}
     with holding(memory), open_board(job.address, config, clock.now_ns, around) as board:
         identity = board.insist()
-        memory.post(Note.SAFE_IMAGE, board.safe_image)
+        memory.post(Mailbox.SAFE_IMAGE, board.safe_image)
         loop = Loop(board, pipeline, clock, ring, SharedStop(memory))
-        settings = prepare(loop_wishes())
-        pace = {} if simulated(job.board) else insist_on_rate(board, config.period_ns)
+        settings = prepare(loop_tuning())
+        pace = {} if simulated(job.board) else require_rate(board, config.period_ns)
         watchdog = prove_watchdog(board, config.period_ns, time.sleep)
         memory.post(
-            Note.INTRODUCTION,
+            Mailbox.INTRODUCTION,
             {
                 "identity": identity.facts() | watchdog,
                 "gains": gains_in_force(config, controllers),
@@ -127,13 +127,13 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
                 "pace": pace,
             },
         )
-        words[Word.READY] = os.getpid()
-        memory.wait(lambda: words[Word.GO] or stopped(memory), PATIENCE_S)
-        if words[Word.GO]:
+        words[Field.READY] = os.getpid()
+        memory.wait(lambda: words[Field.GO] or stopped(memory), PATIENCE_S)
+        if words[Field.GO]:
             cost = _drive(loop, clock)
     if cost:
         end = {"reason": int(pipeline.reason), "detail": detail_of(pipeline, board), "cost": cost}
-        memory.post(Note.CONCLUSION, end)
+        memory.post(Mailbox.CONCLUSION, end)
 
 
 def _drive(loop: Loop, clock: PacedClock) -> dict[str, str]:

@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 from inteco_abs.boards import Board, RtdacPci, open_board, simulated
 from inteco_abs.config import RigConfig, bounded_in_time
-from inteco_abs.control import Guard, SpeedWindow
+from inteco_abs.control import Guard, MovingAverageSpeed
 from inteco_abs.errors import AbsError, BoardError, LinkError
 from inteco_abs.format import TICK, pack_tick
 from inteco_abs.realtime.clock import PacedClock
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.loop import Stop
-from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
+from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
 from inteco_abs.realtime.ownership import holding, tell_failure
 from inteco_abs.realtime.processes.loop import SharedStop
-from inteco_abs.realtime.round_trips import insist_on_rate
-from inteco_abs.realtime.tuning import loop_wishes, prepare
+from inteco_abs.realtime.round_trips import require_rate
+from inteco_abs.realtime.tuning import loop_tuning, prepare
 from inteco_abs.realtime.watchdog import prove_watchdog
 from inteco_abs.signals import UNTIMED, BoardFlags, Command, Estimate, Phase, Reason, Sample, Tick
 
@@ -48,7 +48,7 @@ _COUNTER_RANGE: Final = 1 << 32
 _NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
 
 
-class Wishes:
+class HeldRequest:
     """Duties that a screen wishes, in the shared words."""
 
     def __init__(self, memory: RunMemory) -> None:
@@ -56,23 +56,23 @@ class Wishes:
 
     def keep_on(self, wish: Command, seen_ns: int) -> None:
         """Wish for these duties; the key was seen at `seen_ns`, on the system's monotonic clock."""
-        self._words[Word.WISHED_DRIVE] = int(wish.drive * _SCALE)
-        self._words[Word.WISHED_BRAKE] = int(wish.brake * _SCALE)
-        self._words[Word.KEY_SEEN_NS] = seen_ns  # last: it is what makes the duties count
+        self._words[Field.WISHED_DRIVE] = int(wish.drive * _SCALE)
+        self._words[Field.WISHED_BRAKE] = int(wish.brake * _SCALE)
+        self._words[Field.KEY_SEEN_NS] = seen_ns  # last: it is what makes the duties count
 
     def take_away(self) -> None:
         """Wish for both outputs off, at once."""
-        self._words[Word.KEY_SEEN_NS] = -HELD_NS
+        self._words[Field.KEY_SEEN_NS] = -HELD_NS
 
     def at(self, now_ns: int) -> Command:
         """What is wished now; SAFE unless the key was seen within the last half a second."""
         words = self._words
-        if abs(now_ns - words[Word.KEY_SEEN_NS]) >= HELD_NS:
+        if abs(now_ns - words[Field.KEY_SEEN_NS]) >= HELD_NS:
             return Command.SAFE
-        return Command(words[Word.WISHED_DRIVE] / _SCALE, words[Word.WISHED_BRAKE] / _SCALE)
+        return Command(words[Field.WISHED_DRIVE] / _SCALE, words[Field.WISHED_BRAKE] / _SCALE)
 
 
-class Hand(ABC):
+class ManualLoop(ABC):
     """Beats of an entered board, each shown in the ring of the memory; looks at everything when asked to."""
 
     def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: Stop) -> None:
@@ -81,8 +81,8 @@ class Hand(ABC):
         self._stop = stop
         self._ring = memory.tick_ring(pack_tick)
         length = max(1, round(_WINDOW_S * config.loop.rate_hz))
-        self._wheel = SpeedWindow(config.encoders.counts_per_turn, length)
-        self._road = SpeedWindow(config.encoders.counts_per_turn, length)
+        self._wheel = MovingAverageSpeed(config.encoders.counts_per_turn, length)
+        self._road = MovingAverageSpeed(config.encoders.counts_per_turn, length)
 
     @abstractmethod
     def beat(self) -> bool:
@@ -115,18 +115,18 @@ class Hand(ABC):
     def look(self) -> None:
         """Leave one whole reading of the board, if the screen has asked for another."""
         words = self._memory.words
-        asked = words[Word.LOOKS_ASKED]
-        if asked != words[Word.LOOKS]:
-            self._memory.post(Note.RESULT, read_all(self._board))
-            words[Word.LOOKS] = asked
+        asked = words[Field.LOOKS_ASKED]
+        if asked != words[Field.LOOKS]:
+            self._memory.post(Mailbox.RESULT, read_all(self._board))
+            words[Field.LOOKS] = asked
 
 
-class Driven(Hand):
+class DriveLoop(ManualLoop):
     """A board entered for output. Each command passes the guard, and goes out with the beat after."""
 
     def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: Stop) -> None:
         super().__init__(board, config, memory, stop)
-        self._wishes = Wishes(memory)
+        self._wishes = HeldRequest(memory)
         self._guard = Guard(config)
         self._command = Command.SAFE
         self._made_safe = False  # after a trip
@@ -150,7 +150,7 @@ class Driven(Hand):
         return stop is Reason.NONE
 
 
-class Watched(Hand):
+class WatchLoop(ManualLoop):
     """A board entered for reading: its encoders alone, and nothing is written to it but requests."""
 
     def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: Stop) -> None:
@@ -195,18 +195,18 @@ class Watched(Hand):
         self._raw, self._counts = raw, (wheel, road)
 
 
-class Screenside:
+class ManualClient:
     """The other end of the shared memory: what a screen sees of the board, and what it wishes."""
 
     def __init__(self, memory: RunMemory) -> None:
-        self.wishes = Wishes(memory)
+        self.wishes = HeldRequest(memory)
         self._memory = memory
         self._ticks = memory.tick_reader()
 
     @property
     def introduction(self) -> dict[str, str]:
         """`identity` of the board, and `read_only_because`: empty if its outputs may be used."""
-        told: dict[str, str] = self._memory.note(Note.INTRODUCTION)
+        told: dict[str, str] = self._memory.note(Mailbox.INTRODUCTION)
         return told
 
     def now_ns(self) -> int:
@@ -225,31 +225,31 @@ class Screenside:
 
     def ask(self) -> None:
         """Have the whole board read once more; on a USB board that waits until the outputs are off."""
-        self._memory.words[Word.LOOKS_ASKED] += 1
+        self._memory.words[Field.LOOKS_ASKED] += 1
 
     @property
     def answered(self) -> bool:
         """Whether the newest reading is the one that was asked for last."""
         words = self._memory.words
-        return words[Word.LOOKS] == words[Word.LOOKS_ASKED]
+        return words[Field.LOOKS] == words[Field.LOOKS_ASKED]
 
     @property
     def look(self) -> dict[str, Any] | None:
         """The newest reading of the whole board; None while it is being replaced."""
-        told: dict[str, Any] | None = self._memory.note(Note.RESULT)
+        told: dict[str, Any] | None = self._memory.note(Mailbox.RESULT)
         return told
 
     @property
     def over(self) -> bool:
         """Whether the board is held no longer."""
         words = self._memory.words
-        return not alive(words[Word.LOOP_PID])
+        return not alive(words[Field.LOOP_PID])
 
     @property
     def reason(self) -> Reason:
         """Why it was ended, by the user's side or the guardian's; NONE if by neither."""
         words = self._memory.words
-        return Reason(words[Word.STOP] or words[Word.GUARDIAN_STOP])
+        return Reason(words[Field.STOP] or words[Field.GUARDIAN_STOP])
 
 
 def slowed(config: RigConfig) -> RigConfig:
@@ -280,9 +280,9 @@ def main(path: str) -> int:
     try:
         _hold(memory, Job.of(memory))
     except AbsError as error:
-        tell_failure(memory, Note.FAILURE, error)
+        tell_failure(memory, Mailbox.FAILURE, error)
         return error.exit_code
-    if not alive(memory.words[Word.SUPERVISOR_PID]):
+    if not alive(memory.words[Field.SUPERVISOR_PID]):
         memory.remove()  # nobody else will, and nothing in it was to be kept
     return 0
 
@@ -292,16 +292,16 @@ def _hold(memory: RunMemory, job: Job) -> None:
     clock = PacedClock(config.period_ns)
     with holding(memory), open_board(job.address, config, clock.now_ns) as board:
         read_only = board.identity is None or board.identity.read_only_because
-        memory.post(Note.INTRODUCTION, {"identity": str(board.identity), "read_only_because": read_only})
+        memory.post(Mailbox.INTRODUCTION, {"identity": str(board.identity), "read_only_because": read_only})
         if not read_only:
-            memory.post(Note.SAFE_IMAGE, board.safe_image)
-            prepare(loop_wishes())
+            memory.post(Mailbox.SAFE_IMAGE, board.safe_image)
+            prepare(loop_tuning())
             if not simulated(job.board):
-                insist_on_rate(board, config.period_ns)
+                require_rate(board, config.period_ns)
             prove_watchdog(board, config.period_ns, time.sleep)
-        memory.post(Note.RESULT, read_all(board))
-        hand = (Watched if read_only else Driven)(board, config, memory, SharedStop(memory))
-        memory.words[Word.READY] = os.getpid()
+        memory.post(Mailbox.RESULT, read_all(board))
+        hand = (WatchLoop if read_only else DriveLoop)(board, config, memory, SharedStop(memory))
+        memory.words[Field.READY] = os.getpid()
         for _ in clock:
             if not hand.beat():
                 return

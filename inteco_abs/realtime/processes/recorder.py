@@ -22,26 +22,26 @@ from inteco_abs.realtime.foxglove_server import live_view
 from inteco_abs.realtime.frames import frames_of
 from inteco_abs.realtime.heartbeat import beating
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import Note, RunMemory, Word, alive
+from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
 from inteco_abs.realtime.ownership import tell_failure
 from inteco_abs.realtime.ring import RingReader
-from inteco_abs.realtime.tuning import prepare, recorder_wishes
+from inteco_abs.realtime.tuning import prepare, recorder_tuning
 from inteco_abs.sessions import (
     TICK,
     TRUTH,
-    Account,
-    Conclusion,
-    Introduction,
-    Keeper,
-    Recorder,
-    Scribe,
+    FailoverWriter,
+    FileWriter,
+    RunEnd,
+    RunHeader,
+    RunResult,
+    SessionWriter,
+    atomic_write,
     check_output,
-    insist_on_own,
-    only_whole,
     read_session,
+    require_own_file,
     spill_path,
 )
-from inteco_abs.sessions.environment import Surroundings, surroundings
+from inteco_abs.sessions.environment import Environment, surroundings
 from inteco_abs.sessions.failover_writer import Opener
 from inteco_abs.signals import Reason
 
@@ -56,41 +56,41 @@ _LONGEST_START_S: Final = 120.0
 def main(path: str) -> int:
     """Record the run in the memory at `path`."""
     memory = RunMemory.open(Path(path))
-    memory.name(Word.RECORDER_PID, os.getpid())
-    prepare(recorder_wishes())
+    memory.name(Field.RECORDER_PID, os.getpid())
+    prepare(recorder_tuning())
     job = Job.of(memory)
     try:
         with live_view(memory, job):
             _record(memory, job)
     except AbsError as error:
-        tell_failure(memory, Note.RECORDER_FAILURE, error)
+        tell_failure(memory, Mailbox.RECORDER_FAILURE, error)
         return error.exit_code
     except Exception as error:  # noqa: BLE001  the top of a process: its end must explain itself
         traceback.print_exc()
-        tell_failure(memory, Note.RECORDER_FAILURE, error)
+        tell_failure(memory, Mailbox.RECORDER_FAILURE, error)
         return 1
-    if not alive(memory.words[Word.SUPERVISOR_PID]):
+    if not alive(memory.words[Field.SUPERVISOR_PID]):
         memory.remove()  # in its place: the file holds everything
     return 0
 
 
 def _record(memory: RunMemory, job: Job) -> None:
     words = memory.words
-    memory.wait(lambda: words[Word.READY] == words[Word.LOOP_PID] != 0 or _nobody_drives(memory), _LONGEST_START_S)
+    memory.wait(lambda: words[Field.READY] == words[Field.LOOP_PID] != 0 or _nobody_drives(memory), _LONGEST_START_S)
     introduction = _introduction(memory, job)
     if introduction is None:
         return  # there was no run
     opener = _opener(memory, job, introduction, time.monotonic_ns())
     spill = spill_path(job.path, job.config, job.session_id)
-    with Keeper(job.path, opener, spill, _Trouble(memory).tell) as keeper:
+    with FailoverWriter(job.path, opener, spill, _Trouble(memory).tell) as keeper:
         keeper.introduce(job.config, introduction, Path(job.session))
         memory.truth_reader().take()  # what the board did while it was opened belongs to no tick
-        words[Word.RECORDER_BEAT_NS] = time.monotonic_ns()
+        words[Field.RECORDER_BEAT_NS] = time.monotonic_ns()
         # whatever the disk does: it may take seconds, and the rings have room for that
-        with beating(memory, Word.RECORDER_BEAT_NS, _FLUSH_S):
-            words[Word.RECORDING] = 1
+        with beating(memory, Field.RECORDER_BEAT_NS, _FLUSH_S):
+            words[Field.RECORDING] = 1
             keeper.surround(surroundings())  # not before: it takes a tenth of a second, and the rings have room
-            memory.post(Note.SURROUNDINGS, keeper.introduction.surroundings.as_note())
+            memory.post(Mailbox.SURROUNDINGS, keeper.introduction.surroundings.as_note())
             _Drain(memory, keeper).until_the_end()
             if not keeper.ticks:
                 keeper.discard()
@@ -99,13 +99,13 @@ def _record(memory: RunMemory, job: Job) -> None:
     tell_result(memory, account)
 
 
-def _opener(memory: RunMemory, job: Job, introduction: Introduction, start_ns: int) -> Opener:
+def _opener(memory: RunMemory, job: Job, introduction: RunHeader, start_ns: int) -> Opener:
     return partial(
-        Recorder,
+        FileWriter,
         start_ns=start_ns,
         controller_internals=introduction.internals,
         session_id=job.session_id,
-        epoch_ns=memory.words[Word.EPOCH_NS],
+        epoch_ns=memory.words[Field.EPOCH_NS],
         durable=True,
     )
 
@@ -120,14 +120,14 @@ class _Trouble:
     def tell(self, text: str, path: Path) -> None:
         """One more; the session's file is at `path` by now."""
         self._texts.append(text)
-        self._memory.post(Note.TROUBLES, {"texts": self._texts, "file": str(path)})
-        self._memory.words[Word.TROUBLES] = len(self._texts)
+        self._memory.post(Mailbox.TROUBLES, {"texts": self._texts, "file": str(path)})
+        self._memory.words[Field.TROUBLES] = len(self._texts)
 
 
 class _Drain:
     """From the rings to the keeper. What is not in a file stays in the rings, too."""
 
-    def __init__(self, memory: RunMemory, keeper: Keeper) -> None:
+    def __init__(self, memory: RunMemory, keeper: FailoverWriter) -> None:
         self._memory, self._keeper = memory, keeper
         self._ticks, self._truths = memory.tick_reader(), memory.truth_reader()
         self._ticks_end, self._truths_end = self._ticks.taken, self._truths.taken
@@ -152,13 +152,13 @@ class _Drain:
     def _wait_for_the_rescue(self) -> None:
         """After a loop that died holding the board: until somebody has done what can be done."""
         words = self._memory.words
-        pid = words[Word.LOOP_PID]
+        pid = words[Field.LOOP_PID]
 
         def done() -> bool:
             self._alarm.look()
-            return words[Word.RESCUED_PID] == pid
+            return words[Field.RESCUED_PID] == pid
 
-        if words[Word.HOLDER_PID] == pid:
+        if words[Field.HOLDER_PID] == pid:
             self._memory.wait(done, _RESCUE_S)
 
     def _hand_over(self) -> None:
@@ -174,30 +174,30 @@ class _Drain:
         took_s = (time.monotonic_ns() - began_ns) * 1e-9
         if took_s > _SLOW_S:
             text = f"the disk took {took_s:.1f} s for what comes ten times a second; no tick was lost by that"
-            self._keeper.warn(self._memory.words[Word.EPOCH_NS] + began_ns, text)
+            self._keeper.warn(self._memory.words[Field.EPOCH_NS] + began_ns, text)
         if self._keeper.writing:
             self._ticks.release(self._ticks_end)
             self._truths.release(self._truths_end)
-            self._memory.words[Word.FLUSHED] = self._keeper.ticks
+            self._memory.words[Field.FLUSHED] = self._keeper.ticks
 
 
 def _nobody_drives(memory: RunMemory) -> bool:
-    return _loop_ended(memory) or not alive(memory.words[Word.SUPERVISOR_PID])
+    return _loop_ended(memory) or not alive(memory.words[Field.SUPERVISOR_PID])
 
 
 def _loop_ended(memory: RunMemory) -> bool:
-    pid = memory.words[Word.LOOP_PID]
+    pid = memory.words[Field.LOOP_PID]
     return pid != 0 and not alive(pid)
 
 
-def _introduction(memory: RunMemory, job: Job) -> Introduction | None:
-    told, around = memory.note(Note.INTRODUCTION), memory.note(Note.SURROUNDINGS)
+def _introduction(memory: RunMemory, job: Job) -> RunHeader | None:
+    told, around = memory.note(Mailbox.INTRODUCTION), memory.note(Mailbox.SURROUNDINGS)
     if told is None:
         return None
     settings = {
         each["name"]: f"refused: {each['refused']}" if each["refused"] else each["value"] for each in told["settings"]
     }
-    return Introduction(
+    return RunHeader(
         board=job.board,
         identity=told["identity"],
         virtual=job.virtual,
@@ -205,42 +205,42 @@ def _introduction(memory: RunMemory, job: Job) -> Introduction | None:
         internals=told["internals"],
         controller_source=job.controller_source,
         controller_package=job.controller_package,
-        facts={**job.facts, "realtime": settings | told.get("pace", {}) | (memory.note(Note.DRILL) or {})},
+        facts={**job.facts, "realtime": settings | told.get("pace", {}) | (memory.note(Mailbox.DRILL) or {})},
         profile=job.profile,
-        surroundings=Surroundings() if around is None else Surroundings.of(around),
+        surroundings=Environment() if around is None else Environment.of(around),
     )
 
 
-def conclusion(memory: RunMemory) -> Conclusion:
+def conclusion(memory: RunMemory) -> RunEnd:
     """How the run ended, as far as its memory tells."""
     written = memory.tick_reader().written
     timing = {"timing": {"late_us.histogram": json.dumps(memory.histogram.sparse())}}
-    injected = memory.note(Note.INJECTED)
+    injected = memory.note(Mailbox.INJECTED)
     if injected:
         timing["injected"] = injected
-    told = memory.note(Note.CONCLUSION)
+    told = memory.note(Mailbox.CONCLUSION)
     # a loop that was taken for hung or dead has nothing more to say
-    if told is None or memory.words[Word.RESCUED_PID] == memory.words[Word.LOOP_PID] != 0:
+    if told is None or memory.words[Field.RESCUED_PID] == memory.words[Field.LOOP_PID] != 0:
         died = ["loop", *_others_that_died(memory)]
-        return Conclusion(_last_reason(memory), written, aborted=_how_it_died(memory), facts=timing, died=died)
+        return RunEnd(_last_reason(memory), written, aborted=_how_it_died(memory), facts=timing, died=died)
     timing["timing"] |= told["cost"]
     reason, aborted, died = Reason(told["reason"]), told.get("aborted", ""), _others_that_died(memory)
-    return Conclusion(reason, written, told["detail"], aborted, facts=timing, died=died)
+    return RunEnd(reason, written, told["detail"], aborted, facts=timing, died=died)
 
 
 def _others_that_died(memory: RunMemory) -> list[str]:
     """Processes beside the loop's that died, hung or were killed, as far as the run's memory tells."""
     words = memory.words
-    reasons = {words[Word.GUARDIAN_STOP], words[Word.STOP], _last_reason(memory)}
+    reasons = {words[Field.GUARDIAN_STOP], words[Field.STOP], _last_reason(memory)}
     rescued = _rescue_of_the_loop(memory)
 
-    def gone(word: Word) -> bool:
+    def gone(word: Field) -> bool:
         return words[word] != 0 and not alive(words[word])
 
     found = {
-        "recorder": gone(Word.RECORDER_PID) and memory.note(Note.RECORDER_FAILURE) is None,
+        "recorder": gone(Field.RECORDER_PID) and memory.note(Mailbox.RECORDER_FAILURE) is None,
         "guardian": Reason.GUARDIAN_LOST in reasons or (rescued is not None and rescued["by"] == "supervisor"),
-        "supervisor": Reason.SUPERVISOR_LOST in reasons or (gone(Word.SUPERVISOR_PID) and not words[Word.KEPT]),
+        "supervisor": Reason.SUPERVISOR_LOST in reasons or (gone(Field.SUPERVISOR_PID) and not words[Field.KEPT]),
     }
     return [name for name, died in found.items() if died]
 
@@ -253,7 +253,7 @@ def _last_reason(memory: RunMemory) -> Reason:
 def _how_it_died(memory: RunMemory) -> str:
     """For a loop that left no conclusion."""
     words = memory.words
-    failure = memory.note(Note.FAILURE)
+    failure = memory.note(Mailbox.FAILURE)
     how = "the loop's process gave up" if failure else "the loop's process died"
     report = _rescue_of_the_loop(memory)
     if report is not None and report["cause"] == "hung":
@@ -263,26 +263,26 @@ def _how_it_died(memory: RunMemory) -> str:
         how += f" after tick {int(TICK.array(newest)['tick'][0])}"
     if failure:
         how += f" ({failure['text'].removesuffix(f'. {STILL_ON}')})"
-    if words[Word.HOLDER_PID] != words[Word.LOOP_PID]:
+    if words[Field.HOLDER_PID] != words[Field.LOOP_PID]:
         return f"{how}; its board was safe by then"
-    return f"{how}; {rescue_in_words(report)}"
+    return f"{how}; {describe_rescue(report)}"
 
 
-def board_in_words(memory: RunMemory) -> str:
+def describe_board(memory: RunMemory) -> str:
     """Whether the board was left safe, by whom."""
     words = memory.words
-    if words[Word.HOLDER_PID] != words[Word.LOOP_PID]:
+    if words[Field.HOLDER_PID] != words[Field.LOOP_PID]:
         return "the run was stopped safely"
-    return rescue_in_words(_rescue_of_the_loop(memory))
+    return describe_rescue(_rescue_of_the_loop(memory))
 
 
 def _rescue_of_the_loop(memory: RunMemory) -> Any:
     """Report of who took the loop's board; None if nobody did: an older one is the drill's."""
     words = memory.words
-    return memory.note(Note.RESCUE) if words[Word.RESCUED_PID] == words[Word.LOOP_PID] else None
+    return memory.note(Mailbox.RESCUE) if words[Field.RESCUED_PID] == words[Field.LOOP_PID] else None
 
 
-def rescue_in_words(report: Any) -> str:
+def describe_rescue(report: Any) -> str:
     """What became of the board of a process that died."""
     if report is None:
         return f"nobody took over its board. {STILL_ON}"
@@ -291,12 +291,12 @@ def rescue_in_words(report: Any) -> str:
     return f"the {report['by']} made its board safe in {(report['done_ns'] - report['seen_ns']) * 1e-6:.1f} ms"
 
 
-def tell_result(memory: RunMemory, account: Account) -> None:
+def tell_result(memory: RunMemory, account: RunResult) -> None:
     """Leave the account for the supervisor."""
-    memory.post(Note.RESULT, asdict(account) | {"reason": int(account.reason)})
+    memory.post(Mailbox.RESULT, asdict(account) | {"reason": int(account.reason)})
 
 
-def recover_run(ring: Path, out: Path) -> Account:
+def recover_run(ring: Path, out: Path) -> RunResult:
     """Session file of a run whose every process is gone, from its memory `ring`, which is then removed.
 
     Raises SessionError if the run still goes on, if there is nothing in it, or if the file cannot be written.
@@ -313,7 +313,7 @@ def recover_run(ring: Path, out: Path) -> Account:
     return account
 
 
-def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None) -> Account | None:
+def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None) -> RunResult | None:
     """Make the session file from the rings, and from what a dead recorder has left in the file that it wrote.
 
     It is written to `out`, which the user may call `session`. None if there was no tick. Raises ConfigError or
@@ -329,9 +329,9 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
     gone = bool(held_from) and not file.exists()
     before, truths_before = _from_the_file(file, held_from, truths) if held_from and not gone else (b"", b"")
     opener = _opener(memory, job, introduction, _first_ns(before or ticks.oldest()))
-    insist_on_own(out, job.session_id)
-    with only_whole(out) as part, opener(part) as recorder:
-        scribe = Scribe(recorder, job.config, introduction, session or out)
+    require_own_file(out, job.session_id)
+    with atomic_write(out) as part, opener(part) as recorder:
+        scribe = SessionWriter(recorder, job.config, introduction, session or out)
         scribe.introduce()
         scribe.add(before, truths_before)
         scribe.add(ticks.take(), truths.take())
@@ -346,7 +346,7 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
 
 def file_of(memory: RunMemory, job: Job) -> Path:
     """What the recorder wrote last."""
-    told = memory.note(Note.TROUBLES)
+    told = memory.note(Mailbox.TROUBLES)
     return job.path if told is None else Path(told["file"])
 
 

@@ -9,10 +9,10 @@ from typing import Final
 from inteco_abs.boards import open_board
 from inteco_abs.errors import AbsError
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import Note, RunMemory
+from inteco_abs.realtime.memory import Mailbox, RunMemory
 from inteco_abs.realtime.ownership import tell_failure
 from inteco_abs.realtime.round_trips import choose_engine, round_trips
-from inteco_abs.realtime.tuning import loop_wishes, prepare
+from inteco_abs.realtime.tuning import loop_tuning, prepare
 
 COUNT: Final = 4000
 
@@ -24,11 +24,11 @@ def main(path: str) -> int:
     try:
         with open_board(job.address, job.config, time.monotonic_ns) as board:
             board.insist()
-            prepare(loop_wishes())
+            prepare(loop_tuning())
             engines = choose_engine(board)
             times_us = round_trips(board, COUNT)
     except AbsError as error:
-        tell_failure(memory, Note.FAILURE, error)
+        tell_failure(memory, Mailbox.FAILURE, error)
         return error.exit_code
-    memory.post(Note.RESULT, {"times_us": [round(each, 1) for each in times_us], "engines": engines})
+    memory.post(Mailbox.RESULT, {"times_us": [round(each, 1) for each in times_us], "engines": engines})
     return 0

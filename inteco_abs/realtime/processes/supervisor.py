@@ -22,13 +22,13 @@ from inteco_abs.realtime.disk_watch import DiskWatch
 from inteco_abs.realtime.foxglove_server import address
 from inteco_abs.realtime.heartbeat import NO_MORE
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import Note, RunMemory, Word
-from inteco_abs.realtime.processes.recorder import board_in_words, conclusion, rebuild
-from inteco_abs.realtime.screen import Check, NoScreen, Onlooker, Screen, Snapshot, Unbreakable
+from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
+from inteco_abs.realtime.processes.recorder import conclusion, describe_board, rebuild
+from inteco_abs.realtime.screen import Check, NoScreen, SafeScreen, Screen, Snapshot, SnapshotSource
 from inteco_abs.realtime.signal_handlers import hearing
-from inteco_abs.realtime.tuning import prepare, supervisor_wishes
+from inteco_abs.realtime.tuning import prepare, supervisor_tuning
 from inteco_abs.realtime.watch import Watch
-from inteco_abs.sessions import EXIT_CODES, LOSSES, Account, spill_path
+from inteco_abs.sessions import EXIT_CODES, LOSSES, RunResult, spill_path
 from inteco_abs.signals import EXPLANATIONS, Reason
 
 _POLL_S: Final = 0.01
@@ -58,14 +58,14 @@ class Supervisor:
         self._words = memory.words
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._ticks = memory.tick_reader()
-        self._onlooker = Onlooker(memory.tick_reader(), memory.histogram, job.config.loop.rate_hz)
+        self._onlooker = SnapshotSource(memory.tick_reader(), memory.histogram, job.config.loop.rate_hz)
         self._alive_s = 0.0
         self._watch: Watch | None = None
         self._watching = ExitStack()
 
-    def run(self, screen: Screen) -> Account:
+    def run(self, screen: Screen) -> RunResult:
         """Do the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
-        screen = Unbreakable(screen)
+        screen = SafeScreen(screen)
         allowed = os.sched_getaffinity(0)
         with hearing(self._stop), screen.listening(self._stop):
             try:
@@ -84,8 +84,8 @@ class Supervisor:
         try:
             self._await_the_mock()
             self.spawn(role, "inteco_abs.realtime.processes", role, str(self._memory.path))
-            self._wait_for(lambda: self._memory.note(Note.RESULT) is not None, "the answer comes", role, _START_S)
-            return self._memory.note(Note.RESULT)
+            self._wait_for(lambda: self._memory.note(Mailbox.RESULT) is not None, "the answer comes", role, _START_S)
+            return self._memory.note(Mailbox.RESULT)
         finally:
             self.end()
 
@@ -97,34 +97,34 @@ class Supervisor:
         opened, or what became of it: UnsafeError if SAFE was not confirmed.
         """
         words = self._words
-        words[Word.UNRECORDED] = 1
+        words[Field.UNRECORDED] = 1
         with hearing(self._stop):
             try:
                 self._await_the_mock()
                 for role, name in (("guardian", "guardian"), *((("drill", "drill"),) if drill else ()), _BY_HAND):
                     self.spawn(name, "inteco_abs.realtime.processes", role, str(self._memory.path))
                 loop = self._children["loop"]
-                self._memory.name(Word.LOOP_PID, loop.pid)
+                self._memory.name(Field.LOOP_PID, loop.pid)
                 watch = self._begin_watch()
                 if drill:
                     self._drill(NoScreen())
-                words[Word.GUARDED_PID] = loop.pid
-                self._wait_for(lambda: words[Word.READY] == loop.pid, "the board opens", "loop", _START_S)
+                words[Field.GUARDED_PID] = loop.pid
+                self._wait_for(lambda: words[Field.READY] == loop.pid, "the board opens", "loop", _START_S)
                 watch.judging = True
                 yield
             finally:
                 self.end()
-                self._insist_on_safe()
+                self._require_safe()
         self._tell_of_the_end()
 
     def _rescued(self) -> Any:
         """Report of who took the board of the process that held it; None if nobody had to."""
         words = self._words
-        return self._memory.note(Note.RESCUE) if words[Word.RESCUED_PID] == words[Word.LOOP_PID] != 0 else None
+        return self._memory.note(Mailbox.RESCUE) if words[Field.RESCUED_PID] == words[Field.LOOP_PID] != 0 else None
 
-    def _insist_on_safe(self) -> None:
+    def _require_safe(self) -> None:
         """Raise UnsafeError if SAFE was not confirmed in the end, whatever else has happened."""
-        report, told = self._rescued(), self._memory.note(Note.FAILURE)
+        report, told = self._rescued(), self._memory.note(Mailbox.FAILURE)
         if report is not None and report["failure"]:
             raise UnsafeError(f"the process that held the board {report['cause']}, and then: {report['failure']}")
         if report is None and told is not None and told["kind"] == UnsafeError.__name__:
@@ -132,11 +132,11 @@ class Supervisor:
 
     def _tell_of_the_end(self) -> None:
         """Raise what the process that held the board has said in the end, or that it has died."""
-        report, told = self._rescued(), self._memory.note(Note.FAILURE)
+        report, told = self._rescued(), self._memory.note(Mailbox.FAILURE)
         if told is not None:
             raise raised_again(told)
         if report is not None:
-            written = self._memory.image(Note.SAFE_IMAGE) is not None
+            written = self._memory.image(Mailbox.SAFE_IMAGE) is not None
             then = f"the {report['by']} has written SAFE and read it back" if written else "nothing had been written"
             raise BoardError(f"the process that held the board {report['cause']}; {then}")
 
@@ -157,7 +157,7 @@ class Supervisor:
 
     def _stop(self) -> None:
         """The operator wants the run to end; whoever was first is the reason."""
-        self._words[Word.STOP] = self._words[Word.STOP] or Reason.OPERATOR_STOP
+        self._words[Field.STOP] = self._words[Field.STOP] or Reason.OPERATOR_STOP
 
     def _await_the_mock(self) -> None:
         if "board" in self._children:
@@ -167,7 +167,7 @@ class Supervisor:
         self._await_the_mock()
         for role in ("guardian", "recorder", "drill", "loop"):
             self.spawn(role, "inteco_abs.realtime.processes", role, str(self._memory.path))
-        self._memory.name(Word.LOOP_PID, self._children["loop"].pid)
+        self._memory.name(Field.LOOP_PID, self._children["loop"].pid)
 
     def _begin_watch(self) -> Watch:
         """In a thread of its own: drawing a screen may take its time, and outputs do not wait for it."""
@@ -179,44 +179,44 @@ class Supervisor:
     def _drill(self, screen: Screen) -> None:
         """Before the loop may touch the board, kill a process that holds it: the guardian must be seen to take over."""
         words, drill = self._words, self._children["drill"]
-        words[Word.GUARDED_PID] = drill.pid
-        self._wait_for(lambda: words[Word.GUARDING_PID] == drill.pid, "the guardian watches", "guardian", _WATCHES_S)
-        self._wait_for(lambda: words[Word.READY] == drill.pid, "the board opens", "drill", _START_S)
-        if self._memory.image(Note.SAFE_IMAGE) is None:
+        words[Field.GUARDED_PID] = drill.pid
+        self._wait_for(lambda: words[Field.GUARDING_PID] == drill.pid, "the guardian watches", "guardian", _WATCHES_S)
+        self._wait_for(lambda: words[Field.READY] == drill.pid, "the board opens", "drill", _START_S)
+        if self._memory.image(Mailbox.SAFE_IMAGE) is None:
             raise BoardError("the drill left nothing to make the board safe with; nothing was started")
         screen.passed(Check.BOARD, self._job.board)
         drill.kill()
         killed_ns = time.monotonic_ns()
         self._children.pop("drill").wait()
-        self._wait_for(lambda: words[Word.RESCUED_PID] == drill.pid, "the guardian takes over", "guardian", _DRILL_S)
-        report = self._memory.note(Note.RESCUE)
+        self._wait_for(lambda: words[Field.RESCUED_PID] == drill.pid, "the guardian takes over", "guardian", _DRILL_S)
+        report = self._memory.note(Mailbox.RESCUE)
         if report["failure"]:
             raise UnsafeError(f"the guardian failed its drill, so nothing was started: {report['failure']}")
         took_ms = (report["done_ns"] - killed_ns) * 1e-6
         told = f"SAFE {took_ms:.1f} ms after the kill"
-        self._memory.post(Note.DRILL, {"guardian drill": told})
+        self._memory.post(Mailbox.DRILL, {"guardian drill": told})
         screen.passed(Check.GUARDIAN, told)
 
     def _let_go(self, screen: Screen, watch: Watch) -> None:
         words, loop = self._words, self._children["loop"]
-        words[Word.GUARDED_PID] = loop.pid
-        self._wait_for(lambda: words[Word.READY] == loop.pid, "the loop is ready", "loop", _START_S)
-        self._wait_for(lambda: words[Word.RECORDING], "the recorder is ready", "recorder", _START_S)
+        words[Field.GUARDED_PID] = loop.pid
+        self._wait_for(lambda: words[Field.READY] == loop.pid, "the loop is ready", "loop", _START_S)
+        self._wait_for(lambda: words[Field.RECORDING], "the recorder is ready", "recorder", _START_S)
         screen.passed(Check.RECORDER, self._job.session)
-        if words[Word.LIVE_PORT]:
-            screen.note(f"live view: open the connection {address(words[Word.LIVE_PORT])} in Lichtblick or Foxglove")
-        told = self._memory.note(Note.INTRODUCTION)
+        if words[Field.LIVE_PORT]:
+            screen.note(f"live view: open the connection {address(words[Field.LIVE_PORT])} in Lichtblick or Foxglove")
+        told = self._memory.note(Mailbox.INTRODUCTION)
         refused = [setting["name"] for setting in told["settings"] if setting["refused"]]
         if refused:
             screen.note(f"ticks will be late more often: refused were {', '.join(refused)}; see inteco-abs doctor")
-        prepare(supervisor_wishes())  # not before: the processes would inherit it
+        prepare(supervisor_tuning())  # not before: the processes would inherit it
         watch.judging = True
-        words[Word.GO] = 1
+        words[Field.GO] = 1
 
     def _wait_for(self, condition: Callable[[], object], what: str, who: str, most_s: float) -> None:
         end = time.monotonic() + most_s
         while not condition():
-            if self._words[Word.STOP]:
+            if self._words[Field.STOP]:
                 raise KeyboardInterrupt
             for name, child in self._children.items():
                 if child.poll() is not None:
@@ -227,14 +227,14 @@ class Supervisor:
 
     def _failure_of(self, name: str) -> AbsError:
         """What a process said before it ended, as the error that it was."""
-        note = Note.RECORDER_FAILURE if name == "recorder" else Note.FAILURE
+        note = Mailbox.RECORDER_FAILURE if name == "recorder" else Mailbox.FAILURE
         told = self._memory.note(note)
         if told is None:
             code = self._children[name].returncode
             return BoardError(f"the {name} process ended before the run began (exit code {code}); nothing was started")
         return raised_again(told)
 
-    def _until_the_loop_ends(self, screen: Unbreakable, watch: Watch) -> None:
+    def _until_the_loop_ends(self, screen: SafeScreen, watch: Watch) -> None:
         loop = self._children["loop"]
         disk = DiskWatch(self._memory, self._job)
         alarm = Alarm(self._memory, turn=0, say=screen.shown)
@@ -252,7 +252,7 @@ class Supervisor:
             time.sleep(_POLL_S)
         watch.main_ns = None
         self._show(screen)  # how it ended
-        told = self._memory.note(Note.FAILURE)
+        told = self._memory.note(Mailbox.FAILURE)
         if told is not None and told["kind"] == UnsafeError.__name__:
             screen.warn(told["text"])  # now: the guardian may try for seconds yet
 
@@ -262,14 +262,14 @@ class Supervisor:
         Its threads, its exit or a signal may hold it; the guardian makes the board safe if it still had it.
         """
         words = self._words
-        if words[Word.HOLDER_PID] and self._ticks.written and not (words[Word.STOP] or words[Word.GUARDIAN_STOP]):
+        if words[Field.HOLDER_PID] and self._ticks.written and not (words[Field.STOP] or words[Field.GUARDIAN_STOP]):
             self._alive_s = time.monotonic()
-        elif time.monotonic() - self._alive_s > (_SAVING_S if words[Word.SAVING] else _PATIENCE_S):
+        elif time.monotonic() - self._alive_s > (_SAVING_S if words[Field.SAVING] else _PATIENCE_S):
             self._children["loop"].kill()
 
     def _look_after(self, name: str, reason: Reason) -> None:
-        if self._children[name].poll() is not None and not self._words[Word.STOP]:
-            self._words[Word.STOP] = reason
+        if self._children[name].poll() is not None and not self._words[Field.STOP]:
+            self._words[Field.STOP] = reason
 
     def _show(self, screen: Screen) -> None:
         snapshot = self.snapshot()
@@ -280,29 +280,29 @@ class Supervisor:
         """The newest tick, what came since the last look, and the timing so far; None before the first."""
         return self._onlooker.look()
 
-    def _account(self) -> Account:
+    def _account(self) -> RunResult:
         """How the run ended, from the recorder or, if that is gone, from the memory that it would have written."""
         self._await_the_rescue()
         recorder, memory = self._children["recorder"], self._memory
-        silent = self._words[Word.GUARDIAN_STOP] == Reason.RECORDER_LOST
+        silent = self._words[Field.GUARDIAN_STOP] == Reason.RECORDER_LOST
         _gone_within(recorder, _END_S if silent else _FINISH_S)
-        told = memory.note(Note.RESULT)
+        told = memory.note(Mailbox.RESULT)
         if told is not None:
-            return Account(**told | {"reason": Reason(told["reason"])})
-        failure = memory.note(Note.RECORDER_FAILURE)
+            return RunResult(**told | {"reason": Reason(told["reason"])})
+        failure = memory.note(Mailbox.RECORDER_FAILURE)
         if recorder.poll() is None:
             recorder.kill()
             recorder.wait()
         account = self._rebuild(failure["text"] if failure else "")
         if account is None:
-            told = failure or memory.note(Note.FAILURE)
-            if told is None and memory.words[Word.STOP] == Reason.OPERATOR_STOP:
+            told = failure or memory.note(Mailbox.FAILURE)
+            if told is None and memory.words[Field.STOP] == Reason.OPERATOR_STOP:
                 raise KeyboardInterrupt  # who records had nothing to do any more, and went
-            why = EXPLANATIONS[Reason(memory.words[Word.GUARDIAN_STOP] or memory.words[Word.STOP])]
+            why = EXPLANATIONS[Reason(memory.words[Field.GUARDIAN_STOP] or memory.words[Field.STOP])]
             raise raised_again(told) if told else SessionError(f"the run ended before its first tick: {why}")
         return account
 
-    def _rebuild(self, failure: str) -> Account | None:
+    def _rebuild(self, failure: str) -> RunResult | None:
         """The session made from memory, where it should be or else in the second place; None if there was no tick.
 
         `failure` is what kept the recorder from it, if that did not die. Raises SessionError if no disk takes it.
@@ -323,7 +323,7 @@ class Supervisor:
             refused += filter(None, [account.trouble])
             return replace(account, trouble=f"{'; '.join(refused)}; the whole session is in {session}")
         trouble = SessionError(
-            f"{board_in_words(memory)}, but {'; '.join(refused)}. "
+            f"{describe_board(memory)}, but {'; '.join(refused)}. "
             f"The ticks are kept in {memory.path}: inteco-abs recover {memory.path} --out FILE"
         )
         trouble.exit_code = EXIT_CODES.get(conclusion(memory).outcome, LOSSES)
@@ -332,8 +332,10 @@ class Supervisor:
     def _await_the_rescue(self) -> None:
         """Until a board that its dead holder had not let go of is safe, or cannot be made so."""
         words = self._words
-        pid = words[Word.LOOP_PID]
-        self._memory.wait(lambda: not pid or words[Word.HOLDER_PID] != pid or words[Word.RESCUED_PID] == pid, _RESCUE_S)
+        pid = words[Field.LOOP_PID]
+        self._memory.wait(
+            lambda: not pid or words[Field.HOLDER_PID] != pid or words[Field.RESCUED_PID] == pid, _RESCUE_S
+        )
 
     def end(self) -> None:
         """Leave nothing behind: neither a process nor a held board. May be called again."""
@@ -351,7 +353,7 @@ class Supervisor:
             child = self._children.get(name)
             if child is not None and not _gone_within(child, _END_S):
                 child.kill()
-        words[Word.OVER] = 1
+        words[Field.OVER] = 1
         for child in self._children.values():
             if not _gone_within(child, _END_S):
                 child.kill()

@@ -10,14 +10,14 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from inteco_abs.errors import AbsError, ConfigError, Mistake, SessionError, disk_in_words
-from inteco_abs.sessions import Session, check_output, only_whole
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, SessionError, describe_disk
+from inteco_abs.sessions import Session, atomic_write, check_output
 from inteco_abs.version import __version__
-from inteco_abs.views.comparison import held_rows, insist_on_distinct, labels
+from inteco_abs.views.comparison import held_rows, labels, require_distinct
 from inteco_abs.views.figure import svg_of
 from inteco_abs.views.report.commands import repeat_commands, replay_commands
 from inteco_abs.views.report.facts import result_rows, tables
-from inteco_abs.views.report.traces import MARGIN_S, Course, Look, courses_of, look_of
+from inteco_abs.views.report.traces import MARGIN_S, Look, ReportTrace, courses_of, look_of
 from inteco_abs.views.report.warnings import outcome_of, warnings_of
 
 SUFFIX: Final = ".html"
@@ -30,7 +30,7 @@ _NEEDED: Final = ("bokeh", "jinja2")
 def check_report(path: Path) -> None:
     """Refuse a path where no new report can be; raises ConfigError or SessionError, or AbsError without bokeh."""
     if path.suffix != SUFFIX:
-        raise ConfigError([Mistake("--out", f"{path}: must end in {SUFFIX}")])
+        raise ConfigError([ConfigIssue("--out", f"{path}: must end in {SUFFIX}")])
     check_output(path)
     if any(importlib.util.find_spec(name) is None for name in _NEEDED):
         raise AbsError("reports need bokeh: pip install 'inteco-abs[report]'")
@@ -43,13 +43,13 @@ def write_report(sessions: Sequence[Session], path: Path) -> None:
     written, AbsError without bokeh.
     """
     check_report(path)
-    insist_on_distinct(sessions)
+    require_distinct(sessions)
     page = report_page(sessions)
-    with only_whole(path) as part:
+    with atomic_write(path) as part:
         try:
             part.write_text(page, encoding="utf-8")
         except OSError as error:
-            raise SessionError(f"{path} cannot be written: {disk_in_words(error)}") from error
+            raise SessionError(f"{path} cannot be written: {describe_disk(error)}") from error
 
 
 def report_page(sessions: Sequence[Session]) -> str:
@@ -100,7 +100,7 @@ def _told(look: Look, session: Session, label: str) -> dict[str, Any]:
     }
 
 
-def _panels(courses: Sequence[Course]) -> tuple[list[Drawing], list[str]]:
+def _panels(courses: Sequence[ReportTrace]) -> tuple[list[Drawing], list[str]]:
     """Every plot as an element of the page, and the scripts that draw them; nothing where there is nothing to draw."""
     if not courses:
         return [], []
@@ -117,7 +117,7 @@ def _panels(courses: Sequence[Course]) -> tuple[list[Drawing], list[str]]:
     return panels, [*Resources(mode="inline", components=["bokeh"]).js_raw, script]
 
 
-def _span(courses: Sequence[Course]) -> dict[str, tuple[float, float]]:
+def _span(courses: Sequence[ReportTrace]) -> dict[str, tuple[float, float]]:
     """From when to when the brakes were in charge, and the sessions last, s."""
     if not courses:
         return {}
@@ -128,7 +128,7 @@ def _span(courses: Sequence[Course]) -> dict[str, tuple[float, float]]:
     }
 
 
-def _density(course: Course, *, alone: bool) -> str:
+def _density(course: ReportTrace, *, alone: bool) -> str:
     inside, outside = (
         "every tick" if size == 1 else f"the smallest and the largest of each {size} ticks"
         for size in (course.points.inside, course.points.outside)

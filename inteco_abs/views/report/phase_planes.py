@@ -10,7 +10,7 @@ import numpy.typing as npt
 from bokeh.models import Range1d, Span
 
 from inteco_abs.views.report.plots import BLUE, GREY, RED, Drawing, Key, blank
-from inteco_abs.views.report.traces import Course
+from inteco_abs.views.report.traces import ReportTrace
 
 _SLOWEST_RAD_S: Final = 1.0
 _PUNCTUAL_US: Final = 1.0
@@ -22,7 +22,7 @@ _BINS_A_DECADE: Final = 12
 Array = npt.NDArray[Any]
 
 
-def phase_plane(courses: Sequence[Course]) -> Drawing:
+def phase_plane(courses: Sequence[ReportTrace]) -> Drawing:
     """Slip over the road wheel's speed while braking, down to 1 rad/s; the true one too where one session knows it."""
     plot = blank("plane", "road wheel speed [rad/s]", "slip [1]")
     fastest = max(float(np.nanmax(course.points.columns["road_speed_rad_s"], initial=0.0)) for course in courses)
@@ -44,7 +44,7 @@ def phase_plane(courses: Sequence[Course]) -> Drawing:
     return Drawing("plane", "Slip over speed while braking", caption, plot, tuple(legend))
 
 
-def _trace(plot: Any, course: Course, column: str, colour: str, dash: str) -> tuple[str, ...]:
+def _trace(plot: Any, course: ReportTrace, column: str, colour: str, dash: str) -> tuple[str, ...]:
     """Draw a line, with the session's marker where braking began; their names."""
     time_s, columns = course.points.time_s, course.points.columns
     speed, slip = columns["road_speed_rad_s"], columns[column]
@@ -56,13 +56,13 @@ def _trace(plot: Any, course: Course, column: str, colour: str, dash: str) -> tu
     return names
 
 
-def _reference(course: Course) -> float | None:
+def _reference(course: ReportTrace) -> float | None:
     known = course.points.columns["slip_reference"]
     known = known[np.isfinite(known)]
     return float(known[0]) if len(known) else None
 
 
-def timing_histogram(courses: Sequence[Course]) -> Drawing:
+def timing_histogram(courses: Sequence[ReportTrace]) -> Drawing:
     """How many ticks began how late, both logarithmic; what is below 1 us counts as 1 us."""
     late = [np.clip(course.session.ticks["late_us"].astype(float), _PUNCTUAL_US, _LATEST_US) for course in courses]
     most = max(_LEAST_SCALE_US, *(float(each.max()) for each in late))
@@ -94,7 +94,7 @@ def _bars(plot: Any, edges: Array, counts: Array) -> None:
     )
 
 
-def _dots(plot: Any, edges: Array, counts: Array, course: Course) -> Key:
+def _dots(plot: Any, edges: Array, counts: Array, course: ReportTrace) -> Key:
     look, full = course.look, np.flatnonzero(counts)
     middles = np.sqrt(edges[full] * edges[full + 1])
     names = f"lateness-{look.letter}", f"lateness-{look.letter}-marks"
@@ -103,7 +103,7 @@ def _dots(plot: Any, edges: Array, counts: Array, course: Course) -> Key:
     return Key(look.letter, look.colour, "solid", look.sign, names)
 
 
-def _period_us(course: Course) -> float | None:
+def _period_us(course: ReportTrace) -> float | None:
     try:
         return float(course.session.metadata["controller"]["sample_time_s"]) * 1e6
     except (KeyError, ValueError):

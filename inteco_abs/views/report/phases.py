@@ -8,7 +8,7 @@ from bokeh.models import Label, Span
 
 from inteco_abs.signals import Phase
 from inteco_abs.views.figure import COLOURS
-from inteco_abs.views.report.traces import Band, Course
+from inteco_abs.views.report.traces import Band, ReportTrace
 
 _BLUE, _RED, _GREEN = COLOURS
 _BANDS: Final = {
@@ -22,7 +22,7 @@ _SHORTEST_NAMED_S: Final = 0.15
 _MOST_NAMED: Final = 20
 
 
-def draw_bands(plot: Any, course: Course) -> None:
+def draw_bands(plot: Any, course: ReportTrace) -> None:
     """Put the bands of the phases in which something turns behind `plot`."""
     for phase, (_, colour, hatch) in _BANDS.items():
         bands = [band for band in course.bands if band.phase is phase]
@@ -42,7 +42,7 @@ def draw_bands(plot: Any, course: Course) -> None:
             plot.add_layout(Span(location=band.start_s, dimension="height", line_color=_RED, line_width=2))
 
 
-def name_bands(plot: Any, course: Course) -> None:
+def name_bands(plot: Any, course: ReportTrace) -> None:
     """Write the names of the first bands into `plot`, which has a fixed height."""
     named = [band for band in course.bands if band.phase in _BANDS and _has_room(band)]
     for band in named[:_MOST_NAMED]:

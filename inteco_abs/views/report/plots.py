@@ -18,7 +18,7 @@ from bokeh.plotting import figure
 
 from inteco_abs.views.figure import COLOURS
 from inteco_abs.views.report.phases import draw_bands, name_bands
-from inteco_abs.views.report.traces import MARGIN_S, Course
+from inteco_abs.views.report.traces import MARGIN_S, ReportTrace
 
 TIME_RANGE: Final = "time"
 """Name of the range that all plots over time share."""
@@ -129,7 +129,7 @@ class Drawing(NamedTuple):
     legend: tuple[Key, ...]
 
 
-def time_plots(courses: Sequence[Course]) -> list[Drawing]:
+def time_plots(courses: Sequence[ReportTrace]) -> list[Drawing]:
     """A plot for each of `PANELS`. There is at least one course."""
     begin_s = min(course.held_s[0] for course in courses) - MARGIN_S
     shared = Range1d(begin_s, max(course.held_s[1] for course in courses) + MARGIN_S, name=TIME_RANGE)
@@ -139,7 +139,7 @@ def time_plots(courses: Sequence[Course]) -> list[Drawing]:
 
 
 def _drawing(
-    panel: Panel, courses: Sequence[Course], sources: Sequence[ColumnDataSource], shared: Range1d, cursor: Span
+    panel: Panel, courses: Sequence[ReportTrace], sources: Sequence[ColumnDataSource], shared: Range1d, cursor: Span
 ) -> Drawing:
     since = "braking began" if any(course.braked for course in courses) else "the first tick"
     plot = blank(panel.key, f"time since {since} [s]", panel.axis, shared, window_axis="x")
@@ -167,7 +167,7 @@ def _drawing(
     return Drawing(panel.key, panel.title, caption, plot, tuple(legend))
 
 
-def _draw(plot: Any, panel: Panel, line: Line, course: Course, source: ColumnDataSource) -> tuple[str, ...]:
+def _draw(plot: Any, panel: Panel, line: Line, course: ReportTrace, source: ColumnDataSource) -> tuple[str, ...]:
     """Draw a line, and dots on it where there are so few that it could be missed; their names."""
     name = f"{panel.key}-{course.look.letter}-{line.column}"
     plot.line(
@@ -185,7 +185,7 @@ def _draw(plot: Any, panel: Panel, line: Line, course: Course, source: ColumnDat
     return name, f"{name}-dots"
 
 
-def _mark(plot: Any, panel: Panel, course: Course) -> str:
+def _mark(plot: Any, panel: Panel, course: ReportTrace) -> str:
     """Put a few markers on the first line, so that colour is not the only sign of a session; their name."""
     name, points = f"{panel.key}-{course.look.letter}-marks", course.points
     rows = np.unique(np.searchsorted(points.time_s, np.linspace(*course.held_s, _MARKS)))
@@ -224,13 +224,13 @@ def blank(name: str, x_axis: str, y_axis: str, x_range: Any = None, **options: A
     return plot
 
 
-def _y_range(panel: Panel, courses: Sequence[Course]) -> Any:
+def _y_range(panel: Panel, courses: Sequence[ReportTrace]) -> Any:
     if panel.key == "slip":
         return Range1d(-0.02, max(_highest_slip(course) for course in courses))
     return DataRange1d(only_visible=True, range_padding=0.05)
 
 
-def _highest_slip(course: Course) -> float:
+def _highest_slip(course: ReportTrace) -> float:
     """A little above the largest slip that means something: near standstill it is the encoders' trembling."""
     columns = course.points.columns
     moving = (columns["road_speed_rad_s"] > _SLOW_RAD_S) & np.isfinite(columns["slip_reference"])

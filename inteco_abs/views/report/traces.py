@@ -13,7 +13,7 @@ from inteco_abs.sessions import Session
 from inteco_abs.sessions.card import aligned_truth
 from inteco_abs.signals import Phase
 from inteco_abs.views.comparison import PALETTE, held_rows, since_s, start_ns, stretches
-from inteco_abs.views.decimation import Thinned, thin
+from inteco_abs.views.decimation import Decimated, decimate
 
 _POINTS: Final = 9000
 """Of one session; they make 0.9 MB at most beside the 1.3 MB of bokeh's own script."""
@@ -68,12 +68,12 @@ class Band:
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class ReportTrace:
     """One session to draw; it has ticks."""
 
     look: Look
     session: Session
-    points: Thinned
+    points: Decimated
     """Columns of the ticks, and with `true_` before their names those of the simulated rig at their times."""
     bands: tuple[Band, ...]
     held_s: tuple[float, float]
@@ -82,7 +82,7 @@ class Course:
     braked: bool
 
 
-def courses_of(sessions: Sequence[Session]) -> list[Course]:
+def courses_of(sessions: Sequence[Session]) -> list[ReportTrace]:
     """All sessions that have ticks."""
     most = _POINTS if len(sessions) == 1 else _POINTS_OF_EACH
     return [_course(look_of(at), session, most) for at, session in enumerate(sessions) if len(session.ticks)]
@@ -93,7 +93,7 @@ def look_of(at: int) -> Look:
     return Look(_LETTERS[at], PALETTE[at], *_MARKERS[at])
 
 
-def _course(look: Look, session: Session, most: int) -> Course:
+def _course(look: Look, session: Session, most: int) -> ReportTrace:
     start = start_ns(session)
     time_s = since_s(session.ticks, start)
     bands = tuple(
@@ -105,10 +105,10 @@ def _course(look: Look, session: Session, most: int) -> Course:
     truth = aligned_truth(session.truth, session.ticks["time_ns"])
     if truth is not None:
         columns |= {f"true_{name}": truth[name] for name in _TRUTH_COLUMNS}
-    return Course(
+    return ReportTrace(
         look,
         session,
-        thin(columns, time_s, _matters(time_s, bands), most),
+        decimate(columns, time_s, _matters(time_s, bands), most),
         bands,
         (float(time_s[held[0]]), float(time_s[held[-1]])) if len(held) else whole_s,
         whole_s,

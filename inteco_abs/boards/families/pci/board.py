@@ -42,13 +42,13 @@ from firmware_protocol.rtdac_pci import (
     VELOCITY_WINDOW,
     WHEEL_VELOCITY,
 )
-from inteco_abs.boards.authorization import distrust
-from inteco_abs.boards.board import STILL_ON, Board, Identity, Survey
+from inteco_abs.boards.authorization import read_only_reason
+from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity
 from inteco_abs.boards.first_write import PlannedWord
 from inteco_abs.boards.frame_board import MODES, widths
 from inteco_abs.boards.transports.registers import Registers
 from inteco_abs.config import BoardConfig
-from inteco_abs.errors import BoardError, ConfigError, LinkError, Mistake
+from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, LinkError
 from inteco_abs.signals import Command
 
 _FIELD_NAMES: Final = {PWM_MODE: "mode", PWM_PRESCALER: "prescaler", PWM_WIDTH: "width"}
@@ -122,7 +122,7 @@ class RtdacPci(Board):
         Then its PWM widths are looked at, for which the channel has to be written to the index register.
         """
         version = self._own_version(self._registers.read(LOGIC.offset))
-        because = distrust(self._wiring, version, None, _RELIED_ON)
+        because = read_only_reason(self._wiring, version, None, _RELIED_ON)
         if version != LOGIC_VERSION:
             own = f"this driver knows the registers of logic 0x{LOGIC_VERSION:04X} only"
             because = f"{because}; {own}" if because else f"the board has logic 0x{version:04X}, and {own}"
@@ -131,7 +131,7 @@ class RtdacPci(Board):
             because += f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}"
         return Identity(version, "", "", because)
 
-    def survey(self, names: Collection[str] = ()) -> Survey:
+    def survey(self, names: Collection[str] = ()) -> BoardReading:
         """Read the board once: the named fields, or all; writes nothing but which channel is asked for."""
         unknown = [name for name in names if name not in _FIELDS]
         if unknown:
@@ -140,7 +140,7 @@ class RtdacPci(Board):
         self._insist_on_logic()
         raw = self._registers.run([step for register, channel in chosen.values() for step in _read(register, channel)])
         values = {name: register.decode(bits) for (name, (register, _)), bits in zip(chosen.items(), raw, strict=True)}
-        return Survey(values, b"".join(bits.to_bytes(4, "little") for bits in raw))
+        return BoardReading(values, b"".join(bits.to_bytes(4, "little") for bits in raw))
 
     def readings(self) -> list[Reading]:
         """What the board measures and its limits, in shop units; some twenty accesses, so not for use in a tick.
@@ -336,14 +336,14 @@ def _insist_on_channels(wiring: BoardConfig) -> None:
         "watchdog_contact_pin": 0,
     }
     mistakes = [
-        Mistake(f"board.{key}", f"{getattr(wiring, key)}: {ABS.title} has {_channels(count)}")
+        ConfigIssue(f"board.{key}", f"{getattr(wiring, key)}: {ABS.title} has {_channels(count)}")
         for key, count in most.items()
         if getattr(wiring, key) >= count
     ]
     if wiring.constants:
-        mistakes.append(Mistake("board.constants", f"{ABS.title} has no frames: leave them out"))
+        mistakes.append(ConfigIssue("board.constants", f"{ABS.title} has no frames: leave them out"))
     if wiring.numbering_pins:
-        mistakes.append(Mistake("board.numbering_pins", f"{wiring.numbering_pins}: {ABS.title} has {_channels(0)}"))
+        mistakes.append(ConfigIssue("board.numbering_pins", f"{wiring.numbering_pins}: {ABS.title} has {_channels(0)}"))
     if mistakes:
         raise ConfigError(mistakes)
 

@@ -11,7 +11,7 @@ from typing import Final
 from firmware_protocol.rtdac_usb import HEADER, HEADER_BYTES, LOGICS, PWM_FULL_WIDTH, READ_REQUEST, Logic
 from inteco_abs.boards.frame_board import FrameBoard, FrameLayout
 from inteco_abs.config import BoardConfig
-from inteco_abs.errors import ConfigError, Mistake
+from inteco_abs.errors import ConfigError, ConfigIssue
 
 
 def _layout(logic: Logic) -> FrameLayout:
@@ -38,5 +38,5 @@ class RtdacUsb(FrameBoard):
         if layout is None:
             known = ", ".join(f"0x{version:04X}" for version in LAYOUTS)
             problem = f"0x{wiring.logic_version:04X}: the known logics of an RT-DAC/USB are {known}"
-            raise ConfigError([Mistake("board.logic_version", problem)])
+            raise ConfigError([ConfigIssue("board.logic_version", problem)])
         return layout
