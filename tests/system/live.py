@@ -14,9 +14,9 @@ QUICK = (
     "experiment.start_speed_rad_s=40.0",
     "experiment.idle_s=0.02",
     "experiment.hold_s=0.1",
-    "guard.silence_s=0.05",
+    "guard.silence_s=0.2",
 )
-"""About two seconds of turning wheels, and the guardian's window as on a real board."""
+"""About two seconds of turning wheels, and a window of the guardian in which a shared computer does not pause."""
 
 
 class LiveRun:

@@ -49,7 +49,7 @@ class SerialLink(Link):
         self._port = _open(path, timeout_s)
         self._slow = quicken(path)
         if self._slow:  # of no use to a loop, but a rescue must wait for such a chip's answer
-            self.timeout_s = _SLOW_TIMEOUT_S
+            self.timeout_s = timeout_s
         try:
             self.write(DUMMY)
         except LinkError:

@@ -1,0 +1,123 @@
+"""The steps of tools/check: what needs no quiet computer runs beside the tests, and a table of all of them ends it.
+
+tools/check sets up the environment and runs this file in it: python tools/checks.py [--long].
+
+Tests that keep real time, or wait for a process, can fail on a computer that is busy with the other tests. Up to
+`MOST_TRIED_AGAIN` failed tests run once more when nothing else does; the check passes only if they pass then, and names
+them in its last lines. More failures than that, and errors of collection, are final.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+FAILED_CACHE = Path(".pytest_cache/v/cache/lastfailed")
+MOST_TRIED_AGAIN = 5
+NICENESS = 10
+TESTS_FAILED = 1
+"""Exit code of pytest when tests ran and some of them failed."""
+
+
+class Part(NamedTuple):
+    """One part of the check that has ended."""
+
+    name: str
+    result: str
+    wall_s: float
+    cpu_s: float
+
+
+class Check:
+    """Runs parts and keeps how they ended."""
+
+    def __init__(self) -> None:
+        self.parts: list[Part] = []
+        self.unsteady: list[str] = []
+
+    def run(self, name: str, *command: str, beside: bool = False) -> int:
+        """Run one part; one `beside` the tests leaves them the processor, and prints at its end what it said."""
+        start_s = time.monotonic()
+        with tempfile.TemporaryFile() as said:
+            output = said if beside else None
+            if not beside:
+                print(f"== {name}", flush=True)
+            words = ["nice", f"-n{NICENESS if beside else 0}", *command]
+            process = subprocess.Popen(words, stdout=output, stderr=output)
+            _, status, usage = os.wait4(process.pid, 0)
+            process.returncode = code = os.waitstatus_to_exitcode(status)
+            if beside:
+                said.seek(0)
+                print(f"\n== {name}\n{said.read().decode(errors='replace')}", end="", flush=True)
+        wall_s = time.monotonic() - start_s
+        self.parts.append(Part(name, "passed" if code == 0 else "FAILED", wall_s, usage.ru_utime + usage.ru_stime))
+        return code
+
+    def tests(self, name: str, selection: str, *, others: threading.Thread) -> None:
+        """Run the selected tests on all cores, and those that failed again when the `others` have ended."""
+        # tests of one group stay on one worker: real-time runs would be each other's load
+        parallel = ("-n", "auto", "--dist", "loadgroup", "--cache-clear")
+        code = self.run(name, *PYTEST, "-m", selection, *parallel)
+        others.join()
+        failed = failed_tests() if code == TESTS_FAILED else []
+        if not 0 < len(failed) <= MOST_TRIED_AGAIN:
+            return
+        if self.run(f"{name}, failed ones alone", *PYTEST, "-m", selection, "-n", "0", *failed) == 0:
+            self.parts = [part._replace(result="passed") if part.name == name else part for part in self.parts]
+            self.unsteady += failed
+
+    def report(self) -> int:
+        """Print the table and how it all ended."""
+        print(f"\n{'part':40} {'result':8} {'wall s':>7} {'CPU s':>7}")
+        for part in self.parts:
+            print(f"{part.name:40} {part.result:8} {part.wall_s:7.1f} {part.cpu_s:7.1f}")
+        if self.unsteady:
+            print("passed alone, but failed beside other tests:", *self.unsteady, sep="\n  ")
+        failed = [part.name for part in self.parts if part.result == "FAILED"]
+        print(f"FAILED: {', '.join(failed)}" if failed else "all checks passed", flush=True)
+        return len(failed) > 0
+
+
+PYTEST = ("coverage", "run", "-m", "pytest", "-q")
+
+
+def failed_tests() -> list[str]:
+    """Names of the tests that failed in the last run, without the groups that pytest-xdist adds to them."""
+    return [re.sub(r"@[^\]]*$", "", name) for name in json.loads(FAILED_CACHE.read_text(encoding="utf-8"))]
+
+
+def main(arguments: list[str]) -> int:
+    long = arguments == ["--long"]
+    check = Check()
+
+    def beside_the_tests() -> None:
+        check.run("format", "ruff", "format", "--check", "--quiet", ".", beside=True)
+        check.run("lint", "ruff", "check", "--quiet", ".", beside=True)
+        check.run("types", "mypy", beside=True)
+        check.run("import order", "lint-imports", "--no-logo", beside=True)
+        check.run("protocol reference", "python", "-m", "firmware_protocol.reference", "--check", beside=True)
+        check.run("hazards", "python", "tools/write_hazards", "--check", beside=True)
+        check.run("faults", "python", "tools/fault_campaign", *arguments, beside=True)
+        check.run("fuzzing", "python", "tools/fuzz", *(["120"] if long else []), beside=True)
+
+    others = threading.Thread(target=beside_the_tests, daemon=True)
+    subprocess.run(["coverage", "erase"], check=True)
+    others.start()
+    check.tests("tests", "" if long else "not long", others=others)
+    if long:
+        check.run("mutation", "python", "tools/mutate")  # it judges by time, too, and wants the computer alone
+    check.run("coverage of all processes", "coverage", "combine", "--quiet")
+    check.run("coverage", "coverage", "report")
+    return check.report()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
