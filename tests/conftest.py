@@ -4,6 +4,7 @@ import signal
 import sys
 
 import pytest
+from chromium import chromium
 from hypothesis import HealthCheck, Phase, settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # every core has a worker already, and idle threads of numpy spin
@@ -40,6 +41,13 @@ def pytest_runtest_protocol(item):
             return (yield)
         finally:
             sys.settrace(tracer)
+
+
+@pytest.fixture(scope="session")
+def chromium_driver(tmp_path_factory):
+    """The browser of all tests that look at pages: starting one takes a second."""
+    with chromium(tmp_path_factory.mktemp("browser")) as driver:
+        yield driver
 
 
 @pytest.fixture

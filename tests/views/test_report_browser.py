@@ -2,14 +2,12 @@
 
 import base64
 import io
-import os
-import shutil
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from chromium import Browser
 from PIL import Image
 
 from inteco_abs.signals import Phase
@@ -17,63 +15,18 @@ from inteco_abs.views.report import write_report
 
 pytestmark = [pytest.mark.xdist_group("browser"), pytest.mark.untraced]
 
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--force-color-profile=srgb",
-    "--host-resolver-rules=MAP * ~NOTFOUND",
-)
 EVIL = "</script><script>window.pwned=1</script><img src=x onerror=window.pwned=1>"
 OVER_TIME = ("speeds", "slip", "torque", "duty", "switching", "timing")
 BLUE, RED = (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)
 
 
-def program(name):
-    found = shutil.which(name)
-    if found is None:
-        missing = f"{name} is missing: apt-get install chromium chromium-driver"
-        if os.environ.get("CI"):
-            pytest.fail(missing)
-        pytest.skip(missing)
-    return found
-
-
-class Browser:
+class ReportBrowser(Browser):
     """A Chromium with a report in it."""
 
-    def __init__(self, driver):
-        self.driver = driver
-
     def show(self, path: Path, scheme="light", width=1280):
-        self.command("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-        self.command("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
-        self.driver.get(path.as_uri())
+        super().show(path, scheme, width)
         self.wait("return [...document.querySelectorAll('figure')].length == 0 || Bokeh.documents[0]?.is_idle")
         self.settle()
-
-    def command(self, name, **arguments):
-        return self.driver.execute_cdp_cmd(name, arguments)
-
-    def run(self, script, *arguments):
-        return self.driver.execute_script(script, *arguments)
-
-    def wait(self, script):
-        end = time.monotonic() + 30.0
-        while not self.run(script):
-            assert time.monotonic() < end, script
-            time.sleep(0.05)
-
-    def settle(self):
-        """Two frames, so that what was asked for has been drawn."""
-        self.driver.execute_async_script(
-            "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50)))"
-        )
 
     def plot(self, name):
         """Its element, in the middle of the window."""
@@ -106,30 +59,14 @@ class Browser:
         ActionChains(self.driver, duration=50).move_to_element(plot).perform()
         self.settle()
 
-    def complaints(self):
-        """What the console holds beyond information, since it was last asked."""
-        return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] not in {"INFO", "DEBUG"}]
-
 
 def of_colour(pixels, colour):
     return int((np.abs(pixels - np.array(colour)).max(axis=-1) < 60).sum())
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    chromium, chromedriver = program("chromium"), program("chromedriver")
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('browser')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver))
-    try:
-        yield Browser(driver)
-    finally:
-        driver.quit()
+def browser(chromium_driver):
+    return ReportBrowser(chromium_driver)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,80 @@
+"""Configuration of the documentation site; `tools/build_docs` builds it.
+
+The root of the repository is the source folder, so that every link between pages works in the site as it works in the
+repository, and README.md is the start page.
+"""
+
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+CONTENTS = {
+    "Tutorials": ["docs/tutorials/*.md"],
+    "How to": ["docs/how-to/*.md", "docs/boards.md", "docs/controllers.md", "docs/sessions.md", "docs/watchdog.md"],
+    "When something is wrong": ["docs/troubleshooting.md", "docs/hazards.md"],
+    "Reference": ["docs/reference.md", "docs/api/*.md", "firmware_protocol/PROTOCOL.md", "docs/parity.md"],
+    "Background": ["docs/architecture.md", "docs/real-time.md", "docs/facts/README.md"],
+    "Project": ["*.md", "docs/decisions/README.md", "docs/*.md", "tests/**/*.md"],
+}
+"""Patterns of the pages below each heading of the sidebar. A page stands where it is named first, a README.md for the
+pages beside it."""
+
+project = "inteco-abs"
+version = release = version_of("inteco-abs")
+root_doc = "README"
+extensions = ["myst_parser", "sphinx.ext.autodoc"]
+include_patterns = ["**.md"]
+exclude_patterns = [".*", "build", "dist", "sessions", "**/node_modules", "docs/source"]
+myst_heading_anchors = 6
+
+default_role = "py:obj"  # `name` in docstrings: a link where the name is documented, else code
+add_module_names = False
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+python_maximum_signature_line_length = 88
+
+html_theme = "furo"
+html_title = "inteco-abs"
+html_copy_source = False
+html_show_copyright = False
+html_extra_path = ["index.html"]
+html_static_path = ["site.css"]
+html_css_files = ["site.css"]
+html_show_search_summary = False  # a browser reads no other page for it when the site is opened as files
+
+
+def toctree(pages, caption=""):
+    """A part of the sidebar."""
+    return "\n".join(["```{toctree}", ":hidden:", f":caption: {caption}" if caption else "", "", *pages, "```"])
+
+
+def contents():
+    """The sidebar: each page of CONTENTS that exists, once."""
+    seen = {root_doc}
+    for caption, patterns in CONTENTS.items():
+        found = (page for one in patterns for page in sorted(ROOT.glob(one)) if "node_modules" not in page.parts)
+        pages = dict.fromkeys(str(page.relative_to(ROOT).with_suffix("")) for page in found)
+        yield toctree([page for page in pages if page not in seen], caption)
+        seen.update(pages)
+
+
+def with_contents(_app, docname, source):
+    """Append the sidebar's part to the start page and to a folder's README; in the repository it would be noise."""
+    if docname == root_doc:
+        source[0] = "\n\n".join([source[0], *contents()])
+    elif docname.endswith("/README"):
+        beside = sorted((ROOT / docname).parent.glob("[!R]*.md"))
+        source[0] = f"{source[0]}\n\n{toctree([page.stem for page in beside])}"
+
+
+def without_field_numbers(_app, _what, _name, _subject, _options, lines):
+    """Leave out what Python itself says of a NamedTuple's field."""
+    if lines and lines[0].startswith("Alias for field number"):
+        lines.clear()
+
+
+def setup(app):
+    """Sphinx calls it."""
+    app.connect("source-read", with_contents)
+    app.connect("autodoc-process-docstring", without_field_numbers)
