@@ -7,17 +7,19 @@ repository, and README.md is the start page.
 from importlib.metadata import version as version_of
 from pathlib import Path
 
+from sphinx import addnodes
+
 ROOT = Path(__file__).resolve().parents[2]
 CONTENTS = {
     "Tutorials": ["docs/tutorials/*.md"],
     "How to": ["docs/how-to/*.md", "docs/boards.md", "docs/controllers.md", "docs/sessions.md", "docs/watchdog.md"],
     "When something is wrong": ["docs/troubleshooting.md", "docs/hazards.md"],
     "Reference": ["docs/reference.md", "docs/api/*.md", "firmware_protocol/PROTOCOL.md", "docs/parity.md"],
-    "Background": ["docs/architecture.md", "docs/real-time.md", "docs/facts/README.md"],
-    "Project": ["*.md", "docs/decisions/README.md", "docs/*.md", "tests/**/*.md"],
+    "Background": ["docs/architecture.md", "docs/real-time.md", "docs/facts/*.md"],
+    "Project": ["*.md", "docs/decisions/*.md", "docs/*.md", "tests/**/*.md"],
 }
-"""Patterns of the pages below each heading of the sidebar. A page stands where it is named first, a README.md for the
-pages beside it."""
+"""Patterns of the pages below each heading of the sidebar. A page stands where it is named first; beside a README.md,
+below that."""
 
 project = "inteco-abs"
 version = release = version_of("inteco-abs")
@@ -26,6 +28,8 @@ extensions = ["myst_parser", "sphinx.ext.autodoc"]
 include_patterns = ["**.md"]
 exclude_patterns = [".*", "build", "dist", "sessions", "**/node_modules", "docs/source"]
 myst_heading_anchors = 6
+
+suppress_warnings = ["misc.highlighting_failure"]  # what commands print is in no language
 
 default_role = "py:obj"  # `name` in docstrings: a link where the name is documented, else code
 add_module_names = False
@@ -53,10 +57,20 @@ def contents():
     """The sidebar: each page of CONTENTS that exists, once."""
     seen = {root_doc}
     for caption, patterns in CONTENTS.items():
-        found = (page for one in patterns for page in sorted(ROOT.glob(one)) if "node_modules" not in page.parts)
-        pages = dict.fromkeys(str(page.relative_to(ROOT).with_suffix("")) for page in found)
+        found = [page for one in patterns for page in sorted(ROOT.glob(one)) if "node_modules" not in page.parts]
+        pages = dict.fromkeys(name_of(page) for page in found if page.name == "README.md" or stands_alone(page))
         yield toctree([page for page in pages if page not in seen], caption)
         seen.update(pages)
+
+
+def name_of(page):
+    """As Sphinx calls it."""
+    return str(page.relative_to(ROOT).with_suffix(""))
+
+
+def stands_alone(page):
+    """Whether no README beside it leads to it."""
+    return page.parent == ROOT or not page.with_name("README.md").exists()
 
 
 def with_contents(_app, docname, source):
@@ -68,6 +82,14 @@ def with_contents(_app, docname, source):
         source[0] = f"{source[0]}\n\n{toctree([page.stem for page in beside])}"
 
 
+def folders_as_text(app, doctree):
+    """Take away links to folders, which lead somewhere in the repository only."""
+    here = (ROOT / app.env.docname).parent
+    for link in list(doctree.findall(addnodes.pending_xref)):
+        if link["reftype"] == "myst" and link["reftarget"] and (here / link["reftarget"]).is_dir():
+            link.replace_self(link.children)
+
+
 def without_field_numbers(_app, _what, _name, _subject, _options, lines):
     """Leave out what Python itself says of a NamedTuple's field."""
     if lines and lines[0].startswith("Alias for field number"):
@@ -77,4 +99,5 @@ def without_field_numbers(_app, _what, _name, _subject, _options, lines):
 def setup(app):
     """Sphinx calls it."""
     app.connect("source-read", with_contents)
+    app.connect("doctree-read", folders_as_text)
     app.connect("autodoc-process-docstring", without_field_numbers)
