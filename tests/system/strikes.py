@@ -6,8 +6,11 @@ The record is in the run's memory, mapped into this process: nothing that the pr
 import os
 import random
 import signal
+import threading
 import time
+from contextlib import contextmanager
 from itertools import combinations, product
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +43,23 @@ TICKS = 100, 2500
 LONGEST_GAP_S = 0.2
 PATIENCE_S = 3.0
 SAID_S = 0.1
+LOOKS_S = 0.001
+
+
+class Seen(NamedTuple):
+    """What can be seen of a run from outside at one instant."""
+
+    loop: str
+    """`runs`, `stopped` or `gone`; the next two likewise."""
+    guardian: str
+    supervisor: str
+    recorder: str
+    holds: bool
+    """Whether the loop holds the board, and nobody has taken it since."""
+    stop: bool
+    """Whether anybody wants the run to end."""
+    output: bool
+    """Whether drive or brake is on, by the board's own record."""
 
 
 class Struck(NamedTuple):
@@ -53,6 +73,8 @@ class Struck(NamedTuple):
     """From the last strike until both outputs were off for good; infinite if that did not come."""
     told: bool
     """Whether the user has heard to press the emergency switch."""
+    trace: tuple[Seen, ...]
+    """What was seen from just before the first strike on, one after the other, each different from the one before."""
 
 
 def anybody_left(kind):
@@ -64,26 +86,31 @@ def name_of(kind):
     return " + ".join(f"{how} {role}" for role, how in kind)
 
 
+def seed_of(kind, number):
+    return f"{name_of(kind)} #{number}"
+
+
 def struck(command, folder, environment, kind, number):
     """Run a stop, strike in it, wait for its outputs to go off. `number` seeds all that is random."""
-    seed = f"{name_of(kind)} #{number}"
+    seed = seed_of(kind, number)
     chance = random.Random(seed)
     run = LiveRun(command, folder, environment, settings=LONG)
     try:
-        pids = {role: run.pid(role) for role, _ in kind}
+        pids = {role: run.pid(role) for role in ROLES}
         run.until_tick(chance.randrange(*TICKS))
         gap_s = chance.choice((0.0, 0.0, LONGEST_GAP_S))
-        for role, how in chance.sample(kind, len(kind)):
-            time.sleep(chance.random() * (gap_s + 0.0005))
-            last_ns = time.monotonic_ns()
-            try:
-                os.kill(pids[role], HOW[how])
-            except ProcessLookupError:  # the strike before has ended it
-                continue
-        end = time.monotonic() + PATIENCE_S
-        while run.words[Field.HOLDER_PID] not in (0, run.words[Field.RESCUED_PID]) and time.monotonic() < end:
-            time.sleep(0.01)
-        time.sleep(SAID_S)
+        with watched(run, pids) as trace:
+            for role, how in chance.sample(kind, len(kind)):
+                time.sleep(chance.random() * (gap_s + 0.0005))
+                last_ns = time.monotonic_ns()
+                try:
+                    os.kill(pids[role], HOW[how])
+                except ProcessLookupError:  # the strike before has ended it
+                    continue
+            end = time.monotonic() + PATIENCE_S
+            while run.words[Field.HOLDER_PID] not in (0, run.words[Field.RESCUED_PID]) and time.monotonic() < end:
+                time.sleep(0.01)
+            time.sleep(SAID_S)
         on, off_ms = turned_off(run, last_ns)
     finally:
         for pid in run.processes():
@@ -91,7 +118,50 @@ def struck(command, folder, environment, kind, number):
         run.process.kill()
         _, said = run.process.communicate()
         run.memory.remove()
-    return Struck(seed, on, off_ms, STILL_ON in said)
+    return Struck(seed, on, off_ms, STILL_ON in said, tuple(trace))
+
+
+@contextmanager
+def watched(run, pids):
+    """Look at the run every millisecond while inside; gives the list that what is seen is added to."""
+    trace, over = [look(run, pids)], threading.Event()
+
+    def watch():
+        before = None
+        while not over.wait(LOOKS_S):
+            seen = look(run, pids)
+            # what changes while it is looked at is not one instant: it counts once it was seen twice
+            if seen == before != trace[-1]:
+                trace.append(seen)
+            before = seen
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    try:
+        yield trace
+    finally:
+        over.set()
+        thread.join()
+
+
+def look(run, pids):
+    words, newest = run.words, run.memory.truth_reader().newest()
+    row = TRUTH.array(newest)[0] if newest is not None else None
+    return Seen(
+        **{role: state_of(pid) for role, pid in pids.items()},
+        holds=words[Field.HOLDER_PID] == pids["loop"] != words[Field.RESCUED_PID],
+        stop=bool(words[Field.STOP] or words[Field.GUARDIAN_STOP]),
+        output=row is not None and bool(row["drive"] > 0.0 or row["brake"] > 0.0),
+    )
+
+
+def state_of(pid):
+    """Of a process: `runs`, `stopped` or `gone`."""
+    try:
+        letter = Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0]
+    except OSError:
+        return "gone"
+    return {"T": "stopped", "Z": "gone", "X": "gone"}.get(letter, "runs")
 
 
 def turned_off(run, struck_ns):
