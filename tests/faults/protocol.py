@@ -10,7 +10,7 @@ A frozen recorder is as good as a healthy one here: nobody's safety waits for it
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from inteco_abs.realtime import rules as code
@@ -26,6 +26,22 @@ MOST_SILENT = 1 + max(GUARDIAN_WINDOW, LOOPS_WINDOW, SUPERVISOR_WINDOW)
 BOUND = 10
 """Polls from the last strike, 250 ms: a loop alone beside a dead guardian, or a supervisor that sees, kills, waits and
 writes. Each step takes a poll here, and 5 ms in the code."""
+
+
+class Seen(NamedTuple):
+    """What can be seen of a run from outside at one instant."""
+
+    loop: str
+    """`runs`, `stopped` or `gone`; the next three likewise."""
+    guardian: str
+    supervisor: str
+    recorder: str
+    holds: bool
+    """Whether the loop holds the board, and nobody has taken it since."""
+    stop: bool
+    """Whether anybody wants the run to end."""
+    output: bool
+    """Whether drive or brake is on, by the board's own record."""
 
 
 class Rules(NamedTuple):
@@ -277,3 +293,77 @@ def violation(state: State, bound: int) -> str:
     if state.output and not state.holds:
         return f"nobody holds a board whose output is on: {state}"
     return ""
+
+
+UNSEEN = 8
+"""Most steps that may happen between two looks a millisecond apart."""
+
+
+def unexplained(trace: Sequence[Seen], most_strikes: int, known: dict[object, frozenset[State]]) -> Seen | None:
+    """The first sight of a run that no path through the model leads to; None if one explains all of the trace.
+
+    `known` keeps what was found of the beginnings of traces, for the next call.
+    """
+    for length in range(1, len(trace) + 1):
+        key = (most_strikes, tuple(trace[:length]))
+        if key not in known:
+            before = known[most_strikes, tuple(trace[: length - 1])] if length > 1 else _driving()
+            after = {state for state in _within(before, UNSEEN, most_strikes) if _shows(state, trace[length - 1])}
+            known[key] = _staying(after, trace[length - 1], most_strikes)
+        if not known[key]:
+            return trace[length - 1]
+    return None
+
+
+def _driving() -> frozenset[State]:
+    """Where a run may be before it is struck."""
+    return frozenset(each for each in _reached({State()}, lambda _: True, 0) if each.loop == "driving")
+
+
+def _within(states: Iterable[State], most: int, most_strikes: int) -> set[State]:
+    found = newest = set(states)
+    for _ in range(most):
+        newest = {each for state in newest for each in _following(state, most_strikes)} - found
+        found = found | newest
+    return found
+
+
+def _staying(states: Iterable[State], seen: Seen, most_strikes: int) -> frozenset[State]:
+    """All states that look the same, however long it takes to get there."""
+    return frozenset(_reached(set(states), lambda state: _shows(state, seen), most_strikes))
+
+
+def _reached(states: set[State], allowed: Callable[[State], bool], most_strikes: int) -> set[State]:
+    found, waiting = set(states), list(states)
+    while waiting:
+        for state in _following(waiting.pop(), most_strikes):
+            if state not in found and allowed(state):
+                found.add(state)
+                waiting.append(state)
+    return found
+
+
+def _following(state: State, most_strikes: int) -> Iterator[State]:
+    """Steps without the count of what is judged elsewhere, and a loop whose guard ends the run."""
+    yield from (each._replace(on_since=0) for each in steps(state, Rules(), most_strikes))
+    if state.loop == "driving" and _can_act(state, "loop"):
+        yield _ticked(state._replace(loop="safe", output=False))
+
+
+def _shows(state: State, seen: Seen) -> bool:
+    """Whether a run in this state may look so. An output that is off may be between drive and brake."""
+    if seen.output and not state.output:
+        return False
+    if state.loop == "dead" and not state.holds:  # the run is over, and its processes end in any order
+        return not seen.holds and seen.loop == "gone"
+    recorder = seen.recorder if seen.recorder == "gone" else "runs"
+    alike = all(getattr(seen, name) in _sights(state, name) for name in ACTORS)
+    alike = alike and recorder == ("gone" if state.recorder == "dead" else "runs")
+    return alike and (seen.holds, seen.stop) == (state.holds, state.stop)
+
+
+def _sights(state: State, name: str) -> tuple[str, ...]:
+    doing = getattr(state, name)
+    if doing == "dying":
+        return "runs", "stopped", "gone"
+    return ("gone",) if doing == "dead" else ("stopped",) if name in state.frozen else ("runs",)

@@ -1,6 +1,6 @@
 import pytest
 
-from tests.faults.protocol import BOUND, POLL_NS, Rules, explore
+from tests.faults.protocol import BOUND, POLL_NS, Rules, Seen, explore, unexplained
 
 pytestmark = pytest.mark.untraced
 
@@ -28,3 +28,35 @@ def test_without_this_rule_something_goes_wrong(rule):
 @pytest.mark.parametrize("rule", sorted(SECOND_LINE))
 def test_a_second_line_is_needed_only_once_the_first_is_gone(rule):
     assert explore(Rules(**{rule: False}), 2, BOUND)[2] == ""
+
+
+DRIVES = Seen("runs", "runs", "runs", "runs", holds=True, stop=False, output=True)
+KILLED = DRIVES._replace(loop="gone")
+FROZEN = DRIVES._replace(loop="stopped")
+SAFE = {"output": False, "holds": False}
+
+
+@pytest.mark.parametrize(
+    "trace",
+    [
+        (DRIVES, KILLED, KILLED._replace(**SAFE)),
+        (DRIVES, FROZEN, KILLED._replace(**SAFE)),
+        (DRIVES, DRIVES._replace(supervisor="gone"), DRIVES._replace(supervisor="gone", stop=True)),
+    ],
+)
+def test_what_a_struck_run_looks_like_is_explained_by_the_model(trace):
+    assert unexplained(trace, 1, {}) is None
+
+
+@pytest.mark.parametrize(
+    "trace",
+    [
+        (DRIVES, FROZEN, FROZEN._replace(**SAFE)),  # taken from a process that may still write
+        (DRIVES, DRIVES._replace(holds=False)),  # given up with an output on
+        (DRIVES, DRIVES._replace(loop="gone", guardian="gone")),  # two ends for one strike
+        (DRIVES, KILLED, KILLED._replace(**SAFE), KILLED),  # on once more after the rescue
+        (DRIVES, DRIVES._replace(guardian="stopped"), KILLED._replace(guardian="stopped")),  # nobody's deed
+    ],
+)
+def test_what_the_rules_do_not_allow_is_not_explained_by_the_model(trace):
+    assert unexplained(trace, 1, {}) == trace[-1]

@@ -19,6 +19,7 @@ from live import LiveRun
 from inteco_abs.boards import STILL_ON
 from inteco_abs.realtime.memory import Field
 from inteco_abs.sessions import TRUTH
+from tests.faults.protocol import Seen
 
 ROLES = ("loop", "guardian", "supervisor", "recorder")
 ACTORS = {"loop", "guardian", "supervisor"}
@@ -44,22 +45,6 @@ LONGEST_GAP_S = 0.2
 PATIENCE_S = 3.0
 SAID_S = 0.1
 LOOKS_S = 0.001
-
-
-class Seen(NamedTuple):
-    """What can be seen of a run from outside at one instant."""
-
-    loop: str
-    """`runs`, `stopped` or `gone`; the next two likewise."""
-    guardian: str
-    supervisor: str
-    recorder: str
-    holds: bool
-    """Whether the loop holds the board, and nobody has taken it since."""
-    stop: bool
-    """Whether anybody wants the run to end."""
-    output: bool
-    """Whether drive or brake is on, by the board's own record."""
 
 
 class Struck(NamedTuple):

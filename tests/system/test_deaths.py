@@ -20,6 +20,7 @@ from ordeal import KINDS, RUNS, ordeal, table
 
 from inteco_abs.realtime.memory import Field
 from inteco_abs.signals import Phase, Reason
+from tests.faults.protocol import unexplained
 
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 
@@ -258,6 +259,7 @@ def test_whoever_is_killed_or_frozen_the_board_is_made_safe_or_the_switch_is_cal
     command_path, tmp_path, untraced, kind
 ):
     found = strikes.struck(command_path, tmp_path, untraced, kind, 0)
+    assert unexplained(found.trace, len(kind), {}) is None, found
     if strikes.anybody_left(kind):
         assert found.off_ms * 1e6 < GENEROUS_NS, found
     else:
