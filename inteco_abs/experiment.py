@@ -31,7 +31,6 @@ from inteco_abs.mock_board import (
     FaultyHost,
     FrontEnd,
     Schedule,
-    Truth,
     drawn_facts,
     face_of,
     require_possible,
@@ -48,6 +47,7 @@ from inteco_abs.realtime.screen import Check, NoScreen, SafeScreen, Screen, Snap
 from inteco_abs.realtime.signal_handlers import hearing
 from inteco_abs.realtime.spool import stow
 from inteco_abs.realtime.watchdog import prove_watchdog
+from inteco_abs.realtime.window import Window
 from inteco_abs.sessions import (
     EXIT_CODES,
     LOSSES,
@@ -74,8 +74,9 @@ from inteco_abs.wire.recording import Recording, check_recordable, recording
 _SLICE_TICKS: Final = 1000
 _SPARE_S: Final = 2.0
 _PATIENCE_S: Final = 1.0
-_LONGEST_RING_S: Final = 120.0
-"""Memory of several stops goes round: what is older is in the file, and a run without recorder ends within a second."""
+_LONGEST_RING_S: Final = 60.0
+"""Memory of several stops goes round: what is older is in the file. For so long a disk may take nothing; a run without
+recorder ends within a second. Every process of the run has all of it mapped: 38 MB at 2 kHz."""
 _SHORTEST_RING_S: Final = 4.0
 """Long enough for the recorder to be found dead and the run to end before the ring is full."""
 _PANEL_RING_S: Final = 30.0
@@ -323,11 +324,12 @@ class _VirtualRun:
         self._clock = VirtualClock(config.period_ns)
         self._schedule = Schedule(plan.faults, self._clock.now_ns, plan.seed)
         self._host = FaultyHost(self._schedule, plan.out, lambda name: os.getpid() if name == "recorder" else 0)
-        self._truths: list[Truth] = []
         self._pipeline = pipeline
         self._session_id = str(uuid.uuid4())
-        self._ring = TickRing(pack_tick, TICK.size, 2 * _SLICE_TICKS)
-        self._reader = self._ring.reader()
+        capacity = ring_ticks(config) + 2 * _SLICE_TICKS
+        self._ring = TickRing(pack_tick, TICK.size, capacity)
+        self._truths = TickRing(TRUTH.pack_into, TRUTH.size, capacity)
+        self._window = Window(self._ring.reader(), self._truths.reader())
 
     def run(self, progress: Progress | None, screen: Screen) -> RunResult:
         plan = self._plan
@@ -338,7 +340,7 @@ class _VirtualRun:
         plan, config = self._plan, self._config
         board = board_behind(around(InProcessLink(self._face())), config, self._clock.now_ns)
         controller = plan.controllers[config.controller.name]
-        with FailoverWriter(plan.out, self._opener(controller), self._spill()) as keeper:
+        with FailoverWriter(plan.out, self._opener(controller), self._window.held, self._spill()) as keeper:
             try:
                 with board:
                     screen.passed(Check.BOARD, f"{plan.board} {board.insist()}")
@@ -388,7 +390,7 @@ class _VirtualRun:
     def _drive(self, keeper: FailoverWriter, board: Board, progress: Progress | None, screen: Screen) -> None:
         onlooker = SnapshotSource(self._ring.reader(), Histogram(), self._config.loop.rate_hz)
         loop = Loop(board, self._pipeline, self._clock, self._ring, self._interrupts.stop)
-        self._truths.clear()  # what the device saw while it was opened belongs to no tick
+        self._window.skip_truths()  # what the device saw while it was opened belongs to no tick
         try:
             over = False
             while not over:
@@ -408,9 +410,13 @@ class _VirtualRun:
                 self._record(keeper)
 
     def _record(self, keeper: FailoverWriter) -> None:
-        truths = b"".join(map(TRUTH.pack, self._truths))
-        self._truths.clear()
-        keeper.add(self._reader.take(), truths)
+        keeper.add(*self._window.more())
+        if self._window.waiting > self._window.room:
+            keeper.flush()
+            if keeper.writing:
+                self._window.release()
+        if self._window.room < 2 * _SLICE_TICKS:  # as in real time: what no disk takes ends the run while there is room
+            self._interrupts.stop.request(Reason.RECORDER_LOST)
 
     def _introduction(self, board: Board, watchdog: Mapping[str, str]) -> RunHeader:
         config, plan = self._config, self._plan
@@ -462,7 +468,7 @@ class _VirtualRun:
     def _stowed(self, keeper: FailoverWriter, end: RunEnd, error: SessionError) -> SessionError:
         job = replace(_job(self._config, self._plan), session_id=self._session_id, virtual=True)
         try:
-            ring = stow(job, keeper.introduction, end, *keeper.everything)
+            ring = stow(job, keeper.introduction, end, self._window, keeper.path)
         except SessionError as second:
             out, seed = self._plan.out, self._plan.seed
             return SessionError(
@@ -483,7 +489,7 @@ def _facts(config: RigConfig, plan: Plan) -> dict[str, dict[str, str]]:
 
 
 def ring_ticks(config: RigConfig) -> int:
-    """Ticks that the ring in real time is to hold: all of the longest possible run, if nothing else is asked for."""
+    """Ticks that the ring is to hold: all of the longest possible run, up to a minute, if nothing else is asked for."""
     whole_s = min(config.experiment.longest_s + _SPARE_S, _LONGEST_RING_S)
     seconds = max(config.loop.ring_s, _SHORTEST_RING_S) if config.loop.ring_s else whole_s
     return round(seconds * config.loop.rate_hz)

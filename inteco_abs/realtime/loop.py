@@ -25,18 +25,23 @@ class Stop(Protocol):
 class StopWord:
     """A request to end the run, set from a signal handler in the loop's own process. Never cleared."""
 
-    __slots__ = ("requested",)
+    __slots__ = ("_reason",)
 
     def __init__(self) -> None:
-        self.requested = False
+        self._reason = Reason.NONE
 
-    def request(self) -> None:
-        """Ask the loop to stop at its next tick."""
-        self.requested = True
+    @property
+    def requested(self) -> bool:
+        """Whether the loop has been asked."""
+        return self._reason is not Reason.NONE
+
+    def request(self, reason: Reason = Reason.OPERATOR_STOP) -> None:
+        """Ask the loop to stop at its next tick; the first reason stays."""
+        self._reason = self._reason or reason
 
     def wanted(self, _now_ns: int) -> Reason:
-        """OPERATOR_STOP once requested."""
-        return Reason.OPERATOR_STOP if self.requested else Reason.NONE
+        """The reason once requested, or NONE."""
+        return self._reason
 
 
 class Loop:

@@ -303,17 +303,17 @@ class RunMemory:
         data = self.image(note)
         return None if data is None else json.loads(data)
 
-    def tick_ring(self, pack: Pack) -> TickRing:
-        """The loop's end of the ticks."""
-        return TickRing(pack, self._tick_bytes, self.tick_capacity, self._ticks)
+    def tick_ring(self, pack: Pack, first: int = 0) -> TickRing:
+        """The loop's end of the ticks, whose first record has that number."""
+        return TickRing(pack, self._tick_bytes, self.tick_capacity, self._ticks, first)
 
     def tick_reader(self) -> RingReader:
         """A reader's end of the ticks."""
         return RingReader(self._ticks, self._tick_bytes, self.tick_capacity)
 
-    def truth_ring(self, pack: Pack) -> TickRing:
-        """The mock board's end of its own record."""
-        return TickRing(pack, self._truth_bytes, self._truth_capacity, self._truths)
+    def truth_ring(self, pack: Pack, first: int = 0) -> TickRing:
+        """The mock board's end of its own record, whose first record has that number."""
+        return TickRing(pack, self._truth_bytes, self._truth_capacity, self._truths, first)
 
     def truth_reader(self) -> RingReader:
         """A reader's end of the mock board's record."""

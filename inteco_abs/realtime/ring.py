@@ -7,6 +7,7 @@ readers poll.
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -31,23 +32,31 @@ def _slot_words(record_bytes: int) -> int:
 class TickRing:
     """The writer's end: `capacity` records of `record_bytes`, packed by `pack`.
 
-    `memory` is writable and zero, of `ring_bytes(record_bytes, capacity)`; by default the ring makes its own.
+    `memory` is writable and zero, of `ring_bytes(record_bytes, capacity)`; by default the ring makes its own. The
+    first record has the number `first`: those before it are elsewhere.
     """
 
     def __init__(
-        self, pack: Pack, record_bytes: int, capacity: int, memory: bytearray | memoryview | None = None
+        self,
+        pack: Pack,
+        record_bytes: int,
+        capacity: int,
+        memory: bytearray | memoryview | None = None,
+        first: int = 0,
     ) -> None:
-        self.memory = memoryview(bytearray(ring_bytes(record_bytes, capacity)) if memory is None else memory)
+        self.memory = memoryview(mmap.mmap(-1, ring_bytes(record_bytes, capacity)) if memory is None else memory)
         self._pack = pack
         self._capacity = capacity
         self._stride = _slot_words(record_bytes)
         self._words = self.memory.cast("Q")
         self._size = record_bytes
-        self._written = 0
+        self._written = first
+        if first:
+            self._words[_WRITTEN] = self._words[_TAKEN] = first
 
     @property
     def written(self) -> int:
-        """Number of records appended so far."""
+        """Number of the next record."""
         return self._written
 
     def reader(self) -> RingReader:
@@ -94,10 +103,18 @@ class RingReader:
         """Records that the writer can still append before it would have to overwrite one that was not taken."""
         return self._capacity - (self.written - self.taken)
 
+    def held_from(self, spare: float = 0.0) -> int:
+        """Number of the oldest record that the ring still holds, from 0.
+
+        With a `spare` share of the capacity, of the oldest that it still holds once the writer, which goes on, has
+        filled that.
+        """
+        return max(0, min(self.taken, self.written - round((1.0 - spare) * self._capacity)))
+
     def rewind(self) -> int:
-        """Go back to the oldest record that the ring still holds; its number, from 0."""
-        oldest = max(0, self.written - self._capacity)
-        self._words[_TAKEN] = oldest
+        """Go back to the oldest record that the ring still holds; its number."""
+        oldest = self.held_from()
+        self.release(oldest)
         return oldest
 
     def take(self, most: int | None = None) -> bytes:
@@ -127,10 +144,6 @@ class RingReader:
     def release(self, end: int) -> None:
         """Take what was looked at, up to number `end`: the writer may overwrite it."""
         self._words[_TAKEN] = end
-
-    def oldest(self) -> bytes | None:
-        """The next record to be taken, without taking it; None if there is none."""
-        return self._record(self.taken) if self.taken < self.written else None
 
     def newest(self) -> bytes | None:
         """The newest record: a snapshot, for a screen. None if there is none, or it was just being overwritten."""

@@ -9,16 +9,19 @@ from inteco_abs.realtime.frames import stow_frames
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Mailbox, RunMemory
 from inteco_abs.realtime.ring import TickRing
+from inteco_abs.realtime.window import Window
 from inteco_abs.sessions import TICK, TRUTH, RunEnd, RunHeader
 
 
-def stow(job: Job, introduction: RunHeader, end: RunEnd, ticks: bytes, truths: bytes) -> Path:
-    """A ring with the whole of a run that another process than a recorder's has recorded.
+def stow(job: Job, introduction: RunHeader, end: RunEnd, window: Window, file: Path) -> Path:
+    """A ring with what the window holds of a run that another process than a recorder's has recorded.
 
-    Raises SessionError if memory has no room for it.
+    What came before that is in the `file`. Raises SessionError if memory has no room for it.
     """
-    memory = RunMemory.create(TICK.size, max(len(ticks) // TICK.size, 1), TRUTH.size, max(len(truths) // TRUTH.size, 1))
+    ticks, truths = window.ticks, window.truths
+    memory = RunMemory.create(TICK.size, max(len(ticks), 1), TRUTH.size, max(len(truths), 1))
     job.post(memory)
+    memory.post(Mailbox.TROUBLES, {"texts": [], "file": str(file)})
     memory.post(Mailbox.SURROUNDINGS, introduction.surroundings.as_note())
     memory.post(
         Mailbox.INTRODUCTION,
@@ -32,8 +35,10 @@ def stow(job: Job, introduction: RunHeader, end: RunEnd, ticks: bytes, truths: b
     memory.post(
         Mailbox.CONCLUSION, {"reason": int(end.reason), "detail": end.detail, "aborted": end.aborted, "cost": {}}
     )
-    _fill(memory.tick_ring(_copy), ticks, TICK.size)
-    _fill(memory.truth_ring(_copy), truths, TRUTH.size)
+    ring, states = memory.tick_ring(_copy, ticks.start), memory.truth_ring(_copy, truths.start)
+    for records, seen in window.held():
+        _fill(ring, records, TICK.size)
+        _fill(states, seen, TRUTH.size)
     if end.frames is not None:
         stow_frames(memory, end.frames)
     memory.keep()

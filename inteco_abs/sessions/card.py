@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -12,6 +14,7 @@ import numpy.typing as npt
 
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import SessionError
+from inteco_abs.format.schema import TICK, TRUTH
 from inteco_abs.rig import nominal_parameters
 from inteco_abs.sessions.metrics import StopTrace, stop_metrics
 from inteco_abs.sessions.reader import Session
@@ -21,28 +24,178 @@ from inteco_abs.signals import BoardFlags, Phase
 _MOST_DIGITS: Final = 18
 """Of a whole number in a card; counts that a run can reach have fewer."""
 
+_BLOCK_TICKS: Final = 1 << 16
+
 Array = npt.NDArray[Any]
 
 
 def result_card(config: RigConfig, ticks: Array, truth: Array) -> dict[str, Any]:
-    """Metrics of one stop. `truth` has no rows on a real rig; what rests on it is then None.
+    """The card of a run whose rows are all there, as `RunningCard` makes it. `truth` has no rows on a real rig."""
+    card = RunningCard(config)
+    for rows, states in in_step(ticks, truth):
+        card.add(rows, states)
+    return card.card()
+
+
+def timing_card(ticks: Array) -> dict[str, Any]:
+    """The card of which nothing is known but how punctual the ticks were."""
+    card = RunningCard(None)
+    for rows, states in in_step(ticks, TRUTH.array(b"")):
+        card.add(rows, states)
+    return card.card()
+
+
+def link_errors(ticks: Array) -> int:
+    """Ticks whose exchange with the board failed."""
+    return int(((ticks["board_flags"] & BoardFlags.STALE) != 0).sum())
+
+
+def in_step(ticks: Array, truth: Array, rows: int = _BLOCK_TICKS) -> Iterator[tuple[Array, Array]]:
+    """Blocks of so many ticks, each with the states up to its last tick that came behind those of the block before.
+
+    Views; arrays that lie on a disk stay there.
+    """
+    done = 0
+    for at in range(0, len(ticks), rows):
+        block = ticks[at : at + rows]
+        until = bisect_right(truth, block[-1]["time_ns"], lo=done, key=lambda row: row["time_ns"])
+        end = len(truth) if at + rows >= len(ticks) else max(until, min(len(truth), 1))
+        yield block, truth[done:end]
+        done = end
+
+
+class RunningCard:
+    """Metrics of a run, made while it comes, block by block; it keeps the rows of no more than one stop.
 
     They are those of `stop_metrics`, from the first tick of the braking phase on and with the brake still held. Speed
     and slip are the true ones where there are any, else the estimated ones; distance is what the road wheel's encoder
-    counted. Of several stops in one session, each metric is the median of those that have it.
+    counted. Of several stops in one session, each metric is the median of those that have it. Without a
+    configuration there is nothing but how punctual the ticks were.
     """
-    stops = _stops(ticks)
-    card = timing_card(ticks) | {
-        "controller": config.controller.name,
-        "estimator": config.estimator.name,
-        "stops": len(stops),
-        "reference_slip": config.controller.reference_slip,
-    }
-    cards = [_stop_card(config, stop, truth) for stop in stops]
-    for name in ("start_speed_rad_s", *_STOP_METRICS):
-        values = [each[name] for each in cards if each.get(name) is not None]
-        card[name] = float(np.median(values)) if values else None
-    return card
+
+    def __init__(self, config: RigConfig | None) -> None:
+        self.ticks = 0
+        """How many have come."""
+        self.last_tick = -1
+        """Number of the newest; -1 before the first."""
+        self.link_errors = 0
+        """Ticks whose exchange with the board failed."""
+        self._config = config
+        self._overruns = 0
+        self._lateness = _Lateness()
+        self._stops: list[dict[str, Any]] = []
+        self._stop, self._truth = bytearray(), bytearray()
+
+    def add(self, ticks: Array, truth: Array) -> None:
+        """The next ticks, and the next states of the simulated rig, up to the last of these ticks at least."""
+        if self._config is not None:
+            self._truth += truth.tobytes()
+        if not len(ticks):
+            return
+        self.ticks += len(ticks)
+        self.last_tick = int(ticks["tick"][-1])
+        self._overruns += int(ticks["skipped"].sum())
+        self.link_errors += link_errors(ticks)
+        self._lateness.add(ticks["late_us"])
+        if self._config is not None:
+            self._follow(ticks, self._config)
+
+    def card(self) -> dict[str, Any]:
+        """The card of everything so far; a stop that still goes on is one of its stops."""
+        config = self._config
+        cards = [*self._stops, *([self._stop_card(config)] if config is not None and self._stop else [])]
+        card = {
+            "controller": None if config is None else config.controller.name,
+            "estimator": None if config is None else config.estimator.name,
+            "ticks": self.ticks,
+            "overruns": self._overruns,
+            "stops": None if config is None else len(cards),
+            "start_speed_rad_s": None,
+            "reference_slip": None if config is None else config.controller.reference_slip,
+            **dict.fromkeys(_STOP_METRICS),
+            "lateness_us": self._lateness.percentiles(),
+        }
+        for name in ("start_speed_rad_s", *_STOP_METRICS):
+            values = [each[name] for each in cards if each.get(name) is not None]
+            card[name] = float(np.median(values)) if values else None
+        return card
+
+    def _follow(self, ticks: Array, config: RigConfig) -> None:
+        """Gather the braking and stopped ticks of each stop."""
+        braking = (ticks["phase"] == Phase.BRAKING) | (ticks["phase"] == Phase.STOPPED)
+        edges = [0, *(np.flatnonzero(np.diff(braking)) + 1).tolist(), len(ticks)]
+        for first, end in pairwise(edges):
+            if braking[first]:
+                self._stop += ticks[first:end].tobytes()
+            elif self._stop:
+                self._stops.append(self._stop_card(config))
+                self._stop.clear()
+        if not self._stop:  # the next stop needs the newest state that its first tick can have seen
+            states = TRUTH.array(bytes(self._truth))
+            seen = int(np.searchsorted(states["time_ns"], ticks["time_ns"][-1], side="right"))
+            del self._truth[: max(seen - 1, 0) * TRUTH.size]
+
+    def _stop_card(self, config: RigConfig) -> dict[str, Any]:
+        stop = TICK.array(bytes(self._stop))
+        true = aligned_truth(TRUTH.array(bytes(self._truth)), stop["time_ns"])
+        source = stop if true is None else true
+        counts = stop["road_count"].astype(np.int64) - int(stop["road_count"][0])
+        trace = StopTrace(
+            since_ns=stop["time_ns"].astype(np.int64) - int(stop["time_ns"][0]),
+            slip=source["slip"],
+            slip_estimated=stop["slip"],
+            road_speed_rad_s=source["road_speed_rad_s"],
+            road_angle_rad=counts * 2.0 * math.pi / config.encoders.counts_per_turn,
+            brake=stop["brake"],
+        )
+        metrics = stop_metrics(trace, config.controller.reference_slip, nominal_parameters(config.model))
+        if true is not None:
+            metrics |= {name: metrics[name.removesuffix("_true")] for name in _STOP_METRICS if name.endswith("_true")}
+        return {"start_speed_rad_s": float(source["road_speed_rad_s"][0]), **metrics}
+
+
+class _Lateness:
+    """How late ticks were: each value that has come, and how often. Clocks count nanoseconds, so there are few."""
+
+    _SHARES: Final = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
+    _MOST_NEW: Final = 1 << 16
+
+    def __init__(self) -> None:
+        self._values, self._numbers = np.zeros(0, np.float32), np.zeros(0, np.int64)
+        self._new: list[Array] = []
+        self._new_number = 0
+
+    def add(self, late_us: Array) -> None:
+        """Values of more ticks."""
+        self._new.append(late_us.copy())
+        self._new_number += len(late_us)
+        if self._new_number > self._MOST_NEW:
+            self._count()
+
+    def _count(self) -> None:
+        values, numbers = np.unique(np.concatenate([self._values[:0], *self._new]), return_counts=True)
+        self._new, self._new_number = [], 0
+        self._values, places = np.unique(np.concatenate([self._values, values]), return_inverse=True)
+        both = np.concatenate([self._numbers, numbers])
+        self._numbers = np.bincount(places.reshape(-1), both, len(self._values)).astype(np.int64)
+
+    def percentiles(self) -> dict[str, float | None]:
+        """The same numbers as `np.percentile` of all values at once gives."""
+        self._count()
+        if not len(self._values):
+            return dict.fromkeys(self._SHARES)
+        ends = np.cumsum(self._numbers)
+        at = np.array(list(self._SHARES.values())) / 100.0 * (ends[-1] - 1)
+        below, part = np.floor(at), at - np.floor(at)
+        low, high = (
+            self._values[np.searchsorted(ends, np.minimum(place, ends[-1] - 1), side="right")].astype(float)
+            for place in (below, below + 1)
+        )
+        # from the nearer end, as numpy does it
+        found = np.where(part < 0.5, low + (high - low) * part, high - (high - low) * (1.0 - part))
+        if np.isnan(self._values[-1]):
+            found[:] = math.nan
+        return dict(zip(self._SHARES, map(float, found), strict=True))
 
 
 def stored_card(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Any] | None:
@@ -82,51 +235,6 @@ def _finite(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def timing_card(ticks: Array) -> dict[str, Any]:
-    """The card of which nothing is known but how punctual the ticks were."""
-    return {
-        "controller": None,
-        "estimator": None,
-        "ticks": len(ticks),
-        "overruns": int(ticks["skipped"].sum()),
-        "stops": None,
-        "start_speed_rad_s": None,
-        "reference_slip": None,
-        **dict.fromkeys(_STOP_METRICS),
-        "lateness_us": _lateness(ticks),
-    }
-
-
-def link_errors(ticks: Array) -> int:
-    """Ticks whose exchange with the board failed."""
-    return int(((ticks["board_flags"] & BoardFlags.STALE) != 0).sum())
-
-
-def _stops(ticks: Array) -> list[Array]:
-    """The braking and stopped ticks of each stop."""
-    braking = (ticks["phase"] == Phase.BRAKING) | (ticks["phase"] == Phase.STOPPED)
-    edges = np.flatnonzero(np.diff(braking.astype(np.int8), prepend=0, append=0))
-    return [ticks[first:end] for first, end in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def _stop_card(config: RigConfig, stop: Array, truth: Array) -> dict[str, Any]:
-    true = aligned_truth(truth, stop["time_ns"])
-    source = stop if true is None else true
-    counts = stop["road_count"].astype(np.int64) - int(stop["road_count"][0])
-    course = StopTrace(
-        since_ns=stop["time_ns"].astype(np.int64) - int(stop["time_ns"][0]),
-        slip=source["slip"],
-        slip_estimated=stop["slip"],
-        road_speed_rad_s=source["road_speed_rad_s"],
-        road_angle_rad=counts * 2.0 * math.pi / config.encoders.counts_per_turn,
-        brake=stop["brake"],
-    )
-    metrics = stop_metrics(course, config.controller.reference_slip, nominal_parameters(config.model))
-    if true is not None:
-        metrics |= {name: metrics[name.removesuffix("_true")] for name in _STOP_METRICS if name.endswith("_true")}
-    return {"start_speed_rad_s": float(source["road_speed_rad_s"][0]), **metrics}
-
-
 _STOP_METRICS: Final = (
     "reaching_time_s",
     "band_entry_s",
@@ -152,11 +260,3 @@ def aligned_truth(truth: Array, time_ns: Array) -> Array | None:
         if name != "time_ns":
             aligned[name][newest < 0] = math.nan  # before the first of them nothing is known
     return aligned
-
-
-def _lateness(ticks: Array) -> dict[str, float | None]:
-    names, shares = ("p50", "p99", "p999", "max"), (50.0, 99.0, 99.9, 100.0)
-    if not len(ticks):
-        return dict.fromkeys(names)
-    values = np.percentile(ticks["late_us"].astype(float), shares)
-    return dict(zip(names, map(float, values), strict=True))

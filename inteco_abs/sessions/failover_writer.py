@@ -1,15 +1,23 @@
-"""Keeps a run whatever its disk does: in its file, else in a second one, else in memory until the end."""
+"""Keeps a run whatever its disk does: in its file, else in a second one, else in memory until the end.
+
+It holds no row itself. What a new file needs is read again from the file before, even where that has lost its name, and
+from the memory of whoever adds the rows, who keeps them until they are in a file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Self
 
+import numpy as np
+
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, SessionError, describe_disk, in_a_line
+from inteco_abs.format.schema import TICK, TRUTH
 from inteco_abs.sessions.environment import Environment
 from inteco_abs.sessions.files import atomic_write, require_own_file
 from inteco_abs.sessions.session_writer import RunEnd, RunHeader, RunResult, SessionWriter
@@ -19,6 +27,8 @@ Opener = Callable[[Path], FileWriter]
 """Opens a file for the session at a path; the same session, with the same times, whichever the path."""
 Say = Callable[[str, Path], None]
 """Told what a disk has refused and what came of it, and which file is written by now."""
+Rows = Iterable[tuple[bytes, bytes]]
+"""Ticks and states of the simulated rig in blocks, each back to back and in order."""
 
 
 def check_spill(config: RigConfig) -> None:
@@ -46,19 +56,42 @@ def spill_path(out: Path, config: RigConfig, session_id: str) -> Path | None:
     return path.with_name(f"{out.stem}-{session_id[:8]}{out.suffix}") if taken else path
 
 
+def joined(stored: Callable[[], Rows], held: Rows) -> Iterator[tuple[bytes, bytes]]:
+    """A run from what a file has `stored` of it and the newest part, which memory has `held`: each row once.
+
+    The file is not looked at where memory has everything. Raises what reading it raises.
+    """
+    blocks = iter(held)
+    first = next(blocks, (b"", b""))
+    ticks, truths = TICK.array(first[0]), TRUTH.array(first[1])
+    if not len(ticks):
+        yield from stored()
+    elif ticks["tick"][0]:
+        newer_ns = truths["time_ns"][0] if len(truths) else np.iinfo(np.uint64).max
+        for old, states in stored():
+            end = int(np.searchsorted(TICK.array(old)["tick"], ticks["tick"][0]))
+            seen = int(np.searchsorted(TRUTH.array(states)["time_ns"], newer_ns))
+            yield old[: end * TICK.size], states[: seen * TRUTH.size]
+    yield from chain([first], blocks)
+
+
 class FailoverWriter:
     """Tells one run to a file at `out`. A disk that refuses before the run was introduced is a SessionError.
 
     Later it is none before the end: the run is told anew to a file at `spill`, or, where that refuses too, kept in
-    memory until `conclude` tries both once more.
+    memory until `conclude` tries both once more. `held` gives what was added and is still in the memory of whoever
+    adds it: at least everything since the newest `flush` after which the keeper was `writing`.
     """
 
-    def __init__(self, out: Path, opener: Opener, spill: Path | None = None, say: Say | None = None) -> None:
+    def __init__(
+        self, out: Path, opener: Opener, held: Callable[[], Rows], spill: Path | None = None, say: Say | None = None
+    ) -> None:
         self.path = out
         """File that is being written, or was last."""
         self._out, self._spill = out, spill
         self._session = out
         self._open = opener
+        self._held = held
         self._say = say or (lambda _text, _path: None)
         self._troubles: list[str] = []
         self._remarks: list[tuple[int, str]] = []
@@ -86,11 +119,6 @@ class FailoverWriter:
     def introduction(self) -> RunHeader:
         """What the run was introduced with."""
         return self._told.introduction
-
-    @property
-    def everything(self) -> tuple[bytes, bytes]:
-        """Everything that was added."""
-        return self._told.everything
 
     def introduce(self, config: RigConfig, introduction: RunHeader, session: Path) -> None:
         """Everything that explains the run, on the disk before the first tick; the user calls the file `session`."""
@@ -141,6 +169,10 @@ class FailoverWriter:
                 return self._accounted(self._as_a_whole(place, end))
         raise SessionError(f"{'; '.join(self._troubles)}; nor could the file be made anew at the end")
 
+    def rows(self) -> Iterator[tuple[bytes, bytes]]:
+        """Everything that was added, out of the last file and memory; only once no file is written any more."""
+        return joined(self._stored, self._held())
+
     def discard(self) -> None:
         """Remove the file: nothing ran, so there is nothing to keep. Raises SessionError if it cannot be removed."""
         self._recorder.discard()
@@ -161,7 +193,6 @@ class FailoverWriter:
         """The disk refuses: go on in the second place, if there is one that takes everything so far."""
         known = len(self._troubles)
         self._troubles.append(str(error))
-        self._let_go()
         self._refused = True
         if self._spill is not None and self.path != self._spill:
             try:
@@ -180,6 +211,7 @@ class FailoverWriter:
             with suppress(SessionError):
                 recorder.close()
             raise
+        self._let_go()
         self._recorder, self._scribe, self.path, self._refused = recorder, scribe, path, False
 
     def _as_a_whole(self, place: Path, end: RunEnd) -> RunResult:
@@ -191,16 +223,27 @@ class FailoverWriter:
 
     def _retold(self, recorder: FileWriter, place: Path) -> SessionWriter:
         scribe = self._told.anew(recorder, self._session if place == self._out else place)
+        for ticks, truths in self.rows():
+            scribe.write(ticks, truths)
         for unix_ns, text in (*self._remarks, *((recorder.started_ns, text) for text in self._troubles)):
             recorder.warn(unix_ns, text)
         return scribe
 
+    def _stored(self) -> Rows:
+        """What the last file has; where its disk does not give that back, no more than it gives."""
+        try:
+            yield from self._recorder.stored()
+        except SessionError as error:
+            if str(error) not in self._troubles:
+                self._troubles.append(str(error))
+
     def _accounted(self, account: RunResult) -> RunResult:
         if not self._troubles:
             return account
-        troubles = "; ".join([*self._troubles, *filter(None, [account.trouble])])
-        trouble = f"{troubles}; the whole session is in {account.card['session']}"
-        return replace(account, trouble=trouble)
+        lost = self.ticks - account.card["ticks"]
+        what = f"the session, but for {lost} ticks that are lost," if lost else "the whole session"
+        troubles = [*self._troubles, *filter(None, [account.trouble]), f"{what} is in {account.card['session']}"]
+        return replace(account, trouble="; ".join(troubles))
 
     def _let_go(self) -> None:
         with suppress(SessionError):  # what it could not write any more has been said

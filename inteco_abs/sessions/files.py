@@ -12,6 +12,7 @@ from typing import Final
 from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_disk
 
 _PART: Final = ".part"
+_BLOCK: Final = 1 << 20
 _NO_PLACE: Final = (errno.EEXIST, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ)
 """What is wrong with a folder's name, not with the disk."""
 
@@ -83,13 +84,18 @@ def nearest_folder(path: Path) -> Path:
 
 def require_own_file(path: Path, session_id: str) -> None:
     """Raise SessionError if at `path` there is anything but a beginning of the session with that id."""
+    wanted, data = session_id.encode(), b""
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            while block := file.read(_BLOCK):
+                data = data[-len(wanted) :] + block
+                if wanted in data:
+                    return
     except FileNotFoundError:
         return
     except OSError as error:
         raise SessionError(f"{path} cannot be replaced: {error.strerror}") from error
-    if data and session_id.encode() not in data:
+    if data:
         raise SessionError(f"{path} has become another file, and files are never overwritten")
 
 

@@ -95,8 +95,31 @@ def read_session(path: Path, spool: Path | None = None) -> Session:
         except StrangeError as error:
             raise SessionError(f"{path}: cannot be read: {error}") from error
         except DamagedError as error:
-            hint = "inteco-abs recover saves the ticks that are whole"
-            raise SessionError(f"{path}: is damaged: {error}; {hint}") from error
+            raise _damaged(path, error) from error
+
+
+def stored_rows(file: BinaryIO, size: int, path: Path) -> Iterator[tuple[bytes, bytes]]:
+    """Ticks and states of the simulated rig of the session in an open file, back to back, chunk by chunk.
+
+    Up to where it was cut, as `read_session` does it. Raises SessionError if the file at `path` is damaged.
+    """
+    content = Content(allowance=DecompressionBudget(size))
+    try:
+        for entry in RecordFile(file, size):
+            if entry.opcode == Opcode.DATA_END:
+                return
+            if entry.opcode != Opcode.CHUNK:
+                content.take(entry)
+                continue
+            batches = content.take_chunk(unpack_chunk(entry.data, content.allowance))
+            rows = (batches[topic].today if topic in batches else b"" for topic in FLAT)
+            yield next(rows), next(rows)
+    except DamagedError as error:
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: DamagedError) -> SessionError:
+    return SessionError(f"{path}: is damaged: {error}; inteco-abs recover saves the ticks that are whole")
 
 
 @contextmanager

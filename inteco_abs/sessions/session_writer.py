@@ -13,7 +13,7 @@ from inteco_abs.config import RigConfig
 from inteco_abs.errors import CaptureError
 from inteco_abs.format.schema import TICK, TRUTH
 from inteco_abs.rig import nominal_parameters
-from inteco_abs.sessions.card import link_errors, result_card
+from inteco_abs.sessions.card import RunningCard
 from inteco_abs.sessions.environment import Environment
 from inteco_abs.sessions.frames import Frames, frame_facts, packed_frames
 from inteco_abs.sessions.provenance import controller_facts
@@ -108,23 +108,13 @@ class SessionWriter:
         self._config = config
         self.introduction = introduction
         self._drawn = config.simulation.rig if simulated(introduction.board) else ""
-        self._ticks = bytearray()
-        self._truths = bytearray()
+        self.card = RunningCard(config)
+        """What the run comes to, whichever file has it."""
 
     @property
     def ticks(self) -> int:
-        """Ticks written so far."""
-        return len(self._ticks) // TICK.size
-
-    @property
-    def everything(self) -> tuple[bytes, bytes]:
-        """Ticks and truths that were added."""
-        return bytes(self._ticks), bytes(self._truths)
-
-    def lateness(self) -> tuple[list[float], int]:
-        """Lateness of every tick in us, and the periods that were left out between them."""
-        ticks = TICK.array(bytes(self._ticks))
-        return ticks["late_us"].tolist(), int(ticks["skipped"].sum())
+        """Ticks that have come so far."""
+        return self.card.ticks
 
     def introduce(self) -> None:
         """Everything that explains the run, on the disk before the first tick."""
@@ -168,19 +158,22 @@ class SessionWriter:
     def add(self, ticks: bytes, truths: bytes) -> None:
         """More of the run: tick records and states of the simulated rig, each back to back."""
         self.remember(ticks, truths)
-        self._recorder.ticks(ticks)
-        self._recorder.truths(truths)
+        self.write(ticks, truths)
 
     def remember(self, ticks: bytes, truths: bytes) -> None:
-        """More of the run, not for the file: for the card, and for whoever tells it anew."""
-        self._ticks += ticks
-        self._truths += truths
+        """More of the run, for the card only."""
+        self.card.add(TICK.array(ticks), TRUTH.array(truths))
+
+    def write(self, ticks: bytes, truths: bytes) -> None:
+        """Rows that the card has seen into the file: states before the ticks that may have seen them."""
+        self._recorder.truths(truths)
+        self._recorder.ticks(ticks)
 
     def anew(self, recorder: FileWriter, session: Path) -> SessionWriter:
-        """One that has told another recorder everything so far, whose file the user calls `session`."""
+        """One for another recorder, whose file the user calls `session`: introduced, with the same card, and no row."""
         other = SessionWriter(recorder, self._config, self.introduction, session)
         other.introduce()
-        other.add(*self.everything)
+        other.card = self.card
         return other
 
     def conclude(self, end: RunEnd) -> RunResult:
@@ -194,7 +187,8 @@ class SessionWriter:
         card = self._card(outcome, end, explanation)
         for name, facts in end.facts.items():
             self._recorder.describe(name, facts)
-        told = {"last_tick": self._last_tick() if outcome != "completed" else "", "died": ", ".join(end.died)}
+        last = str(self.card.last_tick) if self.card.ticks and outcome != "completed" else ""
+        told = {"last_tick": last, "died": ", ".join(end.died)}
         self._recorder.describe("session", {name: text for name, text in told.items() if text})
         self._recorder.finish(outcome, explanation, card)
         return RunResult(outcome, end.reason, explanation, card, missing, end.facts.get("injected", {}))
@@ -217,10 +211,6 @@ class SessionWriter:
         if found.software:
             self._recorder.describe("software", found.software)
 
-    def _last_tick(self) -> str:
-        ticks = TICK.array(self._ticks)
-        return str(int(ticks["tick"][-1])) if len(ticks) else ""
-
     def _physics(self) -> dict[str, str]:
         """What is inside the mock board."""
         if self._drawn:
@@ -230,8 +220,6 @@ class SessionWriter:
         return {}
 
     def _card(self, outcome: str, end: RunEnd, explanation: str) -> dict[str, Any]:
-        ticks = TICK.array(bytes(self._ticks))
-        metrics = result_card(self._config, ticks, TRUTH.array(bytes(self._truths)))
         return {
             "schema_version": 1,
             "session": str(self._session),
@@ -240,9 +228,10 @@ class SessionWriter:
             "explanation": explanation,
             "board": self.introduction.board,
             "rig": self._drawn or None,
-            **metrics,
-            "lost_ticks": end.written - metrics["ticks"],
-            "link_errors": link_errors(ticks),
+            **self.card.card(),
+            "ticks": self._recorder.written,
+            "lost_ticks": end.written - self._recorder.written,
+            "link_errors": self.card.link_errors,
             "payload_sha256": self._recorder.payload_sha256,
         }
 

@@ -8,7 +8,7 @@ import os
 import struct
 import time
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -17,6 +17,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
+from mcap.data_stream import RecordBuilder
+from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, Writer
 
 from inteco_abs.errors import SessionError, describe_disk
@@ -27,6 +29,7 @@ from inteco_abs.format.result_message import RESULT, RESULT_NAME, RESULT_TOPIC, 
 from inteco_abs.format.schema import TICK, TRUTH, Message
 from inteco_abs.sessions.content import ATTACHMENT_HASH
 from inteco_abs.sessions.files import check_output
+from inteco_abs.sessions.reader import stored_rows
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 if TYPE_CHECKING:
@@ -42,7 +45,7 @@ class _Disk(FileIO):
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            super().__init__(path, "xb")
+            super().__init__(path, "xb+")
         except OSError as error:
             raise SessionError(f"{path} cannot be created: {describe_disk(error)}") from error
 
@@ -80,6 +83,28 @@ class _Disk(FileIO):
         return SessionError(f"{self.name} cannot be written: {describe_disk(error)}")
 
 
+class _Index:
+    """Chunks of a file, as the index at its end has them: a tenth of the memory that the library's records take.
+
+    A recorder that writes ten chunks a second has 80 000 of them after a thousand stops.
+    """
+
+    def __init__(self) -> None:
+        self._records = RecordBuilder()
+
+    def append(self, chunk: ChunkIndex) -> None:
+        """One more."""
+        chunk.write(self._records)
+
+    def __iter__(self) -> Iterator[_Index]:
+        """All of them at once, for whoever writes them one by one."""
+        yield self
+
+    def write(self, summary: RecordBuilder) -> None:
+        """Into what becomes the end of the file."""
+        summary.write(self._records.end())  # type: ignore[no-untyped-call]  # the library left it untyped
+
+
 class FileWriter:
     """A session being written at `path`; a context manager. Raises SessionError when the disk refuses.
 
@@ -106,10 +131,12 @@ class FileWriter:
         self.started_ns = self._epoch_ns + start_ns
         """UNIX time of the session's beginning."""
         self._durable = durable
+        self._read = False
         self._in_doubt = True  # whether the disk has yet to take in what a power cut must not take away
         self._hash = hashlib.sha256()
         self._attached: dict[str, str] = {}
-        self._ticks = 0
+        self.written = 0
+        """Ticks in the file, or on their way into it."""
         self._truths = 0
         self._newest_ns = self.started_ns
         self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
@@ -117,6 +144,7 @@ class FileWriter:
         self._disk = _Disk(path)
         self._file = BufferedWriter(self._disk)
         self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        self._writer._Writer__chunk_indices = _Index()  # type: ignore[attr-defined]  # noqa: SLF001  see there
         self._writer.start(profile="", library=f"inteco-abs/{version('inteco-abs')} mcap-python/{version('mcap')}")
         self._tick_channel = self._flat(TICK, {"internals": json.dumps(list(controller_internals))})
         self._truth_channel = -1
@@ -139,7 +167,19 @@ class FileWriter:
 
     def close(self) -> None:
         """No more is to come; without `finish` the file stays cut."""
-        self._file.close()
+        (self._disk if self._read else self._file).close()
+
+    def stored(self) -> Iterator[tuple[bytes, bytes]]:
+        """What the file has taken in by now, as `stored_rows`, even where it has lost its name; ends the writing.
+
+        Raises SessionError if the disk does not give it back.
+        """
+        self._read = True  # what has not been written is not written any more: the place in the file is another
+        try:
+            self._disk.seek(0)
+            yield from stored_rows(self._disk, os.fstat(self._disk.fileno()).st_size, self.path)
+        except OSError as error:
+            raise SessionError(f"{self.path} cannot be read again: {describe_disk(error)}") from error
 
     @property
     def payload_sha256(self) -> str:
@@ -187,9 +227,9 @@ class FileWriter:
                 stamp,
                 records[i * TICK.size : (i + 1) * TICK.size],
                 stamp,
-                self._ticks & 0xFFFFFFFF,
+                self.written & 0xFFFFFFFF,
             )
-            self._ticks += 1
+            self.written += 1
             self._newest_ns = stamp
 
     def truths(self, records: bytes) -> None:
@@ -249,7 +289,7 @@ class FileWriter:
             {
                 "outcome": outcome,
                 "reason": reason,
-                "ticks": str(self._ticks),
+                "ticks": str(self.written),
                 "overruns": str(result["overruns"]),
                 "lost_ticks": str(result["lost_ticks"]),
                 "ended_utc": ended_utc or utc(time.time_ns()),

@@ -11,6 +11,7 @@ from inteco_abs.realtime.frames import frames_of, leaving_frames
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.realtime.processes.recorder import rebuild, recover_run
 from inteco_abs.realtime.spool import stow
+from inteco_abs.realtime.window import Window
 from inteco_abs.sessions import TICK, RunEnd, RunHeader, pack_tick, read_frames, read_session
 from inteco_abs.signals import Reason
 from inteco_abs.wire.capture import Capture, Kind, Record, write_capture
@@ -147,9 +148,10 @@ class TestLeaving:
 
 
 def test_a_run_that_is_stowed_without_room_for_its_frames_is_stowed(ended, memory_folder, monkeypatch):
-    _, job = ended
+    memory, job = ended
+    window = Window(memory.tick_reader(), memory.truth_reader(), over=True)
     monkeypatch.setattr(RunMemory, "frames", memory_folder / "missing" / "x.frames")
     end = RunEnd(Reason.NONE, 1, frames=lambda: nullcontext((CAPTURE, CAPTURE.records)))
     introduction = RunHeader("sim:", {}, virtual=True, gains={}, internals=[], controller_source=b"")
-    ring = stow(job, introduction, end, TICK.pack([0] * len(TICK.columns)), b"")
-    assert ring.exists()
+    ring = stow(job, introduction, end, window, job.path)
+    assert RunMemory.open(ring).tick_reader().written == memory.tick_reader().written > 0

@@ -253,15 +253,24 @@ def test_the_counters_have_64_bytes_and_each_record_whole_words_between_two_numb
     assert ring_bytes(record_bytes, 3) == 64 + 3 * 8 * (words + 2)
 
 
-def test_the_oldest_record_is_seen_without_taking_it():
-    ring = TickRing(pack, SIZE, 3)
+@pytest.mark.parametrize(("written", "taken", "spare", "first"), [
+    (0, 0, 0.0, 0), (8, 8, 0.0, 0), (9, 9, 0.0, 1), (9, 1, 0.0, 1), (9, 9, 0.25, 3), (9, 2, 0.25, 2), (4, 4, 0.25, 0),
+])  # fmt: skip
+def test_what_the_ring_still_holds_begins_earlier_than_what_was_not_taken(written, taken, spare, first):
+    ring = TickRing(pack, SIZE, 8)
     reader = ring.reader()
-    assert reader.oldest() is None
-    ring.append(1)
-    ring.append(2)
-    assert reader.oldest() == record(1)
-    assert reader.take() == record(1) + record(2)
-    assert reader.oldest() is None
-    ring.append(3)
-    words_of(ring)[0] = 2  # packed, but not published
-    assert reader.oldest() is None
+    for number in range(written):
+        ring.append(number)
+        if number < taken:
+            reader.take()
+    assert reader.held_from(spare) == first
+    assert reader.look(first)[0] == b"".join(map(record, range(first, written)))
+
+
+def test_a_ring_may_go_on_where_another_has_ended():
+    ring = TickRing(pack, SIZE, 2, first=7)
+    for number in (7, 8):
+        ring.append(number)
+    reader = ring.reader()
+    assert (reader.written, reader.held_from()) == (9, 7)
+    assert reader.take() == record(7) + record(8)

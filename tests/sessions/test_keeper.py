@@ -26,6 +26,30 @@ SLICES = 8
 GONE = os.strerror(errno.ENOENT)
 
 
+class Memory:
+    """What is added to a keeper and not in a file for sure, as a ring holds it: that and `spare` rows more."""
+
+    spare = 0
+
+    def __init__(self, payload, truths):
+        self._rows = (payload, TICK.size), (truths, TRUTH.size)
+        self._end = self._taken = 0
+
+    def more(self, rows):
+        first, self._end = self._end, self._end + rows
+        return self._between(first, self._end)
+
+    def release(self):
+        self._taken = self._end
+
+    def held(self):
+        first = max(self._taken - self.spare, 0)
+        yield from (self._between(at, min(at + 100, self._end)) for at in range(first, self._end, 100))
+
+    def _between(self, first, end):
+        return tuple(data[first * size : end * size] for data, size in self._rows)
+
+
 class Kept:
     """A stop told to a keeper in slices; `out` and `spill` are folders of their own."""
 
@@ -39,27 +63,33 @@ class Kept:
         self.payload, self._truths = session.payload, b"".join(map(TRUTH.pack, session.truth.tolist()))
         self._rows = -(-len(session.ticks) // SLICES)
         opener = partial(FileWriter, start_ns=int(session.ticks["time_ns"][0]), session_id="an-id", epoch_ns=10**18)
+        self.memory = Memory(self.payload, self._truths)
         self.keeper = FailoverWriter(
-            self.out, partial(opener, **recorder), self.spill if spill else None, lambda *told: self.said.append(told)
+            self.out,
+            partial(opener, **recorder),
+            self.memory.held,
+            self.spill if spill else None,
+            lambda *told: self.said.append(told),
         )
 
     def introduce(self):
         self.keeper.introduce(self._config, RunHeader("sim:", {}, True, {"Mk": 2.0}, [], b""), Path("stop.mcap"))
         return self
 
-    def slice(self, number):
+    def slice(self):
         """One slice into the file, or so the caller believes."""
-        ticks, truths = (
-            data[number * self._rows * size : (number + 1) * self._rows * size]
-            for data, size in ((self.payload, TICK.size), (self._truths, TRUTH.size))
-        )
-        self.keeper.add(ticks, truths)
+        self.add(self._rows)
         self.keeper.flush()
+        if self.keeper.writing:
+            self.memory.release()
+
+    def add(self, rows):
+        self.keeper.add(*self.memory.more(rows))
 
     def tell(self, *, before=lambda _number: None):
         for number in range(SLICES):
             before(number)
-            self.slice(number)
+            self.slice()
         return self
 
     def conclude(self, frames=None):
@@ -164,9 +194,9 @@ def test_a_disk_that_refuses_once_has_the_whole_session_in_the_end(kept, room, a
 def test_ticks_that_come_just_as_the_disk_refuses_are_not_forgotten(tmp_path, chunked, room):
     run = Kept(tmp_path, chunked, spill=False).introduce()
     room(run.out.stat().st_size)
-    run.keeper.add(run.payload, b"")  # more than a chunk: some of it goes to the disk at once
+    run.add(len(run.payload) // TICK.size)  # more than a chunk: some of it goes to the disk at once
     assert not run.keeper.writing
-    assert run.keeper.everything == (run.payload, b"")
+    assert run.keeper.ticks == len(run.payload) // TICK.size
     room(os.sysconf("SC_PAGESIZE") << 30)
     run.conclude()
     whole(run.out, run)
@@ -176,8 +206,8 @@ def test_a_disk_that_goes_on_refusing_is_an_error_at_the_end_only_and_nothing_is
     run = kept(spill=False).introduce()
     run.tell(before=lambda number: run.vanish() if number == 2 else None)
     with pytest.raises(SessionError, match=r"is gone: .*; nor could the file be made anew at the end"):
-        run.conclude()
-    assert run.keeper.everything[0] == run.payload
+        run.keeper.conclude(RunEnd(Reason.NONE, run.keeper.ticks))
+    assert b"".join(ticks for ticks, _ in run.keeper.rows()) == run.payload
     assert len(run.said) == 1
 
 
@@ -277,7 +307,7 @@ class TestSync:
             raise OSError(5, "Input/output error")
 
         monkeypatch.setattr(os, "fsync", fail)
-        run.slice(0)
+        run.slice()
         assert "cannot be written: Input/output error" in run.said[0][0]
 
 

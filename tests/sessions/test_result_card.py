@@ -9,6 +9,7 @@ import pytest
 from inteco_abs.config import load_config
 from inteco_abs.rig import RigParameters
 from inteco_abs.sessions import TICK, TRUTH, result_card
+from inteco_abs.sessions.card import RunningCard
 from inteco_abs.signals import Phase
 
 REFERENCE = 0.25
@@ -248,6 +249,17 @@ def test_lateness_percentiles(config):
     stop.ticks["late_us"] = np.random.default_rng(1).permutation(1001)
     expected = {"p50": 500.0, "p99": 990.0, "p999": 999.0, "max": 1000.0}
     assert stop.card(config)["lateness_us"] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("number", [1, 2, 1001, 150_000])
+def test_the_lateness_is_that_of_numpy_to_the_last_bit_in_however_many_pieces_it_came(config, number):
+    late_us = np.random.default_rng(number).exponential(20.0, number).round(3).astype(np.float32)
+    ticks, card = np.zeros(number, TICK.dtype), RunningCard(config)
+    ticks["late_us"] = late_us
+    for at in range(0, number, 700):
+        card.add(ticks[at : at + 700], np.zeros(0, TRUTH.dtype))
+    expected = np.percentile(late_us.astype(float), (50.0, 99.0, 99.9, 100.0)).tolist()
+    assert list(card.card()["lateness_us"].values()) == expected
 
 
 def test_overruns_are_the_periods_that_were_skipped_in_any_phase(config):

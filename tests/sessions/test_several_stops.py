@@ -5,6 +5,7 @@ import pytest
 
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.sessions import TICK, TRUTH, result_card
+from inteco_abs.sessions.card import RunningCard, in_step
 from inteco_abs.signals import BrakeDemand, Phase
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -75,6 +76,15 @@ def test_a_replay_of_a_users_controller_with_a_state_is_exact(run, replayed):
 def test_the_card_counts_the_stops(run, stops):
     card = run(f"experiment.stops={stops}").stop.card
     assert card["stops"] == stops
+
+
+@pytest.mark.parametrize("rows", [1, 10, 997, 4096])
+def test_the_card_is_the_same_in_however_many_pieces_the_run_came(several, rows):
+    session, card = several.session, RunningCard(several.config)
+    for ticks, truth in in_step(session.ticks, session.truth, rows):
+        card.add(ticks, truth)
+    expected = several.stop.card
+    assert {name: expected[name] for name in card.card()} == card.card()
 
 
 def test_each_metric_is_the_median_of_the_stops(several):

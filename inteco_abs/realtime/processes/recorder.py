@@ -10,8 +10,10 @@ import json
 import os
 import time
 import traceback
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,11 +26,10 @@ from inteco_abs.realtime.heartbeat import beating
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
 from inteco_abs.realtime.ownership import tell_failure
-from inteco_abs.realtime.ring import RingReader
 from inteco_abs.realtime.tuning import prepare, recorder_tuning
+from inteco_abs.realtime.window import Window
 from inteco_abs.sessions import (
     TICK,
-    TRUTH,
     FailoverWriter,
     FileWriter,
     RunEnd,
@@ -37,12 +38,12 @@ from inteco_abs.sessions import (
     SessionWriter,
     atomic_write,
     check_output,
-    read_session,
     require_own_file,
     spill_path,
 )
 from inteco_abs.sessions.environment import Environment, surroundings
-from inteco_abs.sessions.failover_writer import Opener
+from inteco_abs.sessions.failover_writer import Opener, joined
+from inteco_abs.sessions.reader import opened, stored_rows
 from inteco_abs.signals import Reason
 
 _DRAIN_S: Final = 0.005
@@ -82,16 +83,17 @@ def _record(memory: RunMemory, job: Job) -> None:
         return  # there was no run
     opener = _opener(memory, job, introduction, time.monotonic_ns())
     spill = spill_path(job.path, job.config, job.session_id)
-    with FailoverWriter(job.path, opener, spill, _Trouble(memory).tell) as keeper:
+    window = Window(memory.tick_reader(), memory.truth_reader())
+    with FailoverWriter(job.path, opener, window.held, spill, _Trouble(memory).tell) as keeper:
         keeper.introduce(job.config, introduction, Path(job.session))
-        memory.truth_reader().take()  # what the board did while it was opened belongs to no tick
+        window.skip_truths()  # what the board did while it was opened belongs to no tick
         words[Field.RECORDER_BEAT_NS] = time.monotonic_ns()
         # whatever the disk does: it may take seconds, and the rings have room for that
         with beating(memory, Field.RECORDER_BEAT_NS, _FLUSH_S):
             words[Field.RECORDING] = 1
             keeper.surround(surroundings())  # not before: it takes a tenth of a second, and the rings have room
             memory.post(Mailbox.SURROUNDINGS, keeper.introduction.surroundings.as_note())
-            _Drain(memory, keeper).until_the_end()
+            _Drain(memory, window, keeper).until_the_end()
             if not keeper.ticks:
                 keeper.discard()
                 return
@@ -127,10 +129,8 @@ class _Trouble:
 class _Drain:
     """From the rings to the keeper. What is not in a file stays in the rings, too."""
 
-    def __init__(self, memory: RunMemory, keeper: FailoverWriter) -> None:
-        self._memory, self._keeper = memory, keeper
-        self._ticks, self._truths = memory.tick_reader(), memory.truth_reader()
-        self._ticks_end, self._truths_end = self._ticks.taken, self._truths.taken
+    def __init__(self, memory: RunMemory, window: Window, keeper: FailoverWriter) -> None:
+        self._memory, self._window, self._keeper = memory, window, keeper
         self._alarm = Alarm(memory, turn=3)
 
     def until_the_end(self) -> None:
@@ -162,11 +162,9 @@ class _Drain:
             self._memory.wait(done, _RESCUE_S)
 
     def _hand_over(self) -> None:
-        records, self._ticks_end = self._ticks.look(self._ticks_end)
-        states, self._truths_end = self._truths.look(self._truths_end)
-        self._keeper.add(records, states)
-        columns = TICK.array(records)
-        self._memory.histogram.add(columns["late_us"].tolist(), int(columns["skipped"].sum()))
+        ticks, truths = self._window.more()
+        self._keeper.add(ticks, truths)
+        _count(self._memory, ticks)
 
     def _flush(self) -> None:
         began_ns = time.monotonic_ns()
@@ -176,9 +174,13 @@ class _Drain:
             text = f"the disk took {took_s:.1f} s for what comes ten times a second; no tick was lost by that"
             self._keeper.warn(self._memory.words[Field.EPOCH_NS] + began_ns, text)
         if self._keeper.writing:
-            self._ticks.release(self._ticks_end)
-            self._truths.release(self._truths_end)
+            self._window.release()
             self._memory.words[Field.FLUSHED] = self._keeper.ticks
+
+
+def _count(memory: RunMemory, ticks: bytes) -> None:
+    columns = TICK.array(ticks)
+    memory.histogram.add(columns["late_us"].tolist(), int(columns["skipped"].sum()))
 
 
 def _nobody_drives(memory: RunMemory) -> bool:
@@ -319,24 +321,22 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
     It is written to `out`, which the user may call `session`. None if there was no tick. Raises ConfigError or
     SessionError if it cannot be written, or if what the recorder left is damaged.
     """
-    introduction = _introduction(memory, job)
-    ticks, truths = memory.tick_reader(), memory.truth_reader()
+    introduction, ticks = _introduction(memory, job), memory.tick_reader()
     if introduction is None or not ticks.written:
         return None
-    held_from = ticks.rewind()
-    truths.rewind()
-    file = file_of(memory, job)
+    file, held_from = file_of(memory, job), ticks.held_from()
     gone = bool(held_from) and not file.exists()
-    before, truths_before = _from_the_file(file, held_from, truths) if held_from and not gone else (b"", b"")
-    opener = _opener(memory, job, introduction, _first_ns(before or ticks.oldest()))
+    rows = joined(lambda: () if gone else _rows_of(file), Window(ticks, memory.truth_reader(), over=True).held())
+    first = next(rows)
+    opener = _opener(memory, job, introduction, int(TICK.array(first[0][: TICK.size])["time_ns"].max(initial=0)))
     require_own_file(out, job.session_id)
     with atomic_write(out) as part, opener(part) as recorder:
         scribe = SessionWriter(recorder, job.config, introduction, session or out)
         scribe.introduce()
-        scribe.add(before, truths_before)
-        scribe.add(ticks.take(), truths.take())
         memory.histogram.clear()
-        memory.histogram.add(*scribe.lateness())
+        for records, states in chain([first], rows):
+            scribe.add(records, states)
+            _count(memory, records)
         end = replace(conclusion(memory), frames=frames_of(memory, job))
         anew = f"the session was made from what the run left in memory, {scribe.ticks} ticks"
         if gone:
@@ -344,20 +344,12 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
         return scribe.conclude(replace(end, detail=f"{end.detail}; {anew}" if end.detail else anew))
 
 
+def _rows_of(path: Path) -> Iterator[tuple[bytes, bytes]]:
+    with opened(path) as (file, size):
+        yield from stored_rows(file, size, path)
+
+
 def file_of(memory: RunMemory, job: Job) -> Path:
     """What the recorder wrote last."""
     told = memory.note(Mailbox.TROUBLES)
     return job.path if told is None else Path(told["file"])
-
-
-def _first_ns(records: bytes | None) -> int:
-    return int(TICK.array(records[: TICK.size])["time_ns"][0]) if records else 0
-
-
-def _from_the_file(path: Path, ticks: int, truths: RingReader) -> tuple[bytes, bytes]:
-    """What a ring that went round no longer holds: the first `ticks`, and the states before the ring's first."""
-    session = read_session(path)
-    first = truths.oldest()
-    newer_ns = int(TRUTH.array(first)["time_ns"][0]) if first else 0
-    rows = session.truth[session.truth["time_ns"] < newer_ns].tolist()
-    return bytes(session.payload[: ticks * TICK.size]), b"".join(map(TRUTH.pack, rows))
