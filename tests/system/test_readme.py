@@ -82,9 +82,10 @@ def test_every_command_runs(clone, untraced, text):
 
 
 @pytest.mark.untraced
-def test_the_figures_in_the_readmes_table_are_those_of_the_program(card):
+def test_the_figures_in_the_controllers_table_are_those_of_the_program(card):
+    page = PAGES[ROOT / "docs/controllers.md"]
     rows = re.findall(
-        r"^\| (moving-window|euler|observer) \| ([\w-]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", README, re.MULTILINE
+        r"^\| (moving-window|euler|observer) \| ([\w-]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", page, re.MULTILINE
     )
     assert len(rows) == 4
     for number, (estimator, controller, rms, low, stop) in enumerate(rows):
