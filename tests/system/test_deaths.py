@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import strikes
 import tracing
-from live import LiveRun, safe_after_ns
+from live import STARTS, LiveRun, safe_after_ns
 from ordeal import KINDS, RUNS, ordeal, table
 
 from inteco_abs.realtime.memory import Field
@@ -347,14 +347,18 @@ def test_everything_killed_at_once_leaves_every_tick_in_memory(live, inteco_abs,
 def go_through(command_path, tmp_path, untraced, victims, numbers):
     found = []
     for number in numbers:
-        (tmp_path / str(number)).mkdir()
+        (tmp_path / str(number)).mkdir(parents=True)
         found.append(ordeal(command_path, tmp_path / str(number), untraced, victims, number))
     return found
 
 
 def test_without_recorder_and_supervisor_every_tick_is_recovered_from_memory(command_path, tmp_path, untraced):
     at_once = 7  # before the one notices that the other is gone
-    (found,) = go_through(command_path, tmp_path, untraced, ("recorder", "supervisor"), [at_once])
+    for attempt in range(STARTS):  # a busy computer may not begin
+        place = tmp_path / f"attempt {attempt}"
+        (found,) = go_through(command_path, place, untraced, ("recorder", "supervisor"), [at_once])
+        if found.packed:
+            break
     assert found.passed, found
     assert found.recovered
     assert found.kept > 0
