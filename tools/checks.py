@@ -39,7 +39,8 @@ class Part(NamedTuple):
 class Check:
     """Runs parts and keeps how they ended."""
 
-    def __init__(self) -> None:
+    def __init__(self, *pytest: str) -> None:
+        self.pytest = (*pytest, "-m", "pytest", "-q")
         self.parts: list[Part] = []
         self.unsteady: list[str] = []
 
@@ -65,12 +66,12 @@ class Check:
         """Run the selected tests on all cores, and those that failed again when the `others` have ended."""
         # tests of one group stay on one worker: real-time runs would be each other's load
         parallel = ("-n", "auto", "--dist", "loadgroup", "--cache-clear")
-        code = self.run(name, *PYTEST, "-m", selection, *parallel)
+        code = self.run(name, *self.pytest, "-m", selection, *parallel)
         others.join()
         failed = failed_tests() if code == TESTS_FAILED else []
         if not 0 < len(failed) <= MOST_TRIED_AGAIN:
             return
-        if self.run(f"{name}, failed ones alone", *PYTEST, "-m", selection, "-n", "0", *failed) == 0:
+        if self.run(f"{name}, failed ones alone", *self.pytest, "-m", selection, "-n", "0", *failed) == 0:
             self.parts = [part._replace(result="passed") if part.name == name else part for part in self.parts]
             self.unsteady += failed
 
@@ -86,9 +87,6 @@ class Check:
         return len(failed) > 0
 
 
-PYTEST = ("coverage", "run", "-m", "pytest", "-q")
-
-
 def failed_tests() -> list[str]:
     """Names of the tests that failed in the last run, without the groups that pytest-xdist adds to them."""
     return [re.sub(r"@[^\]]*$", "", name) for name in json.loads(FAILED_CACHE.read_text(encoding="utf-8"))]
@@ -96,7 +94,8 @@ def failed_tests() -> list[str]:
 
 def main(arguments: list[str]) -> int:
     long = arguments == ["--long"]
-    check = Check()
+    # coverage measures the tests, as mutation does: its tracer takes a fifth of their time, and changes little by a day
+    check = Check(*(["coverage", "run"] if long else ["python"]))
 
     def beside_the_tests() -> None:
         check.run("format", "ruff", "format", "--check", "--quiet", ".", beside=True)
@@ -108,14 +107,15 @@ def main(arguments: list[str]) -> int:
         check.run("faults", "python", "tools/fault_campaign", *arguments, beside=True)
         check.run("fuzzing", "python", "tools/fuzz", *(["120"] if long else []), beside=True)
 
+    if long:
+        subprocess.run(["coverage", "erase"], check=True)
     others = threading.Thread(target=beside_the_tests, daemon=True)
-    subprocess.run(["coverage", "erase"], check=True)
     others.start()
     check.tests("tests", "" if long else "not long", others=others)
     if long:
+        check.run("coverage of all processes", "coverage", "combine", "--quiet")
+        check.run("coverage", "coverage", "report")
         check.run("mutation", "python", "tools/mutate")  # it judges by time, too, and wants the computer alone
-    check.run("coverage of all processes", "coverage", "combine", "--quiet")
-    check.run("coverage", "coverage", "report")
     return check.report()
 
 

@@ -30,6 +30,18 @@ BENCHES = {
     "rtdac4-pci by sysfs": SysfsBench,
 }
 
+ONLY_LINKS = {SocketBench, PtyBench, SysfsBench}
+"""Another of the benches has the same board at the end of another link: what it shows of the board, these repeat."""
+OVER_A_LINK = {f"test_contract_{part}" for part in ("exchange", "leaving", "opening", "rescue")}
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests that take long are left out
+def pytest_collection_modifyitems(items):
+    for item in items:
+        bench = item.callspec.params.get("new_bench") if hasattr(item, "callspec") else None
+        if bench in ONLY_LINKS and item.path.stem not in OVER_A_LINK:
+            item.add_marker(pytest.mark.long)
+
 
 @pytest.fixture(scope="session", params=BENCHES.values(), ids=BENCHES)
 def new_bench(request):

@@ -2,6 +2,7 @@
 
 import re
 import runpy
+import sys
 import threading
 from pathlib import Path
 
@@ -43,7 +44,7 @@ def checked(tmp_path, monkeypatch, capfd):
             (tmp_path / f"test_{name}.py").write_text(text)
         others = threading.Thread(target=lambda: None)
         others.start()
-        check = runpy.run_path(str(CHECKS))["Check"]()
+        check = runpy.run_path(str(CHECKS))["Check"](sys.executable)
         check.tests("tests", "not long", others=others)
         code = check.report()
         printed = capfd.readouterr().out

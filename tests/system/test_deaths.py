@@ -167,7 +167,7 @@ def one_cpu():
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 
-@pytest.mark.parametrize("confined", [all_cpus, one_cpu])
+@pytest.mark.parametrize("confined", [pytest.param(all_cpus, marks=pytest.mark.long), one_cpu])
 def test_a_loop_that_never_gives_up_its_cpu_is_ended_by_the_guardian(live, tmp_path, untraced, monkeypatch, confined):
     (tmp_path / "sitecustomize.py").write_text(HANGING)
     monkeypatch.setitem(untraced, "PYTHONPATH", str(tmp_path))
@@ -186,9 +186,9 @@ def test_a_loop_that_never_gives_up_its_cpu_is_ended_by_the_guardian(live, tmp_p
 @pytest.mark.parametrize(
     ("role", "reason", "number"),
     [
-        # each role and each signal once; the rest with those that take long
+        # each role once, as the run with raw frames kills the recorder; the rest with those that take long
         ("guardian", Reason.GUARDIAN_LOST, signal.SIGSTOP),
-        ("recorder", Reason.RECORDER_LOST, signal.SIGKILL),
+        pytest.param("recorder", Reason.RECORDER_LOST, signal.SIGKILL, marks=pytest.mark.long),
         pytest.param("guardian", Reason.GUARDIAN_LOST, signal.SIGKILL, marks=pytest.mark.long),
         pytest.param("recorder", Reason.RECORDER_LOST, signal.SIGSTOP, marks=pytest.mark.long),
     ],
@@ -293,7 +293,7 @@ def undying():
     "victims",
     [
         (),
-        ("guardian", "supervisor"),
+        pytest.param(("guardian", "supervisor"), marks=pytest.mark.long),
         pytest.param(("guardian",), marks=pytest.mark.long),
         pytest.param(("supervisor",), marks=pytest.mark.long),
         pytest.param(("guardian", "recorder"), marks=pytest.mark.long),

@@ -24,6 +24,7 @@ def test_a_stop_in_real_time_with_a_real_boards_limits_is_completed_and_replays(
     assert facts["rig"]["application_name"] == ""
 
 
+@pytest.mark.long
 def test_a_loop_that_is_killed_leaves_safe_behind(command_path, tmp_path, untraced):
     run = LiveRun(command_path, tmp_path, untraced, *PCI)
     try:

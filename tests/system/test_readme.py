@@ -1,4 +1,5 @@
 import re
+import shlex
 import shutil
 import subprocess
 from pathlib import Path
@@ -60,16 +61,27 @@ def commands_of(text):
     return [line.removeprefix("$ ") for block in blocks for line in block.splitlines()]
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        pytest.param(README, id="README.md"),
-        pytest.param(READ_ON, id="the pages to read on in, too", marks=pytest.mark.long),
-    ],
-)
-def test_every_command_runs(clone, untraced, text):
-    commands = commands_of(text)
-    assert CHECK_ITSELF in commands
+COMMAND = "./tools/run "
+OTHER_PROCESSES = ("run --board sim: --out real-time.mcap", "demo --no-wait")
+"""Commands that other tests run in its place: a run in real time, and a tour of commands that the pages have, too."""
+
+
+def test_every_command_of_the_readme_runs(main_here, tmp_path):
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "sessions").mkdir()
+    for command in commands_of(README):
+        arguments = command.removeprefix(COMMAND)
+        if arguments in OTHER_PROCESSES or arguments == command:
+            continue
+        run = main_here(*shlex.split(arguments, comments=True))
+        assert run.returncode in ends_of(command), f"{command}\n{run.stdout}{run.stderr}"
+    assert (tmp_path / "stop.png").is_file()
+
+
+@pytest.mark.long
+def test_every_command_runs_in_a_fresh_clone(clone, untraced):
+    commands = commands_of(READ_ON)
     for command in commands:
         if command == CHECK_ITSELF:
             continue

@@ -46,7 +46,7 @@ def live(command_path, tmp_path, untraced):
         run.memory.remove()
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGKILL, marks=pytest.mark.long), signal.SIGSTOP])
 def test_with_every_process_of_the_run_gone_the_motors_lose_their_power_in_50_ms(live, number):
     run = live(settings=(*QUICK, *WATCHED))
     truths = run.memory.truth_reader()
