@@ -40,9 +40,12 @@ def test_every_tool_tells_what_it_does_and_does_nothing_else(name, tmp_path, mon
     else:  # here, where most of what they import has been imported
         monkeypatch.setattr(sys, "argv", [name, "--help"])
         monkeypatch.setattr(sys, "path", [str(TOOLS), *sys.path])
-        with pytest.raises(SystemExit) as end:
+        codes = []
+        try:
             runpy.run_path(str(TOOLS / name), run_name="__main__")
-        assert not end.value.code
+        except SystemExit as end:
+            codes.append(end.code)
+        assert codes in ([], [0], [None])
     printed = capfd.readouterr()
     assert printed.err == ""
     assert f"tools/{name}" in printed.out or printed.out.startswith(f"usage: {name}")
