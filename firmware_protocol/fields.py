@@ -248,7 +248,7 @@ class FrameTable:
             owner.update({(-data_from, bit): f"the command {self._noun}" for bit in range(word_bits)})
         for field, layout in fields:
             if field.name in self.fields or not field.name.isidentifier():
-                raise TableError(f"{title}: {field.name!r} is declared twice or is no name")
+                raise TableError(f"{title}: {field.name!r} is declared twice or is not a name")
             self.fields[field.name] = (field, layout)
             self._claim(field.name, layout, owner)
             width, unit = sum(part.width for part in layout), _WIDTH_UNITS.get(field.kind, 1)

@@ -48,7 +48,7 @@ def encode_answer(number: int, values: Sequence[int]) -> bytes:
 
 
 def decode_answer(message: bytes | bytearray) -> tuple[int, tuple[int, ...]]:
-    """Number of the request and values read; raises ProtocolError if it is no answer."""
+    """Number of the request and values read; raises ProtocolError if it is not an answer."""
     words = _unpack(message)
     return words[0], words[1:]
 

@@ -109,7 +109,7 @@ class RegisterMap:
         self._at: dict[int, tuple[Register, ...]] = {}
         for register in registers:
             if register.name in self.registers or not register.name.isidentifier():
-                raise TableError(f"{title}: {register.name!r} is declared twice or is no name")
+                raise TableError(f"{title}: {register.name!r} is declared twice or is not a name")
             self._claim(register)
             self.registers[register.name] = register
             self._at[register.offset] = (*self.at(register.offset), register)
@@ -121,7 +121,7 @@ class RegisterMap:
         if not inside or new.low < 0 or new.width <= 0 or new.low + new.width > REGISTER_BITS:
             raise TableError(f"{self.title}: {new.name} leaves the registers at 0x{new.offset:02X}")
         if new.kind not in {Kind.UNSIGNED, Kind.SIGNED} or not 0 <= new.channels <= 1 << new.width:
-            raise TableError(f"{self.title}: {new.name} is no number, or cannot count its channels")
+            raise TableError(f"{self.title}: {new.name} is not a number, or cannot count its channels")
         for old in self.at(new.offset):
             if old.mask & new.mask:
                 raise TableError(f"{self.title}: {new.name} and {old.name} share bits at 0x{new.offset:02X}")
@@ -134,7 +134,7 @@ class RegisterMap:
             selects = index.channels and index.index is None and index.access is Access.READ_WRITE
             if self.registers.get(index.name) is not index or not selects:
                 raise TableError(
-                    f"{self.title}: {register.name} is reached through {index.name}, which is no index here"
+                    f"{self.title}: {register.name} is reached through {index.name}, which is not an index here"
                 )
         if register.conversion is not None and not set(register.conversion.inputs) <= self.registers.keys():
             raise TableError(f"{self.title}: {register.name} is converted with undeclared registers")

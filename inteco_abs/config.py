@@ -512,7 +512,7 @@ def apply_setting(table: Table, setting: str) -> list[ConfigIssue]:
     except tomllib.TOMLDecodeError:
         value = text.strip()
     except NOT_TOML as error:
-        return [ConfigIssue(key.strip(), f"is no value that can be used: {in_words(error, text)}")]
+        return [ConfigIssue(key.strip(), f"is not a value that can be used: {in_words(error, text)}")]
     for part in path[:-1]:
         inner = table.setdefault(part, {})
         if not isinstance(inner, dict):
@@ -752,7 +752,7 @@ def _in_words(detail: Any) -> ConfigIssue:
 
 
 def _meant(location: Sequence[Any], value: object, kind: str) -> str:
-    """What may have been meant by a value that is no number, or one in another unit; empty if there is no guess."""
+    """What may have been meant by a value that is not a number, or one in another unit; empty if there is no guess."""
     unit = unit_of(str(location[-1]))
     if isinstance(value, str):
         if not kind.startswith(_NUMERIC):

@@ -29,12 +29,12 @@ def unit_of(key: str) -> str:
 
 
 def number_hint(text: str, unit: str = "") -> str:
-    """What to write in place of a text that is no number, as the tail of a message; empty if there is no guess."""
+    """What to write in place of a text that is not a number, as the tail of a message; empty if there is no guess."""
     text = text.strip()
     comma = _WITH_COMMA.fullmatch(text)
     if comma is not None:
         whole = f" or {comma[1]}{comma[2]}" if len(comma[2]) == 3 else ""
-        return f"; a comma is no decimal point: write {comma[1]}.{comma[2]}{whole}"
+        return f"; a comma is not a decimal point: write {comma[1]}.{comma[2]}{whole}"
     found = _WITH_UNIT.fullmatch(text)
     if found is None:
         return ""

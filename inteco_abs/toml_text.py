@@ -59,7 +59,7 @@ def _bytes(file: Path, if_missing: str) -> bytes:
         elif not file.exists():
             problem = f"cannot be read: No such file or directory{near_file(file) or f'; {if_missing}'}"
         elif not file.is_file():
-            problem = "cannot be read: it is no regular file; name one"
+            problem = "cannot be read: it is not a regular file; name one"
         elif file.stat().st_size > _LARGEST_FILE:
             problem = f"is larger than {_LARGEST_FILE} bytes; is it a configuration?"
         else:
@@ -80,11 +80,11 @@ def _problem_of(data: bytes) -> str:
     except UnicodeDecodeError as error:
         return f"is not UTF-8 text: byte {error.start} is 0x{data[error.start]:02X}; save it as UTF-8"
     zero = data.find(b"\0")
-    return f"is no text: byte {zero} is zero; is it a configuration?" if zero >= 0 else ""
+    return f"is not text: byte {zero} is zero; is it a configuration?" if zero >= 0 else ""
 
 
 def _meant(line: str) -> str:
-    """For a value that is no TOML: a number with a comma or a unit, or text without its quotes."""
+    """For a value that is not a TOML: a number with a comma or a unit, or text without its quotes."""
     value = line.partition("=")[2].partition("#")[0].strip()
     if _WORD.fullmatch(value):
         return f'; text stands between quotes: "{value}"'

@@ -29,8 +29,8 @@ def test_the_unit_is_what_the_keys_name_ends_with(key, unit):
 @pytest.mark.parametrize(
     ("text", "unit", "hint"),
     [
-        ("0,7", "", "; a comma is no decimal point: write 0.7"),
-        ("1,800 rpm", "rad/s", "; a comma is no decimal point: write 1.800 or 1800"),
+        ("0,7", "", "; a comma is not a decimal point: write 0.7"),
+        ("1,800 rpm", "rad/s", "; a comma is not a decimal point: write 1.800 or 1800"),
         (" -1.5e3 ms ", "s", "; write the number alone in s: -1.5"),
         ("70 %", "", "; write the number alone: 0.7"),
         ("20 m/s", "rad/s", "; write the number alone in rad/s, without 'm/s'"),

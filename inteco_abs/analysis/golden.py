@@ -207,7 +207,7 @@ class GoldenFolder:
         elif name in self._goldens or (self.path / f"{name}.mcap").exists():
             problem = f"{name!r} exists already, and is never overwritten; choose another, or golden update {name}"
         elif self.path.exists() and not self.path.is_dir():
-            problem = f"{self.path} is no folder"
+            problem = f"{self.path} is not a folder"
         if problem:
             raise ConfigError([ConfigIssue("--name", problem)])
 
@@ -242,7 +242,7 @@ class GoldenFolder:
         except OSError as error:
             raise SessionError(f"{table}: cannot be read: {error.strerror}") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise SessionError(f"{table}: is no table of golden sessions: {error}") from error
+            raise SessionError(f"{table}: is not a table of golden sessions: {error}") from error
 
 
 def _table(golden: Golden) -> dict[str, Any]:

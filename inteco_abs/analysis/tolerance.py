@@ -21,7 +21,7 @@ Array = npt.NDArray[Any]
 OUTPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.OUTPUT)
 _KINDS: Final = {column.name: column.kind for column in TICK.columns if column.role is Role.OUTPUT}
 DISCRETE: Final = tuple(name for name, kind in _KINDS.items() if kind.code != "d")
-"""Outputs that are no numbers: a flag or one of several."""
+"""Outputs that are not numbers: a flag or one of several."""
 ALL: Final = "*"
 _SYNTAX: Final = "must look like brake=1e-9, slip=1e-9:1e-6, or phase=::0.002:0.002"
 _LONGEST_S: Final = 1.0
@@ -146,7 +146,7 @@ def _parsed(text: str) -> dict[str, Tolerance]:
     if name == ALL:
         return dict.fromkeys(_KINDS, tolerance)
     if name in DISCRETE and (tolerance.abs or tolerance.rel):
-        raise ValueError(f"{name} is no number and can only come early or late, as in {name}=::0.002:0.002")
+        raise ValueError(f"{name} is not a number and can only come early or late, as in {name}=::0.002:0.002")
     return {name: tolerance}
 
 
@@ -154,7 +154,7 @@ def _number(text: str) -> float:
     try:
         value = float(text) if text.strip() else 0.0
     except ValueError:
-        raise ValueError(f"{text!r} is no number; {_SYNTAX}") from None
+        raise ValueError(f"{text!r} is not a number; {_SYNTAX}") from None
     if not 0.0 <= value < math.inf:
         raise ValueError(f"{text}: must be finite and at least 0")
     return value

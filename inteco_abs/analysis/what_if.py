@@ -57,7 +57,7 @@ class Divergence:
     """Of that tick, since braking began."""
     largest: float | None
     rms: dict[str, float | None]
-    """By the log's phase; None where one of both is no number."""
+    """By the log's phase; None where one of both is not a number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ def alternative(session: Session, settings: Sequence[str], controllers: Mapping[
     chosen: dict[str, Any] = {}
     mistakes = [mistake for setting in settings for mistake in apply_setting(chosen, setting)]
     mistakes += [
-        ConfigIssue(key, f"is no part of what can be asked about; that are {', '.join(f'{each}.*' for each in _OPEN)}")
+        ConfigIssue(key, f"is not part of what can be asked about; that are {', '.join(f'{each}.*' for each in _OPEN)}")
         for key in chosen
         if key not in _OPEN
     ]

@@ -58,7 +58,9 @@ def check_address(uri: str) -> None:
         known = "; ".join(f"{one}: is {scheme.what}" for one, scheme in SCHEMES.items())
         meant = f"usb:{uri}" if uri.startswith("/dev/") else f"{uri}:" if uri in SCHEMES else ""
         hint = f"; did you mean {meant}?" if meant else ""
-        raise ConfigError([ConfigIssue("--board", f"{uri!r} is no board address of this version{hint or ';'} {known}")])
+        raise ConfigError(
+            [ConfigIssue("--board", f"{uri!r} is not a board address of this version{hint or ';'} {known}")]
+        )
     if scheme.rest.fullmatch(rest) is None:
         raise ConfigError([ConfigIssue("--board", f"{uri!r}: {scheme.wanted}")])
 

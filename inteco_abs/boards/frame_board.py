@@ -25,7 +25,7 @@ _EXACT: Final = 1e-9
 """Keeps a duty that is a whole number of widths from losing one to binary rounding."""
 MODES: Final = ("8-bit", "12-bit")
 _MOST_OLD: Final = 100
-"""More answers to older requests than this are no leftover of a pause."""
+"""More answers to older requests than this are not leftovers of a pause."""
 _SHARED: Final = ("pin_mode", "pin_direction", "pin_output", "encoder_reset", "timer_reset", "timer_mode")
 """Of these some bits are the wiring's, all others stay as the board has them."""
 _PERIODS: Final = 2.0
@@ -120,7 +120,7 @@ class FrameBoard(Board):
         try:
             values = self._layout.header.decode_some(frame, _known(self._layout.header))
         except ProtocolError as error:
-            raise LinkError(f"the board's answer is no READ frame: {error}") from error
+            raise LinkError(f"the board's answer is not a READ frame: {error}") from error
         if not self._ready:  # an open board that now calls itself something else has been reset or replaced
             self._header = frame[: self._layout.header_bytes]
         version, name = int(values["logic_version"]), str(values["application_name"])
@@ -139,7 +139,7 @@ class FrameBoard(Board):
         try:
             values = table.decode_some(frame, names or table.fields)
         except ProtocolError as error:
-            raise LinkError(f"the board's answer is no READ frame: {error}") from error
+            raise LinkError(f"the board's answer is not a READ frame: {error}") from error
         if not frame.startswith(self._header):
             raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
         return BoardReading(values, frame)

@@ -63,7 +63,7 @@ def mock_board(
     truth: str | None,
     truth_hz: float,
 ) -> int:
-    """Be an RT-DAC board with the rig on it, in real time, until Ctrl-C; its data are no measurements."""
+    """Be an RT-DAC board with the rig on it, in real time, until Ctrl-C; its data are not measurements."""
     from functools import partial
 
     from inteco_abs.commissioning.reported_board import ReportedBoard
@@ -102,7 +102,7 @@ def _insist_on_plug(kind: str, *, at_pty: bool) -> None:
         problem = "no PCI board can be plugged in from outside; for its mock: run --board sim: --set profile=sim_pci"
         raise ConfigError([ConfigIssue("--board", problem)])
     if at_pty and kind != "usb":
-        raise ConfigError([ConfigIssue("--board", f"{kind}: is no serial port; --pty goes with --board usb")])
+        raise ConfigError([ConfigIssue("--board", f"{kind}: is not a serial port; --pty goes with --board usb")])
 
 
 @contextmanager

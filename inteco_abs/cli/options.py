@@ -231,7 +231,7 @@ def known_controllers(name: str | None) -> Controllers:
         controllers = Controllers()
         if name is not None and name not in controllers:
             file = name if name.endswith(".py") else f"{name}.py"
-            if name == file or os.path.isfile(file):  # noqa: PTH113  a name too long for a file is no error here
+            if name == file or os.path.isfile(file):  # noqa: PTH113  a name too long for a file is not an error here
                 raise ConfigError([ConfigIssue("--controller", f"{name}: name the class too, as in {file}:Class")])
         return controllers
     kind, source = load_controller(name)

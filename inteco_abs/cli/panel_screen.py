@@ -80,7 +80,7 @@ class AgainScreen(ModalScreen[bool]):
         yield box
 
     def on_key(self, event: Key) -> None:
-        """The dead man's key is no answer either."""
+        """The dead man's key is not an answer either."""
         event.stop()
         self.dismiss(event.key == "y")
 

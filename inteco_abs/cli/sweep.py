@@ -229,7 +229,7 @@ def _processes(jobs: int) -> Iterator[Executor | None]:
 
 
 def _begin_worker() -> None:
-    """Ctrl-C is for the parent, which then gives no more work; prints are no part of the result.
+    """Ctrl-C is for the parent, which then gives no more work; prints are not part of the result.
 
     Nothing else tells a worker that its parent was killed: it would wait for work for ever.
     """

@@ -1,6 +1,6 @@
 """The profile that the walk writes: a TOML file that any run can use at any moment, and the walk's results beside it.
 
-The results are a file of their own, as a configuration has no place for what is no setting. Both are replaced whole,
+The results are a file of their own, as a configuration has no place for what is not a setting. Both are replaced whole,
 so that an interruption leaves the old file or the new one.
 """
 

@@ -31,7 +31,7 @@ _PROFILES: Final = {"usb2": "sim_usb2", "usb": "sim_usb", "pci": "sim_pci"}
 
 
 class ReportedBoard:
-    """The board of the report at `path`. Raises CaptureError for a file that is no such report, or has no image."""
+    """The board of the report at `path`. Raises CaptureError for a file that is not such a report, or has no image."""
 
     def __init__(self, path: Path) -> None:
         capture = read_capture(path)

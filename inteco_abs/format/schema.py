@@ -107,7 +107,7 @@ class Message:
         return self._keyless(names).iter_unpack(data)
 
     def array_of(self, rows: Iterable[Sequence[Any]]) -> npt.NDArray[np.void]:
-        """Structured array, one's own, with a row for each of `rows`. Its bytes have no keys and are no messages."""
+        """Structured array, one's own, with a row for each of `rows`. Its bytes have no keys and are not messages."""
         pack = self._keyless({column.name for column in self.columns}).pack
         return self.array(bytearray().join(starmap(pack, rows)))
 

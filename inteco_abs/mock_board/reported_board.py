@@ -29,7 +29,7 @@ class ReportedIdentity(UsbIdentity):
 
     @classmethod
     def of(cls, like: UsbIdentity, raw: bytes, strings: Mapping[str, str]) -> ReportedIdentity:
-        """What was read, with `like` for what was not. Raises ValueError for what are no descriptors.
+        """What was read, with `like` for what was not. Raises ValueError for what are not descriptors.
 
         `strings` may have `manufacturer`, `product`, and `speed` in Mbit/s.
         """
@@ -97,7 +97,7 @@ class ReportedFrontEnd:
         if len(image) != read.size:
             raise ValueError(f"an image of {len(image)} bytes: a {read.title} frame has {read.size}")
         shown = int.from_bytes(image, "little")
-        fixed = _bits(read, read.fixed)  # a header of another logic is no header to the tables
+        fixed = _bits(read, read.fixed)  # a header of another logic is not a header to the tables
         ours = int.from_bytes(read.encode({}), "little") & fixed
         readable = (shown & ~fixed | ours).to_bytes(read.size, "little")
         self.device, self.rejected, self._size = device, 0, read.size

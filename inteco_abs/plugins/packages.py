@@ -33,7 +33,7 @@ class Packaged(NamedTuple):
         return f"{self.distribution} {self.version}"
 
     def load(self) -> type[Controller]:
-        """The class, freshly imported; raises ConfigError if it cannot be, or is no controller."""
+        """The class, freshly imported; raises ConfigError if it cannot be, or is not a controller."""
         what = f"{self.name} of the package {self.package}"
         if self.problem:
             raise ConfigError([ConfigIssue(_PATH, f"{what}: {self.problem}")])

@@ -46,7 +46,7 @@ def require_controller(path: str, kind: object, name: str) -> type[Controller]:
 def _problem_of(kind: object, name: str) -> str:
     """What keeps a class from being a controller; empty if nothing does."""
     if not isinstance(kind, type):
-        return f"{name} is no class"
+        return f"{name} is not a class"
     if not callable(getattr(kind, "update", None)):
         return f"{name} has no method update(estimate, dt_s)"
     gains = getattr(kind, "gains", None)

@@ -35,7 +35,7 @@ MOST_VIEWERS: Final = 16
 _SHOWN: Final = ("time_ns", "tick")
 _PROTOCOL: Final[Any] = "foxglove.sdk.v1"
 _ORIGINS: Final[Any] = (
-    None,  # a browser names the page that asks; what is no browser names none
+    None,  # a browser names the page that asks; what is not a browser names none
     re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?"),
     "https://app.foxglove.dev",
     re.compile(r"(?!https?:)[a-z][a-z0-9+.-]*://.*"),  # a viewer installed here, such as file://; no page can say so

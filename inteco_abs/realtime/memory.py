@@ -235,7 +235,7 @@ class RunMemory:
             try:
                 size = os.fstat(file).st_size
                 if size < _RINGS_AT or os.pread(file, len(_MAGIC), 0) != _MAGIC:
-                    raise SessionError(f"{path}: is no tick ring of this version")
+                    raise SessionError(f"{path}: is not a tick ring of this version")
                 # every page now: the loop must not meet a page fault
                 mapping = mmap.mmap(file, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
             finally:

@@ -322,7 +322,7 @@ def chunk_parts(raw: bytes, uneven: Collection[int] = ()) -> Iterator[Entry | Fi
 
 
 def _stretch(raw: bytes, start: int, channel: int) -> VariableRun:
-    """From `start` to the first record that is no message of the channel, or is not all there."""
+    """From `start` to the first record that is not a message of the channel, or is not all there."""
     at, count, size, message, head = start, 0, len(raw), int(Opcode.MESSAGE), _MESSAGE_BEGIN.unpack_from
     while at + HEAD.size + _MESSAGE_HEAD <= size:
         opcode, length, found = head(raw, at)

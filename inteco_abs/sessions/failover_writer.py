@@ -37,7 +37,7 @@ def check_spill(config: RigConfig) -> None:
     problem = ""
     try:
         if folder and not Path(folder).expanduser().is_dir():
-            problem = "is no folder; create it first"
+            problem = "is not a folder; create it first"
     except OSError as error:
         problem = describe_disk(error)
     if problem:

@@ -71,7 +71,7 @@ def check_folder(folder: Path, option: str = "--out") -> None:
     above = nearest_folder(folder)
     blocked = next((place for place in (folder, *folder.parents) if place.exists() and not place.is_dir()), None)
     if blocked is not None:
-        raise ConfigError([ConfigIssue(option, f"{folder}: {blocked} is no folder; choose another name")])
+        raise ConfigError([ConfigIssue(option, f"{folder}: {blocked} is not a folder; choose another name")])
     if not os.access(above, os.W_OK):
         raise SessionError(f"nothing can be made in {folder}: the folder {above} cannot be written to")
 

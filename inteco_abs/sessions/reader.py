@@ -30,7 +30,7 @@ from inteco_abs.sessions.migration import StrangeError, migrated
 from inteco_abs.sessions.storage import Rows, RowsInMemory, RowsOnDisk
 
 _BEGINNING: Final = 64
-"""Bytes that are looked at to tell what a file is, if it is no session."""
+"""Bytes that are looked at to tell what a file is, if it is not a session."""
 _LATEST_NS: Final = (1 << 63) - 1
 _OTHERS: Final = {
     b"#ROSBAG": "a ROS bag; this program reads sessions of its own only",
@@ -83,7 +83,7 @@ def read_session(path: Path, spool: Path | None = None) -> Session:
     """The session at `path`. A file that was cut is read up to its last whole record and says so in `incomplete`.
 
     With the folder `spool`, the rows lie in an unnamed file there rather than in memory: an hour has 1.5 GB of them.
-    Raises SessionError if the file cannot be opened, is no session, or is damaged.
+    Raises SessionError if the file cannot be opened, is not a session, or is damaged.
     """
     with opened(path) as (file, size), ExitStack() as files:
         try:
@@ -129,7 +129,7 @@ def opened(path: Path) -> Iterator[tuple[BinaryIO, int]]:
         head = file.read(len(MAGIC))
         if head != MAGIC:
             file.seek(0)
-            raise SessionError(f"{path}: is no MCAP file, it {_instead(file.read(_BEGINNING), len(head))}")
+            raise SessionError(f"{path}: is not an MCAP file, it {_instead(file.read(_BEGINNING), len(head))}")
         file.seek(0)
         yield file, size
 
@@ -165,7 +165,7 @@ def regular_file(path: Path) -> Iterator[tuple[BinaryIO, int]]:
     try:
         if path.exists() and not path.is_file():
             what = f" but a folder, which inteco-abs list {path} shows" if path.is_dir() else ""
-            raise SessionError(f"{path}: cannot be read: it is no regular file{what}")
+            raise SessionError(f"{path}: cannot be read: it is not a regular file{what}")
         with path.open("rb") as file:
             yield file, os.fstat(file.fileno()).st_size
     except OSError as error:

@@ -30,7 +30,7 @@ _LARGEST_METADATA: Final = 1 << 22
 
 
 def metadata_at_a_glance(file: BinaryIO, size: int) -> Metadata:
-    """All metadata of the session in an open file, as in `Session`. Raises DamagedError if its index is no good."""
+    """All metadata of the session in an open file, as in `Session`. Raises DamagedError if its index is not good."""
     content = Content()
     places = sorted(
         tuple(fields(entry.opcode, entry.data)[:2])

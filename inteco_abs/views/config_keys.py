@@ -81,7 +81,7 @@ def _asked(path: str) -> tuple[list[Key], list[Key]]:
     within = [key for key in keys if key.path.startswith(f"{asked}.")]
     if mine or within:
         return mine, within
-    raise ConfigError([ConfigIssue(path or "KEY", f"is no key of rig.toml{_hint(asked, keys)}")])
+    raise ConfigError([ConfigIssue(path or "KEY", f"is not a key of rig.toml{_hint(asked, keys)}")])
 
 
 def _hint(asked: str, keys: Iterable[Key]) -> str:

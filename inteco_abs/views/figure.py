@@ -183,7 +183,7 @@ def slip_top(stops: Iterable[Array]) -> float:
     """Upper end of a slip axis, from 0 on, for ticks or truths of stops that share it.
 
     All there is if a wheel has locked, and else what the slip comes to, with some air, so that a stop which holds its
-    reference is no thin line. What counts is the road above 10 rad/s: in the end every slip is anything.
+    reference is not a thin line. What counts is the road above 10 rad/s: in the end every slip is anything.
     """
     highest = 0.0
     for rows in stops:
@@ -298,6 +298,6 @@ def _name_sessions(figure: Figure, speeds: Axes, parts: Sequence[_Part], width: 
     names = [_wrapped(part.label, width) for part in parts]
     legend = figure.legend(lines, names, loc="outside upper center", frameon=False, fontsize="small", handlelength=4.0)
     for text in legend.get_texts():
-        text.set_parse_math(False)  # a name is no formula
+        text.set_parse_math(False)  # a name is not a formula
     speeds.plot([], [], color="black", lw=1.4, label="road wheel (car)")
     speeds.plot([], [], color="black", lw=0.7, label="braked wheel")

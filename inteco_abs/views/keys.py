@@ -20,7 +20,7 @@ _PAUSE_S: Final = 0.2
 def stop_keys(stop: Callable[[], None], terminal: int = 0) -> Iterator[bool]:
     """While inside, such a key on the `terminal`, a file descriptor, calls `stop` from a thread; True if it can.
 
-    It cannot where this is no terminal, or where the program runs in the background. The terminal gets back the
+    It cannot where this is not a terminal, or where the program runs in the background. The terminal gets back the
     settings that it had, and keys that nobody asked for are dropped, whatever ends it. A program that was frozen and
     goes on, with its terminal meanwhile set up by a shell, sets it up again.
     """

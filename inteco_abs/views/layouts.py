@@ -127,7 +127,7 @@ def _mosaic(direction: str, children: Sequence[Any], percentages: Sequence[float
 
 
 def plotjuggler() -> bytes:
-    """Layout file for PlotJuggler: XML. It has no place for phases and reasons, whose names are no numbers to it."""
+    """Layout file for PlotJuggler: XML. It has no place for phases and reasons, whose names are not numbers to it."""
     root = ET.Element("root", version="2.3.8")
     widget = ET.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
     tab = ET.SubElement(widget, "Tab", tab_name="stop", containers="1")

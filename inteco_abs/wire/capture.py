@@ -150,7 +150,7 @@ def read_capture(path: Path) -> Capture:
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
-        raise CaptureError(f"{path}: is no text; a Wireshark capture needs inteco-abs wire import first") from error
+        raise CaptureError(f"{path}: is not text; a Wireshark capture needs inteco-abs wire import first") from error
     lines = text.split("\n")
     if lines.pop():
         raise CaptureError(f"{path}: its last line has no end: the file was cut off")
@@ -200,9 +200,9 @@ def _object(line: str, place: str) -> dict[str, Any]:
     try:
         value = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise CaptureError(f"{place}: is no JSON object ({error}); captures are JSON lines") from error
+        raise CaptureError(f"{place}: is not a JSON object ({error}); captures are JSON lines") from error
     if not isinstance(value, dict):
-        raise CaptureError(f"{place}: is no JSON object but {line[:40]!r}; captures are JSON lines")
+        raise CaptureError(f"{place}: is not a JSON object but {line[:40]!r}; captures are JSON lines")
     return value
 
 

@@ -83,14 +83,14 @@ def _read(path: Path) -> tuple[int, list[Packet]]:
             link_type = reader.datalink()
             if link_type not in LINK_TYPES:
                 known = "; ".join(f"{number} is {what}" for number, what in LINK_TYPES.items())
-                raise CaptureError(f"{path}: link type {link_type} is no USB monitor's; {known}")
+                raise CaptureError(f"{path}: link type {link_type} is not a USB monitor's; {known}")
             packets = list(_decoded(path, reader, link_type, big_endian=_big_endian(start)))
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (dpkt.Error, ValueError, ArithmeticError, IndexError, struct.error, MemoryError) as error:
         # what the library lets through from a damaged file
         raise CaptureError(
-            f"{path}: is no pcap or pcapng file, or is damaged or cut off ({error or type(error).__name__})"
+            f"{path}: is not a pcap or pcapng file, or is damaged or cut off ({error or type(error).__name__})"
         ) from error
     if not packets:
         raise CaptureError(f"{path}: holds no packets; start the capture before the program that uses the board")

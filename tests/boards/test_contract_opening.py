@@ -135,7 +135,7 @@ def opens_although_the_link_fails_at(bench, moment):
     reached = bench.strike({moment: LinkError("no answer")})
     with suppress(LinkError):
         bench.board.__enter__()
-        assert reached in ([], [0])  # 0: there was nothing left over to be read, which is no failure
+        assert reached in ([], [0])  # 0: there was nothing left over to be read, which is not a failure
         return not reached
     assert reached
     assert bench.link.closed

@@ -176,7 +176,7 @@ def test_data_that_the_monitor_did_not_keep_are_warned_of(imported):
 def test_a_network_capture_is_refused_by_its_link_type(tmp_path):
     path = tmp_path / "net.pcap"
     path.write_bytes(pcap([bytes(60)], 1))
-    with pytest.raises(CaptureError, match="link type 1 is no USB monitor's; 189 is usbmon"):
+    with pytest.raises(CaptureError, match="link type 1 is not a USB monitor's; 189 is usbmon"):
         import_pcap(path)
 
 
@@ -197,7 +197,7 @@ def test_a_missing_library_is_an_error_that_names_the_extra(imported, monkeypatc
 def test_a_file_that_is_no_capture_is_one_clear_error(tmp_path, data):
     path = tmp_path / "vendor.pcap"
     path.write_bytes(data)
-    with pytest.raises(CaptureError, match=r"vendor\.pcap: is no pcap or pcapng file"):
+    with pytest.raises(CaptureError, match=r"vendor\.pcap: is not a pcap or pcapng file"):
         import_pcap(path)
 
 

@@ -111,7 +111,7 @@ class Place:
         return [bytes(session.payload) for session in map(readable, self.folder.rglob("*.mcap")) if session]
 
     def strays(self) -> set[str]:
-        """Files that are no session, no capture and no memory that was kept."""
+        """Files that are neither session nor capture nor memory that was kept."""
         kept = {path.name for path in memory.left_rings(self.memory)}
         names = {path.name for path in self.folder.rglob("*") if path.is_file()}
         return names - {"stop.mcap", "wire.jsonl", "cut.mcap"} - kept

@@ -137,7 +137,7 @@ def test_the_last_register_may_be_used():
 
 @pytest.mark.parametrize("name", ["", "two words", "a-b"])
 def test_a_name_must_be_an_identifier(name):
-    with pytest.raises(TableError, match="is no name"):
+    with pytest.raises(TableError, match="is not a name"):
         table(register(name))
 
 
@@ -159,13 +159,13 @@ def test_what_is_written_has_its_32_bits_for_itself(one, other):
 
 @pytest.mark.parametrize("kind", [Kind.TEXT, Kind.HEX])
 def test_a_register_is_a_number(kind):
-    with pytest.raises(TableError, match="named is no number"):
+    with pytest.raises(TableError, match="named is not a number"):
         table(register("named", kind=kind))
 
 
 @pytest.mark.parametrize("channels", [-1, 5])
 def test_an_index_must_be_able_to_count_its_channels(channels):
-    with pytest.raises(TableError, match="narrow is no number, or cannot count its channels"):
+    with pytest.raises(TableError, match="narrow is not a number, or cannot count its channels"):
         table(both("narrow", width=2, channels=channels))
 
 
@@ -178,12 +178,12 @@ def test_an_index_must_be_able_to_count_its_channels(channels):
     ],
 )
 def test_what_selects_a_channel_is_a_writable_index(index):
-    with pytest.raises(TableError, match=r"reached through (index|outer), which is no index here"):
+    with pytest.raises(TableError, match=r"reached through (index|outer), which is not an index here"):
         table(index, register("data", 4, index=index))
 
 
 def test_an_index_must_be_declared():
-    with pytest.raises(TableError, match="data is reached through index, which is no index here"):
+    with pytest.raises(TableError, match="data is reached through index, which is not an index here"):
         table(DATA)
 
 

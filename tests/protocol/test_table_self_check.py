@@ -36,7 +36,7 @@ def test_a_name_may_not_be_declared_twice():
 
 @pytest.mark.parametrize("name", ["", "two words", "1st", "a-b"])
 def test_a_name_must_be_an_identifier(name):
-    with pytest.raises(TableError, match="is no name"):
+    with pytest.raises(TableError, match="is not a name"):
         table((name, bits(1, 0, 1)))
 
 

@@ -22,7 +22,7 @@ def path_of(version):
 
 
 def total(values):
-    """Exact sum of a column, rounded once; what is no number is left out."""
+    """Exact sum of a column, rounded once; what is not a number is left out."""
     if values.dtype.kind == "f":
         return math.fsum(values[~np.isnan(values)].tolist()).hex()
     return sum(map(int, values.tolist()))

@@ -199,7 +199,7 @@ def test_a_golden_session_that_is_gone_cannot_be_tested(folder):
 )
 def test_a_table_that_is_none_is_told(tmp_path, text):
     (tmp_path / TABLE_NAME).write_text(text)
-    with pytest.raises(SessionError, match="is no table of golden sessions"):
+    with pytest.raises(SessionError, match="is not a table of golden sessions"):
         GoldenFolder(tmp_path)
 
 

@@ -16,12 +16,12 @@ CHUNK, DATA_END = 6, 15
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (b"", "is no MCAP file, it is empty"),
-        (b"\n", "is no MCAP file"),
-        (b"time;slip\n0.0;0.2\n", "is no MCAP file, it starts with b'time;sli'"),
-        (gzip.compress(b"\x89MCAP0\r\n" * 100), "is no MCAP file"),
-        (b"\x89MCAP1\r\n" + bytes(100), "is no MCAP file"),
-        (b"\x89MCAP0\r", "is no MCAP file"),
+        (b"", "is not an MCAP file, it is empty"),
+        (b"\n", "is not an MCAP file"),
+        (b"time;slip\n0.0;0.2\n", "is not an MCAP file, it starts with b'time;sli'"),
+        (gzip.compress(b"\x89MCAP0\r\n" * 100), "is not an MCAP file"),
+        (b"\x89MCAP1\r\n" + bytes(100), "is not an MCAP file"),
+        (b"\x89MCAP0\r", "is not an MCAP file"),
     ],
     ids=["empty", "newline", "text", "gzip", "later version", "cut magic"],
 )
@@ -33,7 +33,7 @@ def test_a_file_of_another_kind_is_refused_and_named(altered, data, words):
 
 
 def test_a_folder_is_refused(tmp_path):
-    with pytest.raises(SessionError, match=f"{tmp_path}: cannot be read: it is no regular file"):
+    with pytest.raises(SessionError, match=f"{tmp_path}: cannot be read: it is not a regular file"):
         read_session(tmp_path)
 
 

@@ -91,13 +91,13 @@ def test_a_star_is_every_output_and_a_later_text_wins():
         ("brake=1:2:3:4:5", "must look like"),
         ("brke=1", "no output 'brke'; did you mean brake"),
         ("road_count=1", "no output 'road_count'"),
-        ("brake=x", "'x' is no number"),
+        ("brake=x", "'x' is not a number"),
         ("brake=-1", "-1: must be finite and at least 0"),
         ("brake=nan", "nan: must be finite"),
         ("brake=inf", "inf: must be finite"),
         ("brake=::2", "a lead of 2 s: must be at most 1 s"),
         ("brake=:::2", "a lag of 2 s"),
-        ("phase=1", "phase is no number and can only come early or late"),
+        ("phase=1", "phase is not a number and can only come early or late"),
     ],
 )
 def test_what_is_no_tolerance_is_told_with_what_is(text, words):

@@ -133,7 +133,7 @@ class TestRecover:
             assert (done.code, os.read(end, 100)) == (1, bytes(100))
         finally:
             os.close(end)
-        assert "it is no regular file" in done.err
+        assert "it is not a regular file" in done.err
 
     @pytest.mark.parametrize("data", [b"", b"text"])
     def test_nothing_to_recover(self, verb, altered, tmp_path, data):
@@ -149,7 +149,7 @@ class TestRecover:
     def test_a_ring_of_another_version_is_told_as_a_ring(self, verb, altered, tmp_path):
         done = verb("recover", altered(b"inteco-abs ring 9\n" + bytes(100)), "-o", tmp_path / "new.mcap")
         assert done.code == 1
-        assert "is no tick ring of this version" in done.err
+        assert "is not a tick ring of this version" in done.err
 
     def test_an_existing_file_is_usage(self, verb, folder):
         assert verb("recover", folder / "cut.mcap", "-o", folder / "a.mcap").code == 2

@@ -116,8 +116,8 @@ def test_a_section_lists_its_keys(said, section):
     [
         ("brake_limit", "did you mean guard.brake_limit?"),
         ("gard", "did you mean guard?"),
-        ("", "KEY: is no key of rig.toml; known: board, controller, "),
-        ("nonsense", "is no key of rig.toml; known: board, controller, encoders, estimator, experiment, guard, "),
+        ("", "KEY: is not a key of rig.toml; known: board, controller, "),
+        ("nonsense", "is not a key of rig.toml; known: board, controller, encoders, estimator, experiment, guard, "),
     ],
 )
 def test_an_unknown_key_is_told_with_the_nearest(said, asked, hint):

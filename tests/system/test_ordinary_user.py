@@ -37,4 +37,4 @@ def test_a_file_that_may_not_be_read_is_wrong_and_the_others_are_looked_at(
     )  # fmt: skip
     assert validate.returncode == 1
     assert "secret.mcap: file: wrong: cannot be read: Permission denied" in validate.stdout
-    assert "text.mcap: file: wrong: is no MCAP file" in validate.stdout
+    assert "text.mcap: file: wrong: is not an MCAP file" in validate.stdout

@@ -222,7 +222,7 @@ def test_a_package_that_is_there_twice_is_no_collision(here, tmp_path, monkeypat
         ("raise SystemExit('leaving')", "SystemExit: leaving"),
         ("raise ValueError", "ValueError"),
         ("class Other: pass", "AttributeError"),
-        ("def Threshold(): pass", "is no class"),
+        ("def Threshold(): pass", "is not a class"),
         ("class Threshold: pass", "has no method update"),
         (LAW.replace("    gains =", "    others ="), "gains must be a tuple of inteco_abs.control.Gain"),
         (LAW.replace("internals = ()", "internals = ('a',) * 5"), "internals must be a tuple of at most 4"),

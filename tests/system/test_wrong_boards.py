@@ -55,9 +55,9 @@ def no_libusb(place):
 
 
 ROWS = [
-    Row("no such kind", "run --board usb3:", 2, ("'usb3:' is no board address",), "sim: is the mock"),
-    Row("no address", "run --board ''", 2, ("'' is no board address",), "sim: is the mock"),
-    Row("no colon", "run --board usb2", 2, ("'usb2' is no board address",), "did you mean usb2:?"),
+    Row("no such kind", "run --board usb3:", 2, ("'usb3:' is not a board address",), "sim: is the mock"),
+    Row("no address", "run --board ''", 2, ("'' is not a board address",), "sim: is the mock"),
+    Row("no colon", "run --board usb2", 2, ("'usb2' is not a board address",), "did you mean usb2:?"),
     Row("a path alone", "run --board /dev/ttyUSB0", 2, ("'/dev/ttyUSB0'",), "did you mean usb:/dev/ttyUSB0?"),
     Row("something behind the mock", "run --board sim:7", 2, ("'sim:7'",), "nothing may follow sim:"),
     Row("no decimal serial number", "run --board usb2:A1", 2, ("'usb2:A1'",), "as in usb2:123"),

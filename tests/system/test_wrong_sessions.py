@@ -47,7 +47,7 @@ INPUTS = [
         (session(), lambda place: (place.folder / "stpo.mcap").symlink_to("nowhere"))),
     Row("a folder", "info runs", 1, ("runs: cannot be read",), "a folder, which inteco-abs list runs shows",
         (folder("runs"),)),
-    Row("an empty file", "info stop.mcap", 1, ("stop.mcap: is no MCAP file",), "it is empty", (file("stop.mcap"),)),
+    Row("an empty file", "info stop.mcap", 1, ("stop.mcap: is not an MCAP file",), "it is empty", (file("stop.mcap"),)),
     Row("a file cut within its first bytes", "info stop.mcap", 1, ("no MCAP file", "cut off after 5 bytes"),
         "every MCAP file begins with", (file("stop.mcap", b"\x89MCAP"),)),
     Row("text", "replay notes.txt", 1, ("no MCAP file", "b'just tex', as text does"),

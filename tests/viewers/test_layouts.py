@@ -92,7 +92,7 @@ def plotjuggler_layout():
 
 
 def test_every_curve_is_what_plotjuggler_makes_of_a_number_in_the_file(plotjuggler_layout, fields):
-    """Its parser of protobuf joins topic and field with a slash; of an enumeration it makes text, which is no curve."""
+    """Its parser of protobuf joins topic and field with a slash; an enumeration becomes text, which is not a curve."""
     found, _ = fields
     numbers = {f"{topic}/{name}" for (topic, name), kind in found.items() if kind != ENUM}
     curves = [curve.get("name") for curve in plotjuggler_layout.iter("curve")]

@@ -14,7 +14,7 @@ from inteco_abs.boards.transports.links import Link
 from inteco_abs.errors import LinkError
 
 _MOST_OLD: Final = 100
-"""More answers to older requests than this are no leftover of a pause."""
+"""More answers to older requests than this are not leftovers of a pause."""
 
 
 class Registers(ABC):

@@ -156,7 +156,7 @@ def boards(ids: UsbConfig, backend: Any = None) -> Iterator[UsbMatch]:
 
 
 def _seen(device: Any, ids: UsbConfig) -> UsbMatch:
-    """What can be read of the device; what is no board's according to the kernel is not disturbed."""
+    """What can be read of the device; what is not a board's according to the kernel is not disturbed."""
     made_by = _kernels_word(device, "manufacturer")
     if made_by and ids.manufacturer.lower() not in made_by.lower():
         return UsbMatch(device, made_by, _kernels_word(device, "serial"), denied=False)

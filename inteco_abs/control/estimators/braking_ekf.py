@@ -206,7 +206,7 @@ class BrakingEkf:
         P, x = self._P, self._x
         wheel, road = P[0], P[2]
         if not (abs(wheel_angle - x[0]) < _LOST_RAD and abs(road_angle - x[2]) < _LOST_RAD):
-            return False  # not a number is no place either
+            return False  # not a number is not a place either
         wheel_scale = 1.0 / (wheel[0] + self._noise)
         first = [w * wheel_scale for w in wheel]
         road = [r - first[2] * w for r, w in zip(road, wheel, strict=True)]

@@ -97,7 +97,7 @@ class ByteStream:
     """The same board behind a FIFO: bytes arrive and leave in any cuts, and bit 7 marks where a message begins.
 
     A message is whole after its command byte (DUMMY, READ) or after a frame's length; a command byte in the midst of
-    one cuts it short, and the face drops what is no message.
+    one cuts it short, and the face drops what is not a message.
     """
 
     def __init__(self, face: FrontEnd) -> None:

@@ -64,5 +64,5 @@ def parse_address(text: str) -> TcpAddress | UnixAddress:
     elif text.count(":") == 1:
         host, port = text.split(":")
     if not port.isascii() or not port.isdigit() or int(port) > 0xFFFF:
-        raise ConfigError([ConfigIssue("--usbip", f"{text!r}: {port!r} is no port, must be 0..65535")])
+        raise ConfigError([ConfigIssue("--usbip", f"{text!r}: {port!r} is not a port, must be 0..65535")])
     return TcpAddress(host or LOOPBACK, int(port))

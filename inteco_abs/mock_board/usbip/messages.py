@@ -31,7 +31,7 @@ _UNLINK_RETURN: Final = struct.Struct(">IIIIIi24x")
 
 
 class MalformedError(Exception):
-    """Bytes that are no message: nothing behind them can be understood either."""
+    """Bytes that are not a message: nothing behind them can be understood either."""
 
 
 class DevicesRequest(NamedTuple):

@@ -63,7 +63,7 @@ class Facts(NamedTuple):
 class UsbIpServer:
     """Offers the device of `host` at `address`: `bind`, then `serve` until `close`; or `step` in one's own loop.
 
-    One import at a time; the next is accepted after a detach. Whoever sends what is no message is hung up on and
+    One import at a time; the next is accepted after a detach. Whoever sends what is not a message is hung up on and
     counted in `malformed`. The outputs stay as they are when a peer leaves, as no RT-DAC board is known to do
     anything else.
     """

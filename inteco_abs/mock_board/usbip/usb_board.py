@@ -33,7 +33,7 @@ _MOST_UNREAD: Final = 8
 class UsbBoard(UsbDevice):
     """The board that `face` is the FPGA of.
 
-    What the real board does with a message that is no frame, with a full queue and with a date's wrong address is
+    What the real board does with a message that is not a frame, with a full queue and with a date's wrong address is
     UNKNOWN; here the first is dropped and counted by the face, the second and third are described below.
     """
 

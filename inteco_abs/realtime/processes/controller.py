@@ -107,7 +107,7 @@ class IsolatedController:
         raise self._failure(reply, number)
 
     def _failure(self, reply: bytes, number: int) -> ControllerError:
-        """What a reply means that is no answer."""
+        """What a reply means that is not an answer."""
         if not reply:
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_DYING_S)
@@ -285,5 +285,5 @@ def _tell(replies: int, what: object) -> None:
 
 def _demand(given: BrakeDemand) -> tuple[float, ...]:
     brake, torque, switching, (c0, c1, c2, c3) = recordable(given)
-    # what is no number comes to the guard as such, and is judged there
+    # what is not a number comes to the guard as such, and is judged there
     return brake if type(brake) is float else math.nan, torque, switching, c0, c1, c2, c3
