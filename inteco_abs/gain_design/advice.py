@@ -33,7 +33,7 @@ class Case(NamedTuple):
     """What is judged."""
 
     gains: Gains
-    believed: RigParameters
+    nominal: RigParameters
     reference: AtSlip
     """The box at the reference slip."""
     slips: tuple[AtSlip, ...]
@@ -47,7 +47,7 @@ class Case(NamedTuple):
     @property
     def limit_nm(self) -> float:
         """Largest torque within the duty limit, by the brake's line."""
-        return brake_torque(self.brake_limit, self.believed)
+        return brake_torque(self.brake_limit, self.nominal)
 
     def bounds(self, speeds: Floats) -> Bounds:
         """F to (26), of the worst slip."""
@@ -95,7 +95,7 @@ def _existence(case: Case) -> Iterator[Advice]:
         )
         yield Advice("existence", found, _enough(case, bounds))
     if math.isfinite(bounds.mq_25[0]) and not math.isfinite(bounds.mq_26[0]):
-        found = f"eps_g = {bounds.eps_g[0]:.3g} is not below 1 as (26) assumes; only (25) tells anything"
+        found = f"eps_g = {bounds.eps_g[0]:.3g} is not below 1 as (26) assumes; only (25) applies"
         yield Advice("assumption", found, "state less uncertainty")
 
 
@@ -117,7 +117,7 @@ def _holding(case: Case) -> Iterator[Advice]:
     needed = float(case.reference.holding_torques(case.speeds)[1].max())
     lost = case.lost(lambda speeds: case.limit_nm - case.reference.holding_torques(speeds)[1])
     if lost:
-        duty = brake_duty(needed, case.believed)
+        duty = brake_duty(needed, case.nominal)
         found = (
             f"the brake cannot hold the reference slip on every rig of the set {in_words(lost, case.speeds)}: the law "
             f"must ask for up to {needed:.3g} N m, {_limit(case)}"
@@ -185,7 +185,7 @@ def _lateness(case: Case, way: Reaching) -> Iterator[Advice]:
         f"reaching from slip {way.from_slip:g} {took}, by (20) it could take {way.bound_s:.3f} s: the law asks for "
         f"{way.lowest_torque_nm:.3g} to {way.peak_torque_nm:.3g} N m on the way, {_limit(case)}"
     )
-    duty = brake_duty(way.peak_torque_nm, case.believed)
+    duty = brake_duty(way.peak_torque_nm, case.nominal)
     more = f"guard.brake_limit = {_rounded_up(duty)} or more, or " if case.brake_limit < duty <= 1.0 else ""
     yield Advice("reaching", found, f"{more}smaller gains")
 

@@ -86,7 +86,7 @@ def judge_gains(
     band = [AtSlip(box, slip) for slip in np.linspace(*slip_band, _SLIPS).tolist()] if slip_band else [reference]
     case = Case(
         gains=gains,
-        believed=box.believed,
+        nominal=box.nominal,
         reference=reference,
         slips=tuple(band),
         speeds=np.linspace(low, high, max(_FEWEST_SPEEDS, math.ceil(high - low) + 1)),

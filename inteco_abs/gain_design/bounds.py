@@ -50,10 +50,10 @@ class Bounds(NamedTuple):
     """Above this (26) holds, 1/s; it needs eps_g < 1."""
 
 
-def terms(drawn: SampledRig, slip: float, believed: RigParameters) -> Terms:
+def terms(drawn: SampledRig, slip: float, nominal: RigParameters) -> Terms:
     """Terms of one rig at `slip` in 0..1, 0 excluded.
 
-    The law makes a duty out of its torque by the line of `believed`; what the rig's brake makes of that duty is a
+    The law makes a duty out of its torque by the line of `nominal`; what the rig's brake makes of that duty is a
     factor on g and, as its offset works like a torque from outside, an addition to f. Raises ConfigError for a rig
     whose lever would jam.
     """
@@ -67,8 +67,8 @@ def terms(drawn: SampledRig, slip: float, believed: RigParameters) -> Terms:
     f1, g1 = model.terms(slip, 1.0)
     f2, _ = model.terms(slip, 2.0)
     a, b, c = (drawn.f_factor * 2.0 * (f1 - f2), drawn.f_factor * (2.0 * f2 - f1), drawn.g_factor * g1)
-    factor = rig.brake_gain * k.b1 / believed.b1
-    offset_nm = rig.brake_gain * (k.b2 - k.b1 * rig.brake_duty_offset) - factor * believed.b2
+    factor = rig.brake_gain * k.b1 / nominal.b1
+    offset_nm = rig.brake_gain * (k.b2 - k.b1 * rig.brake_duty_offset) - factor * nominal.b2
     return Terms(a + c * offset_nm, b, c * factor)
 
 
@@ -77,24 +77,24 @@ class AtSlip:
 
     def __init__(self, box: Box, slip: float) -> None:
         self.slip = slip
-        self.believed = terms(box.draw({}), slip, box.believed)
-        corners = np.array([terms(corner, slip, box.believed) for corner in box.corners()])
+        self.nominal = terms(box.draw({}), slip, box.nominal)
+        corners = np.array([terms(corner, slip, box.nominal) for corner in box.corners()])
         self._a, self._b, self._c = corners.T[..., np.newaxis]
         self.g_positive = bool(np.all(self._c > 0.0))
 
     def f(self, speeds: Floats) -> Floats:
         """f_hat over road speeds > 0."""
-        return self.believed.a / speeds + self.believed.b
+        return self.nominal.a / speeds + self.nominal.b
 
     def g(self, speeds: Floats) -> Floats:
         """g_hat over road speeds > 0."""
-        return self.believed.c / speeds
+        return self.nominal.c / speeds
 
     def bounds(self, speeds: Floats) -> Bounds:
         """F to (26) over road speeds > 0."""
         f_hat = self.f(speeds)
         f = self._a / speeds + self._b
-        ratio = self._c / self.believed.c
+        ratio = self._c / self.nominal.c
         F = np.abs(f_hat)
         eps_f = np.abs(f - f_hat).max(axis=0)
         eps_g = np.full_like(speeds, np.abs(1.0 - ratio).max())

@@ -62,7 +62,7 @@ def _torque(panel: Axes, curves: Mapping[str, Any], limit_nm: float) -> None:
     x, held, swing = curves["road_speed_rad_s"], curves["torque_eq_nm"], curves["torque_swing_nm"]
     least, most = curves["torque_eq_least_nm"], curves["torque_eq_most_nm"]
     panel.fill_between(x, least, most, color=_GREEN, alpha=0.3, lw=0.0, label="holds the slip, whole set")
-    panel.plot(x, held, color=_GREEN, lw=1.2, label="M1eq, as believed")
+    panel.plot(x, held, color=_GREEN, lw=1.2, label="M1eq, nominal")
     panel.plot(x, held + swing, color=_RED, lw=1.2, ls="-.", label="M1eq ± Mq/g")
     panel.plot(x, held - swing, color=_RED, lw=1.2, ls="-.")
     panel.axhline(limit_nm, color="black", lw=1.0, ls="--", label="brake at its duty limit")

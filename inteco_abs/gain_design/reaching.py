@@ -1,4 +1,4 @@
-"""How a law reaches the reference slip on the rig that it believes in, with an ideal brake: no lag, no noise."""
+"""How a law reaches the reference slip on its nominal rig, with an ideal brake: no lag, no noise."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class Reaching(NamedTuple):
 
 def reaching(config: RigConfig, from_slip: float, width: float, bound_s: float) -> Reaching:
     """Simulate until the slip error changes its sign or is within `width`, with the brake's limit and without."""
-    believed = nominal_parameters(config.model)
-    strong = replace(believed, b1=_STRONG_NM, b2=0.0, u0=0.0)  # as a duty of 1 is never asked for, there is no limit
+    nominal = nominal_parameters(config.model)
+    strong = replace(nominal, b1=_STRONG_NM, b2=0.0, u0=0.0)  # as a duty of 1 is never asked for, there is no limit
     _, asked_nm = _way(config, strong, 1.0, from_slip, width)
-    time_s, _ = _way(config, believed, config.guard.brake_limit, from_slip, width)
+    time_s, _ = _way(config, nominal, config.guard.brake_limit, from_slip, width)
     return Reaching(from_slip, bound_s, time_s, min(asked_nm), max(asked_nm))
 
 

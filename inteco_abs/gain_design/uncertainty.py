@@ -68,14 +68,14 @@ class SampledRig(NamedTuple):
 class Box:
     """Every combination of the spreads around the parameters that the controller believes in."""
 
-    believed: RigParameters
+    nominal: RigParameters
     spreads: tuple[ParameterRange, ...]
 
     def draw(self, values: Mapping[str, float]) -> SampledRig:
-        """The rig with these numbers; those that are not named are as believed."""
+        """The rig with these numbers; those that are not named are nominal."""
         own: dict[str, Any] = {_OF_THE_RIG[name]: value for name, value in values.items() if name in _OF_THE_RIG}
         constants = {name: value for name, value in values.items() if name not in {*_OF_THE_RIG, *_TERMS}}
-        rig = replace(RigVariation(replace(self.believed, **constants)), **own)
+        rig = replace(RigVariation(replace(self.nominal, **constants)), **own)
         return SampledRig(rig, values.get("f", 1.0), values.get("g", 1.0))
 
     def corners(self) -> Iterator[SampledRig]:
@@ -85,8 +85,8 @@ class Box:
             yield self.draw(dict(zip(names, ends, strict=True)))
 
 
-def stated_box(statements: Sequence[str], believed: RigParameters) -> Box:
-    """Box of statements such as `J1=5%` (of what is believed) or `M10=0.002` (in its own unit), each both ways.
+def stated_box(statements: Sequence[str], nominal: RigParameters) -> Box:
+    """Box of statements such as `J1=5%` (of the nominal value) or `M10=0.002` (in its own unit), each both ways.
 
     Raises ConfigError with everything that is wrong with them.
     """
@@ -94,7 +94,7 @@ def stated_box(statements: Sequence[str], believed: RigParameters) -> Box:
     mistakes = []
     for statement in statements:
         try:
-            spread = _spread(statement, believed)
+            spread = _spread(statement, nominal)
         except ValueError as error:
             mistakes.append(ConfigIssue("--uncertain", f"{statement}: {error}"))
             continue
@@ -109,10 +109,10 @@ def stated_box(statements: Sequence[str], believed: RigParameters) -> Box:
         )
     if mistakes:
         raise ConfigError(mistakes)
-    return Box(believed, tuple(spreads.values()))
+    return Box(nominal, tuple(spreads.values()))
 
 
-def _spread(statement: str, believed: RigParameters) -> ParameterRange:
+def _spread(statement: str, nominal: RigParameters) -> ParameterRange:
     """One statement in numbers; raises ValueError with what is wrong with it."""
     name, equals, text = (part.strip() for part in statement.partition("="))
     if not equals or not name:
@@ -129,22 +129,22 @@ def _spread(statement: str, believed: RigParameters) -> ParameterRange:
         raise ValueError(f"{text!r} must be a number, in percent of {name} or in its unit")
     if number < 0.0:
         raise ValueError("must not be negative: a parameter may be off by so much both ways")
-    return _from_zero(name, number, text) if name in _FROM_ZERO else _around(name, number, text, believed)
+    return _from_zero(name, number, text) if name in _FROM_ZERO else _around(name, number, text, nominal)
 
 
 def _from_zero(name: str, number: float, text: str) -> ParameterRange:
     most = _FROM_ZERO[name]
     if text.endswith("%"):
-        raise ValueError(f"percent of nothing: {name} is 0 as believed, state it as a number up to {most:g}")
+        raise ValueError(f"percent of nothing: {name} is nominally 0, state it as a number up to {most:g}")
     if number > most:
         raise ValueError(f"must be at most {most:g}")
     return ParameterRange(name, 0.0 if name == "adhesion_blend" else -number, number)
 
 
-def _around(name: str, number: float, text: str, believed: RigParameters) -> ParameterRange:
-    nominal: float = getattr(believed, name, 1.0)
-    off = abs(nominal) * number / 100.0 if text.endswith("%") else number
-    most = abs(nominal) * _MOST_PERCENT / 100.0
+def _around(name: str, number: float, text: str, nominal: RigParameters) -> ParameterRange:
+    center: float = getattr(nominal, name, 1.0)
+    off = abs(center) * number / 100.0 if text.endswith("%") else number
+    most = abs(center) * _MOST_PERCENT / 100.0
     if off > most:
-        raise ValueError(f"must be at most {_MOST_PERCENT:g} % of {name} = {nominal:g}, which is {most:g}")
-    return ParameterRange(name, nominal - off, nominal + off)
+        raise ValueError(f"must be at most {_MOST_PERCENT:g} % of {name} = {center:g}, which is {most:g}")
+    return ParameterRange(name, center - off, center + off)

@@ -1,6 +1,6 @@
 """The vendor's identification procedure as software: which runs to record, and what they say of the rig.
 
-What counts can tell and what they cannot is explained in `unknowns`.
+What counts can identify and what they cannot is explained in `fit_parameters`.
 """
 
 from inteco_abs.identification.estimates import SLIPS, Estimate, Identification, identify

@@ -17,10 +17,10 @@ from inteco_abs.identification.segments import Kind, Segment
 from inteco_abs.rig import DriveMotor, RigParameters, adhesion, measured_torque
 
 SLIPS: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
-"""At which the friction curve is told."""
+"""At which the friction curve is reported."""
 _SHARE: Final = 0.95
-_TOLD: Final = 0.5
-"""Of what was not known before: with more left, the sessions have not told a number."""
+_LEARNED: Final = 0.5
+"""Of the prior's standard deviation: with more left, the sessions do not identify a number."""
 _STEP: Final = 1e-5
 _LEAST_SLOPE_NM: Final = 1e-4
 _WORKING_SHARE: Final = 0.25
@@ -82,7 +82,7 @@ class Identification:
         return {
             "schema_version": 1,
             "converged": self.fit.converged,
-            "assumed_within": dict(self.fit.beliefs.assumed),
+            "assumed_within": dict(self.fit.priors.assumed),
             "estimates": [each.facts() for each in self.estimates],
             "residuals": [
                 {
@@ -110,11 +110,11 @@ class Identification:
 
     def to_toml(self) -> str:
         """The section [model.identified]; what was not identified is left out, and stays as published."""
-        told = {each.name: each for each in self.estimates}
-        parameters = self.fit.beliefs.parameters(self.fit.values())
+        by_name = {each.name: each for each in self.estimates}
+        parameters = self.fit.priors.parameters(self.fit.values())
 
         def known(*names: str) -> bool:
-            return all(told[name].status != "not identified" for name in names if name in told)
+            return all(by_name[name].status != "not identified" for name in names if name in by_name)
 
         own: dict[str, Any] = {name: getattr(parameters, name) for name in ("J1", "J2", "Mg", "d1", "M10")}
         if known("d", "M0"):
@@ -124,13 +124,17 @@ class Identification:
         if known("brake_lag"):
             own["c31"] = parameters.c31
         if known("brake_dead_time"):
-            own["brake_dead_time_s"] = max(0.0, told["brake_dead_time"].value)
+            own["brake_dead_time_s"] = max(0.0, by_name["brake_dead_time"].value)
         if known("drive_stall_torque", "drive_no_load_speed"):
-            own["drive_stall_torque_nm"] = told["drive_stall_torque"].value
-            own["drive_no_load_speed_rad_s"] = told["drive_no_load_speed"].value
+            own["drive_stall_torque_nm"] = by_name["drive_stall_torque"].value
+            own["drive_no_load_speed_rad_s"] = by_name["drive_no_load_speed"].value
         own |= _brake_map(
-            [(level, told[torque_name(level)].value) for level in self.fit.beliefs.levels if known(torque_name(level))],
-            self.fit.beliefs.base,
+            [
+                (level, by_name[torque_name(level)].value)
+                for level in self.fit.priors.levels
+                if known(torque_name(level))
+            ],
+            self.fit.priors.base,
         )
         return tomli_w.dumps({"model": {"identified": own}})
 
@@ -138,7 +142,7 @@ class Identification:
 def identify(
     segments: Sequence[Segment], base: RigParameters, assumed: Mapping[str, float] = ASSUMED
 ) -> Identification:
-    """The rig of `segments`, which is believed to be as `base`: geometry exactly, `assumed` within these shares."""
+    """The rig of `segments`, whose prior is `base`: geometry exactly, `assumed` within these shares."""
     levels = tuple(sorted({level for segment in segments for level in segment.levels}))
     found = fit(segments, Priors(base, levels, {**ASSUMED, **assumed}))
     kinds = {segment.kind for segment in segments}
@@ -147,64 +151,64 @@ def identify(
 
 def _estimates(found: Fit, kinds: set[Kind]) -> Iterator[Estimate]:
     deviations = norm.ppf(0.5 + 0.5 * _SHARE)
-    beliefs, assumed = found.beliefs, {"J1", "J2", "Mg", "d1", "M10"}
-    for told in _all_told(beliefs):
-        slope = _slope(told, found)
+    priors, assumed = found.priors, {"J1", "J2", "Mg", "d1", "M10"}
+    for derived in _all_derived(priors):
+        slope = _slope(derived, found)
         sd = math.sqrt(slope @ found.covariance @ slope)
         before = math.sqrt(slope @ found.before @ slope)
-        value = told.of(found.values())
-        kind, what = _NEEDED.get(told.name, ("braking", "brake steps that reach it"))
-        why = "" if kind in kinds or told.name in assumed else f"no session has {what}"
-        if not why and told.name not in assumed and sd > _TOLD * before:
-            why = "the sessions do not tell it from the rest"
-        status: Status = "assumed" if told.name in assumed else "not identified" if why else "identified"
+        value = derived.of(found.values())
+        kind, what = _NEEDED.get(derived.name, ("braking", "brake steps that reach it"))
+        why = "" if kind in kinds or derived.name in assumed else f"no session has {what}"
+        if not why and derived.name not in assumed and sd > _LEARNED * before:
+            why = "the sessions do not separate it from the rest"
+        status: Status = "assumed" if derived.name in assumed else "not identified" if why else "identified"
         off = deviations * sd
-        yield Estimate(told.name, told.unit, value, value - off, value + off, told.published, status, why)
+        yield Estimate(derived.name, derived.unit, value, value - off, value + off, derived.published, status, why)
 
 
-def _slope(told: _Derived, found: Fit) -> Any:
+def _slope(derived: _Derived, found: Fit) -> Any:
     """By each number of the search."""
     rows = np.repeat(found.found[None, :], 2 * len(found.found), axis=0)
     count = len(found.found)
     rows[np.arange(count), np.arange(count)] += _STEP
     rows[np.arange(count) + count, np.arange(count)] -= _STEP
-    values = np.array([told.of(found.beliefs.values(row)) for row in rows.tolist()])
+    values = np.array([derived.of(found.priors.values(row)) for row in rows.tolist()])
     return (values[:count] - values[count:]) / (2.0 * _STEP)
 
 
-def _all_told(beliefs: Priors) -> Iterator[_Derived]:
-    base, share = beliefs.base, beliefs.rolling_share
+def _all_derived(priors: Priors) -> Iterator[_Derived]:
+    base, share = priors.base, priors.rolling_share
     ratio, motor = base.r2 / base.r1, DriveMotor()
     published_d, published_M0 = base.d2 + share * base.d1, base.M20 + ratio * base.M10
     inertia = base.J2 + share * base.J1
     for name, unit in (("J1", "kg m2"), ("J2", "kg m2"), ("Mg", "N m"), ("d1", "N m s"), ("M10", "N m")):
-        yield _Derived(name, unit, _constant(beliefs, name), getattr(base, name))
+        yield _Derived(name, unit, _constant(priors, name), getattr(base, name))
     yield _Derived("d", "N m s", lambda v: v["scale"] * v["d"], published_d)
     yield _Derived("M0", "N m", lambda v: v["scale"] * v["M0"], published_M0)
     yield _Derived("d/J", "1/s", lambda v: v["d"] / inertia, published_d / inertia)
     yield _Derived("M0/J", "rad/s2", lambda v: v["M0"] / inertia, published_M0 / inertia)
-    yield _Derived("d2", "N m s", _constant(beliefs, "d2"), base.d2)
-    yield _Derived("M20", "N m", _constant(beliefs, "M20"), base.M20)
+    yield _Derived("d2", "N m s", _constant(priors, "d2"), base.d2)
+    yield _Derived("M20", "N m", _constant(priors, "M20"), base.M20)
     yield _Derived("drive_stall_torque", "N m", lambda v: v["scale"] * v["stall"], motor.stall_torque_nm)
     yield _Derived("drive_no_load_speed", "rad/s", lambda v: v["no_load"], motor.no_load_speed_rad_s)
     yield _Derived("brake_lag", "s", lambda v: v["lag"], 1.0 / base.c31)
     yield _Derived("brake_dead_time", "s", lambda v: v["dead_time"], math.nan)
-    for level in beliefs.levels:
+    for level in priors.levels:
         yield _Derived(torque_name(level), "N m", _torque(torque_name(level)), measured_torque(level))
     for slip in SLIPS:
-        yield _Derived(_mu_name(slip), "1", _mu(beliefs, slip), adhesion(slip, base))
+        yield _Derived(_mu_name(slip), "1", _mu(priors, slip), adhesion(slip, base))
 
 
-def _constant(beliefs: Priors, name: str) -> Callable[[Mapping[str, float]], float]:
-    return lambda values: float(getattr(beliefs.parameters(values), name))
+def _constant(priors: Priors, name: str) -> Callable[[Mapping[str, float]], float]:
+    return lambda values: float(getattr(priors.parameters(values), name))
 
 
 def _torque(name: str) -> Callable[[Mapping[str, float]], float]:
     return lambda values: values["scale"] * values[name]
 
 
-def _mu(beliefs: Priors, slip: float) -> Callable[[Mapping[str, float]], float]:
-    return lambda values: adhesion(slip, beliefs.parameters(values))
+def _mu(priors: Priors, slip: float) -> Callable[[Mapping[str, float]], float]:
+    return lambda values: adhesion(slip, priors.parameters(values))
 
 
 def _mu_name(slip: float) -> str:

@@ -21,7 +21,7 @@ _ROUNDS: Final = ((300.0, 20), (30.0, 20), (5.0, 20), (1.0, 60))
 counts too finely, and only the last need come to an end."""
 _TOLERANCE: Final = 1e-4
 _SPEED_SD_RAD_S: Final = 5.0
-"""Of the speeds with which a segment begins, beyond what its first counts tell."""
+"""Of the speeds with which a segment begins, beyond what its first counts show."""
 _STEP: Final = 1e-5
 """For differences, of all numbers."""
 _EVERYWHERE: Final = ("J1", "Mg", "d1", "M10", "d", "M0", "a")
@@ -74,22 +74,22 @@ def channels(segment: Segment) -> list[Channel]:
 class Fit:
     """What was found, as the search sees it."""
 
-    beliefs: Priors
+    priors: Priors
     found: Floats
     covariance: Floats
     before: Floats
-    """Covariance of what was believed before."""
+    """Covariance of the priors."""
     left: tuple[tuple[Channel, Floats], ...]
     """Measured minus simulated, in counts."""
     converged: bool
 
     def values(self) -> dict[str, float]:
         """The numbers of the search by their names."""
-        return self.beliefs.values(self.found.tolist())
+        return self.priors.values(self.found.tolist())
 
 
-def fit(segments: Sequence[Segment], beliefs: Priors) -> Fit:
-    """Least squares of count residuals and of what is believed, each over its standard deviation.
+def fit(segments: Sequence[Segment], priors: Priors) -> Fit:
+    """Least squares of count residuals and of deviations from the priors, each over its standard deviation.
 
     All counts weigh the same: weighed by what is left of them, what the model explains badly would be explained still
     worse. How uncertain that leaves the numbers is reckoned from what is really left, neighbours that hang together
@@ -98,17 +98,17 @@ def fit(segments: Sequence[Segment], beliefs: Priors) -> Fit:
     What is assumed is kept as it is. What it does to the rest is added to their covariance: with H = jacobian' *
     jacobian, a change of what is assumed (a) moves what is found (f) by S = -H_ff^-1 * H_fa.
     """
-    rolling = _Problem([each for each in segments if each.kind != "braking"], beliefs)
+    rolling = _Problem([each for each in segments if each.kind != "braking"], priors)
     begun, _ = _searched(rolling, rolling.start)
-    problem = _Problem(segments, beliefs)
-    start, told = problem.start, len(beliefs.unknowns) - len(ASSUMED)
-    start[:told] = begun[:told]
+    problem = _Problem(segments, priors)
+    start, looked_for = problem.start, len(priors.fit_parameters) - len(ASSUMED)
+    start[:looked_for] = begun[:looked_for]
     found, converged = _searched(problem, start)
-    jacobian, count = problem.slopes(found, assumed=True), len(beliefs.unknowns)
+    jacobian, count = problem.slopes(found, assumed=True), len(priors.fit_parameters)
     free = problem.free
     information = jacobian.T @ jacobian
     inverse = np.linalg.inv(information[np.ix_(free, free)])
-    before = np.asarray(np.linalg.inv(beliefs.weights.T @ beliefs.weights), np.float64)
+    before = np.asarray(np.linalg.inv(priors.weights.T @ priors.weights), np.float64)
     moved = np.eye(len(information))[:, : len(ASSUMED)]
     moved[free] = -inverse @ information[np.ix_(free, ~free)]
     covariance = np.asarray(moved @ before[: len(ASSUMED), : len(ASSUMED)] @ moved.T, np.float64)
@@ -118,7 +118,7 @@ def fit(segments: Sequence[Segment], beliefs: Priors) -> Fit:
     scattered = jacobian[:, free] * np.concatenate([*real, np.ones(len(whole))])[:, None]
     pulls = _pulls(left, jacobian[:, free], problem.noise)
     covariance[np.ix_(free, free)] += inverse @ (scattered.T @ scattered + pulls.T @ pulls) @ inverse
-    return Fit(beliefs, whole[:count], covariance[:count, :count], before, left, converged)
+    return Fit(priors, whole[:count], covariance[:count, :count], before, left, converged)
 
 
 def _searched(problem: _Problem, start: Floats) -> tuple[Floats, bool]:
@@ -142,21 +142,21 @@ def _searched(problem: _Problem, start: Floats) -> tuple[Floats, bool]:
 class _Problem:
     """Residuals over their deviations, and their slopes; the last of the numbers are each segment's own speeds."""
 
-    def __init__(self, segments: Sequence[Segment], beliefs: Priors) -> None:
-        self._beliefs = beliefs
+    def __init__(self, segments: Sequence[Segment], priors: Priors) -> None:
+        self._beliefs = priors
         self.noise = _ROUNDS[0][0]
         """Standard deviation of a residual in counts."""
         self._segments = [(each, channels(each)) for each in segments]
         started = [each.start_speeds() for each, _ in self._segments if each.kind != "run-up"]
         speeds = [speed for pair in started for speed in pair]
-        self._places = {each.name: place for place, each in enumerate(beliefs.unknowns)}
-        self._believed = np.array([each.start for each in beliefs.unknowns] + speeds)
+        self._places = {each.name: place for place, each in enumerate(priors.fit_parameters)}
+        self._believed = np.array([each.start for each in priors.fit_parameters] + speeds)
         self.free = np.arange(len(self._believed)) >= len(ASSUMED)
         """What is not assumed."""
         self.start = self._believed[self.free]
-        count = len(beliefs.unknowns)
+        count = len(priors.fit_parameters)
         self._weights = np.eye(len(self._believed)) / _SPEED_SD_RAD_S
-        self._weights[:count, :count] = beliefs.weights
+        self._weights[:count, :count] = priors.weights
 
     def whole(self, found: Floats) -> Floats:
         """All numbers: what is assumed, and the rest as `found`."""
@@ -199,7 +199,7 @@ class _Problem:
 
     def _each(self) -> Iterator[tuple[Segment, list[Channel], tuple[int, ...]]]:
         """Segments, their channels, and the places of their own two speeds, if any."""
-        place = len(self._beliefs.unknowns)
+        place = len(self._beliefs.fit_parameters)
         for segment, its_channels in self._segments:
             own = () if segment.kind == "run-up" else (place, place + 1)
             place += len(own)

@@ -1,10 +1,10 @@
-"""The numbers of a rig that are looked for or assumed, and what was believed of them before.
+"""The numbers of a rig that a fit looks for or assumes, and what is known of them before (their priors).
 
 Counts have no scale: inertias, frictions, torques and the lever's moment may all be multiplied by one number, and
 nothing that can be seen changes. So the search is about ratios to the moment of inertia of both wheels as they roll,
-J = J2 + (r2/r1)^2*J1, at the one that is believed, and `scale` stands for what J really is over that. No count says
-anything about it. What is known of a run-up and a coast-down is then one number each, whatever is shared out between
-the wheels: d = d2 + (r2/r1)^2*d1, and M0 = M20 + (r2/r1)*M10.
+J = J2 + (r2/r1)^2*J1, at its prior, and `scale` is the ratio of the true J to that. No count says
+anything about it. What is known of a run-up and a coast-down is then one number each, however the wheels share
+it: d = d2 + (r2/r1)^2*d1, and M0 = M20 + (r2/r1)*M10.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ _UNIFORM: Final = math.sqrt(3.0)
 
 
 class FitParameter(NamedTuple):
-    """One number of the search. With `log` it is the logarithm of what it is over what is believed."""
+    """One number of the search. With `log` the search sees the logarithm of its ratio to the prior."""
 
     name: str
-    believed: float
+    prior: float
     sd: float
-    """Standard deviation of what is believed, as the search sees it."""
+    """Standard deviation of the prior, as the search sees it."""
     log: bool = True
 
     @property
     def start(self) -> float:
         """Where the search begins."""
-        return 0.0 if self.log else self.believed
+        return 0.0 if self.log else self.prior
 
     def value(self, seen: float) -> float:
         """The number itself."""
-        return self.believed * math.exp(seen) if self.log else seen
+        return self.prior * math.exp(seen) if self.log else seen
 
 
 def torque_name(duty: float) -> str:
@@ -64,7 +64,7 @@ class Priors:
     assumed: Mapping[str, float]
 
     @cached_property
-    def unknowns(self) -> tuple[FitParameter, ...]:
+    def fit_parameters(self) -> tuple[FitParameter, ...]:
         """What is assumed, as in ASSUMED (`scale` is in place of J2), then what is looked for."""
         k, motor, share = self.base, DriveMotor(), self.rolling_share
         lag = 1.0 / k.c31 if math.isfinite(k.c31) else 0.05
@@ -91,13 +91,13 @@ class Priors:
 
     @cached_property
     def weights(self) -> Floats:
-        """What is believed as rows of equations, each over its standard deviation.
+        """The priors as rows of equations, each over its standard deviation.
 
-        J1, J2 and Mg are believed in as such, so that they hold the scale; all else in its ratio to J.
+        J1, J2 and Mg have priors of their own, which hold the scale; all else has one of its ratio to J.
         """
-        names = [each.name for each in self.unknowns]
+        names = [each.name for each in self.fit_parameters]
         scale, J1, Mg = (names.index(name) for name in ("scale", "J1", "Mg"))
-        rows = np.diag([1.0 / each.sd for each in self.unknowns])
+        rows = np.diag([1.0 / each.sd for each in self.fit_parameters])
         rows[[scale, J1, Mg]] = 0.0
         k = self.base
         for row, name, place, slope in (
@@ -116,10 +116,10 @@ class Priors:
 
     def values(self, seen: Iterable[float]) -> dict[str, float]:
         """Numbers of the search, by their names, from what the search sees."""
-        return {each.name: each.value(one) for each, one in zip(self.unknowns, seen, strict=False)}
+        return {each.name: each.value(one) for each, one in zip(self.fit_parameters, seen, strict=False)}
 
     def parameters(self, values: Mapping[str, float], *, scaled: bool = True) -> RigParameters:
-        """The rig's constants; with the scale that is believed in, if not `scaled`. Its brake's map is as in `base`."""
+        """The rig's constants; with the prior's scale, if not `scaled`. Its brake's map is as in `base`."""
         k, share, scale = self.base, self.rolling_share, values["scale"] if scaled else 1.0
         J1, d1, M10, w4 = values["J1"], values["d1"], values["M10"], values["w4"]
         return replace(
@@ -141,13 +141,13 @@ class Priors:
         )
 
     def variation(self, values: Mapping[str, float]) -> RigVariation:
-        """The rig in the search, with the scale that is believed in; its brake takes a torque as a share of FULL_NM."""
+        """The rig in the search, with the prior's scale; its brake takes a torque as a share of FULL_NM."""
         parameters = replace(self.parameters(values, scaled=False), b1=FULL_NM, b2=0.0, u0=0.0)
         return RigVariation(parameters, brake_dead_time_s=min(max(values["dead_time"], 0.0), _LONGEST_DEAD_TIME_S))
 
 
 _LEAST: Final = 0.01
-"""Share of what is believed that is always left of what is a difference of others."""
+"""Least share of its prior for a number that is the difference of others."""
 _LONGEST_DEAD_TIME_S: Final = 0.2
 """As a `RigVariation` may have it."""
 _SHORTEST_LAG_S: Final = 1e-4

@@ -17,7 +17,7 @@ _STEP_S: Final[dict[Kind, float]] = {"run-up": 0.005, "coast-down": 0.005, "brak
 
 
 def angles(
-    segment: Segment, beliefs: Priors, sets: Sequence[Mapping[str, float]], speeds: Sequence[tuple[float, float]]
+    segment: Segment, priors: Priors, sets: Sequence[Mapping[str, float]], speeds: Sequence[tuple[float, float]]
 ) -> tuple[Floats, Floats]:
     """Angles in rad of wheel and road at the compared samples, a row for each set of numbers.
 
@@ -25,7 +25,7 @@ def angles(
     """
     wheel_speed, road_speed = np.array(speeds, float).T
     plant = BatchPlant(
-        [beliefs.variation(values) for values in sets],
+        [priors.variation(values) for values in sets],
         road_speed,
         wheel_speed,
         [DriveMotor(values["stall"], values["no_load"]) for values in sets],

@@ -112,7 +112,7 @@ def test_no_rig_inside_the_box_is_worse_than_its_corners(where, shares):
 def test_some_rig_on_the_edge_of_the_box_is_as_bad_as_its_bounds():
     box = BOXES["hard"]
     at = BOXES_AT_SLIPS["hard", 0.2]
-    needs = [abs(at.believed.c * t.a / t.c - at.believed.a) for t in (terms(one, 0.2, MASK) for one in box.corners())]
+    needs = [abs(at.nominal.c * t.a / t.c - at.nominal.a) for t in (terms(one, 0.2, MASK) for one in box.corners())]
     assert at.bounds(np.array([1e-6])).mq_25[0] * 1e-6 == pytest.approx(max(needs))
 
 
@@ -135,9 +135,9 @@ def test_f_and_g_are_the_slips_derivative_by_the_physics_of_the_drawn_rig(shares
 @pytest.mark.parametrize("slip", [0.1, 0.2, 0.5])
 def test_the_gain_of_25_is_that_times_the_largest_error_of_the_holding_torque(slip):
     at = AtSlip(box_of("mu=15%", "J2=5%", "Mg=5%"), slip)
-    believed = holding_torque(RigVariation(MASK), slip, 71.0)
+    nominal = holding_torque(RigVariation(MASK), slip, 71.0)
     extremes = [holding_torque(one.rig, slip, 71.0) for one in at_corners(("mu=15%", "J2=5%", "Mg=5%"))]
-    error = max(abs(torque - believed) for torque in extremes)
+    error = max(abs(torque - nominal) for torque in extremes)
     assert at.bounds(SPEEDS).mq_25[2] == pytest.approx(BrakingModel(MASK).g(slip, 71.0) * error)
     least, most = at.holding_torques(SPEEDS)
     assert (least[2], most[2]) == pytest.approx((min(extremes), max(extremes)))
