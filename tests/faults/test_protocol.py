@@ -20,11 +20,13 @@ def test_the_bound_is_the_quarter_of_a_second_that_is_promised_and_no_larger_tha
     assert "stayed on" in explore(Rules(), 2, BOUND - 1)[2]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rule", sorted(set(Rules._fields) - SECOND_LINE))
 def test_without_this_rule_something_goes_wrong(rule):
     assert explore(Rules(**{rule: False}), 2, BOUND)[2]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rule", sorted(SECOND_LINE))
 def test_a_second_line_is_needed_only_once_the_first_is_gone(rule):
     assert explore(Rules(**{rule: False}), 2, BOUND)[2] == ""
