@@ -15,7 +15,7 @@ from inteco_abs.errors import AbsError, BoardError, ConfigError, ReadOnlyError, 
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.realtime import memory
 from inteco_abs.realtime.processes.recorder import recover_run
-from inteco_abs.sessions import FileWriter, read_session
+from inteco_abs.sessions import FileWriter, read_session, writer
 from inteco_abs.signals import EXPLANATIONS, BrakeDemand, Phase, Reason
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -271,6 +271,89 @@ def test_a_run_that_was_broken_off_and_that_no_disk_takes_says_so_when_it_is_rec
     recover_run(ring, tmp_path / "saved.mcap")
     facts = read_session(tmp_path / "saved.mcap").metadata["session"]
     assert (facts["outcome"], facts["reason"][:12]) == ("aborted", "RuntimeError")
+
+
+class TestLongerThanItsMemory:
+    """Runs of which memory holds only the newest part when a disk begins to refuse."""
+
+    LONG = (
+        "experiment.start_speed_rad_s=60.0",
+        "experiment.idle_s=0.02",
+        "experiment.hold_s=0.05",
+        "experiment.stops=6",
+        "loop.ring_s=4.0",
+    )
+    LATE = 12_000
+    """Ticks: more than memory has room for."""
+
+    @pytest.fixture
+    def undisturbed(self, run):
+        return run(*self.LONG, name="undisturbed.mcap").stop.card
+
+    @pytest.fixture
+    def disturbed(self, run, tmp_path):
+        """Runs to out/stop.mcap, and has something happen late."""
+        (tmp_path / "out").mkdir()
+
+        def disturb(*settings, by):
+            pending = [by]
+
+            def progress(_phase, ticks):
+                if ticks > self.LATE and pending:
+                    pending.pop()()
+
+            return run(*self.LONG, *settings, name="out/stop.mcap", progress=progress)
+
+        return disturb
+
+    def test_the_second_file_has_what_the_first_had_though_that_has_lost_its_name(
+        self, disturbed, undisturbed, tmp_path
+    ):
+        (tmp_path / "spill").mkdir()
+        settings = (f"session.spill={tmp_path / 'spill'}",)
+        stop = disturbed(*settings, by=lambda: shutil.rmtree(tmp_path / "out")).stop
+        session = read_session(tmp_path / "spill" / "stop.mcap")
+        assert (stop.card, stop.exit_code) == (undisturbed | {"session": str(session.path)}, 3)
+        assert (session.incomplete, len(session.truth)) == ("", stop.card["ticks"] + 1)
+        assert "the whole session is in" in stop.trouble
+
+    def test_without_a_second_place_it_ends_in_order_before_memory_is_full(self, disturbed, devices, tmp_path, rings):
+        with pytest.raises(SessionError, match="Its ticks are kept in") as refusal:
+            disturbed(by=lambda: shutil.rmtree(tmp_path / "out"))
+        assert refusal.value.exit_code == 5
+        assert [device.duties for device in devices] == [(0.0, 0.0)]
+        account = recover_run(rings(), tmp_path / "saved.mcap")
+        assert (account.outcome, account.reason) == ("fault", Reason.RECORDER_LOST)
+        session = read_session(tmp_path / "saved.mcap")
+        first = int(session.ticks["tick"][0])
+        assert 0 < first <= self.LATE
+        assert account.card["lost_ticks"] == first
+        assert (
+            f"those before tick {first} were in {tmp_path / 'out' / 'stop.mcap'}, which is gone" in account.explanation
+        )
+        assert session.ticks["tick"].tolist() == list(range(first, first + account.card["ticks"]))
+
+    def test_what_a_full_disk_has_and_what_memory_has_make_one_session(
+        self, disturbed, monkeypatch, tmp_path, rings, replayed
+    ):
+        def refuse(_file, _data):
+            raise SessionError("no space left")
+
+        with monkeypatch.context() as patch, pytest.raises(SessionError, match="Its ticks are kept in"):
+            disturbed(by=lambda: patch.setattr(writer._Disk, "write", refuse))
+        account = recover_run(rings(), tmp_path / "saved.mcap")
+        session = read_session(tmp_path / "saved.mcap")
+        assert (account.reason, account.card["lost_ticks"]) == (Reason.RECORDER_LOST, 0)
+        assert session.ticks["tick"].tolist() == list(range(account.card["ticks"]))
+        assert len(session.ticks) > self.LATE
+        assert replayed(session).differing == 0
+
+    @pytest.fixture
+    def rings(self, monkeypatch, tmp_path):
+        """The one memory that a run has left."""
+        (tmp_path / "memory").mkdir()
+        monkeypatch.setattr(memory, "FOLDER", tmp_path / "memory")
+        return lambda: next(memory.left_rings(tmp_path / "memory"))
 
 
 def test_a_session_that_did_not_end_well_says_after_which_tick(run, quick, tmp_path):
