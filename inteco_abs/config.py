@@ -195,7 +195,7 @@ class LoopConfig(_Section):
     rate_hz: Annotated[float, Field(ge=50.0, le=10_000.0)] = 2000.0
     """Of the loop: exchanges with the board per second."""
     ring_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.0
-    """Length of the shared memory for ticks in real time; 0: the longest that the experiment can take, up to 120 s."""
+    """Length of the shared memory for ticks in real time; 0: the longest that the experiment can take, up to 60 s."""
 
 
 _Positive = Annotated[float, Field(gt=0.0, le=1e6)]

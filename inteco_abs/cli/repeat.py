@@ -151,8 +151,7 @@ def _tell(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
     from inteco_abs.sessions.card import card_of
     from inteco_abs.views.series import draw_series, render_series
 
-    sessions = [read_session(path) for path in paths]
-    cards = [card for card in map(card_of, sessions) if card is not None]
+    cards = [card for path in paths if (card := card_of(read_session(path))) is not None]  # in memory one by one
     spreads = statistics(cards)
     if as_json:
         facts = {name: spread._asdict() for name, spread in spreads.items()}
@@ -161,7 +160,7 @@ def _tell(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
         Console().print(render_series(spreads))
     if figure is not None:
         try:
-            draw_series(sessions, figure)
+            draw_series([read_session(path) for path in paths], figure)
         except AbsError as error:  # how the stops went matters more than their picture
             say(f"inteco-abs: {error}", err=True)
         else:
