@@ -1,6 +1,6 @@
 """What is on the wire between a host and an RT-DAC board, as tables. Standard library only."""
 
-from firmware_protocol.fields import Field, FrameTable, Kind, Place, ProtocolError, Status, TableError
+from firmware_protocol.fields import Field, FrameTable, Kind, Place, ProtocolError, Status, TableError, signed32
 from firmware_protocol.registers import Access, Conversion, Register, RegisterMap, Write
 
 __all__ = [
@@ -16,4 +16,5 @@ __all__ = [
     "Status",
     "TableError",
     "Write",
+    "signed32",
 ]

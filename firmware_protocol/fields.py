@@ -16,11 +16,18 @@ from typing import Final, NamedTuple, Protocol
 
 WORD_BITS: Final = 16
 BYTE_BITS: Final = 8
+_COUNTER_RANGE: Final = 1 << 32
+_HALF_RANGE: Final = 1 << 31
 
 Value = int | str
 """A decoded field: an integer, or text for names and dates."""
 
 Buffer = bytes | bytearray | memoryview
+
+
+def signed32(value: int) -> int:
+    """Signed number that the low 32 bits of `value` are: a counter's reading, or how far one that wraps has moved."""
+    return (value + _HALF_RANGE) % _COUNTER_RANGE - _HALF_RANGE
 
 
 class ProtocolError(ValueError):

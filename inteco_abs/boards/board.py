@@ -8,13 +8,12 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
+from firmware_protocol import signed32
 from inteco_abs.boards.first_write import PlannedWord
 from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, UnsafeError
 from inteco_abs.signals import BoardFlags, Command, Sample
 
 _GOOD, _SLOW = BoardFlags.NONE, BoardFlags.SLOW
-_COUNTER_RANGE: Final = 1 << 32
-_HALF_RANGE: Final = 1 << 31
 _SAFE_ATTEMPTS: Final = 3
 STILL_ON: Final = "MOTOR POWER MAY STILL BE ON: press the emergency switch"
 
@@ -201,8 +200,8 @@ class Board(ABC):
         now = self._now_ns()
         wheel_before, road_before = self._raw
         self._raw = wheel, road
-        self._wheel_count += count_step(wheel, wheel_before)
-        self._road_count += count_step(road, road_before)
+        self._wheel_count += signed32(wheel - wheel_before)
+        self._road_count += signed32(road - road_before)
         return self._sample(self._dated(now), _GOOD if now - start <= self._period_ns else _SLOW)
 
     @property
@@ -265,8 +264,3 @@ class Board(ABC):
         if self.identity is not None and self.identity.read_only_because:
             return ReadOnlyError(f"outputs are off: {self.identity.read_only_because}")
         return BoardError("the board is not open")
-
-
-def count_step(raw: int, before: int) -> int:
-    """Signed difference of two readings of a 32-bit counter that wraps."""
-    return (raw - before + _HALF_RANGE) % _COUNTER_RANGE - _HALF_RANGE

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-_RANGE: Final = 1 << 32
-_HALF: Final = 1 << 31
+from firmware_protocol import signed32
+
 _SECOND_NS: Final = 1_000_000_000
 _LONG_AGO_NS: Final = -(1 << 62)
 _DRIFT_PPM: Final = 500
@@ -50,7 +50,7 @@ class BoardClock:
             self._difference_ns = high
         else:
             expected = (end_ns - self._difference_ns) * self._hz // _SECOND_NS
-            ticks = expected + (reading - expected + _HALF) % _RANGE - _HALF
+            ticks = expected + signed32(reading - expected)
             board_ns = ticks * _SECOND_NS // self._hz
             slack = (end_ns - self._seen_ns) * _DRIFT_PPM // 1_000_000
             low, high = self._low_ns - slack, self._high_ns + slack

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
+from firmware_protocol import signed32
 from inteco_abs.boards import Board
 from inteco_abs.commissioning.operator import Operator
 from inteco_abs.commissioning.reading import read_patiently
@@ -25,7 +26,6 @@ _ALSO_MOVED: Final = 0.2
 _TO_AND_FRO: Final = 0.9
 _NEAR: Final = 0.04
 """Share by which ten turns by hand may be off."""
-_COUNTER_RANGE: Final = 1 << 32
 
 
 class HandTurn(NamedTuple):
@@ -55,7 +55,7 @@ def watch(bench: RigAccess, board: Board, person: Operator) -> HandTurn:
         counts = read_patiently(board, names.values())
         now_ns = bench.now_ns()
         for channel, name in names.items():
-            step = (counts[name] - before[name] + _COUNTER_RANGE // 2) % _COUNTER_RANGE - _COUNTER_RANGE // 2
+            step = signed32(counts[name] - before[name])
             net[channel] += step
             travelled[channel] += abs(step)
             if step:

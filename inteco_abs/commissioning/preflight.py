@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from firmware_protocol import signed32
 from inteco_abs.boards import STILL_ON, Board, Identity
-from inteco_abs.boards.board import count_step
 from inteco_abs.boards.first_write import PlannedWord, Remark
 from inteco_abs.commissioning.exchange_rate import MORE_THAN_A_READ
 from inteco_abs.commissioning.reading import read_patiently
@@ -124,7 +124,7 @@ def _watch(bench: RigAccess, board: Board, config: RigConfig, look: Preflight) -
         counts = read_patiently(board, names)
         times_us.append((bench.now_ns() - start_ns) * 1e-3)
         for number, name in enumerate((wheel, road)):
-            moved[number] = max(moved[number], count_step(counts[name], first[name]), key=abs)
+            moved[number] = max(moved[number], signed32(counts[name] - first[name]), key=abs)
     look.moved = moved[0], moved[1]
     if max(map(abs, moved)) > REST_COUNTS:
         told = f"upper wheel {moved[0]:+d} counts, lower wheel {moved[1]:+d}"

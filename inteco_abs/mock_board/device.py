@@ -13,13 +13,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from typing import Final, Literal, NamedTuple
 
+from firmware_protocol import signed32
 from firmware_protocol.rtdac_usb2 import PWM_FULL_WIDTH, TIMER_HZ
 from inteco_abs.config import RigConfig, SimulationConfig
 from inteco_abs.mock_board.simulated_rig import simulated_rig
 from inteco_abs.rig import Encoder, Plant
 from inteco_abs.rig.rng import WORD, mixed
 
-_COUNTER_RANGE: Final = 1 << 32
+_TIMER_RANGE: Final = 1 << 32
 MINIMUM_SUPPLY_V: Final = 12.3
 MAXIMUM_CELSIUS: Final = 80.0
 """The PCI board's limits on the manual's screens (docs/facts/boards.md#pci-registers-of-the-abs-logic)."""
@@ -145,8 +146,7 @@ class Counter:
         """Counter as two's complement, -2^31..2^31-1."""
         if self._held:
             return 0
-        raw = (self._edges(angle_rad) + self._offset) % _COUNTER_RANGE
-        return raw - _COUNTER_RANGE if raw >= _COUNTER_RANGE // 2 else raw
+        return signed32(self._edges(angle_rad) + self._offset)
 
     def begin_at(self, value: int, angle_rad: float) -> None:
         """Show `value` with the wheel at `angle_rad`, as after another power-up."""
@@ -299,7 +299,7 @@ class Device:
         """Timer/counter `i`: time since its reset in timer mode; nothing drives its input in counter mode."""
         if not self.timer_runs(i):
             return 0
-        return (self._time_ns - self._timer_start_ns[i]) * TIMER_HZ // 1_000_000_000 % _COUNTER_RANGE
+        return (self._time_ns - self._timer_start_ns[i]) * TIMER_HZ // 1_000_000_000 % _TIMER_RANGE
 
     def timer_runs(self, i: int) -> bool:
         """Whether timer/counter `i` is in timer mode and not held at zero."""

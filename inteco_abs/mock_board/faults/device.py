@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
+from firmware_protocol import signed32
 from inteco_abs.config import RigConfig
 from inteco_abs.mock_board.device import Device, PowerInterface, Truth
 from inteco_abs.mock_board.faults.fault import Fault
 from inteco_abs.mock_board.faults.schedule import Schedule
 
-_COUNTER_RANGE: Final = 1 << 32
 _ENCODERS: Final = ("road", "wheel")
 _MOTORS: Final = ("drive", "brake")
 
@@ -45,7 +45,7 @@ class FaultyDevice(Device):
         self._was = list(true)
         if self.schedule.acting("encoders-swapped"):
             shown.reverse()
-        return _two_complement(shown[0]), _two_complement(shown[1])
+        return signed32(shown[0]), signed32(shown[1])
 
     @property
     def power_interface(self) -> PowerInterface:
@@ -67,7 +67,7 @@ class FaultyDevice(Device):
         self.observe()
 
     def _count(self, i: int, name: str, count: int) -> int:
-        act, step = self.schedule.acting, _two_complement(count - self._was[i])
+        act, step = self.schedule.acting, signed32(count - self._was[i])
         if act(f"{name}-stuck"):
             self._off[i] -= step
         elif act(f"{name}-reversed"):
@@ -108,7 +108,3 @@ class FaultyDevice(Device):
         if fault is None:
             return duty
         return {"dead": 0.0, "stuck": fault.value, "weak": fault.value * duty}[fault.name.partition("-")[2]]
-
-
-def _two_complement(count: int) -> int:
-    return (count + _COUNTER_RANGE // 2) % _COUNTER_RANGE - _COUNTER_RANGE // 2

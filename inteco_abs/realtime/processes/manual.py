@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from firmware_protocol import signed32
 from inteco_abs.boards import Board, RtdacPci, open_board, simulated
 from inteco_abs.config import RigConfig, bounded_in_time
 from inteco_abs.control import Guard, MovingAverageSpeed
@@ -44,7 +45,6 @@ _LOOK_S: Final = 0.002
 """Between two looks for new ticks: a fifth of a period."""
 _MOST_FAILURES: Final = 100
 """Readings in a row, a second of them; nothing is energised meanwhile."""
-_COUNTER_RANGE: Final = 1 << 32
 _NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
 
 
@@ -187,7 +187,7 @@ class WatchLoop(ManualLoop):
         return stop is Reason.NONE
 
     def _move(self, raw: tuple[int, ...]) -> None:
-        steps = (_step(new, old) for new, old in zip(raw, self._raw or raw, strict=True))
+        steps = (signed32(new - old) for new, old in zip(raw, self._raw or raw, strict=True))
         moved = (
             count + sign * step for count, sign, step in zip(self._counts, self._fields.values(), steps, strict=True)
         )
@@ -305,8 +305,3 @@ def _hold(memory: RunMemory, job: Job) -> None:
         for _ in clock:
             if not hand.beat():
                 return
-
-
-def _step(raw: int, before: int) -> int:
-    """Signed difference of two readings of a 32-bit counter that wraps."""
-    return (raw - before + _COUNTER_RANGE // 2) % _COUNTER_RANGE - _COUNTER_RANGE // 2
