@@ -1,4 +1,4 @@
-"""The decision path: sample in, tick out. A live run, a virtual run and a replay drive this same object."""
+"""The decision path: sample in, tick out. Runs, replays and ensembles of simulated rigs drive this same object."""
 
 from __future__ import annotations
 
@@ -20,15 +20,20 @@ _GIVEN_UP: Final = Request(Command.SAFE, BrakeDemand(0.0), Reason.CONTROLLER_ERR
 
 
 class Pipeline:
-    """Estimator, sequence with its controller, and guard, in that order; the guard has the last word."""
+    """Estimator, phase machine with its controller, and guard, in that order; the guard has the last word.
 
-    def __init__(self, config: RigConfig, estimator: Estimator, controller: Controller) -> None:
+    A simulated rig whose wheels turn already may begin in a later `phase`.
+    """
+
+    def __init__(
+        self, config: RigConfig, estimator: Estimator, controller: Controller, phase: Phase = Phase.IDLE
+    ) -> None:
         self.error: BaseException | None = None
         """What the estimator or controller raised, if the reason is CONTROLLER_ERROR."""
         self.command = Command.SAFE
         """What the newest tick admitted, to be written at the next exchange."""
         self._estimator = estimator
-        self._sequence = PhaseMachine(config, controller)
+        self._sequence = PhaseMachine(config, controller, phase)
         self._guard = Guard(config)
         self._decided = _NO_ESTIMATE, Request(Command.SAFE, BrakeDemand(0.0), Reason.NONE)
         self._reference_slip = config.controller.reference_slip

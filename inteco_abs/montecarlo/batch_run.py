@@ -1,4 +1,4 @@
-"""Stops of some rigs together: one batch of plants, and for each rig parts of its own, stepped as the loop does."""
+"""Stops of some rigs together: one batch of plants, and a pipeline for each rig, stepped as the loop steps it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Final
 import numpy as np
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control import Controller, Estimator, PhaseMachine
+from inteco_abs.control import Pipeline
 from inteco_abs.errors import in_words
 from inteco_abs.montecarlo.batch import BatchPlant
 from inteco_abs.montecarlo.policies import Maker, TrueState
 from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, StopResults, Trace
 from inteco_abs.rig import RigVariation, nominal_parameters
 from inteco_abs.sessions.metrics import STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
-from inteco_abs.signals import EXPLANATIONS, Command, Phase, Reason, Sample
+from inteco_abs.signals import EXPLANATIONS, Phase, Reason, Sample
 
 LONGEST_BRAKING_S: Final = 4.0
 """No rig of any population that is braked at all takes half as long."""
@@ -30,8 +30,8 @@ class Experiment:
     """One stop of each of `rigs`, with the estimator and controller that `maker` makes for it.
 
     The wheels roll at `run_up_from_rad_s` at first and are driven to the configured start speed; None: they roll at
-    the start speed, and braking begins at once. The brake's duty is limited as by the guard, of a lab that knows its
-    amplifier: to what that lets through. `traced` are the places of rigs whose course is to be kept.
+    the start speed, and braking begins at once. Each rig has a guard, of a lab that knows its amplifier: its brake
+    limit is at most what that lets through. `traced` are the places of rigs whose course is to be kept.
     Raises ValueError for a run-up that cannot be.
     """
 
@@ -55,21 +55,13 @@ def run_shard(experiment: Experiment) -> StopResults:
     return _Shard(experiment).run()
 
 
-class _Policy:
-    """What decides on one rig, and where its stop stands."""
+class _Stop:
+    """One rig's pipeline, and where its stop stands."""
 
-    __slots__ = ("_estimator", "_limit", "_sequence", "began", "command", "ended", "error", "slip", "ticks")
+    __slots__ = ("began", "ended", "error", "pipeline", "ticks")
 
-    def __init__(
-        self, config: RigConfig, estimator: Estimator, controller: Controller, phase: Phase, limit: float
-    ) -> None:
-        self._estimator = estimator
-        self._limit = limit  # of the brake's duty
-        self._sequence = PhaseMachine(config, controller, phase)
-        self.command = Command.SAFE
-        """What the newest tick decided, written at the next one."""
-        self.slip = 0.0
-        """As estimated at the newest tick."""
+    def __init__(self, pipeline: Pipeline) -> None:
+        self.pipeline = pipeline
         self.began = -1
         """Tick at which braking began, or -1."""
         self.ended = -1
@@ -77,35 +69,22 @@ class _Policy:
         self.error = ""
         self.ticks = 0
 
-    def step(self, sample: Sample) -> None:
-        """Decide on one sample."""
+    def step(self, sample: Sample) -> float:
+        """Decide on one sample; the slip as estimated."""
         self.ticks += 1
-        try:
-            estimate = self._estimator.update(sample, self.command)
-            command, _, reason = self._sequence.step(sample, estimate)
-        except (Exception, SystemExit) as error:  # noqa: BLE001  a user's controller may raise anything; others go on
-            self._give_up(sample, in_words(error))
-            return
-        self.slip = estimate.slip
-        brake = command.brake
-        if reason is not Reason.NONE:
-            self._give_up(sample, EXPLANATIONS[reason])
-        elif type(brake) is not float or not math.isfinite(brake):
-            self._give_up(sample, EXPLANATIONS[Reason.BAD_OUTPUT])
-        else:
-            limited = min(max(brake, 0.0), self._limit)
-            self.command = command if limited == brake else Command(command.drive, limited)
-            if self.began < 0 and self._sequence.phase is Phase.BRAKING:
-                self.began = sample.tick
-
-    def _give_up(self, sample: Sample, error: str) -> None:
-        self.command = Command.SAFE
-        self.ended = sample.tick
-        self.error = error
+        pipeline = self.pipeline
+        decided = pipeline.step(sample)
+        if decided.reason is not Reason.NONE:
+            self.ended = sample.tick
+            failure = pipeline.error
+            self.error = EXPLANATIONS[decided.reason] if failure is None else in_words(failure)
+        elif self.began < 0 and decided.phase is Phase.BRAKING:
+            self.began = sample.tick
+        return decided.slip
 
 
 class _Shard:
-    """The batch, its minds, and what is recorded of them."""
+    """The batch, its stops, and what is recorded of them."""
 
     def __init__(self, experiment: Experiment) -> None:
         config, rigs = experiment.config, experiment.rigs
@@ -113,10 +92,8 @@ class _Shard:
         rolling_from = experiment.run_up_from_rad_s
         phase = Phase.BRAKING if rolling_from is None else Phase.SPIN_UP
         self._batch = BatchPlant(rigs, config.experiment.start_speed_rad_s if rolling_from is None else rolling_from)
-        once = config.model_copy(update={"experiment": config.experiment.model_copy(update={"stops": 1})})
-        most = config.guard.brake_limit
-        self._minds = [
-            _Policy(once, *experiment.maker(rig, TrueState(self._batch, i, rig)), phase, min(most, rig.brake_duty_cap))
+        self._stops = [
+            _Stop(Pipeline(_own(config, rig), *experiment.maker(rig, TrueState(self._batch, i, rig)), phase))
             for i, rig in enumerate(rigs)
         ]
         self._period_ns = config.period_ns
@@ -127,7 +104,7 @@ class _Shard:
 
     def run(self) -> StopResults:
         """All ticks, until every stop has ended."""
-        running = list(enumerate(self._minds))
+        running = list(enumerate(self._stops))
         tick, period_s = 0, self._period_ns / 1e9
         while running:
             self._tick(running, tick, period_s)
@@ -136,9 +113,9 @@ class _Shard:
             running = [one for one in running if one[1].ended < 0]
             self._batch.advance(self._drives, self._brakes, period_s)
             tick += 1
-        return self._stops()
+        return self._results()
 
-    def _tick(self, running: list[tuple[int, _Policy]], tick: int, period_s: float) -> None:
+    def _tick(self, running: list[tuple[int, _Stop]], tick: int, period_s: float) -> None:
         """Read, decide; what was decided takes the rig's own delay from here, as in a loop that writes before it reads.
 
         A stop that has ended keeps its brake, one that has failed does not.
@@ -147,15 +124,14 @@ class _Shard:
         wheel_counts, road_counts = (counts.tolist() for counts in self._batch.read_encoders())
         road_speeds = self._batch.road_speed.tolist()
         drives, brakes, slips = self._drives, self._brakes, self._slips
-        for i, mind in running:
-            began = mind.began
+        for i, stop in running:
+            began = stop.began
             if began >= 0 and (road_speeds[i] < STANDSTILL_RAD_S or tick - began >= longest):
-                mind.ended = tick
+                stop.ended = tick
                 continue
-            mind.step(Sample(tick, time_ns, period_s, wheel_counts[i], road_counts[i]))
-            drives[i], brakes[i] = mind.command
-            slips[i] = mind.slip
-            if mind.began == tick and self._first_row < 0:
+            slips[i] = stop.step(Sample(tick, time_ns, period_s, wheel_counts[i], road_counts[i]))
+            drives[i], brakes[i] = stop.pipeline.command
+            if stop.began == tick and self._first_row < 0:
                 self._first_row = tick
 
     def _record(self, tick: int) -> None:
@@ -168,16 +144,16 @@ class _Shard:
         row[3], row[4] = batch.brake_torque, batch.road_angle
         row[5], row[6] = self._slips, self._brakes
 
-    def _stops(self) -> StopResults:
-        minds, traced = self._minds, self._experiment.traced
-        traces = {i: self._trace(i) for i in sorted(traced) if minds[i].began >= 0}
-        rows = [self._metrics(i) for i in range(len(minds))]
-        errors = tuple(mind.error for mind in minds)
-        return StopResults(np.array(rows, METRICS_ROW), errors, sum(mind.ticks for mind in minds), traces)
+    def _results(self) -> StopResults:
+        stops, traced = self._stops, self._experiment.traced
+        traces = {i: self._trace(i) for i in sorted(traced) if stops[i].began >= 0}
+        rows = [self._metrics(i) for i in range(len(stops))]
+        errors = tuple(stop.error for stop in stops)
+        return StopResults(np.array(rows, METRICS_ROW), errors, sum(stop.ticks for stop in stops), traces)
 
     def _metrics(self, i: int) -> tuple[float, ...]:
         """NaN for what the stop does not have; a stop that failed has nothing."""
-        if self._minds[i].error:
+        if self._stops[i].error:
             return (math.nan,) * len(METRICS)
         trace, config = self._trace(i), self._experiment.config
         course = StopTrace(
@@ -194,12 +170,24 @@ class _Shard:
         return tuple(math.nan if value is None else value for value in values)
 
     def _since_ns(self, i: int) -> Array:
-        mind = self._minds[i]
-        return np.arange(mind.ended + 1 - mind.began, dtype=np.int64) * self._period_ns
+        stop = self._stops[i]
+        return np.arange(stop.ended + 1 - stop.began, dtype=np.int64) * self._period_ns
 
     def _trace(self, i: int) -> Trace:
-        mind, first = self._minds[i], self._first_row
-        rows = self._rows[mind.began - first : mind.ended + 1 - first, :, i].T.copy()
+        stop, first = self._stops[i], self._first_row
+        rows = self._rows[stop.began - first : stop.ended + 1 - first, :, i].T.copy()
         wheel_speed, road_speed, slip, torque, angle, estimated, brake = rows
         time_s = self._since_ns(i) * 1e-9
         return Trace(time_s, wheel_speed, road_speed, slip, estimated, torque, angle - angle[0], brake)
+
+
+def _own(config: RigConfig, rig: RigVariation) -> RigConfig:
+    """Of one stop of this rig."""
+    guard, experiment = config.guard, config.experiment
+    limit = min(guard.brake_limit, rig.brake_duty_cap)
+    return config.model_copy(
+        update={
+            "guard": guard.model_copy(update={"brake_limit": limit}),
+            "experiment": experiment.model_copy(update={"stops": 1}),
+        }
+    )
