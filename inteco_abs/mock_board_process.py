@@ -103,7 +103,7 @@ def _face(job: Job, standstill: _Standstill, schedule: Schedule, observe: Callab
     if not job.faults:
         return face_of(Device(job.config, time.monotonic_ns, job.seed, observe))
     device = FaultyDevice(job.config, time.monotonic_ns, job.seed, observe, schedule=schedule)
-    return FaultyFrontEnd(face_of, device, time.sleep, standstill.wish)
+    return FaultyFrontEnd(face_of, device, time.sleep, standstill.request)
 
 
 class _Standstill:
@@ -113,12 +113,12 @@ class _Standstill:
         self._words = memory.words
         self._seconds = 0.0
 
-    def wish(self, seconds: float) -> None:
+    def request(self, seconds: float) -> None:
         """Stand still for so long once the exchange that goes on is over: amid it, it would be a slow board."""
         self._seconds = seconds
 
     def keep(self, face: FrontEnd) -> None:
-        """Let whoever holds the board stand still if that is wished, once `face` has answered him."""
+        """Let whoever holds the board stand still if that is requested, once `face` has answered him."""
         if not self._seconds or not isinstance(face, FaultyFrontEnd) or not face.answered:
             return
         seconds, self._seconds = self._seconds, 0.0
@@ -207,7 +207,7 @@ def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
 
 def _be_quick() -> None:
     """What the mock board of a run asks for, but for what would keep Ctrl-C from ending it."""
-    prepare([wish for wish in guardian_tuning(BOARD_PRIORITY) if wish.name != "signals"])
+    prepare([tuning for tuning in guardian_tuning(BOARD_PRIORITY) if tuning.name != "signals"])
 
 
 def _serve(

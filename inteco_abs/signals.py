@@ -199,8 +199,8 @@ class Tick(NamedTuple):
     slip_reference: float
     switching: float
     torque_demand_nm: float
-    drive_wish: float
-    brake_wish: float
+    drive_request: float
+    brake_request: float
     drive: float
     brake: float
     reason: Reason

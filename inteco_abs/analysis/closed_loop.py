@@ -28,7 +28,7 @@ from inteco_abs.sessions.reader import Session
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Sample, Tick
 
 _SIMULATED_PROFILE: Final = "sim_usb2"
-_DEMAND: Final = ("brake_wish", "torque_demand_nm", "switching", "c0", "c1", "c2", "c3")
+_DEMAND: Final = ("brake_request", "torque_demand_nm", "switching", "c0", "c1", "c2", "c3")
 _DISTANCES: Final = ("road_speed_rad_s", "slip", "brake")
 _RUNNING: Final = (Phase.SPIN_UP, Phase.BRAKING)
 

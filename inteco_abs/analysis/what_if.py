@@ -1,6 +1,6 @@
 """What another controller or estimator, or other gains, would have asked for on the counts that a session has logged.
 
-Open loop: the logged counts do not react. From where the wishes leave the log, they are what a controller would ask
+Open loop: the logged counts do not react. From where the requests leave the log, they are what a controller would ask
 for in a situation that it would not have come into.
 """
 
@@ -27,7 +27,7 @@ from inteco_abs.signals import BrakeDemand, Command, Phase, Sample
 
 DUTY_THRESHOLD: Final = 0.01
 TORQUE_THRESHOLD_NM: Final = 0.1
-COMPARED: Final = ("slip", "torque_demand_nm", "brake_wish")
+COMPARED: Final = ("slip", "torque_demand_nm", "brake_request")
 _PHASES: Final = (Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED)
 _OPEN: Final = ("controller", "estimator", "model")
 """Sections that decide what is asked for, and do not say what happened."""
@@ -41,7 +41,7 @@ class Answer(NamedTuple):
 
     slip: float
     torque_demand_nm: float
-    brake_wish: float
+    brake_request: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Divergence:
 class WhatIf:
     """One alternative on the logged counts."""
 
-    wishes: Array
+    requests: Array
     """A row for each tick, with the columns COMPARED; before the switch they are the log's."""
     divergences: tuple[Divergence, ...]
 
@@ -144,24 +144,24 @@ def what_if(
         raise SessionError(
             f"{session.path}: {at_s:g} s after braking began the run was over; choose at most {since_s[-1]:.3f} s"
         )
-    wishes = np.array(list(_wishes(session, config, controllers)), _DTYPE)
+    requests = np.array(list(_requests(session, config, controllers)), _DTYPE)
     logged = session.ticks[list(COMPARED)].astype(_DTYPE)
-    wishes[ahead] = logged[ahead]
-    thresholds = {"torque_demand_nm": torque_nm, "brake_wish": duty}
-    found = [_divergence(session, since_s, wishes, logged, name, thresholds.get(name)) for name in COMPARED]
-    return WhatIf(wishes, tuple(found))
+    requests[ahead] = logged[ahead]
+    thresholds = {"torque_demand_nm": torque_nm, "brake_request": duty}
+    found = [_divergence(session, since_s, requests, logged, name, thresholds.get(name)) for name in COMPARED]
+    return WhatIf(requests, tuple(found))
 
 
-def _wishes(session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> Iterator[Answer]:
+def _requests(session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> Iterator[Answer]:
     alternative = _Alternative(config, controllers)
-    wish, told, before = Answer(0.0, 0.0, 0.0), Command.SAFE, Phase.UNKNOWN
+    answer, told, before = Answer(0.0, 0.0, 0.0), Command.SAFE, Phase.UNKNOWN
     for tick, time_ns, dt_s, wheel, road, flags, drive, brake, phase in session.ticks[_LOGGED].tolist():
         if not flags:  # else the run went on with what it had
             try:
-                wish = alternative.step(Sample(tick, time_ns, dt_s, wheel, road), told, Phase(before), Phase(phase))
+                answer = alternative.step(Sample(tick, time_ns, dt_s, wheel, road), told, Phase(before), Phase(phase))
             except (Exception, SystemExit) as error:  # a user's controller may raise anything
                 raise SessionError(f"{session.path}: asked at tick {tick}, it raised {in_words(error)}") from error
-        yield wish
+        yield answer
         told, before = Command(drive, brake), phase
 
 
@@ -188,10 +188,10 @@ class _Alternative:
 
 
 def _divergence(
-    session: Session, since_s: Array, wishes: Array, logged: Array, name: str, threshold: float | None
+    session: Session, since_s: Array, requests: Array, logged: Array, name: str, threshold: float | None
 ) -> Divergence:
-    both_missing = np.isnan(wishes[name]) & np.isnan(logged[name])
-    apart = np.where(both_missing, 0.0, np.abs(wishes[name] - logged[name]))
+    both_missing = np.isnan(requests[name]) & np.isnan(logged[name])
+    apart = np.where(both_missing, 0.0, np.abs(requests[name] - logged[name]))
     phases = session.ticks["phase"]
     judged = np.isin(phases, _PHASES)
     beyond = np.flatnonzero(judged & ~(apart <= (math.inf if threshold is None else threshold)))

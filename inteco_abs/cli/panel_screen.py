@@ -1,4 +1,4 @@
-"""The manual panel on a terminal. It only shows and wishes: the board is held by another process."""
+"""The manual panel on a terminal. It only shows and requests: the board is held by another process."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ class PanelApp(App[int]):
         if event.key == "space":
             seen_ns = int(event.time * 1e9)
             if self._panel.press(seen_ns):
-                self._side.wishes.keep_on(self._panel.wish, seen_ns)
+                self._side.request.keep_on(self._panel.request, seen_ns)
         else:
             self._take_away()
             self._by_key.get(event.key, lambda: None)()
@@ -194,7 +194,7 @@ class PanelApp(App[int]):
 
     def _take_away(self) -> None:
         self._panel.release()
-        self._side.wishes.take_away()
+        self._side.request.take_away()
 
     def _draw(self) -> None:
         panel = self._panel

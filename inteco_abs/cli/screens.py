@@ -29,9 +29,9 @@ def live_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @contextmanager
-def screen_of(config: RigConfig, wish: str | None, *, virtual: bool, quiet: bool) -> Iterator[Screen]:
+def screen_of(config: RigConfig, choice: str | None, *, virtual: bool, quiet: bool) -> Iterator[Screen]:
     """Live picture on a terminal's stderr; elsewhere, or if nobody wants it, a line where a run in real time begins."""
-    if quiet or wish == "none" or not on_terminal(sys.stderr) or os.environ.get("TERM") == "dumb":
+    if quiet or choice == "none" or not on_terminal(sys.stderr) or os.environ.get("TERM") == "dumb":
         from inteco_abs.realtime.screen import Lines
 
         begun = (lambda: None) if quiet or virtual else _say_what_stops
@@ -41,7 +41,7 @@ def screen_of(config: RigConfig, wish: str | None, *, virtual: bool, quiet: bool
 
     from inteco_abs.views.dashboard import Dashboard
 
-    line = wish == "line" or (wish is None and not on_terminal(sys.stdout))
+    line = choice == "line" or (choice is None and not on_terminal(sys.stdout))
     console, plain = Console(stderr=True, highlight=False), ascii_wanted()
     with Dashboard(console, config, virtual=virtual, line=line, plain=plain) as dashboard:
         yield dashboard

@@ -110,9 +110,9 @@ def what_if(
 ) -> int:
     """Ask what other gains, another controller or estimator would have asked for.
 
-    They get the logged counts, which do not react: from where their wishes leave the log (the horizon), they tell what
-    would be asked for, not what would happen. With --closed-loop the rig's simulation goes on from the logged state:
-    the session's own rig if it was simulated, else the published one, and always with the same delay of a tick.
+    They get the logged counts, which do not react: from where their requests leave the log (the horizon), they tell
+    what would be asked for, not what would happen. With --closed-loop the rig's simulation goes on from the logged
+    state: the session's own rig if it was simulated, else the published one, and always with the same delay of a tick.
 
     Exit codes: 0 done, 3 done with a session that was cut, 1 the session cannot be used, 2 wrong usage.
     """

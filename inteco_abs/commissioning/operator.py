@@ -38,7 +38,7 @@ def ask_for(person: Operator, question: str, read: Callable[[str], T | None], wa
     for _ in range(_MOST_TRIALS):
         answer = person.ask(question)
         if answer.lower() in _STOP:
-            raise Stopped("stopped at your wish")
+            raise Stopped("stopped by the operator")
         meant = read(answer)
         if meant is not None:
             return meant

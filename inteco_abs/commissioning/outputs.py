@@ -44,7 +44,7 @@ class Outputs:
     def beat(self, drive: float, brake: float) -> Motion:
         """Request these duties and wait for the next tick. Raises ProbeError if the guard takes the outputs away."""
         side = self._side
-        side.wishes.keep_on(Command(drive, brake), side.now_ns())
+        side.request.keep_on(Command(drive, brake), side.now_ns())
         ticks = side.next_ticks()
         if side.reason is not Reason.NONE or not len(ticks):
             raise _EndedError
@@ -89,7 +89,7 @@ def outputs(visit: StepContext, config: RigConfig) -> Iterator[Outputs]:
         except _EndedError:
             pass  # leaving raises what the process says that held the board
         finally:
-            side.wishes.take_away()
+            side.request.take_away()
             reason = side.reason
     if reason is Reason.OPERATOR_STOP:
         visit.person.tell("  the board has confirmed that both outputs are off; wheels that turn coast for up to 48 s")

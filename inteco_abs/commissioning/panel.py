@@ -93,12 +93,12 @@ class Panel:
         return self.outputs and self.reason is not Reason.NONE
 
     @property
-    def wish(self) -> Command:
+    def request(self) -> Command:
         """The sliders as duties."""
         return Command(self.sliders["drive"] / 100, self.sliders["brake"] / 100)
 
     def press(self, now_ns: int) -> bool:
-        """The key was seen; whether it is held by now, so that the wish is to be passed on."""
+        """The key was seen; whether it is held by now, so that the request is to be passed on."""
         repeated = now_ns - self._pressed_ns < HELD_NS
         self._pressed_ns = now_ns
         if repeated and self.outputs:

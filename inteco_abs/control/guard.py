@@ -92,12 +92,12 @@ class Guard:
         if self.reason is _NONE:
             self.reason = reason
 
-    def admit(self, wish: Command, sample: Sample, estimate: Estimate) -> Command:  # noqa: ARG002  part of the interface
-        """Command that may go to the board, given `wish` and the newest sample."""
+    def admit(self, request: Command, sample: Sample, estimate: Estimate) -> Command:  # noqa: ARG002  part of the interface
+        """Command that may go to the board, given `request` and the newest sample."""
         reason = self._judge_sample(sample)
         if reason is not _NONE:
             self.trip(reason)
-        command = self._within_limits(wish)
+        command = self._within_limits(request)
         if self.reason is not _NONE:
             command = Command.SAFE
         self._applied = command
@@ -108,11 +108,11 @@ class Guard:
             self._released, self._brake_changed_ns = not self._released, sample.time_ns
         return command
 
-    def _within_limits(self, wish: Command) -> Command:
-        drive, brake = wish
+    def _within_limits(self, request: Command) -> Command:
+        drive, brake = request
         if type(drive) is float and type(brake) is float:
             if 0.0 <= drive <= self._drive_limit and 0.0 <= brake <= self._brake_limit:
-                return wish
+                return request
             if math.isfinite(drive) and math.isfinite(brake):
                 return Command(
                     min(max(drive, 0.0), self._drive_limit),

@@ -55,13 +55,13 @@ class Pipeline:
 
     def step(self, sample: Sample, stop_request: Reason = Reason.NONE, timing: Timing = UNTIMED) -> Tick:
         """Decide on one sample. The tick's `drive` and `brake` are the command for the next exchange."""
-        estimate, (wish, demand, wish_reason) = self._decide(sample)
+        estimate, (request, demand, request_reason) = self._decide(sample)
         guard, sequence = self._guard, self._sequence
         if stop_request is not _NONE:
             guard.trip(stop_request)
-        if wish_reason is not _NONE:
-            guard.trip(wish_reason)
-        command = guard.admit(wish, sample, estimate)
+        if request_reason is not _NONE:
+            guard.trip(request_reason)
+        command = guard.admit(request, sample, estimate)
         reason = guard.reason
         if reason is not _NONE:
             sequence.fault()
@@ -70,7 +70,7 @@ class Pipeline:
         tick, time_ns, dt_s, wheel_count, road_count, board_flags = sample
         wheel_speed, road_speed, slip, valid, _ = estimate
         _, torque_nm, switching, internals = demand
-        drive_wish, brake_wish = wish
+        drive_request, brake_request = request
         late_us, io_us, busy_us, skipped = timing
         return Tick(
             time_ns,
@@ -88,8 +88,8 @@ class Pipeline:
             self._reference_slip if phase is _BRAKING else math.nan,
             switching,
             torque_nm,
-            drive_wish,
-            brake_wish if type(brake_wish) is float else math.nan,
+            drive_request,
+            brake_request if type(brake_request) is float else math.nan,
             *command,
             reason,
             *internals,
@@ -100,7 +100,7 @@ class Pipeline:
         )
 
     def _decide(self, sample: Sample) -> tuple[Estimate, Request]:
-        """Estimate and wish; those of the tick before where the sample cannot be trusted."""
+        """Estimate and request; those of the tick before where the sample cannot be trusted."""
         if self.error is not None:
             return _NO_ESTIMATE, _GIVEN_UP
         if sample.board_flags:

@@ -16,12 +16,12 @@ NO_MORE: Final = "end other programs, or raise the limit of processes (ulimit -u
 
 
 @contextmanager
-def repeating(act: Callable[[], object], every_s: float, wishes: Collection[Tuning] = ()) -> Iterator[None]:
-    """While inside, `act` so often in a thread with these wishes. Raises BoardError if no thread can be started."""
+def repeating(act: Callable[[], object], every_s: float, tunings: Collection[Tuning] = ()) -> Iterator[None]:
+    """While inside, `act` so often in a thread with this tuning. Raises BoardError if no thread can be started."""
     over = threading.Event()
 
     def repeat() -> None:
-        prepare(wishes)
+        prepare(tunings)
         while not over.wait(every_s):
             act()
 
@@ -38,11 +38,11 @@ def repeating(act: Callable[[], object], every_s: float, wishes: Collection[Tuni
 
 
 @contextmanager
-def beating(memory: RunMemory, word: Field, every_s: float, wishes: Collection[Tuning] = ()) -> Iterator[None]:
+def beating(memory: RunMemory, word: Field, every_s: float, tunings: Collection[Tuning] = ()) -> Iterator[None]:
     """While inside, note the time in `word` so often, from a thread as of `repeating`."""
 
     def beat() -> None:
         memory.words[word] = time.monotonic_ns()
 
-    with repeating(beat, every_s, wishes):
+    with repeating(beat, every_s, tunings):
         yield

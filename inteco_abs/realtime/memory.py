@@ -93,9 +93,9 @@ class Field(IntEnum):
     UNRECORDED = auto()
     """1 if its ticks are for a screen only, and to be kept by nobody."""
     # the panel's screen
-    WISHED_DRIVE = auto()
+    REQUESTED_DRIVE = auto()
     """Duty, in millionths."""
-    WISHED_BRAKE = auto()
+    REQUESTED_BRAKE = auto()
     KEY_SEEN_NS = auto()
     """When the key that keeps the outputs on was last seen."""
     LOOKS_ASKED = auto()

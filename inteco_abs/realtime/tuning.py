@@ -1,4 +1,4 @@
-"""What a process asks of the machine to be punctual. Every wish may be refused, and each refusal says why.
+"""What a process asks of the machine to be punctual. Every setting may be refused, and each refusal says why.
 
 Ranked and measured in docs/facts/real-time.md#techniques; values follow LinuxCNC's and Klipper's practice.
 """
@@ -43,7 +43,7 @@ _KEPT: Final[list[bytes]] = []
 
 
 class Setting(NamedTuple):
-    """One wish: what is in force now, or why it was refused and what to do about it."""
+    """One setting: what is in force now, or why it was refused and what to do about it."""
 
     name: str
     value: str
@@ -129,10 +129,10 @@ def kernel_list(cpus: Collection[int]) -> str:
     return ",".join(map(str, sorted(cpus)))
 
 
-def prepare(wishes: Collection[Tuning]) -> list[Setting]:
+def prepare(tunings: Collection[Tuning]) -> list[Setting]:
     """Ask for everything in order; what is refused is reported, never an error."""
     settings = []
-    for name, ask, fix in wishes:
+    for name, ask, fix in tunings:
         try:
             settings.append(Setting(name, ask()))
         except (OSError, AttributeError, ValueError) as error:  # AttributeError: this system has no such call
@@ -279,7 +279,7 @@ def _block_signals() -> str:
 
 
 def _keep_awake() -> str:
-    """The wish holds as long as the file is open: until the process ends."""
+    """The setting holds as long as the file is open: until the process ends."""
     file = os.open(_CPU_LATENCY, os.O_WRONLY)
     os.write(file, struct.pack("i", 0))
     return "latency 0 us"

@@ -58,10 +58,22 @@ def not_measured(rows: int) -> Array:
     return np.full(rows, np.nan)
 
 
+def renamed(_rows: int, column: Array) -> Array:
+    """A column that the version before has under another name."""
+    return column
+
+
 FIRST: Final = 1
 STEPS: tuple[Step, ...] = (
     Step(2, (Made("/sim/truth", "adhesion", not_measured),)),
     Step(3),  # a reason more, RUN_UP_IMPLAUSIBLE, and guard.run_up_factor: `parse_config` leaves it out where it is not
+    Step(
+        4,
+        (
+            Made("/abs/tick", "drive_request", renamed, ("drive_wish",)),
+            Made("/abs/tick", "brake_request", renamed, ("brake_wish",)),
+        ),
+    ),
 )
 """From each version to the next, beginning with the one behind `FIRST`."""
 

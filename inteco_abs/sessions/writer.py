@@ -35,7 +35,7 @@ from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 if TYPE_CHECKING:
     from typing_extensions import Buffer  # collections.abc has it from Python 3.12 on
 
-FORMAT_VERSION: Final = "3"
+FORMAT_VERSION: Final = "4"
 _INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
 
 

@@ -102,7 +102,7 @@ class Dashboard:
 
     @property
     def in_line(self) -> bool:
-        """Whether there is room, or wish, for no more than a line."""
+        """Whether there is room, or a request, for no more than a line."""
         width, height = self._console.size
         return self._only_line or width < LEAST[0] or height < LEAST[1]
 

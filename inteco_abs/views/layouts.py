@@ -49,7 +49,7 @@ _PLOTS: Final = (
     _Plot("speeds", _columns("wheel_speed_rad_s", "road_speed_rad_s")),
     _Plot("slip", _columns("slip", "slip_reference"), _DUTY),
     _Plot("switching function", _columns("switching")),
-    _Plot("duties", _columns("brake", "brake_wish", "drive"), _DUTY),
+    _Plot("duties", _columns("brake", "brake_request", "drive"), _DUTY),
     _Plot("brake torque asked for", _columns("torque_demand_nm")),
     _Plot("timing", _columns("late_us", "io_us", "busy_us")),
 )

@@ -29,10 +29,10 @@ _COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4
 _PANELS: Final = (
     ("slip", "slip [1]", (0.0, 1.02)),
     ("torque_demand_nm", "torque asked for [N m]", (-0.5, 12.0)),
-    ("brake_wish", "brake duty asked for [1]", (-0.02, 1.05)),
+    ("brake_request", "brake duty asked for [1]", (-0.02, 1.05)),
 )
 _MARGIN_S: Final = 0.1
-_WISHES: Final = {"slip": "slip, 1", "torque_demand_nm": "torque, N m", "brake_wish": "brake duty, 1"}
+_REQUESTS: Final = {"slip": "slip, 1", "torque_demand_nm": "torque, N m", "brake_request": "brake duty, 1"}
 _PHASES: Final = {"spin-up": "SPIN_UP", "braking": "BRAKING", "stopped": "STOPPED"}
 _CARD: Final = {
     "reaching_time_s": "reached\ns",
@@ -66,17 +66,17 @@ def render_what_if(report: Mapping[str, Any]) -> RenderableType:
 
 
 def _divergences(alternatives: Sequence[Mapping[str, Any]]) -> Table:
-    table = Table(title="wishes on the logged counts, against the log", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title="requests on the logged counts, against the log", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("alternative", overflow="fold")
     for heading in ("leaves log\nafter s", "largest\ndifference", *(f"rms\n{name}" for name in _PHASES)):
         table.add_column(heading, justify="right", no_wrap=True)
     for each in alternatives:
         table.add_row(Text(each["name"]))
         for field in each["open_loop"]:
-            # a slip is believed, not wished for: it is told, and leaves nothing
+            # a slip is estimated, not requested: it is told, and leaves nothing
             left = "" if field["threshold"] is None else _since(field["time_s"])
             numbers = (field["largest"], *(field["rms"].get(phase) for phase in _PHASES.values()))
-            table.add_row(f"  {_WISHES[field['field']]}", left, *map(_number, numbers))
+            table.add_row(f"  {_REQUESTS[field['field']]}", left, *map(_number, numbers))
     return table
 
 
@@ -128,7 +128,7 @@ def draw_what_if(session: Session, courses: Sequence[WhatIfTrace], path: Path) -
 
 
 def _open_loop(panel: Axes, course: WhatIfTrace, field: str, since_s: Any, colour: str) -> None:
-    horizon_s, values = course.open_loop.horizon_s, course.open_loop.wishes[field]
+    horizon_s, values = course.open_loop.horizon_s, course.open_loop.requests[field]
     left = since_s >= (np.inf if horizon_s is None else horizon_s)
     panel.plot(since_s[~left], values[~left], color=colour, lw=0.9)
     name = f"{course.name}, on the logged counts"

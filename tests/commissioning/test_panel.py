@@ -85,14 +85,14 @@ def panel_for_examples():
 class TestSliders:
     def test_they_begin_at_zero_and_end_at_the_guards_limits(self):
         by_person = panel("guard.drive_limit=0.29", "guard.brake_limit=0.7")
-        assert by_person.wish == Command.SAFE
+        assert by_person.request == Command.SAFE
         for output in ("drive", "brake"):
             by_person.move(output, 1000)
-        assert by_person.wish == Command(0.29, 0.7)
+        assert by_person.request == Command(0.29, 0.7)
         by_person.move("brake", -1000)
-        assert by_person.wish == Command(0.29, 0.0)
+        assert by_person.request == Command(0.29, 0.0)
         by_person.to_zero()
-        assert by_person.wish == Command.SAFE
+        assert by_person.request == Command.SAFE
 
     @pytest.mark.parametrize("act", [lambda one: one.move("drive", 1), Panel.to_zero])
     def test_whoever_moves_one_lets_the_key_go(self, act):

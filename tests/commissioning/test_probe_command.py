@@ -123,7 +123,7 @@ def test_the_end_of_the_input_is_an_interruption(probe, tmp_path):
 def test_stop_leaves_with_130(probe):
     run = probe("--virtual", lines=["stop"])
     assert run.returncode == 130
-    assert "stopped at your wish" in run.stderr
+    assert "stopped by the operator" in run.stderr
 
 
 def test_a_wrong_phrase_fails_with_what_to_do(probe):

@@ -34,22 +34,22 @@ class Counted:
         self.counts = [1000, -3000]
         self.ticks = 0
 
-    def see(self, after_ns: int = 0, wish: Command = OFF, moved: tuple[int, int] = (0, 0)) -> Reason:
+    def see(self, after_ns: int = 0, requested: Command = OFF, moved: tuple[int, int] = (0, 0)) -> Reason:
         """What the guard says of the next sample, so much later and with so many counts more."""
         self.time_ns += after_ns
         self.counts = [count + step for count, step in zip(self.counts, moved, strict=True)]
         sample = Sample(self.ticks, self.time_ns, self.period_ns * 1e-9, *self.counts)
         self.ticks += 1
-        admitted, reason = self.guard.admit(wish, sample, SEEN), self.guard.reason
-        assert admitted == (Command.SAFE if reason else wish)
+        admitted, reason = self.guard.admit(requested, sample, SEEN), self.guard.reason
+        assert admitted == (Command.SAFE if reason else requested)
         return reason
 
-    def turn(self, wheel: float, road: float, periods: int, wish: Command = OFF) -> Reason:
+    def turn(self, wheel: float, road: float, periods: int, requested: Command = OFF) -> Reason:
         """What it says in the end of wheels that turn by so many counts in each window; ends where it trips."""
         moved = [0, 0]
         for period in range(1, periods + 1):
             now = [math.floor(period * speed / self.length) for speed in (wheel, road)]
-            if self.see(self.period_ns, wish, (now[0] - moved[0], now[1] - moved[1])) is not Reason.NONE:
+            if self.see(self.period_ns, requested, (now[0] - moved[0], now[1] - moved[1])) is not Reason.NONE:
                 break
             moved = now
         return self.guard.reason

@@ -148,7 +148,7 @@ def test_the_limits_are_the_configured_ones():
     assert AtRest(config).good_until_trip([STALE] * 20) == 3
 
 
-def test_a_failed_exchange_keeps_the_command_that_was_wished():
+def test_a_failed_exchange_keeps_the_command_that_was_requested():
     at_rest = AtRest()
     assert at_rest.exchange(STALE)
     assert at_rest.guard.admit(Command(0.3, 0.0), Sample(2, 10**6, 0.0005, 0, 0), SEEN) == Command(0.3, 0.0)

@@ -30,7 +30,7 @@ samples = st.builds(
     st.integers(-(2**40), 2**40),
     st.sampled_from([BoardFlags.NONE, BoardFlags.STALE]),
 )
-wishes = st.tuples(any_float, any_float) | st.just((0.1, 0.0)) | st.just((math.nan, "1"))
+requests = st.tuples(any_float, any_float) | st.just((0.1, 0.0)) | st.just((math.nan, "1"))
 
 NOT_A_DUTY = [
     math.nan,
@@ -78,22 +78,22 @@ def test_any_pair_of_floats_is_admitted_inside_the_limits_or_not_at_all(drive, b
 
 
 @given(st.floats(-1e308, 1e308), st.floats(-1e308, 1e308))
-def test_a_finite_wish_is_moved_to_the_nearest_admissible_one(drive, brake):
+def test_a_finite_request_is_moved_to_the_nearest_admissible_one(drive, brake):
     admitted = Guard(CONFIG).admit(Command(drive, brake), AT_REST[0], SEEN)
     assert admitted.drive == sorted([0.0, drive, DRIVE_LIMIT])[1]
     assert admitted.brake == sorted([0.0, brake, BRAKE_LIMIT])[1]
 
 
 @given(st.floats(0.0, DRIVE_LIMIT), st.floats(0.0, BRAKE_LIMIT))
-def test_a_wish_inside_the_limits_is_admitted_as_it_is(drive, brake):
+def test_a_request_inside_the_limits_is_admitted_as_it_is(drive, brake):
     assert Guard(CONFIG).admit(Command(drive, brake), AT_REST[0], SEEN) == Command(drive, brake)
 
 
 @pytest.mark.parametrize("limit", [DRIVE_LIMIT, BRAKE_LIMIT, 0.0])
 def test_the_limits_hold_to_the_last_bit(guard, limit):
-    for wish in (math.nextafter(limit, -1.0), limit, math.nextafter(limit, 2.0)):
-        admitted = guard.admit(Command(wish, wish), AT_REST[0], SEEN)
-        assert admitted == Command(min(max(wish, 0.0), DRIVE_LIMIT), min(max(wish, 0.0), BRAKE_LIMIT))
+    for requested in (math.nextafter(limit, -1.0), limit, math.nextafter(limit, 2.0)):
+        admitted = guard.admit(Command(requested, requested), AT_REST[0], SEEN)
+        assert admitted == Command(min(max(requested, 0.0), DRIVE_LIMIT), min(max(requested, 0.0), BRAKE_LIMIT))
 
 
 @pytest.mark.parametrize(
@@ -104,28 +104,28 @@ def test_the_limits_hold_to_the_last_bit(guard, limit):
 def test_what_is_not_a_finite_float_is_never_sent_and_ends_the_run(guard, value, output, at):
     for sample in AT_REST[:at]:
         guard.admit(Command(0.5, 0.0), sample, SEEN)
-    wish = Command(value, 0.5) if output == "drive" else Command(0.5, value)
-    assert guard.admit(wish, AT_REST[at], SEEN) == Command.SAFE
+    requested = Command(value, 0.5) if output == "drive" else Command(0.5, value)
+    assert guard.admit(requested, AT_REST[at], SEEN) == Command.SAFE
     assert guard.reason is Reason.BAD_OUTPUT
     assert guard.admit(Command(0.5, 0.0), AT_REST[2], SEEN) == Command.SAFE
 
 
 def test_the_admitted_command_is_a_plain_command(guard):
-    for wish in (Command(0.1, 0.2), Command(5.0, 5.0), Command(math.nan, 0.0)):
-        admitted = guard.admit(wish, AT_REST[0], SEEN)
+    for requested in (Command(0.1, 0.2), Command(5.0, 5.0), Command(math.nan, 0.0)):
+        admitted = guard.admit(requested, AT_REST[0], SEEN)
         assert type(admitted) is Command
         assert [type(value) for value in admitted] == [float, float]
 
 
-@given(reasons, st.lists(st.tuples(wishes, samples, reasons | st.none()), max_size=20))
+@given(reasons, st.lists(st.tuples(requests, samples, reasons | st.none()), max_size=20))
 def test_the_latch_never_opens_and_the_first_reason_stays(first, later):
     guard = Guard(CONFIG)
     guard.admit(Command(0.5, 0.0), AT_REST[0], SEEN)
     guard.trip(first)
-    for wish, sample, reason in later:
+    for requested, sample, reason in later:
         if reason is not None:
             guard.trip(reason)
-        assert guard.admit(Command(*wish), sample, SEEN) == Command.SAFE
+        assert guard.admit(Command(*requested), sample, SEEN) == Command.SAFE
         assert guard.reason is first
 
 

@@ -137,13 +137,13 @@ def by_hand(guard: Guard, seconds: list[tuple[float, Command]], seed: int = 0) -
     """Duties one after the other, each for so long, with ticks that are late by up to half a period."""
     plant, chance, period_s = Plant(MASK, 0.0, 0.0), random.Random(seed), 0.01
     now_s, tick, command = 0.0, 0, Command.SAFE
-    for duration_s, wish in seconds:
+    for duration_s, requested in seconds:
         for _ in range(round(duration_s / period_s)):
             dt_s = period_s * (1.0 + chance.uniform(0.0, 0.5) - 0.25)
             plant.advance(*command, dt_s)
             now_s, tick = now_s + dt_s, tick + 1
             counts = (math.floor(angle * COUNTS / (2.0 * math.pi)) for angle in (plant.wheel_angle, plant.road_angle))
-            command = guard.admit(wish, Sample(tick, round(now_s * 1e9), dt_s, *counts), SEEN)
+            command = guard.admit(requested, Sample(tick, round(now_s * 1e9), dt_s, *counts), SEEN)
     return guard.reason
 
 

@@ -35,13 +35,13 @@ class Watched:
     def reason(self) -> Reason:
         return self.guard.reason
 
-    def see(self, wheel_speed: float, road_speed: float, wish: Command, **timing) -> Command:
-        return self.guard.admit(wish, self.encoders.turn(wheel_speed, road_speed, **timing), SEEN)
+    def see(self, wheel_speed: float, road_speed: float, requested: Command, **timing) -> Command:
+        return self.guard.admit(requested, self.encoders.turn(wheel_speed, road_speed, **timing), SEEN)
 
-    def keep(self, wheel_speed: float, road_speed: float, wish: Command, duration_s: float) -> float:
-        """Hold speeds and wish; time until the guard trips, or `duration_s` if it does not."""
+    def keep(self, wheel_speed: float, road_speed: float, requested: Command, duration_s: float) -> float:
+        """Hold speeds and request; time until the guard trips, or `duration_s` if it does not."""
         for step in range(round(duration_s / self.period_s)):
-            self.see(wheel_speed, road_speed, wish)
+            self.see(wheel_speed, road_speed, requested)
             if self.reason is not Reason.NONE:
                 return step * self.period_s
         return duration_s
@@ -121,11 +121,11 @@ def test_a_road_that_starts_slowly_under_the_drive_is_no_fault(watched):
 
 
 @pytest.mark.parametrize("speed", [24.0, 40.0, 100.0, 180.0])
-@pytest.mark.parametrize("wish", [DRIVE, BRAKE, OFF], ids=["driven", "braked", "coasting"])
-def test_a_road_encoder_that_freezes_while_running_trips_within_a_few_ms(watched, speed, wish):
+@pytest.mark.parametrize("requested", [DRIVE, BRAKE, OFF], ids=["driven", "braked", "coasting"])
+def test_a_road_encoder_that_freezes_while_running_trips_within_a_few_ms(watched, speed, requested):
     watched.run_up(speed)
-    assert watched.keep(speed, speed, wish, 0.02) == 0.02
-    assert watched.keep(speed, 0.0, wish, 1.0) <= 0.002
+    assert watched.keep(speed, speed, requested, 0.02) == 0.02
+    assert watched.keep(speed, 0.0, requested, 1.0) <= 0.002
     assert watched.reason is Reason.ROAD_ENCODER_FROZEN
 
 

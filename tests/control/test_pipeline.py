@@ -205,15 +205,15 @@ def test_a_stop_request_at_the_very_first_tick_is_obeyed():
 
 @pytest.mark.parametrize("flag", [BoardFlags.STALE, BoardFlags.SLOW])
 @pytest.mark.parametrize("phase", ACTIVE)
-def test_samples_that_cannot_be_trusted_change_neither_phase_nor_estimate_nor_wish(experiment, phase, flag):
+def test_samples_that_cannot_be_trusted_change_neither_phase_nor_estimate_nor_request(experiment, phase, flag):
     run = experiment(*QUICK)
     good = next(moment.tick for moment in run.moments() if moment.tick.phase is phase)
-    wishes = good.drive_wish, good.brake_wish
+    requests = good.drive_request, good.brake_request
     for later in range(1, 111):
         sample = inputs(good)._replace(tick=good.tick + later, time_ns=good.time_ns + later * 500_000, board_flags=flag)
         tick = run.pipeline.step(sample)
         assert (tick.phase, tick.reason) == (phase, Reason.NONE)
-        assert (tick.drive_wish, tick.brake_wish) == wishes
+        assert (tick.drive_request, tick.brake_request) == requests
         assert (tick.road_speed_rad_s, tick.slip) == (good.road_speed_rad_s, good.slip)
 
 
@@ -341,7 +341,7 @@ def test_a_duty_may_be_any_kind_of_number(experiment, brake):
     run = experiment(*QUICK, pipeline=with_controller(lambda _call: BrakeDemand(brake)))
     ticks = [moment.tick for moment in run.run()]
     assert ticks[-1].reason is Reason.NONE
-    assert {(type(tick.brake_wish), tick.brake_wish) for tick in ticks} == {(float, 0.0), (float, float(brake))}
+    assert {(type(tick.brake_request), tick.brake_request) for tick in ticks} == {(float, 0.0), (float, float(brake))}
 
 
 @pytest.mark.parametrize(
@@ -362,18 +362,18 @@ def test_whatever_the_controller_demands_every_tick_can_be_recorded(experiment, 
     run = experiment(*QUICK, pipeline=with_controller(at_call(20, lambda: demand)))
     for moment in run.moments():
         tick = moment.tick
-        numbers = tick.switching, tick.torque_demand_nm, tick.drive_wish, tick.brake_wish, *tick[-8:-4]
+        numbers = tick.switching, tick.torque_demand_nm, tick.drive_request, tick.brake_request, *tick[-8:-4]
         assert len(struct.pack("<8d", *numbers)) == 64
 
 
-@pytest.mark.parametrize(("wish", "sent"), [(1.0, 0.7), (0.7, 0.7), (0.3, 0.3), (-0.5, 0.0), (1e308, 0.7)])
-def test_wish_and_command_are_both_logged_and_the_guard_has_the_last_word(experiment, wish, sent):
-    run = experiment(*QUICK, "guard.brake_limit=0.7", pipeline=with_controller(lambda _call: BrakeDemand(wish)))
+@pytest.mark.parametrize(("requested", "sent"), [(1.0, 0.7), (0.7, 0.7), (0.3, 0.3), (-0.5, 0.0), (1e308, 0.7)])
+def test_request_and_command_are_both_logged_and_the_guard_has_the_last_word(experiment, requested, sent):
+    run = experiment(*QUICK, "guard.brake_limit=0.7", pipeline=with_controller(lambda _call: BrakeDemand(requested)))
     asked = 0
     for moment in run.moments():
         tick = moment.tick
-        if tick.phase is Phase.BRAKING and tick.brake_wish:
-            assert (tick.brake_wish, tick.brake) == (wish, sent)
+        if tick.phase is Phase.BRAKING and tick.brake_request:
+            assert (tick.brake_request, tick.brake) == (requested, sent)
             asked += 1
             if asked == 100:
                 break
@@ -384,7 +384,7 @@ def test_the_demand_of_the_controller_is_logged(experiment):
     demand = BrakeDemand(0.5, 4.5, -0.05, (1.0, 2.0, 3.0, 4.0))
     run = experiment(*QUICK, pipeline=with_controller(lambda _call: demand))
     logged = [
-        (tick.brake_wish, tick.torque_demand_nm, tick.switching, (tick.c0, tick.c1, tick.c2, tick.c3))
+        (tick.brake_request, tick.torque_demand_nm, tick.switching, (tick.c0, tick.c1, tick.c2, tick.c3))
         for tick in (moment.tick for moment in run.run())
         if tick.phase is Phase.BRAKING
     ]

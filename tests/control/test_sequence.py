@@ -31,7 +31,7 @@ class Counting:
 
 
 class Play:
-    """A sequence with scripted wheels; `steps` is (phase after the step, wish) of every sample."""
+    """A sequence with scripted wheels; `steps` is (phase after the step, request) of every sample."""
 
     def __init__(self, encoders, *settings: str) -> None:
         self.controller = Counting()
@@ -46,9 +46,9 @@ class Play:
 
     def step(self, road_speed: float = 0.0, wheel_speed: float | None = None, **timing):
         sample = self.encoders.turn(road_speed if wheel_speed is None else wheel_speed, road_speed, **timing)
-        wish = self.sequence.step(sample, BLIND)
-        self.steps.append((self.phase, wish))
-        return wish
+        request = self.sequence.step(sample, BLIND)
+        self.steps.append((self.phase, request))
+        return request
 
     def rest(self, duration_s: float) -> None:
         for _ in range(round(duration_s / self.period_s)):
@@ -65,8 +65,8 @@ class Play:
             assert self.step(speed).reason is Reason.NONE
             assert len(self.steps) < 20_000
 
-    def wishes(self, phase: Phase):
-        return [wish for at, wish in self.steps if at is phase]
+    def requests(self, phase: Phase):
+        return [request for at, request in self.steps if at is phase]
 
 
 @pytest.fixture
@@ -94,29 +94,29 @@ def test_the_phases_come_in_order_and_each_once(nominal):
 
 def test_idle_and_armed_last_as_long_as_configured_with_the_outputs_off(nominal):
     for phase in (Phase.IDLE, Phase.ARMED):
-        wishes = nominal.wishes(phase)
-        assert len(wishes) * nominal.period_s == pytest.approx(0.05, abs=nominal.period_s)
-        assert {wish.command for wish in wishes} == {Command.SAFE}
+        requests = nominal.requests(phase)
+        assert len(requests) * nominal.period_s == pytest.approx(0.05, abs=nominal.period_s)
+        assert {request.command for request in requests} == {Command.SAFE}
 
 
 def test_the_drive_is_on_throughout_the_spin_up_except_at_its_first_tick(nominal):
-    first, *others = nominal.wishes(Phase.SPIN_UP)
+    first, *others = nominal.requests(Phase.SPIN_UP)
     assert first.command == Command.SAFE
-    assert {wish.command for wish in others} == {Command(0.8, 0.0)}
+    assert {request.command for request in others} == {Command(0.8, 0.0)}
 
 
 def test_the_first_tick_of_braking_has_both_outputs_off(nominal):
-    assert nominal.wishes(Phase.BRAKING)[0].command == Command.SAFE
+    assert nominal.requests(Phase.BRAKING)[0].command == Command.SAFE
 
 
 def test_the_drive_is_never_on_outside_spin_up_and_the_brake_never_on_outside_braking_and_stopped(nominal):
-    for phase, wish in nominal.steps:
-        assert wish.command.drive == 0.0 or phase is Phase.SPIN_UP
-        assert wish.command.brake == 0.0 or phase in (Phase.BRAKING, Phase.STOPPED)
+    for phase, request in nominal.steps:
+        assert request.command.drive == 0.0 or phase is Phase.SPIN_UP
+        assert request.command.brake == 0.0 or phase in (Phase.BRAKING, Phase.STOPPED)
 
 
 def test_the_brake_never_follows_the_drive_without_a_tick_of_rest(nominal):
-    commands = [wish.command for _, wish in nominal.steps]
+    commands = [request.command for _, request in nominal.steps]
     assert any(command.drive for command in commands)
     assert any(command.brake for command in commands)
     for before, after in pairwise(commands):
@@ -124,14 +124,14 @@ def test_the_brake_never_follows_the_drive_without_a_tick_of_rest(nominal):
 
 
 def test_while_braking_every_demand_of_the_controller_is_passed_on(nominal):
-    demands = [wish.demand for wish in nominal.wishes(Phase.BRAKING)[1:]]
+    demands = [request.demand for request in nominal.requests(Phase.BRAKING)[1:]]
     assert [demand.brake for demand in demands] == [0.5 + 1e-4 * k for k in range(1, len(demands) + 1)]
-    assert [wish.command.brake for wish in nominal.wishes(Phase.BRAKING)[1:]] == [d.brake for d in demands]
+    assert [request.command.brake for request in nominal.requests(Phase.BRAKING)[1:]] == [d.brake for d in demands]
 
 
 def test_the_controller_is_asked_only_while_braking_with_the_estimate_and_the_time_step(nominal):
     # asked from the second tick of braking to the first of standstill
-    assert len(nominal.controller.seen) == len(nominal.wishes(Phase.BRAKING))
+    assert len(nominal.controller.seen) == len(nominal.requests(Phase.BRAKING))
     assert {dt_s for _, dt_s in nominal.controller.seen} == {nominal.period_s}
     assert all(estimate is BLIND for estimate, _ in nominal.controller.seen)
 
@@ -143,10 +143,10 @@ def test_the_controller_is_told_the_time_that_has_really_passed(play):
 
 
 def test_the_last_demand_is_held_for_the_hold_time_after_the_stop(nominal):
-    stopped = nominal.wishes(Phase.STOPPED)
+    stopped = nominal.requests(Phase.STOPPED)
     assert len(stopped) * nominal.period_s == pytest.approx(0.1, abs=nominal.period_s)
-    assert {wish.demand for wish in stopped} == {stopped[0].demand}
-    assert {wish.command for wish in stopped} == {Command(0.0, stopped[0].demand.brake)}
+    assert {request.demand for request in stopped} == {stopped[0].demand}
+    assert {request.command for request in stopped} == {Command(0.0, stopped[0].demand.brake)}
     assert stopped[0].demand.brake > 0.5
 
 
@@ -240,17 +240,17 @@ def test_a_wheel_that_turns_before_the_start_is_a_reason_not_to_start(play, whee
     play.reach(phase)
     reasons = set()
     for _ in range(20):
-        wish = play.step(speed if wheel == "road" else 0.0, wheel_speed=speed if wheel == "wheel" else 0.0)
-        reasons.add(wish.reason)
-        assert wish.command == Command.SAFE
+        request = play.step(speed if wheel == "road" else 0.0, wheel_speed=speed if wheel == "wheel" else 0.0)
+        reasons.add(request.reason)
+        assert request.command == Command.SAFE
     assert reasons == {Reason.NONE, Reason.WHEELS_MOVING}
     assert play.phase is phase
 
 
 def test_wheels_that_keep_turning_never_get_the_drive(play):
     for _ in range(1000):
-        wish = play.step(3.0)
-    assert (play.phase, wish.reason) == (Phase.IDLE, Reason.WHEELS_MOVING)
+        request = play.step(3.0)
+    assert (play.phase, request.reason) == (Phase.IDLE, Reason.WHEELS_MOVING)
 
 
 def test_a_nudge_of_four_counts_is_not_a_turning_wheel(play):
@@ -276,11 +276,11 @@ def test_a_stop_that_does_not_come_in_time_is_named(play):
 
 
 def test_the_nominal_run_gives_no_reason(nominal):
-    assert {wish.reason for _, wish in nominal.steps} == {Reason.NONE}
+    assert {request.reason for _, request in nominal.steps} == {Reason.NONE}
 
 
 @pytest.mark.parametrize("phase", [Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE])
-def test_after_a_fault_the_sequence_wishes_nothing_any_more(play, phase):
+def test_after_a_fault_the_sequence_requests_nothing_any_more(play, phase):
     play.reach(phase)
     asked = len(play.controller.seen)
     play.sequence.fault()

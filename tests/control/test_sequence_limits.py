@@ -98,8 +98,8 @@ def test_the_brake_is_let_go_when_the_hold_time_is_over(after_ns, phase):
 def test_nothing_is_demanded_of_the_brake_but_while_braking_and_at_rest():
     timed, demands = Timed(), {}
     for _ in range(5000):
-        wish = timed.see(10_000_000, 1000 if timed.phase is Phase.SPIN_UP else 0)
-        demands.setdefault(timed.phase, set()).add((wish.demand, wish.command))
+        request = timed.see(10_000_000, 1000 if timed.phase is Phase.SPIN_UP else 0)
+        demands.setdefault(timed.phase, set()).add((request.demand, request.command))
     nothing = (BrakeDemand(0.0), Command.SAFE)
     assert demands[Phase.IDLE] == demands[Phase.ARMED] == demands[Phase.DONE] == {nothing}
     assert demands[Phase.SPIN_UP] == {nothing, (BrakeDemand(0.0), Command(1.0, 0.0))}

@@ -95,7 +95,7 @@ def test_every_stop_reaches_the_start_speed_again_and_brakes_to_rest(three):
 def test_the_controller_is_fresh_at_every_stop_and_made_only_once(three):
     firsts = [next(tick for tick in stop[Phase.BRAKING] if tick.c0) for stop in stops_of(three)]
     assert [tick.c0 for tick in firsts] == [1.0] * 3
-    assert [tick.brake_wish for tick in firsts] == [pytest.approx(0.4001)] * 3
+    assert [tick.brake_request for tick in firsts] == [pytest.approx(0.4001)] * 3
     assert len({tick.c1 for tick in firsts}) == 1
     lasts = [stop[Phase.BRAKING][-1].c0 for stop in stops_of(three)]
     assert min(lasts) > 100.0
@@ -110,7 +110,7 @@ def test_every_update_of_a_stop_is_counted_from_one(three):
 def test_no_demand_of_one_stop_is_held_into_the_next(three):
     for stop in stops_of(three)[1:]:
         before = [tick for phase in (Phase.IDLE, Phase.ARMED, Phase.SPIN_UP) for tick in stop[phase]]
-        assert {tick.brake_wish for tick in before} == {0.0}
+        assert {tick.brake_request for tick in before} == {0.0}
         assert {tick.c0 for tick in before} == {0.0}
 
 

@@ -62,8 +62,8 @@ class PanelMachine(RuleBasedStateMachine):
         self.over = self.tripped = False
         self.pressed_ns = self.held_ns = self.seen_ns = NEVER
         self.released_ns = NEVER
-        self.wished = (0.0, 0.0)
-        """Most of each output that was wished since it was off last."""
+        self.requested = (0.0, 0.0)
+        """Most of each output that was requested since it was off last."""
 
     @property
     def now_ns(self):
@@ -74,10 +74,10 @@ class PanelMachine(RuleBasedStateMachine):
         """The key is seen: now, or so long ago by a screen that stood still."""
         seen_ns = max(self.now_ns - age_ms * 10**6, self.seen_ns)
         if self.panel.press(seen_ns):
-            self.bench.side.wishes.keep_on(self.panel.wish, seen_ns)
+            self.bench.side.request.keep_on(self.panel.request, seen_ns)
         # what the person did, in words of the manual: the second of two events within half a second counts
         if seen_ns - self.pressed_ns < HELD_NS:
-            self.held_ns, self.wished = seen_ns, self.panel.wish
+            self.held_ns, self.requested = seen_ns, self.panel.request
         self.pressed_ns = self.seen_ns = seen_ns
 
     @rule(drive=st.integers(0, 100), brake=st.integers(0, 100), repeats=st.integers(2, 25), every=st.integers(1, 6))
@@ -96,7 +96,7 @@ class PanelMachine(RuleBasedStateMachine):
     @rule()
     def press_another_key(self):
         self.panel.release()
-        self.bench.side.wishes.take_away()
+        self.bench.side.request.take_away()
         self.pressed_ns = self.held_ns = NEVER
         self.released_ns = self.seen_ns = self.now_ns  # keys are seen in their order
 
@@ -164,8 +164,8 @@ class PanelMachine(RuleBasedStateMachine):
         released = self.held_ns < self.released_ns
         assert key_ns <= (2 * PERIOD_NS if released else HELD_NS + PERIOD_NS), f"{key_ns * 1e-6} ms after the key"
         guard = self.bench.config.guard
-        assert drive <= min(self.wished[0], guard.drive_limit) + 1e-6
-        assert brake <= min(self.wished[1], guard.brake_limit) + 1e-6
+        assert drive <= min(self.requested[0], guard.drive_limit) + 1e-6
+        assert brake <= min(self.requested[1], guard.brake_limit) + 1e-6
 
     @invariant()
     def what_was_taken_away_stays_away(self):

@@ -77,9 +77,9 @@ def test_without_the_comparison_on_the_bus_nobody_would_see_another_master(campa
 
 
 def test_the_campaign_finds_outputs_that_are_left_on(campaign, monkeypatch):
-    def trips_and_admits(self, wish, sample, _estimate):
+    def trips_and_admits(self, requested, sample, _estimate):
         self.trip(self._judge_sample(sample))
-        return wish
+        return requested
 
     case = campaign.Case("road-stuck", ("road-stuck@drive+80ms",))
     assert not campaign.judged(case).problem

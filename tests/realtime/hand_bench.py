@@ -67,12 +67,12 @@ class Bench:
         next(self._beats)
         return self.hand.beat()
 
-    def beats(self, seconds, wish=None):
-        """Duties at the motors after each beat, with the key held for `wish`."""
+    def beats(self, seconds, requested=None):
+        """Duties at the motors after each beat, with the key held for `requested`."""
         seen = []
         for _ in range(round(seconds * RATE_HZ)):
-            if wish is not None:
-                self.side.wishes.keep_on(wish, self.clock.now_ns())
+            if requested is not None:
+                self.side.request.keep_on(requested, self.clock.now_ns())
             assert self.beat()
             seen.append(self.device.duties)
         return seen

@@ -1,4 +1,4 @@
-"""What the process behind the panel does with wishes: in virtual time, with the real board, guard and shared memory."""
+"""What the panel's process does with requests: in virtual time, with the real board, guard and shared memory."""
 
 import pytest
 from hand_bench import Bench
@@ -52,7 +52,7 @@ def test_with_no_key_nothing_is_ever_put_out(bench):
         assert set(rig.beats(1.0)) == {OFF}
 
 
-def test_the_wish_is_put_out_while_the_key_is_held(bench):
+def test_the_request_is_put_out_while_the_key_is_held(bench):
     with bench() as rig:
         drive, brake = rig.beats(0.3, Command(0.4, 0.2))[-1]
         assert (drive, brake) == pytest.approx((0.4, 0.2), abs=1 / 255)
@@ -70,7 +70,7 @@ def test_half_a_second_after_the_last_key_the_outputs_are_off(bench):
 def test_another_key_takes_them_away_two_beats_later_at_most(bench):
     with bench() as rig:
         rig.beats(0.3, Command(0.4, 0.0))
-        rig.side.wishes.take_away()
+        rig.side.request.take_away()
         assert set(rig.beats(0.5)[1:]) == {OFF}
 
 
@@ -80,18 +80,18 @@ def test_another_key_takes_them_away_two_beats_later_at_most(bench):
     drive=st.integers(0, 100),
     brake=st.integers(0, 100),
 )
-def test_a_wish_counts_for_half_a_second_and_is_passed_on_to_a_millionth(wishes, now_ns, seen_ns, drive, brake):
-    wishes.keep_on(Command(drive / 100, brake / 100), seen_ns)
+def test_a_request_counts_for_half_a_second_and_is_passed_on_to_a_millionth(requests, now_ns, seen_ns, drive, brake):
+    requests.keep_on(Command(drive / 100, brake / 100), seen_ns)
     for at_ns in (now_ns, seen_ns, seen_ns + HELD_NS - 1, seen_ns + HELD_NS):
-        wished = wishes.at(at_ns)
+        requested = requests.at(at_ns)
         if abs(at_ns - seen_ns) < HELD_NS:
-            assert wished == pytest.approx((drive / 100, brake / 100), abs=1e-6)
+            assert requested == pytest.approx((drive / 100, brake / 100), abs=1e-6)
         else:
-            assert wished is Command.SAFE
+            assert requested is Command.SAFE
 
 
 @pytest.fixture(scope="session")
-def wishes():
+def requests():
     from inteco_abs.realtime.processes.manual import HeldRequest
 
     class Memory:
@@ -176,7 +176,7 @@ class TestLooks:
             rig.side.ask()
             rig.beats(0.3, Command(0.4, 0.0))
             assert not rig.side.answered
-            rig.side.wishes.take_away()
+            rig.side.request.take_away()
             rig.beats(0.05)
             assert rig.side.answered
             assert rig.side.look["values"]["pwm0_prescaler"] == rig.config.board.pwm_prescaler
@@ -201,7 +201,7 @@ WATCHING = 'board.read_only="the panel only watches"'
 
 
 class TestWatching:
-    def test_nothing_but_requests_is_written_whatever_is_wished(self, bench):
+    def test_nothing_but_requests_is_written_whatever_is_requested(self, bench):
         with bench(WATCHING) as rig:
             assert set(rig.beats(0.3, Command(1.0, 1.0))) == {OFF}
             assert set(rig.link.written) == {READ_REQUEST}

@@ -583,13 +583,13 @@ def test_the_process_guards_and_ends_when_all_is_over(memory, job_of, child, unt
 
 
 def test_the_process_prepares_itself_and_then_watches_until_nothing_is_left(memory, job_of, ended, monkeypatch):
-    wishes, done = guardian_tuning(), []
-    monkeypatch.setattr(guardian_module, "guardian_tuning", lambda: wishes)
+    tunings, done = guardian_tuning(), []
+    monkeypatch.setattr(guardian_module, "guardian_tuning", lambda: tunings)
     monkeypatch.setattr(guardian_module, "prepare", done.append)
     job_of(memory)
     memory.words[Field.SUPERVISOR_PID] = ended
     assert guardian_module.main(str(memory.path)) == 0
-    assert done == [wishes]
+    assert done == [tunings]
     assert memory.words[Field.GUARDIAN_STOP] == Reason.SUPERVISOR_LOST
 
 

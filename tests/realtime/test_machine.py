@@ -141,14 +141,14 @@ class TestPrepare:
         ],
         ids=lambda value: type(value).__name__,
     )
-    def test_a_refused_wish_is_reported_with_its_reason_and_what_to_do_and_stops_no_other(self, error, reason):
+    def test_a_refused_setting_is_reported_with_its_reason_and_what_to_do_and_stops_no_other(self, error, reason):
         asked = []
-        wishes = [
+        tunings = [
             Tuning("first", lambda: asked.append(1) or "one", "never needed"),
             Tuning("second", refuse(error), "raise the limit"),
             Tuning("third", lambda: asked.append(3) or "three", "never needed"),
         ]
-        assert prepare(wishes) == [
+        assert prepare(tunings) == [
             Setting("first", "one"),
             Setting("second", "default", f"{reason}: raise the limit"),
             Setting("third", "three"),
@@ -188,10 +188,10 @@ NAMES = {
         "affinity", "signals", "malloc", "memory", "timer slack", "scheduler", "heap", "C-states", "garbage",
     ],
     "controller_tuning": ["affinity", "signals", "malloc", "memory", "timer slack", "scheduler", "garbage"],
-    "guardian_wishes": [
+    "guardian_tuning": [
         "affinity", "signals", "malloc", "memory", "timer slack", "scheduler", "out of memory", "garbage",
     ],
-    "recorder_wishes": ["affinity", "signals"],
+    "recorder_tuning": ["affinity", "signals"],
 }  # fmt: skip
 
 
@@ -199,23 +199,23 @@ NAMES = {
 def prepared():
     """What each kind of process has asked for, and what it found to be so afterwards; in a process of its own."""
 
-    def look(wishes):
-        command = [sys.executable, "-c", CHILD, wishes]
+    def look(tunings):
+        command = [sys.executable, "-c", CHILD, tunings]
         process = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
         found = json.loads(process.stdout)
         return {name: (value, refused) for name, value, refused in found.pop("settings")}, found
 
     if not sys.platform.startswith("linux"):
         pytest.skip("settings of Linux")
-    return {wishes: look(wishes) for wishes in NAMES}
+    return {tunings: look(tunings) for tunings in NAMES}
 
 
 @pytest.fixture
-def granted(prepared, wishes):
-    """Value of a wish and the state of the process; skips where the wish was refused."""
+def granted(prepared, tunings):
+    """Value of a tuning and the state of the process; skips where the tuning was refused."""
 
     def state(name):
-        settings, found = prepared[wishes]
+        settings, found = prepared[tunings]
         value, refused = settings[name]
         if refused:
             pytest.skip(f"refused here: {refused}")
@@ -224,26 +224,26 @@ def granted(prepared, wishes):
     return state
 
 
-every_process = pytest.mark.parametrize("wishes", NAMES)
-real_time_processes = pytest.mark.parametrize("wishes", ["loop_tuning", "controller_tuning", "guardian_wishes"])
-the_loop = pytest.mark.parametrize("wishes", ["loop_tuning"])
-the_guardian = pytest.mark.parametrize("wishes", ["guardian_wishes"])
+every_process = pytest.mark.parametrize("tunings", NAMES)
+real_time_processes = pytest.mark.parametrize("tunings", ["loop_tuning", "controller_tuning", "guardian_tuning"])
+the_loop = pytest.mark.parametrize("tunings", ["loop_tuning"])
+the_guardian = pytest.mark.parametrize("tunings", ["guardian_tuning"])
 
 
 class TestProcesses:
     @pytest.mark.untraced
     @every_process
-    def test_every_wish_is_reported_with_its_value_or_why_not(self, prepared, wishes):
-        settings, _ = prepared[wishes]
-        assert list(settings) == NAMES[wishes]
+    def test_every_setting_is_reported_with_its_value_or_why_not(self, prepared, tunings):
+        settings, _ = prepared[tunings]
+        assert list(settings) == NAMES[tunings]
         for value, refused in settings.values():
             assert value
             assert (value == "default") == bool(refused)
 
     @pytest.mark.untraced
     @every_process
-    def test_every_refusal_says_what_to_do(self, prepared, wishes):
-        settings, _ = prepared[wishes]
+    def test_every_refusal_says_what_to_do(self, prepared, tunings):
+        settings, _ = prepared[tunings]
         for _, refused in settings.values():
             assert not refused or (refused.partition(": ")[0] and refused.partition(": ")[2])
 
@@ -256,18 +256,18 @@ class TestProcesses:
         assert not never & set(found["blocked"])
 
     @real_time_processes
-    def test_the_scheduler_is_the_one_for_real_time(self, granted, wishes):
+    def test_the_scheduler_is_the_one_for_real_time(self, granted, tunings):
         value, found = granted("scheduler")
         names = {"loop_tuning": LOOP_PRIORITY, "controller_tuning": CONTROLLER_PRIORITY}
-        priority = names.get(wishes, GUARDIAN_PRIORITY)
+        priority = names.get(tunings, GUARDIAN_PRIORITY)
         assert found["policy"] & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
         assert (found["priority"], value) == (priority, f"SCHED_FIFO {priority}")
 
     @every_process
-    def test_the_process_keeps_to_its_cpus(self, granted, wishes):
+    def test_the_process_keeps_to_its_cpus(self, granted, tunings):
         _, found = granted("affinity")
         allowed, isolated = os.sched_getaffinity(0), isolated_cpus()
-        choose = loop_cpus if wishes in {"loop_tuning", "controller_tuning"} else other_cpus
+        choose = loop_cpus if tunings in {"loop_tuning", "controller_tuning"} else other_cpus
         assert set(found["cpus"]) == choose(allowed, isolated)
 
     @real_time_processes
@@ -297,7 +297,7 @@ class TestProcesses:
         assert found["oom"] == -1000
 
     def test_a_recorder_stays_an_ordinary_process(self, prepared):
-        _, found = prepared["recorder_wishes"]
+        _, found = prepared["recorder_tuning"]
         assert found["policy"] == os.SCHED_OTHER
         assert found["collecting"]
         assert found["oom"] == prepared["loop_tuning"][1]["oom"]
@@ -310,9 +310,9 @@ def test_who_spins_on_the_only_cpu_never_keeps_from_it_who_ends_it():
 @pytest.mark.untraced
 @pytest.mark.parametrize("allowed", [GUARDIAN_PRIORITY, GUARDIAN_PRIORITY - 1])
 @pytest.mark.parametrize(
-    ("wishes", "priority"), [(loop_tuning, LOOP_PRIORITY), (controller_tuning, CONTROLLER_PRIORITY)]
+    ("tunings", "priority"), [(loop_tuning, LOOP_PRIORITY), (controller_tuning, CONTROLLER_PRIORITY)]
 )
-def test_who_may_not_have_its_watchers_above_it_stays_an_ordinary_process(wishes, priority, allowed, monkeypatch):
+def test_who_may_not_have_its_watchers_above_it_stays_an_ordinary_process(tunings, priority, allowed, monkeypatch):
     asked, granted = [], os.SCHED_OTHER
 
     def schedule(_pid, policy, param):
@@ -323,8 +323,8 @@ def test_who_may_not_have_its_watchers_above_it_stays_an_ordinary_process(wishes
         granted = policy
 
     monkeypatch.setattr(os, "sched_setscheduler", schedule)
-    (wish,) = (wish for wish in wishes() if wish.name == "scheduler")
-    (setting,) = prepare([wish])
+    (tuning,) = (tuning for tuning in tunings() if tuning.name == "scheduler")
+    (setting,) = prepare([tuning])
     if allowed == GUARDIAN_PRIORITY:
         assert (setting.value, asked[-1]) == (f"SCHED_FIFO {priority}", priority)
     else:
@@ -333,16 +333,16 @@ def test_who_may_not_have_its_watchers_above_it_stays_an_ordinary_process(wishes
 
 
 @pytest.mark.parametrize(
-    "wishes",
+    "tunings",
     [machine.guardian_tuning, machine.recorder_tuning, machine.supervisor_tuning, machine.watch_tuning],
 )
-def test_who_runs_beside_the_loop_keeps_off_its_core_though_that_is_not_the_last(wishes, monkeypatch):
+def test_who_runs_beside_the_loop_keeps_off_its_core_though_that_is_not_the_last(tunings, monkeypatch):
     cores = {cpu: machine.Core(3_000_000 if cpu < 2 else 2_000_000, frozenset({cpu, cpu ^ 1})) for cpu in range(4)}
     monkeypatch.setattr(machine, "isolated_cpus", set)
     monkeypatch.setattr(machine, "cores_of", lambda: cores)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: set(cores))
     asked = []
     monkeypatch.setattr(os, "sched_setaffinity", lambda _pid, cpus: asked.append(cpus))
-    for made in (machine.loop_tuning, wishes):
-        next(wish for wish in made() if wish.name == "affinity").ask()
+    for made in (machine.loop_tuning, tunings):
+        next(tuning for tuning in made() if tuning.name == "affinity").ask()
     assert asked == [{1}, {2, 3}]

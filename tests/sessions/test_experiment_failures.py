@@ -85,7 +85,7 @@ def test_a_controller_that_asks_for_nan_ends_in_a_fault(run, devices, replayed):
     assert (made.stop.outcome, made.stop.reason) == ("fault", Reason.BAD_OUTPUT)
     assert [device.duties for device in devices] == [(0.0, 0.0)]
     assert made.session.ticks["brake"].max() == 0.0
-    assert math.isnan(made.session.ticks["brake_wish"][-1])
+    assert math.isnan(made.session.ticks["brake_request"][-1])
     assert replayed(made.session, mine(NotANumber)).differing == 0
 
 

@@ -127,11 +127,11 @@ def test_what_if_says_that_open_loop_does_not_react_and_that_closed_loop_is_a_si
     assert "leaves the log by: road_speed_rad_s 0, slip 0, brake 0" in printed
 
 
-def test_what_if_tells_a_line_for_each_wish_and_the_log_first_of_what_was_simulated(command, quick):
+def test_what_if_tells_a_line_for_each_request_and_the_log_first_of_what_was_simulated(command, quick):
     sweep = ("what-if", quick.path, "--sweep", "controller.gains.Mk=2,20", "--closed-loop")
-    wishes, _, simulated = command(*sweep)[1].partition("closed loop: a")[0].partition("simulated from there on")
+    requests, _, simulated = command(*sweep)[1].partition("closed loop: a")[0].partition("simulated from there on")
     report = json.loads(command(*sweep, "--json")[1])
-    torques = [line.split() for line in wishes.splitlines() if "torque, N m" in line]
+    torques = [line.split() for line in requests.splitlines() if "torque, N m" in line]
     assert torques[0][3] == "never"
     for told, each in zip(torques, report["alternatives"], strict=True):
         assert told[4] == f"{each['open_loop'][1]['largest']:.3g}"

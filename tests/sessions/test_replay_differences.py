@@ -42,7 +42,7 @@ def finding(found):
 
 
 def test_which_fields_are_compared_is_not_nothing():
-    assert {"brake", "drive", "slip", "phase", "reason", "torque_demand_nm", "brake_wish"} <= {*REAL, *WHOLE}
+    assert {"brake", "drive", "slip", "phase", "reason", "torque_demand_nm", "brake_request"} <= {*REAL, *WHOLE}
 
 
 @pytest.mark.parametrize("field", REAL)

@@ -174,7 +174,7 @@ def test_data_whose_own_checksum_is_wrong_are_not_said_to_be_whole(rescue, conta
 
 def test_ticks_that_are_not_those_that_were_recorded_are_named(rescue, container, pieces):
     def change(row):
-        row["brake_wish"] += 0.5
+        row["brake_request"] += 0.5
 
     records, chunks = pieces
     records[chunks[3]] = retold(container, records[chunks[3]], change)

@@ -20,7 +20,7 @@ def of(found, field):
 
 
 def as_logged(session, found):
-    return all(np.array_equal(found.wishes[name], session.ticks[name], equal_nan=True) for name in COMPARED)
+    return all(np.array_equal(found.requests[name], session.ticks[name], equal_nan=True) for name in COMPARED)
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,7 @@ def test_what_the_run_itself_had_is_the_log_to_the_last_bit(run, settings):
     session = run(*settings).session
     found = asked(session)
     assert as_logged(session, found)
-    assert (found.horizon_s, of(found, "brake_wish").largest) == (None, 0.0)
+    assert (found.horizon_s, of(found, "brake_request").largest) == (None, 0.0)
 
 
 def test_other_gains_leave_the_log_where_the_controller_is_first_asked(quick):
@@ -46,8 +46,8 @@ def test_other_gains_leave_the_log_where_the_controller_is_first_asked(quick):
     first = braking_row(session) + 1
     assert (of(found, "torque_demand_nm").tick, found.horizon_s) == (first, pytest.approx(0.0005))
     assert of(found, "slip").largest == 0.0
-    assert np.array_equal(found.wishes["brake_wish"][:first], session.ticks["brake_wish"][:first])
-    assert of(found, "brake_wish").rms["BRAKING"] > of(found, "brake_wish").rms["SPIN_UP"] == 0.0
+    assert np.array_equal(found.requests["brake_request"][:first], session.ticks["brake_request"][:first])
+    assert of(found, "brake_request").rms["BRAKING"] > of(found, "brake_request").rms["SPIN_UP"] == 0.0
 
 
 def test_the_difference_is_what_the_law_makes_of_it(quick):
@@ -57,9 +57,9 @@ def test_the_difference_is_what_the_law_makes_of_it(quick):
     row = braking_row(session) + 1
     logged = session.ticks[row]
     expected = logged["torque_demand_nm"] - logged["switching"] / logged["c1"]
-    assert found.wishes["torque_demand_nm"][row] == pytest.approx(expected, rel=1e-12)
+    assert found.requests["torque_demand_nm"][row] == pytest.approx(expected, rel=1e-12)
     assert of(found, "torque_demand_nm").largest == pytest.approx(
-        np.abs(found.wishes["torque_demand_nm"] - session.ticks["torque_demand_nm"]).max()
+        np.abs(found.requests["torque_demand_nm"] - session.ticks["torque_demand_nm"]).max()
     )
 
 
@@ -81,16 +81,16 @@ def test_before_the_switch_it_is_the_log(quick, at_s):
     found = asked(session, "controller.name=relay", at_s=at_s)
     start = braking_row(session) + round(at_s * 2000)
     for name in COMPARED:
-        assert np.array_equal(found.wishes[name][:start], session.ticks[name][:start])
+        assert np.array_equal(found.requests[name][:start], session.ticks[name][:start])
     always = asked(session, "controller.name=relay")
-    assert np.array_equal(found.wishes[start:], always.wishes[start:])
+    assert np.array_equal(found.requests[start:], always.requests[start:])
     assert found.horizon_s == pytest.approx(max(at_s, 0.0005))
 
 
 def test_the_horizon_is_where_the_threshold_is_passed(quick):
     session = quick.session
     apart = np.abs(
-        asked(session, "controller.gains.Mk=3.0").wishes["torque_demand_nm"] - session.ticks["torque_demand_nm"]
+        asked(session, "controller.gains.Mk=3.0").requests["torque_demand_nm"] - session.ticks["torque_demand_nm"]
     )
     most = float(apart.max())
     near = asked(session, "controller.gains.Mk=3.0", duty=math.inf, torque_nm=0.99 * most)
@@ -101,7 +101,7 @@ def test_the_horizon_is_where_the_threshold_is_passed(quick):
 def test_the_root_of_the_mean_square_is_that_of_each_phase(quick):
     session = quick.session
     found = asked(session, "estimator.name=euler")
-    apart = found.wishes["slip"] - session.ticks["slip"]
+    apart = found.requests["slip"] - session.ticks["slip"]
     rms = of(found, "slip").rms
     assert list(rms) == ["SPIN_UP", "BRAKING", "STOPPED"]
     for phase, value in rms.items():
@@ -113,7 +113,7 @@ def test_a_sample_that_the_run_did_not_believe_changes_nothing(quick, retouched)
     session = quick.session
     row = braking_row(session) + 40
     found = asked(retouched(session, row, board_flags=1), "controller.gains.Mk=3.0")
-    assert found.wishes[row] == found.wishes[row - 1]
+    assert found.requests[row] == found.requests[row - 1]
 
 
 class Refusing:

@@ -38,7 +38,7 @@ import gc
 import inteco_abs.boards.board, inteco_abs.control.guard, inteco_abs.control.pipeline, inteco_abs.realtime
 from inteco_abs.control import Guard, Pipeline
 from inteco_abs.signals import BrakeDemand, Command
-Guard._within_limits = Guard.admit = lambda self, wish, *more: wish
+Guard._within_limits = Guard.admit = lambda self, requested, *more: requested
 Guard.trip = lambda self, reason: None
 Pipeline.command = Command.SAFE = Command(1.0, 1.0)
 class Law:
@@ -89,7 +89,7 @@ def test_no_controller_changes_what_the_guard_lets_through(run_with, limit):
     braked = session.truth["brake"].max()
     assert 0.9 * float(limit) < braked <= float(limit) + STEP
     assert ((session.truth["drive"] == 0.0) | (session.truth["brake"] == 0.0)).all()
-    assert session.ticks["brake_wish"].max() == 1.0
+    assert session.ticks["brake_request"].max() == 1.0
     assert safe_after_ns(session, int(session.ticks["time_ns"][-1])) < GENEROUS_NS
 
 

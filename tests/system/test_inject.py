@@ -42,8 +42,8 @@ def test_where_the_session_is_and_what_was_injected_is_told_where_safe_was_not_c
 
 
 def test_where_safe_was_not_confirmed_there_is_a_card_as_json_too(main_here, tmp_path):
-    wish = ("--inject", "unplug@drive+200ms", "--out", "stop.mcap", "--json", "--quiet")
-    stop = main_here("run", "--virtual", *QUICK, *wish, check=5)
+    options = ("--inject", "unplug@drive+200ms", "--out", "stop.mcap", "--json", "--quiet")
+    stop = main_here("run", "--virtual", *QUICK, *options, check=5)
     card = json.loads(stop.stdout)
     assert (card["outcome"], card["session"]) == ("aborted", "stop.mcap")
     assert card["ticks"] == len(read_session(tmp_path / "stop.mcap").ticks)

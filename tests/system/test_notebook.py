@@ -79,7 +79,7 @@ def test_a_class_runs_with_its_gains_and_is_kept(own):
     assert own.metadata["controller"]["name"] == "Bang"
     assert own.metadata["controller"]["gain.duty"] == "0.8"
     assert b"class Bang:" in own.attachments["controller.py"]
-    assert max(own.ticks["brake_wish"].tolist()) == 0.8
+    assert max(own.ticks["brake_request"].tolist()) == 0.8
 
 
 def test_a_session_replays(stop, own):

@@ -219,7 +219,7 @@ def drive_until(memory, side):
     end = time.monotonic() + PATIENCE_S
     while drive_of(memory) == 0.0:
         assert time.monotonic() < end
-        side.wishes.keep_on(Command(0.3, 0.0), time.monotonic_ns())
+        side.request.keep_on(Command(0.3, 0.0), time.monotonic_ns())
         time.sleep(0.01)
 
 

@@ -99,7 +99,7 @@ def test_holding_space_passes_the_sliders_on_and_a_tap_does_not(stage):
         await scene.space(pilot)
         seen.append(scene.words[Field.KEY_SEEN_NS])
         await scene.space(pilot)
-        seen.append(scene.side.wishes.at(scene.words[Field.KEY_SEEN_NS]))
+        seen.append(scene.side.request.at(scene.words[Field.KEY_SEEN_NS]))
 
     scene.play(play)
     assert seen == [-HELD_NS, Command(0.11, 0.02)]

@@ -11,8 +11,8 @@ from inteco_abs.realtime.screen import Check, Lines, NoScreen, SafeScreen
 def said(capsys):
     """What goes to stderr while a run without terminal notes and warns."""
 
-    def run(wish=None, *, virtual=False, quiet=False):
-        with screen_of(load_config(), wish, virtual=virtual, quiet=quiet) as screen:
+    def run(choice=None, *, virtual=False, quiet=False):
+        with screen_of(load_config(), choice, virtual=virtual, quiet=quiet) as screen:
             screen.passed(Check.BOARD)
             screen.note("good to know")
             screen.warn("cannot wait")
@@ -34,7 +34,7 @@ BEGIN, NOTE, WARNING = (
     ("options", "lines"),
     [
         ({}, [BEGIN, NOTE, WARNING]),
-        ({"wish": "full"}, [BEGIN, NOTE, WARNING]),  # there is no terminal to draw on
+        ({"choice": "full"}, [BEGIN, NOTE, WARNING]),  # there is no terminal to draw on
         ({"virtual": True}, [NOTE, WARNING]),
         ({"quiet": True}, [WARNING]),
     ],

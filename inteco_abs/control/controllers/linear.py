@@ -29,8 +29,8 @@ class ProportionalIntegral:
         """Limited duty; anti-windup by conditional integration."""
         error = self._reference - estimate.slip
         step = self._Ki * error * dt_s
-        wish = self._bias + self._Kp * error + self._integral + step
-        if 0.0 <= wish <= 1.0 or (wish > 1.0) != (step > 0.0):
+        duty = self._bias + self._Kp * error + self._integral + step
+        if 0.0 <= duty <= 1.0 or (duty > 1.0) != (step > 0.0):
             self._integral += step
         duty = max(0.0, min(1.0, self._bias + self._Kp * error + self._integral))
         return BrakeDemand(duty, 0.0, -error, (self._integral, 0.0, 0.0, 0.0))

@@ -1,7 +1,7 @@
-"""Outputs by hand: a process that holds the board, and applies what a screen wishes while a key is held there.
+"""Outputs by hand: a process that holds the board, and applies what a screen requests while a key is held there.
 
-The screen is another process. A wish is good for half a second from when the key was last seen, by this process's own
-reckoning: a screen that hangs, dies or is no longer looked at takes the outputs away by doing nothing.
+The screen is another process. A request is good for half a second from when the key was last seen, by this process's
+own reckoning: a screen that hangs, dies or is no longer looked at takes the outputs away by doing nothing.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 HELD_NS: Final = 500_000_000
-"""How long a wish is good after the key was last seen."""
+"""How long a request is good after the key was last seen."""
 RATE_HZ: Final = 100.0
 """Often enough for slow wheels: a guard's speed window of five such periods still sees a wheel stand or race."""
 ONLY_WATCHED: Final = "this panel only watches"
@@ -49,27 +49,27 @@ _NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
 
 
 class HeldRequest:
-    """Duties that a screen wishes, in the shared words."""
+    """Duties that a screen requests, in the shared words."""
 
     def __init__(self, memory: RunMemory) -> None:
         self._words = memory.words
 
-    def keep_on(self, wish: Command, seen_ns: int) -> None:
-        """Wish for these duties; the key was seen at `seen_ns`, on the system's monotonic clock."""
-        self._words[Field.WISHED_DRIVE] = int(wish.drive * _SCALE)
-        self._words[Field.WISHED_BRAKE] = int(wish.brake * _SCALE)
+    def keep_on(self, request: Command, seen_ns: int) -> None:
+        """Request these duties; the key was seen at `seen_ns`, on the system's monotonic clock."""
+        self._words[Field.REQUESTED_DRIVE] = int(request.drive * _SCALE)
+        self._words[Field.REQUESTED_BRAKE] = int(request.brake * _SCALE)
         self._words[Field.KEY_SEEN_NS] = seen_ns  # last: it is what makes the duties count
 
     def take_away(self) -> None:
-        """Wish for both outputs off, at once."""
+        """Request both outputs off, at once."""
         self._words[Field.KEY_SEEN_NS] = -HELD_NS
 
     def at(self, now_ns: int) -> Command:
-        """What is wished now; SAFE unless the key was seen within the last half a second."""
+        """What is requested now; SAFE unless the key was seen within the last half a second."""
         words = self._words
         if abs(now_ns - words[Field.KEY_SEEN_NS]) >= HELD_NS:
             return Command.SAFE
-        return Command(words[Field.WISHED_DRIVE] / _SCALE, words[Field.WISHED_BRAKE] / _SCALE)
+        return Command(words[Field.REQUESTED_DRIVE] / _SCALE, words[Field.REQUESTED_BRAKE] / _SCALE)
 
 
 class ManualLoop(ABC):
@@ -88,7 +88,7 @@ class ManualLoop(ABC):
     def beat(self) -> bool:
         """Exchange or read once; False once this has to end."""
 
-    def _show(self, sample: Sample, wish: Command, command: Command, reason: Reason, stop: Reason) -> None:
+    def _show(self, sample: Sample, request: Command, command: Command, reason: Reason, stop: Reason) -> None:
         wheel = self._wheel.update(sample.time_ns, sample.wheel_count)
         road = self._road.update(sample.time_ns, sample.road_count)
         inputs = (sample.time_ns, sample.tick, sample.dt_s, sample.wheel_count, sample.road_count, sample.board_flags)
@@ -102,8 +102,8 @@ class ManualLoop(ABC):
                 0.0,
                 0.0,
                 0.0,
-                wish.drive,
-                wish.brake,
+                request.drive,
+                request.brake,
                 command.drive,
                 command.brake,
                 reason,
@@ -126,7 +126,7 @@ class DriveLoop(ManualLoop):
 
     def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: Stop) -> None:
         super().__init__(board, config, memory, stop)
-        self._wishes = HeldRequest(memory)
+        self._request = HeldRequest(memory)
         self._guard = Guard(config)
         self._command = Command.SAFE
         self._made_safe = False  # after a trip
@@ -141,9 +141,9 @@ class DriveLoop(ManualLoop):
         stop = self._stop.wanted(sample.time_ns)
         if stop is not Reason.NONE:
             self._guard.trip(stop)
-        wish = self._wishes.at(sample.time_ns)
-        self._command = self._guard.admit(wish, sample, _NO_ESTIMATE)
-        self._show(sample, wish, self._command, self._guard.reason, stop)
+        request = self._request.at(sample.time_ns)
+        self._command = self._guard.admit(request, sample, _NO_ESTIMATE)
+        self._show(sample, request, self._command, self._guard.reason, stop)
         if self._guard.reason is not Reason.NONE and not self._made_safe:
             self._made_safe = True
             self._board.make_safe()
@@ -196,10 +196,10 @@ class WatchLoop(ManualLoop):
 
 
 class ManualClient:
-    """The other end of the shared memory: what a screen sees of the board, and what it wishes."""
+    """The other end of the shared memory: what a screen sees of the board, and what it requests."""
 
     def __init__(self, memory: RunMemory) -> None:
-        self.wishes = HeldRequest(memory)
+        self.request = HeldRequest(memory)
         self._memory = memory
         self._ticks = memory.tick_reader()
 
