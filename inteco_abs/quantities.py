@@ -1,4 +1,4 @@
-"""Numbers as people write them: with a comma, with their unit, or in another unit than the wanted one."""
+"""Numbers as people write them, with a comma, their unit, or in another unit than the wanted one; and as JSON does."""
 
 from __future__ import annotations
 
@@ -21,6 +21,11 @@ _FAR: Final = 3.0
 _LARGEST: Final = 1e12
 """Larger numbers are in no unit."""
 _ENDINGS: Final = {"_rad_s": "rad/s", "_per_s": "1/s", "_hz": "Hz", "_nm": "N m", "_s": "s"}
+
+
+def finite(value: float) -> float | None:
+    """`value` as JSON can have it: None for NaN and the infinities."""
+    return float(value) if math.isfinite(value) else None
 
 
 def unit_of(key: str) -> str:

@@ -21,6 +21,7 @@ from inteco_abs.config import RigConfig, apply_setting, parse_config
 from inteco_abs.control import Controller, control_check, make_controller, make_estimator, preferred_estimator
 from inteco_abs.control.phase_machine import recordable
 from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, in_words
+from inteco_abs.quantities import finite
 from inteco_abs.sessions.reader import Session
 from inteco_abs.sessions.recorded_config import session_config
 from inteco_abs.signals import BrakeDemand, Command, Phase, Sample
@@ -201,10 +202,6 @@ def _divergence(
         threshold,
         int(session.ticks["tick"][beyond[0]]) if len(beyond) and threshold is not None else None,
         float(since_s[beyond[0]]) if len(beyond) and threshold is not None else None,
-        _finite(np.max(apart[judged])),
-        {phase: _finite(np.sqrt(np.mean(values * values))) for phase, values in where.items()},
+        finite(np.max(apart[judged])),
+        {phase: finite(np.sqrt(np.mean(values * values))) for phase, values in where.items()},
     )
-
-
-def _finite(value: Any) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -21,6 +21,7 @@ from inteco_abs.gain_design.gains import gains_of
 from inteco_abs.gain_design.intervals import Interval
 from inteco_abs.gain_design.reaching import Reaching, reaching
 from inteco_abs.gain_design.uncertainty import Box
+from inteco_abs.quantities import finite
 
 _SLIPS: Final = 21
 """At which a band is looked at."""
@@ -54,17 +55,17 @@ class Assessment:
             "parameters": self.config.model.parameters,
             "uncertain": {one.name: [one.low, one.high] for one in self.box.spreads},
             "g_positive": all(one.g_positive for one in self.case.slips),
-            "eps_g": _finite(curves["eps_g"].max()),
-            "mq_25_per_s": _finite(curves["mq_25_per_s"].max()),
-            "mq_26_per_s": _finite(curves["mq_26_per_s"].max()),
-            "mq_25_times_speed_rad_s2": _finite((curves["mq_25_per_s"] * curves["road_speed_rad_s"]).max()),
+            "eps_g": finite(curves["eps_g"].max()),
+            "mq_25_per_s": finite(curves["mq_25_per_s"].max()),
+            "mq_26_per_s": finite(curves["mq_26_per_s"].max()),
+            "mq_25_times_speed_rad_s2": finite((curves["mq_25_per_s"] * curves["road_speed_rad_s"]).max()),
             "fails_25_rad_s": [list(one) for one in self.fails_25],
             "fails_26_rad_s": [list(one) for one in self.fails_26],
             "brake_limit": self.case.brake_limit,
             "largest_torque_nm": self.case.limit_nm,
-            "reaching": [{key: _finite(value) for key, value in way._asdict().items()} for way in self.reaching],
+            "reaching": [{key: finite(value) for key, value in way._asdict().items()} for way in self.reaching],
             "advice": [one._asdict() for one in self.advice],
-            "curves": {name: [_finite(value) for value in values] for name, values in curves.items()},
+            "curves": {name: [finite(value) for value in values] for name, values in curves.items()},
         }
 
 
@@ -131,7 +132,3 @@ def _curves(case: Case) -> dict[str, Floats]:
         "torque_ripple_nm": swing_nm * chatters,
         "slip_ripple_rms": case.gains.switching(x2) * case.period_s / 2.0 * chatters,
     }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from inteco_abs.montecarlo.policies import ConfiguredPolicy
 from inteco_abs.montecarlo.results import METRICS, StopResults
 from inteco_abs.montecarlo.samples import SampleSet
 from inteco_abs.montecarlo.stops import SHARD, Progress, run_all
+from inteco_abs.quantities import finite
 
 RUN_UP_RAD_S: Final = 15.0
 """Below the start speed: nearly a second of driving, in which estimators settle and learn."""
@@ -32,9 +32,9 @@ class SweepRow:
         summary, config = self.stops.summary(), self.combination.config
         metrics = {
             name: {
-                "median": _finite(spread.median),
-                "p99": _finite(spread.p99),
-                "max": _finite(spread.largest),
+                "median": finite(spread.median),
+                "p99": finite(spread.p99),
+                "max": finite(spread.largest),
                 "worst_seed": self.draws.seeds[spread.worst],
             }
             for name, spread in summary.spreads.items()
@@ -62,7 +62,7 @@ class SweepRow:
                 "controller": config.controller.name,
                 "estimator": config.estimator.name,
                 **self.combination.varied,
-                **dict(zip(METRICS, map(_finite, values), strict=True)),
+                **dict(zip(METRICS, map(finite, values), strict=True)),
                 "error": error,
             }
 
@@ -91,7 +91,3 @@ def sweep(
         experiments.append(Experiment(rigs.rigs, config, maker, start))
     outcomes = run_all(experiments, executor=executor, shard=shard, progress=progress)
     return [SweepRow(*pair, stops) for pair, stops in zip(pairs, outcomes, strict=True)]
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.montecarlo import StopResults
+from inteco_abs.quantities import finite
 
 ACCURACY: Final = "slip_rms_fixed_true"
 """What the claim is judged by: every stop has it, however late its slip arrives, or never."""
@@ -84,8 +85,7 @@ def _times(ratio: float | None) -> str:
 
 
 def _median(ratios: NDArray[np.float64]) -> float | None:
-    median = float(np.median(ratios))
-    return median if math.isfinite(median) else None
+    return finite(float(np.median(ratios)))
 
 
 def _chance(wins: int, losses: int) -> float:

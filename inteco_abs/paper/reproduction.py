@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -14,6 +13,7 @@ from inteco_abs.control import reaching_time_bound
 from inteco_abs.montecarlo import IDEAL, METRICS, Progress, StopResults, run_all
 from inteco_abs.paper.cases import REFERENCE, Condition, Law, conditions
 from inteco_abs.paper.comparison import ACCURACY, Comparison, compare, verdict
+from inteco_abs.quantities import finite
 
 SHOWN: Final = (
     "reaching_time_s",
@@ -59,8 +59,8 @@ class PaperRow:
             "rigs": condition.draws.name,
             "left_out": list(condition.draws.left_out),
             "stops": len(self.stops),
-            "median": {name: _finite(spreads[name].median) for name in SHOWN},
-            "largest": {name: _finite(spreads[name].largest) for name in SHOWN},
+            "median": {name: finite(spreads[name].median) for name in SHOWN},
+            "largest": {name: finite(spreads[name].largest) for name in SHOWN},
             "comparison": compared and compared._asdict(),
         }
 
@@ -78,7 +78,7 @@ class PaperRow:
                 "estimator": condition.estimator,
                 "population": condition.draws.population,
                 "seed": seed,
-                **dict(zip(METRICS, map(_finite, values), strict=True)),
+                **dict(zip(METRICS, map(finite, values), strict=True)),
                 "error": error,
             }
 
@@ -177,7 +177,3 @@ def _simulation(row: PaperRow, course: PaperTrace) -> dict[str, Any]:
         "stop_time_s": stop["stop_time_s"],
         "stop_distance_m": stop["stop_distance_m"],
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

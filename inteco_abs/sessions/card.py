@@ -15,6 +15,7 @@ import numpy.typing as npt
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import SessionError
 from inteco_abs.format.schema import TICK, TRUTH
+from inteco_abs.quantities import finite
 from inteco_abs.rig import nominal_parameters
 from inteco_abs.sessions.metrics import StopTrace, stop_metrics
 from inteco_abs.sessions.reader import Session
@@ -207,7 +208,7 @@ def stored_card(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Any] | N
         card = json.loads(
             metadata.get("result", {}).get("card", ""),
             parse_int=_count,
-            parse_float=_finite,
+            parse_float=lambda text: finite(float(text)),
             parse_constant=lambda _name: None,
         )
     except (ValueError, RecursionError):
@@ -228,11 +229,6 @@ def card_of(session: Session) -> dict[str, Any] | None:
 
 def _count(text: str) -> int | None:
     return int(text) if len(text) <= _MOST_DIGITS else None
-
-
-def _finite(text: str) -> float | None:
-    value = float(text)
-    return value if math.isfinite(value) else None
 
 
 _STOP_METRICS: Final = (

@@ -13,9 +13,9 @@ from inteco_abs.sessions.container import (
     DamagedError,
     DecompressionBudget,
     Entry,
+    FixedRun,
     Opcode,
     RecordFile,
-    VariableRun,
     chunk_parts,
     unpack_chunk,
 )
@@ -70,8 +70,10 @@ def _messages(content: Content, raw: bytes) -> Iterator[bytes]:
         if isinstance(part, Entry):
             content.take(part)
             continue
-        content.allowance.part()
-        if isinstance(part, VariableRun):
+        if isinstance(part, FixedRun):
+            content.allowance.part()
+        else:
+            content.allowance.part(part.number)
             yield from (data for _, _, data in part.messages())
 
 

@@ -9,7 +9,8 @@ import pytest
 import zstandard
 
 from inteco_abs.errors import SessionError
-from inteco_abs.sessions import read_session
+from inteco_abs.format.io_frame import IO_TOPIC, Direction, IoFrame, pack_io_frame
+from inteco_abs.sessions import read_frames, read_session
 
 CHUNK, METADATA, ATTACHMENT, SCHEMA, CHANNEL, MESSAGE = 6, 12, 9, 3, 4, 5
 MOST_BYTES = 4_000_000
@@ -168,10 +169,10 @@ class TestManySmallParts:
     def swollen(self, container, short, altered):
         """Path of a session of which a further chunk holds so many of one part."""
 
-        def write(part, number):
+        def write(part, number, before=b""):
             records = container.split(short.read_bytes())
             first = next(at for at, record in enumerate(records) if record.opcode == CHUNK)
-            raw = part * number
+            raw = before + part * number
             chunk = container.chunk(zstandard.compress(raw), len(raw), "zstd", zlib.crc32(raw))
             return altered(container.join([*records[: first + 1], chunk, *records[first + 1 :]]))
 
@@ -209,3 +210,22 @@ class TestManySmallParts:
         session = read_session(swollen(parts[kind], 40_000))
         assert len(session.ticks) == 60
         assert max(len(session.log), len(session.parameters)) > 40_000
+
+    @pytest.fixture
+    def with_frames(self, container, swollen):
+        """Path of a session with so many raw frames."""
+        facts = {"board": "usb2", "recorded_by": "", "clock": "monotonic", "start_ns": "0"}
+        texts = b"".join(container.text(text) for pair in facts.items() for text in pair)
+        channel = struct.pack("<HH", 9, 0) + container.text(IO_TOPIC) + container.text("protobuf")
+        declared = bytes(container.record(CHANNEL, channel + struct.pack("<I", len(texts)) + texts))
+        frame = self.message(container, 9, pack_io_frame(IoFrame(1, Direction.OUT)))
+        return lambda number: swollen(frame, number, declared)
+
+    def test_more_raw_frames_than_any_session_has_are_refused_before_they_cost_memory(self, with_frames):
+        path = with_frames(120_000)
+        assert path.stat().st_size < 50_000
+        with pytest.raises(SessionError, match=r"is damaged: holds more records.* than a session of this size can"):
+            read_frames(path)
+
+    def test_the_raw_frames_of_a_long_run_are_read(self, with_frames):
+        assert len(read_frames(with_frames(40_000)).records) == 40_000
