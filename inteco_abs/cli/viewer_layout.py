@@ -21,10 +21,10 @@ def layout(viewer: str, out: Path | None) -> int:
     Lichtblick, and Foxglove: Layouts, Import from file. PlotJuggler: plotjuggler --layout FILE --datafile SESSION, and
     choose the topics /abs/tick and /sim/truth.
     """
-    from inteco_abs.views.layouts import VIEWERS, write_layout
+    from inteco_abs.views.layouts import layout_of, write_layout
 
     if out is None:
-        say(VIEWERS[viewer]().decode(), nl=False)
+        say(layout_of(viewer).decode(), nl=False)
     else:
         write_layout(viewer, out)
         say(str(out))

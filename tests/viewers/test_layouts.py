@@ -10,7 +10,7 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorS
 from mcap.reader import make_reader
 
 from inteco_abs.cli import main
-from inteco_abs.views.layouts import lichtblick, plotjuggler
+from inteco_abs.views.layouts import layout_of
 
 ENUM, BOOL = FieldDescriptorProto.TYPE_ENUM, FieldDescriptorProto.TYPE_BOOL
 
@@ -41,7 +41,7 @@ def branches(node):
 
 @pytest.fixture(scope="module")
 def lichtblick_layout():
-    return json.loads(lichtblick())
+    return json.loads(layout_of("lichtblick"))
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_lichtblicks_log_shows_the_topic_of_events(panels, fields):
 
 @pytest.fixture(scope="module")
 def plotjuggler_layout():
-    return ET.fromstring(plotjuggler())  # noqa: S314  our own output
+    return ET.fromstring(layout_of("plotjuggler"))  # noqa: S314  our own file
 
 
 def test_every_curve_is_what_plotjuggler_makes_of_a_number_in_the_file(plotjuggler_layout, fields):
@@ -144,12 +144,12 @@ def layout(monkeypatch, capfdbinary):
     return run
 
 
-@pytest.mark.parametrize(("viewer", "made"), [("lichtblick", lichtblick), ("plotjuggler", plotjuggler)])
-def test_a_layout_goes_to_a_file_or_to_standard_output(layout, tmp_path, viewer, made):
+@pytest.mark.parametrize("viewer", ["lichtblick", "plotjuggler"])
+def test_a_layout_goes_to_a_file_or_to_standard_output(layout, tmp_path, viewer):
     path = tmp_path / "layout"
     assert layout("--for", viewer, "-o", path)[:2] == (0, f"{path}\n".encode())
-    assert path.read_bytes() == made()
-    assert layout("--for", viewer)[:2] == (0, made())
+    assert path.read_bytes() == layout_of(viewer)
+    assert layout("--for", viewer)[:2] == (0, layout_of(viewer))
 
 
 def test_a_file_that_is_there_is_not_overwritten(layout, tmp_path):

@@ -1,0 +1,31 @@
+"""Layouts for viewers that open sessions: what belongs together in one plot, as each viewer saves it.
+
+To change one, change it in the viewer and export it. Formats: Lichtblick 1.28 (layout data, panels Plot,
+StateTransitions and Log, which it calls RosOut; Foxglove shares them) and PlotJuggler 3.17 (layout 2.3.8, loader of
+MCAP, parser of protobuf), as far as their sources tell (docs/facts/sessions.md#encodings).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from inteco_abs.errors import SessionError, describe_disk
+from inteco_abs.sessions import atomic_write, check_output
+
+_FILES: Final = {"lichtblick": "lichtblick.json", "plotjuggler": "plotjuggler.xml"}
+
+
+def layout_of(viewer: str) -> bytes:
+    """The layout for `lichtblick`, which Foxglove reads too, or for `plotjuggler`."""
+    return Path(__file__).with_name(_FILES[viewer]).read_bytes()
+
+
+def write_layout(viewer: str, out: Path) -> None:
+    """Write the layout for a viewer to the new file `out`; raises ConfigError or SessionError if it cannot."""
+    check_output(out)
+    with atomic_write(out) as part:
+        try:
+            part.write_bytes(layout_of(viewer))
+        except OSError as error:
+            raise SessionError(f"{out} cannot be written: {describe_disk(error)}") from error
