@@ -163,7 +163,7 @@ class TestPrepare:
 CHILD = """
 import ctypes, gc, json, os, signal, sys
 from pathlib import Path
-from inteco_abs.realtime import machine
+from inteco_abs.realtime import tuning as machine
 garbage = [[] for _ in range(100)]
 settings = machine.prepare(getattr(machine, sys.argv[1])())
 status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
