@@ -52,6 +52,19 @@ def test_every_link_of_a_page_leads_somewhere(page):
         assert not anchor or anchor in anchors(str(file.relative_to(ROOT))), target
 
 
+@pytest.mark.parametrize("folder", ["docs/decisions", "docs/facts"])
+def test_an_index_lists_every_page_of_its_folder(folder):
+    pages = {Path(page).name for page in PAGES if Path(page).parent == Path(folder)} - {"README.md"}
+    assert pages
+    assert pages <= set(re.findall(r"\]\(([\w.-]+\.md)\)", text_of(f"{folder}/README.md")))
+
+
+def test_every_tool_is_explained_to_contributors():
+    tools = {name for name in tracked() if re.fullmatch(r"tools/\w+", name)}
+    assert {"tools/check", "tools/run"} <= tools
+    assert tools <= set(re.findall(r"tools/\w+", text_of("CONTRIBUTING.md")))
+
+
 @pytest.mark.parametrize("page", sorted(set(PAGES) - GENERATED_FROM))
 def test_every_path_that_a_page_names_exists(page):
     named = re.findall(r"`((?:inteco_abs|firmware_protocol|tests|tools|docs)/[\w./-]*\w/?)`", text_of(page))
