@@ -94,7 +94,9 @@ class Rig:
     """A board with the rig on it, and the settings that its runs begin with."""
 
     board: str
+    """Its address, as for `run --board`."""
     config_file: Path | None = None
+    """A rig.toml; without one, the defaults of the board's profile hold."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """By dotted key of rig.toml, as {"guard.brake_limit": 0.6}."""
 

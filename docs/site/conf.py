@@ -4,6 +4,7 @@ The root of the repository is the source folder, so that every link between page
 repository, and README.md is the start page.
 """
 
+from dataclasses import is_dataclass
 from importlib.metadata import version as version_of
 from pathlib import Path
 
@@ -12,12 +13,17 @@ from sphinx import addnodes
 ROOT = Path(__file__).resolve().parents[2]
 CONTENTS = {
     "Tutorials": ["docs/tutorials/*.md"],
-    "How to": ["docs/how-to/*.md", "docs/boards.md", "docs/controllers.md", "docs/sessions.md", "docs/watchdog.md"],
-    "When something is wrong": ["docs/troubleshooting.md", "docs/hazards.md"],
-    "Reference": ["docs/reference.md", "docs/api/*.md", "firmware_protocol/PROTOCOL.md", "docs/parity.md"],
-    "Background": ["docs/architecture.md", "docs/real-time.md", "docs/facts/*.md"],
-    "Project": ["*.md", "docs/decisions/*.md", "docs/*.md", "tests/**/*.md"],
-}
+    "Guides": [
+        "docs/troubleshooting.md", "docs/controllers.md", "docs/sessions.md", "docs/boards.md", "docs/real-time.md",
+        "docs/hazards.md", "docs/watchdog.md", "docs/parity.md",
+    ],
+    "Reference": ["docs/reference.md", "docs/api/*.md", "firmware_protocol/PROTOCOL.md"],
+    "Contribute": [
+        "CONTRIBUTING.md", "docs/architecture.md", "docs/how-to/*.md", "docs/decisions/*.md", "docs/facts/*.md",
+        "tests/**/*.md",
+    ],
+    "Project": ["*.md", "docs/*.md"],
+}  # fmt: skip
 """Patterns of the pages below each heading of the sidebar. A page stands where it is named first; beside a README.md,
 below that."""
 
@@ -33,6 +39,7 @@ suppress_warnings = ["misc.highlighting_failure"]  # what commands print is in n
 
 default_role = "py:obj"  # `name` in docstrings: a link where the name is documented, else code
 add_module_names = False
+autodoc_default_options = {"members": True, "undoc-members": True, "exclude-members": "__init__, __new__"}
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
@@ -96,8 +103,20 @@ def without_field_numbers(_app, _what, _name, _subject, _options, lines):
         lines.clear()
 
 
+def without_fields(_app, what, _name, subject, _options, _signature, returns):
+    """Leave out the signature of a class whose fields are listed below it."""
+    listed = what == "class" and (is_dataclass(subject) or issubclass(subject, tuple) or is_protocol(subject))
+    return ("", returns) if listed else None
+
+
+def is_protocol(subject):
+    """Whether the class only says what others have."""
+    return getattr(subject, "_is_protocol", False)
+
+
 def setup(app):
     """Sphinx calls it."""
     app.connect("source-read", with_contents)
     app.connect("doctree-read", folders_as_text)
     app.connect("autodoc-process-docstring", without_field_numbers)
+    app.connect("autodoc-process-signature", without_fields)

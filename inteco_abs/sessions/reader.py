@@ -52,6 +52,7 @@ class Session:
 
     path: Path
     ticks: npt.NDArray[np.void]
+    """One row per tick; columns such as `time_ns`, `slip` and `brake`, with units as in `schema.TICK`."""
     payload: bytes | memoryview
     """The ticks as messages of this version, back to back; those of the file itself if they are of no other."""
     truth: npt.NDArray[np.void]
@@ -59,9 +60,11 @@ class Session:
     metadata: dict[str, dict[str, str]]
     """By record name without `inteco_abs.`; records of one name are merged, the later one wins."""
     attachments: dict[str, bytes]
+    """Contents by name, such as `config.toml`."""
     channels: dict[str, dict[str, str]]
     """Metadata of each channel, by topic."""
     log: tuple[Event, ...]
+    """Changes of phase, faults and warnings, as text."""
     parameters: tuple[Parameters, ...]
     """Gains and reference in force, each from its tick on."""
     epoch_ns: int
