@@ -51,7 +51,7 @@ def test_power_lost_between_any_two_records_or_in_the_head_of_one(trial, contain
     power_lost_at(sorted({*between, *around, *heads} - {len(trial.data)}), trial, container)
 
 
-@pytest.mark.parametrize("times", [150, pytest.param(500, marks=pytest.mark.long)])
+@pytest.mark.parametrize("times", [60, pytest.param(500, marks=pytest.mark.long)])
 def test_power_lost_anywhere(trial, container, times):
     power_lost_at(random.Random(times).sample(range(len(trial.data)), times), trial, container)
     assert len(set(trial.recovered)) == 7
@@ -96,7 +96,7 @@ def change_ticks(trial, container, seed, times) -> None:
 
 
 def test_ticks_changed_under_right_checksums_are_refused_or_replayed(trial, container):
-    change_ticks(trial, container, seed=7, times=150)
+    change_ticks(trial, container, seed=7, times=60)
     assert trial.lies == []
 
 
@@ -107,7 +107,7 @@ def test_ticks_changed_under_right_checksums_and_often(trial, container):
 
 
 def test_changed_anywhere(trial):
-    flip(trial, seed=2, times=200)
+    flip(trial, seed=2, times=80)
     assert trial.lies == []
     assert np.median(trial.recovered) >= 50
 

@@ -77,6 +77,7 @@ def test_a_run_in_another_thread_needs_no_signals(run, quick, outer_signals):
     assert outer_signals == []
 
 
+@pytest.mark.long  # as runs of the command do
 def test_a_run_in_real_time_replays_bit_for_bit(tmp_path, run_at, replayed):
     made = run_at(tmp_path / "stop.mcap", PACED, virtual=False)
     session = made.session

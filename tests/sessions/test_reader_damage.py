@@ -1,4 +1,7 @@
-"""A damaged file is refused, or read up to the damage and called incomplete, or is what it was."""
+"""A damaged file is refused, or read up to the damage and called incomplete, or is what it was.
+
+Sweeps over every bit take long; `test_broken_files` draws cuts and changes from all of a file.
+"""
 
 import random
 import zlib
@@ -97,6 +100,7 @@ def test_a_file_cut_between_any_two_records_never_gives_a_wrong_tick(reading, co
     assert variants.incomplete > 10
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_a_file_cut_anywhere_never_gives_a_wrong_tick(reading, chunked):
     variants = reading(chunked)
@@ -129,6 +133,7 @@ def test_a_file_with_bytes_after_its_end_is_not_called_whole_and_has_no_wrong_ti
     assert variants.wrong == []
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_single_bit_flips_anywhere(reading, chunked):
     variants, generator = reading(chunked), random.Random(3)
@@ -138,6 +143,7 @@ def test_single_bit_flips_anywhere(reading, chunked):
     assert variants.refused > 250
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_every_bit_of_the_first_200_bytes(reading, tiny):
     variants = reading(tiny)
@@ -147,6 +153,7 @@ def test_every_bit_of_the_first_200_bytes(reading, tiny):
     assert variants.refused > 1000
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_every_bit_of_every_record_head_in_the_data(reading, container, tiny):
     variants = reading(tiny)
@@ -169,6 +176,7 @@ def test_the_index_behind_the_data_holds_nothing_that_is_believed(reading, conta
     assert (variants.refused, variants.incomplete) == (0, 0)
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_every_bit_of_every_fixed_field_of_a_chunk(reading, container, tiny):
     variants = reading(tiny)
