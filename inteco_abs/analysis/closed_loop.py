@@ -90,7 +90,8 @@ def continued(
     if pipeline.error is not None:
         raise SessionError(f"{session.path}: in simulation, it raised {in_words(pipeline.error)}")
     rows, truth = TICK.array_of(ticks), TRUTH.array_of(rig.truths)
-    known = np.concatenate([session.truth[session.truth["time_ns"] <= rows["time_ns"][row]], truth])
+    logged = session.truth[session.truth["time_ns"] <= rows["time_ns"][row]]
+    known = TRUTH.array(logged.tobytes() + truth.tobytes())  # np.concatenate would change the layout
     card = result_card(other, rows, known if len(session.truth) else truth[:0])
     return Continuation(
         row, state_from, simulation.simulation.rig or simulation.simulation.parameters, rows, truth, card
