@@ -90,8 +90,9 @@ _SIGNED: Final = (
 class BoardConfig(_Section):
     """Which board is expected and how the rig is wired to it. Comes from a profile."""
 
-    kind: Literal["usb2", "usb", "pci"] = "usb2"
-    """RT-DAC/USB2, RT-DAC/USB of the first generation, or RT-DAC4/PCI."""
+    kind: Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$")] = "usb2"
+    """Board family: usb2 for RT-DAC/USB2, usb for RT-DAC/USB of the first generation, pci for RT-DAC4/PCI, or one of an
+    installed package."""
     logic_version: Annotated[int, Field(ge=0, le=0xFFFF)]
     """Version of the FPGA logic that this wiring was checked with."""
     application_names: list[str] = []
@@ -154,9 +155,10 @@ class BoardConfig(_Section):
     evidence: dict[str, Evidence] = {}
     """Status of each of `WIRING`; what is not named is unknown."""
 
-    def unconfirmed(self) -> list[str]:
-        """What outputs rest on and is not confirmed, with its status."""
-        statuses = {key: self.evidence[key].status if key in self.evidence else "unknown" for key in self._relied_on()}
+    def unconfirmed(self, meaningless: Collection[str]) -> list[str]:
+        """What outputs rest on and is not confirmed, with its status; `meaningless` is what this board has not."""
+        relied_on = [key for key in self._relied_on() if key not in meaningless]
+        statuses = {key: self.evidence[key].status if key in self.evidence else "unknown" for key in relied_on}
         return [f"{key} ({status})" for key, status in statuses.items() if status != "confirmed"]
 
     def _relied_on(self) -> Iterator[str]:
@@ -165,10 +167,6 @@ class BoardConfig(_Section):
             unused.add("numbering_pwm")
         unused |= {key for key in ("timer", "watchdog_pin", "watchdog_contact_pin") if getattr(self, key) < 0}
         unused |= {key for key in ("numbering_pins", "constants") if not getattr(self, key)}
-        if self.kind != "usb2":
-            unused.add("frame_map")
-        if self.kind == "pci":
-            unused |= {"pwm_pins", "pwm_functions"}
         return (key for key in WIRING if key not in unused)
 
 
@@ -632,7 +630,7 @@ def _shipped_limits(kind: str) -> Table:
     most: Table = {}
     for table in map(read_profile, profiles()):
         board = table["board"]
-        if board.get("kind", "usb2") == kind and not board.get("simulated"):
+        if board.get("kind", BoardConfig.model_fields["kind"].default) == kind and not board.get("simulated"):
             limits = table.get("guard", {})
             most |= {key: max(value, most.get(key, value)) for key, value in limits.items()}
     return {"guard": most}

@@ -12,33 +12,30 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, TextIO
 
+from inteco_abs.boards import family_of
 from inteco_abs.commissioning.reported_board import ReportedBoard
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.format import TRUTH
 from inteco_abs.mock_board import (
-    ByteStream,
     Device,
     FaultyDevice,
     FaultyFrontEnd,
     FaultyHost,
     FrontEnd,
-    FtdiBoard,
     PtyServer,
     Schedule,
     SocketServer,
     Truth,
     TruthLog,
-    UsbBoard,
     UsbHost,
     UsbIdentity,
     UsbIpServer,
     face_of,
-    ftdi_identity,
+    mock_family,
     parse_address,
     parse_faults,
 )
-from inteco_abs.mock_board.usbip.usb_device import UsbDevice
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
 from inteco_abs.realtime.signal_handlers import hearing
@@ -48,14 +45,6 @@ _LOOK_S: Final = 0.1
 _CATCH_UP_S: Final = 0.005
 _LINGER_S: Final = 1.0
 """How long the board stays without supervisor and host: the guardian may be about to come."""
-
-NAMES: Final = {"usb2": "RT-DAC/USB2", "usb": "RT-DAC/USB"}
-"""Mock boards that can be plugged into a computer, by kind."""
-_BRIDGES: Final[dict[str, Callable[[FrontEnd, Mock, int], UsbDevice]]] = {
-    "usb2": lambda face, mock, serial: UsbBoard(face, mock.identity(UsbIdentity(serial=serial))),
-    "usb": lambda face, mock, serial: FtdiBoard(ByteStream(face), mock.identity(ftdi_identity(serial))),
-}
-"""What carries a face's messages on the bus."""
 
 
 def main(path: str) -> int:
@@ -152,7 +141,7 @@ class Mock:
     def name(self) -> str:
         """What it is, for people."""
         drawn = self.config.simulation.rig
-        return f"mock {NAMES[self.config.board.kind]}{f' with rig {drawn}' if drawn else ''}"
+        return f"mock {family_of(self.config.board.kind).title}{f' with rig {drawn}' if drawn else ''}"
 
     def face(self) -> FrontEnd:
         """The board's own side of the wire."""
@@ -175,8 +164,11 @@ def serve_usbip(mock: Mock, address: str, serial: int, say: Callable[[str], None
     """
     place = parse_address(address)
     face, kind = mock.face(), mock.config.board.kind
+    make = mock_family(kind).usb_device
+    if make is None:
+        raise ConfigError([ConfigIssue("--usbip", f"a mock {kind} board cannot be plugged into USB")])
     try:
-        bridge = _BRIDGES[kind](face, mock, serial)
+        bridge = make(face, mock.identity, serial)
     except ValueError as error:
         raise ConfigError([ConfigIssue("--serial", str(error))]) from error
     server = UsbIpServer(UsbHost(bridge), place)
@@ -196,11 +188,17 @@ def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
 
     `link` is a path for a symbolic link to it, or empty. Raises BoardError if that cannot be made.
     """
-    face = mock.face()
-    server = PtyServer(ByteStream(face), Path(link) if link else None)
+    family = family_of(mock.config.board.kind)
+    face, stream = mock.face(), mock_family(family.name).stream
+    if stream is None:
+        raise ConfigError([ConfigIssue("--pty", f"a mock {family.name} board is not at a serial port")])
+    server = PtyServer(stream(face), Path(link) if link else None)
     with hearing(server.close):
         say(f"{mock.name} at {link or server.name}; Ctrl-C unplugs it")
-        say(f"to use it: inteco-abs run --board usb:{Path(link or server.name).absolute()} --set profile=sim_usb")
+        say(
+            f"to use it: inteco-abs run --board {family.name}:{Path(link or server.name).absolute()} "
+            f"--set profile={family.mock_profile}"
+        )
         _be_quick()
         server.serve(mock.log(face.device))
 

@@ -4,7 +4,15 @@ from datetime import date
 
 import pytest
 
-from inteco_abs.boards import SCHEMES, InProcessLink, board_behind, check_kind, check_limits, default_profile
+from inteco_abs.boards import (
+    InProcessLink,
+    board_behind,
+    check_kind,
+    check_limits,
+    default_profile,
+    schemes,
+    unconfirmed,
+)
 from inteco_abs.config import WIRING, BoardConfig, load_config, parse_config, profiles
 from inteco_abs.errors import ConfigError
 from inteco_abs.mock_board import Device, face_of
@@ -66,7 +74,7 @@ def test_a_profile_is_whole_and_survives_its_own_text(name):
 def test_no_profile_of_a_real_board_is_signed(name):
     board = load_config(settings=[f"profile={name}"]).board
     assert board.verified_by == ""
-    assert board.unconfirmed()
+    assert unconfirmed(board)
 
 
 @pytest.mark.parametrize("name", [name for name in REAL if name != "usb2_tras"])
@@ -83,7 +91,7 @@ def test_every_key_that_outputs_rest_on_has_a_status_and_a_source(name):
     assert set(board.evidence) == relied_on
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", schemes())
 def test_every_scheme_begins_with_a_profile_of_its_own_kind(scheme):
     check_kind(f"{scheme}:", load_config(profile=default_profile(f"{scheme}:")))
 
@@ -287,10 +295,10 @@ class TestEvidence:
         base |= {"timer": 0, "constants": {"w9": 0}}
         base |= {"numbering_pins": [7], "watchdog_pin": 8, "watchdog_contact_pin": 9}
         board = BoardConfig.model_validate({**base, "evidence": confirmed})
-        assert board.unconfirmed() == []
+        assert unconfirmed(board) == []
         for key in WIRING:
             rest = {name: one for name, one in confirmed.items() if name != key}
-            assert BoardConfig.model_validate({**base, "evidence": rest}).unconfirmed() == [f"{key} (unknown)"]
+            assert unconfirmed(BoardConfig.model_validate({**base, "evidence": rest})) == [f"{key} (unknown)"]
 
     def test_the_refusal_names_what_is_not_confirmed(self):
         settings = ["profile=usb2_generic_0103", 'board.application_names=["ABSSIM"]']
@@ -327,7 +335,7 @@ def test_the_profile_of_the_unknown_abs_logic_begins_from_what_the_known_rig_log
     board = load_config(profile="usb2_abs_candidate").board
     assert (board.frame_map, board.pwm_pins, board.pwm_functions) == ("abs", [19, 23], [])
     assert (board.constants, board.timer) == ({"pwm_thermal_flags": 3}, 0)
-    assert {"frame_map (inferred)", "constants (inferred)", "pwm_pins (inferred)"} <= set(board.unconfirmed())
+    assert {"frame_map (inferred)", "constants (inferred)", "pwm_pins (inferred)"} <= set(unconfirmed(board))
 
 
 def test_a_channel_that_the_logic_does_not_have_is_refused_with_its_key():

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from firmware_protocol import Field, Register, Status
+from inteco_abs.boards.family import family_of
 from inteco_abs.config import BoardConfig
 
 _FIX: Final = (
@@ -26,6 +27,11 @@ def read_only_reason(wiring: BoardConfig, version: int, name: str | None, relied
     return f"{because}. {_FIX}" if because else ""
 
 
+def unconfirmed(wiring: BoardConfig) -> list[str]:
+    """What outputs rest on and is not confirmed, with its status."""
+    return wiring.unconfirmed(family_of(wiring.kind).unused_wiring)
+
+
 def _open_question(wiring: BoardConfig, version: int, name: str | None, relied_on: Iterable[Field | Register]) -> str:
     if version != wiring.logic_version:
         return f"the board has logic 0x{version:04X}, the profile was made for 0x{wiring.logic_version:04X}"
@@ -35,7 +41,7 @@ def _open_question(wiring: BoardConfig, version: int, name: str | None, relied_o
     if wiring.verified_by:
         return _signed_for_another(wiring, version)
     questions = [
-        *(f"board.{one}" for one in wiring.unconfirmed()),
+        *(f"board.{one}" for one in unconfirmed(wiring)),
         *(f"the frame's {one.name} ({one.status.value})" for one in relied_on if one.status is not Status.CONFIRMED),
     ]
     unsigned = "nobody has verified the profile's wiring on the rig (verified_by is empty); not confirmed: "

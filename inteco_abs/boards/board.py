@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
-from firmware_protocol import signed32
+from firmware_protocol import Status, signed32
 from inteco_abs.boards.first_write import PlannedWord
 from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, UnsafeError
 from inteco_abs.signals import BoardFlags, Command, Sample
@@ -50,6 +50,19 @@ class BoardReading(NamedTuple):
     """By field name, as the board tells them: counters with no sign or wrap of the wiring's applied."""
     raw: bytes
     """The frame, or the registers one after the other."""
+
+
+class Reading(NamedTuple):
+    """One of the quantities that the board measures besides the wheels' angles, or has as a limit. For show only."""
+
+    name: str
+    value: float | None
+    """None if the board's numbers make no value."""
+    unit: str
+    """`1` for a flag."""
+    status: Status
+    """What is known of the register: the meaning of the alarm flags is not."""
+    meaning: str
 
 
 class Board(ABC):
@@ -96,6 +109,10 @@ class Board(ABC):
 
         Raises LinkError if the board does not answer in its protocol, BoardError if it has no field of such a name.
         """
+
+    def readings(self) -> list[Reading]:
+        """What the board measures besides counts, and its limits; takes too long for a tick. Raises BoardError."""
+        return []
 
     @abstractmethod
     def first_write(self) -> list[PlannedWord]:

@@ -5,7 +5,7 @@ It names nobody: no user, no computer, no path, no serial number.
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -60,7 +60,8 @@ class Reads(_Part):
 class BoardReport(_Part):
     """Everything but the images, which are the capture's records."""
 
-    kind: Literal["usb2", "usb", "pci"]
+    kind: Text
+    """Board family."""
     identity: Identity
     bus: Bus = Bus()
     reads: Reads | None = None

@@ -6,12 +6,9 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from types import MappingProxyType
 from typing import Final
 
-from firmware_protocol import rtdac_usb, rtdac_usb2
 from firmware_protocol.fields import BYTE_BITS, FrameTable, Layout, Value
-from inteco_abs.config import BoardConfig
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 UNKNOWN: Final = "unknown"
@@ -37,7 +34,11 @@ class Protocol:
     """That the tables were made for; None: not published."""
     send: FrameTable
     read: FrameTable
+    header_table: FrameTable
+    """What the answers of all logics of the family have in common."""
     request: bytes
+    settings: Mapping[str, object]
+    """Keys of [board], with the values by which a profile says that its board speaks this."""
 
     def role_out(self, message: bytes) -> Role:
         """What a message from the host is for."""
@@ -53,8 +54,7 @@ class Protocol:
 
     def header(self, answer: bytes) -> dict[str, Value]:
         """What a READ answer of any logic tells of its board. Raises ProtocolError."""
-        table = rtdac_usb2.READ if self.board.startswith("usb2") else rtdac_usb.HEADER
-        return table.decode_some(answer, ("logic_version", "application_name"))
+        return self.header_table.decode_some(answer, ("logic_version", "application_name"))
 
     def fields(self, names: Iterable[str]) -> frozenset[str]:
         """The same names; raises ConfigError for one that is in neither table."""
@@ -63,58 +63,6 @@ class Protocol:
         for name in sorted(chosen - known):
             raise ConfigError([ConfigIssue("field", f"{self.title} has no field {name!r}{near_match(name, known)}")])
         return chosen
-
-
-def _usb2(logic: rtdac_usb2.Logic) -> Protocol:
-    generic = logic.name == "generic"
-    return Protocol(
-        "usb2" if generic else f"usb2-{logic.name}",
-        f"RT-DAC/USB2, logic 0x{rtdac_usb2.LOGIC_VERSION:04X}" if generic else f"RT-DAC/USB2, {logic.name} logic",
-        rtdac_usb2.LOGIC_VERSION if generic else None,
-        logic.send,
-        logic.read,
-        rtdac_usb2.READ_REQUEST,
-    )
-
-
-def _usb1(logic: int) -> Protocol:
-    tables = rtdac_usb.logic_of(logic)
-    return Protocol(
-        f"usb1-{logic:x}",
-        f"RT-DAC/USB, logic 0x{logic:04X}",
-        logic,
-        tables.send,
-        tables.read,
-        rtdac_usb.READ_REQUEST,
-    )
-
-
-PROTOCOLS: Final[Mapping[str, Protocol]] = MappingProxyType(
-    {
-        one.board: one
-        for one in (
-            *map(_usb2, rtdac_usb2.LOGICS.values()),
-            _usb1(0x0111),
-            _usb1(0x0112),
-        )
-    }
-)
-"""By the board that a capture names."""
-
-
-def protocol_name(wiring: BoardConfig) -> str:
-    """Which of `PROTOCOLS` the board of a profile speaks; raises ConfigError if it speaks none."""
-    names = {"usb": f"usb1-{wiring.logic_version:x}"}
-    if wiring.frame_map != "generic":
-        names["usb2"] = f"usb2-{wiring.frame_map}"
-    return protocol_of(names.get(wiring.kind, wiring.kind)).board
-
-
-def protocol_of(board: str) -> Protocol:
-    """Raises ConfigError for a board that has no tables here."""
-    if board not in PROTOCOLS:
-        raise ConfigError([ConfigIssue("board", f"no protocol {board!r}{near_match(board, PROTOCOLS)}")])
-    return PROTOCOLS[board]
 
 
 def words_of(table: FrameTable, frame: bytes) -> Sequence[int]:

@@ -27,30 +27,22 @@ def controllers(name: str | None, as_json: bool) -> int:
 
     NAME may be your own as file.py:Class, too.
     """
-    from inteco_abs.control import CONTROLLERS
-    from inteco_abs.plugins import packaged_controllers
+    from inteco_abs.plugins import installed_controllers
 
     if name is not None:
         _tell_controller(name, as_json=as_json)
         return 0
-    usable, broken = [(name, kind, "") for name, kind in CONTROLLERS.items()], []
-    for offer in packaged_controllers().values():
-        try:
-            usable.append((offer.name, offer.load(), offer.package))
-        except ConfigError as error:
-            broken.append({"name": offer.name, "package": offer.package, "problem": error.mistakes[0].problem})
+    usable, broken = installed_controllers().usable()
     if as_json:
         found = {
             name: {"summary": _summary(kind), "package": package, "gains": [gain._asdict() for gain in kind.gains]}
-            for name, kind, package in usable
+            for name, (kind, package) in usable.items()
         }
         print_json({"schema_version": 1, "controllers": found, "broken": broken})
         return 0
-    for each, kind, package in usable:
-        say(f"{each:{_WIDTH}} {_summary(kind)}{f' [{package}]' if package else ''}")
-        _list(kind.gains)
-    for fault in broken:
-        say(f"{fault['name']:{_WIDTH}} broken: {fault['problem']}")
+    for each, (kind, package) in usable.items():
+        _list_part(each, _summary(kind), package, kind.gains)
+    _list_broken(broken)
     return 0
 
 
@@ -64,16 +56,17 @@ def estimators(name: str | None, as_json: bool) -> int:
     if name is not None:
         _tell_estimator(name, as_json=as_json)
         return 0
+    usable, broken = ESTIMATORS.usable()
     if as_json:
         found = {
             name: {"summary": kind.summary, "parameters": [each._asdict() for each in kind.parameters]}
-            for name, kind in ESTIMATORS.items()
+            for name, (kind, _) in usable.items()
         }
-        print_json({"schema_version": 1, "estimators": found})
+        print_json({"schema_version": 1, "estimators": found, **({"broken": broken} if broken else {})})
         return 0
-    for each, kind in ESTIMATORS.items():
-        say(f"{each:{_WIDTH}} {kind.summary}")
-        _list(kind.parameters)
+    for each, (kind, package) in usable.items():
+        _list_part(each, kind.summary, package, kind.parameters)
+    _list_broken(broken)
     return 0
 
 
@@ -138,6 +131,7 @@ def _tell(one: _About, toml: Mapping[str, Any], *, as_json: bool) -> None:
 @json_option
 def profiles(name: str | None, as_json: bool) -> int:
     """List the shipped profiles, or print the one called NAME: the beginning of a lab's own."""
+    from inteco_abs.boards import unconfirmed
     from inteco_abs.config import load_config, profile_text
     from inteco_abs.config import profiles as shipped
 
@@ -154,16 +148,26 @@ def profiles(name: str | None, as_json: bool) -> int:
                 "logic_version": board.logic_version,
                 "verified_by": board.verified_by,
                 "read_only": board.read_only,
-                "unconfirmed": board.unconfirmed(),
+                "unconfirmed": unconfirmed(board),
             }
             for one, board in boards.items()
         }
         print_json({"schema_version": 1, "profiles": found})
         return 0
     for one, board in boards.items():
-        signed = f"signed by {board.verified_by}" if board.verified_by else f"{len(board.unconfirmed())} not confirmed"
+        signed = f"signed by {board.verified_by}" if board.verified_by else f"{len(unconfirmed(board))} not confirmed"
         say(f"{one:19} {board.kind:5} logic 0x{board.logic_version:04X}  {board.read_only or signed}")
     return 0
+
+
+def _list_part(name: str, summary: str, package: str, numbers: Sequence[Gain | Parameter]) -> None:
+    say(f"{name:{_WIDTH}} {summary}{f' [{package}]' if package else ''}")
+    _list(numbers)
+
+
+def _list_broken(broken: Sequence[Mapping[str, str]]) -> None:
+    for each in broken:
+        say(f"{each['name']:{_WIDTH}} broken: {each['problem']}")
 
 
 def _list(numbers: Sequence[Gain | Parameter], indent: int = _WIDTH + 3) -> None:

@@ -172,9 +172,10 @@ def _tell_steps(*, as_json: bool) -> None:
 
 def _real_profile(board: str) -> str:
     """The mock stands for a board whose wiring nobody has signed yet."""
-    from inteco_abs.boards import default_profile, simulated
+    from inteco_abs.boards import default_profile, family_of, simulated
+    from inteco_abs.config import load_config
 
-    return default_profile("usb2:" if simulated(board) else board)
+    return family_of(load_config().board.kind).profile if simulated(board) else default_profile(board)
 
 
 def _forgiving(board: str) -> list[str]:
@@ -201,6 +202,8 @@ def _bench(board: str, draft: ProfileDraft, *, virtual: bool) -> RigAccess:
 
 
 def _report(walk: Procedure, draft: ProfileDraft, board: str) -> dict[str, Any]:
+    from inteco_abs.boards import unconfirmed
+
     config = draft.config
     return {
         "schema_version": 1,
@@ -210,7 +213,7 @@ def _report(walk: Procedure, draft: ProfileDraft, board: str) -> dict[str, Any]:
         "profile": draft.profile,
         "next": walk.next or None,
         "verified_by": config.board.verified_by,
-        "unconfirmed": config.board.unconfirmed(),
+        "unconfirmed": unconfirmed(config.board),
         "steps": walk.state(),
     }
 

@@ -42,7 +42,7 @@ def controller_names(_context: click.Context, _parameter: click.Parameter, begun
 
 
 def estimator_names(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Estimators that ship."""
+    """Estimators that ship and those of installed packages."""
     from inteco_abs.control import ESTIMATORS
 
     return _beginning(begun, ESTIMATORS)

@@ -17,22 +17,20 @@ from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
 @click.option("--config", type=FILE, help="rig.toml with the board's ids.")
 def blink(board: str, seconds: float, config: Path | None) -> int:
     """Light the middle LED of an RT-DAC/USB2, to see which board it is; its outputs are not concerned."""
-    from inteco_abs.boards import check_address, default_profile
+    from inteco_abs.boards import check_address, default_profile, family_of, simulated
     from inteco_abs.config import load_config
 
     check_address(board)
-    scheme, _, serial = board.partition(":")
-    if scheme != "usb2":
+    name, _, rest = board.partition(":")
+    switch = None if simulated(board) else family_of(name).identify_led
+    if switch is None:
         raise ConfigError([ConfigIssue("--board", f"{board!r}: only an RT-DAC/USB2 has such an LED, as in usb2:123")])
-    from inteco_abs.boards.families.usb2.bridge import identify_led
-    from inteco_abs.boards.transports.usb import find_one
-
-    device = find_one(serial, load_config(config, profile=default_profile(board)).usb)
-    if not identify_led(device, on=True):
+    rig = load_config(config, profile=default_profile(board))
+    if not switch(rest, rig, True):
         raise BoardError("the board refuses to switch its LED")
     say(f"the LED is on for {seconds:g} s", err=True)
     try:
         time.sleep(seconds)
     finally:
-        identify_led(device, on=False)
+        switch(rest, rig, False)
     return 0

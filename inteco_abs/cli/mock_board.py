@@ -6,20 +6,16 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final, TextIO
+from typing import TextIO
 
 import click
 
 from inteco_abs.cli.options import FILE, Finite, Whole, drawn_setting, rig_option, say
 from inteco_abs.errors import ConfigError, ConfigIssue, describe_disk
 
-_MOCK_PROFILES: Final = {"usb2": "sim_usb2", "usb": "sim_usb"}
-
 
 @click.command("mock-board")
-@click.option(
-    "--board", "kind", type=click.Choice(["usb2", "usb", "pci"]), help="Which; default: usb2, or usb at a pty."
-)
+@click.option("--board", "kind", metavar="FAMILY", help="Board family; default: usb2, or usb with --pty.")
 @click.option(
     "--usbip",
     "address",
@@ -66,6 +62,7 @@ def mock_board(
     """Be an RT-DAC board with the rig on it, in real time, until Ctrl-C; its data are not measurements."""
     from functools import partial
 
+    from inteco_abs.boards import family_of
     from inteco_abs.commissioning.reported_board import ReportedBoard
     from inteco_abs.config import load_config
     from inteco_abs.mock_board import rig_check
@@ -78,10 +75,9 @@ def mock_board(
         raise ConfigError(
             [ConfigIssue("--board", f"{kind}: the report is of a {seen.report.kind} board; leave this out")]
         )
-    kind = seen.report.kind if seen is not None else kind or ("usb2" if link is None else "usb")
-    _insist_on_plug(kind, at_pty=link is not None)
+    kind = _pluggable(seen.report.kind if seen is not None else kind, at_pty=link is not None)
     settings = [*(seen.settings if seen is not None else ()), *drawn_setting(drawn)]
-    rig = load_config(config, settings, [rig_check], _MOCK_PROFILES[kind])
+    rig = load_config(config, settings, [rig_check], family_of(kind).mock_profile)
     if rig.board.kind != kind:
         raise ConfigError(
             [ConfigIssue("board.kind", f"{rig.board.kind!r}: the mock is to be {kind!r}; name another profile")]
@@ -96,13 +92,25 @@ def mock_board(
     return 0
 
 
-def _insist_on_plug(kind: str, *, at_pty: bool) -> None:
-    """Raise ConfigError unless a mock board of this kind can be plugged in that way."""
-    if kind == "pci":
-        problem = "no PCI board can be plugged in from outside; for its mock: run --board sim: --set profile=sim_pci"
-        raise ConfigError([ConfigIssue("--board", problem)])
-    if at_pty and kind != "usb":
-        raise ConfigError([ConfigIssue("--board", f"{kind}: is not a serial port; --pty goes with --board usb")])
+def _pluggable(kind: str | None, *, at_pty: bool) -> str:
+    """`kind`, or the first family whose mock board can be plugged in that way; raises ConfigError if it cannot."""
+    from inteco_abs.boards import FAMILIES, family_of
+    from inteco_abs.mock_board import mock_family
+
+    def fits(name: str) -> bool:
+        mock = mock_family(name)
+        return (mock.stream if at_pty else mock.usb_device) is not None
+
+    if kind is None or (kind in FAMILIES and fits(kind)):
+        return kind or next(name for name in FAMILIES if fits(name))
+    family = family_of(kind)
+    if at_pty and mock_family(kind).usb_device is not None:
+        known = ", ".join(name for name in FAMILIES if fits(name))
+        raise ConfigError([ConfigIssue("--board", f"{kind}: is not a serial port; --pty goes with --board {known}")])
+    problem = (
+        f"{kind}: its mock cannot be plugged in; run --board sim: --set profile={family.mock_profile} has it inside"
+    )
+    raise ConfigError([ConfigIssue("--board", problem)])
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from textual.events import Key
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
+from inteco_abs.boards import family_of, unconfirmed
 from inteco_abs.cli.options import INTERRUPTED, plain
 from inteco_abs.commissioning.identity import hex_dump
 from inteco_abs.commissioning.panel import AGAIN, Output, Panel
@@ -176,7 +177,7 @@ class PanelApp(App[int]):
             self.exit(INTERRUPTED if panel.reason is Reason.OPERATOR_STOP else _STOPPED)
             return
         self._refreshes += 1
-        if panel.config.board.kind == "pci" and self._refreshes % _LOOK_EVERY == 0:
+        if family_of(panel.config.board.kind).read_costs_little and self._refreshes % _LOOK_EVERY == 0:
             side.ask()
         self._look = side.look or self._look
         if self._dump_wanted and side.answered:
@@ -270,7 +271,7 @@ def board_text(panel: Panel, address: str, introduction: dict[str, str], look: d
 def _confirmed(board: BoardConfig) -> str:
     """What is not, by what is known of it instead."""
     open_: dict[str, list[str]] = {}
-    for one in board.unconfirmed():
+    for one in unconfirmed(board):
         key, _, status = one.partition(" ")
         open_.setdefault(status.strip("()"), []).append(key)
     return "; ".join(f"{status}: {', '.join(keys)}" for status, keys in open_.items()) or "all confirmed"

@@ -15,11 +15,8 @@ if TYPE_CHECKING:
     from inteco_abs.boards.board_report import BoardReport
     from inteco_abs.wire.capture import Capture
 
-_PROTOCOLS: Final = ("usb2", "usb1-111", "usb1-112")
 _SCHEMA: Final = 1
 _MOST_SHOWN: Final = 20
-_PROFILES: Final = {"usb1-111": "sim_usb", "usb1-112": "usb1_0112"}
-"""To begin with, by the capture's board: the driver's part does not depend on whose rig it was."""
 
 
 @click.group(cls=VerbGroup)
@@ -34,14 +31,14 @@ def wire() -> None:
 @click.argument("file", type=FILE)
 @click.option("--out", "-o", type=FILE, required=True, help="Capture to write, as JSON lines.")
 @click.option("--device", default="", metavar="BUS.ADDR", help="The board, if several devices talk like one.")
-@click.option("--protocol", type=click.Choice(_PROTOCOLS), default="usb2", show_default=True, help="How it talks.")
-def import_(file: Path, out: Path, device: str, protocol: str) -> int:
+@click.option("--protocol", metavar="NAME", help="How it talks, as in usb1-111; default: usb2.")
+def import_(file: Path, out: Path, device: str, protocol: str | None) -> int:
     """Take the board's messages out of a session, or a Wireshark capture (usbmon or USBPcap, pcap or pcapng)."""
     from inteco_abs.wire.capture import Kind, check_target, write_capture
     from inteco_abs.wire.pcap import import_pcap
 
     check_target(out)
-    capture = _of_session(file) or import_pcap(file, board=protocol, device=device)
+    capture = _of_session(file) or import_pcap(file, protocol, device=device)
     write_capture(out, capture)
     for record in capture.records:
         if record.kind is Kind.WARNING:
@@ -197,11 +194,11 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
 @json_option
 def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: bool) -> int:
     """Let our driver do what the capture shows, and compare every message; ends with exit code 4 if they differ."""
-    from inteco_abs.config import DEFAULT_PROFILE, load_config
-    from inteco_abs.wire.replay import replay_wire
+    from inteco_abs.config import load_config
+    from inteco_abs.wire.replay import profile_for, replay_wire
 
     capture = _read(file)
-    outcome = replay_wire(capture, load_config(config, settings, profile=_PROFILES.get(capture.board, DEFAULT_PROFILE)))
+    outcome = replay_wire(capture, load_config(config, settings, profile=profile_for(capture)))
     if as_json:
         differences = [one._asdict() for one in outcome.differences]
         _print_json({"capture": str(file), **outcome._asdict(), "differences": differences})

@@ -14,7 +14,7 @@ from typing import Any, Final
 import inteco_abs
 from inteco_abs.boards.board_report import BoardReport, Bus, Identity, Reads, Values
 from inteco_abs.boards.families.usb2.bridge import NOT_TOLD
-from inteco_abs.boards.frame_labels import PROTOCOLS, protocol_name
+from inteco_abs.boards.family import family_of, protocol_name, protocol_of
 from inteco_abs.commissioning.profile_draft import ProfileDraft
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import ConfigError, ConfigIssue
@@ -63,16 +63,17 @@ def board_seen(draft: ProfileDraft) -> Capture:
 
 def _protocol(wiring: BoardConfig) -> str:
     """Of a logic that has no tables, the tables of its kind of board: whose they are is told by who reads it."""
-    if wiring.kind == "pci":
-        return "pci"
+    family = family_of(wiring.kind)
+    if not family.protocols:
+        return family.name
     with suppress(ConfigError):
         return protocol_name(wiring)
-    return "usb1-111"
+    return family.protocols[0].board
 
 
 def _reading(wiring: BoardConfig, at: int, image: bytes) -> Iterator[Record]:
-    if wiring.kind != "pci":
-        yield Record(float(at), Kind.OUT, data=PROTOCOLS[_protocol(wiring)].request)
+    if family_of(wiring.kind).protocols:
+        yield Record(float(at), Kind.OUT, data=protocol_of(_protocol(wiring)).request)
     yield Record(float(at), Kind.IN, data=image)
 
 
@@ -90,7 +91,7 @@ def _told(draft: ProfileDraft) -> dict[str, str]:
     """By the device among those that were listed that is this board; nothing where that is not certain."""
     listed = draft.results.get("list", {}).get("devices", [])
     serial = draft.results["header"].get("bridge", {}).get("serial", "")
-    ours = {draft.board, f"usb2:{serial}"}
+    ours = {draft.board, f"{draft.config.board.kind}:{serial}"}
     found = [one for one in listed if one["address"] in ours] if len(listed) > 1 else listed
     return dict(found[0].get("told", ())) if len(found) == 1 else {}
 

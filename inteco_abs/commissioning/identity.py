@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from inteco_abs.boards import Identity
+from inteco_abs.boards import Identity, family_of
 from inteco_abs.commissioning.operator import agree
 from inteco_abs.commissioning.reading import open_for_reading, outputs_left_on
 from inteco_abs.commissioning.step import Facts, StepContext
-from inteco_abs.config import profiles, read_profile
+from inteco_abs.config import load_config, profiles
 from inteco_abs.errors import ConfigError, ProbeError
 
 _BYTES_A_LINE: Final = 16
@@ -47,15 +47,15 @@ def fitting_profile(kind: str, identity: Identity) -> str:
     """Name of the shipped profile that was made for this logic, else of the one for logics that nobody knows yet."""
     fallback = ""
     for name in profiles():
-        board = read_profile(name)["board"]
-        if board.get("simulated") or board.get("kind", "usb2") != kind or board.get("read_only"):
+        board = load_config(profile=name).board
+        if board.simulated or board.kind != kind or board.read_only:
             continue
         if name.endswith(_CANDIDATE):
             fallback = name
-        elif board["logic_version"] == identity.logic_version:
+        elif board.logic_version == identity.logic_version:
             return name
         fallback = fallback or name
-    return fallback
+    return fallback or family_of(kind).profile
 
 
 def hex_dump(raw: bytes) -> str:
@@ -78,7 +78,7 @@ def _suggest(visit: StepContext, suggested: str) -> None:
 
 def _write(visit: StepContext, identity: Identity) -> None:
     board = visit.draft.config.board
-    found = {"board.logic_version": identity.logic_version}
+    found: dict[str, object] = {"board.logic_version": identity.logic_version}
     changed = board.model_copy(update={"logic_version": identity.logic_version})
     try:
         # a logic whose frames are not known must not get into the draft
@@ -86,7 +86,6 @@ def _write(visit: StepContext, identity: Identity) -> None:
             pass
     except ConfigError as error:
         raise ProbeError(f"logic 0x{identity.logic_version:04X} cannot be driven by this version: {error}") from error
-    if board.kind == "pci":  # it tells no name
-        visit.draft.write(found)
-    else:
-        visit.draft.write({**found, "board.application_names": [identity.application_name]})
+    if family_of(board.kind).says_name:
+        found["board.application_names"] = [identity.application_name]
+    visit.draft.write(found)

@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
 from inteco_abs.boards import Board, InProcessLink, Link, board_behind
-from inteco_abs.commissioning.devices import FoundBoard
 from inteco_abs.commissioning.rig_access import TURNS, Hold, RigAccess, Wheel
 from inteco_abs.config import RigConfig
 from inteco_abs.format import TICK
+from inteco_abs.host.attached import FoundBoard
 from inteco_abs.mock_board import Device, face_of, parse_faults
 from inteco_abs.realtime import StopWord
 from inteco_abs.realtime.memory import RunMemory

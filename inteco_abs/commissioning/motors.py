@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from statistics import median
 from typing import Final, NamedTuple
 
+from inteco_abs.boards import family_of
 from inteco_abs.commissioning.first_write import agree_on_first_write
 from inteco_abs.commissioning.operator import agree, wait_for
 from inteco_abs.commissioning.outputs import PROVES_ITSELF, Motion, Outputs, outputs, turns
@@ -180,13 +181,14 @@ def _counts_per_turn(out: Outputs, config: RigConfig) -> int | None:
     conversion takes 1024 of them for a turn. So it shows by how much the counter multiplies them, two or four, and
     nothing about a disc that has another number of lines.
     """
-    if config.board.kind != "pci":
+    velocity = family_of(config.board.kind).velocity
+    if not velocity:
         return None
     _run_up(out)
     out.beat(0.0, 0.0)
     ratios = []
     for _ in range(_VELOCITIES):
-        rpm, motion = out.measured("road_velocity"), out.beat(0.0, 0.0)
+        rpm, motion = out.measured(velocity), out.beat(0.0, 0.0)
         if rpm and motion.road_speed_rad_s >= _SLOWEST_RAD_S:
             ratios.append(motion.road_speed_rad_s / (rpm * 2.0 * math.pi / 60.0))
     return round(median(ratios) * config.encoders.counts_per_turn) if len(ratios) == _VELOCITIES else None
@@ -243,5 +245,5 @@ def _compared(onset: float) -> str:
 
 def _confirmed(config: RigConfig) -> tuple[str, ...]:
     board = config.board
-    pins = () if board.kind == "pci" else PIN_KEYS
+    pins = [key for key in PIN_KEYS if key not in family_of(board.kind).unused_wiring]
     return (*KEYS, *pins, *(("timer",) if board.timer >= 0 else ()))  # every exchange has compared it with our clock

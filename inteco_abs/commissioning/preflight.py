@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from firmware_protocol import signed32
-from inteco_abs.boards import STILL_ON, Board, Identity
+from inteco_abs.boards import STILL_ON, Board, Identity, family_of
 from inteco_abs.boards.first_write import PlannedWord, Remark
 from inteco_abs.commissioning.exchange_rate import MORE_THAN_A_READ
 from inteco_abs.commissioning.reading import read_patiently
@@ -18,10 +18,6 @@ from inteco_abs.errors import AbsError, BoardError
 from inteco_abs.realtime.round_trips import Quantiles, quantiles
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
-PCI_INDEX: Final = (
-    "a board on the PCI bus is told in two of its registers which channel is read: the only writes, but no time for "
-    "them while another program drives it"
-)
 _BEAT_NS: Final = 1_000_000
 """Between two readings, where the loop's period is not longer."""
 
@@ -68,8 +64,8 @@ def look_at(bench: RigAccess, config: RigConfig, *, rest: bool = True) -> Prefli
                 _watch(bench, board, config, look)
     except AbsError as error:
         look.refused.append(error)
-    if config.board.kind == "pci":
-        look.cautions.append(PCI_INDEX)
+    if caution := family_of(config.board.kind).reading_caution:
+        look.cautions.append(caution)
     return look
 
 

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from inteco_abs.boards import STILL_ON, Board
+from inteco_abs.boards import STILL_ON, Board, family_of
 from inteco_abs.commissioning.step import StepContext
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import LinkError, ProbeError
@@ -44,7 +44,7 @@ def require_same_board(board: Board, config: RigConfig) -> None:
     if (
         identity is None
         or identity.logic_version != wiring.logic_version
-        or (wiring.kind != "pci" and identity.application_name not in wiring.application_names)
+        or (family_of(wiring.kind).says_name and identity.application_name not in wiring.application_names)
     ):
         raise ProbeError(f"this board ({identity}) is not the one that the draft was begun with: --redo header")
 

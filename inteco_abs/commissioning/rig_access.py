@@ -6,12 +6,11 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from typing import Any, Final, Literal, Protocol
+from typing import Final, Literal, Protocol
 
-from inteco_abs.boards import Board, open_board
-from inteco_abs.commissioning.devices import FoundBoard, found_devices
+from inteco_abs.boards import Board, family_of, open_board
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import LinkError
+from inteco_abs.host.attached import FoundBoard, found_devices
 from inteco_abs.mock_board import Fault
 from inteco_abs.realtime import PacedClock
 from inteco_abs.realtime.processes.manual import ManualClient
@@ -93,12 +92,8 @@ class RealRigAccess(RigAccess):
 
     def bridge(self, config: RigConfig) -> dict[str, str]:
         """Of an RT-DAC/USB2: ids, serial number and the dates of its firmware."""
-        scheme, _, serial = self.address.partition(":")
-        if scheme != "usb2":
-            return {}
-        from inteco_abs.boards.transports.usb import find_one  # noqa: PLC0415  who has no such board needs no libusb
-
-        return bridge_facts(find_one(serial, config.usb))
+        name, _, rest = self.address.partition(":")
+        return family_of(name).bridge_facts(rest, config)
 
     def open(self, config: RigConfig) -> Board:
         """The board at the address."""
@@ -119,20 +114,3 @@ class RealRigAccess(RigAccess):
     def beats(self, period_ns: int) -> Iterator[object]:
         """Paced ones."""
         return iter(PacedClock(period_ns))
-
-
-def bridge_facts(device: Any) -> dict[str, str]:
-    """What pyusb's `device` tells by control requests that change nothing."""
-    from inteco_abs.boards.families.usb2.bridge import firmware_dates  # noqa: PLC0415  as above
-
-    ids = f"{device.idVendor:04x}:{device.idProduct:04x}"
-    try:
-        compiled, released = firmware_dates(device)
-    except LinkError as error:  # a matter of interest, no reason to stop
-        compiled = released = f"not told: {error}"
-    return {
-        "ids": ids,
-        "serial": str(device.serial_number),
-        "firmware_compiled": compiled,
-        "firmware_released": released,
-    }

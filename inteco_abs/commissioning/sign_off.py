@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from inteco_abs.boards import unconfirmed
 from inteco_abs.commissioning.operator import agree, ask_for
 from inteco_abs.commissioning.step import Facts, StepContext, today
 from inteco_abs.errors import ReadOnlyError, Stopped
@@ -16,12 +17,12 @@ def sign(visit: StepContext) -> Facts:
     board, guard = visit.draft.config.board, visit.draft.config.guard
     if board.read_only:
         raise ReadOnlyError(f"there is nothing to sign, the profile's outputs are never to be used: {board.read_only}")
-    unconfirmed = board.unconfirmed()
-    for one in unconfirmed:
+    open_points = unconfirmed(board)
+    for one in open_points:
         key = one.partition(" ")[0]
         source = board.evidence[key].source if key in board.evidence else "no source"
         visit.person.tell(f"  not confirmed: {one}: {source}")
-    if not unconfirmed:
+    if not open_points:
         visit.person.tell("  all of the wiring is confirmed")
     limits = guard.model_dump(exclude_none=True)
     visit.person.tell(f"  signed with it: guard {', '.join(f'{key} {value:g}' for key, value in limits.items())}")
@@ -36,7 +37,7 @@ def sign(visit: StepContext) -> Facts:
     }
     visit.draft.write(signature)
     visit.person.tell(f"  signed: inteco-abs run --board {visit.bench.address} --set profile={visit.draft.file}")
-    return {"signed_by": signer, "unconfirmed": unconfirmed}
+    return {"signed_by": signer, "unconfirmed": open_points}
 
 
 def _name(text: str) -> str | None:

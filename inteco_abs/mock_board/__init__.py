@@ -1,9 +1,7 @@
 """The board's own side: answers real frames, with the physics of the rig inside."""
 
-from collections.abc import Callable
-from typing import Final
-
 from inteco_abs.mock_board.device import Cable, Device, Truth
+from inteco_abs.mock_board.family import MockFamily, face_of, mock_family
 from inteco_abs.mock_board.faults import (
     BY_PROCESS,
     CLOCK_STEP,
@@ -18,10 +16,7 @@ from inteco_abs.mock_board.faults import (
     parse_faults,
     require_possible,
 )
-from inteco_abs.mock_board.frontend import FrontEnd
-from inteco_abs.mock_board.frontends.pci import PciFrontEnd
-from inteco_abs.mock_board.frontends.usb import ByteStream, UsbFrontEnd
-from inteco_abs.mock_board.frontends.usb2 import Usb2FrontEnd
+from inteco_abs.mock_board.frontend import FrontEnd, Stream
 from inteco_abs.mock_board.pty_board import PtyServer
 from inteco_abs.mock_board.reported_board import ReportedFrontEnd, ReportedIdentity
 from inteco_abs.mock_board.simulated_rig import drawn_facts, rig_check, simulated_rig
@@ -39,7 +34,6 @@ __all__ = [
     "CLOCK_STEP",
     "KINDS",
     "ON_THE_HOST",
-    "ByteStream",
     "Cable",
     "Device",
     "Event",
@@ -50,37 +44,30 @@ __all__ = [
     "FaultyHost",
     "FrontEnd",
     "FtdiBoard",
-    "PciFrontEnd",
+    "MockFamily",
     "PtyServer",
     "ReportedFrontEnd",
     "ReportedIdentity",
     "Schedule",
     "SocketServer",
     "Speed",
+    "Stream",
     "TcpAddress",
     "Truth",
     "TruthLog",
     "UnixAddress",
     "Urb",
-    "Usb2FrontEnd",
     "UsbBoard",
-    "UsbFrontEnd",
     "UsbHost",
     "UsbIdentity",
     "UsbIpServer",
     "drawn_facts",
     "face_of",
     "ftdi_identity",
+    "mock_family",
     "parse_address",
     "parse_faults",
     "require_possible",
     "rig_check",
     "simulated_rig",
 ]
-
-_FACES: Final[dict[str, Callable[[Device], FrontEnd]]] = {"usb2": Usb2FrontEnd, "usb": UsbFrontEnd, "pci": PciFrontEnd}
-
-
-def face_of(device: Device) -> FrontEnd:
-    """What a host sees of `device`: messages in, messages out, as its kind of board has them."""
-    return _FACES[device.kind](device)

@@ -16,6 +16,7 @@ from typing import Final, Literal, NamedTuple
 from firmware_protocol import signed32
 from firmware_protocol.rtdac_usb2 import PWM_FULL_WIDTH, TIMER_HZ
 from inteco_abs.config import RigConfig, SimulationConfig
+from inteco_abs.mock_board.family import mock_family
 from inteco_abs.mock_board.simulated_rig import simulated_rig
 from inteco_abs.rig import Encoder, Plant
 from inteco_abs.rig.rng import WORD, mixed
@@ -24,39 +25,6 @@ _TIMER_RANGE: Final = 1 << 32
 MINIMUM_SUPPLY_V: Final = 12.3
 MAXIMUM_CELSIUS: Final = 80.0
 """The PCI board's limits on the manual's screens (docs/facts/boards.md#pci-registers-of-the-abs-logic)."""
-
-
-def _pin_of_generic_logic(settings: Mapping[str, int], channel: int) -> bool:
-    """RT-DAC/USB2: three pins a channel, of which the third is the PWM's (docs/facts/boards.md#generic-usb2-logic)."""
-    pin = 3 * channel + 2
-    return bool(settings.get("pin_mode", 0) >> pin & 1 and not settings.get("pin_direction", 0) >> pin & 1)
-
-
-def _function_of_first_generation(settings: Mapping[str, int], channel: int) -> bool:
-    """RT-DAC/USB: one bit a channel (INFERRED); whether the pin's direction matters is unknown."""
-    return bool(settings.get("pin_mode", 0) >> channel & 1)
-
-
-def _pin_of_power_interface(settings: Mapping[str, int], channel: int) -> bool:
-    """RT-DAC/USB2, servo: CN1 pins 19 and 23 carry PWM 0 and 1, once they are outputs (S5)."""
-    return not settings.get("pin_direction", 0) >> (4 * channel + 19) & 1
-
-
-def _always(_settings: Mapping[str, int], _channel: int) -> bool:
-    """Drivers of PCI, TRAS and rpend write neither mode nor direction: their logic's pins must be what they are."""
-    return True
-
-
-_SWITCHED: Final[dict[str, Callable[[Mapping[str, int], int], bool]]] = {
-    "generic": _pin_of_generic_logic,
-    "servo": _pin_of_power_interface,
-    "tras": _always,
-    "rpend": _always,
-    "abs": _pin_of_power_interface,
-    "usb": _function_of_first_generation,
-    "pci": _always,
-}
-"""Whether a PWM channel has its pin, by kind of board, of an RT-DAC/USB2 by its logic."""
 
 
 class Truth(NamedTuple):
@@ -183,7 +151,7 @@ class Device:
         self.kind = config.board.kind
         self.logic_version = config.board.logic_version
         self.frame_map = config.board.frame_map
-        self._switched = _SWITCHED[self.frame_map if self.kind == "usb2" else self.kind]
+        self._connected = mock_family(self.kind).connected(config.board)
         generator = random.Random(seed)
         road_edge, road_offset = generator.random(), generator.getrandbits(32)
         wheel_edge, wheel_offset = generator.random(), generator.getrandbits(32)
@@ -371,7 +339,7 @@ class Device:
         The prescaler sets only the frequency; the motors' inertia averages any frequency in use.
         """
         get = self.settings.get
-        if not self._switched(self.settings, channel):
+        if not self._connected(self.settings, channel):
             return 0.0
         full = PWM_FULL_WIDTH[get(f"pwm{channel}_mode", 0)]
         return (get(f"pwm{channel}_width", 0) & full) / full

@@ -27,6 +27,16 @@ class FrontEnd(Protocol):
         ...
 
 
+class Stream(Protocol):
+    """The same board behind a FIFO: bytes come and go in any cuts."""
+
+    face: FrontEnd
+
+    def feed(self, data: bytes | bytearray) -> bytes:
+        """Take bytes of the host; what the board answers to them."""
+        ...
+
+
 def require_terminals(cable: Cable, read: FrameTable) -> None:
     """Raise ConfigError for a rig that is plugged into a channel which the logic with these answers does not have."""
     wanted = {

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from inteco_abs.errors import BoardError, describe_disk
-from inteco_abs.mock_board.frontends.usb import ByteStream
+from inteco_abs.mock_board.frontend import Stream
 
 _CHUNK: Final = 4096
 _CATCH_UP_MS: Final = 1
@@ -30,7 +30,7 @@ class PtyServer:
     `link`, if given, becomes a symbolic link to it. Raises BoardError if there can be none.
     """
 
-    def __init__(self, stream: ByteStream, link: Path | None = None) -> None:
+    def __init__(self, stream: Stream, link: Path | None = None) -> None:
         self.lost_bytes = 0
         """Bytes of answers that found no room, as nobody reads them."""
         self._stream = stream

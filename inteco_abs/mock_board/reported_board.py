@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from firmware_protocol import FrameTable
+from inteco_abs.boards.frame_labels import Protocol
 from inteco_abs.mock_board.device import Device
 from inteco_abs.mock_board.frontend import FrontEnd
 from inteco_abs.mock_board.usbip.usb_descriptors import Speed, UsbIdentity
@@ -127,6 +128,19 @@ class ReportedFrontEnd:
             return answer[:length]
         shown = (int.from_bytes(answer, "little") ^ self._flipped) & ~self._still | self._seen
         return shown.to_bytes(self._size, "little")[:length]
+
+
+def reported_frames(
+    face: Callable[[Device, bytes], FrontEnd],
+) -> Callable[[Device, Protocol | None, bytes], FrontEnd]:
+    """For `MockFamily.reported` of a family with frames, whose own front end `face` makes."""
+
+    def reported(device: Device, protocol: Protocol | None, image: bytes) -> FrontEnd:
+        if protocol is None:
+            raise ValueError("its board has no protocol")
+        return ReportedFrontEnd(face, device, protocol.read, protocol.send, image)
+
+    return reported
 
 
 def _moves(name: str) -> bool:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator, Mapping
-from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 from inteco_abs.control import CONTROLLERS, Controller
-from inteco_abs.plugins.packages import Packaged, packaged_controllers
+from inteco_abs.entry_points import Registry
+from inteco_abs.plugins.shape import require_controller
+
+
+def installed_controllers() -> Registry[type[Controller]]:
+    """Those that ship and those of packages that are installed now."""
+    return Registry("a controller", "inteco_abs.controllers", "controller.name", CONTROLLERS, require_controller)
 
 
 class Origin(NamedTuple):
@@ -29,17 +34,18 @@ class Controllers(Mapping[str, type[Controller]]):
 
     def __init__(self, own: Mapping[str, tuple[type[Controller], Origin]] | None = None) -> None:
         self._own = own or {}
+        self._installed = installed_controllers()
 
     def __getitem__(self, name: str) -> type[Controller]:
         if name in self._own:
             return self._own[name][0]
-        return CONTROLLERS[name] if name in CONTROLLERS else self._packaged[name].load()
+        return self._installed[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in self._own or name in CONTROLLERS or name in self._packaged
+        return name in self._own or name in self._installed
 
     def __iter__(self) -> Iterator[str]:
-        return iter({**self._own, **CONTROLLERS, **self._packaged})
+        return iter(dict.fromkeys([*self._own, *self._installed]))
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
@@ -50,11 +56,7 @@ class Controllers(Mapping[str, type[Controller]]):
             return self._own[name][1]
         if name in CONTROLLERS:
             return Origin()
-        return Origin(_source_of(self[name]), self._packaged[name].package)
-
-    @cached_property
-    def _packaged(self) -> dict[str, Packaged]:
-        return packaged_controllers()
+        return Origin(_source_of(self[name]), self._installed.packaged[name].package)
 
 
 def _source_of(kind: type) -> bytes:

@@ -8,8 +8,9 @@ from types import ModuleType
 from typing import Final
 
 from inteco_abs.control import Controller
+from inteco_abs.entry_points import foreign_code
 from inteco_abs.errors import ConfigError, ConfigIssue, near_file, near_match
-from inteco_abs.plugins.shape import foreign_code, require_controller
+from inteco_abs.plugins.shape import require_controller
 
 FROM_FILE: Final = ".py:"
 """In the name of a controller that comes from a user's file."""

@@ -1,36 +1,15 @@
-"""What code from outside must be like to be used as a controller, and how it is run."""
+"""What code from outside must be like to be used as a controller."""
 
 from __future__ import annotations
 
 import keyword
 import math
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
 from typing import Any, Final
 
 from inteco_abs.control import Controller, Gain
-from inteco_abs.errors import ConfigError, ConfigIssue, place_in
+from inteco_abs.errors import ConfigError, ConfigIssue
 
 _MOST_INTERNALS: Final = 4
-
-
-@contextmanager
-def foreign_code(path: str, what: str) -> Iterator[None]:
-    """Around code of others in the file `what`, or a package: may raise anything, ConfigError then.
-
-    Its prints go to stderr.
-    """
-    try:
-        with redirect_stdout(sys.stderr):  # they must not mix with a result card
-            yield
-    except (Exception, SystemExit) as error:
-        told = str(error)
-        if isinstance(error, SyntaxError) and error.filename == what:
-            told = error.msg  # its text names file and line once more
-        raise ConfigError(
-            [ConfigIssue(path, f"{what}{place_in(error, what)}: {type(error).__name__}: {told}")]
-        ) from error
 
 
 def require_controller(path: str, kind: object, name: str) -> type[Controller]:

@@ -12,8 +12,8 @@ from typing import Final
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, SEND_AND_READ_COMMAND, SEND_COMMAND
 from inteco_abs.wire.capture import Kind, Record
 
-FTDI_OUT: Final = 0x02
-FTDI_IN: Final = 0x81
+_OUT, _IN = 0x02, 0x81
+"""Endpoints of the chip."""
 _PACKET_BYTES: Final = 64
 _STATUS_BYTES: Final = 2
 _MARK: Final = 0x80
@@ -73,11 +73,11 @@ class ByteStream:
             # the vendor's library drops what an earlier answer has left
             self._drop(t_s, self._in, "from the board before a request")
             self._awaited = True
-        self._records.append(Record(t_s, Kind.OUT, FTDI_OUT, message))
+        self._records.append(Record(t_s, Kind.OUT, _OUT, message))
 
     def _cut_in(self, t_s: float) -> None:
         if self._awaited and len(self._in) >= FRAME_BYTES:
-            self._records.append(Record(t_s, Kind.IN, FTDI_IN, bytes(self._in[:FRAME_BYTES])))
+            self._records.append(Record(t_s, Kind.IN, _IN, bytes(self._in[:FRAME_BYTES])))
             del self._in[:FRAME_BYTES]
             self._awaited = False
 
@@ -86,6 +86,11 @@ class ByteStream:
         del stream[:count]
         if count:
             self._records.append(Record(t_s, Kind.WARNING, text=f"{count} bytes {what} are left out"))
+
+
+def whole_messages(transfers: Iterable[Record]) -> list[Record]:
+    """A capture with whole messages in place of the transfers that carry them."""
+    return ByteStream().messages(transfers)
 
 
 def without_status(transfer: bytes) -> bytes:

@@ -67,7 +67,7 @@ class Capture(NamedTuple):
     """A file of records; raised errors call it `name`."""
 
     board: str
-    """How its frames are to be read: a key of `wire_names.PROTOCOLS`."""
+    """How its frames are to be read: `protocol_of` knows it."""
     recorded_by: str
     clock: str
     records: tuple[Record, ...]

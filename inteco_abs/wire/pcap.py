@@ -13,17 +13,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT, FRAME_BYTES
-from firmware_protocol.rtdac_usb2_bridge import ENDPOINT_JTAG_IN, ENDPOINT_JTAG_OUT
-from inteco_abs.boards.frame_labels import protocol_of
+from inteco_abs.boards import UsbTraffic
+from inteco_abs.boards.family import family_speaking, protocol_name
+from inteco_abs.config import load_config
+from inteco_abs.entry_points import attribute
 from inteco_abs.errors import CaptureError, ConfigError, ConfigIssue
 from inteco_abs.version import __version__
-from inteco_abs.wire.byte_stream import FTDI_IN, FTDI_OUT, ByteStream
 from inteco_abs.wire.capture import Capture, Kind, Record
 from inteco_abs.wire.usbmon import IN, LINK_TYPES, Transfer, Urb, decode
 
-_JTAG: Final = (ENDPOINT_JTAG_OUT, ENDPOINT_JTAG_IN)
-_USB2: Final = "usb2"
 _LITTLE_PCAP: Final = (b"\xd4\xc3\xb2\xa1", b"\x4d\x3c\xb2\xa1", b"\x34\xcd\xb2\xa1")
 """First bytes of little-endian pcap files: microseconds, nanoseconds, and one with longer packet headers."""
 _PCAPNG: Final = b"\x0a\x0d\x0d\x0a"
@@ -39,23 +37,26 @@ class Packet(NamedTuple):
     urb: Urb
 
 
-def import_pcap(path: Path, *, board: str = _USB2, device: str = "") -> Capture:
+def import_pcap(path: Path, board: str | None = None, *, device: str = "") -> Capture:
     """Messages of one board in a pcap or pcapng file.
 
-    `device` is its BUS.ADDRESS; without it the only device that talks like this board is taken. Raises CaptureError
-    for a file that cannot be used, or if no device or several could be meant, ConfigError for a wrong `board` or
-    `device`.
+    `board` is its protocol, that of the default profile if not given; `device` is its BUS.ADDRESS; without it the only
+    device that talks like this board is taken. Raises CaptureError for a file that cannot be used, or if no device or
+    several could be meant, ConfigError for a wrong `board` or `device`.
     """
-    protocol_of(board)
+    board = board or protocol_name(load_config().board)
+    traffic = family_speaking(board).traffic
+    if traffic is None:
+        raise ConfigError([ConfigIssue("--protocol", f"{board!r}: how a USB monitor sees it is not known")])
     if device and not _is_device(device):
         raise ConfigError([ConfigIssue("--device", f"{device!r}: must be bus and address, as in 1.5")])
     link_type, packets = _read(path)
-    chosen = device or _only_candidate(path, packets, board)
+    chosen = device or _only_candidate(path, packets, traffic)
     own = [packet for packet in packets if packet.urb.device == chosen]
     if not own:
         raise CaptureError(f"{path}: nothing of device {chosen}; {_seen(packets)}")
     start_s = packets[0].time_s
-    records = _Messages(start_s, board).collect(own)
+    records = _Messages(start_s, traffic).collect(own)
     if not any(record.kind in {Kind.OUT, Kind.IN} for record in records):
         raise CaptureError(
             f"{path}: device {chosen} exchanges nothing with a host as this board does; {_seen(packets)}"
@@ -113,9 +114,9 @@ def _decoded(
             raise CaptureError(f"{path}: packet {number} {error}") from error
 
 
-def _only_candidate(path: Path, packets: Iterable[Packet], board: str) -> str:
-    talks = _talks_usb2 if board.startswith(_USB2) else _talks_usb1
-    found = sorted({packet.urb.device for packet in packets if talks(packet.urb)})
+def _only_candidate(path: Path, packets: Iterable[Packet], traffic: UsbTraffic) -> str:
+    bulk = [urb for _, urb in packets if urb.transfer == Transfer.BULK]
+    found = sorted({urb.device for urb in bulk if traffic.sent_by(urb.endpoint, urb.data)})
     if len(found) == 1:
         return found[0]
     if found:
@@ -123,16 +124,6 @@ def _only_candidate(path: Path, packets: Iterable[Packet], board: str) -> str:
             f"{path}: several devices talk like this board: {', '.join(found)}; choose one with --device"
         )
     raise CaptureError(f"{path}: no device talks like this board; {_seen(packets)}")
-
-
-def _talks_usb2(urb: Urb) -> bool:
-    return (
-        urb.transfer == Transfer.BULK and urb.endpoint in {ENDPOINT_OUT, ENDPOINT_IN} and len(urb.data) == FRAME_BYTES
-    )
-
-
-def _talks_usb1(urb: Urb) -> bool:
-    return urb.transfer == Transfer.BULK and urb.endpoint == FTDI_OUT and urb.data[:1] in {b"\x80", b"\x81", b"\x82"}
 
 
 def _seen(packets: Iterable[Packet]) -> str:
@@ -156,7 +147,7 @@ class _Messages:
     """
 
     start_s: float
-    board: str
+    traffic: UsbTraffic
     _records: list[Record] = field(default_factory=list)
     _under_way: dict[tuple[int, int], int] = field(default_factory=dict)
     """Where the record of a transfer out stands, by number and endpoint, until it comes back."""
@@ -165,18 +156,19 @@ class _Messages:
 
     def collect(self, packets: Iterable[Packet]) -> list[Record]:
         """All records, in the order of the packets."""
-        data_endpoints = (ENDPOINT_OUT, ENDPOINT_IN) if self.board.startswith(_USB2) else (FTDI_OUT, FTDI_IN)
+        traffic = self.traffic
         for time_s, urb in packets:
             t_s = time_s - self.start_s
             if urb.transfer == Transfer.CONTROL:
                 self._control(t_s, urb)
-            elif urb.transfer == Transfer.BULK and urb.endpoint in data_endpoints:
+            elif urb.transfer == Transfer.BULK and urb.endpoint in {traffic.endpoint_out, traffic.endpoint_in}:
                 (self._answer if urb.endpoint & IN else self._message)(t_s, urb)
-            elif self.board.startswith(_USB2) and urb.endpoint in _JTAG:
+            elif urb.endpoint in traffic.programming:
                 self._warn_of_jtag(t_s, urb)
-        if self.board.startswith(_USB2):
+        if not traffic.messages:
             return self._records
-        return ByteStream().messages(self._records)
+        whole: list[Record] = attribute(traffic.messages)(self._records)
+        return whole
 
     def _message(self, t_s: float, urb: Urb) -> None:
         key = urb.number, urb.endpoint

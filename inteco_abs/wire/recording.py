@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.boards.frame_labels import protocol_name, protocol_of
+from inteco_abs.boards.family import family_of, protocol_name, protocol_of
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import CaptureError, ConfigError, ConfigIssue
@@ -35,7 +35,7 @@ class RecordingLink(Link):
         inner: Link,
         path: Path | None,
         *,
-        board: str = "usb2",
+        board: str,
         endpoints: tuple[int | None, int | None] = (None, None),
         now_ns: Callable[[], int] = time.monotonic_ns,
         most_messages: int = MOST_MESSAGES,
@@ -201,8 +201,8 @@ def recording(
 
 def check_recordable(option: str, config: RigConfig) -> None:
     """Raise ConfigError, which names the `option` that asks for a recording, if such a board has no messages."""
-    if config.board.kind == "pci":
-        raise ConfigError([ConfigIssue(option, "a board on the PCI bus has registers, no messages to record")])
+    if not family_of(config.board.kind).protocols:
+        raise ConfigError([ConfigIssue(option, f"a {config.board.kind} board has registers, no messages to record")])
     protocol_name(config.board)
 
 

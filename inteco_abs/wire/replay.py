@@ -8,8 +8,9 @@ from typing import Final, NamedTuple
 from firmware_protocol import FrameTable, ProtocolError
 from firmware_protocol.pwm import PWM_FULL_WIDTH
 from inteco_abs.boards import board_behind
-from inteco_abs.boards.frame_labels import Role, protocol_name, protocol_of
-from inteco_abs.config import BoardConfig, RigConfig
+from inteco_abs.boards.family import family_speaking, protocol_name, protocol_of
+from inteco_abs.boards.frame_labels import Role
+from inteco_abs.config import BoardConfig, RigConfig, load_config, profiles
 from inteco_abs.errors import BoardError, CaptureError, ConfigError, ConfigIssue
 from inteco_abs.signals import BoardFlags, Command
 from inteco_abs.wire.capture import Capture, Kind
@@ -28,6 +29,16 @@ class WireReplay(NamedTuple):
     differences: list[Difference]
     ended: str
     """Why it ended before the capture did; empty if it did not."""
+
+
+def profile_for(capture: Capture) -> str:
+    """Name of a shipped profile whose board speaks as the captured one; whose rig it was does not matter here."""
+    family = family_speaking(capture.board)
+    for name in (family.mock_profile, family.profile, *profiles()):
+        wiring = load_config(profile=name).board
+        if wiring.kind == family.name and protocol_name(wiring) == capture.board:
+            return name
+    return family.mock_profile
 
 
 def replay_wire(capture: Capture, config: RigConfig) -> WireReplay:

@@ -10,10 +10,11 @@ from typing import ClassVar
 
 from firmware_protocol import rtdac_usb, rtdac_usb2
 from inteco_abs.boards import InProcessLink, Link, SocketLink, board_behind
+from inteco_abs.boards.families.usb.mock import ByteStream
 from inteco_abs.boards.transports.serial_link import SerialLink
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.errors import LinkError
-from inteco_abs.mock_board import ByteStream, Device, FrontEnd, PtyServer, SocketServer, face_of
+from inteco_abs.mock_board import Device, FrontEnd, PtyServer, SocketServer, face_of
 from inteco_abs.rig import Plant
 from inteco_abs.signals import Command, Sample
 

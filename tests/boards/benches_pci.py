@@ -12,9 +12,11 @@ from pci_bus import LiveRegisters, add_board
 from firmware_protocol.register_messages import decode_answer, decode_request, encode_answer, encode_request
 from firmware_protocol.registers import Write
 from firmware_protocol.rtdac_pci import ENCODER_INDEX, ENCODER_RESET, LOGIC, PWM_INDEX, PWM_WIDTH
-from inteco_abs.boards import InProcessLink, Link, LinkedRegisters, Registers, RtdacPci, SysfsRegisters
+from inteco_abs.boards import InProcessLink, Link, LinkedRegisters, Registers
+from inteco_abs.boards.families.pci import RtdacPci
+from inteco_abs.boards.families.pci.mock import PciFrontEnd
+from inteco_abs.boards.transports.sysfs import SysfsRegisters
 from inteco_abs.errors import LinkError
-from inteco_abs.mock_board import PciFrontEnd
 
 INDEXES = (PWM_INDEX.offset, ENCODER_INDEX.offset)
 ALL_ONES = 0xFFFFFFFF

@@ -16,8 +16,9 @@ from benches import (
 from benches_pci import PciBench, StepwisePciBench, SysfsBench
 
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, SEND_COMMAND, encode_send
+from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import Device, Usb2FrontEnd
+from inteco_abs.mock_board import Device
 
 BENCHES = {
     "rtdac-usb2": Usb2Bench,

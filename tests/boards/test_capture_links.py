@@ -2,8 +2,9 @@ import pytest
 
 from firmware_protocol import rtdac_usb
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, encode_read, encode_send
-from inteco_abs.boards import InProcessLink, Link, RtdacUsb2, board_behind
-from inteco_abs.boards.frame_labels import protocol_name
+from inteco_abs.boards import InProcessLink, Link, board_behind
+from inteco_abs.boards.families.usb2 import RtdacUsb2
+from inteco_abs.boards.family import protocol_name
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, CaptureError, ConfigError, LinkError, UnsafeError
 from inteco_abs.signals import BoardFlags, Command
@@ -54,7 +55,7 @@ def recorded(bench, path):
 
     def visit(commands, trouble=None):
         start_ns = bench.clock.time_ns
-        link = RecordingLink(bench.link, path, now_ns=bench.clock.now_ns)
+        link = RecordingLink(bench.link, path, now_ns=bench.clock.now_ns, board="usb2")
         samples = drive(bench, link, commands, trouble or {})
         link.save()
         bench.clock.time_ns = start_ns
@@ -310,7 +311,7 @@ def kinds(link):
 
 def test_the_inner_links_own_ways_are_used(path):
     inner = Inner()
-    link = RecordingLink(inner, path)
+    link = RecordingLink(inner, path, board="usb2")
     link.write(b"w")
     link.read(1)
     link.exchange(b"a", b"b", 2)
@@ -325,7 +326,7 @@ def test_the_inner_links_own_ways_are_used(path):
 def test_every_failure_passes_and_is_kept(path, error):
     inner = Inner()
     inner.error = error
-    link = RecordingLink(inner, path)
+    link = RecordingLink(inner, path, board="usb2")
     for use in (lambda: link.write(b"w"), lambda: link.read(1), lambda: link.exchange(b"a", b"b", 2)):
         with pytest.raises(type(error)):
             use()
@@ -340,7 +341,7 @@ def test_every_failure_passes_and_is_kept(path, error):
 
 
 def test_a_message_may_be_reused_by_its_writer(path):
-    link = RecordingLink(Inner(), path)
+    link = RecordingLink(Inner(), path, board="usb2")
     message = bytearray(b"one")
     link.write(message)
     message[:] = b"two"
@@ -348,7 +349,7 @@ def test_a_message_may_be_reused_by_its_writer(path):
 
 
 def test_nothing_is_written_until_it_is_saved_and_closing_does_not_wait_for_that(path):
-    link = RecordingLink(Inner(), path)
+    link = RecordingLink(Inner(), path, board="usb2")
     link.write(b"w")
     link.close()
     assert not path.exists()
@@ -404,7 +405,7 @@ class TestRecording:
 
 
 def test_the_beginning_is_kept_and_the_rest_counted(path):
-    link = RecordingLink(Inner(), path, most_messages=3)
+    link = RecordingLink(Inner(), path, most_messages=3, board="usb2")
     for number in range(10):
         link.write(bytes([number]))
     link.save()
@@ -417,7 +418,7 @@ def test_the_beginning_is_kept_and_the_rest_counted(path):
 
 
 def test_times_are_of_handing_over_and_of_arrival(path, bench):
-    link = RecordingLink(Inner(), path, now_ns=bench.clock.now_ns, endpoints=(2, 0x84))
+    link = RecordingLink(Inner(), path, now_ns=bench.clock.now_ns, endpoints=(2, 0x84), board="usb2")
     bench.clock.advance(1_500_000)
     link.write(b"w")
     bench.clock.advance(500_000)
@@ -431,4 +432,4 @@ def test_times_are_of_handing_over_and_of_arrival(path, bench):
 def test_a_target_that_exists_is_refused_before_anything_passes(path):
     path.write_text("precious")
     with pytest.raises(CaptureError, match="never overwritten"):
-        RecordingLink(Inner(), path)
+        RecordingLink(Inner(), path, board="usb2")

@@ -1,6 +1,6 @@
 import pytest
 
-from inteco_abs.boards import SCHEMES, InProcessLink, check_address
+from inteco_abs.boards import InProcessLink, check_address, schemes
 from inteco_abs.errors import ConfigError, LinkError
 
 
@@ -85,7 +85,7 @@ def test_closing_writes_nothing():
     assert not device.messages
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", schemes())
 def test_every_scheme_is_an_address(scheme):
     check_address(f"{scheme}:")
 

@@ -16,12 +16,14 @@ import pytest
 
 from firmware_protocol.local_socket import GREETING
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, decode_read, encode_send
-from inteco_abs.boards import RtdacUsb2, SocketLink, open_board
+from inteco_abs.boards import SocketLink, open_board
 from inteco_abs.boards import frame_board as frames
+from inteco_abs.boards.families.usb2 import RtdacUsb2
+from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.boards.transports import links
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, LinkError
-from inteco_abs.mock_board import Device, SocketServer, Usb2FrontEnd
+from inteco_abs.mock_board import Device, SocketServer
 from inteco_abs.signals import Command
 
 PATIENCE_S = 30.0

@@ -3,7 +3,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb2 import READ, SEND, decode_read, decode_send, encode_send
-from inteco_abs.mock_board import Cable, Usb2FrontEnd
+from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
+from inteco_abs.mock_board import Cable
 
 ECHOED = sorted(set(SEND.fields) & set(READ.fields))
 CABLES = [Cable(), Cable(drive_pwm=5, brake_pwm=2, road_encoder=3, wheel_encoder=0)]

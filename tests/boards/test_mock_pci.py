@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from firmware_protocol.register_messages import decode_answer, encode_request
 from firmware_protocol.registers import Write
+from inteco_abs.boards.families.pci.mock import PciFrontEnd
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import Cable, Device, PciFrontEnd
+from inteco_abs.mock_board import Cable, Device
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 

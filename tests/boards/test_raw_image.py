@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 
 from firmware_protocol import rtdac_usb, rtdac_usb2
 from inteco_abs.boards import InProcessLink, board_behind
+from inteco_abs.boards.families.usb.mock import UsbFrontEnd
+from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.boards.first_write import Remark
 from inteco_abs.errors import ConfigError
-from inteco_abs.mock_board import Device, Usb2FrontEnd, UsbFrontEnd
+from inteco_abs.mock_board import Device
 from inteco_abs.signals import BoardFlags, Command
 
 CLOCK = 20_000_000

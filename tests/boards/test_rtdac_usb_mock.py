@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, decode_read, encode_send, logic_of
+from inteco_abs.boards.families.usb.mock import ByteStream, UsbFrontEnd
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError
-from inteco_abs.mock_board import ByteStream, Device, UsbFrontEnd, face_of
+from inteco_abs.mock_board import Device, face_of
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 

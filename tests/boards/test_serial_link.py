@@ -19,11 +19,12 @@ import serial
 
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, encode_read, encode_send
 from inteco_abs.boards import board_behind, open_board
+from inteco_abs.boards.families.usb.mock import ByteStream
 from inteco_abs.boards.transports import serial_link, serial_ports
 from inteco_abs.boards.transports.serial_link import SerialLink
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, LinkError, UnsafeError
-from inteco_abs.mock_board import ByteStream, Device, PtyServer, face_of
+from inteco_abs.mock_board import Device, PtyServer, face_of
 from inteco_abs.realtime import round_trips
 from inteco_abs.signals import Command
 from inteco_abs.wire.recording import RecordingLink

@@ -10,15 +10,18 @@ from functools import partial
 import pytest
 from pci_bus import ADDRESS, IO_PORTS, MEMORY, add_board
 
-from inteco_abs.boards import SysfsRegisters, open_board
+from inteco_abs.boards import open_board
+from inteco_abs.boards.transports.sysfs import SysfsRegisters
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, ConfigError, LinkError
 
 SECOND = "0000:04:00.0"
 PAGE = 4096
-HOLD = "import sys, time; from pathlib import Path; from inteco_abs.boards import SysfsRegisters as R; \
+HOLD = (
+    "import sys, time; from pathlib import Path; from inteco_abs.boards.transports.sysfs import SysfsRegisters as R; \
 registers = R(root=Path(sys.argv[1])); print('mine', flush=True); time.sleep(60)"
-OPEN = "import sys; from pathlib import Path; from inteco_abs.boards import SysfsRegisters as R; \
+)
+OPEN = "import sys; from pathlib import Path; from inteco_abs.boards.transports.sysfs import SysfsRegisters as R; \
 R(root=Path(sys.argv[1]))"
 
 

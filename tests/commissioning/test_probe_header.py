@@ -3,11 +3,11 @@
 import pytest
 
 from inteco_abs.boards import Identity
-from inteco_abs.commissioning.devices import found_devices
 from inteco_abs.commissioning.exchange_rate import kept_rate
 from inteco_abs.commissioning.identity import fitting_profile, hex_dump
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError, LinkError, ProbeError
+from inteco_abs.host.attached import found_devices
 from inteco_abs.host.checks import Computer
 
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from inteco_abs.boards import Board
+from inteco_abs.boards import Board, unconfirmed
 from inteco_abs.commissioning import MockRigAccess, PacedMockRigAccess
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError, ProbeError, Stopped
@@ -34,7 +34,7 @@ def test_a_vendors_rig_is_commissioned_from_end_to_end(lab, whole_script):
     assert config.board.verified_by == "the lab"
     assert config.board.verified_logic == 0x0103
     assert config.board.application_names == ["ABSSIM"]
-    assert config.board.unconfirmed() == ["numbering_pwm (inferred)"]
+    assert unconfirmed(config.board) == ["numbering_pwm (inferred)"]
     assert lab.person.answers == []
     assert lab.bench.device.duties == (0.0, 0.0)
 

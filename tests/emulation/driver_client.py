@@ -4,7 +4,7 @@ import json
 import sys
 import time
 
-from inteco_abs.boards import RtdacUsb2
+from inteco_abs.boards.families.usb2 import RtdacUsb2
 from inteco_abs.boards.transports.usb_transport import open_usb
 from inteco_abs.config import load_config
 from inteco_abs.signals import BoardFlags, Command

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 from usbfs import UsbfsTree
 
+from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import Device, Usb2FrontEnd, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board import Device, UsbBoard, UsbHost, UsbIdentity
 
 HERE = Path(__file__).parent
 

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from pyusb_backend import BusBackend
 
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, decode_read, encode_send
+from inteco_abs.boards.families.usb.mock import ByteStream, UsbFrontEnd
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import ByteStream, Device, FtdiBoard, Speed, UsbFrontEnd, UsbHost
+from inteco_abs.mock_board import Device, FtdiBoard, Speed, UsbHost
 from inteco_abs.mock_board.usbip.usb_device import Handshake, Setup
 
 IN, OUT = 0x81, 0x02

@@ -19,14 +19,15 @@ from usbfs import UsbfsTree
 from usbip_client import UsbIpBus
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, READ_REQUEST
-from inteco_abs.boards import RtdacUsb2
+from inteco_abs.boards.families.usb2 import RtdacUsb2
 from inteco_abs.boards.families.usb2.bridge import firmware_dates, identify_led
+from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.boards.transports.usb import UsbLink
 from inteco_abs.config import UsbConfig, load_config
 from inteco_abs.control import build_pipeline
 from inteco_abs.errors import BoardError, LinkError, UnsafeError
 from inteco_abs.format import TICK, pack_tick
-from inteco_abs.mock_board import Device, Speed, Usb2FrontEnd, UsbBoard, UsbHost
+from inteco_abs.mock_board import Device, Speed, UsbBoard, UsbHost
 from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
 from inteco_abs.realtime.loop import detail_of
 from inteco_abs.signals import BoardFlags, Reason

@@ -14,7 +14,7 @@ from pyusb_backend import BusBackend
 from usbip_client import UsbIpBus
 
 from firmware_protocol.rtdac_usb import FRAME_BYTES, READ_REQUEST, decode_read, encode_send
-from inteco_abs.boards import RtdacUsb2
+from inteco_abs.boards.families.usb2 import RtdacUsb2
 from inteco_abs.boards.transports.usb import UsbLink
 from inteco_abs.config import load_config
 from inteco_abs.signals import BoardFlags, Command

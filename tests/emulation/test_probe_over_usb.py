@@ -10,7 +10,7 @@ import pytest
 from drill import new_host
 from usbfs import UsbfsTree
 
-from inteco_abs.commissioning.rig_access import bridge_facts
+from inteco_abs.boards.families.usb2.bridge import bridge_facts
 from inteco_abs.errors import LinkError
 from inteco_abs.mock_board import Speed
 from inteco_abs.wire.capture import read_capture

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 from usbfs import UsbfsTree
 
+from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import Device, Usb2FrontEnd, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board import Device, UsbBoard, UsbHost, UsbIdentity
 from inteco_abs.sessions import read_session
 
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.usefixtures("preload"), pytest.mark.untraced]

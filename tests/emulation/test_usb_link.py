@@ -4,11 +4,12 @@ import pytest
 from pyusb_backend import BusBackend
 from trouble import halt_of
 
-from inteco_abs.boards import RtdacUsb2
+from inteco_abs.boards.families.usb2 import RtdacUsb2
+from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.boards.transports.usb import ENDPOINTS, UsbLink, boards
 from inteco_abs.config import UsbConfig, load_config
 from inteco_abs.errors import BoardError, LinkError
-from inteco_abs.mock_board import Device, Speed, Urb, Usb2FrontEnd, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board import Device, Speed, Urb, UsbBoard, UsbHost, UsbIdentity
 from inteco_abs.mock_board.usbip.usb_device import Setup
 from inteco_abs.signals import BoardFlags, Command
 

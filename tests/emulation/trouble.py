@@ -11,11 +11,12 @@ from contextlib import contextmanager
 import pytest
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
-from inteco_abs.boards import RtdacUsb2
+from inteco_abs.boards.families.usb2 import RtdacUsb2
 from inteco_abs.boards.families.usb2.bridge import NOT_TOLD, FirmwareDates, firmware_dates, identify_led
+from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, UnsafeError
-from inteco_abs.mock_board import Device, Speed, Urb, Usb2FrontEnd, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board import Device, Speed, Urb, UsbBoard, UsbHost, UsbIdentity
 from inteco_abs.mock_board.usbip.usb_device import Handshake, Setup
 from inteco_abs.signals import BoardFlags, Command
 

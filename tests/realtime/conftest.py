@@ -11,11 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from inteco_abs.boards import InProcessLink, Link, RtdacUsb2
+from inteco_abs.boards import InProcessLink, Link
+from inteco_abs.boards.families.usb2 import RtdacUsb2
+from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.config import load_config
 from inteco_abs.control import build_pipeline
 from inteco_abs.errors import LinkError
-from inteco_abs.mock_board import Device, Usb2FrontEnd
+from inteco_abs.mock_board import Device
 from inteco_abs.realtime import Clock, Loop, StopWord, TickRing, VirtualClock, clock
 from inteco_abs.realtime import memory as shared
 from inteco_abs.realtime.job import Job

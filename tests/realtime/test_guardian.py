@@ -17,9 +17,10 @@ from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, HEADER_BYTES, READ_REQUEST, encode_send
 from inteco_abs.boards import SocketLink
+from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError
-from inteco_abs.mock_board import Device, SocketServer, Usb2FrontEnd
+from inteco_abs.mock_board import Device, SocketServer
 from inteco_abs.realtime import watch as watch_module
 from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.realtime.processes import guardian as guardian_module

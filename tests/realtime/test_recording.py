@@ -13,10 +13,12 @@ from contextlib import ExitStack
 import pytest
 
 from inteco_abs.analysis import replay
-from inteco_abs.boards import STILL_ON, InProcessLink, RtdacUsb2
+from inteco_abs.boards import STILL_ON, InProcessLink
+from inteco_abs.boards.families.usb2 import RtdacUsb2
+from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.control import build_pipeline, gains_in_force
 from inteco_abs.errors import ConfigError, SessionError
-from inteco_abs.mock_board import Device, Usb2FrontEnd
+from inteco_abs.mock_board import Device
 from inteco_abs.realtime import Loop, StopWord, VirtualClock
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.realtime.processes.recorder import conclusion, describe_board, rebuild, recover_run

@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 import inteco_abs.experiment
-from inteco_abs.boards import RtdacUsb2
+from inteco_abs.boards.families.usb2 import RtdacUsb2
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import AbsError, BoardError, ConfigError, ReadOnlyError, SessionError

@@ -5,7 +5,7 @@ import time
 import pytest
 
 import inteco_abs.experiment
-from inteco_abs.boards import RtdacUsb2
+from inteco_abs.boards.families.usb2 import RtdacUsb2
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import ReadOnlyError
 from inteco_abs.sessions import FileWriter, read_session

@@ -12,7 +12,7 @@ from live import QUICK
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS, control_check
 from inteco_abs.errors import ConfigError
-from inteco_abs.plugins import Controllers, packaged_controllers
+from inteco_abs.plugins import Controllers, installed_controllers
 from inteco_abs.sessions import read_session
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -80,8 +80,9 @@ def here(site, monkeypatch):
 
 
 def problem_of(name) -> str:
+    known = installed_controllers()
     with pytest.raises(ConfigError) as caught:
-        packaged_controllers()[name].load()
+        known.load(known.packaged[name])
     return caught.value.mistakes[0].problem
 
 
@@ -211,7 +212,7 @@ def test_a_package_that_is_there_twice_is_no_collision(here, tmp_path, monkeypat
     monkeypatch.syspath_prepend(later.folder)
     monkeypatch.syspath_prepend(here.folder)
     here.install()
-    offer = packaged_controllers()["threshold"]
+    offer = installed_controllers().packaged["threshold"]
     assert (offer.package, offer.problem) == ("abs-threshold 1.2", "")
 
 
@@ -261,7 +262,7 @@ def test_a_broken_one_is_listed_as_broken_and_hinders_no_other(inteco_abs, site)
 def test_a_package_whose_list_cannot_be_read_is_passed_over(here, data):
     here.install()
     (here.install("abs-odd", "0.1") / "entry_points.txt").write_bytes(data)
-    assert packaged_controllers()["threshold"].package == "abs-threshold 1.2"
+    assert installed_controllers().packaged["threshold"].package == "abs-threshold 1.2"
 
 
 def test_the_source_is_that_of_the_module_that_defines_the_class(here):

@@ -10,8 +10,9 @@ from inteco_abs.control.estimators.difference import SLIP_OFFSET_M_S, HeldDiffer
 from inteco_abs.control.estimators.edge_time import EdgeTime
 from inteco_abs.control.estimators.kalman import KalmanFilter
 from inteco_abs.control.estimators.observer import Observer
-from inteco_abs.control.estimators.registry import EstimatorSpec, Maker, Parameter, parameter
+from inteco_abs.control.estimators.registry import EstimatorSpec, Maker, Parameter, parameter, require_estimator
 from inteco_abs.control.estimators.tracking import TrackingLoop
+from inteco_abs.entry_points import Registry
 from inteco_abs.rig import RigParameters, nominal_brake_map
 
 
@@ -57,7 +58,7 @@ def _observer(config: RigConfig, parameters: RigParameters) -> Estimator:
     return Observer(parameters, per_turn, 1.0 / config.loop.rate_hz, spread, brake_map)
 
 
-ESTIMATORS: Final[dict[str, EstimatorSpec]] = {
+_SHIPPED: Final[dict[str, EstimatorSpec]] = {
     "euler": EstimatorSpec(
         "The paper's backward difference over one period",
         (),
@@ -101,7 +102,10 @@ ESTIMATORS: Final[dict[str, EstimatorSpec]] = {
         Observer,
     ),
 }
-"""What there is to choose from, by the name on the command line."""
+"""By the name on the command line."""
+
+ESTIMATORS: Final = Registry("an estimator", "inteco_abs.estimators", "estimator.name", _SHIPPED, require_estimator)
+"""What there is to choose from: what ships and what installed packages offer."""
 
 __all__ = [
     "ESTIMATORS",

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from inteco_abs.config import EstimatorConfig, RigConfig
 from inteco_abs.control.estimators.base import Estimator
+from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.rig import RigParameters
 
 Maker = Callable[[RigConfig, RigParameters], Estimator]
@@ -35,6 +36,13 @@ class EstimatorSpec(NamedTuple):
 
     def __call__(self, config: RigConfig, parameters: RigParameters) -> Estimator:
         return self.make(config, parameters)
+
+
+def require_estimator(path: str, found: object, name: str) -> EstimatorSpec:
+    """`found` if it is an EstimatorSpec; else raises ConfigError."""
+    if not isinstance(found, EstimatorSpec):
+        raise ConfigError([ConfigIssue(path, f"{name} is not an inteco_abs.control.EstimatorSpec")])
+    return found
 
 
 def parameter(name: str, unit: str, meaning: str) -> Parameter:

@@ -10,7 +10,8 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
-from inteco_abs.mock_board.faults.kinds import KINDS, NOT_ON, FaultKind, Value
+from inteco_abs.mock_board.family import mock_family
+from inteco_abs.mock_board.faults.kinds import KINDS, FaultKind, Value
 
 _FORM: Final = re.compile(r"(?P<kind>[^=@/]+)(?:=(?P<value>[^@/]*))?@(?P<when>[^/]+)(?:/(?P<lasts>.+))?")
 _SPAN: Final = re.compile(
@@ -97,7 +98,12 @@ def require_possible(
 
     `impossible` are other kinds that cannot be, and why.
     """
-    why = {name: text for name, (boards, text) in NOT_ON.items() if board in boards} | dict(impossible or {})
+    mock = mock_family(board)
+    why = dict(impossible or {})
+    if mock.identity_at is None:
+        why["identity"] = "no answer of such a board says what it is"
+    if not mock.has_alarms:
+        why["alarm"] = "no alarm flags are known of such a board, only of a PCI board: --set profile=sim_pci"
     mistakes = [ConfigIssue(option, f"{fault.name}: {why[fault.name]}") for fault in faults if fault.name in why]
     if mistakes:
         raise ConfigError(mistakes)

@@ -6,9 +6,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from firmware_protocol import rtdac_usb, rtdac_usb2
 from inteco_abs.errors import LinkError
 from inteco_abs.mock_board.device import Device
+from inteco_abs.mock_board.family import mock_family
 from inteco_abs.mock_board.faults.device import FaultyDevice
 from inteco_abs.mock_board.faults.fault import Fault
 from inteco_abs.mock_board.faults.schedule import Schedule
@@ -43,7 +43,7 @@ class FaultyFrontEnd:
         self._make_face = make_face
         self._face = make_face(device)
         self._wait, self._pause, self._begun = wait, pause, begun
-        self._identity_at = _identity_at(device)
+        self._identity_at = mock_family(device.kind).identity_at or 0
         self._answered = True
         self._commanded = False
         """Of the exchange that goes on: whether the board has answered, whether it was told something."""
@@ -169,12 +169,3 @@ class FaultyFrontEnd:
             settings.update(encoder_reset=0, timer_reset=0, **{f"pwm{i}_mode": 1 for i in range(2)})
         self._faulty.start_anew(settings)
         self._before = b""
-
-
-def _identity_at(device: FaultyDevice) -> int:
-    """First byte of what a board says that it is."""
-    if device.kind == "usb2":
-        return rtdac_usb2.READ.place("logic_version").offset
-    if device.kind == "usb":
-        return rtdac_usb.HEADER_BYTES - 1
-    return 0  # on the PCI bus no answer has it

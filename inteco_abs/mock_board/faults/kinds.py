@@ -111,12 +111,6 @@ ON_THE_RIG: Final[dict[str, FaultKind]] = {
 }
 """Between the board and the wheels."""
 
-NOT_ON: Final[dict[str, tuple[frozenset[str], str]]] = {
-    "identity": (frozenset({"pci"}), "a board on the PCI bus says what it is in no answer"),
-    "alarm": (frozenset({"usb2", "usb"}), "only boards on the PCI bus are known to have flags: --set profile=sim_pci"),
-}
-"""Kinds of board that cannot have such a fault, and why."""
-
 PROCESSES: Final = ("loop", "recorder", "guardian", "supervisor")
 """Of a run in real time."""
 BY_PROCESS: Final[dict[str, FaultKind]] = {

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from inteco_abs.mock_board.frontends.usb import ByteStream
+from inteco_abs.mock_board.frontend import Stream
 from inteco_abs.mock_board.usbip.usb_descriptors import MOCK_SERIALS, Speed, UsbIdentity
 from inteco_abs.mock_board.usbip.usb_device import Answer, Handshake, Setup, UsbDevice
 
@@ -59,7 +59,7 @@ class FtdiBoard(UsbDevice):
 
     def __init__(
         self,
-        stream: ByteStream,
+        stream: Stream,
         identity: UsbIdentity | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:

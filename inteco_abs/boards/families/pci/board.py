@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from struct import Struct
-from typing import Final, NamedTuple
+from typing import Final
 
-from firmware_protocol import ProtocolError, Register, Status
+from firmware_protocol import ProtocolError, Register
 from firmware_protocol.register_messages import Step
 from firmware_protocol.registers import REGISTER_BYTES, Write
 from firmware_protocol.rtdac_pci import (
@@ -43,7 +43,7 @@ from firmware_protocol.rtdac_pci import (
     WHEEL_VELOCITY,
 )
 from inteco_abs.boards.authorization import read_only_reason
-from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity
+from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity, Reading
 from inteco_abs.boards.first_write import PlannedWord
 from inteco_abs.boards.frame_board import MODES, widths
 from inteco_abs.boards.transports.registers import Registers
@@ -70,19 +70,6 @@ _SHOWN: Final = {
         )
     },
 }  # fmt: skip
-
-
-class Reading(NamedTuple):
-    """One of the quantities that the board measures besides the wheels' angles, or has as a limit. For show only."""
-
-    name: str
-    value: float | None
-    """None if the board's numbers make no value."""
-    unit: str
-    """`1` for a flag."""
-    status: Status
-    """What is known of the register: the meaning of the alarm flags is not."""
-    meaning: str
 
 
 class RtdacPci(Board):

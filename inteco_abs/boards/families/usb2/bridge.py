@@ -59,6 +59,21 @@ def identify_led(device: Any, *, on: bool) -> bool:
     return True
 
 
+def bridge_facts(device: Any) -> dict[str, str]:
+    """What pyusb's `device` tells by control requests that change nothing."""
+    ids = f"{device.idVendor:04x}:{device.idProduct:04x}"
+    try:
+        compiled, released = firmware_dates(device)
+    except LinkError as error:  # a matter of interest, no reason to stop
+        compiled = released = f"not told: {error}"
+    return {
+        "ids": ids,
+        "serial": str(device.serial_number),
+        "firmware_compiled": compiled,
+        "firmware_released": released,
+    }
+
+
 def _date(device: Any, address: int) -> str:
     """Two-byte characters, of which the lower bytes are the text."""
     text = _ask(device, REQUEST_DATE, address, DATE_BYTES)[: 2 * DATE_CHARACTERS : 2].decode("latin-1").strip("\0 ")

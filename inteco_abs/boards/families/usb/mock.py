@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 from firmware_protocol import ProtocolError
 from firmware_protocol.fields import sent_back
-from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, logic_of
+from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, HEADER_BYTES, READ_REQUEST, logic_of
 from inteco_abs.config import MOCK_NAMES
 from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.mock_board.device import Device
+from inteco_abs.mock_board.family import MockFamily
 from inteco_abs.mock_board.frontend import FrontEnd, require_terminals
+from inteco_abs.mock_board.reported_board import reported_frames
+from inteco_abs.mock_board.usbip.ftdi import FtdiBoard, ftdi_identity
 
 APPLICATION_NAME: Final = MOCK_NAMES[1]
 _COMMAND_BIT: Final = 0x80
@@ -119,3 +123,18 @@ class ByteStream:
         if self._arriving:
             self.face.bulk_out(bytes(self._arriving))
             self._arriving.clear()
+
+
+def _function_bit(settings: Mapping[str, int], channel: int) -> bool:
+    """One bit a channel (INFERRED); whether the pin's direction matters is unknown."""
+    return bool(settings.get("pin_mode", 0) >> channel & 1)
+
+
+MOCK: Final = MockFamily(
+    front_end=UsbFrontEnd,
+    reported=reported_frames(UsbFrontEnd),
+    connected=lambda _wiring: _function_bit,
+    identity_at=HEADER_BYTES - 1,
+    usb_device=lambda face, identity, serial: FtdiBoard(ByteStream(face), identity(ftdi_identity(serial))),
+    stream=ByteStream,
+)

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from typing import Final
 
 from firmware_protocol import ProtocolError
 from firmware_protocol.fields import sent_back
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, LOGIC_VERSION, LOGICS, READ, READ_REQUEST, SEND, Logic
-from inteco_abs.config import MOCK_NAMES
+from inteco_abs.config import MOCK_NAMES, BoardConfig
 from inteco_abs.mock_board.device import Device
+from inteco_abs.mock_board.family import Connected, MockFamily, always_connected
 from inteco_abs.mock_board.frontend import require_terminals
+from inteco_abs.mock_board.reported_board import reported_frames
+from inteco_abs.mock_board.usbip.usb_board import UsbBoard
+from inteco_abs.mock_board.usbip.usb_descriptors import UsbIdentity
 
 APPLICATION_NAME: Final = MOCK_NAMES[0]
 _SYNTHESIS_DATE: Final = "20260101"
@@ -154,3 +159,36 @@ class Usb2FrontEnd:
         if self.device.cable.watchdog_contact_pin >= 0:
             self._answer[_LEVELS : _LEVELS + 4] = self.device.pins().to_bytes(4, "little")
         return bytes(self._answer)
+
+
+def _pin_of_generic_logic(settings: Mapping[str, int], channel: int) -> bool:
+    """Three pins a channel, of which the third is the PWM's (docs/facts/boards.md#generic-usb2-logic)."""
+    pin = 3 * channel + 2
+    return bool(settings.get("pin_mode", 0) >> pin & 1 and not settings.get("pin_direction", 0) >> pin & 1)
+
+
+def _pin_of_power_interface(settings: Mapping[str, int], channel: int) -> bool:
+    """CN1 pins 19 and 23 carry PWM 0 and 1, once they are outputs (S5)."""
+    return not settings.get("pin_direction", 0) >> (4 * channel + 19) & 1
+
+
+_CONNECTED: Final[dict[str, Connected]] = {
+    "generic": _pin_of_generic_logic,
+    "servo": _pin_of_power_interface,
+    "tras": always_connected,
+    "rpend": always_connected,
+    "abs": _pin_of_power_interface,
+}
+
+
+def _connected(wiring: BoardConfig) -> Connected:
+    return _CONNECTED[wiring.frame_map]
+
+
+MOCK: Final = MockFamily(
+    front_end=Usb2FrontEnd,
+    reported=reported_frames(Usb2FrontEnd),
+    connected=_connected,
+    identity_at=READ.place("logic_version").offset,
+    usb_device=lambda face, identity, serial: UsbBoard(face, identity(UsbIdentity(serial=serial))),
+)

@@ -41,7 +41,10 @@ from firmware_protocol.rtdac_pci import (
     VELOCITY_WINDOW,
     WHEEL_VELOCITY,
 )
+from inteco_abs.boards.families.pci.board import registers_of
+from inteco_abs.boards.frame_labels import Protocol
 from inteco_abs.mock_board.device import MAXIMUM_CELSIUS, MINIMUM_SUPPLY_V, Device
+from inteco_abs.mock_board.family import MockFamily
 
 _WORD: Final = (1 << REGISTER_BITS) - 1
 _COUNTS: Final = 0x04
@@ -178,3 +181,23 @@ class PciFrontEnd:
 def _lines(speed_rad_s: float) -> int:
     """What a velocity register shows: encoder lines in one window."""
     return int(abs(speed_rad_s) / (2.0 * math.pi) * ENCODER_LINES * _WINDOW / VELOCITY_CLOCK_HZ)
+
+
+def _reported(device: Device, _: Protocol | None, image: bytes) -> PciFrontEnd:
+    still: dict[int, int] = {}
+    settings: dict[str, int] = {}
+    counts: dict[str, int] = {}
+    for name, register, channel, bits in registers_of(image):
+        if name.startswith("pwm") or name == "encoder_reset":
+            settings[name] = register.decode(bits)
+        elif name.endswith("_count"):
+            counts[name] = register.decode(bits)
+        elif channel is None:
+            still[register.offset] = bits
+    device.write(settings)
+    cable = device.cable
+    device.begin_counts(counts[f"encoder{cable.road_encoder}_count"], counts[f"encoder{cable.wheel_encoder}_count"])
+    return PciFrontEnd(device, still)
+
+
+MOCK: Final = MockFamily(front_end=PciFrontEnd, reported=_reported, has_alarms=True)

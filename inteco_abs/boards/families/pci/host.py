@@ -1,0 +1,53 @@
+"""RT-DAC4/PCI as this computer lists it, and whether this user may use its registers. Asks no board anything."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from inteco_abs.config import RigConfig
+from inteco_abs.host.attached import FoundBoard, HostFamily, last_part
+from inteco_abs.host.checks import Computer, Judgement, green, red
+from inteco_abs.host.permissions import PCI_DEVICE, PCI_REGISTERS, PCI_VENDOR, PLUG_AGAIN, UDEV_FILE
+
+_HEADER_BYTES: Final = 64
+"""Of the configuration space, what every user may read."""
+
+
+def _boards(computer: Computer) -> list[str]:
+    def ids(folder: str) -> tuple[str, str]:
+        return computer.text_or(f"{folder}/vendor", ""), computer.text_or(f"{folder}/device", "")
+
+    return [folder for folder in computer.matching("sys/bus/pci/devices/*") if ids(folder) == (PCI_VENDOR, PCI_DEVICE)]
+
+
+def _found(computer: Computer, _: RigConfig, _place: str) -> list[FoundBoard]:
+    return [
+        FoundBoard(
+            f"pci:{last_part(folder)}",
+            f"{PCI_VENDOR}:{PCI_DEVICE} at {last_part(folder)}",
+            {"descriptors": computer.bytes_of(f"{folder}/config", _HEADER_BYTES).hex()},
+        )
+        for folder in _boards(computer)
+    ]
+
+
+def _pci_access(computer: Computer, folder: str) -> Judgement:
+    file = f"{folder}/{PCI_REGISTERS}"
+    if not computer.exists(file):
+        return red(f"no /{file}", "the board has no register range: put it into another slot")
+    if computer.may_write(file):
+        return green(f"/{file} is writable")
+    return red(f"/{file} is not writable for this user", PLUG_AGAIN)
+
+
+def _pci_registers(computer: Computer, folder: str) -> Judgement:
+    """The kernel counts who has switched a device on; firmware may have done so uncounted, which is not relied upon."""
+    file = f"{folder}/enable"
+    if computer.text(file) != "0":
+        return green("switched on")
+    return red("switched off", f"echo 1 | sudo tee /{file}, or install the udev rules ({UDEV_FILE})")
+
+
+HOST: Final = HostFamily(
+    found=_found, folders=_boards, place="", checks={"PCI registers": _pci_registers, "PCI access": _pci_access}
+)

@@ -1,0 +1,55 @@
+"""What the mock board is for one family: how it looks from the wire, and what of the rest differs between families."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from inteco_abs.boards.family import family_of
+from inteco_abs.boards.frame_labels import Protocol
+from inteco_abs.config import BoardConfig
+from inteco_abs.entry_points import attribute
+
+if TYPE_CHECKING:
+    from inteco_abs.mock_board.device import Device
+    from inteco_abs.mock_board.frontend import FrontEnd, Stream
+
+Connected = Callable[[Mapping[str, int], int], bool]
+"""Whether a PWM channel has its pin: from the board's settings and the channel's number."""
+
+
+def always_connected(_settings: Mapping[str, int], _channel: int) -> bool:
+    """Of boards whose drivers write neither mode nor direction: their logic's pins must be what they are."""
+    return True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MockFamily:
+    """The board's own side of one family; `BoardFamily.mock` names it."""
+
+    front_end: Callable[[Device], FrontEnd]
+    """Puts a device behind the family's messages. Raises ConfigError for a rig at channels that the board has not."""
+    reported: Callable[[Device, Protocol | None, bytes], FrontEnd]
+    """The same for a board that was seen, by an image in its protocol. Raises ValueError for one that cannot be."""
+    connected: Callable[[BoardConfig], Connected] = lambda _wiring: always_connected
+    identity_at: int | None = None
+    """First byte of an answer that says what the board is; None: no answer does."""
+    has_alarms: bool = False
+    """Whether it shows alarm flags."""
+    usb_device: Callable[[FrontEnd, Any, int], Any] | None = None
+    """Makes the USB device that it is on a bus, of the front end, what gives its `UsbIdentity` in place of the usual
+    one, and a serial number; None: it is on no USB. Raises ValueError for a serial number that no mock has."""
+    stream: Callable[[FrontEnd], Stream] | None = None
+    """Makes a stream of bytes of the front end, for a serial port; None: it is not at one."""
+
+
+def mock_family(kind: str) -> MockFamily:
+    """The mock's side of the family that `board.kind` names; raises ConfigError if there is no such family."""
+    found: MockFamily = attribute(family_of(kind).mock)
+    return found
+
+
+def face_of(device: Device) -> FrontEnd:
+    """What a host sees of `device`: messages in, messages out, as its family has them."""
+    return mock_family(device.kind).front_end(device)
