@@ -132,14 +132,9 @@ def protocol_name(wiring: BoardConfig) -> str:
     for one in family.protocols:
         if all(getattr(wiring, key) == value for key, value in one.settings.items()):
             return one.board
-    raise ConfigError(
-        [ConfigIssue("board", f"no protocol is known of a {family.title} with {_stated(wiring, family)}")]
-    )
-
-
-def _stated(wiring: BoardConfig, family: BoardFamily) -> str:
     keys = dict.fromkeys(key for one in family.protocols for key in one.settings)
-    return ", ".join(f"{key} = {getattr(wiring, key)!r}" for key in keys) or "registers"
+    stated = " with " + ", ".join(f"{key} = {getattr(wiring, key)!r}" for key in keys) if keys else ""
+    raise ConfigError([ConfigIssue("board", f"no messages of {family.title}{stated} are known")])
 
 
 def family_speaking(board: str) -> BoardFamily:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.boards import family_of
+from inteco_abs.boards import FAMILIES, family_of
 from inteco_abs.boards.board_report import BoardReport
-from inteco_abs.errors import CaptureError
+from inteco_abs.errors import CaptureError, near_match
 from inteco_abs.mock_board import Device, FrontEnd, ReportedIdentity, UsbIdentity, mock_family
 from inteco_abs.wire.capture import Kind, read_capture
 
@@ -32,6 +32,9 @@ class ReportedBoard:
         self.report: BoardReport = capture.report
         self._capture = capture
         self._image = images[0]
+        if self.report.kind not in FAMILIES:
+            known = near_match(self.report.kind, FAMILIES)
+            raise CaptureError(f"{path}, line 1: report.kind = {self.report.kind!r}: no such board family{known}")
         self._family = family_of(self.report.kind)
         self._protocol = next((one for one in self._family.protocols if one.board == capture.board), None)
         if self._protocol is None and (self._family.protocols or capture.board != self._family.name):

@@ -125,7 +125,7 @@ class TestInTheSession:
     @pytest.mark.parametrize("virtual", [True, False], ids=["virtual", "real time"])
     def test_a_board_with_registers_is_refused_before_anything_is_made(self, tmp_path, virtual):
         plan = Plan(tmp_path / "stop.mcap", virtual=virtual, frames=True)
-        with pytest.raises(ConfigError, match="--frames: a board on the PCI bus has registers"):
+        with pytest.raises(ConfigError, match="--frames: a pci board has registers"):
             run_stop(load_config(settings=["profile=sim_pci"]), plan)
         assert not list(tmp_path.iterdir())
 

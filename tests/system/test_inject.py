@@ -121,7 +121,7 @@ PCI = ("--set", "profile=sim_pci")
 @pytest.mark.parametrize(
     ("board", "fault", "said"),
     [
-        (PCI, "identity@1s", "identity: a board on the PCI bus says what it is in no answer"),
+        (PCI, "identity@1s", "identity: no answer of such a board says what it is"),
         (PCI, "alarm=2@1s", "alarm: a run reads no such flags; inteco-abs panel --inject shows them"),
         ((), "alarm=2@1s", "alarm: a run reads no such flags"),
     ],
@@ -138,7 +138,7 @@ def test_what_this_board_or_a_run_cannot_show_is_refused_however_it_is_asked_for
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--inject", "alarm=2@1s"), "only boards on the PCI bus are known to have flags: --set profile=sim_pci"),
+        (("--inject", "alarm=2@1s"), "only of a PCI board: --set profile=sim_pci"),
         (("--inject", "loop-killed@1s"), "loop-killed: the panel records nothing; inteco-abs run --inject has this"),
         (("--inject", "disk-full@1s", *PCI), "disk-full: the panel records nothing"),
         (("--inject", "alarm=9@1s", *PCI), "alarm takes a whole number in 1..7 bits"),
