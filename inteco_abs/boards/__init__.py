@@ -13,7 +13,7 @@ from inteco_abs.boards.addresses import (
 )
 from inteco_abs.boards.authorization import unconfirmed
 from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity, Reading
-from inteco_abs.boards.family import FAMILIES, BoardFamily, UsbTraffic, board_behind, families, family_of
+from inteco_abs.boards.family import FAMILIES, BoardFamily, UsbTraffic, board_behind, family_of, known_families
 from inteco_abs.boards.transports.links import InProcessLink, Link, SocketLink, Wrap
 from inteco_abs.boards.transports.registers import LinkedRegisters, Registers
 from inteco_abs.config import RigConfig
@@ -38,8 +38,8 @@ __all__ = [
     "check_kind",
     "check_limits",
     "default_profile",
-    "families",
     "family_of",
+    "known_families",
     "open_board",
     "schemes",
     "simulated",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from inteco_abs.boards.family import FAMILIES, families, family_of
+from inteco_abs.boards.family import FAMILIES, family_of, known_families
 from inteco_abs.config import DEFAULT_PROFILE, MOCK_NAMES, RigConfig, beyond_ceilings
 from inteco_abs.errors import ConfigError, ConfigIssue
 
@@ -14,7 +14,7 @@ SIMULATED: Final = "sim"
 
 def schemes() -> dict[str, str]:
     """What may stand before the colon, and what it is in words."""
-    known = {name: family.what for name, family in families().items()}
+    known = {name: family.what for name, family in known_families().items()}
     return {SIMULATED: "the mock of the profile's board with the simulated rig inside", **known}
 
 

@@ -93,7 +93,7 @@ FAMILIES: Final = Registry("a board family", "inteco_abs.board_families", "board
 """Every family by name, loaded when it is used."""
 
 
-def families() -> dict[str, BoardFamily]:
+def known_families() -> dict[str, BoardFamily]:
     """Every family that can be used, by name."""
     return {name: family for name, (family, _) in FAMILIES.usable()[0].items()}
 
@@ -115,7 +115,7 @@ def board_behind(link: Link | Registers, config: RigConfig, now_ns: Callable[[],
 
 def protocols() -> dict[str, Protocol]:
     """The protocols of all families, by the board that a capture names."""
-    return {one.board: one for family in families().values() for one in family.protocols}
+    return {one.board: one for family in known_families().values() for one in family.protocols}
 
 
 def protocol_of(board: str) -> Protocol:
@@ -140,4 +140,4 @@ def protocol_name(wiring: BoardConfig) -> str:
 def family_speaking(board: str) -> BoardFamily:
     """The family whose boards speak the protocol `board`; raises ConfigError."""
     protocol = protocol_of(board)
-    return next(family for family in families().values() if protocol in family.protocols)
+    return next(family for family in known_families().values() if protocol in family.protocols)

@@ -11,7 +11,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from inteco_abs.boards import BoardFamily, families, family_of
+from inteco_abs.boards import BoardFamily, family_of, known_families
 from inteco_abs.config import RigConfig
 from inteco_abs.entry_points import attribute
 from inteco_abs.host.checks import Computer, Finding, Judgement, amber, green, look, together
@@ -67,7 +67,7 @@ def found_devices(address: str, config: RigConfig, computer: Computer | None = N
 
 def plugged_in(computer: Computer) -> list[Finding]:
     """Findings on the boards that are there; a single one when there are none."""
-    known = [(family.title, host_family(family)) for family in families().values()]
+    known = [(family.title, host_family(family)) for family in known_families().values()]
     findings = look(computer, {"board": partial(_board, known)})
     for _, host in known:
         if folders := host.folders(computer):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import inteco_abs as product
-from inteco_abs.boards import families
+from inteco_abs.boards import known_families
 from inteco_abs.boards.families import SHIPPED
 from inteco_abs.config import load_config
 from inteco_abs.host.attached import host_family
@@ -45,7 +45,7 @@ def test_nothing_but_a_familys_own_folder_knows_it_by_name():
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_record_is_complete(name):
-    family = families()[name]
+    family = known_families()[name]
     assert (family.name, mock_family(name).front_end is not None) == (name, True)
     assert load_config(profile=family.profile).board.kind == load_config(profile=family.mock_profile).board.kind == name
     assert family.address.fullmatch("") is not None
@@ -93,7 +93,7 @@ def inteco_abs():
 EXCHANGE = r"""
 import json, sys, threading, time
 from pathlib import Path
-from inteco_abs.boards import check_address, default_profile, families, open_board
+from inteco_abs.boards import check_address, default_profile, known_families, open_board
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError
 from inteco_abs.host.attached import found_devices
@@ -127,7 +127,7 @@ try:
 except ConfigError as error:
     refused = str(error)
 print(json.dumps({
-    "families": list(families()), "road": sample.road_count, "stale": BoardFlags.STALE in sample.board_flags,
+    "families": list(known_families()), "road": sample.road_count, "stale": BoardFlags.STALE in sample.board_flags,
     "refused": refused, "duties": device.duties, "found": found_devices(address, config)[0].description,
 }))
 """
