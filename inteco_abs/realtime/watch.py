@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Final
 
 from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.heartbeat import repeating
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, RunMemory, has_ended
-from inteco_abs.realtime.processes.guardian import loop_window_ns, take_over
+from inteco_abs.realtime.processes.guardian import kill, loop_window_ns, take_over
 from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_S, Action, Silence, supervisor_does
 from inteco_abs.realtime.tuning import watch_tuning
 from inteco_abs.signals import Reason
@@ -85,14 +84,9 @@ class Watch:
         if Action.STOP in deed:
             self._words[Field.STOP] = self._words[Field.STOP] or Reason.GUARDIAN_LOST
         if Action.KILL_GUARDIAN in deed:
-            _kill(self._guardian)
+            kill(self._guardian)
         if Action.KILL_LOOP in deed and not has_ended(self._loop):
             self._killed = True
-            _kill(self._loop)
+            kill(self._loop)
         if Action.RESCUE in deed:
             take_over(self._memory, self._job, self._loop_pid, "hung" if self._killed else "died", "supervisor")
-
-
-def _kill(process: int) -> None:
-    with suppress(ProcessLookupError):
-        signal.pidfd_send_signal(process, signal.SIGKILL)

@@ -104,8 +104,7 @@ class Guardian:
     def _kill(self) -> None:
         """Have the guarded process end. Its board is taken only once it has: two hosts must not write to it."""
         self._killed = True
-        with suppress(ProcessLookupError):
-            os.kill(self._guarded, signal.SIGKILL)
+        kill(self._end)
 
     def _leave(self, *, rescue: bool) -> None:
         """The guarded process is gone."""
@@ -136,6 +135,12 @@ class Guardian:
 
     def _gone(self, word: Field) -> bool:
         return not alive(self._words[word])
+
+
+def kill(process: int) -> None:
+    """Kill the process of this file descriptor, never another that has its number by now."""
+    with suppress(ProcessLookupError):
+        signal.pidfd_send_signal(process, signal.SIGKILL)
 
 
 def loop_window_ns(config: RigConfig) -> int:
