@@ -88,10 +88,10 @@ class TestFile:
     @pytest.mark.parametrize(
         ("content", "complaint"),
         [
-            (lambda _whole: b"", "no tick ring"),
-            (lambda whole: bytes(len(whole)), "no tick ring"),
-            (lambda whole: b"inteco-abs ring 1\n" + whole[18:], "no tick ring of this version"),
-            (lambda whole: whole[:100], "no tick ring"),
+            (lambda _whole: b"", "not a tick ring"),
+            (lambda whole: bytes(len(whole)), "not a tick ring"),
+            (lambda whole: b"inteco-abs ring 1\n" + whole[18:], "not a tick ring of this version"),
+            (lambda whole: whole[:100], "not a tick ring"),
             (lambda whole: whole[:RINGS_AT], "was cut"),
             (lambda whole: whole[:-1], "was cut"),
             (lambda whole: whole[:-100], "was cut"),
@@ -118,7 +118,7 @@ class TestFile:
 
     def test_one_that_cannot_be_opened_once_it_was_made_leaves_no_file(self, memory_folder, monkeypatch):
         monkeypatch.setattr(os, "pwrite", lambda *_: 0)
-        with pytest.raises(SessionError, match="no tick ring"):
+        with pytest.raises(SessionError, match="not a tick ring"):
             RunMemory.create(SIZE, CAPACITY, SIZE, CAPACITY)
         assert not list(memory_folder.iterdir())
 
@@ -258,11 +258,11 @@ class TestWords:
         code = """
 import sys
 from pathlib import Path
-from inteco_abs.realtime.memory import Note, RunMemory, Word
+from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 memory = RunMemory.open(Path(sys.argv[1]))
-print(memory.words[Word.GO] == 2**62, memory.note(Note.DRILL))
-memory.words[Word.STOP] = -5
-memory.post(Note.FAILURE, ["heard"])
+print(memory.words[Field.GO] == 2**62, memory.note(Mailbox.DRILL))
+memory.words[Field.STOP] = -5
+memory.post(Mailbox.FAILURE, ["heard"])
 """
         process = python_child(code, memory.path)
         assert process.communicate(timeout=60)[0].split() == ["True", "told"]
