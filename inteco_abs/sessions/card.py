@@ -176,9 +176,11 @@ class _Lateness:
     def _count(self) -> None:
         values, numbers = np.unique(np.concatenate([self._values[:0], *self._new]), return_counts=True)
         self._new, self._new_number = [], 0
-        self._values, places = np.unique(np.concatenate([self._values, values]), return_inverse=True)
-        both = np.concatenate([self._numbers, numbers])
-        self._numbers = np.bincount(places.reshape(-1), both, len(self._values)).astype(np.int64)
+        at = np.searchsorted(self._values, values)
+        known = np.append(self._values, math.nan)[at] == values
+        self._numbers[at[known]] += numbers[known]
+        self._values = np.insert(self._values, at[~known], values[~known])
+        self._numbers = np.insert(self._numbers, at[~known], numbers[~known])
 
     def percentiles(self) -> dict[str, float | None]:
         """The same numbers as `np.percentile` of all values at once gives."""
