@@ -401,11 +401,11 @@ class TestHang:
 
     def test_one_that_takes_long_to_end_keeps_its_board_until_then_and_that_is_told(self, run, child, monkeypatch):
         """Two hosts must not write to the board, and on the PCI bus nothing keeps the second one out."""
-        process, asked, kill = child(), threading.Event(), os.kill
+        process, asked = child(), threading.Event()
         run.hold(process.pid)
         run.words[Field.LOOP_PID] = process.pid
         with monkeypatch.context() as patch:
-            patch.setattr(os, "kill", lambda pid, number: asked.set() if pid == process.pid else kill(pid, number))
+            patch.setattr(signal, "pidfd_send_signal", lambda *_: asked.set())
             run.memory.tick_ring(tick).append(0)
             run.until(asked.is_set, "it is to be killed")
             run.until(lambda: run.words[Field.ALARMED], "the user is told that nobody drives the board")
