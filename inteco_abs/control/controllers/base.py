@@ -19,10 +19,14 @@ class Gain(NamedTuple):
     """One adjustable number of a controller, with its range and unit."""
 
     name: str
+    """Argument of the class, and key in `controller.gains`."""
     default: float
     low: float
+    """Smallest value that a configuration may have."""
     high: float
+    """Largest value."""
     unit: str
+    """Such as `1/s`; `1` for a number without a unit."""
     meaning: str
 
 
