@@ -16,7 +16,7 @@ _NONE: Final = Reason.NONE
 _BRAKING: Final = Phase.BRAKING
 _OVER: Final = (Phase.DONE, Phase.FAULT)
 _NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
-_GIVEN_UP: Final = Request(Command.SAFE, BrakeDemand(0.0), Reason.CONTROLLER_ERROR)
+_GIVEN_UP: Final = _NO_ESTIMATE, Request(Command.SAFE, BrakeDemand(0.0), Reason.CONTROLLER_ERROR)
 
 
 class Pipeline:
@@ -55,18 +55,8 @@ class Pipeline:
 
     def step(self, sample: Sample, stop_request: Reason = Reason.NONE, timing: Timing = UNTIMED) -> Tick:
         """Decide on one sample. The tick's `drive` and `brake` are the command for the next exchange."""
-        estimate, (request, demand, request_reason) = self._decide(sample)
-        guard, sequence = self._guard, self._sequence
-        if stop_request is not _NONE:
-            guard.trip(stop_request)
-        if request_reason is not _NONE:
-            guard.trip(request_reason)
-        command = guard.admit(request, sample, estimate)
-        reason = guard.reason
-        if reason is not _NONE:
-            sequence.fault()
-        self.command = command
-        phase = sequence.phase
+        estimate, (request, demand, _) = self.decide(sample, stop_request)
+        phase = self._sequence.phase
         tick, time_ns, dt_s, wheel_count, road_count, board_flags = sample
         wheel_speed, road_speed, slip, valid, _ = estimate
         _, torque_nm, switching, internals = demand
@@ -90,8 +80,8 @@ class Pipeline:
             torque_nm,
             drive_request,
             brake_request if type(brake_request) is float else math.nan,
-            *command,
-            reason,
+            *self.command,
+            self._guard.reason,
             *internals,
             late_us,
             io_us,
@@ -99,16 +89,28 @@ class Pipeline:
             skipped,
         )
 
-    def _decide(self, sample: Sample) -> tuple[Estimate, Request]:
-        """Estimate and request; those of the tick before where the sample cannot be trusted."""
+    def decide(self, sample: Sample, stop_request: Reason = Reason.NONE) -> tuple[Estimate, Request]:
+        """As `step`, without its row: estimate and request; what the guard has admitted of it is `command`.
+
+        Estimate and request are those of the sample before where this one cannot be trusted.
+        """
+        decided = self._decided
         if self.error is not None:
-            return _NO_ESTIMATE, _GIVEN_UP
-        if sample.board_flags:
-            return self._decided
-        try:
-            estimate = self._estimator.update(sample, self.command)
-            self._decided = estimate, self._sequence.step(sample, estimate)
-        except (Exception, SystemExit) as error:  # noqa: BLE001  a user's controller may raise anything; the rig must stop all the same
-            self.error = error
-            return _NO_ESTIMATE, _GIVEN_UP
-        return self._decided
+            decided = _GIVEN_UP
+        elif not sample.board_flags:
+            try:
+                estimate = self._estimator.update(sample, self.command)
+                decided = self._decided = estimate, self._sequence.step(sample, estimate)
+            except (Exception, SystemExit) as error:  # noqa: BLE001  a user's controller may raise anything; the rig must stop all the same
+                self.error = error
+                decided = _GIVEN_UP
+        estimate, (request, _, request_reason) = decided
+        guard = self._guard
+        if stop_request is not _NONE:
+            guard.trip(stop_request)
+        if request_reason is not _NONE:
+            guard.trip(request_reason)
+        self.command = guard.admit(request, sample, estimate)
+        if guard.reason is not _NONE:
+            self._sequence.fault()
+        return decided

@@ -73,14 +73,14 @@ class _Stop:
         """Decide on one sample; the slip as estimated."""
         self.ticks += 1
         pipeline = self.pipeline
-        decided = pipeline.step(sample)
-        if decided.reason is not Reason.NONE:
+        estimate, _ = pipeline.decide(sample)
+        if pipeline.reason is not Reason.NONE:
             self.ended = sample.tick
             failure = pipeline.error
-            self.error = EXPLANATIONS[decided.reason] if failure is None else in_words(failure)
-        elif self.began < 0 and decided.phase is Phase.BRAKING:
+            self.error = EXPLANATIONS[pipeline.reason] if failure is None else in_words(failure)
+        elif self.began < 0 and pipeline.phase is Phase.BRAKING:
             self.began = sample.tick
-        return decided.slip
+        return estimate.slip
 
 
 class _Shard:
