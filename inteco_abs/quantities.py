@@ -28,6 +28,11 @@ def finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def shown(value: float | None, form: str = ".3g") -> str:
+    """`value` for a table, in the given format; a dash for None."""
+    return "-" if value is None else format(value, form)
+
+
 def unit_of(key: str) -> str:
     """Unit that the name of a key ends with, as in `rate_hz`; empty if with none."""
     return next((unit for ending, unit in _ENDINGS.items() if key.endswith(ending)), "")

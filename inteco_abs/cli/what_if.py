@@ -22,6 +22,7 @@ from inteco_abs.cli.options import (
     say,
 )
 from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.quantities import shown
 
 if TYPE_CHECKING:
     from inteco_abs.analysis.closed_loop import Continuation
@@ -257,12 +258,8 @@ def _print(report: dict[str, Any]) -> None:
         say("open loop: the logged counts do not react; beyond the horizon it is not what would have happened")
         return
     own = simulation["own_error"]
-    error = "not at hand" if own is None else ", ".join(f"{name} {_figure(value)}" for name, value in own.items())
+    error = "not at hand" if own is None else ", ".join(f"{name} {shown(value, '.4g')}" for name, value in own.items())
     say(
         f"closed loop: a SIMULATION of the rig {simulation['rig']} from tick {simulation['from_tick']} on, its state "
         f"from the {simulation['state_from']}; with the session's own controller it leaves the log by: {error}"
     )
-
-
-def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"

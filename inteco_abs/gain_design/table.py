@@ -10,6 +10,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from inteco_abs.quantities import shown
+
 _ROWS: Final = 6
 _COLUMNS: Final = (
     ("speed\nrad/s", "road_speed_rad_s"),
@@ -74,11 +76,7 @@ def _table(curves: Mapping[str, Any]) -> RenderableType:
     last = len(curves["road_speed_rad_s"]) - 1
     for row in range(_ROWS):
         at = row * last // (_ROWS - 1)
-        cells = [_number(curves[key][at]) for _, key in _COLUMNS]
-        band = cells[8], _number(curves["torque_eq_most_nm"][at])
+        cells = [shown(curves[key][at]) for _, key in _COLUMNS]
+        band = cells[8], shown(curves["torque_eq_most_nm"][at])
         table.add_row(*cells[:8], "..".join(band), cells[9])
     return table
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"

@@ -15,6 +15,7 @@ from rich.text import Text
 
 from inteco_abs.analysis.closed_loop import Continuation
 from inteco_abs.analysis.what_if import WhatIf, braking_row, since_braking_s
+from inteco_abs.quantities import shown
 from inteco_abs.sessions import Session
 from inteco_abs.signals import Phase
 from inteco_abs.views.figure import check_figure, save_figure
@@ -76,7 +77,7 @@ def _divergences(alternatives: Sequence[Mapping[str, Any]]) -> Table:
             # a slip is estimated, not requested: it is told, and leaves nothing
             left = "" if field["threshold"] is None else _since(field["time_s"])
             numbers = (field["largest"], *(field["rms"].get(phase) for phase in _PHASES.values()))
-            table.add_row(f"  {_REQUESTS[field['field']]}", left, *map(_number, numbers))
+            table.add_row(f"  {_REQUESTS[field['field']]}", left, *map(shown, numbers))
     return table
 
 
@@ -90,12 +91,8 @@ def _simulated(log: Mapping[str, Any], alternatives: Sequence[Mapping[str, Any]]
     for heading in _CARD.values():
         table.add_column(heading, justify="right", no_wrap=True)
     for name, card in (("log", log), *((each["name"], each["closed_loop"]["card"]) for each in alternatives)):
-        table.add_row(Text(name), *(_number(card[key]) for key in _CARD))
+        table.add_row(Text(name), *(shown(card[key]) for key in _CARD))
     return table
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
 
 
 def draw_what_if(session: Session, courses: Sequence[WhatIfTrace], path: Path) -> None:
