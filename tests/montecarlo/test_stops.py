@@ -21,9 +21,9 @@ from inteco_abs.montecarlo import (
     run_all,
     run_stops,
 )
-from inteco_abs.rig import RigVariation, draw, wheel_slip
+from inteco_abs.rig import EncoderVariation, RigVariation, draw, wheel_slip
 from inteco_abs.sessions import TICK, TRUTH, result_card
-from inteco_abs.signals import BrakeDemand, Command, Phase
+from inteco_abs.signals import EXPLANATIONS, BrakeDemand, Command, Phase, Reason
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -207,6 +207,15 @@ def test_the_duty_is_limited_as_by_a_guard_that_knows_the_amplifier(limit, cap, 
     rig = RigVariation(brake_duty_cap=cap)
     stops = run_stops([rig], config, maker=parts.OneDuty(0.95), run_up_from_rad_s=None, traced=[0])
     assert set(stops.traces[0].brake.tolist()) == {given}
+
+
+def test_the_guard_of_a_run_ends_a_stop_of_its_own_rig_only():
+    fine = EncoderVariation(counts_per_turn=4096)  # of which the configuration knows nothing
+    rigs = [RigVariation(), RigVariation(wheel_encoder=fine, road_encoder=fine)]
+    stops = run_stops(rigs, configured())
+    assert stops.errors == ("", EXPLANATIONS[Reason.OVER_SPEED])
+    assert np.isnan(stops.metrics[1].tolist()).all()
+    assert stops["stop_time_s"][0] > 1.0
 
 
 def test_a_stop_that_does_not_end_is_given_up():
