@@ -253,7 +253,7 @@ def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault
 
 def _only_read(config: RigConfig) -> RigConfig:
     because = config.board.read_only or ONLY_WATCHED
-    return config.model_copy(update={"board": config.board.model_copy(update={"read_only": because})})
+    return replace(config, board=replace(config.board, read_only=because))
 
 
 def _insist_on_linux() -> None:

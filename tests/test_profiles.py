@@ -13,7 +13,7 @@ from inteco_abs.boards import (
     schemes,
     unconfirmed,
 )
-from inteco_abs.config import WIRING, BoardConfig, load_config, parse_config, profiles
+from inteco_abs.config import WIRING, BoardConfig, Evidence, load_config, parse_config, profiles
 from inteco_abs.errors import ConfigError
 from inteco_abs.mock_board import Device, face_of
 
@@ -290,15 +290,15 @@ class TestLimits:
 
 class TestEvidence:
     def test_without_a_signature_outputs_need_everything_confirmed(self):
-        confirmed = {key: {"status": "confirmed", "source": "seen"} for key in WIRING}
+        confirmed = {key: Evidence(status="confirmed", source="seen") for key in WIRING}
         base = {"logic_version": 0x0103, "application_names": ["ABSSIM"], "pwm_functions": [2, 5], "numbering_pwm": 7}
         base |= {"timer": 0, "constants": {"w9": 0}}
         base |= {"numbering_pins": [7], "watchdog_pin": 8, "watchdog_contact_pin": 9}
-        board = BoardConfig.model_validate({**base, "evidence": confirmed})
+        board = BoardConfig(**base, evidence=confirmed)
         assert unconfirmed(board) == []
         for key in WIRING:
             rest = {name: one for name, one in confirmed.items() if name != key}
-            assert unconfirmed(BoardConfig.model_validate({**base, "evidence": rest})) == [f"{key} (unknown)"]
+            assert unconfirmed(BoardConfig(**base, evidence=rest)) == [f"{key} (unknown)"]
 
     def test_the_refusal_names_what_is_not_confirmed(self):
         settings = ["profile=usb2_generic_0103", 'board.application_names=["ABSSIM"]']

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final, Self
 
 import numpy as np
@@ -18,7 +18,7 @@ from inteco_abs.analysis.replay import samples
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.analysis.what_if import since_braking_s
 from inteco_abs.boards import Board, InProcessLink, board_behind
-from inteco_abs.config import BoardConfig, RigConfig, SimulationConfig, read_profile
+from inteco_abs.config import RigConfig, SimulationConfig, load_config
 from inteco_abs.control import Controller, Gain, Pipeline, make_controller, make_estimator
 from inteco_abs.errors import SessionError, in_words
 from inteco_abs.format.schema import TICK, TRUTH
@@ -125,8 +125,7 @@ def _was_simulated(session: Session) -> bool:
 
 def _in_simulation(config: RigConfig) -> RigConfig:
     """A real rig's configuration, with the mock board and the published rig in its place."""
-    board = BoardConfig.model_validate(read_profile(_SIMULATED_PROFILE)["board"])
-    return config.model_copy(update={"board": board, "simulation": SimulationConfig()})
+    return replace(config, board=load_config(profile=_SIMULATED_PROFILE).board, simulation=SimulationConfig())
 
 
 @dataclass(slots=True)

@@ -50,9 +50,10 @@ def estimator_names(_context: click.Context, _parameter: click.Parameter, begun:
 
 def key_names(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
     """Keys of rig.toml."""
-    from inteco_abs.views.config_keys import all_keys
+    from inteco_abs.config.explain import all_keys
+    from inteco_abs.control import CONTROLLERS
 
-    return _beginning(begun, dict.fromkeys(key.path for key in all_keys()))
+    return _beginning(begun, dict.fromkeys(key.path for key in all_keys(CONTROLLERS)))
 
 
 def _beginning(begun: str, names: Iterable[str]) -> list[CompletionItem]:

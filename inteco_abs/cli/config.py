@@ -21,13 +21,14 @@ def config() -> None:
 @click.argument("file", type=FILE, default="rig.toml")
 def init(file: Path) -> int:
     """Write a rig.toml with every key, its meaning and its default, commented out."""
+    from inteco_abs.config.explain import template
+    from inteco_abs.control import CONTROLLERS
     from inteco_abs.sessions import atomic_write, check_output
-    from inteco_abs.views.config_keys import template
 
     check_output(file, "FILE")
     try:
         with atomic_write(file) as part:
-            part.write_text(template(), encoding="utf-8")
+            part.write_text(template(CONTROLLERS), encoding="utf-8")
     except OSError as error:
         raise AbsError(f"{file} cannot be written: {describe_disk(error)}") from error
     say(f"{file}: uncomment what is different on your rig, and use it with --config {file}", err=True)
@@ -53,9 +54,9 @@ def show(file: Path | None, settings: tuple[str, ...], board: str, origin: bool,
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.cli.options import known_controllers
     from inteco_abs.config import load_config, origins
+    from inteco_abs.config.explain import with_origins
     from inteco_abs.control import control_check, preferred_estimator
     from inteco_abs.mock_board import rig_check
-    from inteco_abs.views.config_keys import with_origins
 
     check_address(board)
     profile = default_profile(board)
@@ -63,8 +64,7 @@ def show(file: Path | None, settings: tuple[str, ...], board: str, origin: bool,
     rig = load_config(file, settings, [control_check(known), rig_check], profile, preferred_estimator(known))
     found = origins(file, settings, profile) if origin or as_json else {}
     if as_json:
-        values = rig.model_dump(mode="json", exclude_none=True)
-        print_json({"schema_version": 1, "config": values, "origins": found})
+        print_json({"schema_version": 1, "config": rig.as_table(), "origins": found})
         return 0
     say(with_origins(rig, found), nl=False)
     return 0
@@ -78,23 +78,24 @@ def explain(key: str, board: str, as_json: bool) -> int:
     """Say what KEY means, its range and default; for a section, as guard, list its keys."""
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import read_profile
-    from inteco_abs.views.config_keys import explain as in_words
-    from inteco_abs.views.config_keys import facts
+    from inteco_abs.config.explain import explain as in_words
+    from inteco_abs.config.explain import facts
+    from inteco_abs.control import CONTROLLERS
 
     check_address(board)
     profile = default_profile(board)
     below = {**read_profile(profile), "profile": profile}
     if as_json:
-        print_json({"schema_version": 1, "keys": facts(key, below)})
+        print_json({"schema_version": 1, "keys": facts(key, below, CONTROLLERS)})
         return 0
-    say(in_words(key, below))
+    say(in_words(key, below, CONTROLLERS))
     return 0
 
 
 @config.command()
 def schema() -> int:
     """Print the JSON schema of rig.toml, for editors that check and complete."""
-    from inteco_abs.config import RigConfig
+    from inteco_abs.config.validation import json_schema
 
-    say(json.dumps(RigConfig.model_json_schema(), indent=2))
+    say(json.dumps(json_schema(), indent=2))
     return 0

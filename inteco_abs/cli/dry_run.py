@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import redirect_stdout
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -86,7 +87,7 @@ def rehearse_by_hand(config: RigConfig, board: str, faults: Sequence[Fault], own
             "cautions": look.cautions,
             "board": _board(board, look),
             "runs": [],
-            "guard": config.guard.model_dump(),
+            "guard": asdict(config.guard),
             "needs": [],
             "computer": _computer(Path()),
         }
@@ -223,7 +224,7 @@ def _report(planned: Sequence[Planned], look: Preflight, pause_s: float) -> dict
         "runs": [_run(each) for each in planned],
         "pause_s": pause_s,
         "longest_s": driven_s + (runs - 1) * pause_s,
-        "guard": guard.model_dump(),
+        "guard": asdict(guard),
         "needs": [_disk(planned), _memory(planned)],
         "computer": None if plan.virtual else _computer(plan.out.absolute().parent),
     }

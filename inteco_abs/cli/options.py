@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TextIO
 
@@ -137,7 +138,7 @@ def drawn_setting(drawn: str | None) -> list[str]:
 
 
 def print_json(data: Mapping[str, Any]) -> None:
-    say(json.dumps(data, allow_nan=False))
+    say(json.dumps(data, allow_nan=False, default=date.isoformat))
 
 
 def say(text: str = "", *, err: bool = False, nl: bool = True) -> None:

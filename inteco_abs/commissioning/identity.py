@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 from inteco_abs.boards import Identity, family_of
@@ -79,10 +80,10 @@ def _suggest(visit: StepContext, suggested: str) -> None:
 def _write(visit: StepContext, identity: Identity) -> None:
     board = visit.draft.config.board
     found: dict[str, object] = {"board.logic_version": identity.logic_version}
-    changed = board.model_copy(update={"logic_version": identity.logic_version})
+    changed = replace(board, logic_version=identity.logic_version)
     try:
         # a logic whose frames are not known must not get into the draft
-        with open_for_reading(visit, visit.draft.config.model_copy(update={"board": changed})):
+        with open_for_reading(visit, replace(visit.draft.config, board=changed)):
             pass
     except ConfigError as error:
         raise ProbeError(f"logic 0x{identity.logic_version:04X} cannot be driven by this version: {error}") from error

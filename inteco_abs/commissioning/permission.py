@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Final
 
 from inteco_abs.commissioning.operator import require_phrase
@@ -29,23 +30,25 @@ def outputs_permitted(visit: StepContext, request: str, phrase: str) -> RigConfi
     if board.read_only:
         raise ReadOnlyError(f"the profile's outputs are never to be used: {board.read_only}")
     require_phrase(visit.person, request, phrase)
-    signature: dict[str, Any] = {
+    sign_off: dict[str, Any] = {
         "verified_by": _BY,
         "verified_on": today(),
         "verified_logic": visit.logic_version,
     }
-    limits = {
+    limits: dict[str, Any] = {
         "drive_limit": DRIVE_LIMIT,
         "brake_limit": min(BRAKE_LIMIT, guard.brake_limit),
         "over_speed_rad_s": min(SPEED_LIMIT_RAD_S, guard.over_speed_rad_s),
     }
-    limited = guard.model_copy(update=limits)
+    limited = replace(guard, **limits)
     start_rad_s = min(plan.start_speed_rad_s, 0.9 * limits["over_speed_rad_s"])  # no stop is made, but both must fit
-    speeds = {"start_speed_rad_s": start_rad_s, "stop_speed_rad_s": min(plan.stop_speed_rad_s, 0.5 * start_rad_s)}
-    return config.model_copy(
-        update={
-            "board": board.model_copy(update=signature),
-            "guard": limited if board.simulated else bounded_in_time(limited, config.loop.rate_hz),
-            "experiment": plan.model_copy(update=speeds),
-        }
+    speeds: dict[str, Any] = {
+        "start_speed_rad_s": start_rad_s,
+        "stop_speed_rad_s": min(plan.stop_speed_rad_s, 0.5 * start_rad_s),
+    }
+    return replace(
+        config,
+        board=replace(board, **sign_off),
+        guard=limited if board.simulated else bounded_in_time(limited, config.loop.rate_hz),
+        experiment=replace(plan, **speeds),
     )

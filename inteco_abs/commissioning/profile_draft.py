@@ -17,19 +17,24 @@ from typing import Any, Final, Self
 import tomli_w
 
 from inteco_abs.config import (
+    COVERED,
+    SIGN_OFF,
     RigConfig,
     Table,
     apply_setting,
+    changed_wiring,
     laxer_limits,
     load_config,
     parse_config,
     read_profile,
+    unsigned,
     wiring_of,
 )
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 _SCHEMA: Final = 1
-_SIGNATURE: Final = ("verified_by", "verified_on", "verified_logic")
+_COVERED: Final = tuple(key for key in COVERED if key != "evidence")
+"""The evidence in a draft is what its own steps confirm: to repeat one leaves the sign-off."""
 _LOGIC: Final = re.compile(r"^((?:logic_version|verified_logic) = )(\d+)$", re.MULTILINE)
 """Known to everybody in hex."""
 _HEADING: Final = """\
@@ -66,11 +71,11 @@ class ProfileDraft:
             parse_config(tomli_w.dumps(draft._table))
             draft._insist_on_same(board, profile if given else "")
         else:
-            draft = cls(file, _unsigned(read_profile(profile)), _no_results(board, profile))
+            draft = cls(file, unsigned(read_profile(profile)), _no_results(board, profile))
         before = draft._table
         draft._table = _with_settings(before, settings)
         if draft._table != before or not file.exists():
-            draft._void_signature(before)
+            draft._void_sign_off(before)
             draft._save_profile()
             draft._save_results()
         return draft
@@ -105,14 +110,14 @@ class ProfileDraft:
         """Take another profile for the base; how links and simulation are set stays."""
         kept: Table = {key: self._table[key] for key in ("usb", "simulation") if key in self._table}
         simulated = self._table.get("board", {}).get("simulated", False)
-        self._table = {**_unsigned(read_profile(profile)), **kept}
+        self._table = {**unsigned(read_profile(profile)), **kept}
         self._table["board"]["simulated"] = simulated
         self._results["profile"] = profile
         self._save_profile()
         self._save_results()
 
     def write(self, values: Mapping[str, Any]) -> None:
-        """Set keys such as `board.drive_pwm`; a signature that has not seen them goes. Raises ConfigError."""
+        """Set keys such as `board.drive_pwm`; a sign-off that has not seen them goes. Raises ConfigError."""
         before, self._table = self._table, _deep_copy(self._table)
         for path, value in values.items():
             *sections, key = path.split(".")
@@ -121,7 +126,7 @@ class ProfileDraft:
                 section = section.setdefault(part, {})
             section[key] = value
         if not any(path == "board.verified_by" for path in values):
-            self._void_signature(before)
+            self._void_sign_off(before)
         try:
             self._save_profile()
         except ConfigError:
@@ -140,7 +145,7 @@ class ProfileDraft:
 
     def wiring(self, keys: Iterable[str]) -> dict[str, Any]:
         """What the draft says now of some of its wiring, for a later comparison."""
-        stated = wiring_of(self.config.model_dump(mode="json"))
+        stated = wiring_of(self.config.as_table())
         return {key: stated.get(key) for key in keys}
 
     def _insist_on_same(self, board: str, profile: str) -> None:
@@ -152,9 +157,9 @@ class ProfileDraft:
             problem = f"{profile}: {self.file} was begun from {self.profile}; name another draft, or leave this out"
             raise ConfigError([ConfigIssue("--profile", problem)])
 
-    def _void_signature(self, before: Table) -> None:
-        if wiring_of(before) != wiring_of(self._table) or laxer_limits(before, self._table):
-            self._table = _unsigned(self._table)
+    def _void_sign_off(self, before: Table) -> None:
+        if changed_wiring(before, self._table, _COVERED) or laxer_limits(before, self._table):
+            self._table = unsigned(self._table)
 
     def _save_profile(self) -> None:
         parse_config(tomli_w.dumps(self._table))  # nothing that a run could not use gets into the file
@@ -198,16 +203,11 @@ def _read_results(file: Path) -> dict[str, Any]:
 def _with_settings(table: Table, settings: Sequence[str]) -> Table:
     table = _deep_copy(table)
     mistakes = [mistake for setting in settings for mistake in apply_setting(table, setting)]
-    if any(setting.partition("=")[0].strip() in {f"board.{key}" for key in _SIGNATURE} for setting in settings):
+    if any(setting.partition("=")[0].strip() in {f"board.{key}" for key in SIGN_OFF} for setting in settings):
         mistakes.append(ConfigIssue("--set", "a draft is signed in the walk's last step"))
     if mistakes:
         raise ConfigError(mistakes)
     return table
-
-
-def _unsigned(table: Table) -> Table:
-    board = {key: value for key, value in table.get("board", {}).items() if key not in _SIGNATURE}
-    return {**table, "board": board}
 
 
 def _replace(file: Path, text: str) -> None:

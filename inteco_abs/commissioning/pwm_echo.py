@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 from inteco_abs.commissioning.first_write import agree_on_first_write
@@ -10,7 +11,7 @@ from inteco_abs.commissioning.outputs import PROVES_ITSELF, outputs
 from inteco_abs.commissioning.permission import outputs_permitted
 from inteco_abs.commissioning.reading import open_for_reading
 from inteco_abs.commissioning.step import Facts, StepContext
-from inteco_abs.config import RigConfig
+from inteco_abs.config import PwmMode, RigConfig
 from inteco_abs.errors import ProbeError
 
 PHRASE: Final = "the power interface is off"
@@ -45,15 +46,15 @@ def echo_settings(visit: StepContext) -> Facts:
     return {**agreed, "tried": tried, "changed": changed}
 
 
-def _modes(config: RigConfig) -> Iterator[tuple[str, int]]:
+def _modes(config: RigConfig) -> Iterator[tuple[PwmMode, int]]:
     own = (config.board.pwm_mode, config.board.pwm_prescaler)
     yield from (setting for setting in _SETTINGS if setting != own)
     yield own
 
 
-def _with_pwm(config: RigConfig, mode: str, prescaler: int) -> RigConfig:
-    board = config.board.model_copy(update={"pwm_mode": mode, "pwm_prescaler": prescaler})
-    return config.model_copy(update={"board": board})
+def _with_pwm(config: RigConfig, mode: PwmMode, prescaler: int) -> RigConfig:
+    board = replace(config.board, pwm_mode=mode, pwm_prescaler=prescaler)
+    return replace(config, board=board)
 
 
 def _echo(visit: StepContext, config: RigConfig) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Final
 
 from inteco_abs.boards import STILL_ON, Board, family_of
@@ -19,7 +20,7 @@ _ONLY_READ: Final = "this step of the walk only reads"
 def open_for_reading(visit: StepContext, config: RigConfig | None = None) -> Iterator[Board]:
     """The board, entered so that nothing can be written to it, whatever the draft says and whoever signed it."""
     config = config or visit.draft.config
-    reading = config.model_copy(update={"board": config.board.model_copy(update={"read_only": _ONLY_READ})})
+    reading = replace(config, board=replace(config.board, read_only=_ONLY_READ))
     with visit.bench.open(reading) as board:
         yield board
 

@@ -24,7 +24,7 @@ def sign(visit: StepContext) -> Facts:
         visit.person.tell(f"  not confirmed: {one}: {source}")
     if not open_points:
         visit.person.tell("  all of the wiring is confirmed")
-    limits = guard.model_dump(exclude_none=True)
+    limits = guard.as_table()
     visit.person.tell(f"  signed with it: guard {', '.join(f'{key} {value:g}' for key, value in limits.items())}")
     signer = ask_for(visit.person, "Who has verified this wiring on the rig? Name:", _name, "a name")
     if not agree(visit.person, f"Sign for logic 0x{visit.logic_version:04X} as {signer!r}?"):

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from copy import deepcopy
 from typing import Any, Final
 
-from inteco_abs.config import Check, EstimatorConfig, LoopConfig, RigConfig
+from inteco_abs.config import Check, EstimatorConfig, LoopConfig, RigConfig, section_of
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
 from inteco_abs.control.estimators import ESTIMATORS, Estimator
 from inteco_abs.control.pipeline import Pipeline
@@ -82,7 +82,7 @@ def preferred_estimator(
 
 
 def _needed_estimator(table: Mapping[str, Any], controllers: Mapping[str, type[Controller]]) -> str:
-    name = _section(table, "controller").get("name", "")
+    name = section_of(table, "controller").get("name", "")
     if not isinstance(name, str) or name not in controllers:
         return ""
     try:
@@ -98,7 +98,7 @@ def control_check(
     """Check of names and gains for `load_config`: unknown ones with near matches, gains out of range."""
 
     def check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
-        estimator, controller = _section(table, "estimator"), _section(table, "controller")
+        estimator, controller = section_of(table, "estimator"), section_of(table, "controller")
         name = estimator.get("name", "moving-window")
         needed = _needed_estimator(table, controllers)
         if isinstance(name, str) and name not in estimators:
@@ -109,7 +109,7 @@ def control_check(
             )
             yield ConfigIssue("estimator.name", problem)
         if name == "tracking":
-            yield from _tracking_mistakes(estimator, _section(table, "loop"))
+            yield from _tracking_mistakes(estimator, section_of(table, "loop"))
         name = controller.get("name", "reaching-law")
         if isinstance(name, str) and name not in controllers and ".py:" in name:
             yield ConfigIssue("controller.name", f"{name!r} is code, which runs only if named by --controller")
@@ -121,7 +121,7 @@ def control_check(
             except ConfigError as error:  # a package's, which is imported only now
                 yield from error.mistakes
             else:
-                yield from _gain_mistakes(_section(controller, "gains"), gains)
+                yield from _gain_mistakes(section_of(controller, "gains"), gains)
 
     return check
 
@@ -144,8 +144,3 @@ def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterat
         elif isinstance(value, int | float) and abs(value) <= _LARGEST and not gain.low <= value <= gain.high:
             unit = "" if gain.unit == "1" else f" {gain.unit}"
             yield ConfigIssue(path, f"{value!r}: must be in {gain.low:g}..{gain.high:g}{unit} ({gain.meaning})")
-
-
-def _section(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    section = table.get(key, {})
-    return section if isinstance(section, dict) else {}

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from typing import Any, Final
 
-from inteco_abs.config import EncodersConfig, RigConfig, SimulationConfig
+from inteco_abs.config import EncodersConfig, RigConfig, SimulationConfig, defaults, section_of
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.rig import POPULATIONS, EncoderVariation, RigParameters, RigVariation, draw
 
@@ -25,7 +25,7 @@ def simulated_rig(config: RigConfig, wheel_edge: float = 0.0, road_edge: float =
     """
     simulation = config.simulation
     if simulation.rig:
-        mistakes = list(rig_check(config.model_dump()))
+        mistakes = list(rig_check(config.as_table()))
         if mistakes:
             raise ConfigError(mistakes)
         population, _, seed = simulation.rig.partition(":")
@@ -52,7 +52,7 @@ def drawn_facts(config: RigConfig) -> dict[str, str]:
 
 def rig_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
     """Check for `load_config`: a drawn rig must exist, and the rest of the configuration must fit it."""
-    simulation = _section(table, "simulation")
+    simulation = section_of(table, "simulation")
     name = simulation.get("rig", "")
     if not isinstance(name, str) or not name:
         return
@@ -67,7 +67,7 @@ def rig_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
         yield ConfigIssue("simulation.rig", problem)
         return
     for key in _OWN:
-        default = SimulationConfig.model_fields[key].default
+        default = defaults(SimulationConfig)[key]
         if simulation.get(key, default) != default:
             yield ConfigIssue(f"simulation.{key}", f"{simulation[key]!r}: {name} has its own; leave one of them out")
     yield from _counts_mistakes(table, name, draw(population, int(seed)).road_encoder.counts_per_turn)
@@ -75,8 +75,8 @@ def rig_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
 
 def _counts_mistakes(table: Mapping[str, Any], name: str, counts: int) -> Iterator[ConfigIssue]:
     """The drawn encoders are what they are; that the host believes something else must be said to be meant."""
-    stated = _section(table, "simulation").get("counts_per_turn")
-    believed = _section(table, "encoders").get("counts_per_turn", EncodersConfig().counts_per_turn)
+    stated = section_of(table, "simulation").get("counts_per_turn")
+    believed = section_of(table, "encoders").get("counts_per_turn", EncodersConfig().counts_per_turn)
     if stated is not None and stated != counts:
         yield ConfigIssue("simulation.counts_per_turn", f"{stated!r}: {name} has {counts}; leave the key out")
     elif stated is None and believed != counts:
@@ -88,11 +88,6 @@ def _counts_mistakes(table: Mapping[str, Any], name: str, counts: int) -> Iterat
 
 def _is_seed(text: str) -> bool:
     return text.isascii() and text.isdigit() and len(text) <= _MOST_DIGITS and int(text) < 1 << 64
-
-
-def _section(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    section = table.get(key, {})
-    return section if isinstance(section, dict) else {}
 
 
 def _flat(rig: RigVariation) -> dict[str, object]:

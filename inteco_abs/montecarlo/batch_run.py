@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -185,9 +185,4 @@ def _own(config: RigConfig, rig: RigVariation) -> RigConfig:
     """Of one stop of this rig."""
     guard, experiment = config.guard, config.experiment
     limit = min(guard.brake_limit, rig.brake_duty_cap)
-    return config.model_copy(
-        update={
-            "guard": guard.model_copy(update={"brake_limit": limit}),
-            "experiment": experiment.model_copy(update={"stops": 1}),
-        }
-    )
+    return replace(config, guard=replace(guard, brake_limit=limit), experiment=replace(experiment, stops=1))

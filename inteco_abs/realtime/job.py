@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Self
 
-from inteco_abs.config import RigConfig, parse_config
+from inteco_abs.config import RigConfig, trusted_config
 from inteco_abs.errors import SessionError
 from inteco_abs.realtime.memory import Mailbox, RunMemory
 
@@ -55,12 +55,12 @@ class Job:
         memory.post(Mailbox.JOB, asdict(self) | files | {"config": self.config.to_toml()})
 
     @classmethod
-    def of(cls, memory: RunMemory) -> Self:
-        """The job of a run."""
+    def of(cls, memory: RunMemory, config_of: Callable[[str], RigConfig] = trusted_config) -> Self:
+        """The job of a run. Who was not started by it hands in `parse_config`, which may raise ConfigError."""
         told: dict[str, Any] | None = memory.note(Mailbox.JOB)
         if told is None:
             raise SessionError(f"{memory.path}: holds no job: the run died before it began; remove it")
-        told["config"] = parse_config(told["config"])
+        told["config"] = config_of(told["config"])
         return cls(**told | {name: base64.b64decode(told[name]) for name in _FILES})
 
     @property

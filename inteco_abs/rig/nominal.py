@@ -13,7 +13,7 @@ from inteco_abs.rig.parameters import RigParameters
 
 def nominal_parameters(model: ModelConfig) -> RigParameters:
     """The set that the configuration names, with what is given in [model.identified] in its place."""
-    given = model.identified.model_dump(exclude_none=True)
+    given = model.identified.as_table()
     own = {field.name: given[field.name] for field in fields(RigParameters) if field.name in given}
     return replace(RigParameters.named(model.parameters), **own)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
 
 from firmware_protocol import FrameTable, ProtocolError
 from firmware_protocol.pwm import PWM_FULL_WIDTH
@@ -52,11 +53,11 @@ def replay_wire(capture: Capture, config: RigConfig) -> WireReplay:
         raise ConfigError([ConfigIssue("board", problem)])
     numbering = f"pwm{config.board.numbering_pwm}_prescaler" if config.board.numbering_pwm >= 0 else ""
     link = CaptureLink(capture, numbering=numbering)
-    trusted = config.board.model_copy(update=_as_signed(capture))
+    trusted = replace(config.board, **_as_signed(capture))
     if not any(_holds_timer(protocol_of(capture.board).send, frame, trusted) for frame in _sends(capture)[:1]):
         # by a program that does not use it
-        trusted = trusted.model_copy(update={"timer": -1})
-    board = board_behind(link, config.model_copy(update={"board": trusted}), link.now_ns)
+        trusted = replace(trusted, timer=-1)
+    board = board_behind(link, replace(config, board=trusted), link.now_ns)
     done = failed = 0
     ended = ""
     try:
@@ -72,7 +73,7 @@ def replay_wire(capture: Capture, config: RigConfig) -> WireReplay:
     return WireReplay(done, failed, link.differing, link.differences, ended)
 
 
-def _as_signed(capture: Capture) -> dict[str, object]:
+def _as_signed(capture: Capture) -> dict[str, Any]:
     """The profile's keys as if the lab had signed for the captured board."""
     protocol = protocol_of(capture.board)
     for record in capture.records:

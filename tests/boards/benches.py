@@ -4,6 +4,7 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, partial
 from itertools import count
 from typing import ClassVar
@@ -232,8 +233,8 @@ class FrameBench:
         own = configured(self.profile, self.wiring).board
         self.config = configured(self.profile, (*self.wiring, *settings))
         self.clock = HandClock()
-        board = self.config.board.model_copy(update={"logic_version": own.logic_version})
-        self.device = SteeredDevice(self.config.model_copy(update={"board": board}), self.clock.now_ns, seed)
+        board = replace(self.config.board, logic_version=own.logic_version)
+        self.device = SteeredDevice(replace(self.config, board=board), self.clock.now_ns, seed)
         face = face_of(self.device)
         if earlier is not None:
             face.bulk_out(self.encode(earlier))

@@ -1,6 +1,7 @@
 """The whole walk: order, resuming, what it keeps."""
 
 import json
+from dataclasses import asdict
 
 import pytest
 
@@ -145,7 +146,7 @@ def test_the_guards_limits_are_shown_and_signed_with_the_wiring(lab, scripts):
     lab.done_until("sign")
     lab.session(*scripts["sign"]).go()
     limits = load_config(profile=str(lab.file)).guard
-    for key, value in limits.model_dump().items():
+    for key, value in asdict(limits).items():
         assert f"{key} = {value}" in lab.file.read_text()
     assert any(f"signed with it: guard brake_limit {limits.brake_limit:g}" in text for text in lab.person.told)
 

@@ -1,5 +1,6 @@
 """`experiment.stops`: one stop after the other, each from rest, with the physics of the rig around them."""
 
+from dataclasses import replace
 from itertools import groupby
 
 import pytest
@@ -48,8 +49,8 @@ def played(experiment):
         return rig.run()
 
     def counting(config):
-        controller = config.controller.model_copy(update={"name": "counting"})
-        return build_pipeline(config.model_copy(update={"controller": controller}), {"counting": Counting})
+        controller = replace(config.controller, name="counting")
+        return build_pipeline(replace(config, controller=controller), {"counting": Counting})
 
     return run
 
@@ -168,8 +169,8 @@ class Uncopyable:
 
 def made_with(stops):
     config = load_config(settings=[f"experiment.stops={stops}"])
-    controller = config.controller.model_copy(update={"name": "mine"})
-    return build_pipeline(config.model_copy(update={"controller": controller}), {"mine": Uncopyable})
+    controller = replace(config.controller, name="mine")
+    return build_pipeline(replace(config, controller=controller), {"mine": Uncopyable})
 
 
 def test_a_controller_that_cannot_be_copied_is_refused_before_anything_begins():

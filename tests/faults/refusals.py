@@ -5,7 +5,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from io import BufferedWriter
 from pathlib import Path
@@ -63,9 +63,7 @@ class Place:
 
     def stop(self, **more: Any) -> Any:
         """One with everything that writes: a capture, a second place."""
-        config = self.config.model_copy(
-            update={"session": self.config.session.model_copy(update={"spill": str(self.spill)})}
-        )
+        config = replace(self.config, session=replace(self.config.session, spill=str(self.spill)))
         return run_stop(config, Plan(self.session, seed=1, wire=self.out / "wire.jsonl"), **more)
 
     def stop_without_a_disk(self) -> Any:

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -89,7 +90,7 @@ def law(isolate):
 
 
 def named():
-    return CONFIG.model_copy(update={"controller": CONFIG.controller.model_copy(update={"name": NAME})})
+    return replace(CONFIG, controller=replace(CONFIG.controller, name=NAME))
 
 
 def here():

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -208,7 +209,7 @@ def test_a_road_that_comes_to_rest_only_while_the_brake_is_held_has_stopped(conf
 
 
 def test_distance_counts_in_the_encoders_own_counts(config):
-    fine = config.model_copy(update={"encoders": config.encoders.model_copy(update={"counts_per_turn": 4096})})
+    fine = replace(config, encoders=replace(config.encoders, counts_per_turn=4096))
     stop = MadeUp(0.0, stair((10, 20.0), (10, 0.0)), road_count=np.arange(20) * 100)
     assert stop.card(config)["stop_distance_m"] == pytest.approx(2.0 * stop.card(fine)["stop_distance_m"])
 

@@ -10,7 +10,7 @@ import pytest
 from wrong_inputs import Answers, Place
 
 from inteco_abs.cli import main
-from inteco_abs.config import RigConfig, load_config
+from inteco_abs.config import GuardConfig, load_config
 from inteco_abs.experiment import Plan, run_stop
 
 RATES_HZ = (500, 200, 100)
@@ -57,7 +57,7 @@ def inteco_abs(tmp_path):
 @pytest.fixture
 def real_stop(inteco_abs, untraced, tmp_path):
     """Runs a stop in real time with the guard of a real board, at the first rate that this computer keeps."""
-    limits = RigConfig.model_validate({"board": {"logic_version": 0}}).guard
+    limits = GuardConfig()
     kept = [f"guard.{key}={getattr(limits, key)}" for key in ("missed_in_a_row", "bucket_limit", "silence_s")]
 
     def run(*arguments):

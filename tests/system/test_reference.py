@@ -95,9 +95,10 @@ def test_every_command_that_the_parity_table_names_exists():
 
 
 def test_every_setting_that_the_parity_table_names_exists():
-    from inteco_abs.views.config_keys import all_keys
+    from inteco_abs.config.explain import all_keys
+    from inteco_abs.control import CONTROLLERS
 
-    known = {key.path for key in all_keys()}
+    known = {key.path for key in all_keys(CONTROLLERS)}
     sections = {path.partition(".")[0] for path in known}
     named = {key for key in re.findall(r"`(\w+\.\w+)", PARITY) if key.partition(".")[0] in sections}
     assert named

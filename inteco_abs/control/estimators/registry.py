@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from inteco_abs.config import EstimatorConfig, RigConfig
+from inteco_abs.config import EstimatorConfig, RigConfig, bounds, defaults, key_types
 from inteco_abs.control.estimators.base import Estimator
 from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.rig import RigParameters
@@ -47,10 +47,6 @@ def require_estimator(path: str, found: object, name: str) -> EstimatorSpec:
 
 def parameter(name: str, unit: str, meaning: str) -> Parameter:
     """The key `name` of the section, with default and range as the configuration has them."""
-    field = EstimatorConfig.model_fields[name]
-    low, high = (_limit(field.metadata, *names) for names in (("ge", "gt"), ("le", "lt")))
-    return Parameter(name, field.default, low, high, unit, meaning)
-
-
-def _limit(rules: list[Any], *names: str) -> float:
-    return next(float(getattr(rule, name)) for rule in rules for name in names if getattr(rule, name, None) is not None)
+    key_type = key_types(EstimatorConfig)[name]
+    low, high = bounds(key_type, "ge", "gt"), bounds(key_type, "le", "lt")
+    return Parameter(name, defaults(EstimatorConfig)[name], low[0], high[0], unit, meaning)

@@ -11,6 +11,7 @@ import select
 import signal
 import time
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -177,8 +178,8 @@ def rescue(memory: RunMemory, job: Job) -> None:
     if image is None:
         return  # it had not finished opening the board, and nothing but zero duties was ever written
     # motors are on: no time to measure which engine is quicker
-    usb = job.config.usb.model_copy(update={"engine": "one-by-one"})
-    open_board(job.address, job.config.model_copy(update={"usb": usb}), time.monotonic_ns).rescue(image)
+    usb = replace(job.config.usb, engine="one-by-one")
+    open_board(job.address, replace(job.config, usb=usb), time.monotonic_ns).rescue(image)
 
 
 def main(path: str) -> int:

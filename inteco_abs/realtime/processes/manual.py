@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import time
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -256,11 +257,9 @@ def slowed(config: RigConfig) -> RigConfig:
     """The configuration at the rate of outputs by hand, or at its own if that is lower."""
     rate_hz = min(RATE_HZ, config.loop.rate_hz)
     window_s = max(config.estimator.window_s, 1.0 / rate_hz)  # no estimator runs, but both must fit
-    loop = config.loop.model_copy(update={"rate_hz": rate_hz})
+    loop = replace(config.loop, rate_hz=rate_hz)
     guard = config.guard if config.board.simulated else bounded_in_time(config.guard, rate_hz)
-    return config.model_copy(
-        update={"guard": guard, "loop": loop, "estimator": config.estimator.model_copy(update={"window_s": window_s})}
-    )
+    return replace(config, guard=guard, loop=loop, estimator=replace(config.estimator, window_s=window_s))
 
 
 def read_all(board: Board) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from inteco_abs.boards import STILL_ON
+from inteco_abs.config import parse_config
 from inteco_abs.errors import AbsError, SessionError
 from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.foxglove_server import live_view
@@ -307,7 +308,7 @@ def recover_run(ring: Path, out: Path) -> RunResult:
     memory = RunMemory.open(ring)
     if memory.in_use():
         raise SessionError(f"{ring}: the run still goes on; stop it first")
-    job = Job.of(memory)
+    job = Job.of(memory, parse_config)
     account = rebuild(memory, job, out)
     if account is None:
         raise SessionError(f"{ring}: holds no ticks; remove it")

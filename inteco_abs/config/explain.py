@@ -5,16 +5,14 @@ from __future__ import annotations
 import difflib
 import json
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import date
-from typing import Any, Final, Literal, NamedTuple, get_args, get_origin
+from typing import Any, Final, Literal, NamedTuple, Protocol, get_args, get_origin
 
 import tomli_w
-from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
-from inteco_abs.config import RigConfig, limits
-from inteco_abs.control import CONTROLLERS
+from inteco_abs.config.model import RigConfig, Section, bare, defaults, key_types, limits
+from inteco_abs.config.validation import meanings
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 _WIDTH: Final = 100
@@ -24,6 +22,33 @@ Configuration of a rig. Every key is optional: what is commented out here is the
 tells what holds in the end, and `inteco-abs config explain KEY` what a key means.
 """
 _PROFILES: Final = "The section [board] comes with the profile; `inteco-abs profiles` lists them, and prints one."
+
+
+class Gain(Protocol):
+    """What there is to say of a controller's gain."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def default(self) -> float: ...
+    @property
+    def low(self) -> float: ...
+    @property
+    def high(self) -> float: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def meaning(self) -> str: ...
+
+
+class HasGains(Protocol):
+    """A controller, as far as its keys in the configuration go."""
+
+    @property
+    def gains(self) -> Sequence[Gain]: ...
+
+
+Controllers = Mapping[str, HasGains]
 
 
 class Key(NamedTuple):
@@ -40,27 +65,27 @@ class Key(NamedTuple):
     """The controller whose gain it is, if it is one: several have gains of one name."""
 
 
-def all_keys() -> list[Key]:
-    """Every key of rig.toml in the order of its sections; of the gains, those of each controller that ships."""
+def all_keys(controllers: Controllers) -> list[Key]:
+    """Every key of rig.toml in the order of its sections; of the gains, those of each of the controllers."""
     found = list(_keys(RigConfig, ()))
     place = next(i for i, key in enumerate(found) if key.path == _GAINS)
-    return found[: place + 1] + list(_gains()) + found[place + 1 :]
+    return found[: place + 1] + list(_gains(controllers)) + found[place + 1 :]
 
 
-def explain(path: str, below: Mapping[str, Any]) -> str:
+def explain(path: str, below: Mapping[str, Any], controllers: Controllers) -> str:
     """A key's meaning, or a line for each key of a section; `below` is what the profile sets.
 
     Raises ConfigError for what is neither.
     """
-    mine, within = _asked(path)
+    mine, within = _asked(path, controllers)
     if within:
         return "\n".join(_in_short(key) for key in mine + within)
     return "\n\n".join(_in_full(key, below) for key in mine)
 
 
-def facts(path: str, below: Mapping[str, Any]) -> list[dict[str, Any]]:
+def facts(path: str, below: Mapping[str, Any], controllers: Controllers) -> list[dict[str, Any]]:
     """The same for programs: path, type and range, default, what the profile says, and meaning of each key."""
-    mine, within = _asked(path)
+    mine, within = _asked(path, controllers)
     return [
         {
             "path": key.path,
@@ -73,9 +98,9 @@ def facts(path: str, below: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def _asked(path: str) -> tuple[list[Key], list[Key]]:
+def _asked(path: str, controllers: Controllers) -> tuple[list[Key], list[Key]]:
     """The key itself, as often as it is there, and those within it; raises ConfigError if there is nothing."""
-    keys = all_keys()
+    keys = all_keys(controllers)
     asked = path.strip().strip(".[]")
     mine = [key for key in keys if key.path == asked]
     within = [key for key in keys if key.path.startswith(f"{asked}.")]
@@ -96,11 +121,11 @@ def _hint(asked: str, keys: Iterable[Key]) -> str:
     return near_match(asked, known if near else {path.partition(".")[0] for path in paths})
 
 
-def template() -> str:
+def template(controllers: Controllers) -> str:
     """A rig.toml with every section and key, its meaning above it and its default commented out."""
     lines = [*(f"# {line}" for line in _HEADER.splitlines()), ""]
     section = ""
-    for key in all_keys():
+    for key in all_keys(controllers):
         above, _, name = key.path.rpartition(".")
         if above in ("board", "board.evidence", _GAINS):
             continue
@@ -124,29 +149,28 @@ def with_origins(config: RigConfig, origins: Mapping[str, str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _keys(model: type[BaseModel], above: tuple[str, ...]) -> Iterator[Key]:
-    for name, field in model.model_fields.items():
+def _keys(section: type[Section], above: tuple[str, ...]) -> Iterator[Key]:
+    meaning, usual = meanings(section), defaults(section)
+    for name, kind in key_types(section).items():
         location = (*above, name)
-        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            yield from _keys(field.annotation, location)
+        if isinstance(kind, type) and issubclass(kind, Section):
+            yield from _keys(kind, location)
         else:
-            default = None if field.is_required() else field.default
-            meaning = " ".join((field.description or "").split())
-            yield Key(".".join(location), limits(location) or _kind(field), default, meaning)
+            yield Key(".".join(location), limits(location) or _kind(kind), usual.get(name), meaning[name])
 
 
-def _gains() -> Iterator[Key]:
-    for name, controller in CONTROLLERS.items():
+def _gains(controllers: Controllers) -> Iterator[Key]:
+    for name, controller in controllers.items():
         for gain in controller.gains:
             unit = "" if gain.unit == "1" else f" {gain.unit}"
             kind = f"a number at least {gain.low:g} and at most {gain.high:g}{unit}"
             yield Key(f"{_GAINS}.{gain.name}", kind, gain.default, f"of {name}: {gain.meaning}", name)
 
 
-def _kind(field: FieldInfo) -> str:
+def _kind(key_type: Any) -> str:
     """For what `limits` has no words: choices, lists, tables, and what may be left out."""
-    outer = get_args(field.annotation)
-    parts = field.annotation, *outer, *(inner for one in outer for inner in get_args(one))
+    outer = get_args(bare(key_type))
+    parts = bare(key_type), *outer, *(inner for one in outer for inner in get_args(one))
     choices = [one for part in parts if get_origin(part) is Literal for one in get_args(part)]
     if choices:
         return f"one of {', '.join(map(json.dumps, choices))}"

@@ -1,0 +1,70 @@
+"""Ceilings of the guard's limits on a real board, whoever has signed for more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+from inteco_abs.config.load import profiles, read_profile
+from inteco_abs.config.model import BoardConfig, GuardConfig, RigConfig, Table, defaults
+from inteco_abs.config.sign_off import laxer_limits
+from inteco_abs.errors import ConfigIssue
+
+
+class _Ceiling(NamedTuple):
+    """Of a limit of the guard on a real board, whoever signs."""
+
+    seconds: float | None
+    """As a time, which the loop's rate makes a number of exchanges of; None: `least` it is."""
+    least: float
+    """What is allowed at any rate."""
+    because: str
+
+    def at(self, rate_hz: float) -> float:
+        return max(self.least, 0.0 if self.seconds is None else float(int(self.seconds * rate_hz)))
+
+
+_REAL_CEILINGS: Final = {
+    "missed_in_a_row": _Ceiling(
+        0.025, 4, "25 ms, half the shortest silence: a loop without answers ends its run before the guardian has to"
+    ),
+    "bucket_limit": _Ceiling(0.15, 30, "0.15 s of a link that loses every other exchange"),
+    "silence_s": _Ceiling(None, 0.1, "five periods of the slowest loop; meanwhile nobody watches the motors"),
+    "run_up_factor": _Ceiling(None, 2.0, "more would let counts per turn pass that are wrong by half"),
+}
+"""The other limits have their ceilings in the ranges that hold on every board."""
+
+
+def beyond_ceilings(config: RigConfig) -> Iterator[ConfigIssue]:
+    """What a run on a real board is refused for, though it may be run on a simulated one or stand in a session."""
+    limits, rate_hz = config.guard, config.loop.rate_hz
+    for key, ceiling in _REAL_CEILINGS.items():
+        value, most = getattr(limits, key), ceiling.at(rate_hz)
+        if value is None or value > most:
+            allowed = f"at most {most:g}" + (f" at {rate_hz:g} Hz" if ceiling.seconds is not None else "")
+            yield ConfigIssue(f"guard.{key}", f"{value}: on a real board {allowed} ({ceiling.because}); lower it")
+    if not config.board.verified_by and not config.board.read_only:
+        for beyond in laxer_limits(_shipped_limits(config.board.kind), config.as_table()):
+            key, _, rest = beyond.partition(" ")
+            yield ConfigIssue(key, f"{rest}: more takes a signed profile; inteco-abs probe has you sign")
+
+
+def _shipped_limits(kind: str) -> Table:
+    """The most that a shipped profile of a real board of this kind has of each limit of the guard."""
+    most: Table = {}
+    usual = defaults(BoardConfig)["kind"]
+    for table in map(read_profile, profiles()):
+        board = table["board"]
+        if board.get("kind", usual) == kind and not board.get("simulated"):
+            limits = table.get("guard", {})
+            most |= {key: max(value, most.get(key, value)) for key, value in limits.items()}
+    return {"guard": most}
+
+
+def bounded_in_time(guard: GuardConfig, rate_hz: float) -> GuardConfig:
+    """The same limits at another rate, with those in exchanges within a real board's ceilings there."""
+    in_exchanges = [key for key, ceiling in _REAL_CEILINGS.items() if ceiling.seconds is not None]
+    return replace(
+        guard, **{key: min(getattr(guard, key), int(_REAL_CEILINGS[key].at(rate_hz))) for key in in_exchanges}
+    )

@@ -1,0 +1,209 @@
+"""rig.toml -> RigConfig: one visible configuration, every mistake in its values reported at once.
+
+Order of precedence: a `--set` on the command line, then the file, then the profile, then the defaults. The result is
+stored whole in every session.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import Any, Final, TypeVar, get_args
+
+from inteco_abs.config.model import DEFAULT_PROFILE, RigConfig, Section, Table, bare, key_types, section_of
+from inteco_abs.config.sign_off import signs_off, void_by_limits, void_by_wiring
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match
+from inteco_abs.toml_text import NOT_TOML, in_words, read_toml
+
+Check = Callable[[Mapping[str, Any]], Iterable[ConfigIssue]]
+"""Looks at the merged table, wrong values included, and names what the sections' own ranges cannot know."""
+_PROFILES: Final = Path(__file__).parents[1] / "profiles"
+
+
+def profiles() -> list[str]:
+    """Names of the shipped profiles."""
+    return sorted(file.stem for file in _PROFILES.glob("*.toml"))
+
+
+def load_config(
+    file: Path | None = None,
+    settings: Sequence[str] = (),
+    checks: Iterable[Check] = (),
+    profile: str = DEFAULT_PROFILE,
+    follows: Callable[[Table], Table] | None = None,
+) -> RigConfig:
+    """Configuration from `file` (or only defaults), with `settings` such as `guard.brake_limit=0.7` over it.
+
+    `profile` is the one to begin with if neither names one; `follows` gives what follows from the choices for keys
+    that are not set. Raises ConfigError with every mistake found in the file,
+    the settings and by `checks`.
+    """
+    mistakes: list[ConfigIssue] = []
+    table = _read(file) if file is not None else {}
+    in_file, over = deepcopy(table), _settings_table(settings)
+    for setting in settings:
+        mistakes.extend(apply_setting(table, setting))
+    name = table.setdefault("profile", profile)
+    below = _profile(name, mistakes)
+    filed, merged = _merge(below, in_file), _merge(below, table)
+    mistakes.extend(
+        ConfigIssue(f"board.evidence.{key}", "evidence stands in a file with its source, not on the command line")
+        for key in section_of(section_of(over, "board"), "evidence")
+    )
+    void = _void(below, in_file, filed, over, merged)
+    if void and isinstance(merged["board"], dict):
+        merged["board"] = {**merged["board"], "read_only": void}
+    return _validate(merged if follows is None else _merge(follows(merged), merged), checks, mistakes)
+
+
+def origins(file: Path | None = None, settings: Sequence[str] = (), profile: str = DEFAULT_PROFILE) -> dict[str, str]:
+    """Where the values of `load_config` with these arguments come from, by dotted key; not named: a default."""
+    table = _read(file) if file is not None else {}
+    over = _settings_table(settings)
+    name = _merge(table, over).get("profile", profile)
+    found = dict.fromkeys(_leaves(_profile(name, [])), f"profile {name}")
+    found |= dict.fromkeys(_leaves(table), str(file))
+    return found | dict.fromkeys(_leaves(over), "command line")
+
+
+def _leaves(table: Table, above: str = "") -> Iterator[str]:
+    for key, value in table.items():
+        if isinstance(value, dict) and value:
+            yield from _leaves(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}"
+
+
+def _settings_table(settings: Sequence[str]) -> Table:
+    """The settings by themselves; what is wrong with them is told elsewhere."""
+    table: Table = {}
+    for setting in settings:
+        apply_setting(table, setting)
+    return table
+
+
+def profile_text(name: str) -> str:
+    """A shipped profile as it was written, comments included."""
+    return (_PROFILES / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def read_profile(name: str) -> Table:
+    """What a shipped profile or a .toml file says, before defaults; raises ConfigError if there is none."""
+    mistakes: list[ConfigIssue] = []
+    table = _profile(name, mistakes)
+    if mistakes:
+        raise ConfigError(mistakes)
+    return table
+
+
+def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
+    """Effective configuration as stored in a session, of this version or an earlier one; raises ConfigError."""
+    try:
+        table = _stored(text)
+    except NOT_TOML as error:
+        raise ConfigError([ConfigIssue("config.toml", f"is not TOML: {in_words(error, text)}")]) from error
+    return _validate(table, checks, [])
+
+
+def trusted_config(text: str) -> RigConfig:
+    """The same of what this very program has checked and written a moment ago, for the processes of a run.
+
+    Nothing is checked, which makes it a hundred times as fast; a text of any other origin goes to `parse_config`.
+    """
+    return _built(RigConfig, _stored(text))
+
+
+def _stored(text: str) -> Table:
+    table = tomllib.loads(text)
+    guard = table.setdefault("guard", {})
+    if isinstance(guard, dict):
+        guard.setdefault("run_up_factor", None)  # a session from before the check is replayed as it was run
+    return table
+
+
+_Any = TypeVar("_Any", bound=Section)
+
+
+def _built(section: type[_Any], table: Table) -> _Any:
+    kinds = {key: bare(kind) for key, kind in key_types(section).items()}
+    return section(**{key: _value(kinds[key], value) for key, value in table.items()})
+
+
+def _value(kind: Any, value: Any) -> Any:
+    if not isinstance(value, dict):
+        return value
+    if isinstance(kind, type) and issubclass(kind, Section):
+        return _built(kind, value)
+    return {key: _value(get_args(kind)[1], each) for key, each in value.items()}
+
+
+def _validate(table: Table, checks: Iterable[Check], mistakes: list[ConfigIssue]) -> RigConfig:
+    from inteco_abs.config.validation import validated  # noqa: PLC0415 - loads pydantic, which most processes never use
+
+    config = validated(table, mistakes)
+    for check in checks:
+        mistakes.extend(check(table))
+    if config is None or mistakes:
+        raise ConfigError(mistakes)
+    return config
+
+
+def _void(below: Table, in_file: Table, filed: Table, over: Table, merged: Table) -> str:
+    """Why what was signed off below does not hold any more; empty if it does, or if what has changed is signed anew."""
+    steps = ((below, in_file, filed), (filed, over, merged))
+    void = [
+        void_by_wiring(signed, changed)
+        for signed, above, changed in steps
+        if "verified_by" not in section_of(above, "board")
+    ]
+    if not any(void) and not section_of(merged, "board").get("read_only") and not signs_off(over):
+        void.append(void_by_limits(filed if signs_off(in_file) else below, merged))
+    return next(filter(None, reversed(void)), "")
+
+
+def _read(file: Path) -> Table:
+    return read_toml(file, f"inteco-abs config init {file} writes one to begin with")
+
+
+def apply_setting(table: Table, setting: str) -> list[ConfigIssue]:
+    """Put one `key=value` into `table`; the value is TOML, or a bare word. Gives back what is wrong with it."""
+    key, equals, text = setting.partition("=")
+    path = key.strip().split(".")
+    if not equals or not all(path) or "\n" in setting:
+        return [ConfigIssue(f"--set {setting}", "must look like guard.brake_limit=0.7")]
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    except NOT_TOML as error:
+        return [ConfigIssue(key.strip(), f"is not a value that can be used: {in_words(error, text)}")]
+    for part in path[:-1]:
+        inner = table.setdefault(part, {})
+        if not isinstance(inner, dict):
+            return [ConfigIssue(f"--set {setting}", f"{part} is a value, not a section")]
+        table = inner
+    table[path[-1]] = value
+    return []
+
+
+def _profile(name: object, mistakes: list[ConfigIssue]) -> Table:
+    if isinstance(name, str) and name in profiles():
+        return tomllib.loads(profile_text(name))
+    if isinstance(name, str) and name.endswith(".toml"):
+        return read_toml(Path(name), "inteco-abs profiles lists those that ship, inteco-abs probe makes one of a board")
+    if not isinstance(name, str):
+        return _profile(DEFAULT_PROFILE, mistakes)  # the validation says what is wrong with it
+    mistakes.append(
+        ConfigIssue("profile", f"{name!r} is not a shipped profile or a .toml file{near_match(name, profiles())}")
+    )
+    return _profile(DEFAULT_PROFILE, mistakes)
+
+
+def _merge(below: Table, above: Table) -> Table:
+    merged = dict(below)
+    for key, value in above.items():
+        inner = merged.get(key)
+        merged[key] = _merge(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
+    return merged

@@ -1,0 +1,176 @@
+"""A merged table checked by pydantic against the sections of `model`: every mistake with its key, value and range.
+
+It takes longer to import than all the rest: only whoever reads what people have written loads it.
+"""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable, Collection, Iterator, Sequence
+from datetime import date, time
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
+
+from pydantic import TypeAdapter, ValidationError
+
+from inteco_abs.config import model
+from inteco_abs.config.model import (
+    WIRING,
+    RigConfig,
+    Table,
+    bare,
+    bounds,
+    defaults,
+    key_types,
+    limits,
+    section_at,
+    section_of,
+    type_at,
+)
+from inteco_abs.errors import ConfigIssue, near_match
+from inteco_abs.quantities import number_hint, other_unit, unit_of
+
+_ADAPTER: Final = TypeAdapter(RigConfig)
+_LONGEST_VALUE: Final = 60
+
+
+def validated(table: Table, issues: list[ConfigIssue]) -> RigConfig | None:
+    """The configuration that `table` stands for; None if it has mistakes, which are added to `issues`."""
+    config = None
+    try:
+        config = _ADAPTER.validate_python(table)
+    except ValidationError as error:
+        issues.extend(_issue(detail) for detail in error.errors())
+    issues.extend(_contradictions(table, [issue.path for issue in issues]))
+    return config
+
+
+def json_schema() -> Table:
+    """The JSON schema of rig.toml."""
+    schema = _ADAPTER.json_schema()
+    for name, definition in schema["$defs"].items():
+        for key, value in defaults(getattr(model, name)).items():
+            if isinstance(value, list | dict):  # made for each configuration, which pydantic leaves out
+                definition["properties"][key]["default"] = value
+    return schema
+
+
+def meanings(section: type[model.Section]) -> dict[str, str]:
+    """What each key of a section means: the docstrings below the keys, on one line."""
+    schema = _ADAPTER.json_schema()
+    definition = schema if section is RigConfig else schema["$defs"][section.__name__]
+    found = ((key, stated.get("description", "")) for key, stated in definition["properties"].items())
+    return {key: " ".join(text.split()) for key, text in found}
+
+
+class _Pair(NamedTuple):
+    """Two values that are each in range and cannot be together."""
+
+    first: str
+    second: str
+    fits: Callable[[Any, Any], bool]
+    must: str
+
+
+_OF_LIMIT: Final = "must be below, by a tenth that measurement may be off:"
+_PAIRS: Final = (
+    _Pair("experiment.start_speed_rad_s", "guard.over_speed_rad_s", lambda v, most: v <= 0.9 * most, _OF_LIMIT),
+    _Pair("experiment.stop_speed_rad_s", "experiment.start_speed_rad_s", operator.lt, "must be below"),
+    _Pair("estimator.window_s", "loop.rate_hz", lambda s, hz: s * hz > 0.999, "must be at least one period of"),
+    _Pair("board.brake_pwm", "board.drive_pwm", operator.ne, "must be another PWM channel than"),
+    _Pair("board.drive_pwm", "board.numbering_pwm", operator.ne, "must be another PWM channel than"),
+    _Pair("board.brake_pwm", "board.numbering_pwm", operator.ne, "must be another PWM channel than"),
+    _Pair("board.wheel_encoder", "board.road_encoder", operator.ne, "must be another encoder than"),
+    _Pair("simulation.brake_pwm", "simulation.drive_pwm", operator.ne, "must be another PWM channel than"),
+    _Pair("simulation.wheel_encoder", "simulation.road_encoder", operator.ne, "must be another encoder than"),
+)
+
+
+def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[ConfigIssue]:
+    """Pairs that do not fit; `wrong` are the keys that are mistaken by themselves."""
+    sections = key_types(RigConfig)
+
+    def value(path: str) -> Any:
+        section, key = path.split(".")
+        return table.get(section, {}).get(key, defaults(sections[section])[key])
+
+    board = section_of(table, "board")
+    for key in section_of(board, "evidence"):
+        if key not in WIRING:
+            yield ConfigIssue(f"board.evidence.{key}", f"nothing rests on {key!r}{near_match(str(key), WIRING)}")
+    if board.get("verified_by"):
+        missing = [key for key in ("verified_on", "verified_logic") if board.get(key) is None]
+        if missing:
+            wanted = " and ".join(f"board.{key}" for key in missing)
+            yield ConfigIssue(
+                "board.verified_by", f"a signature needs {wanted} too: the day, and the logic it was made for"
+            )
+    yield from _brake_map_mistakes(section_of(section_of(table, "model"), "identified"))
+    for pair in _PAIRS:
+        if not {pair.first, pair.second, pair.first.partition(".")[0], pair.second.partition(".")[0]} & set(wrong):
+            first, second = value(pair.first), value(pair.second)
+            if not pair.fits(first, second):
+                yield ConfigIssue(pair.first, f"{first!r}: {pair.must} {pair.second} = {second!r}")
+
+
+def _brake_map_mistakes(identified: Table) -> Iterator[ConfigIssue]:
+    """Points of a map belong together, and rise, so that there is a duty for each torque."""
+    keys = ("brake_duties", "brake_torques_nm")
+    points = [identified.get(key) for key in keys]
+    if points == [None, None]:
+        return
+    lists = [each if isinstance(each, list) else [] for each in points]
+    if len(lists[0]) != len(lists[1]):
+        problem = f"{len(lists[0])} values and {len(lists[1])} model.identified.{keys[1]}: each duty needs its torque"
+        yield ConfigIssue(f"model.identified.{keys[0]}", problem)
+    for key, values in zip(keys, lists, strict=True):
+        numbers = [value for value in values if isinstance(value, int | float)]
+        if any(following <= value for value, following in pairwise(numbers)):
+            yield ConfigIssue(f"model.identified.{key}", f"{_short(values)}: must rise from value to value")
+
+
+_CEILINGS: Final = {"guard.over_speed_rad_s": "the rig's own limit, which no configuration can raise"}
+_NUMBER: Final = re.compile(r"[+-]?[0-9.]+(e[+-]?[0-9]+)?", re.IGNORECASE)
+_NUMERIC: Final = ("int_", "float_", "finite_")
+"""How pydantic calls its findings about what should be a number."""
+
+
+def _issue(detail: Any) -> ConfigIssue:
+    """One of pydantic's findings as dotted key, value and what is allowed."""
+    location = [part for part in detail["loc"] if part != "[key]"]
+    path = ".".join(map(str, location))
+    value, kind = detail["input"], detail["type"]
+    if kind == "unexpected_keyword_argument":
+        section = section_at(location[:-1])
+        return ConfigIssue(path, f"unknown key{near_match(str(location[-1]), key_types(section) if section else ())}")
+    if kind == "missing":
+        return ConfigIssue(path, "is missing; a profile normally provides it")
+    if kind == "dataclass_type":
+        return ConfigIssue(path, f"{_short(value)}: must be a section, as [{path}] with its keys below")
+    allowed = limits(location)
+    message = detail["msg"].replace("Input should be", "must be")
+    wanted = f"must be {allowed}" if allowed else message[0].lower() + message[1:]
+    ceiling = f" ({_CEILINGS[path]})" if path in _CEILINGS and kind == "less_than_equal" else ""
+    return ConfigIssue(path, f"{_short(value)}: {wanted}{ceiling}{_meant(location, value, kind)}")
+
+
+def _meant(location: Sequence[Any], value: object, kind: str) -> str:
+    """What may have been meant by a value that is not a number, or one in another unit; empty if there is no guess."""
+    unit = unit_of(str(location[-1]))
+    if isinstance(value, str):
+        if not kind.startswith(_NUMERIC):
+            return ""
+        return "; write it without quotes" if _NUMBER.fullmatch(value) else number_hint(value, unit)
+    key_type = type_at(location)
+    if bare(key_type) is not float or isinstance(value, bool) or not isinstance(value, int | float):
+        return ""
+    low, high = bounds(key_type, "ge", "gt"), bounds(key_type, "le", "lt")
+    return other_unit(value, unit, low[0], high[0]) if low and high else ""
+
+
+def _short(value: object) -> str:
+    """As it stands in the file, cut short."""
+    text = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
+    text = value.isoformat() if isinstance(value, date | time) else text
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
