@@ -10,10 +10,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, TextIO
+from typing import TYPE_CHECKING, Final, TextIO
 
 from inteco_abs.boards import family_of
-from inteco_abs.commissioning.reported_board import ReportedBoard
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.format import TRUTH
@@ -40,6 +39,9 @@ from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
 from inteco_abs.realtime.signal_handlers import hearing
 from inteco_abs.realtime.tuning import BOARD_PRIORITY, guardian_tuning, prepare
+
+if TYPE_CHECKING:
+    from inteco_abs.commissioning.reported_board import ReportedBoard
 
 _LOOK_S: Final = 0.1
 _CATCH_UP_S: Final = 0.005

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from inteco_abs.boards import FAMILIES, family_of
-from inteco_abs.boards.board_report import BoardReport
 from inteco_abs.errors import CaptureError, near_match
 from inteco_abs.mock_board import Device, FrontEnd, ReportedIdentity, UsbIdentity, mock_family
 from inteco_abs.wire.capture import Kind, read_capture
+
+if TYPE_CHECKING:
+    from inteco_abs.boards.board_report import BoardReport  # loads pydantic
 
 _CABLE: Final = ("drive_pwm", "brake_pwm", "road_encoder", "wheel_encoder", "road_sign", "wheel_sign")
 

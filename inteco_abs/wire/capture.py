@@ -25,10 +25,12 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from inteco_abs.boards.board_report import BoardReport, parse_report
 from inteco_abs.errors import CaptureError, describe_disk
+
+if TYPE_CHECKING:
+    from inteco_abs.boards.board_report import BoardReport  # loads pydantic, which no run needs
 
 FORMAT: Final = "inteco-abs wire"
 VERSION: Final = 1
@@ -219,8 +221,14 @@ def _head(head: dict[str, Any], name: str) -> Capture:
     start_ns = head.get("start_ns")
     if start_ns is not None and (type(start_ns) is not int or not 0 <= start_ns <= _LATEST_NS):
         raise CaptureError(f"{name}, line 1: start_ns = {start_ns!r}, must be in 0..{_LATEST_NS} ns, or left out")
-    report = parse_report(head["report"], f"{name}, line 1") if "report" in head else None
+    report = _report(head["report"], f"{name}, line 1") if "report" in head else None
     return Capture(head["board"], head["recorded_by"], head["clock"], (), name, start_ns, report)
+
+
+def _report(table: object, place: str) -> BoardReport:
+    from inteco_abs.boards.board_report import parse_report  # noqa: PLC0415 - loads pydantic, for the few that have one
+
+    return parse_report(table, place)
 
 
 def _record(line: dict[str, Any], place: str) -> Record:

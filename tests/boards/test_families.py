@@ -13,7 +13,7 @@ import pytest
 import inteco_abs as product
 from inteco_abs.boards import known_families
 from inteco_abs.boards.families import SHIPPED
-from inteco_abs.config import load_config
+from inteco_abs.config import WIRING, load_config
 from inteco_abs.host.attached import host_family
 from inteco_abs.mock_board import mock_family
 
@@ -51,11 +51,7 @@ def test_a_record_is_complete(name):
     assert family.address.fullmatch("") is not None
     assert host_family(family).checks
     assert (PRODUCT.parent / family.documentation).is_file()
-    assert family.unused_wiring <= load_config(profile=family.profile).board.model_fields_set | {
-        "frame_map",
-        "pwm_functions",
-        "pwm_pins",
-    }
+    assert family.unused_wiring <= set(WIRING)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +90,7 @@ EXCHANGE = r"""
 import json, sys, threading, time
 from pathlib import Path
 from inteco_abs.boards import check_address, default_profile, known_families, open_board
-from inteco_abs.config import load_config
+from inteco_abs.config import WIRING, load_config
 from inteco_abs.errors import ConfigError
 from inteco_abs.host.attached import found_devices
 from inteco_abs.mock_board import Device, SocketServer, face_of
