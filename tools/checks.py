@@ -111,6 +111,8 @@ def main(arguments: list[str]) -> int:
         subprocess.run(["coverage", "erase"], check=True)
     others = threading.Thread(target=beside_the_tests, daemon=True)
     others.start()
+    if long:  # more of its tests keep real time, and it has time
+        others.join()
     check.tests("tests", "" if long else "not long", others=others)
     if long:
         check.run("coverage of all processes", "coverage", "combine", "--quiet")

@@ -6,7 +6,8 @@ from on_terminal import OnTerminal
 from inteco_abs.sessions import read_session
 from inteco_abs.signals import Phase
 
-pytestmark = [pytest.mark.untraced, pytest.mark.xdist_group("real time")]
+pytestmark = pytest.mark.untraced
+real_time = pytest.mark.xdist_group("real time")
 
 QUICK = ("experiment.start_speed_rad_s=40.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
 
@@ -33,6 +34,7 @@ def run(command_path, tmp_path, untraced):
         one.close()
 
 
+@real_time
 def test_q_stops_a_run_in_real_time_safely(run, tmp_path):
     program = run()
     program.until("SPIN-UP")
@@ -51,6 +53,7 @@ def test_q_stops_a_run_in_real_time_safely(run, tmp_path):
     assert (truth["drive"], truth["brake"]) == (0.0, 0.0)
 
 
+@real_time
 def test_space_stops_a_run_that_has_not_begun(run, tmp_path):
     program = run()
     program.until("waiting")
@@ -62,6 +65,7 @@ def test_space_stops_a_run_that_has_not_begun(run, tmp_path):
     assert not (tmp_path / "stop.mcap").exists() or not len(read_session(tmp_path / "stop.mcap").ticks)
 
 
+@real_time
 def test_a_stop_is_shown_from_its_checks_to_its_card(run):
     program = run()
     assert program.end() in {0, 3}
