@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+import tomllib
 from functools import cache
 from pathlib import Path
 
@@ -87,3 +88,8 @@ def test_every_source_that_profiles_and_protocol_name_is_listed_once():
     used = {tag for name in places for tag in SOURCE_TAG.findall(text_of(name))}
     assert {"S1", "S2", "S3", "K1"} <= used
     assert used <= {*listed, *contradictions}
+
+
+def test_citation_and_package_name_the_same_version():
+    package = tomllib.loads(text_of("pyproject.toml"))["project"]["version"]
+    assert re.findall(r"^version: (.+)$", text_of("CITATION.cff"), re.MULTILINE) == [package]
