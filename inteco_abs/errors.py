@@ -9,8 +9,8 @@ AbsError
 ├── ControllerError  a user's controller has failed in its own process
 ├── SessionError   a session file cannot be written or used
 ├── CaptureError   a capture of the wire cannot be written, imported or used
-└── ProbeError     a step of the commissioning walk has not come out well
-    └── Stopped        the person has left the walk
+└── ProbeError     a step of the commissioning failed
+    └── Stopped        the operator left the commissioning
 """
 
 from __future__ import annotations
@@ -115,11 +115,11 @@ class CaptureError(AbsError):
 
 
 class ProbeError(AbsError):
-    """A step of the commissioning walk has not come out well; the draft stays as it was before the step."""
+    """A step of the commissioning failed; the draft stays as it was before the step."""
 
 
 class Stopped(ProbeError):  # noqa: N818  leaving is nothing wrong
-    """The person has left the walk, which can go on later."""
+    """The operator left the commissioning, which can continue later."""
 
     exit_code = 130
 

@@ -258,7 +258,7 @@ class TestLimits:
         with pytest.raises(ConfigError) as refused:
             check_limits("usb2:", load_config(settings=asked))
         told = {one.path: one.problem for one in refused.value.mistakes}
-        signs = ": more takes a signed profile; inteco-abs probe has you sign"
+        signs = ": more takes a signed profile; inteco-abs commission has you sign"
         assert told == {
             "guard.silence_s": f"at most 0.05, and 0.08 is asked for{signs}",
             "guard.brake_limit": f"at most 0.7, and 0.8 is asked for{signs}",

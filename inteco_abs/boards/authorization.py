@@ -10,7 +10,7 @@ from inteco_abs.boards.family import family_of
 from inteco_abs.config import BoardConfig
 
 _FIX: Final = (
-    "inteco-abs probe makes a profile for this rig, or goes on with yours, and has you sign it "
+    "inteco-abs commission makes a profile for this rig, or goes on with yours, and has you sign it "
     "(board.verified_by, verified_on, verified_logic)"
 )
 

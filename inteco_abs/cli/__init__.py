@@ -11,7 +11,7 @@ import sys
 def main() -> None:
     """Entry point of the command; an interrupt while it is being loaded or left leaves no traceback either."""
     # numpy's OpenBLAS takes memory for a thread per CPU, which no matrix here is large enough for, and where it gets no
-    # thread it raises SIGINT, which would be told as an interrupt
+    # thread it raises SIGINT, which would end the command as interrupted
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         from inteco_abs.cli.main import main as verbs

@@ -1,14 +1,16 @@
-"""The verb `inteco-abs completion`, and what the shell offers for options that take a name of ours."""
+"""The verb `inteco-abs completion`, and what a shell completes for options that take a name."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import click
-from click.shell_completion import CompletionItem, get_completion_class
 
-from inteco_abs.cli.options import say
+from inteco_abs.cli.terminal import say
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 _SHELLS: Final = {
     "bash": "~/.bashrc",
@@ -21,21 +23,26 @@ _SHELLS: Final = {
 @click.argument("shell", type=click.Choice(list(_SHELLS)))
 @click.pass_context
 def completion(context: click.Context, shell: str) -> int:
-    """Print what makes SHELL complete this command: verbs, options, controllers, configuration keys.
+    """Print the completion script for a shell.
 
-    For bash: inteco-abs completion bash >> ~/.bashrc
+    It completes verbs, options, controllers, estimators and configuration keys. For bash:
+    inteco-abs completion bash >> ~/.bashrc
     """
+    from click.shell_completion import get_completion_class
+
     kind = get_completion_class(shell)
     if kind is None:  # click knows all of the choices
         raise click.UsageError(f"click cannot complete for {shell}")
     root = context.find_root()
-    say(f"# completion of inteco-abs; belongs into {_SHELLS[shell]}")
+    say(f"# completion of inteco-abs; add this to {_SHELLS[shell]}")
     say(kind(root.command, {}, "inteco-abs", "_INTECO_ABS_COMPLETE").source())
     return 0
 
 
 def controller_names(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
     """Controllers that ship and those of installed packages, or files."""
+    from click.shell_completion import CompletionItem
+
     from inteco_abs.plugins import Controllers
 
     return _beginning(begun, Controllers()) or [CompletionItem(begun, type="file")]
@@ -57,4 +64,6 @@ def key_names(_context: click.Context, _parameter: click.Parameter, begun: str) 
 
 
 def _beginning(begun: str, names: Iterable[str]) -> list[CompletionItem]:
+    from click.shell_completion import CompletionItem
+
     return [CompletionItem(name) for name in names if name.startswith(begun)]

@@ -1,4 +1,4 @@
-"""The verb `inteco-abs config`: rig.toml begun, shown with what holds in the end, and explained."""
+"""The verb `inteco-abs config`: init, show, explain, schema."""
 
 from __future__ import annotations
 
@@ -8,19 +8,23 @@ from pathlib import Path
 import click
 
 from inteco_abs.cli.completion import key_names
-from inteco_abs.cli.options import FILE, SETTING, VerbGroup, json_option, print_json, say
+from inteco_abs.cli.options import FILE, RunOptions, VerbGroup, json_option, known_controllers, run_options
+from inteco_abs.cli.terminal import print_json, say
 from inteco_abs.errors import AbsError, describe_disk
 
 
 @click.group(cls=VerbGroup)
 def config() -> None:
-    """Begin a rig.toml, show what holds, explain a key."""
+    """Create, show and explain rig.toml."""
 
 
 @config.command()
 @click.argument("file", type=FILE, default="rig.toml")
 def init(file: Path) -> int:
-    """Write a rig.toml with every key, its meaning and its default, commented out."""
+    """Write a rig.toml with every key commented out.
+
+    Each key has its meaning and default.
+    """
     from inteco_abs.config.explain import template
     from inteco_abs.control import CONTROLLERS
     from inteco_abs.sessions import atomic_write, check_output
@@ -31,38 +35,28 @@ def init(file: Path) -> int:
             part.write_text(template(CONTROLLERS), encoding="utf-8")
     except OSError as error:
         raise AbsError(f"{file} cannot be written: {describe_disk(error)}") from error
-    say(f"{file}: uncomment what is different on your rig, and use it with --config {file}", err=True)
+    say(f"{file}: uncomment what differs on your rig, and use it with --config {file}", err=True)
     return 0
 
 
 @config.command()
-@click.option("--config", "file", type=FILE, help="rig.toml; every key has a default.")
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    type=SETTING,
-    shell_complete=key_names,
-    metavar="KEY=VALUE",
-    help="Over the file.",
-)
-@click.option("--board", default="sim:", show_default=True, help="Board address: it has a profile of its own.")
-@click.option("--origin", is_flag=True, help="Say of each value that is not a default where it comes from.")
+@run_options("config", "settings", board="Board address; it selects the default profile.")
+@click.option("--origin", is_flag=True, help="Add the origin of each value that is not a default.")
 @json_option
-def show(file: Path | None, settings: tuple[str, ...], board: str, origin: bool, as_json: bool) -> int:
-    """Print the configuration that a run would have, whole, as TOML; --json always has the origins."""
-    from inteco_abs.boards import check_address, default_profile
-    from inteco_abs.cli.options import known_controllers
-    from inteco_abs.config import load_config, origins
+def show(options: RunOptions, origin: bool, as_json: bool) -> int:
+    """Print the configuration that a run would use, as TOML.
+
+    --json always includes the origins.
+    """
+    from inteco_abs.boards import default_profile
+    from inteco_abs.config import origins
     from inteco_abs.config.explain import with_origins
     from inteco_abs.control import control_check, preferred_estimator
-    from inteco_abs.mock_board import rig_check
 
-    check_address(board)
-    profile = default_profile(board)
     known = known_controllers(None)
-    rig = load_config(file, settings, [control_check(known), rig_check], profile, preferred_estimator(known))
-    found = origins(file, settings, profile) if origin or as_json else {}
+    rig = options.load(checks=[control_check(known)], follows=preferred_estimator(known))
+    profile = default_profile(options.board)
+    found = origins(options.config, options.settings, profile) if origin or as_json else {}
     if as_json:
         print_json({"schema_version": 1, "config": rig.as_table(), "origins": found})
         return 0
@@ -72,10 +66,13 @@ def show(file: Path | None, settings: tuple[str, ...], board: str, origin: bool,
 
 @config.command()
 @click.argument("key", shell_complete=key_names)
-@click.option("--board", default="sim:", show_default=True, help="Board address: it has a profile of its own.")
+@click.option("--board", default="sim:", show_default=True, help="Board address; it selects the default profile.")
 @json_option
 def explain(key: str, board: str, as_json: bool) -> int:
-    """Say what KEY means, its range and default; for a section, as guard, list its keys."""
+    """Explain a key, or list the keys of a section.
+
+    It prints meaning, range and default.
+    """
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import read_profile
     from inteco_abs.config.explain import explain as in_words
@@ -94,7 +91,7 @@ def explain(key: str, board: str, as_json: bool) -> int:
 
 @config.command()
 def schema() -> int:
-    """Print the JSON schema of rig.toml, for editors that check and complete."""
+    """Print the JSON schema of rig.toml, for editors."""
     from inteco_abs.config.validation import json_schema
 
     say(json.dumps(json_schema(), indent=2))

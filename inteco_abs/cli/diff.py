@@ -1,14 +1,15 @@
-"""The verb `diff`: what changed between two sessions."""
+"""The verb `inteco-abs diff`."""
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, Finite, json_option, plain, print_json, read_whole, say
+from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, Finite, json_option
+from inteco_abs.cli.session_files import read_whole
+from inteco_abs.cli.terminal import plain, print_json, say
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 if TYPE_CHECKING:
@@ -19,15 +20,16 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("a", type=FILE)
 @click.argument("b", type=FILE)
-@click.option("--only", multiple=True, metavar="SECTION", help="Compare this, and what other --only name.")
-@click.option("--rel", type=Finite(0, 1), default=0.0, help="Metrics and signals this near are equal.")
+@click.option("--only", multiple=True, metavar="SECTION", help="Compare this section only; may be repeated.")
+@click.option(
+    "--rel", type=Finite(0, 1), default=0.0, help="Relative difference of metrics and signals that counts as equal."
+)
 @json_option
 def diff(a: Path, b: Path, only: tuple[str, ...], rel: float, as_json: bool) -> int:
-    """Say what changed from session A to session B.
+    """Show what changed from session A to session B.
 
-    Sections: outcome, result, signals (from the start of braking on), gains, configuration, software, host, rig. Ends
-    with 4 if anything differs in those that --only names, by default in any; --rel 0.05 lets metrics differ by 5 % and
-    signals by 5 % of their peak.
+    Sections: outcome, result, signals (from the start of braking on), gains, configuration, software, host, rig. With
+    --rel 0.05, metrics may differ by 5 % and signals by 5 % of their peak. Ends with 4 if a compared section differs.
     """
     from inteco_abs.analysis import SECTIONS, diff_sessions
 
@@ -48,6 +50,8 @@ def diff(a: Path, b: Path, only: tuple[str, ...], rel: float, as_json: bool) -> 
 
 
 def _on_disk(file: Path) -> Session:
+    import tempfile
+
     from inteco_abs.sessions import read_session
 
     return read_session(file, Path(tempfile.gettempdir()))
@@ -71,7 +75,7 @@ def _line(change: Change | SignalChange) -> str:
     unit = "" if change.unit == "1" else f" {change.unit}"
     line = f"{change.key}: up to {change.max_difference:.4g}{unit} at {change.at_s:.3f} s, "
     line += f"RMS {change.rms_difference:.4g}{unit} over {change.ticks} ticks"
-    return f"{line}; {change.one_sided} ticks are a number in one only" if change.one_sided else line
+    return f"{line}; {change.one_sided} ticks have a number in one session only" if change.one_sided else line
 
 
 def _value(value: Any) -> str:

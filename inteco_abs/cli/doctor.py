@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from inteco_abs.cli.options import FILE, LOSSES, Finite, json_option, print_json, say
+from inteco_abs.cli.options import FILE, LOSSES, Finite, json_option, shared_option
+from inteco_abs.cli.terminal import print_json, say
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
@@ -21,16 +22,20 @@ if TYPE_CHECKING:
     default=2.0,
     show_default=True,
     type=Finite(unit="s"),
-    help="Length of the wake-up test; 60 tells more.",
+    help="Duration of the wake-up test; 60 finds rarer delays.",
 )
 @click.option(
-    "--sessions", type=FILE, default=Path("sessions"), show_default=True, help="Where sessions will be written."
+    "--sessions", type=FILE, default=Path("sessions"), show_default=True, help="Folder for sessions, to test its disk."
 )
 @click.option("--rules", "printed", flag_value="rules", help="Print only the udev rules, for sudo tee.")
-@click.option("--ftdi-serial", metavar="NUMBER", help="With --rules: the FTDI chip of a first-generation RT-DAC/USB.")
+@click.option(
+    "--ftdi-serial",
+    metavar="NUMBER",
+    help="With --rules: serial number of the FTDI chip of a first-generation RT-DAC/USB.",
+)
 @click.option("--limits", "printed", flag_value="limits", help="Print only the limits file, for sudo tee.")
-@click.option("--board", help="Also measure how long exchanges with this board take; its outputs stay off.")
-@click.option("--config", type=FILE, help="rig.toml that names the board's profile.")
+@click.option("--board", help="Also measure the exchange time of this board; its outputs stay off.")
+@shared_option("config")
 @json_option
 def doctor(
     seconds: float,
@@ -41,10 +46,10 @@ def doctor(
     config: Path | None,
     as_json: bool,
 ) -> int:
-    """Tell whether this computer is fit for the rig, and what to do about it.
+    """Check whether this computer can run the rig.
 
-    Changes nothing. Not for use during a run: its test takes the loop's place. Ends with exit code 0 when all is green
-    or amber, with 3 when something is red.
+    It lists what to change and changes nothing. Do not use it during a run: its test takes the loop's core. Ends with
+    0 if all is green or amber, with 3 if something is red.
     """
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import load_config
@@ -59,7 +64,7 @@ def doctor(
     serial = _serial(ftdi_serial, with_rules=printed == "rules")
     files = {"rules": udev_rules(group, serial), "limits": limits(group)}
     if printed:
-        say(files[printed], nl=False)
+        _print_file(printed, files[printed], as_json=as_json)
         return 0
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise ConfigError([ConfigIssue("--seconds", f"{seconds:g}: must be {SHORTEST_S:g}..{LONGEST_S:g} s")])
@@ -75,7 +80,7 @@ def doctor(
     if board is not None:
         try:
             times_us, engines = measure_round_trips(rig, board)
-        except BoardError as error:  # the rest of the report tells why
+        except BoardError as error:  # the rest of the report says why
             findings.append(Finding("round trips", *red(str(error), "see the lines above")))
         else:
             findings.append(Finding("round trips", *judge_round_trips(times_us, COUNT, rig.period_ns * 1e-3, engines)))
@@ -87,6 +92,14 @@ def doctor(
         if times_us:
             _print_histogram(times_us, rig.period_ns * 1e-3)
     return LOSSES if verdict is Verdict.RED else 0
+
+
+def _print_file(name: str, text: str, *, as_json: bool) -> None:
+    """The text of a system file alone, as sudo tee takes it."""
+    if as_json:
+        print_json({"schema_version": 1, name: text})
+    else:
+        say(text, nl=False)
 
 
 def _print_findings(findings: Sequence[Finding]) -> None:
@@ -106,11 +119,11 @@ def _print_histogram(times_us: Sequence[float], period_us: float) -> None:
 
 
 def _serial(ftdi_serial: str | None, *, with_rules: bool) -> str:
-    """The FTDI chip that the rules name besides; empty if none was given. Raises ConfigError."""
+    """Serial number of the FTDI chip for the rules, or an empty text. Raises ConfigError."""
     from inteco_abs.host.permissions import check_serial
 
     if ftdi_serial is None:
         return ""
     if not with_rules:
-        raise ConfigError([ConfigIssue("--ftdi-serial", "goes with --rules, whose text it changes; add that")])
+        raise ConfigError([ConfigIssue("--ftdi-serial", "only with --rules, whose text it changes; add --rules")])
     return check_serial(ftdi_serial)

@@ -1,4 +1,4 @@
-"""`--dry-run`: all that a run does before its first write to the board, and everything that it would refuse."""
+"""The option `--dry-run`: all that a run does before its first write to the board, and all that it would refuse."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 
-from inteco_abs.cli.options import print_json
+from inteco_abs.cli.terminal import print_json
 from inteco_abs.errors import AbsError, ConfigError, refusals
 
 if TYPE_CHECKING:
@@ -29,29 +29,29 @@ _MCAP_BYTES: Final = 31
 
 
 class Planned(NamedTuple):
-    """One run, and how often it is to be done."""
+    """One run, and how many times to do it."""
 
     config: RigConfig
     plan: Plan
     times: int = 1
     shows: str = ""
-    """What it is for, where there are several."""
+    """Its purpose, in a plan of several."""
 
 
 def dry_run_option(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option(
         "--dry-run",
         is_flag=True,
-        help="Only read the board, and tell what would be done and everything that would be refused. Ends with 0 if it "
-        "would begin, else 1, or 2 for what was typed or configured.",
+        help="Only read the board, and print the plan and everything that would be refused. Ends with 0 if it would "
+        "begin, 2 for wrong usage or configuration, else 1.",
     )(function)
 
 
 def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: float = 0.0, as_json: bool) -> int:
-    """Tell what these runs would do and what they would refuse; `own` are the verb's own conditions.
+    """Print what these runs would do and what they would refuse; `own` are the verb's own conditions.
 
-    Nothing is written, neither to the board nor to a disk. Exit code 0 if the first run would begin; else 2 if it is
-    for what was typed or configured, 1 for everything else.
+    Nothing is written to the board or to a disk. Exit code 0 if the first run would begin, 2 for wrong usage or
+    configuration, 1 for everything else.
     """
     from inteco_abs.commissioning.preflight import look_at
 
@@ -62,7 +62,7 @@ def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: f
     report = {
         "schema_version": 1,
         "would_begin": not refused,
-        "refused": _told(refused),
+        "refused": _refusals(refused),
         "cautions": [*look.cautions, *_cautions(planned)],
         **_report(planned, look, pause_s),
     }
@@ -74,7 +74,7 @@ def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: f
 
 
 def rehearse_by_hand(config: RigConfig, board: str, faults: Sequence[Fault], own: Iterable[Condition]) -> int:
-    """Tell whether a person could move the rig by hand, as `rehearse` does of runs."""
+    """Print whether the panel could begin, as `rehearse` does for runs."""
     from inteco_abs.commissioning.preflight import look_at
     from inteco_abs.experiment import conditions_by_hand
 
@@ -83,7 +83,7 @@ def rehearse_by_hand(config: RigConfig, board: str, faults: Sequence[Fault], own
     refused += look.refused
     _print(
         {
-            "refused": _told(refused),
+            "refused": _refusals(refused),
             "cautions": look.cautions,
             "board": _board(board, look),
             "runs": [],
@@ -96,7 +96,7 @@ def rehearse_by_hand(config: RigConfig, board: str, faults: Sequence[Fault], own
 
 
 def refuse_together(own: Iterable[Condition], error: ConfigError) -> ConfigError:
-    """What is wrong with a configuration, and what else was typed wrong."""
+    """The issues of a configuration together with those of the other options."""
     others = [one for one in refusals(own) if isinstance(one, ConfigError)]
     return ConfigError(list(dict.fromkeys(mistake for each in (*others, error) for mistake in each.mistakes)))
 
@@ -112,24 +112,24 @@ def _conditions(planned: Sequence[Planned]) -> Iterator[Condition]:
         yield from conditions(config, plan)
         yield partial(_build, config, plan)
         if not plan.virtual:
-            yield partial(_insist_on_memory, config, plan)
+            yield partial(_require_memory, config, plan)
 
 
 def _build(config: RigConfig, plan: Plan) -> None:
     from inteco_abs.control import build_pipeline
 
-    with redirect_stdout(sys.stderr):  # what a user's controller prints is not the report
+    with redirect_stdout(sys.stderr):  # a user's controller may print, and the report is on stdout
         build_pipeline(config, plan.controllers)
 
 
-def _insist_on_memory(config: RigConfig, plan: Plan) -> None:
+def _require_memory(config: RigConfig, plan: Plan) -> None:
     from inteco_abs.realtime.memory import require_room
 
     require_room(_memory_bytes(config, plan))
 
 
 def _memory_bytes(config: RigConfig, plan: Plan) -> int:
-    """Of shared memory for a run in real time; in virtual time, what a whole run takes of this process."""
+    """Shared memory of a run in real time; in virtual time, memory of this process for the whole run."""
     from inteco_abs.experiment import ring_ticks
     from inteco_abs.realtime.memory import run_bytes
     from inteco_abs.sessions import TICK, TRUTH
@@ -144,7 +144,7 @@ def _ticks(config: RigConfig) -> int:
 
 
 def _disk_bytes(config: RigConfig, plan: Plan) -> int:
-    """The most that a session takes, compression left out."""
+    """Upper bound of a session's size, without compression."""
     from inteco_abs.boards import simulated
     from inteco_abs.sessions import TICK, TRUTH
 
@@ -160,8 +160,8 @@ def _bench(config: RigConfig, board: str, seed: int = 0) -> RigAccess:
     return MockRigAccess(config, seed) if simulated(board) else RealRigAccess(board, by_hand)
 
 
-def _told(refused: Iterable[AbsError]) -> list[dict[str, str]]:
-    """One entry for each mistake, and each only once: several runs may have the same."""
+def _refusals(refused: Iterable[AbsError]) -> list[dict[str, str]]:
+    """One entry per issue, each once: several runs may share one."""
     found = []
     for error in refused:
         mistakes = error.mistakes if isinstance(error, ConfigError) else [("", str(error))]
@@ -170,25 +170,25 @@ def _told(refused: Iterable[AbsError]) -> list[dict[str, str]]:
 
 
 def _cautions(planned: Sequence[Planned]) -> Iterator[str]:
-    """What keeps no run from beginning, and is better known before."""
+    """Warnings that do not keep a run from beginning."""
     from inteco_abs.commissioning.preflight_table import size
 
     config, plan = planned[0][:2]
     if config.experiment.drive_duty > config.guard.drive_limit:
         yield (
-            f"experiment.drive_duty = {config.experiment.drive_duty:g} is more than guard.drive_limit, which makes it "
+            f"experiment.drive_duty = {config.experiment.drive_duty:g} exceeds guard.drive_limit, which cuts it to "
             f"{config.guard.drive_limit:g}"
         )
     if plan.faults:
-        yield f"looked at was a board without faults; the run has {', '.join(map(str, plan.faults))}"
+        yield f"checked without faults; the run injects {', '.join(map(str, plan.faults))}"
     disk = _disk(planned)
     if disk["free_bytes"] < disk["bytes"]:
         yield (
-            f"{disk['where']} has {size(disk['free_bytes'])} left, and {size(disk['bytes'])} may be needed: ticks "
-            "that find no room stay in memory and must be recovered from there"
+            f"{disk['where']} has {size(disk['free_bytes'])} free, and the run may need {size(disk['bytes'])}: ticks "
+            "that do not fit stay in memory and must be recovered from there"
         )
     if not plan.virtual:
-        yield "not tried, as it takes writing: whether the board takes its PWM settings, and the guardian's drill"
+        yield "not tried, as it needs writing: whether the board accepts its PWM settings, and the guardian's drill"
 
 
 def _disk(planned: Sequence[Planned]) -> dict[str, Any]:
@@ -214,7 +214,7 @@ def _memory(planned: Sequence[Planned]) -> dict[str, Any]:
 
 
 def _report(planned: Sequence[Planned], look: Preflight, pause_s: float) -> dict[str, Any]:
-    """What would be done, and with what."""
+    """The plan and its resources."""
     config, plan = planned[0][:2]
     guard, runs = config.guard, sum(each.times for each in planned)
     driven_s = sum(each.times * each.config.experiment.longest_s for each in planned)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.options import json_option, print_json, say
+from inteco_abs.cli.options import json_option
+from inteco_abs.cli.terminal import print_json, say
 
 if TYPE_CHECKING:
     from inteco_abs.mock_board.faults.kinds import Value
@@ -16,7 +17,10 @@ if TYPE_CHECKING:
 @click.command()
 @json_option
 def faults(as_json: bool) -> int:
-    """List what the mock board can do wrong, for `--inject KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG]` of run and panel."""
+    """List the faults that the mock board can inject.
+
+    For --inject KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG] of run, repeat and panel.
+    """
     from inteco_abs.mock_board.faults import KINDS, Event
 
     if as_json:
@@ -36,7 +40,7 @@ def faults(as_json: bool) -> int:
         say(f"{usages[name]:{width}}  {kind.meaning}{'; for good' if kind.lasting else ''}")
     say(
         "\nWHEN and HOW LONG are times, as 500us, 20ms, 1.5s, or exchanges, as #40.\n"
-        "EVENT is start, drive (energised for the first time), coast (taken away) or brake.\n"
+        "EVENT is start, drive (energised for the first time), coast (switched off) or brake.\n"
         "Without HOW LONG a fault lasts for one exchange, or for good.\n"
         "In real time the guardian's drill comes first, and counts: time from drive, coast or brake there."
     )

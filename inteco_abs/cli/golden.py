@@ -1,4 +1,4 @@
-"""The verbs `inteco-abs golden add|test|update|list`."""
+"""The verb `inteco-abs golden`: add, test, update, list."""
 
 from __future__ import annotations
 
@@ -8,17 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.options import (
-    DIFFERS,
-    FILE,
-    Finite,
-    VerbGroup,
-    json_option,
-    known_controllers,
-    print_json,
-    read_whole,
-    say,
-)
+from inteco_abs.cli.options import DIFFERS, FILE, Finite, VerbGroup, json_option, known_controllers
+from inteco_abs.cli.session_files import read_whole
+from inteco_abs.cli.terminal import print_json, say
 
 if TYPE_CHECKING:
     from inteco_abs.analysis.golden import Golden, GoldenFolder, Verdict
@@ -26,34 +18,38 @@ if TYPE_CHECKING:
 
 def _folder_option(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option(
-        "--folder", type=FILE, default="golden", show_default=True, help="Where golden sessions and their table are."
+        "--folder",
+        type=FILE,
+        default="golden",
+        show_default=True,
+        help="Folder of the golden sessions and their table.",
     )(function)
 
 
 def _reason_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option("--reason", required=True, help="Why; kept in the history.")(function)
+    return click.option("--reason", required=True, help="Reason, kept in the history.")(function)
 
 
 @click.group(cls=VerbGroup)
 def golden() -> None:
     """Keep recorded runs as regression tests.
 
-    A golden session is replayed by whatever decides today: each of its decisions must come out again.
+    The current code replays a golden session and must repeat each of its decisions.
     """
 
 
 @golden.command()
 @click.argument("file", type=FILE)
-@click.option("--name", help="What to call it; default: the file's name.")
+@click.option("--name", help="Name of the golden session; default: the file's name.")
 @click.option(
     "--tol",
     "tolerances",
     multiple=True,
     metavar="FIELD=ABS[:REL[:LEAD_S[:LAG_S]]]",
-    help="As for replay; by default every bit counts.",
+    help="Tolerance as for replay; default: bit for bit.",
 )
 @click.option(
-    "--until", "until_s", type=Finite(unit="s"), metavar="SECONDS", help="Cut the copy that long after braking."
+    "--until", "until_s", type=Finite(unit="s"), metavar="SECONDS", help="Cut the copy this long after braking."
 )
 @_reason_option
 @_folder_option
@@ -67,9 +63,9 @@ def add(
     folder: Path,
     as_json: bool,
 ) -> int:
-    """Keep a copy of the session FILE, without the simulation's truth.
+    """Add a copy of a session, without the simulation's truth.
 
-    Nothing is overwritten. A session that was cut, that hardly brakes, or that does not replay now is refused.
+    It overwrites nothing, and refuses a session that was cut, that hardly brakes, or that does not replay now.
     Exit codes: 0 done, 1 the session is refused, 2 wrong usage.
     """
     from inteco_abs.analysis.golden import GoldenFolder
@@ -78,7 +74,7 @@ def add(
     goldens = GoldenFolder(folder)
     session = read_whole(file, read_session)
     kept = goldens.add(session, name or file.stem, reason, known_controllers(None), tolerances, until_s)
-    _tell(goldens, kept, as_json=as_json)
+    _report(goldens, kept, as_json=as_json)
     return 0
 
 
@@ -87,9 +83,9 @@ def add(
 @_folder_option
 @json_option
 def test(names: tuple[str, ...], folder: Path, as_json: bool) -> int:
-    """Replay the golden sessions NAMES, or all.
+    """Replay golden sessions and report differences.
 
-    Exit codes: 0 all decisions came out again, 4 some did not, 1 a session cannot be used, 2 wrong usage.
+    Exit codes: 0 all decisions agree, 4 some differ, 1 a session cannot be used, 2 wrong usage.
     """
     from dataclasses import asdict
 
@@ -111,14 +107,16 @@ def test(names: tuple[str, ...], folder: Path, as_json: bool) -> int:
 @_folder_option
 @json_option
 def update(name: str, reason: str, folder: Path, as_json: bool) -> int:
-    """Take today's decisions for those of NAME; its inputs stay, and the history tells why.
+    """Accept the current decisions of a golden session.
+
+    Its inputs stay, and the history keeps the reason.
 
     Exit codes: 0 done, 1 the session cannot be used, 2 wrong usage, or nothing would change.
     """
     from inteco_abs.analysis.golden import GoldenFolder
 
     goldens = GoldenFolder(folder)
-    _tell(goldens, goldens.update(name, reason, known_controllers(None)), as_json=as_json)
+    _report(goldens, goldens.update(name, reason, known_controllers(None)), as_json=as_json)
     return 0
 
 
@@ -126,9 +124,9 @@ def update(name: str, reason: str, folder: Path, as_json: bool) -> int:
 @_folder_option
 @json_option
 def list_all(folder: Path, as_json: bool) -> int:
-    """What there is, since when, and why.
+    """List the golden sessions.
 
-    Exit codes: 0 done, 1 the table cannot be used, 2 wrong usage, or nothing is there.
+    Exit codes: 0 done, 1 the table cannot be used, 2 wrong usage, or there are none.
     """
     from dataclasses import asdict
 
@@ -154,7 +152,7 @@ def _print_all(goldens: Sequence[Golden]) -> None:
     Console(markup=False).print(table)
 
 
-def _tell(goldens: GoldenFolder, kept: Golden, *, as_json: bool) -> None:
+def _report(goldens: GoldenFolder, kept: Golden, *, as_json: bool) -> None:
     from dataclasses import asdict
 
     file = goldens.file(kept)
@@ -171,7 +169,7 @@ def _words(verdict: Verdict) -> str:
         return f"{verdict.name}: cannot be tested: {verdict.problem}"
     first = verdict.replay.first
     if first is None:
-        return f"{verdict.name}: {verdict.replay.ticks} ticks replayed, none differs"
+        return f"{verdict.name}: {verdict.replay.ticks} ticks replayed, none differ"
     count = f"{verdict.replay.differing} of {verdict.replay.ticks} ticks differ"
     was, now = f"{first.logged} ({first.logged_hex})", f"{first.replayed} ({first.replayed_hex})"
     return f"{verdict.name}: {count}, first at tick {first.tick}: {first.field} was {was}, is {now}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -13,16 +14,14 @@ from inteco_abs.cli.dry_run import Planned, dry_run_option, rehearse
 from inteco_abs.cli.options import (
     FILE,
     LOSSES,
-    SETTING,
     Finite,
-    drawn_setting,
+    RunOptions,
     json_option,
-    print_json,
-    read_whole,
     require_different,
-    rig_option,
-    say,
+    run_options,
 )
+from inteco_abs.cli.session_files import read_whole
+from inteco_abs.cli.terminal import print_json, say
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 if TYPE_CHECKING:
@@ -31,80 +30,79 @@ if TYPE_CHECKING:
 
 
 _MOST_NAMED: Final = 12
-"""Numbers that are named together: a session without brake steps has a hundred points of the brake's map."""
+"""Names in one line: a session without brake steps leaves a hundred points of the brake map unidentified."""
 
 
 @click.command()
 @click.argument("files", nargs=-1, type=FILE, metavar="[SESSION]...")
-@click.option("--plan", is_flag=True, help="Record the sessions that are needed, one after the other, with a board.")
+@click.option("--plan", is_flag=True, help="Record the needed sessions with a board, one after another.")
 @click.option(
     "-o",
     "--out",
     type=FILE,
-    help="Parameter file to write (.toml), for --config of run, design and sweep; with --plan, the sessions' folder.",
+    help="Parameter file to write (.toml), for --config of run, design and sweep; with --plan: the sessions' folder.",
 )
 @dry_run_option
-@click.option("--board", default="sim:", show_default=True, help="With --plan: board address; sim: is the mock board.")
-@click.option("--virtual", is_flag=True, help="With --plan and sim:, virtual time.")
 @click.option("--pause", "pause_s", default=10.0, show_default=True, type=Finite(0, 3600, unit="s"),
-              help="With --plan in real time: seconds between two runs, for motors to cool down.")  # fmt: skip
-@rig_option
-@click.option("--config", type=FILE, help="rig.toml; every key has a default.")
-@click.option("--set", "settings", multiple=True, type=SETTING, metavar="KEY=VALUE", help="Over the file.")
+              help="With --plan in real time: seconds between two runs, to cool the motors.")  # fmt: skip
+@run_options(
+    "config",
+    "settings",
+    board="With --plan: board address; sim: is the mock board.",
+    virtual="With --plan: use virtual time; sim: only.",
+    rig="With --plan: simulate a sampled rig, as hard:17.",
+)
 @click.option(
     "--assume",
     multiple=True,
     metavar="NAME=SHARE",
-    help="How well what counts cannot tell is known, as J1=1%: J1, J2, Mg, d1 or M10, both ways.",
+    help="Uncertainty of an assumed parameter, as J1=1%: J1, J2, Mg, d1 or M10, both ways.",
 )
-@click.option("--figure", type=FILE, help="Also draw what is left unexplained: .png, .svg or .pdf.")
+@click.option("--figure", type=FILE, help="Also draw the residuals: .png, .svg or .pdf.")
 @json_option
 def identify(
     files: tuple[Path, ...],
     plan: bool,
     out: Path | None,
     dry_run: bool,
-    board: str,
-    virtual: bool,
     pause_s: float,
-    drawn: str | None,
-    config: Path | None,
-    settings: tuple[str, ...],
+    options: RunOptions,
     assume: tuple[str, ...],
     figure: Path | None,
     as_json: bool,
 ) -> int:
-    """Identify a rig from recorded run-ups, coast-downs and brake steps.
+    """Identify a rig's parameters from recorded sessions.
 
-    Frictions, drive motor, brake (static map, lag, dead time) and friction curve, each with an interval of 95 %. Counts
-    tell ratios only: geometry, inertias and the lever's moment are taken from the configuration's model, and how far
-    they may be off (--assume) is part of the intervals. Ends with exit code 3 when something could not be identified.
+    From run-ups, coast-downs and brake steps it identifies frictions, drive motor, brake (static map, lag, dead time)
+    and friction curve, each with a 95 % interval. Encoder counts give ratios only: geometry, inertias and the lever's
+    moment come from the configuration's model, and their uncertainty (--assume) is part of the intervals. Ends with 3
+    if something could not be identified.
     """
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check
     from inteco_abs.views.figure import check_figure
 
     if plan and files:
-        raise ConfigError([ConfigIssue("--plan", "records sessions, and takes none; name them without --plan")])
+        raise ConfigError([ConfigIssue("--plan", "records sessions and reads none; omit --plan to read them")])
     if not plan and not files:
         raise ConfigError([ConfigIssue("SESSION", "name at least one session, or --plan to record what is needed")])
     if plan:
-        return _record(board, virtual, drawn, config, settings, out, pause_s, dry_run=dry_run, as_json=as_json)
+        return _record(options, out, pause_s, dry_run=dry_run, as_json=as_json)
     if dry_run:
-        raise ConfigError([ConfigIssue("--dry-run", "is for --plan; what is recorded is read, and nothing is moved")])
+        raise ConfigError([ConfigIssue("--dry-run", "only with --plan; without it, nothing moves")])
     assumed = _assumed(assume)
-    rig = load_config(config, settings, [control_check()])
+    rig = load_config(options.config, options.settings, [control_check()])
     require_different({"--out": out, "--figure": figure})
     if out is not None:
         _check_out(out)
     if figure is not None:
         check_figure(figure)
     found = _identified(rig, files, assumed)
-    _tell(found, out, figure, as_json=as_json)
+    _report(found, out, figure, as_json=as_json)
     return LOSSES if found.missing or not found.fit.converged else 0
 
 
-def _tell(found: Identification, out: Path | None, figure: Path | None, *, as_json: bool) -> None:
+def _report(found: Identification, out: Path | None, figure: Path | None, *, as_json: bool) -> None:
     if as_json:
         print_json(found.report())
     else:
@@ -123,7 +121,7 @@ def _tell(found: Identification, out: Path | None, figure: Path | None, *, as_js
         others = f" and {len(names) - _MOST_NAMED} others" if len(names) > _MOST_NAMED else ""
         say(f"inteco-abs: not identified: {', '.join(names[:_MOST_NAMED])}{others}: {why}", err=True)
     if not found.fit.converged:
-        say("inteco-abs: the search has not come to an end: look at the residuals (--figure)", err=True)
+        say("inteco-abs: the fit did not converge: look at the residuals (--figure)", err=True)
 
 
 def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, float]) -> Identification:
@@ -145,7 +143,7 @@ def _assumed(statements: tuple[str, ...]) -> dict[str, float]:
     from inteco_abs.errors import near_match
     from inteco_abs.identification import ASSUMED
 
-    shares, mistakes = {}, []
+    shares, issues = {}, []
     for statement in statements:
         name, _, text = (part.strip() for part in statement.partition("="))
         try:
@@ -153,14 +151,12 @@ def _assumed(statements: tuple[str, ...]) -> dict[str, float]:
         except ValueError:
             percent = -1.0
         if name not in ASSUMED:
-            mistakes.append(
-                ConfigIssue("--assume", f"{statement}: no number that is assumed{near_match(name, ASSUMED)}")
-            )
+            issues.append(ConfigIssue("--assume", f"{statement}: not an assumed parameter{near_match(name, ASSUMED)}"))
         elif not 0.01 <= percent <= 90.0:
-            mistakes.append(ConfigIssue("--assume", f"{statement}: must look like {name}=5%, with 0.01 % to 90 %"))
+            issues.append(ConfigIssue("--assume", f"{statement}: must look like {name}=5%, with 0.01 % to 90 %"))
         shares[name] = percent / 100.0
-    if mistakes:
-        raise ConfigError(mistakes)
+    if issues:
+        raise ConfigError(issues)
     return shares
 
 
@@ -188,45 +184,25 @@ def _print(found: Identification) -> None:
     Console().print(render_identification(found.report()))
 
 
-def _record(
-    board: str,
-    virtual: bool,
-    drawn: str | None,
-    config: Path | None,
-    settings: tuple[str, ...],
-    out: Path | None,
-    pause_s: float,
-    *,
-    dry_run: bool,
-    as_json: bool,
-) -> int:
-    """Every run of the plan, until one does not end well; the exit code of the last one."""
-    from inteco_abs.boards import check_address, default_profile, simulated
-    from inteco_abs.config import load_config
+def _record(options: RunOptions, out: Path | None, pause_s: float, *, dry_run: bool, as_json: bool) -> int:
+    """Record the plan's runs until one does not complete; the exit code of the last one."""
     from inteco_abs.control import control_check
     from inteco_abs.experiment import Plan
     from inteco_abs.identification import experiments
-    from inteco_abs.mock_board import rig_check
     from inteco_abs.sessions import check_folder, check_output, ensured_directory
 
-    check_address(board)
-    if drawn is not None and not simulated(board):
-        raise ConfigError(
-            [ConfigIssue("--rig", f"{board} is a real board, and has a rig; only sim: has one to choose")]
-        )
     folder = out or Path("identification")
 
-    def configured(*more: str) -> RigConfig:
-        checks = [control_check(), rig_check]
-        return load_config(config, [*settings, *drawn_setting(drawn), *more], checks, default_profile(board))
+    def planned_run(number: int, settings: Sequence[str], name: str, shows: str) -> Planned:
+        config = options.load(*settings, checks=[control_check()])
+        plan = Plan(out=folder / f"{name}.mcap", board=options.board, virtual=options.virtual, seed=number)
+        return Planned(config, plan, shows=shows)
 
+    limit = options.load(checks=[control_check()]).guard.brake_limit
     planned = [
-        Planned(
-            configured(*each.settings), Plan(folder / f"{each.name}.mcap", board, virtual, number), shows=each.shows
-        )
-        for number, each in enumerate(experiments(configured().guard.brake_limit))
+        planned_run(number, each.settings, each.name, each.shows) for number, each in enumerate(experiments(limit))
     ]
-    pause_s = 0.0 if virtual else pause_s
+    pause_s = 0.0 if options.virtual else pause_s
     if dry_run:
         places = [partial(check_output, each.plan.out) for each in planned] if folder.is_dir() else []
         return rehearse(planned, [partial(check_folder, folder), *places], pause_s=pause_s, as_json=as_json)

@@ -1,4 +1,4 @@
-"""The verb `inteco-abs blink`."""
+"""The verb `inteco-abs identify-led`."""
 
 from __future__ import annotations
 
@@ -7,16 +7,20 @@ from pathlib import Path
 
 import click
 
-from inteco_abs.cli.options import FILE, Finite, say
+from inteco_abs.cli.options import Finite, shared_option
+from inteco_abs.cli.terminal import say
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
 
 
-@click.command()
+@click.command("identify-led")
 @click.option("--board", default="usb2:", show_default=True, help="Board address, as in usb2:123.")
-@click.option("--seconds", default=3.0, show_default=True, type=Finite(0.1, 60, unit="s"), help="How long.")
-@click.option("--config", type=FILE, help="rig.toml with the board's ids.")
-def blink(board: str, seconds: float, config: Path | None) -> int:
-    """Light the middle LED of an RT-DAC/USB2, to see which board it is; its outputs are not concerned."""
+@click.option("--seconds", default=3.0, show_default=True, type=Finite(0.1, 60, unit="s"), help="Duration.")
+@shared_option("config")
+def identify_led(board: str, seconds: float, config: Path | None) -> int:
+    """Light the LED of an RT-DAC/USB2 to identify the board.
+
+    It is the middle LED; the outputs do not change.
+    """
     from inteco_abs.boards import check_address, default_profile, family_of, simulated
     from inteco_abs.config import load_config
 
@@ -24,7 +28,8 @@ def blink(board: str, seconds: float, config: Path | None) -> int:
     name, _, rest = board.partition(":")
     switch = None if simulated(board) else family_of(name).identify_led
     if switch is None:
-        raise ConfigError([ConfigIssue("--board", f"{board!r}: only an RT-DAC/USB2 has such an LED, as in usb2:123")])
+        problem = f"{board!r}: only an RT-DAC/USB2 has this LED; name one, as in usb2:123"
+        raise ConfigError([ConfigIssue("--board", problem)])
     rig = load_config(config, profile=default_profile(board))
     if not switch(rest, rig, True):
         raise BoardError("the board refuses to switch its LED")

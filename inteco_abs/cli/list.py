@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import Any, Final
 
 import click
 
-from inteco_abs.cli.options import FILE, LOSSES, json_option, on_terminal, plain, print_json, say
+from inteco_abs.cli.options import FILE, LOSSES, json_option
+from inteco_abs.cli.terminal import on_terminal, plain, print_json, say
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 _HEADS: Final = {
@@ -39,7 +39,7 @@ _FIRST_TO_GO: Final = (
     "outcome",
     "controller",
 )
-"""Columns that a narrow terminal does without."""
+"""Columns that a narrow terminal leaves out, in this order."""
 _GAP: Final = "  "
 _LATEST_OF_A_DATE: Final = len("2026-01-01T12:00:00")
 
@@ -47,15 +47,21 @@ _LATEST_OF_A_DATE: Final = len("2026-01-01T12:00:00")
 @click.command("list")
 @click.argument("folder", type=FILE, default=Path())
 @click.option(
-    "--sort", "key", default="started_utc", show_default=True, metavar="KEY", help="Column, named as in --json."
+    "--sort",
+    "key",
+    default="started_utc",
+    show_default=True,
+    metavar="KEY",
+    help="Column to sort by, as named in --json.",
 )
-@click.option("--reverse", is_flag=True, help="Largest or latest first.")
-@click.option("--recursive", "-r", is_flag=True, help="Folders in FOLDER, too.")
+@click.option("--reverse", is_flag=True, help="Sort in descending order.")
+@click.option("--recursive", "-r", is_flag=True, help="Also list the folders inside FOLDER.")
 @json_option
 def list_sessions(folder: Path, key: str, reverse: bool, recursive: bool, as_json: bool) -> int:
-    """List the sessions in FOLDER with what they were worth; ends with 3 if any of them is cut or broken.
+    """List the sessions in a folder with their results.
 
-    Of whole files only the summary is read; `validate` looks at every byte.
+    Of complete files it reads the summary only; `validate` checks every byte. Ends with 3 if a session is cut or
+    damaged.
     """
     from inteco_abs.analysis import COLUMNS, session_files, session_row, sort_rows
 
@@ -67,13 +73,15 @@ def list_sessions(folder: Path, key: str, reverse: bool, recursive: bool, as_jso
     elif rows:
         _print(folder, rows)
     else:
-        hint = "" if recursive else "; --recursive looks into its folders, too"
-        say(f"inteco-abs: {folder}: holds no sessions{hint}", err=True)
+        hint = "" if recursive else "; --recursive also searches its folders"
+        say(f"inteco-abs: {folder}: no sessions found{hint}", err=True)
     return LOSSES if any(row["problem"] for row in rows) else 0
 
 
 def _print(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
     """One line each, with every column in files and pipes, and as many as fit on a terminal."""
+    import shutil
+
     columns = {name: [head, *(_cell(folder, row, name) for row in rows)] for name, head in _HEADS.items()}
     widths = {name: max(map(len, cells)) for name, cells in columns.items()}
     left_out = _left_out(widths, shutil.get_terminal_size().columns) if on_terminal(sys.stdout) else []
@@ -83,11 +91,11 @@ def _print(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
         say(f"{_GAP.join(cells)}{_GAP}{plain(remark)}".rstrip())
     if left_out:
         names = ", ".join(_HEADS[name] for name in left_out)
-        say(f"inteco-abs: left out for want of room: {names}; a wider terminal or --json has them", err=True)
+        say(f"inteco-abs: columns left out: {names}; a wider terminal or --json shows them", err=True)
 
 
 def _remark(row: dict[str, Any]) -> str:
-    injected = f"told to fail: {row['injected']}" if row["injected"] else ""
+    injected = f"injected: {row['injected']}" if row["injected"] else ""
     return "; ".join(filter(None, (row["problem"], injected)))
 
 

@@ -1,94 +1,67 @@
-"""The group of all verbs, and the top of the process."""
+"""The command's group of verbs, and the top of its process."""
 
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 from typing import Final
 
 import click
 
-from inteco_abs.cli.catalogue import controllers, estimators, profiles
-from inteco_abs.cli.commission import probe
-from inteco_abs.cli.completion import completion
-from inteco_abs.cli.config import config
-from inteco_abs.cli.contents import export, get
-from inteco_abs.cli.demo import demo
-from inteco_abs.cli.design import design
-from inteco_abs.cli.diff import diff
-from inteco_abs.cli.doctor import doctor
-from inteco_abs.cli.faults import faults
-from inteco_abs.cli.golden import golden
-from inteco_abs.cli.health import recover, validate
-from inteco_abs.cli.identify import identify
-from inteco_abs.cli.identify_led import blink
-from inteco_abs.cli.list import list_sessions
-from inteco_abs.cli.mock_board import mock_board
-from inteco_abs.cli.options import INTERRUPTED, VerbGroup, say
-from inteco_abs.cli.panel import panel
-from inteco_abs.cli.paper import paper
-from inteco_abs.cli.repeat import repeat
-from inteco_abs.cli.replay import replay
-from inteco_abs.cli.report import report
-from inteco_abs.cli.run import run
-from inteco_abs.cli.sessions import figure, info
-from inteco_abs.cli.sweep import sweep
-from inteco_abs.cli.viewer_layout import layout
-from inteco_abs.cli.what_if import what_if
-from inteco_abs.cli.wire import wire
+from inteco_abs.cli.options import INTERRUPTED, VerbGroup
+from inteco_abs.cli.terminal import say
 from inteco_abs.errors import AbsError
 
+_VERBS: Final = {
+    "Run": ("run", "repeat", "demo"),
+    "Sessions": (
+        "list", "info", "report", "figure", "diff", "replay", "what-if", "golden", "export", "extract", "viewer-layout",
+        "validate", "recover",
+    ),
+    "Compare and design": ("controllers", "estimators", "sweep", "design", "identify", "paper"),
+    "Boards and commissioning": ("commission", "panel", "identify-led", "mock-board", "faults", "wire"),
+    "Setup": ("doctor", "config", "profiles", "completion"),
+}  # fmt: skip
+"""By heading of the help; the module of a verb is named as the verb."""
+_OLD_NAMES: Final = {"blink": "identify-led", "get": "extract", "layout": "viewer-layout", "probe": "commission"}
 
-@click.group(cls=VerbGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+
+class _Verbs(VerbGroup):
+    """All verbs; a verb's module is imported when the verb is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002  click's interface
+        return [name for names in _VERBS.values() for name in names]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        name = _OLD_NAMES.get(cmd_name, cmd_name)
+        if name in self.list_commands(ctx) and name not in self.commands:
+            module = import_module(f"inteco_abs.cli.{name.replace('-', '_')}")
+            commands = [each for each in vars(module).values() if isinstance(each, click.Command)]
+            self.add_command(next(each for each in commands if each.name == name))
+        return super().get_command(ctx, cmd_name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        for heading, names in _VERBS.items():
+            self.write_commands(ctx, formatter, heading, names)
+
+
+@click.group(
+    cls=_Verbs,
+    aliases=_OLD_NAMES,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(package_name="inteco-abs")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def cli(debug: bool) -> None:
     """Driver, controller and laboratory for the Inteco anti-lock braking rig."""
 
 
-_VERBS: Final = (
-    run,
-    repeat,
-    demo,
-    replay,
-    what_if,
-    golden,
-    list_sessions,
-    info,
-    diff,
-    report,
-    figure,
-    export,
-    get,
-    layout,
-    validate,
-    recover,
-    design,
-    sweep,
-    identify,
-    paper,
-    doctor,
-    probe,
-    panel,
-    blink,
-    wire,
-    mock_board,
-    controllers,
-    estimators,
-    profiles,
-    faults,
-    config,
-    completion,
-)
-for _verb in _VERBS:
-    cli.add_command(_verb)
-
-
-def _told(error: OSError) -> str:
-    """What the system has refused; of the working folder and of standard output it tells no name."""
+def _describe_system_error(error: OSError) -> str:
+    """What the system refused; for the working folder and for standard output it gives no name."""
     if error.filename:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, FileNotFoundError):
-        return "the folder in which this was typed does not exist any more; change to another"
+        return "the current folder no longer exists; change to another"
     return f"the output cannot be written: {error.strerror or error}"
 
 
@@ -111,7 +84,7 @@ def main() -> None:
         code = INTERRUPTED
     except OSError as error:  # above all the output that went away: a closed pipe, a full disk
         sys.stdout = sys.stderr
-        say(f"inteco-abs: {_told(error)}", err=True)
+        say(f"inteco-abs: {_describe_system_error(error)}", err=True)
         code = 1
     except MemoryError:
         say("inteco-abs: there is not enough memory; end other programs, or allow more (ulimit -v)", err=True)

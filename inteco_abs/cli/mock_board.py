@@ -10,7 +10,8 @@ from typing import TextIO
 
 import click
 
-from inteco_abs.cli.options import FILE, Finite, Whole, drawn_setting, rig_option, say
+from inteco_abs.cli.options import FILE, Finite, Whole, rig_settings, shared_option
+from inteco_abs.cli.terminal import say
 from inteco_abs.errors import ConfigError, ConfigIssue, describe_disk
 
 
@@ -22,7 +23,7 @@ from inteco_abs.errors import ConfigError, ConfigIssue, describe_disk
     is_flag=False,
     flag_value="",
     metavar="[HOST:PORT]",
-    help="Serve it as a USB device to any Linux with vhci_hcd; by default on the loopback address, port 3240.",
+    help="Serve it as a USB device to any Linux with vhci_hcd; default: the loopback address, port 3240.",
 )
 @click.option(
     "--pty",
@@ -30,22 +31,24 @@ from inteco_abs.errors import ConfigError, ConfigIssue, describe_disk
     is_flag=False,
     flag_value="",
     metavar="[LINK]",
-    help="Be a serial port instead, and make the symbolic link LINK to it.",
+    help="Serve it as a serial port, with the symbolic link LINK to it.",
 )
-@click.option("--serial", default=900_000_001, show_default=True, type=Whole(), help="Its decimal serial number.")
-@click.option("--seed", default=0, show_default=True, type=Whole(0), help="What differs between two power-ups.")
+@click.option(
+    "--serial", default=900_000_001, show_default=True, type=Whole(), help="Serial number of the board, decimal."
+)
+@shared_option("seed")
 @click.option(
     "--from-report",
     "report",
     type=FILE,
     metavar="FILE",
-    help="Be the board of this report (probe --send-report): its descriptors, header and first image.",
+    help="Imitate the board of a report (commission --send-report): descriptors, header and first image.",
 )
-@rig_option
-@click.option("--config", type=FILE, help="rig.toml; every key has a default.")
-@click.option("--truth", metavar="FILE", help="Write the rig's true state there as JSON lines; - is stdout.")
+@shared_option("rig")
+@shared_option("config")
+@click.option("--truth", metavar="FILE", help="Write the rig's true state to FILE as JSON lines; - is stdout.")
 @click.option(
-    "--truth-hz", default=20.0, show_default=True, type=Finite(0.1, 1000, unit="Hz"), help="How many lines a second."
+    "--truth-hz", default=20.0, show_default=True, type=Finite(0.1, 1000, unit="Hz"), help="Lines per second."
 )
 def mock_board(
     kind: str | None,
@@ -54,12 +57,15 @@ def mock_board(
     serial: int,
     seed: int,
     report: Path | None,
-    drawn: str | None,
+    rig: str | None,
     config: Path | None,
     truth: str | None,
     truth_hz: float,
 ) -> int:
-    """Be an RT-DAC board with the rig on it, in real time, until Ctrl-C; its data are not measurements."""
+    """Run a mock RT-DAC board with a simulated rig.
+
+    It runs in real time until Ctrl-C; its data are simulated, not measured.
+    """
     from functools import partial
 
     from inteco_abs.boards import family_of
@@ -69,21 +75,21 @@ def mock_board(
     from inteco_abs.mock_board_process import Mock, serve_pty, serve_usbip
 
     if (address is None) == (link is None):
-        raise ConfigError([ConfigIssue("--usbip, --pty", "name one of them: to be a USB device, or a serial port")])
+        raise ConfigError([ConfigIssue("--usbip, --pty", "name one of them: a USB device or a serial port")])
     seen = None if report is None else ReportedBoard(report)
     if seen is not None and kind not in {None, seen.report.kind}:
         raise ConfigError(
-            [ConfigIssue("--board", f"{kind}: the report is of a {seen.report.kind} board; leave this out")]
+            [ConfigIssue("--board", f"{kind}: the report is of a {seen.report.kind} board; omit --board")]
         )
     kind = _pluggable(seen.report.kind if seen is not None else kind, at_pty=link is not None)
-    settings = [*(seen.settings if seen is not None else ()), *drawn_setting(drawn)]
-    rig = load_config(config, settings, [rig_check], family_of(kind).mock_profile)
-    if rig.board.kind != kind:
+    settings = [*(seen.settings if seen is not None else ()), *rig_settings(rig)]
+    configured = load_config(config, settings, [rig_check], family_of(kind).mock_profile)
+    if configured.board.kind != kind:
         raise ConfigError(
-            [ConfigIssue("board.kind", f"{rig.board.kind!r}: the mock is to be {kind!r}; name another profile")]
+            [ConfigIssue("board.kind", f"{configured.board.kind!r}: the mock is to be {kind!r}; name another profile")]
         )
     with _truth_file(truth) as file:
-        mock = Mock(rig, seed, file, truth_hz, seen)
+        mock = Mock(configured, seed, file, truth_hz, seen)
         talk = partial(say, err=truth == "-")  # data go to stdout, talk to stderr
         if link is None:
             serve_usbip(mock, address or "", serial, talk)
@@ -106,10 +112,8 @@ def _pluggable(kind: str | None, *, at_pty: bool) -> str:
     family = family_of(kind)
     if at_pty and mock_family(kind).usb_device is not None:
         known = ", ".join(name for name in FAMILIES if fits(name))
-        raise ConfigError([ConfigIssue("--board", f"{kind}: is not a serial port; --pty goes with --board {known}")])
-    problem = (
-        f"{kind}: its mock cannot be plugged in; run --board sim: --set profile={family.mock_profile} has it inside"
-    )
+        raise ConfigError([ConfigIssue("--board", f"{kind}: not a serial port; use --pty with --board {known}")])
+    problem = f"{kind}: its mock cannot be plugged in; use run --board sim: --set profile={family.mock_profile}"
     raise ConfigError([ConfigIssue("--board", problem)])
 
 

@@ -1,44 +1,48 @@
-"""What the verbs have in common: options, exit codes, and reading a session with a word about its losses."""
+"""What the verbs have in common: exit codes, types of parameters, options, and the group that a verb can be."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from datetime import date
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TextIO
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from inteco_abs.cli.completion import controller_names, estimator_names, key_names
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.quantities import number_hint
 
 if TYPE_CHECKING:
-    from inteco_abs.montecarlo import Progress
+    from inteco_abs.config import Check, RigConfig, Table
+    from inteco_abs.experiment import Plan
     from inteco_abs.plugins import Controllers
-    from inteco_abs.sessions import Session
 
 LOSSES: Final = 3
 DIFFERS: Final = 4
 INTERRUPTED: Final = 130
-_LONGEST_SENTENCE: Final = 200
 FILE: Final = click.Path(path_type=Path, readable=False)
-"""Each verb says itself what it cannot read, in its own words and with its own exit code."""
+"""Whether it can be read is for each verb to check, with its own message and exit code."""
+_LONGEST_LINE: Final = 60
+"""Characters of a verb's line in a list of verbs."""
+_LIVE_PORT: Final = 8765
+"""Where Lichtblick and Foxglove look by default."""
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 class Finite(click.FloatRange):
-    """A number in `unit` within its range: neither infinite nor NaN, which is in every range."""
+    """A finite number in `unit` within its range; click accepts NaN in every range."""
 
     def __init__(self, least: float | None = None, most: float | None = None, *, unit: str = "") -> None:
         super().__init__(least, most)
         self._unit = unit
 
     def _describe_range(self) -> str:
-        """For the help; without limits click would say x<=None."""
+        """For the help; without limits click would print x<=None."""
         return "" if self.min is None and self.max is None else super()._describe_range()
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
@@ -58,7 +62,7 @@ class Whole(click.IntRange):
         super().__init__(least, most)
 
     def _describe_range(self) -> str:
-        """The same of whole numbers."""
+        """For the help, as for Finite."""
         return "" if self.min is None and self.max is None else super()._describe_range()
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
@@ -72,7 +76,7 @@ class Whole(click.IntRange):
 
 
 class _Setting(click.types.StringParamType):
-    """KEY=VALUE. Looked at here only for its =, as a value in an argument of its own is nobody's otherwise."""
+    """KEY=VALUE. Only the = is checked here: a value typed as a second word would be lost without a message."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         text = str(value)
@@ -97,113 +101,205 @@ def _wanted(what: str, limits: click.IntRange | click.FloatRange, unit: str = ""
 
 
 class VerbGroup(click.Group):
-    """Group that suggests the nearest verb, and says of each its whole first sentence."""
+    """Group that suggests the nearest verb, and knows the verbs' old names without listing them."""
+
+    def __init__(self, *arguments: Any, aliases: Mapping[str, str] | None = None, **more: Any) -> None:
+        super().__init__(*arguments, **more)
+        self._aliases = aliases or {}
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        return super().get_command(ctx, self._aliases.get(cmd_name, cmd_name))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in self.commands:
-            raise click.UsageError(f"no command {args[0]!r}{near_match(args[0], self.commands)}", ctx)
-        return super().resolve_command(ctx, args)
+        command = self.get_command(ctx, args[0]) if args else None
+        if args and command is None:
+            raise click.UsageError(f"no command {args[0]!r}{near_match(args[0], self.list_commands(ctx))}", ctx)
+        return super().resolve_command(ctx, [self._aliases.get(args[0], args[0]), *args[1:]] if args else args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Wrapped, where click would cut them off."""
-        with formatter.section("Commands"):
-            formatter.write_dl(
-                [(name, self.commands[name].get_short_help_str(_LONGEST_SENTENCE)) for name in self.list_commands(ctx)]
-            )
+        self.write_commands(ctx, formatter, "Commands", self.list_commands(ctx))
+
+    def write_commands(
+        self, ctx: click.Context, formatter: click.HelpFormatter, heading: str, names: Sequence[str]
+    ) -> None:
+        """One section of the list of verbs."""
+        found = [(name, command) for name in names if (command := self.get_command(ctx, name)) is not None]
+        with formatter.section(heading):
+            formatter.write_dl([(name, command.get_short_help_str(_LONGEST_LINE)) for name, command in found])
 
 
-def on_terminal(stream: TextIO | None) -> bool:
-    """Whether a person is at the other end; a stream that the shell has closed is None."""
-    return stream is not None and stream.isatty()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOptions:
+    """What was typed for the options that verbs share with `run`; a verb without one of them has its default."""
+
+    board: str = "sim:"
+    virtual: bool = False
+    seed: int = 0
+    rig: str | None = None
+    """Population and seed of a sampled rig, as hard:17."""
+    config: Path | None = None
+    settings: tuple[str, ...] = ()
+    """KEY=VALUE each, over the file."""
+    controller: str | None = None
+    estimator: str | None = None
+    faults: tuple[str, ...] = ()
+    live_port: int | None = None
+    live: str | None = None
+    quiet: bool = False
+
+    @property
+    def chosen(self) -> tuple[str, ...]:
+        """Controller and estimator as settings."""
+        names = {"controller": self.controller, "estimator": self.estimator}
+        return tuple(f"{key}.name={name}" for key, name in names.items() if name)
+
+    def load(
+        self, *more: str, checks: Sequence[Check] = (), follows: Callable[[Table], Table] | None = None
+    ) -> RigConfig:
+        """The configuration for this board, with `more` settings over the typed ones. Raises ConfigError."""
+        from inteco_abs.boards import check_address, default_profile, simulated
+        from inteco_abs.config import load_config
+        from inteco_abs.mock_board import rig_check
+
+        check_address(self.board)
+        if self.rig is not None and not simulated(self.board):
+            problem = f"{self.board}: a real board has its own rig; use --rig with --board sim: only"
+            raise ConfigError([ConfigIssue("--rig", problem)])
+        settings = (*self.settings, *rig_settings(self.rig), *more)
+        return load_config(self.config, settings, [*checks, rig_check], default_profile(self.board), follows)
+
+    def plan(self, out: Path, *, wire: Path | None = None, frames: bool = False) -> tuple[RigConfig, Plan]:
+        """Configuration and plan of a stop recorded at `out`; nothing is opened or created. Raises ConfigError."""
+        from inteco_abs.control import control_check, preferred_estimator
+        from inteco_abs.experiment import Plan
+        from inteco_abs.mock_board import parse_faults
+
+        controllers = known_controllers(self.controller)
+        config = self.load(*self.chosen, checks=[control_check(controllers)], follows=preferred_estimator(controllers))
+        source, package = controllers.origin(config.controller.name)
+        plan = Plan(
+            out=out,
+            board=self.board,
+            virtual=self.virtual,
+            seed=self.seed,
+            controllers=controllers,
+            controller_source=source,
+            wire=wire,
+            frames=frames,
+            controller_package=package,
+            live_port=self.live_port,
+            faults=parse_faults(self.faults),
+        )
+        return config, plan
+
+
+_OPTIONS: Final[Mapping[str, tuple[tuple[str, ...], dict[str, Any]]]] = {
+    "board": (
+        ("--board",),
+        {"default": "sim:", "show_default": True, "help": "Board address; sim: is the mock board."},
+    ),
+    "virtual": (("--virtual",), {"is_flag": True, "help": "Use virtual time: fast and repeatable; sim: only."}),
+    "seed": (
+        ("--seed",),
+        {"default": 0, "show_default": True, "type": Whole(0), "help": "Seed of the mock board's random state."},
+    ),
+    "rig": (
+        ("--rig",),
+        {"metavar": "POPULATION:SEED", "help": "Simulate a sampled rig, as hard:17; default: the published one."},
+    ),
+    "config": (("--config",), {"type": FILE, "help": "Configuration file (rig.toml); every key has a default."}),
+    "settings": (
+        ("--set",),
+        {
+            "multiple": True,
+            "type": SETTING,
+            "shell_complete": key_names,
+            "metavar": "KEY=VALUE",
+            "help": "Override a key of the configuration, as in guard.brake_limit=0.7.",
+        },
+    ),
+    "controller": (
+        ("--controller",),
+        {
+            "shell_complete": controller_names,
+            "help": "A controller that `inteco-abs controllers` lists, or your own as file.py:Class.",
+        },
+    ),
+    "estimator": (
+        ("--estimator",),
+        {
+            "shell_complete": estimator_names,
+            "help": "An estimator that `inteco-abs estimators` lists: moving-window, tracking, kalman, edge-time, "
+            "observer, euler (the paper's) or difference (the vendor's).",
+        },
+    ),
+    "faults": (
+        ("--inject",),
+        {
+            "multiple": True,
+            "metavar": "FAULT",
+            "help": "Inject a fault into the mock board, as lose@brake+20ms; `inteco-abs faults` lists all.",
+        },
+    ),
+    "live_port": (
+        ("--foxglove",),
+        {
+            "is_flag": False,
+            "flag_value": _LIVE_PORT,
+            "type": Whole(0, 65535),
+            "metavar": "[PORT]",
+            "help": f"Serve the running stop to Lichtblick or Foxglove on this computer; default port: {_LIVE_PORT}, "
+            "0: any free port.",
+        },
+    ),
+    "live": (
+        ("--live",),
+        {
+            "type": click.Choice(("full", "line", "none")),
+            "help": "Display during the run; default: as much as the terminal has room for.",
+        },
+    ),
+    "quiet": (("--quiet", "-q"), {"is_flag": True, "help": "Print errors and warnings only."}),
+}
+"""By field of RunOptions: the names of the option, and what click is to know of it."""
+
+
+def shared_option(field: str, text: str = "") -> Decorator:
+    """The option for one field of RunOptions, passed on under that name; `text` replaces its help."""
+    names, details = _OPTIONS[field]
+    return click.option(*names, field, **{**details, **({"help": text} if text else {})})
+
+
+def run_options(*fields: str, **helps: str) -> Decorator:
+    """Options for these fields of RunOptions, or all, passed on as one `options`; `helps` replace a help."""
+    chosen = (*fields, *helps) or tuple(_OPTIONS)
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def packed(*arguments: Any, **given: Any) -> Any:
+            typed = {field: given.pop(field) for field in chosen}
+            return function(*arguments, options=RunOptions(**typed), **given)
+
+        for field in reversed(chosen):
+            shared_option(field, helps.get(field, ""))(packed)
+        return packed
+
+    return decorate
 
 
 def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead.")(function)
+    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")(function)
 
 
-def rig_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option(
-        "--rig",
-        "drawn",
-        metavar="POPULATION:SEED",
-        help="A drawn virtual rig inside the mock board, as hard:17; default: the published one.",
-    )(function)
-
-
-def drawn_setting(drawn: str | None) -> list[str]:
-    """What `--rig` says, as for `--set`."""
-    return [] if drawn is None else [f"simulation.rig={json.dumps(drawn)}"]
-
-
-def print_json(data: Mapping[str, Any]) -> None:
-    say(json.dumps(data, allow_nan=False, default=date.isoformat))
-
-
-def say(text: str = "", *, err: bool = False, nl: bool = True) -> None:
-    """Print lines: the only way by which text reaches a terminal, as any of it may come out of a stranger's file."""
-    click.echo("\n".join(map(plain, text.split("\n"))), err=err, nl=nl)  # noqa: TID251
-
-
-def plain(text: object) -> str:
-    """Text out of a file as a part of a line: nothing in it moves the cursor, changes colours or begins a line."""
-    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in str(text))
-
-
-def print_card(card: Mapping[str, Any], explanation: str, before: Mapping[str, Any] | None = None) -> None:
-    """A result card; `before` is the one to compare it with."""
-    from rich.console import Console
-
-    from inteco_abs.views import render_card
-
-    console = Console()
-    shown, earlier = _in_plain(card), None if before is None else _in_plain(before)
-    console.print(render_card(shown, plain(explanation), earlier, plain=console.options.ascii_only))
-
-
-def _in_plain(card: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: plain(value) if isinstance(value, str) else value for key, value in card.items()}
-
-
-def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
-    session = reader(file)
-    tell_of_losses(session)
-    return session
-
-
-def tell_of_losses(session: Session) -> None:
-    """What a session lacks, and what to do about it."""
-    if session.incomplete:
-        ticks = len(session.ticks)
-        whole = f"{ticks} ticks are whole{', and recover makes a session of them' if ticks else ''}"
-        say(f"inteco-abs: {session.path}: {session.incomplete}; {whole}", err=True)
-    if session.beyond:
-        say(f"inteco-abs: {session.path}: {plain(session.beyond)}", err=True)
-
-
-def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
-    """Whether all of the files were whole, and all of them known here."""
-    from inteco_abs.sessions import read_session
-    from inteco_abs.views.figure import draw_stops
-
-    sessions = [read_whole(file, read_session) for file in files]
-    draw_stops(sessions, out, width)
-    say(f"figure: {out}", err=True)
-    return not any(session.incomplete or session.beyond for session in sessions)
-
-
-def check_session_file(out: Path) -> None:
-    """Refuse, before anything is started, a path where no new session can be, or where `list` would not see it."""
-    from inteco_abs.sessions import check_output
-
-    check_output(out)
-    if out.suffix != ".mcap":
-        raise ConfigError([ConfigIssue("--out", f"{out}: must end in .mcap, by which sessions are found")])
+def rig_settings(sampled: str | None) -> list[str]:
+    """What `--rig` says, as settings."""
+    return [] if sampled is None else [f"simulation.rig={json.dumps(sampled)}"]
 
 
 def check_table(path: Path | None) -> None:
-    """Refuse, before anything is computed, a path where no new table can be."""
+    """Raise ConfigError for a path where no new table can be written."""
     from inteco_abs.sessions import check_output
 
     if path is None:
@@ -214,18 +310,18 @@ def check_table(path: Path | None) -> None:
 
 
 def require_different(files: dict[str, Path | None]) -> None:
-    """Each output its own file: the later would replace the earlier."""
+    """Raise ConfigError if two outputs have one file: the later would replace the earlier."""
     seen: dict[Path, str] = {}
     for option, file in files.items():
         if file is None:
             continue
         other = seen.setdefault(file.resolve(), option)
         if other != option:
-            raise ConfigError([ConfigIssue(option, f"{file}: is the file of {other} already; choose another name")])
+            raise ConfigError([ConfigIssue(option, f"{file}: same file as {other}; choose another name")])
 
 
 def known_controllers(name: str | None) -> Controllers:
-    """Controllers to choose from, with the user's own if `name` is `file.py:Class`."""
+    """Known controllers, with the user's own if `name` is `file.py:Class`. Raises ConfigError."""
     from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
 
     if name is None or FROM_FILE not in name:
@@ -237,24 +333,3 @@ def known_controllers(name: str | None) -> Controllers:
         return controllers
     kind, source = load_controller(name)
     return Controllers({name: (kind, Origin(source))})
-
-
-@contextmanager
-def stops_progress() -> Iterator[Progress | None]:
-    """A bar on a terminal's stderr."""
-    if not on_terminal(sys.stderr):
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("stops"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("compiling, then braking", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total, description="braking")

@@ -1,4 +1,4 @@
-"""The manual panel on a terminal. It only shows and requests: the board is held by another process."""
+"""The manual panel on a terminal. It only shows and requests: another process holds the board."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from inteco_abs.boards import family_of, unconfirmed
-from inteco_abs.cli.options import INTERRUPTED, plain
+from inteco_abs.cli.options import INTERRUPTED
+from inteco_abs.cli.terminal import plain
 from inteco_abs.commissioning.identity import hex_dump
 from inteco_abs.commissioning.panel import AGAIN, Output, Panel
 from inteco_abs.config import BoardConfig
@@ -26,11 +27,11 @@ from inteco_abs.signals import EXPLANATIONS, Command, Reason
 
 _REFRESH_S: Final = 0.1
 _LOOK_EVERY: Final = 10
-"""Refreshes between two looks at a board whose looks tell of alarms and cost next to nothing."""
+"""Refreshes between two readings of a board whose readings include alarms and cost almost nothing."""
 _BAR: Final = 20
 _STOPPED: Final = UnsafeError.exit_code
 ARM_AGAIN: Final = -1
-"""What the screen ends with when the person wants everything anew; no exit code."""
+"""Result of the screen when outputs are to be armed again; not an exit code."""
 _GUARDED: Final = "Guarded, but if computer or cable fails only the emergency switch helps."
 _KEYS: Final = (
     "[b]space[/] held: power   [b]↑ ↓ PgUp PgDn[/] drive   [b]→ ←[/] brake   [b]0[/] both to zero\n"
@@ -39,7 +40,7 @@ _KEYS: Final = (
 
 
 class DumpScreen(ModalScreen[None]):
-    """Everything that one reading of the board tells."""
+    """One reading of the board: bytes and decoded fields."""
 
     CSS = """
     DumpScreen > VerticalScroll { border: round $primary; background: $surface; }
@@ -63,7 +64,7 @@ class DumpScreen(ModalScreen[None]):
 
 
 class AgainScreen(ModalScreen[bool]):
-    """Asks whether outputs that the guard has taken away are to be armed again; y alone is a yes."""
+    """Asks whether to arm the outputs again after the guard switched them off; only y means yes."""
 
     CSS = """
     AgainScreen { align: center middle; }
@@ -75,19 +76,19 @@ class AgainScreen(ModalScreen[bool]):
         self._reason = reason
 
     def compose(self) -> ComposeResult:
-        """Why, and what will happen."""
-        box = Static(f"The guard has taken the outputs away: {EXPLANATIONS[self._reason]}.\n\n{AGAIN}", markup=False)
+        """The reason, and what happens next."""
+        box = Static(f"The guard switched the outputs off: {EXPLANATIONS[self._reason]}.\n\n{AGAIN}", markup=False)
         box.border_title = "arm again?"
         yield box
 
     def on_key(self, event: Key) -> None:
-        """The dead man's key is not an answer either."""
+        """The hold-to-run key does not count as an answer."""
         event.stop()
         self.dismiss(event.key == "y")
 
 
 class PanelApp(App[int]):
-    """The screen of a panel whose board is at the other end of `side`; its result is the exit code, or ARM_AGAIN."""
+    """The screen of a panel whose board `side` holds; its result is the exit code, or ARM_AGAIN."""
 
     TITLE = "inteco-abs panel"
     ENABLE_COMMAND_PALETTE = False
@@ -144,12 +145,12 @@ class PanelApp(App[int]):
         yield Static(_KEYS, id="keys")
 
     def on_mount(self) -> None:
-        """Begin to look."""
+        """Start the refresh timer."""
         self.set_interval(_REFRESH_S, self.look)
         self.look()
 
     def on_key(self, event: Key) -> None:
-        """The dead man's key counts by when it came in; every other one takes the power away first."""
+        """The hold-to-run key counts from when it arrived; every other key switches the power off first."""
         if isinstance(self.screen, ModalScreen):
             return
         if event.key == "space":
@@ -162,12 +163,12 @@ class PanelApp(App[int]):
             self._draw()
 
     def action_leave(self, code: int) -> None:
-        """Power off, and away."""
+        """Switch the power off and leave."""
         self._take_away()
         self.exit(_STOPPED if self._panel.reason is not Reason.NONE and not code else code)
 
     def look(self) -> None:
-        """See what is new, and show it; leave when nobody holds the board any more."""
+        """Take in new ticks and show them; leave when no process holds the board."""
         if not self.is_running:
             return  # textual stops an app's timers only after it has taken the screen away
         panel, side = self._panel, self._side
@@ -231,7 +232,7 @@ def wheels_table(panel: Panel) -> Table:
 
 
 def outputs_text(panel: Panel) -> Text:
-    """Both sliders, and what the guard lets through right now."""
+    """Both sliders, and what the guard currently admits."""
     text = Text(no_wrap=True)
     outputs: tuple[tuple[Output, float], ...] = ("drive", panel.admitted.drive), ("brake", panel.admitted.brake)
     for output, admitted in outputs:
@@ -239,13 +240,13 @@ def outputs_text(panel: Panel) -> Text:
         full, allowed = (round(_BAR * share / 100) for share in (percent, limit))
         bar = "█" * full + "─" * (allowed - full) + " " * (_BAR - allowed)
         text.append(f"{output} {bar} {percent:3d} %\n", style="" if panel.outputs else "dim")
-        text.append(f"   limit {limit} %, now out ")
+        text.append(f"   limit {limit} %, output now ")
         text.append(f"{admitted:.0%}\n", style="bold orange1" if admitted else "")
     return text
 
 
 def board_text(panel: Panel, address: str, introduction: dict[str, str], look: dict[str, Any]) -> Text:
-    """Who the board is, what is known of its wiring, its settings and its flags."""
+    """Identity of the board, its wiring, settings and flags."""
     config = panel.config
     board = config.board
     text = Text()
@@ -269,7 +270,7 @@ def board_text(panel: Panel, address: str, introduction: dict[str, str], look: d
 
 
 def _confirmed(board: BoardConfig) -> str:
-    """What is not, by what is known of it instead."""
+    """Keys that are not confirmed, by their status."""
     open_: dict[str, list[str]] = {}
     for one in unconfirmed(board):
         key, _, status = one.partition(" ")
@@ -279,7 +280,7 @@ def _confirmed(board: BoardConfig) -> str:
 
 def _readings(readings: list[Any]) -> Text:
     if not readings:
-        return Text("this board tells of no alarms\n", style="dim")
+        return Text("this board reports no alarms\n", style="dim")
     return Text(
         "; ".join(
             f"{name} {'?' if value is None else f'{value:g}'}{'' if unit == '1' else f' {unit}'}"

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.options import Whole, json_option, print_json, say, stops_progress
+from inteco_abs.cli.options import Whole, json_option
+from inteco_abs.cli.terminal import print_json, say, stops_progress
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 if TYPE_CHECKING:
@@ -29,22 +30,22 @@ _FORMATS: Final = ("png", "pdf")
     default=Path("paper"),
     show_default=True,
     metavar="DIR",
-    help="Folder for figures and tables; made if there is none. Of what it has, only files of the same name change.",
+    help="Folder for figures and tables; created if missing. Files of the same name are replaced.",
 )
 @click.option(
     "--draws",
     type=Whole(1, 1000),
     default=_DRAWS,
     show_default=True,
-    help="Virtual rigs of the experiment: the first of the population capped that can hold slip 0.2.",
+    help="Simulated rigs of the experiment: the first of the population capped that can hold slip 0.2.",
 )
 @json_option
 def paper(folder: Path, draws: int, as_json: bool) -> int:
-    """Reproduce the paper: its simulation, its experiment on virtual rigs, and its claim in numbers.
+    """Reproduce the paper's simulation, experiment and claim.
 
-    Figures of three panels each (PNG and PDF, their data as CSV), and a table of its reaching law beside constant-rate
-    sliding mode control, with equal Mq and with equal reaching time (table.csv, table.md, every stop in stops.csv). The
-    same command gives the same files, byte by byte.
+    It writes figures of three panels (PNG and PDF, their data as CSV), and a table that compares the paper's reaching
+    law with constant-rate sliding mode control, at equal Mq and at equal reaching time (table.csv, table.md, every stop
+    in stops.csv). The same command gives the same files, byte by byte.
     """
     from inteco_abs.paper import reproduce
     from inteco_abs.views.figure import require_matplotlib

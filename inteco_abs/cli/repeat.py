@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from contextlib import redirect_stdout
+from dataclasses import replace
 from datetime import datetime
 from functools import partial
-from io import StringIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import click
 
@@ -19,21 +17,18 @@ from inteco_abs.cli.options import (
     INTERRUPTED,
     LOSSES,
     Finite,
+    RunOptions,
     Whole,
     json_option,
-    print_json,
     require_different,
-    say,
+    run_options,
 )
-from inteco_abs.cli.run import planned_run, run
+from inteco_abs.cli.run import brake, report_end
+from inteco_abs.cli.terminal import print_json, say
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue
 
 _COOL_DOWN_S: Final = 30.0
 """What the manual asks for after a switch-off for heat (docs/facts/rig.md#how-the-rig-is-run)."""
-_OWN: Final = ("out", "figure", "as_json", "wire", "frames", "dry_run")
-"""Options of `run` that are for one stop, or that a series has of its own."""
-_NOT_PLANNED: Final = ("live", "quiet")
-"""Options of `run` that say nothing of what is done."""
 _WORDS: Final = {
     0: "completed",
     LOSSES: "completed, with overruns or losses",
@@ -52,25 +47,23 @@ _WORDS: Final = {
     help=f"Seconds for the brake to cool between stops; default: {_COOL_DOWN_S:g} on a real board, else 0.",
 )
 @click.option("--figure", type=FILE, help="Also draw all stops over one another: .png, .svg or .pdf.")
+@run_options()
 @dry_run_option
 @json_option
-@click.pass_context
 def repeat(
-    context: click.Context,
-    /,
     count: int,
     folder: Path | None,
     pause_s: float | None,
     figure: Path | None,
+    options: RunOptions,
     dry_run: bool,
     as_json: bool,
-    **choices: Any,
 ) -> int:
-    """Brake N times, and say how much the stops differ.
+    """Brake N times and show how much the stops differ.
 
-    Takes the options of `run`. Each stop is a session, and the mock board's seed rises by one from stop to stop. The
-    series ends with the first stop that is not completed, and tells what there is by then. Exit codes: that of such a
-    stop (5 safety stop, 130 interrupted), 3 if stops had overruns or losses, else 0.
+    Each stop is a session, and the mock board's seed rises by one from stop to stop. The series ends with the first
+    stop that does not complete; its results so far are printed. Exit codes: that of such a stop (5 safety stop, 130
+    interrupted), 3 if stops had overruns or losses, else 0.
     """
     from inteco_abs.boards import simulated
     from inteco_abs.sessions import ensured_directory
@@ -78,25 +71,20 @@ def repeat(
 
     places: list[Condition] = [partial(check_figure, figure)] if figure is not None else []
     places.append(partial(require_different, {"--out": folder, "--figure": figure}))
-    pause_s = pause_s if pause_s is not None else 0.0 if simulated(choices["board"]) else _COOL_DOWN_S
+    pause_s = pause_s if pause_s is not None else 0.0 if simulated(options.board) else _COOL_DOWN_S
     folder = folder or Path("sessions") / f"series-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}"
     if dry_run:
-        return _rehearse(count, folder, pause_s, places, choices, as_json=as_json)
+        return _rehearse(count, folder, pause_s, places, options, as_json=as_json)
     for condition in places:
         condition()
     with ensured_directory(folder, new=True):
-        worst, paths = _brake(context, count, folder, pause_s, choices)
-    _tell(paths, figure, as_json=as_json)
+        worst, paths = _brake(count, folder, pause_s, options)
+    _report(paths, figure, as_json=as_json)
     return worst
 
 
-repeat.params.extend(parameter for parameter in run.params if parameter.name not in _OWN)
-
-
-def _brake(
-    context: click.Context, count: int, folder: Path, pause_s: float, choices: Mapping[str, Any]
-) -> tuple[int, list[Path]]:
-    """The series: the worst exit code, and the sessions that there are."""
+def _brake(count: int, folder: Path, pause_s: float, options: RunOptions) -> tuple[int, list[Path]]:
+    """The series: the worst exit code, and the sessions that it recorded."""
     worst, paths = 0, list[Path]()
     for number in range(count):
         if number and pause_s:
@@ -106,25 +94,24 @@ def _brake(
             except KeyboardInterrupt:
                 return INTERRUPTED, paths
         path = _session(folder, number + 1, count)
-        stop = {**choices, "seed": choices["seed"] + number, "out": path, "as_json": True}
-        with redirect_stdout(StringIO()):  # one card each would be too much
-            code = context.invoke(run, **stop)
+        rig, plan = replace(options, seed=options.seed + number).plan(path)
+        stop = brake(rig, plan, options)
+        report_end(stop)
         if path.exists():
             paths.append(path)
-        say(f"{path}: {_WORDS.get(code, f'ended with exit code {code}')}", err=True)
-        worst = max(worst, code)
-        if code not in {0, LOSSES}:
+        say(f"{path}: {_WORDS.get(stop.exit_code, f'ended with exit code {stop.exit_code}')}", err=True)
+        worst = max(worst, stop.exit_code)
+        if stop.exit_code not in {0, LOSSES}:
             break
     return worst, paths
 
 
 def _rehearse(
-    count: int, folder: Path, pause_s: float, places: list[Condition], choices: Mapping[str, Any], *, as_json: bool
+    count: int, folder: Path, pause_s: float, places: list[Condition], options: RunOptions, *, as_json: bool
 ) -> int:
     places.insert(0, partial(_check_new, folder))
-    options = {name: value for name, value in choices.items() if name not in _NOT_PLANNED}
     try:
-        rig, plan = planned_run(**options, out=_session(folder, 1, count))
+        rig, plan = options.plan(_session(folder, 1, count))
     except ConfigError as error:
         raise refuse_together(places, error) from error
     return rehearse([Planned(rig, plan, count)], places, pause_s=pause_s, as_json=as_json)
@@ -142,8 +129,8 @@ def _session(folder: Path, number: int, count: int) -> Path:
     return folder / f"stop-{number:0{len(str(count))}}.mcap"
 
 
-def _tell(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
-    """Statistics over the stops that there are, and their curves."""
+def _report(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
+    """Print statistics over the recorded stops, and draw their curves."""
     from rich.console import Console
 
     from inteco_abs.analysis.statistics import statistics

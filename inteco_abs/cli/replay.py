@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, json_option, known_controllers, print_json, read_whole, say
+from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, json_option, known_controllers
+from inteco_abs.cli.session_files import read_whole
+from inteco_abs.cli.terminal import print_json, say
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 if TYPE_CHECKING:
@@ -27,19 +29,18 @@ if TYPE_CHECKING:
     "tolerances",
     multiple=True,
     metavar="FIELD=ABS[:REL[:LEAD_S[:LAG_S]]]",
-    help="How far an output may be from the logged one, as in brake=1e-9:1e-6, or how early and late a flag may come, "
-    "as in phase=::0.002:0.002; * is every output. May be repeated.",
+    help="Tolerance of an output, as in brake=1e-9:1e-6, or of the time of a flag, as in phase=::0.002:0.002; "
+    "* means every output. May be repeated.",
 )
 @json_option
 def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_json: bool) -> int:
-    """Run the decisions of a session again and compare them bit for bit.
+    """Repeat a session's decisions and compare them bit for bit.
 
-    With --tol, what is nearer to the log than max(ABS, REL*|logged|) differs in nothing, nor does what is as near to
-    a value that was logged up to LEAD_S later or LAG_S earlier. All other outputs must agree exactly, and so must the
-    gains that the session has recorded.
+    With --tol, an output agrees if it is within max(ABS, REL*|logged|) of the logged value, or of a value logged up
+    to LEAD_S later or LAG_S earlier. All other outputs must agree exactly, and so must the recorded gains.
 
-    Exit codes: 0 all agrees, 3 all agrees as far as the file goes, which was cut or has a gap, 4 something differs,
-    1 the session cannot be used, 2 wrong usage.
+    Exit codes: 0 all agrees, 3 all agrees up to a gap or the end of a cut file, 4 something differs, 1 the session
+    cannot be used, 2 wrong usage.
     """
     from dataclasses import asdict
 
@@ -71,7 +72,7 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     else:
         _print_replay(file, outcome, gains)
     if left_out:
-        say(f"inteco-abs: {file}: {left_out} ticks behind a gap cannot be replayed", err=True)
+        say(f"inteco-abs: {file}: {left_out} ticks after a gap cannot be replayed", err=True)
     return DIFFERS if outcome.differing or gains else LOSSES if session.incomplete or left_out else 0
 
 
@@ -80,8 +81,8 @@ def controllers_for(session: Session, controller: str | None) -> Controllers:
     from inteco_abs.plugins import FROM_FILE, Controllers
 
     controllers = known_controllers(controller)
-    told = session.metadata.get("controller", {})
-    name, package = told.get("name", ""), told.get("package", "")
+    recorded = session.metadata.get("controller", {})
+    name, package = recorded.get("name", ""), recorded.get("package", "")
     if controller is not None:
         if controller not in controllers:
             raise ConfigError(
@@ -96,16 +97,19 @@ def controllers_for(session: Session, controller: str | None) -> Controllers:
         problem = f"the session was run with {name!r} of the package {package!r}, which is not installed; install it"
         raise ConfigError([ConfigIssue("--controller", problem)])
     if name in controllers:
-        _tell_of_another(controllers.origin(name), session.attachments.get("controller.py"), package)
+        _report_other(controllers.origin(name), session.attachments.get("controller.py"), package)
     return controllers
 
 
-def _tell_of_another(origin: Origin, source: bytes | None, package: str) -> None:
-    """Say so if the controller is not what the session was run with."""
+def _report_other(origin: Origin, source: bytes | None, package: str) -> None:
+    """Warn if the controller is not the one that the session was run with."""
     if package not in {"", origin.package}:
-        say(f"inteco-abs: the session was run with {package}, and this is {origin.package or 'another'}", err=True)
+        say(
+            f"inteco-abs: the session was run with {package}; this is {origin.package or 'another controller'}",
+            err=True,
+        )
     if source not in {None, origin.source}:
-        say("inteco-abs: the controller's source is not the one that the session was run with", err=True)
+        say("inteco-abs: the controller's source differs from the session's", err=True)
 
 
 def _print_replay(file: Path, outcome: Replay, gains: Mapping[str, Any]) -> None:
@@ -115,7 +119,7 @@ def _print_replay(file: Path, outcome: Replay, gains: Mapping[str, Any]) -> None
     within = f", {max(outcome.tolerated.values())} within their tolerance" if outcome.tolerated else ""
     if outcome.first is None:
         ticks = f"{outcome.ticks} ticks ({outcome.braking_ticks} braking)"
-        say(f"{file}: {ticks} replayed, none differs{within}")
+        say(f"{file}: {ticks} replayed, none differ{within}")
     else:
         first = outcome.first
         say(f"{file}: {outcome.differing} of {outcome.ticks} ticks differ, first at tick {first.tick}: {first.field}")

@@ -1,4 +1,4 @@
-"""The verb `report`: a session, or several beside one another, as a page for the browser."""
+"""The verb `inteco-abs report`."""
 
 from __future__ import annotations
 
@@ -6,19 +6,22 @@ from pathlib import Path
 
 import click
 
-from inteco_abs.cli.options import FILE, LOSSES, read_whole, say
+from inteco_abs.cli.options import FILE, LOSSES
+from inteco_abs.cli.session_files import read_whole
+from inteco_abs.cli.terminal import say
 
 
 @click.command()
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
 @click.option(
-    "--out", "-o", type=FILE, help="Page to write, .html; default: FILE with .html, of several comparison.html."
+    "--out", "-o", type=FILE, help="Page to write (.html); default: FILE with .html, or comparison.html for several."
 )
 def report(files: tuple[Path, ...], out: Path | None) -> int:
-    """Make one HTML page of a session, or of several to compare: card, plots, gains, warnings, commands.
+    """Write one HTML page about one or more sessions.
 
-    The page holds everything that it needs and loads nothing: it can be kept beside the session, mailed and printed.
-    Needs the extra `report`, and `figures` for the figure that is printed in place of the plots.
+    It shows card, plots, gains, warnings and commands. The page loads nothing else: you can keep it beside the
+    session, mail it and print it. Needs the extra `report`, and `figures` for the figure that replaces the plots in
+    print.
     """
     from inteco_abs.sessions import read_session
     from inteco_abs.views.report import check_report, write_report

@@ -1,36 +1,23 @@
-"""Who shows a run while it lasts: the whole picture, a line, or nobody."""
+"""The display of a run while it lasts: a full screen, one line, or none."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import click
-
-from inteco_abs.cli.options import on_terminal, say
+from inteco_abs.cli.terminal import on_terminal, say
 
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
     from inteco_abs.realtime.screen import Screen
 
 
-def live_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`--live` and `--quiet`."""
-    quiet = click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors and warnings.")
-    live = click.option(
-        "--live",
-        type=click.Choice(("full", "line", "none")),
-        help="How to show the run while it lasts; default: what the terminal has room for.",
-    )
-    return live(quiet(function))
-
-
 @contextmanager
 def screen_of(config: RigConfig, choice: str | None, *, virtual: bool, quiet: bool) -> Iterator[Screen]:
-    """Live picture on a terminal's stderr; elsewhere, or if nobody wants it, a line where a run in real time begins."""
+    """Live picture on a terminal's stderr; elsewhere, or if not wanted, a line where a run in real time begins."""
     if quiet or choice == "none" or not on_terminal(sys.stderr) or os.environ.get("TERM") == "dumb":
         from inteco_abs.realtime.screen import Lines
 

@@ -8,9 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor
 from contextlib import contextmanager, redirect_stdout
-from multiprocessing import parent_process
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
@@ -25,14 +23,15 @@ from inteco_abs.cli.options import (
     check_table,
     json_option,
     known_controllers,
-    print_json,
     require_different,
-    say,
-    stops_progress,
+    shared_option,
 )
+from inteco_abs.cli.terminal import print_json, say, stops_progress
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from inteco_abs.montecarlo import Combination, SampleSet, SweepRow
     from inteco_abs.plugins import Controllers
 
@@ -40,7 +39,7 @@ _SMALLEST_SHARD: Final = 5
 _SHARDS_PER_JOB: Final = 4
 """At least, so that no process is left waiting long for the last one."""
 _NARROWEST: Final = 80
-"""Columns of a table: a narrower terminal wraps it, where cutting it off would take names and digits away."""
+"""Columns of a table: a narrower terminal wraps the lines, where cutting them off would lose names and digits."""
 
 
 @click.command()
@@ -50,16 +49,16 @@ _NARROWEST: Final = 80
     default=("hard:0-99",),
     show_default=True,
     metavar="POPULATION:FIRST-LAST",
-    help="Virtual rigs: draws of nominal, hard, rough, late, slow or capped, by their seeds. May be repeated.",
+    help="Simulated rigs: samples of nominal, hard, rough, late, slow or capped, by seed; may be repeated.",
 )
 @click.option(
-    "--controller", multiple=True, shell_complete=controller_names, help="As for run; several with commas, or repeated."
+    "--controller", multiple=True, shell_complete=controller_names, help="As for run; several by commas or repeated."
 )
 @click.option(
     "--estimator",
     multiple=True,
     shell_complete=estimator_names,
-    help="Likewise; ideal, too, which knows the true slip.",
+    help="As for run, or ideal, which knows the true slip; several by commas or repeated.",
 )
 @click.option(
     "--set",
@@ -67,13 +66,13 @@ _NARROWEST: Final = 80
     multiple=True,
     shell_complete=key_names,
     metavar="KEY=VALUE,VALUE...",
-    help="Over the file, as in controller.gains.Mk=2,5,10: all combinations. A gain is for those that have it.",
+    help="Override a key, as in controller.gains.Mk=2,5,10: all combinations; a gain applies to controllers with it.",
 )
-@click.option("--config", type=FILE, help="rig.toml; every key has a default.")
-@click.option("--no-run-up", is_flag=True, help="Begin at the start speed with rolling wheels, without drive.")
-@click.option("--jobs", type=Whole(1, 1024), help="Processes; default: as many as there are cores.")
-@click.option("--csv", "table", type=FILE, help="Also write every stop: one line each.")
-@click.option("--figure", type=FILE, help="Also draw which share of stops has which slip RMS: .png, .svg or .pdf.")
+@shared_option("config")
+@click.option("--no-run-up", is_flag=True, help="Begin at the start speed with rolling wheels and no drive.")
+@click.option("--jobs", type=Whole(1, 1024), help="Number of processes; default: one per core.")
+@click.option("--csv", "table", type=FILE, help="Also write one line per stop (.csv).")
+@click.option("--figure", type=FILE, help="Also draw the distribution of slip RMS over the stops: .png, .svg or .pdf.")
 @json_option
 def sweep(
     rigs: tuple[str, ...],
@@ -87,11 +86,11 @@ def sweep(
     figure: Path | None,
     as_json: bool,
 ) -> int:
-    """Compare controllers, gains and estimators on many virtual rigs.
+    """Compare controllers on many simulated rigs.
 
-    Every combination brakes every rig once, from the start speed to standstill, with the true slip as judge. Of the
-    guard only its brake limit is part of that; rigs of the population capped have one of their own. Of these, only
-    those count that can hold slip 0.2 with 0.5 N m to spare.
+    Every combination of controllers, gains and estimators brakes every rig once, from the start speed to standstill,
+    and is judged by the true slip. Of the guard only the brake limit applies; rigs of the population capped have
+    their own, and only those that can hold slip 0.2 with a margin of 0.5 N m count.
     """
     from inteco_abs.montecarlo import combinations, parse_draws
     from inteco_abs.montecarlo import sweep as sweep_all
@@ -103,14 +102,14 @@ def sweep(
     chosen = [f"controller.name={name}" for name in controller] + [f"estimator.name={name}" for name in estimator]
     grid = combinations([*settings, *chosen], controllers, config)
     require_different({"--csv": table, "--figure": figure})
-    _insist_on_own_rigs(grid, draws)
+    _require_no_rig(grid, draws)
     check_table(table)
     if figure is not None:
         check_figure(figure)
-    _tell_of_left_out(draws)
+    _report_left_out(draws)
     stops = len(grid) * sum(len(each.rigs) for each in draws)
     jobs = min(jobs or _cores(), -(-stops // _SMALLEST_SHARD))
-    say(f"combinations: {len(grid)}, stops to brake: {stops}; Ctrl-C gives up without a result", err=True)
+    say(f"combinations: {len(grid)}, stops to brake: {stops}; Ctrl-C ends without a result", err=True)
     began = time.monotonic()
     with redirect_stdout(sys.stderr), _processes(jobs) as executor, stops_progress() as progress:
         rows = sweep_all(
@@ -136,11 +135,11 @@ def sweep(
 
         draw_sweep(rows, figure)
         say(f"figure: {figure}", err=True)
-    return _tell_of_errors(rows)
+    return _report_errors(rows)
 
 
 def _controllers(names: Sequence[str]) -> tuple[Controllers, dict[str, bytes]]:
-    """All there are to choose from, and the sources of the user's own."""
+    """All known controllers, and the sources of the user's own."""
     from inteco_abs.montecarlo import split_list
     from inteco_abs.plugins import FROM_FILE
     from inteco_abs.plugins import Controllers as Known
@@ -153,34 +152,34 @@ def _controllers(names: Sequence[str]) -> tuple[Controllers, dict[str, bytes]]:
     return Known(own), {name: origin.source for name, (_, origin) in own.items()}
 
 
-def _insist_on_own_rigs(grid: Sequence[Combination], draws: Sequence[SampleSet]) -> None:
-    """The rigs are those of --rigs, whatever [simulation] says, and have encoders of their own."""
+def _require_no_rig(grid: Sequence[Combination], draws: Sequence[SampleSet]) -> None:
+    """Raise ConfigError if the configuration describes a rig, as --rigs does."""
     from inteco_abs.config import SimulationConfig
 
     mistakes = []
     if any(one.config.simulation != SimulationConfig() for one in grid):
         mistakes.append(ConfigIssue("simulation", "a sweep brakes the rigs of --rigs; leave this section out"))
-    believed = {one.config.encoders.counts_per_turn for one in grid}
+    configured = {one.config.encoders.counts_per_turn for one in grid}
     drawn = {rig.road_encoder.counts_per_turn for each in draws for rig in each.rigs}
-    if believed != drawn:
-        shown = ", ".join(map(str, sorted(believed - drawn)))
+    if configured != drawn:
+        shown = ", ".join(map(str, sorted(configured - drawn)))
         mistakes.append(ConfigIssue("encoders.counts_per_turn", f"{shown}: these rigs have {max(drawn)}; leave it out"))
     if mistakes:
         raise ConfigError(mistakes)
 
 
-def _tell_of_left_out(draws: Sequence[SampleSet]) -> None:
+def _report_left_out(draws: Sequence[SampleSet]) -> None:
     for each in draws:
         if each.left_out:
             count = len(each.left_out) + len(each.seeds)
             say(
-                f"inteco-abs: {each.name}: {len(each.left_out)} of {count} rigs are left out, as they cannot hold slip "
-                f"0.2 with 0.5 N m to spare: seeds {', '.join(map(str, each.left_out))}",
+                f"inteco-abs: {each.name}: {len(each.left_out)} of {count} rigs are left out: they cannot hold slip "
+                f"0.2 with a margin of 0.5 N m: seeds {', '.join(map(str, each.left_out))}",
                 err=True,
             )
 
 
-def _tell_of_errors(rows: Sequence[SweepRow]) -> int:
+def _report_errors(rows: Sequence[SweepRow]) -> int:
     """One line for each row with stops that failed; the exit code."""
     code = 0
     for row in rows:
@@ -196,7 +195,7 @@ def _tell_of_errors(rows: Sequence[SweepRow]) -> int:
 
 
 def _cores() -> int:
-    """Those that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -208,7 +207,7 @@ def _shard(stops: int, jobs: int) -> int:
 
 @contextmanager
 def _processes(jobs: int) -> Iterator[Executor | None]:
-    """That many, or none if this process is to do it by itself."""
+    """A pool of this many processes; None if this process is enough."""
     if jobs == 1:
         yield None
         return
@@ -231,7 +230,7 @@ def _processes(jobs: int) -> Iterator[Executor | None]:
 def _begin_worker() -> None:
     """Ctrl-C is for the parent, which then gives no more work; prints are not part of the result.
 
-    Nothing else tells a worker that its parent was killed: it would wait for work for ever.
+    A worker would otherwise not notice that its parent was killed, and wait for work for ever.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stdout = sys.stderr
@@ -239,6 +238,8 @@ def _begin_worker() -> None:
 
 
 def _end_with_parent() -> None:
+    from multiprocessing import parent_process
+
     parent = parent_process()
     if parent is not None:
         parent.join()

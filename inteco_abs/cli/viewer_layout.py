@@ -1,4 +1,4 @@
-"""The verb `inteco-abs layout`."""
+"""The verb `inteco-abs viewer-layout`."""
 
 from __future__ import annotations
 
@@ -7,19 +7,22 @@ from typing import Final
 
 import click
 
-from inteco_abs.cli.options import FILE, say
+from inteco_abs.cli.options import FILE
+from inteco_abs.cli.terminal import say
 
 _VIEWERS: Final = ("lichtblick", "plotjuggler")
 
 
-@click.command()
-@click.option("--for", "viewer", type=click.Choice(_VIEWERS), required=True, help="Viewer that is to open it.")
+@click.command("viewer-layout")
+@click.option(
+    "--for", "viewer", type=click.Choice(_VIEWERS), required=True, help="Viewer; lichtblick is also for Foxglove."
+)
 @click.option("--out", "-o", type=FILE, help="File to write; default: standard output.")
-def layout(viewer: str, out: Path | None) -> int:
-    """Write a layout with which a viewer shows sessions: speeds, slip, duties, switching function, timing, log.
+def viewer_layout(viewer: str, out: Path | None) -> int:
+    """Write a layout for Lichtblick, Foxglove or PlotJuggler.
 
-    Lichtblick, and Foxglove: Layouts, Import from file. PlotJuggler: plotjuggler --layout FILE --datafile SESSION, and
-    choose the topics /abs/tick and /sim/truth.
+    It shows speeds, slip, duties, switching function, timing and log. Lichtblick and Foxglove: Layouts, Import from
+    file. PlotJuggler: plotjuggler --layout FILE --datafile SESSION, then choose the topics /abs/tick and /sim/truth.
     """
     from inteco_abs.views.layouts import layout_of, write_layout
 

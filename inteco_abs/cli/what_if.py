@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.completion import controller_names, estimator_names, key_names
 from inteco_abs.cli.options import (
     FILE,
     LOSSES,
-    SETTING,
     Finite,
+    RunOptions,
     json_option,
     known_controllers,
-    print_json,
-    read_whole,
-    say,
+    run_options,
 )
+from inteco_abs.cli.session_files import read_whole
+from inteco_abs.cli.terminal import print_json, say
 from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.quantities import shown
 
@@ -46,61 +45,49 @@ _METRICS: Final = (
 
 @click.command("what-if")
 @click.argument("file", type=FILE)
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    type=SETTING,
-    shell_complete=key_names,
-    metavar="KEY=VALUE",
-    help="Over the session's own, as in controller.gains.Mk=5: keys of controller, estimator and model.",
+@run_options(
+    settings="Override a key of the session, as in controller.gains.Mk=5: of controller, estimator or model.",
+    controller="Another of `inteco-abs controllers`, or your own as file.py:Class.",
+    estimator="Another of `inteco-abs estimators`.",
 )
-@click.option(
-    "--controller",
-    shell_complete=controller_names,
-    help="Another of `inteco-abs controllers`, or your own as file.py:Class.",
-)
-@click.option("--estimator", shell_complete=estimator_names, help="Another of `inteco-abs estimators`.")
 @click.option(
     "--sweep",
     "sweeps",
     multiple=True,
     metavar="KEY=VALUE,VALUE...",
-    help="Each of these values, as in controller.gains.Mk=1,2,5; repeated: every value with every other.",
+    help="Try each of these values, as in controller.gains.Mk=1,2,5; if repeated, all combinations.",
 )
 @click.option(
     "--at",
     "at_s",
     type=Finite(unit="s"),
     metavar="SECONDS",
-    help="Switch that long after braking began; default: from the first tick on.",
+    help="Switch this long after braking began; default: at the first tick.",
 )
 @click.option(
     "--duty",
     default=0.01,
     show_default=True,
     type=Finite(0),
-    help="How far the duty asked for may be from the log's without having left it.",
+    help="Largest difference of the commanded duty from the log that counts as equal.",
 )
 @click.option(
     "--torque",
     default=0.1,
     show_default=True,
     type=Finite(0, unit="N m"),
-    help="Likewise the torque asked for, N m.",
+    help="Largest difference of the commanded torque that counts as equal, N m.",
 )
 @click.option(
     "--closed-loop",
     is_flag=True,
-    help="Also let the simulated rig go on from there: it reacts, and it is a simulation. Default of --at is then 0.",
+    help="Also continue in closed loop on the simulated rig; the default of --at is then 0.",
 )
 @click.option("--figure", type=FILE, help="Also draw log and alternatives: .png, .svg or .pdf.")
 @json_option
 def what_if(
     file: Path,
-    settings: tuple[str, ...],
-    controller: str | None,
-    estimator: str | None,
+    options: RunOptions,
     sweeps: tuple[str, ...],
     at_s: float | None,
     duty: float,
@@ -109,11 +96,11 @@ def what_if(
     figure: Path | None,
     as_json: bool,
 ) -> int:
-    """Ask what other gains, another controller or estimator would have asked for.
+    """Show what other gains or controllers would have commanded.
 
-    They get the logged counts, which do not react: from where their requests leave the log (the horizon), they tell
-    what would be asked for, not what would happen. With --closed-loop the rig's simulation goes on from the logged
-    state: the session's own rig if it was simulated, else the published one, and always with the same delay of a tick.
+    They get the logged counts, which do not react: after their commands leave the log (the horizon), the result is
+    what they would command, not what would happen. With --closed-loop the rig's simulation continues from the logged
+    state: the session's own rig if it was simulated, else the published one, with the same delay of one tick.
 
     Exit codes: 0 done, 3 done with a session that was cut, 1 the session cannot be used, 2 wrong usage.
     """
@@ -121,15 +108,14 @@ def what_if(
     from inteco_abs.views.figure import check_figure
     from inteco_abs.views.what_if import MOST, WhatIfTrace, draw_what_if
 
-    chosen = [f"{key}.name={name}" for key, name in (("controller", controller), ("estimator", estimator)) if name]
-    grid = list(_grid((*chosen, *settings), sweeps))
+    grid = list(_grid((*options.chosen, *options.settings), sweeps))
     if figure is not None:
         check_figure(figure)
         if len(grid) > MOST:
-            problem = f"{len(grid)} alternatives: at most {MOST} can be told apart; sweep fewer, or leave it out"
+            problem = f"{len(grid)} alternatives: a figure shows at most {MOST}; sweep fewer values, or omit --figure"
             raise ConfigError([ConfigIssue("--figure", problem)])
     session = read_whole(file, read_session)
-    controllers = known_controllers(controller)
+    controllers = known_controllers(options.controller)
     courses = [
         WhatIfTrace(name, *_ask(session, given, controllers, at_s, (duty, torque), closed_loop)) for name, given in grid
     ]
@@ -154,7 +140,7 @@ def _grid(settings: Sequence[str], sweeps: Sequence[str]) -> Iterator[tuple[str,
     if count > _MOST:
         raise ConfigError([ConfigIssue("--sweep", f"{count} alternatives: must be at most {_MOST}; give fewer values")])
     if not (settings or axes):
-        problem = "nothing was asked; name other gains, as controller.gains.Mk=5, or a --controller or --estimator"
+        problem = "nothing to compare: name other gains, as controller.gains.Mk=5, or a --controller or --estimator"
         raise ConfigError([ConfigIssue("--set", problem)])
     for values in product(*axes):
         yield ", ".join(values or settings), [*settings, *values]
@@ -192,7 +178,7 @@ def _continued(session: Session, other: RigConfig, controllers: Controllers, at_
 
 
 def _own_error(session: Session, controllers: Controllers, at_s: float | None) -> dict[str, Any] | None:
-    """How far the simulation leaves the log with the session's own controller; None if that is not at hand."""
+    """How far the simulation leaves the log with the session's own controller; None if that is not available."""
     from inteco_abs.analysis.closed_loop import distance
     from inteco_abs.sessions import session_config
 
@@ -255,10 +241,12 @@ def _print(report: dict[str, Any]) -> None:
     Console(markup=False, highlight=False).print(render_what_if(report))
     simulation = report.get("simulation")
     if simulation is None:
-        say("open loop: the logged counts do not react; beyond the horizon it is not what would have happened")
+        say("open loop: the logged counts do not react; after the horizon this is not what would have happened")
         return
     own = simulation["own_error"]
-    error = "not at hand" if own is None else ", ".join(f"{name} {shown(value, '.4g')}" for name, value in own.items())
+    error = (
+        "not available" if own is None else ", ".join(f"{name} {shown(value, '.4g')}" for name, value in own.items())
+    )
     say(
         f"closed loop: a SIMULATION of the rig {simulation['rig']} from tick {simulation['from_tick']} on, its state "
         f"from the {simulation['state_from']}; with the session's own controller it leaves the log by: {error}"

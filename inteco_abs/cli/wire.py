@@ -1,4 +1,4 @@
-"""The verbs of `inteco-abs wire`: captures of what passes between a host and the board, also those in a session."""
+"""The verb `inteco-abs wire`: import, show, changes, diff, replay."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.options import DIFFERS, FILE, SETTING, VerbGroup, Whole, json_option, print_json, say
+from inteco_abs.cli.options import DIFFERS, FILE, RunOptions, VerbGroup, Whole, json_option, run_options
+from inteco_abs.cli.terminal import print_json, say
 from inteco_abs.errors import ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
@@ -19,21 +20,26 @@ _SCHEMA: Final = 1
 _MOST_SHOWN: Final = 20
 
 
-@click.group(cls=VerbGroup)
+@click.group(cls=VerbGroup, aliases={"moved": "changes"})
 def wire() -> None:
-    """Captures of what passes between a host and the board.
+    """Import, show, compare and replay captures of a board.
 
-    A session that was recorded with --frames stands for its own capture.
+    A capture holds the messages between a host and the board; a session recorded with --frames is a capture too.
     """
 
 
 @wire.command("import")
 @click.argument("file", type=FILE)
 @click.option("--out", "-o", type=FILE, required=True, help="Capture to write, as JSON lines.")
-@click.option("--device", default="", metavar="BUS.ADDR", help="The board, if several devices talk like one.")
-@click.option("--protocol", metavar="NAME", help="How it talks, as in usb1-111; default: usb2.")
+@click.option(
+    "--device", default="", metavar="BUS.ADDR", help="Bus and address of the board, if several devices qualify."
+)
+@click.option("--protocol", metavar="NAME", help="Protocol of the board, as in usb1-111; default: usb2.")
 def import_(file: Path, out: Path, device: str, protocol: str | None) -> int:
-    """Take the board's messages out of a session, or a Wireshark capture (usbmon or USBPcap, pcap or pcapng)."""
+    """Import the board's messages from a session or a pcap.
+
+    Wireshark captures are pcap or pcapng, of usbmon or USBPcap.
+    """
     from inteco_abs.wire.capture import Kind, check_target, write_capture
     from inteco_abs.wire.pcap import import_pcap
 
@@ -51,7 +57,7 @@ def import_(file: Path, out: Path, device: str, protocol: str | None) -> int:
 @click.argument("file", type=FILE)
 @json_option
 def show(file: Path, as_json: bool) -> int:
-    """What a capture holds: messages, rates, failures, and which board it was."""
+    """Show the messages, rates, failures and board of a capture."""
     from inteco_abs.wire.summary import summarize
 
     capture = _read(file)
@@ -78,11 +84,11 @@ def show(file: Path, as_json: bool) -> int:
 
 
 def _show_report(file: Path, capture: Capture, report: BoardReport, *, as_json: bool) -> int:
-    """Everything that is in it: whoever passes it on has to be able to see that."""
+    """Everything that the report holds, so that you can see what you pass on."""
     images = [record.data.hex() for record in capture.records if record.kind == "in"]
     if as_json:
-        told = report.model_dump(mode="json", exclude_defaults=True)
-        _print_json({"capture": str(file), "board": capture.board, "report": told, "images": images})
+        facts = report.model_dump(mode="json", exclude_defaults=True)
+        _print_json({"capture": str(file), "board": capture.board, "report": facts, "images": images})
         return 0
     parts = {"board": capture.board, "recorded by": capture.recorded_by}
     for name, part in report.model_dump(mode="json", exclude_defaults=True).items():
@@ -95,8 +101,11 @@ def _show_report(file: Path, capture: Capture, report: BoardReport, *, as_json: 
 @wire.command()
 @click.argument("file", type=FILE)
 @json_option
-def moved(file: Path, as_json: bool) -> int:
-    """Which words moved during a capture, the likeliest one first: for finding what a slider does."""
+def changes(file: Path, as_json: bool) -> int:
+    """List the words that changed during a capture.
+
+    The most significant one is first, to find what a slider does.
+    """
     from inteco_abs.wire.changed_words import moved_words
     from inteco_abs.wire.summary import caution
 
@@ -115,7 +124,7 @@ def moved(file: Path, as_json: bool) -> int:
     if doubt:
         say(f"inteco-abs: {doubt}", err=True)
     if not words:
-        say(f"{file}: no word of any frame moved")
+        say(f"{file}: no word of any frame changed")
         return 0
     rows = [
         (
@@ -124,7 +133,7 @@ def moved(file: Path, as_json: bool) -> int:
             f"0x{word.bits:04X}",
             f"{word.minimum}..{word.maximum}",
             str(word.distinct),
-            "always moving" if word.restless else f"{word.changes} times, {word.alone:.0%} alone",
+            "always changing" if word.restless else f"{word.changes} times, {word.alone:.0%} alone",
             word.course,
             f"{word.first_s:.3f}..{word.last_s:.3f}",
             ", ".join(word.fields),
@@ -142,12 +151,15 @@ def moved(file: Path, as_json: bool) -> int:
     "--numbering-pwm",
     type=Whole(0),
     metavar="CHANNEL",
-    help="Ignore the prescaler of this PWM channel, by which our frames are numbered.",
+    help="Ignore the prescaler of this PWM channel, which numbers our frames.",
 )
 @click.option("--ignore", multiple=True, metavar="FIELD", help="Ignore another field.")
 @json_option
 def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str, ...], as_json: bool) -> int:
-    """Compare the SEND frames of two captures, the n-th with the n-th; ends with exit code 4 if they differ."""
+    """Compare the SEND frames of two captures.
+
+    It compares the n-th with the n-th. Ends with 4 if they differ.
+    """
     from inteco_abs.wire.changed_words import compare_sends
 
     ignored = [*ignore, *([] if numbering_pwm is None else [f"pwm{numbering_pwm}_prescaler"])]
@@ -182,23 +194,18 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
 
 @wire.command()
 @click.argument("file", type=FILE)
-@click.option("--config", type=FILE, help="rig.toml that names the board's profile.")
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    type=SETTING,
-    metavar="KEY=VALUE",
-    help="Over the file, as in profile=usb1_0111.",
-)
+@run_options("config", settings="Override a key of the configuration, as in profile=usb1_0111.")
 @json_option
-def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: bool) -> int:
-    """Let our driver do what the capture shows, and compare every message; ends with exit code 4 if they differ."""
+def replay(file: Path, options: RunOptions, as_json: bool) -> int:
+    """Replay a capture with the driver and compare every message.
+
+    Ends with 4 if they differ.
+    """
     from inteco_abs.config import load_config
     from inteco_abs.wire.replay import profile_for, replay_wire
 
     capture = _read(file)
-    outcome = replay_wire(capture, load_config(config, settings, profile=profile_for(capture)))
+    outcome = replay_wire(capture, load_config(options.config, options.settings, profile=profile_for(capture)))
     if as_json:
         differences = [one._asdict() for one in outcome.differences]
         _print_json({"capture": str(file), **outcome._asdict(), "differences": differences})
@@ -212,7 +219,7 @@ def replay(file: Path, config: Path | None, settings: tuple[str, ...], as_json: 
         if outcome.differing > _MOST_SHOWN:
             say(f"  and {outcome.differing - _MOST_SHOWN} more; --json has {len(outcome.differences)}")
         if outcome.ended:
-            say(f"  the capture could not be followed to its end: {outcome.ended}")
+            say(f"  the capture could not be replayed to its end: {outcome.ended}")
     return DIFFERS if outcome.differing or outcome.ended else 0
 
 
@@ -223,7 +230,7 @@ def _read(file: Path) -> Capture:
 
 
 def _of_session(file: Path) -> Capture | None:
-    """The raw frames of a session; None if the file is none."""
+    """The raw frames of a session; None if the file is not a session."""
     from inteco_abs.sessions import is_session_file, read_frames
 
     return read_frames(file) if is_session_file(file) else None

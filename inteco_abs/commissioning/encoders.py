@@ -1,4 +1,4 @@
-"""Step 4: the wheels are turned by hand, and tell which encoder is whose, its sign and its counts per turn."""
+"""Step 4: turning the wheels by hand gives each encoder's channel, sign and counts per turn."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def turn_wheels(visit: StepContext) -> Facts:
     """Upper wheel, then lower; the draft gets channels, signs and counts per turn."""
     visit.person.tell(
         "  Power interface off. Lift the balance lever, so that the wheels do not touch. Forwards is as the drive\n"
-        "  turns them: where they touch, both rims move the same way, so seen from one side they turn against each "
-        "other."
+        "  turns them: where they touch, both rims move the same way, so seen from one side they turn in opposite "
+        "directions."
     )
     with open_for_reading(visit) as board:
         require_same_board(board, visit.draft.config)
@@ -44,7 +44,7 @@ def turn_wheels(visit: StepContext) -> Facts:
     if wheel.per_turn != road.per_turn:
         raise ProbeError(
             f"{wheel.per_turn} counts per turn on the upper wheel, {road.per_turn} on the lower: a configuration has "
-            "one number for both; if the encoders are the same, the turns were miscounted"
+            "one number for both; if the encoders are the same, you miscounted the turns"
         )
     _write(visit, wheel, road)
     found = {name: one._asdict() | {"turned": one.turned.counts} for name, one in (("wheel", wheel), ("road", road))}
@@ -52,11 +52,11 @@ def turn_wheels(visit: StepContext) -> Facts:
 
 
 def _turn(visit: StepContext, board: Board, which: Wheel, other: _Encoder | None) -> _Encoder:
-    """One wheel, again if it was not clear."""
+    """One wheel, repeated while the result is unclear."""
     trouble = ""
     for _ in range(_TRIALS):
         wait_for(visit.person, f"Ready to turn the {_NAMES[which]} wheel, and no other, {TURNS} full turns forwards?")
-        visit.person.tell("  turn it now; the count ends when all has been at rest for three seconds")
+        visit.person.tell("  turn it now; counting ends after three seconds at rest")
         visit.bench.turned(which)
         try:
             return _understood(visit, watch(visit.bench, board, visit.person), other)
@@ -71,23 +71,25 @@ def _understood(visit: StepContext, turned: HandTurn, other: _Encoder | None) ->
         raise Unclear(f"channel {turned.channel} is the upper wheel's: turn the lower wheel")
     visit.person.tell(f"  channel {turned.channel}: {turned.counts:+d} counts")
     sign = 1 if turned.counts > 0 else -1
-    question = "It counted down. Was the wheel really turned forwards, the way the drive turns it?"
+    question = "It counted down. Did you turn the wheel forwards, the way the drive turns it?"
     if sign < 0 and not agree(visit.person, question):
-        raise Unclear("it was turned backwards")
+        raise Unclear("you turned it backwards")
     return _Encoder(turned.channel, sign, _per_turn(visit, turned), turned)
 
 
 def _per_turn(visit: StepContext, turned: HandTurn) -> int:
-    """Counts per turn; what neither the turns nor the profile lead one to expect is asked about."""
-    believed = visit.draft.config.encoders.counts_per_turn
+    """Counts per turn; asks the operator if they are neither usual nor those of the profile."""
+    configured = visit.draft.config.encoders.counts_per_turn
     found = counts_per_turn(turned.counts)
-    if found == believed:
+    if found == configured:
         return found
-    told = (
-        f"{found} counts per turn, and the profile says {believed}" if found else "no usual number of counts per turn"
+    result = (
+        f"{found} counts per turn, and the profile says {configured}"
+        if found
+        else "an unusual number of counts per turn"
     )
-    visit.person.tell(f"  {TURNS} turns would make {told}")
-    turns = ask_for(visit.person, "How many full turns were made?", _positive, "a number of turns, such as 10")
+    visit.person.tell(f"  {TURNS} turns would give {result}")
+    turns = ask_for(visit.person, "How many full turns did you make?", _positive, "a number of turns, such as 10")
     found = counts_per_turn(turned.counts, turns)
     if found is not None:
         return found

@@ -1,4 +1,4 @@
-"""Before anything is written to a board: what that would change, word by word, and whether the person wants it."""
+"""Before anything is written to a board: what that changes, word by word, and the operator's consent."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def agree_on_first_write(visit: StepContext, config: RigConfig) -> dict[str, lis
     with visit.bench.open(config).reading() as board:
         board.insist()
         planned = board.first_write()
-    _insist_on_others_off(planned)
+    _require_others_off(planned)
     # as JSON will give it back
     shown = [{**one._asdict(), "names": list(one.names)} for one in planned if one.remark is not Remark.NUMBER]
     agreed = [one for facts in visit.draft.results.values() for one in facts.get(_NAME, [])]
@@ -37,21 +37,21 @@ def agree_on_first_write(visit: StepContext, config: RigConfig) -> dict[str, lis
     return {_NAME: shown}
 
 
-def _insist_on_others_off(planned: Sequence[PlannedWord]) -> None:
-    """Before a signature nobody vouches for where the motors hang: no other channel may run on."""
+def _require_others_off(planned: Sequence[PlannedWord]) -> None:
+    """Before the sign-off, the channels of the motors are not certain: no other channel may stay on."""
     running = [name for one in planned if one.remark is Remark.RUNS for name in one.names]
     if running:
         keys = ", ".join(f"{name} = 0" for name in running)
         raise ProbeError(
             f"PWM channels that the profile does not use are on: {', '.join(running)}. {STILL_ON}, then switch the "
-            f"board off and on; or state in [board.constants] what they shall be, as in {keys}"
+            f"board off and on; or set them in [board.constants], as in {keys}"
         )
 
 
 def _table(changes: Sequence[PlannedWord], kept: Sequence[PlannedWord]) -> str:
     lines = [f"  {len(changes)} words of the board change with the first write (now -> then):", *map(_row, changes)]
     if kept:
-        lines += [f"  {len(kept)} words that are not known go back as they were read:", *map(_row, kept)]
+        lines += [f"  {len(kept)} unknown words are written back as they were read:", *map(_row, kept)]
     return "\n".join(lines)
 
 

@@ -25,7 +25,7 @@ _BEGUN_COUNTS: Final = 256
 _ALSO_MOVED: Final = 0.2
 _TO_AND_FRO: Final = 0.9
 _NEAR: Final = 0.04
-"""Share by which ten turns by hand may be off."""
+"""Relative error of ten turns by hand."""
 
 
 class HandTurn(NamedTuple):
@@ -36,14 +36,14 @@ class HandTurn(NamedTuple):
     """Signed."""
 
 
-class Unclear(Exception):  # noqa: N818  no error yet: the person may turn again
-    """What was seen says nothing, and what to do about it."""
+class Unclear(Exception):  # noqa: N818  not yet an error: the operator may turn again
+    """The counts are ambiguous; the text says why and what to do."""
 
 
 def watch(bench: RigAccess, board: Board, person: Operator) -> HandTurn:
     """The channel that counted while one wheel was turned, once all have rested for three seconds.
 
-    Raises Unclear if it cannot be told which, LinkError if the board stops to answer, ProbeError after three minutes.
+    Raises Unclear if that is ambiguous, LinkError if the board stops answering, ProbeError after three minutes.
     """
     names = {int(match[1]): name for name in board.survey().values if (match := _CHANNEL.fullmatch(name))}
     before = read_patiently(board, names.values())
@@ -70,7 +70,7 @@ def watch(bench: RigAccess, board: Board, person: Operator) -> HandTurn:
 
 
 def judge(net: Mapping[int, int], travelled: Mapping[int, int]) -> HandTurn:
-    """The one channel that counted; raises Unclear if there is none, more than one, or it went to and fro."""
+    """The one channel that counted; raises Unclear if there is none, more than one, or it went back and forth."""
     most = max(travelled, key=lambda channel: travelled[channel])
     if travelled[most] < _BEGUN_COUNTS:
         raise Unclear("no encoder channel counted: is the encoders' cable plugged in, and was the wheel turned?")
@@ -81,12 +81,12 @@ def judge(net: Mapping[int, int], travelled: Mapping[int, int]) -> HandTurn:
         both = ", ".join(map(str, sorted([most, *others])))
         raise Unclear(f"channels {both} counted together: lift the balance lever, so that only one wheel turns")
     if abs(net[most]) < _TO_AND_FRO * travelled[most]:
-        raise Unclear(f"channel {most} counted to and fro: turn the wheel in one direction only")
+        raise Unclear(f"channel {most} counted back and forth: turn the wheel in one direction only")
     return HandTurn(most, net[most])
 
 
 def counts_per_turn(counts: int, turns: float = TURNS) -> int | None:
-    """The usual number that so many counts in so many turns come near to; None if neither."""
+    """The usual number of counts per turn that is near `counts / turns`; None if neither is."""
     return next((one for one in USUAL_COUNTS if math.isclose(abs(counts) / turns, one, rel_tol=_NEAR)), None)
 
 

@@ -17,7 +17,7 @@ _CANDIDATE: Final = "_abs_candidate"
 
 
 def list_boards(visit: StepContext) -> Facts:
-    """What the kernel tells of devices that may be the board."""
+    """Devices that may be the board, as the kernel lists them."""
     found = visit.bench.devices(visit.draft.config)
     if not found:
         raise ProbeError(f"no device for {visit.bench.address}: plug the board in, switch it on, try another cable")
@@ -45,7 +45,7 @@ def read_header(visit: StepContext) -> Facts:
 
 
 def fitting_profile(kind: str, identity: Identity) -> str:
-    """Name of the shipped profile that was made for this logic, else of the one for logics that nobody knows yet."""
+    """Name of the shipped profile that was made for this logic, else of the one for unknown logics."""
     fallback = ""
     for name in profiles():
         board = load_config(profile=name).board
@@ -72,8 +72,8 @@ def hex_dump(raw: bytes) -> str:
 
 def _suggest(visit: StepContext, suggested: str) -> None:
     """A profile that fits better is taken only if the person says so: it may be their own that does not ship."""
-    visit.person.tell(f"  the shipped profile that fits is {suggested}; the draft was begun from {visit.draft.profile}")
-    if not visit.quiet and agree(visit.person, f"Begin the draft anew from {suggested}?"):
+    visit.person.tell(f"  the matching shipped profile is {suggested}; the draft began from {visit.draft.profile}")
+    if not visit.quiet and agree(visit.person, f"Begin a new draft from {suggested}?"):
         visit.draft.begin_from(suggested)
 
 

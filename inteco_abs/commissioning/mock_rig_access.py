@@ -1,4 +1,4 @@
-"""The walk on the mock of a board: the simulated rig is under simulated hands."""
+"""Commissioning on the mock of a board: a simulated rig under simulated hands."""
 
 from __future__ import annotations
 

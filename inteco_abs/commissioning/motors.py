@@ -19,7 +19,7 @@ from inteco_abs.errors import ProbeError
 PHRASE: Final = "the cover is closed, my hand is at the emergency switch"
 _REQUEST: Final = (
     "The motors are about to turn, slowly: at most 20 % drive, then the brake up to its limit. A guardian process "
-    "takes the outputs away if this program dies or hangs, but if the computer dies or the cable is pulled, only the "
+    "switches the outputs off if this program dies or hangs, but if the computer dies or the cable is pulled, only the "
     "emergency switch stops the motors.\nLower the balance lever, so that the wheels touch; close the "
     "cover; switch the power interface on; wait until both wheels are at rest."
 )
@@ -38,7 +38,7 @@ _COAST_S: Final = 0.3
 _BRAKE_STEP: Final = 0.02
 _STEP_S: Final = 0.15
 _SLOWS_DOWN: Final = 1.5
-"""Times as fast as by itself."""
+"""Ratio to the deceleration of coasting that counts as braking."""
 _MOST_RUN_UPS: Final = 4
 _VELOCITIES: Final = 5
 """Readings of the board's own velocity, whose step may be a tenth of the speed at a window of 5 ms."""
@@ -53,54 +53,54 @@ PIN_KEYS: Final = ("pwm_pins", "pwm_functions")
 
 
 class _Braked(NamedTuple):
-    """What a brake ramp has shown."""
+    """Result of a brake ramp."""
 
     reached: float
-    """Last duty that was tried."""
+    """Last tested duty."""
     onset: float | None
     """First duty that braked; None if the wheels were too slow before."""
 
 
 def try_motors(visit: StepContext) -> Facts:
-    """Emergency switch, drive, brake; every part of it ends with the outputs off."""
+    """Test emergency switch, drive and brake; every part ends with the outputs off."""
     config = outputs_permitted(visit, _REQUEST, PHRASE)
     agreed = agree_on_first_write(visit, config)
-    wait_for(visit.person, "Press the emergency switch: it is tried first, and no wheel may move.")
+    wait_for(visit.person, "Press the emergency switch: it is tested first, and no wheel may move.")
     visit.bench.powered(on=False)
     visit.person.tell(f"  {PROVES_ITSELF}")
     with outputs(visit, config) as out:
-        _insist_on_rest(out)
+        _require_rest(out)
         if _nudge(out, config) is not None:
             raise ProbeError(
-                "a wheel moved although the emergency switch is pressed: do not use this rig until it cuts"
+                "a wheel moved although the emergency switch is pressed: do not use this rig until it cuts the drive"
             )
     visit.person.tell("  nothing moved: the emergency switch cuts the drive")
-    wait_for(visit.person, "Turn the switch to release it, press ON, and put your hand at the switch again.")
+    wait_for(visit.person, "Turn the switch to release it, press ON, and put your hand on the switch again.")
     visit.bench.powered(on=True)
     visit.person.tell("  driving, then braking; at most a minute and a half")
     with outputs(visit, config) as out:
-        _insist_on_rest(out)
-        moving_duty = _drive(out, config)  # nobody is talked to in here: a halted terminal would hold the drive on
+        _require_rest(out)
+        moving_duty = _drive(out, config)  # no output here: a halted terminal would keep the drive on
         onset, coast_rad_s2 = _find_dead_zone(out, config)
         lines = _counts_per_turn(out, config)
     _compare_counts(visit, config, lines)
-    visit.person.tell(f"  both wheels turn forwards from {moving_duty:.0%} drive on")
+    visit.person.tell(f"  both wheels turn forwards from {moving_duty:.0%} drive")
     visit.person.tell(
-        f"  the brake acts from {onset:.2f} on{_compared(onset)}; coasting loses {coast_rad_s2:.1f} rad/s2"
+        f"  the brake acts from a duty of {onset:.2f}{_compared(onset)}; coasting loses {coast_rad_s2:.1f} rad/s2"
     )
     visit.draft.confirm(_confirmed(config), f"drove and braked on {today()}")
     found = {**agreed, "moving_duty": moving_duty, "brake_from": onset, "coast_rad_s2": coast_rad_s2}
     return found if lines is None else {**found, "counts_per_turn_by_velocity": lines}
 
 
-def _insist_on_rest(out: Outputs) -> None:
+def _require_rest(out: Outputs) -> None:
     for motion in out.hold(0.0, 0.0, _COAST_S):
         if max(abs(motion.wheel_counts), abs(motion.road_counts)) > _MOST_STILL_COUNTS:
             raise ProbeError("a wheel moves although both outputs are off: wait until both are at rest")
 
 
 def _nudge(out: Outputs, config: RigConfig) -> tuple[float, Motion] | None:
-    """Drive a little more, and a little more, until a wheel moves: the duty, and how; None if it never does."""
+    """Raise the drive in small steps until a wheel moves: the duty and the motion; None if none moves."""
     duty = _FIRST_DUTY
     while duty <= DRIVE_LIMIT + 1e-9:
         for motion in out.hold(duty, 0.0, _NUDGE_S):
@@ -120,24 +120,24 @@ def _drive(out: Outputs, config: RigConfig) -> float:
         )
     duty, motion = nudged
     for motion in out.hold(duty, 0.0, _FOLLOW_S):
-        _insist_on_sense(motion, config)
+        _require_sense(motion, config)
     for name, counts in (("lower", motion.road_counts), ("upper", motion.wheel_counts)):
         if turns(counts, config) < _MOVED_TURNS / 2:
             raise ProbeError(
                 f"the {name} wheel does not turn with the other: lower the balance lever; if both do turn, their "
-                "encoders are not the ones that were turned by hand: --redo wheels"
+                "encoders are not the ones that you turned by hand: --redo wheels"
             )
     return duty
 
 
-def _insist_on_sense(motion: Motion, config: RigConfig) -> None:
+def _require_sense(motion: Motion, config: RigConfig) -> None:
     for name, key, counts in (
         ("lower", "road_sign", motion.road_counts),
         ("upper", "wheel_sign", motion.wheel_counts),
     ):
         if turns(counts, config) < -_MOVED_TURNS / 2:
             raise ProbeError(
-                f"the {name} wheel counts backwards when driven: board.{key} does not fit. --redo wheels, and turn it "
+                f"the {name} wheel counts backwards when driven: board.{key} is wrong. --redo wheels, and turn it "
                 "the way the drive does"
             )
 
@@ -151,7 +151,7 @@ def _find_dead_zone(out: Outputs, config: RigConfig) -> tuple[float, float]:
         braked = _ramp(out, config, duty, coast)
         if braked.onset is not None:
             return braked.onset, coast
-        duty = max(0.0, braked.reached - 2 * _BRAKE_STEP)  # the last steps were perhaps too slow to tell
+        duty = max(0.0, braked.reached - 2 * _BRAKE_STEP)  # the last steps may have been too slow to show it
     raise ProbeError("the wheels stop too soon to try all of the brake: is it stuck? Turn the upper wheel by hand")
 
 
@@ -201,14 +201,14 @@ def _compare_counts(visit: StepContext, config: RigConfig, by_velocity: int | No
         return
     visit.person.tell(
         f"  the board's velocity register makes {by_velocity} counts per turn, if the encoder's disc has 1024 lines as "
-        f"the vendor's has; turned by hand it was {by_hand}"
+        f"the vendor's has; turning by hand gave {by_hand}"
     )
-    if not agree(visit.person, f"Was each wheel turned exactly as often as was asked, so that {by_hand} is right?"):
+    if not agree(visit.person, f"Did you turn each wheel exactly as often as asked, so that {by_hand} is right?"):
         raise ProbeError("the counts per turn are not certain: --redo wheels")
 
 
 def _ramp(out: Outputs, config: RigConfig, first: float, coast_rad_s2: float) -> _Braked:
-    """Brake more and more until the upper wheel slows down faster than by itself, in two steps running.
+    """Raise the brake until the upper wheel slows down faster than it coasts, in two steps in a row.
 
     Raises ProbeError at the limit.
     """

@@ -1,4 +1,4 @@
-"""The person at the rig: told what is going on, asked for what no program can know."""
+"""The operator at the rig: reads what happens, answers what no program can know."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ T = TypeVar("T")
 
 
 class Operator(Protocol):
-    """Whoever answers. Everything that is asked is answered by one line of text."""
+    """The person who answers, each question with one line of text."""
 
     def tell(self, text: str) -> None:
-        """Say something."""
+        """Print a paragraph."""
         ...
 
     def show(self, text: str) -> None:
-        """What moves right now: each text takes the place of the one before."""
+        """Show a live value; each text replaces the one before."""
         ...
 
     def ask(self, question: str) -> str:
@@ -31,23 +31,23 @@ class Operator(Protocol):
 
 
 def ask_for(person: Operator, question: str, read: Callable[[str], T | None], wanted: str) -> T:
-    """Ask until `read` makes something of the answer, which is to be `wanted`.
+    """Ask until `read` accepts the answer; `wanted` describes what it accepts.
 
-    Raises Stopped for the answer `stop`, ProbeError after three answers that are nothing of the kind.
+    Raises Stopped for the answer `stop`, ProbeError after three answers that it rejects.
     """
     for _ in range(_MOST_TRIALS):
         answer = person.ask(question)
         if answer.lower() in _STOP:
             raise Stopped("stopped by the operator")
-        meant = read(answer)
-        if meant is not None:
-            return meant
+        value = read(answer)
+        if value is not None:
+            return value
         person.tell(f"{answer!r}: must be {wanted}, or stop")
-    raise ProbeError(f"no usable answer in {_MOST_TRIALS} trials to: {question}")
+    raise ProbeError(f"no valid answer in {_MOST_TRIALS} trials to: {question}")
 
 
 def agree(person: Operator, question: str) -> bool:
-    """Yes or no; nothing is taken for either."""
+    """Ask yes or no; there is no default."""
     return ask_for(person, f"{question} (yes/no)", lambda answer: _YES_NO.get(answer.lower()), "yes or no")
 
 

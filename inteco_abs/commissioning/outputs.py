@@ -1,4 +1,4 @@
-"""Outputs under the guard, held by a guarded process, one beat at a time; whatever ends it leaves SAFE, read back."""
+"""Outputs under the guard, held by a guarded process, one beat at a time; every end leaves SAFE, read back."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from inteco_abs.errors import ProbeError
 from inteco_abs.realtime.processes.manual import ManualClient
 from inteco_abs.signals import EXPLANATIONS, Command, Reason
 
-PROVES_ITSELF: Final = "starting: first of all, the guardian has to prove itself"
+PROVES_ITSELF: Final = "starting: the guardian is drilled first"
 
 
 class Motion(NamedTuple):
@@ -29,7 +29,7 @@ class Motion(NamedTuple):
 
 
 class _EndedError(Exception):
-    """The board is held no longer, or not for long: who held it tells why."""
+    """The process that held the board has ended, or is about to; it says why."""
 
 
 class Outputs:
@@ -51,7 +51,7 @@ class Outputs:
         last = ticks[-1]
         reason = Reason(int(last["reason"]))
         if reason is not Reason.NONE:
-            raise ProbeError(f"outputs taken away: {EXPLANATIONS[reason]}")
+            raise ProbeError(f"outputs switched off: {EXPLANATIONS[reason]}")
         counts = int(last["wheel_count"]), int(last["road_count"])
         speeds = float(last["wheel_speed_rad_s"]), float(last["road_speed_rad_s"])
         return Motion(int(last["time_ns"]) * 1e-9, *counts, *speeds)
@@ -95,7 +95,7 @@ def outputs(visit: StepContext, config: RigConfig) -> Iterator[Outputs]:
         visit.person.tell("  the board has confirmed that both outputs are off; wheels that turn coast for up to 48 s")
         raise KeyboardInterrupt
     if reason is not Reason.NONE:
-        raise ProbeError(f"outputs taken away: {EXPLANATIONS[reason]}")
+        raise ProbeError(f"outputs switched off: {EXPLANATIONS[reason]}")
 
 
 def turns(counts: float, config: RigConfig) -> float:

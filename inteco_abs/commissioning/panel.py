@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 PHRASE: Final = "the cover is closed, my hand is at the emergency switch"
 REQUEST: Final = (
     "The panel can turn the motors, up to the guard's limits, while a key is held. Power stays on for up to half a "
-    "second after the key is let go. A guardian process watches, but if the computer dies or the cable is pulled, only "
-    "the emergency switch stops the motors.\nKeep hair, sleeves and fingers away; close the cover; lower the balance "
-    "lever."
+    "second after you release the key. A guardian process watches, but if the computer dies or the cable is pulled, "
+    "only the emergency switch stops the motors.\nKeep hair, sleeves and fingers away; close the cover; lower the "
+    "balance lever."
 )
 AGAIN: Final = (
-    "Look at the rig and mend what is wrong. Then press y to arm again: the board is let go of, opened and identified "
-    "anew, behind a guardian that has proved itself anew. Counts and sliders begin at zero, and nothing turns until "
+    "Check the rig and repair what is wrong. Then press y to arm again: the board is closed, opened and identified "
+    "again, and the guardian is drilled again. Counts and sliders begin at zero, and nothing turns until "
     "you hold the space bar.\nAny other key leaves the outputs off."
 )
 _MODES: Final = ("8-bit", "12-bit")
@@ -43,7 +43,7 @@ class Turning(NamedTuple):
 
     @property
     def speed_rpm(self) -> float:
-        """The same in turns a minute."""
+        """Speed in turns per minute."""
         return self.speed_rad_s * _RPM
 
 
@@ -62,7 +62,7 @@ class Panel:
     """What a person at the panel has set, and what was last seen of the rig.
 
     Sliders are in whole percent, up to the guard's limits. The key counts as held from its second event on, as a
-    terminal repeats it: a tap does nothing, and no terminal tells when a key is let go.
+    terminal repeats it: a tap does nothing, and no terminal reports when a key is released.
     """
 
     def __init__(self, config: RigConfig, *, outputs: bool) -> None:
@@ -76,7 +76,7 @@ class Panel:
         self.admitted = Command.SAFE
         """What the guard has let through last."""
         self.reason = Reason.NONE
-        """Why the guard has taken the outputs away; they come back only by arming anew."""
+        """Why the guard switched the outputs off; they return only by arming again."""
         self.flags = BoardFlags.NONE
         """Of the newest exchange."""
         self.failed = 0
@@ -89,7 +89,7 @@ class Panel:
 
     @property
     def tripped(self) -> bool:
-        """Whether the guard has taken the outputs away, so that they may be armed again."""
+        """Whether the guard switched the outputs off, so that they may be armed again."""
         return self.outputs and self.reason is not Reason.NONE
 
     @property
@@ -166,9 +166,9 @@ class Panel:
         if not self.outputs:
             return "WATCHING: nothing is written to the board; start with --outputs to move the motors"
         if self.reason is not Reason.NONE:
-            return f"TAKEN AWAY: {EXPLANATIONS[self.reason]}. r: arm again"
+            return f"SWITCHED OFF: {EXPLANATIONS[self.reason]}. r: arm again"
         if self.admitted != Command.SAFE:
-            return "POWER IS ON: let the key go to take it away"
+            return "POWER IS ON: release the key to switch it off"
         if self.held(now_ns):
             return "OFF: the key is held, but both sliders are at zero"
         return "OFF: hold the space bar to apply the sliders"

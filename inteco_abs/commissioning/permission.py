@@ -10,7 +10,7 @@ from inteco_abs.commissioning.step import StepContext, today
 from inteco_abs.config import RigConfig, bounded_in_time
 from inteco_abs.errors import ReadOnlyError
 
-_BY: Final = "probe: typed confirmation by the person at the rig"
+_BY: Final = "commission: typed confirmation by the operator"
 DRIVE_LIMIT: Final = 0.2
 BRAKE_LIMIT: Final = 0.7
 """The vendor's own, for its brake supply's sake."""
@@ -28,7 +28,7 @@ def outputs_permitted(visit: StepContext, request: str, phrase: str) -> RigConfi
     config = visit.draft.config
     board, guard, plan = config.board, config.guard, config.experiment
     if board.read_only:
-        raise ReadOnlyError(f"the profile's outputs are never to be used: {board.read_only}")
+        raise ReadOnlyError(f"the profile's outputs must never be used: {board.read_only}")
     require_phrase(visit.person, request, phrase)
     sign_off: dict[str, Any] = {
         "verified_by": _BY,

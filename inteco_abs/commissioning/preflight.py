@@ -90,7 +90,7 @@ def _judge(board: Board, config: RigConfig, look: Preflight) -> None:
         board.insist()
     except BoardError as error:
         look.refused.append(error)
-        return  # what an earlier program has left on is told there
+        return  # what an earlier program left on is reported there
     wiring = config.board
     look.first_write = board.first_write()
     running = [name for one in look.first_write if one.remark is Remark.RUNS for name in one.names]
@@ -123,8 +123,8 @@ def _watch(bench: RigAccess, board: Board, config: RigConfig, look: Preflight) -
             moved[number] = max(moved[number], signed32(counts[name] - first[name]), key=abs)
     look.moved = moved[0], moved[1]
     if max(map(abs, moved)) > REST_COUNTS:
-        told = f"upper wheel {moved[0]:+d} counts, lower wheel {moved[1]:+d}"
-        look.refused.append(BoardError(f"{EXPLANATIONS[Reason.WHEELS_MOVING]} ({told})"))
+        shown = f"upper wheel {moved[0]:+d} counts, lower wheel {moved[1]:+d}"
+        look.refused.append(BoardError(f"{EXPLANATIONS[Reason.WHEELS_MOVING]} ({shown})"))
     spread = quantiles(times_us)
     if spread.max:
         look.read_us = spread
@@ -138,7 +138,7 @@ def _judge_rate(spread: Quantiles, config: RigConfig, look: Preflight) -> None:
         look.refused.append(
             BoardError(
                 f"half of the readings take longer than {spread.p50:.0f} us, and the period is {period_us:g} us: set "
-                "loop.rate_hz to less; inteco-abs doctor --board tells more"
+                "loop.rate_hz to less; inteco-abs doctor --board measures it"
             )
         )
     elif MORE_THAN_A_READ * spread.max > period_us:

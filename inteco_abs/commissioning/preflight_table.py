@@ -13,8 +13,8 @@ from rich.text import Text
 def render_rehearsal(report: Mapping[str, Any]) -> RenderableType:
     """The report of a dry run; what stands against it comes last, where it is seen."""
     facts = _grid()
-    for name, told in _facts(report):
-        facts.add_row(name, told)
+    for name, text in _facts(report):
+        facts.add_row(name, text)
     runs = [*_run(report["runs"][0])] if len(report["runs"]) == 1 else [_runs(report)]
     against = _grid()
     for text in report["cautions"]:
@@ -52,8 +52,8 @@ def _runs(report: Mapping[str, Any]) -> Table:
     table = _grid()
     for run in report["runs"]:
         drive = f"drive {run['drive']:g} to {run['start_speed_rad_s']:g} rad/s"
-        told = f"{run['shows']}; {drive}; at most {run['longest_s']:g} s, {run['rate_hz']:g} Hz"
-        table.add_row(run["session"], told)
+        text = f"{run['shows']}; {drive}; at most {run['longest_s']:g} s, {run['rate_hz']:g} Hz"
+        table.add_row(run["session"], text)
     return table
 
 
@@ -78,7 +78,7 @@ def _facts(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     computer = report["computer"]
     if computer is not None:
         counts = ", ".join(f"{computer[verdict]} {verdict}" for verdict in ("green", "amber", "red"))
-        yield "computer", f"{computer['verdict']} ({counts}); inteco-abs doctor tells more"
+        yield "computer", f"{computer['verdict']} ({counts}); inteco-abs doctor has the details"
         for finding in computer["not_fit"]:
             yield "", f"{finding['name']}: {finding['found']} -> {finding['fix']}"
 
@@ -90,8 +90,8 @@ def _board(board: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     outputs = "outputs may be used" if board["outputs_allowed"] else "opens for reading only"
     yield "board", f"{board['address']} {board['says']}: {outputs}"
     for number, one in enumerate(board["first_write"]):
-        told = one["remark"] or f"0x{one['now']:04X} -> 0x{one['planned']:04X}"
-        yield "" if number else "first write", f"{one['place']} {', '.join(one['names'])}: {told}"
+        text = one["remark"] or f"0x{one['now']:04X} -> 0x{one['planned']:04X}"
+        yield "" if number else "first write", f"{one['place']} {', '.join(one['names'])}: {text}"
     if board["moved_counts"] is not None:
         wheel, road = board["moved_counts"]
         yield "at rest", f"upper wheel {wheel:+d} counts, lower wheel {road:+d}"

@@ -1,4 +1,4 @@
-"""The walk: which steps there are, which is next, and what is kept of each."""
+"""The steps of the commissioning: which is next, and what is kept of each."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ STEPS: Final = (
         "list",
         "lists devices that may be the board, as the kernel knows them",
         "none: no board is opened",
-        "plug the board in and switch it on; inteco-abs doctor tells about permissions",
+        "plug the board in and switch it on; inteco-abs doctor checks permissions",
         list_boards,
     ),
     Step(

@@ -1,4 +1,4 @@
-"""The profile that the walk writes: a TOML file that any run can use at any moment, and the walk's results beside it.
+"""The profile that the commissioning writes: a TOML file that any run can use at any moment, and its results beside it.
 
 The results are a file of their own, as a configuration has no place for what is not a setting. Both are replaced whole,
 so that an interruption leaves the old file or the new one.
@@ -38,7 +38,7 @@ _COVERED: Final = tuple(key for key in COVERED if key != "evidence")
 _LOGIC: Final = re.compile(r"^((?:logic_version|verified_logic) = )(\d+)$", re.MULTILINE)
 """Known to everybody in hex."""
 _HEADING: Final = """\
-# Profile of one rig, written by `inteco-abs probe`; comments of your own are not kept when it goes on.
+# Profile of one rig, written by `inteco-abs commission`; comments of your own are not kept when it goes on.
 # To use it: inteco-abs run --board ADDRESS --set profile={name}
 
 """
@@ -185,7 +185,7 @@ def _no_results(board: str, profile: str) -> dict[str, Any]:
 
 
 def _read_results(file: Path) -> dict[str, Any]:
-    problem = f"{file} is not what the walk wrote; delete it, and the walk begins anew with the draft as it is"
+    problem = f"{file} is not a file of the commissioning; delete it to begin again with the draft as it is"
     try:
         results = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -204,7 +204,7 @@ def _with_settings(table: Table, settings: Sequence[str]) -> Table:
     table = _deep_copy(table)
     mistakes = [mistake for setting in settings for mistake in apply_setting(table, setting)]
     if any(setting.partition("=")[0].strip() in {f"board.{key}" for key in SIGN_OFF} for setting in settings):
-        mistakes.append(ConfigIssue("--set", "a draft is signed in the walk's last step"))
+        mistakes.append(ConfigIssue("--set", "a draft is signed in the last step of the commissioning"))
     if mistakes:
         raise ConfigError(mistakes)
     return table

@@ -1,4 +1,4 @@
-"""Step 5: PWM settings are written with the power interface off, and must come back; the wheels must not move."""
+"""Step 5: PWM settings are written with the power interface off, and must be echoed; the wheels must not move."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from inteco_abs.errors import ProbeError
 
 PHRASE: Final = "the power interface is off"
 _REQUEST: Final = (
-    "Switch the power interface off at its mains switch: its lamps are dark. Nothing may move in this step, and "
-    "nobody may touch the wheels."
+    "Switch the power interface off at its mains switch: its lamps are dark. Nothing may move in this step, so "
+    "keep hands away from the wheels."
 )
 _DUTIES: Final = ((0.05, 0.0), (0.0, 0.2), (0.1, 0.1), (0.0, 0.0))
 """Of drive and brake. So small that little would happen if the interface were on after all."""
@@ -39,10 +39,10 @@ def echo_settings(visit: StepContext) -> Facts:
     for mode, prescaler in _modes(config):
         _echo(visit, _with_pwm(config, mode, prescaler))
         tried.append({"mode": mode, "prescaler": prescaler, "duties": [list(pair) for pair in _DUTIES]})
-        visit.person.tell(f"  {mode}, prescaler {prescaler}: all widths came back, no wheel moved")
+        visit.person.tell(f"  {mode}, prescaler {prescaler}: all widths were echoed, no wheel moved")
     after = _settings(visit)
     changed = {name: [before[name], after[name]] for name in before if before[name] != after[name]}
-    visit.person.tell(f"  settings that are not as before: {', '.join(changed) or 'none'}")
+    visit.person.tell(f"  settings that differ from before: {', '.join(changed) or 'none'}")
     return {**agreed, "tried": tried, "changed": changed}
 
 

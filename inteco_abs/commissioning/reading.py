@@ -13,7 +13,7 @@ from inteco_abs.config import RigConfig
 from inteco_abs.errors import LinkError, ProbeError
 
 _MOST_FAILURES: Final = 4
-_ONLY_READ: Final = "this step of the walk only reads"
+_ONLY_READ: Final = "this step of the commissioning only reads"
 
 
 @contextmanager

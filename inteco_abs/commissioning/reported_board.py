@@ -25,7 +25,7 @@ class ReportedBoard:
         capture = read_capture(path)
         if capture.report is None:
             raise CaptureError(
-                f"{path}: a capture, but not the report of a commissioning: probe --send-report makes one"
+                f"{path}: a capture, but not the report of a commissioning: commission --send-report makes one"
             )
         images = [record.data for record in capture.records if record.kind is Kind.IN]
         if not images:

@@ -1,4 +1,4 @@
-"""Where the walk takes place: the board at an address, time, and the rig under the person's hands."""
+"""Access to the rig: the board at an address, time, and what the operator does by hand."""
 
 from __future__ import annotations
 

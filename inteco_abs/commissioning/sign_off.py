@@ -1,4 +1,4 @@
-"""Step 7: somebody takes responsibility for the wiring and the guard's limits, by name."""
+"""Step 7: a person signs off the wiring and the guard's limits by name."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def sign(visit: StepContext) -> Facts:
     """Show what is still not confirmed, then ask who has verified the rest; the guard's limits are signed with it."""
     board, guard = visit.draft.config.board, visit.draft.config.guard
     if board.read_only:
-        raise ReadOnlyError(f"there is nothing to sign, the profile's outputs are never to be used: {board.read_only}")
+        raise ReadOnlyError(f"there is nothing to sign: the profile's outputs must never be used: {board.read_only}")
     open_points = unconfirmed(board)
     for one in open_points:
         key = one.partition(" ")[0]
@@ -25,15 +25,15 @@ def sign(visit: StepContext) -> Facts:
     if not open_points:
         visit.person.tell("  all of the wiring is confirmed")
     limits = guard.as_table()
-    visit.person.tell(f"  signed with it: guard {', '.join(f'{key} {value:g}' for key, value in limits.items())}")
-    signer = ask_for(visit.person, "Who has verified this wiring on the rig? Name:", _name, "a name")
+    visit.person.tell(f"  signed off with it: guard {', '.join(f'{key} {value:g}' for key, value in limits.items())}")
+    signer = ask_for(visit.person, "Who verified this wiring on the rig? Name:", _name, "a name")
     if not agree(visit.person, f"Sign for logic 0x{visit.logic_version:04X} as {signer!r}?"):
         raise Stopped("not signed: the draft stays as it is")
     signature = {
         "board.verified_by": signer,
         "board.verified_on": today(),
         "board.verified_logic": visit.logic_version,
-        **{f"guard.{key}": value for key, value in limits.items()},  # no later default is then signed by nobody
+        **{f"guard.{key}": value for key, value in limits.items()},  # a later default would otherwise count as signed
     }
     visit.draft.write(signature)
     visit.person.tell(f"  signed: inteco-abs run --board {visit.bench.address} --set profile={visit.draft.file}")

@@ -1,4 +1,4 @@
-"""One step of the walk, and what it works with."""
+"""One step of the commissioning, and what it works with."""
 
 from __future__ import annotations
 

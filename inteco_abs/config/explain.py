@@ -19,7 +19,7 @@ _WIDTH: Final = 100
 _GAINS: Final = "controller.gains"
 _HEADER: Final = """\
 Configuration of a rig. Every key is optional: what is commented out here is the default. `inteco-abs config show`
-tells what holds in the end, and `inteco-abs config explain KEY` what a key means.
+prints the resulting values, and `inteco-abs config explain KEY` explains a key.
 """
 _PROFILES: Final = "The section [board] comes with the profile; `inteco-abs profiles` lists them, and prints one."
 

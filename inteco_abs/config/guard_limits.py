@@ -47,7 +47,7 @@ def beyond_ceilings(config: RigConfig) -> Iterator[ConfigIssue]:
     if not config.board.verified_by and not config.board.read_only:
         for beyond in laxer_limits(_shipped_limits(config.board.kind), config.as_table()):
             key, _, rest = beyond.partition(" ")
-            yield ConfigIssue(key, f"{rest}: more takes a signed profile; inteco-abs probe has you sign")
+            yield ConfigIssue(key, f"{rest}: more takes a signed profile; inteco-abs commission has you sign")
 
 
 def _shipped_limits(kind: str) -> Table:

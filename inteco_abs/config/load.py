@@ -192,7 +192,9 @@ def _profile(name: object, mistakes: list[ConfigIssue]) -> Table:
     if isinstance(name, str) and name in profiles():
         return tomllib.loads(profile_text(name))
     if isinstance(name, str) and name.endswith(".toml"):
-        return read_toml(Path(name), "inteco-abs profiles lists those that ship, inteco-abs probe makes one of a board")
+        return read_toml(
+            Path(name), "inteco-abs profiles lists those that ship, inteco-abs commission makes one of a board"
+        )
     if not isinstance(name, str):
         return _profile(DEFAULT_PROFILE, mistakes)  # the validation says what is wrong with it
     mistakes.append(

@@ -1,4 +1,4 @@
-"""Sessions beside one another: what tells them apart, in which colours, and since when their time counts."""
+"""Comparison of sessions: what differs, their colours, and the origin of their time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from inteco_abs.signals import Phase
 PALETTE: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Okabe and Ito without black and yellow: distinct for every kind of colour vision, on white and on black."""
 MOST: Final = len(PALETTE)
-"""Sessions that can be told apart."""
+"""Sessions that colours can distinguish."""
 _MOST_SETTINGS: Final = 3
 _TOLD_ALREADY: Final = ("controller.", "estimator.", "profile")
 
@@ -38,7 +38,9 @@ def require_distinct(sessions: Sequence[Session]) -> None:
     twice = [str(session.path) for session, path in zip(sessions, paths, strict=True) if paths.count(path) > 1]
     mistakes = [ConfigIssue("FILE", f"{name}: is named more than once") for name in twice[:1]]
     if len(sessions) > MOST:
-        mistakes.append(ConfigIssue("FILE", f"{len(sessions)} sessions, and at most {MOST} can be told apart"))
+        mistakes.append(
+            ConfigIssue("FILE", f"{len(sessions)} sessions: at most {MOST} can be compared in one figure or page")
+        )
     if mistakes:
         raise ConfigError(mistakes)
 

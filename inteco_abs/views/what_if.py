@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST: Final = 7
-"""Alternatives that can be told apart."""
+"""Alternatives that a figure can distinguish."""
 _COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442")
 """Okabe and Ito: distinct for every kind of colour vision."""
 _PANELS: Final = (
@@ -67,7 +67,7 @@ def render_what_if(report: Mapping[str, Any]) -> RenderableType:
 
 
 def _divergences(alternatives: Sequence[Mapping[str, Any]]) -> Table:
-    table = Table(title="requests on the logged counts, against the log", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title="commands on the logged counts, compared with the log", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("alternative", overflow="fold")
     for heading in ("leaves log\nafter s", "largest\ndifference", *(f"rms\n{name}" for name in _PHASES)):
         table.add_column(heading, justify="right", no_wrap=True)

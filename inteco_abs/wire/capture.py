@@ -13,8 +13,8 @@ our own recordings has what the clock showed when they began as `start_ns`, as i
 open which of the two messages before it have gone out. A control transfer has its eight bytes of request as `setup`;
 a warning has only a `text`.
 
-The report of a commissioning (`probe --send-report`) is a capture too: its first line has, as `report`, what else is
-known of the board, and its records are images of it, each in the place of a READ answer.
+The report of a commissioning (`commission --send-report`) is a capture too: its first line has, as `report`, what
+else is known of the board, and its records are images of it, each in the place of a READ answer.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ class Done(NamedTuple):
 def installed(tmp_path):
     """Runs the installed command in an empty folder with these lines on its stdin."""
 
-    def run(*arguments, lines=(), verb="probe"):
+    def run(*arguments, lines=(), verb="commission"):
         process = subprocess.run(
             [COMMAND, verb, *arguments],
             cwd=tmp_path,
@@ -50,7 +50,7 @@ def installed(tmp_path):
 def probe(tmp_path, monkeypatch, capsys):
     """Runs the command's main() in this process, in the same way: a tenth of what starting it costs."""
 
-    def run(*arguments, lines=(), verb="probe"):
+    def run(*arguments, lines=(), verb="commission"):
         monkeypatch.setattr(sys, "argv", ["inteco-abs", verb, *arguments])
         monkeypatch.setattr(sys, "stdin", StringIO("".join(f"{line}\n" for line in lines)))
         monkeypatch.chdir(tmp_path)
@@ -151,7 +151,7 @@ def test_in_real_time_a_guarded_process_holds_the_mock(lab, installed, scripts):
     for step, lines in (("echo", scripts["echo"]), ("motors", ["", phrase, "yes", *rest])):  # it is a mock anew
         run = installed("--draft", "lab.toml", "--step", step, lines=lines)
         assert run.returncode == 0, run.stderr
-        assert "the guardian has to prove itself" in run.stderr
+        assert "the guardian is drilled first" in run.stderr
     lab.session()
     assert lab.draft.results["motors"]["brake_from"] == pytest.approx(0.415, abs=0.05)
 
@@ -164,7 +164,7 @@ def test_a_real_board_that_is_not_there_fails_the_first_step(probe):
 
 def test_ctrl_c_while_a_question_is_open(tmp_path):
     process = subprocess.Popen(
-        [COMMAND, "probe", "--virtual"],
+        [COMMAND, "commission", "--virtual"],
         cwd=tmp_path,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

@@ -95,7 +95,7 @@ def test_who_types_stop_leaves(lab, step):
 @pytest.mark.parametrize("step", STEPS)
 def test_an_answer_that_is_not_just_enter_begins_no_step(lab, step):
     lab.done_until(step)
-    with pytest.raises(ProbeError, match="no usable answer"):
+    with pytest.raises(ProbeError, match="no valid answer"):
         lab.session("go", "yes", "ok").go()
     assert lab.outcomes()[step] == "failed"
     assert lab.bench.written == []
@@ -227,7 +227,7 @@ class TestSigning:
     @pytest.mark.parametrize("name", ["", "  ", "123", "x" * 101, "tab\tbed"])
     def test_what_is_no_name_does_not_sign(self, lab, name):
         lab.done_until("sign")
-        with pytest.raises(ProbeError, match="no usable answer"):
+        with pytest.raises(ProbeError, match="no valid answer"):
             lab.session("", name, name, name).go()
         assert lab.draft.config.board.verified_by == ""
 

@@ -138,7 +138,7 @@ class TestJudging:
         assert judge({0: 40960, 1: 0, 2: 400}, {0: 41000, 1: 0, 2: 800}) == (0, 40960)
 
     def test_to_and_fro_is_no_turning(self):
-        with pytest.raises(Unclear, match="to and fro"):
+        with pytest.raises(Unclear, match="back and forth"):
             judge({0: 20000, 1: 0}, {0: 60000, 1: 0})
 
     @pytest.mark.parametrize(("counts", "found"), [(20480, 2048), (-40960, 4096), (30000, None), (21400, None)])

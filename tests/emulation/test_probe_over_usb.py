@@ -32,7 +32,7 @@ def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_i
 
     def walk(step, *more):
         return subprocess.run(
-            [COMMAND, "probe", "--board", "usb2:", *WORDS, "--step", step, *more],
+            [COMMAND, "commission", "--board", "usb2:", *WORDS, "--step", step, *more],
             cwd=tmp_path,
             env=environment | tree.environment(),
             capture_output=True,

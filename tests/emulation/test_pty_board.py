@@ -195,7 +195,7 @@ def test_a_mock_made_from_a_report_gives_the_same_report(tmp_path, mock):
     def report(port, name):
         words = "--yes-read-only", "--draft", f"{name}.toml", "--send-report", f"{name}.jsonl"
         subprocess.run(  # a busy computer may be too slow for any rate, and there is a report all the same
-            [COMMAND, "probe", "--board", f"usb:{port}", *words],
+            [COMMAND, "commission", "--board", f"usb:{port}", *words],
             cwd=tmp_path, env=UNTRACED, capture_output=True, text=True, timeout=60, check=False,
         )  # fmt: skip
         return tmp_path / f"{name}.jsonl"
@@ -228,7 +228,7 @@ def commissioning(mock, tmp_path):
         for step in STEPS[:5]:
             draft.record(step.name, {"outcome": "done", "rests_on": draft.wiring(step.rests_on), **found})
         process = subprocess.Popen(
-            [COMMAND, "probe", "--board", f"usb:{mock.port}", "--draft", draft.file, "--step", "motors"],
+            [COMMAND, "commission", "--board", f"usb:{mock.port}", "--draft", draft.file, "--step", "motors"],
             cwd=tmp_path, env=UNTRACED, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
         started.append(process)

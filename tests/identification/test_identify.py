@@ -131,15 +131,15 @@ def test_the_figure_shows_what_is_left(sessions, tmp_path):
     ("arguments", "told"),
     [
         ((), "name at least one session"),
-        (("--plan", "a.mcap"), "records sessions, and takes none"),
-        (("a.mcap", "--assume", "J3=5%"), "no number that is assumed; known: J1"),
+        (("--plan", "a.mcap"), "records sessions and reads none"),
+        (("a.mcap", "--assume", "J3=5%"), "not an assumed parameter; known: J1"),
         (("a.mcap", "--assume", "J1=0.05"), "must look like J1=5%"),
         (("a.mcap", "-o", "a.txt"), "must end in .toml"),
         (
             ("a.mcap", "-o", Path(__file__).parents[2] / "pyproject.toml"),
             "exists already, and files are never overwritten",
         ),
-        (("--plan", "--board", "usb2:", "--rig", "hard:1"), "is a real board"),
+        (("--plan", "--board", "usb2:", "--rig", "hard:1"), "a real board has its own rig"),
     ],
 )
 def test_wrong_usage_says_what_to_do(arguments, told):

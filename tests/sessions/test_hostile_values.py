@@ -11,7 +11,7 @@ from inteco_abs.sessions import FileWriter
 
 CLEAR, TITLE, RIGHT_TO_LEFT = "\x1b[2J", "\x1b]0;mine\x07", "\u202e"
 NASTY = f"{CLEAR}{TITLE}\x9b31m{RIGHT_TO_LEFT}\r\x08end"
-READING = ("replay", "what-if", "info", "validate", "diff", "get", "list")
+READING = ("replay", "what-if", "info", "validate", "diff", "extract", "list")
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def test_no_verb_hands_a_strangers_text_to_the_terminal_as_it_is(verb, hostile, 
         "what-if": [file, "--set", "controller.gains.Mk=2.5"],
         "info": [file, "--all"],
         "diff": [file, quick.path],
-        "get": [file],
+        "extract": [file],
         "list": [tmp_path],
     }.get(name, [file])
     done = verb(name, *words)
@@ -77,9 +77,9 @@ def test_nor_does_recover_of_a_damaged_one(verb, hostile, tmp_path, variant):
 
 def test_a_file_out_of_a_session_is_exact_in_a_pipe_and_harmless_on_a_terminal(verb, hostile, monkeypatch):
     file = hostile()
-    assert verb("get", file, f"a{NASTY}").out == NASTY
-    monkeypatch.setattr("inteco_abs.cli.contents.on_terminal", lambda _stream: True)
-    shown = verb("get", file, f"a{NASTY}")
+    assert verb("extract", file, f"a{NASTY}").out == NASTY
+    monkeypatch.setattr("inteco_abs.cli.extract.on_terminal", lambda _stream: True)
+    shown = verb("extract", file, f"a{NASTY}")
     assert orders(shown.out) == set()
     assert "end" in shown.out
 

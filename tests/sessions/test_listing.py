@@ -76,7 +76,7 @@ def test_broken_files_are_rows_with_their_problem(folder, short, container, with
     rows = rows_of(path)
     problems = {name: row["problem"] for name, row in rows.items()}
     assert "is empty" in problems["empty.mcap"]
-    assert "no MCAP file" in problems["text.mcap"]
+    assert "not an MCAP file" in problems["text.mcap"]
     assert "no session of this program" in problems["foreign.mcap"]
     assert "is damaged: chunk at byte" in problems["damaged.mcap"]
     assert "no regular file" in problems["pipe.mcap"]

@@ -150,7 +150,7 @@ def test_what_if_draws(command, quick, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((), "nothing was asked"),
+        ((), "nothing to compare"),
         (("--set", "loop.rate_hz=100"), "is not part of what can be asked about"),
         (("--set", "controller.gains.Mk=x"), "controller.gains.Mk: 'x'"),
         (("--controller", "rely"), "did you mean relay"),
@@ -158,7 +158,7 @@ def test_what_if_draws(command, quick, tmp_path):
         (("--sweep", "controller.gains.Mk"), "must look like controller.gains.Mk=1,2,5"),
         (("--sweep", "controller.gains.Mk=1,,2"), "must look like"),
         (("--sweep", f"controller.gains.Mk={','.join(map(str, range(200)))}"), "200 alternatives: must be at most 100"),
-        (("--sweep", "controller.gains.Mk=1,2,3,4,5,6,7,8", "--figure", "x.svg"), "at most 7 can be told apart"),
+        (("--sweep", "controller.gains.Mk=1,2,3,4,5,6,7,8", "--figure", "x.svg"), "a figure shows at most 7"),
         (("--controller", "relay", "--figure", "x.bmp"), "must end in .png"),
         (("--controller", "relay", "--duty", "-1"), "--duty"),
         (("--controller", "relay", "--at", "soon"), "--at"),
@@ -179,7 +179,7 @@ def test_what_if_at_a_time_at_which_nothing_ran_ends_with_1(command, quick):
 def test_golden_adds_tests_and_lists(command, quick):
     assert command("golden", "add", quick.path, "--name", "one", "--reason", "why not")[0] == 0
     code, printed, _ = command("golden", "test")
-    assert (code, printed) == (0, f"one: {quick.stop.card['ticks']} ticks replayed, none differs\n")
+    assert (code, printed) == (0, f"one: {quick.stop.card['ticks']} ticks replayed, none differ\n")
     code, printed, _ = command("golden", "list")
     assert code == 0
     assert "why not" in printed

@@ -38,7 +38,7 @@ class TestList:
     def test_an_empty_folder_is_said_to_be_empty(self, verb, tmp_path):
         done = verb("list", tmp_path)
         assert (done.code, done.out) == (0, "")
-        assert "holds no sessions; --recursive looks into its folders" in done.err
+        assert "no sessions found; --recursive also searches its folders" in done.err
         assert "--recursive" not in verb("list", tmp_path, "--recursive").err
 
     def test_a_narrow_terminal_does_without_columns_and_names_them(self, verb, folder, monkeypatch):
@@ -52,7 +52,7 @@ class TestList:
         assert "controller" in head
         assert "rms est." not in head
         assert {line.split()[0] for line in lines} == {"a.mcap", "b.mcap", "cut.mcap"}
-        assert done.err.startswith("inteco-abs: left out for want of room: rms est., estimator")
+        assert done.err.startswith("inteco-abs: columns left out: rms est., estimator")
         monkeypatch.setenv("COLUMNS", "200")
         assert verb("list", folder).out == wide
 
@@ -166,7 +166,7 @@ class TestReplayBehindAGap:
         assert done.code == 3
         assert (done.json["ticks"], done.json["differing"], done.json["left_out"]) == (20, 0, 30)
         done = verb("replay", tmp_path / "gap.mcap")
-        assert "30 ticks behind a gap cannot be replayed" in done.err
+        assert "30 ticks after a gap cannot be replayed" in done.err
 
     def test_without_the_first_ticks_nothing_is(self, verb, short, container, tmp_path):
         records = container.split(short.read_bytes())
@@ -217,27 +217,27 @@ class TestExport:
 
 class TestGet:
     def test_the_files_in_a_session_are_listed(self, verb, folder):
-        done = verb("get", folder / "a.mcap")
+        done = verb("extract", folder / "a.mcap")
         assert done.code == 0
         assert done.out.startswith("config.toml  ")
-        assert next(iter(verb("get", folder / "a.mcap", "--json").json["attachments"])) == "config.toml"
+        assert next(iter(verb("extract", folder / "a.mcap", "--json").json["attachments"])) == "config.toml"
 
     def test_to_standard_output(self, verb, folder):
-        done = verb("get", folder / "a.mcap", "config.toml")
+        done = verb("extract", folder / "a.mcap", "config.toml")
         assert done.out.encode() == read_session(folder / "a.mcap").attachments["config.toml"]
 
     def test_to_a_file(self, verb, folder):
-        done = verb("get", folder / "a.mcap", "config.toml", "-o", folder / "c.toml", "--json")
+        done = verb("extract", folder / "a.mcap", "config.toml", "-o", folder / "c.toml", "--json")
         assert (done.code, done.json["path"]) == (0, str(folder / "c.toml"))
-        assert verb("get", folder / "a.mcap", "config.toml", "-o", folder / "d.toml").code == 0
+        assert verb("extract", folder / "a.mcap", "config.toml", "-o", folder / "d.toml").code == 0
 
     def test_usage(self, verb, folder):
-        assert verb("get", folder / "a.mcap", "conf").code == 2
-        assert verb("get", folder / "a.mcap", "-o", folder).code == 2
-        assert verb("get", folder / "a.mcap", "config.toml", "--json").code == 2
+        assert verb("extract", folder / "a.mcap", "conf").code == 2
+        assert verb("extract", folder / "a.mcap", "-o", folder).code == 2
+        assert verb("extract", folder / "a.mcap", "config.toml", "--json").code == 2
 
     def test_from_a_cut_session(self, verb, folder):
-        assert verb("get", folder / "cut.mcap", "config.toml").code == 3
+        assert verb("extract", folder / "cut.mcap", "config.toml").code == 3
 
 
 class TestDiff:
@@ -286,7 +286,7 @@ def test_info_begins_with_how_it_ended(verb, folder, monkeypatch):
 
 
 def test_a_cut_session_is_said_to_be_recoverable(verb, folder):
-    assert "ticks are whole, and recover makes a session of them" in verb("info", folder / "cut.mcap").err
+    assert "ticks are complete; recover makes a session of them" in verb("info", folder / "cut.mcap").err
 
 
 def test_info_of_a_session_whose_card_is_no_json(verb, short, container, altered):

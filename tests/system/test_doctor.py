@@ -42,6 +42,8 @@ def test_the_files_to_install_come_alone_ready_for_tee(main_here, option):
     alone = main_here("doctor", f"--{option}", check=0)
     assert alone.stderr == ""
     assert alone.stdout == json.loads(main_here(*QUICK, "--json").stdout)[option]
+    as_json = json.loads(main_here("doctor", f"--{option}", "--json", check=0).stdout)
+    assert as_json == {"schema_version": 1, option: alone.stdout}
     assert {"rules": 'TAG+="uaccess"', "limits": "memlock unlimited"}[option] in alone.stdout
 
 

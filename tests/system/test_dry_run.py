@@ -163,12 +163,12 @@ def test_a_disk_without_room_for_the_whole_session_is_noted(told, monkeypatch):
 
 def test_a_duty_that_the_guard_cuts_is_noted(told):
     report = told(*VIRTUAL, "--set", "guard.drive_limit=0.5")
-    assert "guard.drive_limit, which makes it 0.5" in report["cautions"][0]
+    assert "guard.drive_limit, which cuts it to 0.5" in report["cautions"][0]
 
 
 def test_faults_to_be_injected_are_told_and_not_acted_out(told):
     report = told(*VIRTUAL, "--inject", "unplug@brake")
-    assert "a board without faults; the run has unplug@brake" in report["cautions"][0]
+    assert "checked without faults; the run injects unplug@brake" in report["cautions"][0]
 
 
 def test_a_series_tells_all_its_stops_with_their_pauses(told, main_here, tmp_path):
@@ -203,7 +203,7 @@ def test_a_plan_is_printed_run_by_run(main_here):
 
 
 def test_sessions_that_are_only_read_need_no_dry_run(main_here):
-    assert "is for --plan" in main_here("identify", "a.mcap", "--dry-run", check=2).stderr
+    assert "only with --plan" in main_here("identify", "a.mcap", "--dry-run", check=2).stderr
 
 
 def test_a_panel_tells_whether_it_would_begin(main_here):
@@ -216,8 +216,8 @@ def test_a_panel_tells_whether_it_would_begin(main_here):
 
 
 def test_the_walk_tells_its_steps_and_begins_no_draft(main_here, told, tmp_path):
-    text = main_here("probe", "--dry-run", check=0).stdout
+    text = main_here("commission", "--dry-run", check=0).stdout
     for step in STEPS:
         assert step.risk in text
-    assert [step["name"] for step in told("probe", "--dry-run")["steps"]] == [step.name for step in STEPS]
+    assert [step["name"] for step in told("commission", "--dry-run")["steps"]] == [step.name for step in STEPS]
     assert list(tmp_path.iterdir()) == []

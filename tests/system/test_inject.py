@@ -66,9 +66,9 @@ def test_list_and_report_tell_what_was_injected(main_here, tmp_path):
     main_here("run", "--virtual", *QUICK, "--inject", "lose@brake+20ms", "--out", "stop.mcap", check=3)
     (row,) = json.loads(main_here("list", ".", "--json", check=0).stdout)["sessions"]
     assert (row["injected"], row["problem"]) == ("lose@brake+20ms/#1", None)
-    assert "told to fail: lose@brake+20ms/#1" in main_here("list", ".", check=0).stdout
+    assert "injected: lose@brake+20ms/#1" in main_here("list", ".", check=0).stdout
     (caution, *_) = warnings_of(read_session(tmp_path / "stop.mcap"))
-    assert caution == "The mock board was told to fail: lose@brake+20ms/#1 (acted 1 times)."
+    assert caution == "Faults injected into the mock board: lose@brake+20ms/#1 (acted 1 times)."
 
 
 def test_a_fault_that_never_acts_is_told(main_here):

@@ -123,7 +123,7 @@ def test_without_a_name_the_session_lands_in_the_sessions_folder(rig, tmp_path, 
         (lambda: inteco_abs.connect().run_stop(estimator="eular"), ConfigError, "did you mean euler"),
         (lambda: inteco_abs.connect("usb2:77").run_stop(out="never.mcap"), BoardError, "77"),
         (lambda: inteco_abs.open_session("missing.mcap"), SessionError, "No such file"),
-        (lambda: inteco_abs.open_session(__file__), SessionError, "no MCAP file"),
+        (lambda: inteco_abs.open_session(__file__), SessionError, "not an MCAP file"),
     ],
 )
 def test_what_is_wrong_is_told_as_by_the_command(wrong, error, words, tmp_path, monkeypatch):

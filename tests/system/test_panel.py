@@ -172,7 +172,7 @@ def test_what_the_guard_has_taken_away_comes_back_by_arming_anew_and_by_nothing_
     one = terminal("--outputs", "--set", "guard.over_speed_rad_s=20", "--set", "experiment.start_speed_rad_s=15")
     one.drive()
     tripped = one.memory
-    one.hold_until_shown("TAKEN AWAY: a wheel turned faster")
+    one.hold_until_shown("SWITCHED OFF: a wheel turned faster")
     one.type(10 * PAGE_UP + b" " * 9)
     one.type(b"r")
     one.until_shown("arm again?")

@@ -200,7 +200,7 @@ def test_what_the_guard_has_taken_away_is_told_and_is_a_safety_stop(stage):
         await pilot.press("q")
 
     assert scene.play(play) == 5
-    assert "TAKEN AWAY: a wheel turned faster" in shown[0]
+    assert "SWITCHED OFF: a wheel turned faster" in shown[0]
     assert "r: arm again" in shown[0]
 
 
@@ -238,7 +238,7 @@ def test_any_other_answer_leaves_it_as_it_is(stage, key):
         await pilot.press("q")
 
     assert scene.play(play) == 5
-    assert "TAKEN AWAY" in shown[0]
+    assert "SWITCHED OFF" in shown[0]
     assert "arm again?" not in shown[0]
 
 

@@ -27,7 +27,9 @@ def capture(*arguments):
 
 def every_command(group=cli, above=()):
     """Words of each command, and whether it is a group of others."""
-    for name, command in group.commands.items():
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
         yield (*above, name), isinstance(command, click.Group)
         if isinstance(command, click.Group):
             yield from every_command(command, (*above, name))
@@ -90,7 +92,11 @@ def test_every_command_that_the_parity_table_names_exists():
     for call in named:
         verb, *rest = call.split()
         assert verb in {*known, "--help"}, call
-        options = {each for parameter in getattr(cli.commands.get(verb), "params", ()) for each in parameter.opts}
+        options = {
+            each
+            for parameter in getattr(cli.get_command(click.Context(cli), verb), "params", ())
+            for each in parameter.opts
+        }
         assert {word for word in rest if word.startswith("--")} <= options, call
 
 

@@ -134,7 +134,7 @@ def test_ctrl_c_while_the_figure_is_drawn_says_that_the_session_is_whole(main_he
     monkeypatch.setattr(import_module("inteco_abs.cli.run"), "draw", interrupted)
     quick = ("-q", "--set", "experiment.start_speed_rad_s=20")
     stop = main_here("run", "--virtual", *quick, "--out", "stop.mcap", "--figure", "stop.png", check=130)
-    assert "interrupted while drawing; stop.mcap is whole: inteco-abs figure stop.mcap" in stop.stderr
+    assert "interrupted while drawing; stop.mcap is complete: inteco-abs figure stop.mcap" in stop.stderr
     assert read_session(tmp_path / "stop.mcap").incomplete == ""
 
 

@@ -46,12 +46,12 @@ def imported(request, inteco_abs, tmp_path):
 
 def test_an_unknown_word_is_found_from_a_capture_in_which_one_slider_moves(imported, inteco_abs):
     file = imported("slider", [100, 200, 300])
-    found = json.loads(inteco_abs("wire", "moved", file, "--json", check=0).stdout)
+    found = json.loads(inteco_abs("wire", "changes", file, "--json", check=0).stdout)
     first, *others = found["moved"]
     assert (first["direction"], first["word"], first["fields"]) == ("SEND", f"w{SLIDER}", ["unknown"])
     assert (first["minimum"], first["maximum"], first["course"]) == (0, 300, "rises")
     assert [(other["word"], other["restless"]) for other in others] == [("w53", True)]
-    assert f"w{SLIDER}" in inteco_abs("wire", "moved", file, check=0).stdout
+    assert f"w{SLIDER}" in inteco_abs("wire", "changes", file, check=0).stdout
 
 
 def test_programming_the_fpga_is_told_at_import_and_left_out(inteco_abs, tmp_path):
@@ -103,8 +103,8 @@ def test_a_capture_in_which_nothing_moves_says_so_and_doubts_the_names_of_anothe
     packets = 3 * monitor.into(0x84, encode_read({"logic_version": 0x0205}))
     (tmp_path / "x.pcap").write_bytes(pcap(packets, monitor.link_type))
     inteco_abs("wire", "import", "x.pcap", "-o", "x.jsonl", check=0)
-    run = inteco_abs("wire", "moved", "x.jsonl", check=0)
-    assert "no word of any frame moved" in run.stdout
+    run = inteco_abs("wire", "changes", "x.jsonl", check=0)
+    assert "no word of any frame changed" in run.stdout
     assert "the board has logic 0x0205" in run.stderr
 
 
@@ -118,7 +118,7 @@ def test_a_first_generation_board_is_imported_by_its_protocol(inteco_abs, tmp_pa
 
 WRONG = [
     (["import", "none.pcap", "-o", "y.jsonl"], 1, ["none.pcap", "No such file"]),
-    (["import", "notes.txt", "-o", "y.jsonl"], 1, ["notes.txt", "no pcap or pcapng file"]),
+    (["import", "notes.txt", "-o", "y.jsonl"], 1, ["notes.txt", "not a pcap or pcapng file"]),
     (["import", "two.pcap", "-o", "y.jsonl"], 1, ["1.5, 2.7", "--device"]),
     (["import", "two.pcap", "-o", "notes.txt"], 1, ["notes.txt", "never overwritten"]),
     (["import", "two.pcap", "-o", "nowhere/y.jsonl"], 1, ["nowhere", "does not exist"]),
@@ -127,8 +127,8 @@ WRONG = [
     (["import", "two.pcap"], 2, ["--out"]),
     (["show", "notes.txt"], 1, ["notes.txt, line 1", "JSON"]),
     (["show", "pci.jsonl"], 2, ["'pci'", "usb2"]),
-    (["moved", "none.jsonl"], 1, ["No such file"]),
-    (["moved", "two.pcap"], 1, ["wire import first"]),
+    (["changes", "none.jsonl"], 1, ["No such file"]),
+    (["changes", "two.pcap"], 1, ["wire import first"]),
     (["diff", "x.jsonl", "pci.jsonl"], 2, ["pci", "usb2"]),
     (["diff", "x.jsonl", "x.jsonl", "--ignore", "pwm0_widht"], 2, ["did you mean pwm0_width"]),
     (["diff", "x.jsonl", "x.jsonl", "--numbering-pwm", "8"], 2, ["pwm8_prescaler"]),

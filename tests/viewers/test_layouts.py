@@ -136,7 +136,7 @@ def layout(monkeypatch, capfdbinary):
     """Runs the verb in this process: exit code, standard output and error."""
 
     def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["inteco-abs", "layout", *map(str, arguments)])
+        monkeypatch.setattr(sys, "argv", ["inteco-abs", "viewer-layout", *map(str, arguments)])
         with pytest.raises(SystemExit) as end:
             main()
         return end.value.code or 0, *capfdbinary.readouterr()

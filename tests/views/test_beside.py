@@ -68,7 +68,7 @@ def test_the_same_session_twice_is_refused(session):
 def test_more_sessions_than_colours_are_refused(session):
     many = [replace(session, path=Path(f"{number}.mcap")) for number in range(MOST + 1)]
     require_distinct(many[:MOST])
-    with pytest.raises(ConfigError, match=f"{MOST + 1} sessions, and at most {MOST} can be told apart"):
+    with pytest.raises(ConfigError, match=f"{MOST + 1} sessions: at most {MOST} can be compared"):
         require_distinct(many)
 
 

@@ -142,14 +142,14 @@ class TestWarnings:
 
     def test_an_outcome_that_nobody_told(self, session):
         silent = replace(session, metadata={})
-        assert outcome_of(silent) == "not told"
+        assert outcome_of(silent) == "not recorded"
         assert outcome_of(replace(silent, incomplete="cut")) == "not known"
 
 
 class TestCommands:
     def test_they_replay_and_repeat_the_run_to_the_last_bit(self, session, verb, tmp_path):
         commands = [*replay_commands(session), *repeat_commands(session)]
-        assert [shlex.split(line)[1] for line in commands] == ["replay", "get", "run"]
+        assert [shlex.split(line)[1] for line in commands] == ["replay", "extract", "run"]
         for line in commands:
             assert verb(*shlex.split(line)[1:]).code == 0
         assert read_session(tmp_path / "again.mcap").payload == session.payload
@@ -157,7 +157,7 @@ class TestCommands:
     def test_a_controller_of_ones_own_is_taken_out_first(self, session, told):
         mine = told(session, "controller", name="my laws/law.py:Law")
         mine = replace(mine, attachments={**session.attachments, "controller.py": b"class Law: pass"})
-        take = f"inteco-abs get {session.path} controller.py -o law.py"
+        take = f"inteco-abs extract {session.path} controller.py -o law.py"
         assert replay_commands(mine) == [take, f"inteco-abs replay {session.path} --controller law.py:Law"]
         assert take in repeat_commands(mine)
         assert "--controller law.py:Law" in repeat_commands(mine)[-1]

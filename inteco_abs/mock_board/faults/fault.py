@@ -143,7 +143,7 @@ def _moment(text: str) -> tuple[Event, Span]:
 def _span(text: str) -> Span:
     form = _SPAN.fullmatch(text)
     if form is None:
-        raise ValueError(f"{text!r} is no time: say 500us, 20ms, 1.5s, or #40 for forty exchanges")
+        raise ValueError(f"{text!r} is not a time: say 500us, 20ms, 1.5s, or #40 for forty exchanges")
     if form["exchanges"]:
         return Span(exchanges=int(form["exchanges"]))
     ns = round(float(form["number"]) * _NS[form["unit"]])

@@ -30,7 +30,7 @@ def repeat_commands(session: Session) -> list[str]:
     seed = ["--seed", software["seed"]] if simulated and "seed" in software else []
     with_what = ["--config", "rig.toml", *_controller(session)]
     return [
-        _line("get", str(session.path), CONFIG_NAME, "-o", "rig.toml"),
+        _line("extract", str(session.path), CONFIG_NAME, "-o", "rig.toml"),
         *_take_out_controller(session),
         _line("run", "--board", board, *virtual, *seed, *with_what, "--out", "again.mcap"),
     ]
@@ -39,7 +39,7 @@ def repeat_commands(session: Session) -> list[str]:
 def _take_out_controller(session: Session) -> list[str]:
     name = _own_file(session)
     taken = name and _SOURCE in session.attachments
-    return [_line("get", str(session.path), _SOURCE, "-o", name)] if taken else []
+    return [_line("extract", str(session.path), _SOURCE, "-o", name)] if taken else []
 
 
 def _controller(session: Session) -> list[str]:

@@ -1,4 +1,4 @@
-"""The report's tables: what a session is worth, and what it was run with; one column for each session."""
+"""The report's tables: results and settings, one column per session."""
 
 from __future__ import annotations
 

@@ -27,13 +27,13 @@ def _injected(session: Session) -> Iterator[str]:
     faults = session.metadata.get("injected", {})
     if faults:
         acted = ", ".join(f"{fault} (acted {times} times)" for fault, times in faults.items())
-        yield f"The mock board was told to fail: {acted}."
+        yield f"Faults injected into the mock board: {acted}."
 
 
 def outcome_of(session: Session) -> str:
     """In a word."""
     told = session.metadata.get("session", {}).get("outcome", "")
-    return told or ("not known" if session.incomplete else "not told")
+    return told or ("not known" if session.incomplete else "not recorded")
 
 
 def _end(session: Session) -> Iterator[str]:

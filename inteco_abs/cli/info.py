@@ -1,4 +1,4 @@
-"""Verbs that show a session: info, figure."""
+"""The verb `inteco-abs info`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from inteco_abs.cli.options import FILE, LOSSES, draw, json_option, plain, print_json, read_whole, say
+from inteco_abs.cli.options import FILE, LOSSES, json_option
+from inteco_abs.cli.session_files import read_whole
+from inteco_abs.cli.terminal import plain, print_json, say
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -19,10 +21,13 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("file", type=FILE)
-@click.option("--all", "everything", is_flag=True, help="Also print every record that the session holds.")
+@click.option("--all", "everything", is_flag=True, help="Also print every record of the session.")
 @json_option
 def info(file: Path, everything: bool, as_json: bool) -> int:
-    """What a session holds, how it ended, and with what it was run; --json has all of it."""
+    """Show what a session holds and how it ended.
+
+    --json prints all of it.
+    """
     from inteco_abs.sessions import read_session
 
     session = read_whole(file, read_session)
@@ -32,27 +37,6 @@ def info(file: Path, everything: bool, as_json: bool) -> int:
     else:
         _print_summary(session, summary, everything=everything)
     return LOSSES if session.incomplete or session.beyond else 0
-
-
-@click.command()
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
-@click.option("--out", "-o", type=FILE, required=True, help="Figure to write: .png, .svg or .pdf.")
-@click.option(
-    "--width",
-    type=click.Choice(("one", "two")),
-    default="two",
-    show_default=True,
-    help="Columns of a journal's page: one is 88 mm, two are 180 mm.",
-)
-def figure(files: tuple[Path, ...], out: Path, width: str) -> int:
-    """Draw stops for a paper: speeds, slip, brake torque.
-
-    Several sessions lie over one another, and a legend names what differs. The same sessions give the same file.
-    """
-    from inteco_abs.views.figure import check_figure
-
-    check_figure(out, "--out")
-    return 0 if draw(files, out, width) else LOSSES
 
 
 def _summary(session: Session) -> dict[str, Any]:
@@ -76,7 +60,7 @@ def _summary(session: Session) -> dict[str, Any]:
 
 
 def _print_summary(session: Session, summary: Mapping[str, Any], *, everything: bool) -> None:
-    """What one asks first, on one screen."""
+    """The main facts, on one screen."""
     from rich.console import Console
 
     console = Console(markup=False, highlight=False)
@@ -86,38 +70,38 @@ def _print_summary(session: Session, summary: Mapping[str, Any], *, everything: 
         console.print(_table(_records(summary)))
     else:
         count = sum(map(len, summary["metadata"].values()))
-        say(f"--all prints the {count} facts that the session holds, --json too; inteco-abs get takes files out")
+        say(f"--all or --json prints all {count} facts; inteco-abs extract writes out the files")
 
 
 def _first_facts(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     metadata = summary["metadata"]
 
-    def told(record: str, *keys: str) -> str:
+    def joined(record: str, *keys: str) -> str:
         facts = metadata.get(record, {})
         return " ".join(facts[key] for key in keys if facts.get(key))
 
     def is_true(record: str, key: str) -> bool:
-        return told(record, key) == "true"
+        return joined(record, key) == "true"
 
     law = metadata.get("controller", {})
     names = [key for key in law if key.startswith("gain.") and not key.endswith(".hex")]
     gains = [f"{key.partition('.')[2]}={law[key]}" for key in names]
-    commit = f"{told('software', 'git_commit')[:10]}{' with changes' if is_true('software', 'git_dirty') else ''}"
-    place = f"{'simulated' if is_true('rig', 'simulated') else 'real'} rig {told('rig', 'drawn')}".strip()
+    commit = f"{joined('software', 'git_commit')[:10]}{' with changes' if is_true('software', 'git_dirty') else ''}"
+    place = f"{'simulated' if is_true('rig', 'simulated') else 'real'} rig {joined('rig', 'drawn')}".strip()
     time = "virtual time" if is_true("rig", "virtual_time") else "real time"
     lasted = f"{summary['duration_s']:.3f} s, {summary['ticks']} ticks, {summary['events']} events"
     yield "session", summary["session"]
-    yield "outcome", told("session", "outcome") or "-"
-    yield "reason", told("session", "reason") or "-"
-    yield "recorded", f"{told('session', 'started_utc') or '-'}, {lasted}"
-    yield "controller", f"{told('controller', 'name') or '-'} on {told('controller', 'estimator') or '-'}"
-    yield "gains", ", ".join([f"reference_slip={told('controller', 'reference_slip') or '-'}", *gains])
-    yield "board", f"{told('rig', 'board', 'logic_version', 'application_name')}, profile {told('rig', 'profile')}"
+    yield "outcome", joined("session", "outcome") or "-"
+    yield "reason", joined("session", "reason") or "-"
+    yield "recorded", f"{joined('session', 'started_utc') or '-'}, {lasted}"
+    yield "controller", f"{joined('controller', 'name') or '-'} on {joined('controller', 'estimator') or '-'}"
+    yield "gains", ", ".join([f"reference_slip={joined('controller', 'reference_slip') or '-'}", *gains])
+    yield "board", f"{joined('rig', 'board', 'logic_version', 'application_name')}, profile {joined('rig', 'profile')}"
     yield "rig", f"{place}, {time}"
     if faults := metadata.get("injected"):
         yield "injected", ", ".join(f"{fault} acted {times} times" for fault, times in faults.items())
-    yield "software", f"inteco-abs {told('software', 'version')} {commit}, Python {told('software', 'python')}"
-    yield "host", told("host", "hostname", "os", "kernel") or "-"
+    yield "software", f"inteco-abs {joined('software', 'version')} {commit}, Python {joined('software', 'python')}"
+    yield "host", joined("host", "hostname", "os", "kernel") or "-"
     yield "files", ", ".join(summary["attachments"]) or "none"
 
 
@@ -132,7 +116,7 @@ def _records(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _results(session: Session) -> Table:
-    """The result card, two results a line; what was not measured is left out."""
+    """The result card, two results a line, without those that were not measured."""
     from rich.table import Table
 
     from inteco_abs.views.report.facts import NOTHING, result_rows

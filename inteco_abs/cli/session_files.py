@@ -1,0 +1,50 @@
+"""Session files as verbs take and make them: read with a word about what is lost, drawn, refused before a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from inteco_abs.cli.terminal import plain, say
+from inteco_abs.errors import ConfigError, ConfigIssue
+
+if TYPE_CHECKING:
+    from inteco_abs.sessions import Session
+
+
+def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
+    """The session in `file`, with what it lacks on stderr."""
+    session = reader(file)
+    report_losses(session)
+    return session
+
+
+def report_losses(session: Session) -> None:
+    """Say what a session lacks, and what to do about it."""
+    if session.incomplete:
+        ticks = len(session.ticks)
+        whole = f"{ticks} ticks are complete{'; recover makes a session of them' if ticks else ''}"
+        say(f"inteco-abs: {session.path}: {session.incomplete}; {whole}", err=True)
+    if session.beyond:
+        say(f"inteco-abs: {session.path}: {plain(session.beyond)}", err=True)
+
+
+def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
+    """Draw stops to `out`; whether every file was complete and fully understood."""
+    from inteco_abs.sessions import read_session
+    from inteco_abs.views.figure import draw_stops
+
+    sessions = [read_whole(file, read_session) for file in files]
+    draw_stops(sessions, out, width)
+    say(f"figure: {out}", err=True)
+    return not any(session.incomplete or session.beyond for session in sessions)
+
+
+def check_session_file(out: Path) -> None:
+    """Raise ConfigError for a path where no new session can be written, or where `list` would not find it."""
+    from inteco_abs.sessions import check_output
+
+    check_output(out)
+    if out.suffix != ".mcap":
+        raise ConfigError([ConfigIssue("--out", f"{out}: must end in .mcap, by which sessions are found")])

@@ -1,0 +1,101 @@
+"""What the command says to a person or a program: text, JSON, cards, progress, questions."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import date
+from typing import TYPE_CHECKING, Any, TextIO
+
+import click
+
+from inteco_abs.errors import Stopped
+
+if TYPE_CHECKING:
+    from inteco_abs.montecarlo import Progress
+
+
+def on_terminal(stream: TextIO | None) -> bool:
+    """Whether a person reads or types there; a stream that the shell has closed is None."""
+    return stream is not None and stream.isatty()
+
+
+def say(text: str = "", *, err: bool = False, nl: bool = True) -> None:
+    """Print lines: the only way by which text reaches a terminal, as any of it may come out of a stranger's file."""
+    click.echo("\n".join(map(plain, text.split("\n"))), err=err, nl=nl)  # noqa: TID251
+
+
+def plain(text: object) -> str:
+    """Text out of a file as a part of a line: it cannot move the cursor, change colours or begin a line."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in str(text))
+
+
+def print_json(data: Mapping[str, Any]) -> None:
+    """One object on one line of standard output; NaN and infinity, which JSON does not have, raise ValueError."""
+    say(json.dumps(data, allow_nan=False, default=date.isoformat))
+
+
+def print_card(card: Mapping[str, Any], explanation: str, before: Mapping[str, Any] | None = None) -> None:
+    """Print a result card; `before` is the one to compare it with."""
+    from rich.console import Console
+
+    from inteco_abs.views import render_card
+
+    console = Console()
+    shown, earlier = _in_plain(card), None if before is None else _in_plain(before)
+    console.print(render_card(shown, plain(explanation), earlier, plain=console.options.ascii_only))
+
+
+def _in_plain(card: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: plain(value) if isinstance(value, str) else value for key, value in card.items()}
+
+
+@contextmanager
+def stops_progress() -> Iterator[Progress | None]:
+    """Progress bar over stops on a terminal's stderr; None where stderr is not a terminal."""
+    if not on_terminal(sys.stderr):
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("stops"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("compiling, then braking", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total, description="braking")
+
+
+class Terminal:
+    """The operator of a commissioning: reads on stderr and answers on stdin, a terminal or a file of answers."""
+
+    def __init__(self) -> None:
+        self._showing = False
+
+    def tell(self, text: str) -> None:
+        """Print one paragraph."""
+        say(f"\n{text}" if self._showing else text, err=True)
+        self._showing = False
+
+    def show(self, text: str) -> None:
+        """Replace the current line; on a terminal only."""
+        if on_terminal(sys.stderr):
+            click.echo(f"\r\033[K  {plain(text)}", nl=False, err=True)  # noqa: TID251  it replaces a line
+            self._showing = True
+
+    def ask(self, question: str) -> str:
+        """One line of an answer, stripped. Raises Stopped at the end of the input."""
+        try:
+            answer: str = click.prompt(question, default="", show_default=False, prompt_suffix=" ", err=True)
+        except click.Abort as abort:
+            if isinstance(abort.__context__, EOFError):
+                raise Stopped("standard input has no more answers; the same command continues from here") from None
+            raise
+        return answer.strip()
