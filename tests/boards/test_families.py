@@ -23,7 +23,6 @@ PAGE = PRODUCT.parent / "docs" / "how-to" / "add-a-board-family.md"
 SECTION = "the section [usb] of a configuration, which has this name in every session"
 ALLOWED = {
     "config/model.py": "what a profile that names no family has always meant",
-    "realtime/processes/guardian.py": SECTION,
     "commissioning/profile_draft.py": SECTION,
     "commissioning/board_report.py": SECTION,
 }
