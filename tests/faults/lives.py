@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import pytest
 
-import inteco_abs.experiment
+import inteco_abs.experiment.virtual_run
 from inteco_abs.cli import main
 from inteco_abs.mock_board import Device
 from inteco_abs.rig import plant
@@ -102,7 +102,7 @@ class Lives:
             redirect_stdout(StringIO()),
             redirect_stderr(StringIO()) as said,
         ):
-            patch.setattr(inteco_abs.experiment, "Device", Remembered)
+            patch.setattr(inteco_abs.experiment.virtual_run, "Device", Remembered)
             patch.setattr(sys, "argv", self._words)
             patch.chdir(self.folder)
             try:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from mcap.writer import Writer
 
-import inteco_abs.experiment
+import inteco_abs.experiment.virtual_run
 from inteco_abs.errors import AbsError, SessionError
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.mock_board import Device
@@ -90,8 +90,8 @@ class Place:
             rings: list[TickRing] = []
             with asking(self.folder, refusal) as self.requests:
                 run = Run(self.requests, b"")
-                patch.setattr(inteco_abs.experiment, "Device", remembered(Device, run.devices))
-                patch.setattr(inteco_abs.experiment, "TickRing", remembered(TickRing, rings))
+                patch.setattr(inteco_abs.experiment.virtual_run, "Device", remembered(Device, run.devices))
+                patch.setattr(inteco_abs.experiment.virtual_run, "TickRing", remembered(TickRing, rings))
                 try:
                     run.result = work()
                 except BaseException as error:  # noqa: BLE001  whatever leaves is judged
@@ -158,7 +158,7 @@ def prepared_place():
     with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory(prefix="abs-", dir=memory.FOLDER) as folder:
         where = Place(Path(folder))
         patch.setattr(memory, "FOLDER", where.memory)
-        patch.setattr(inteco_abs.experiment, "_SLICE_TICKS", 25)
+        patch.setattr(inteco_abs.experiment.virtual_run, "_SLICE_TICKS", 25)
         patch.setattr(recorder, "Writer", partial(Writer, chunk_size=2048))
         patch.setattr(recorder, "BufferedWriter", partial(BufferedWriter, buffer_size=1024))
         patch.setattr(plant, "MOST_CUTS", 1)

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from inteco_abs.experiment import _processes
+from inteco_abs.experiment.real_time import processes
 from inteco_abs.realtime import memory
 from inteco_abs.realtime.processes.supervisor import Supervisor
 from inteco_abs.sessions import TRUTH
@@ -50,7 +50,7 @@ class TestInRealTime:
         "realtime/processes/supervisor.py",
         "realtime/signal_handlers.py",
         "realtime/heartbeat.py",
-        "experiment.py",
+        "experiment/real_time.py",
     )
 
     @pytest.fixture
@@ -75,7 +75,7 @@ class TestInRealTime:
         assert (life.struck, life.code) == (True, INTERRUPTED)
 
     def test_who_interrupts_before_the_supervisor_works_leaves_no_mock_board(self, strike, left_processes):
-        life, problem = strike(line_of(_processes.__wrapped__, "yield memory, supervisor"), "SIGINT")
+        life, problem = strike(line_of(processes.__wrapped__, "yield memory, supervisor"), "SIGINT")
         assert not problem
         assert (life.struck, life.code) == (True, INTERRUPTED)
         assert left_processes() == []

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-NEEDLESS = {"numpy", "mcap", "rich", "click", "inteco_abs.sessions"}
+NEEDLESS = {"numpy", "pydantic", "mcap", "rich", "click", "inteco_abs.sessions"}
 
 
 @pytest.mark.untraced

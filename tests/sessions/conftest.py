@@ -22,7 +22,8 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from tracing import untraced
 
-import inteco_abs.experiment
+import inteco_abs.experiment.run
+import inteco_abs.experiment.virtual_run
 from inteco_abs.analysis import replay
 from inteco_abs.cli import main
 from inteco_abs.config import RigConfig, load_config
@@ -313,7 +314,7 @@ def devices(monkeypatch):
             super().__init__(*args, **kwargs)
             made.append(self)
 
-    monkeypatch.setattr(inteco_abs.experiment, "Device", Remembered)
+    monkeypatch.setattr(inteco_abs.experiment.virtual_run, "Device", Remembered)
     return made
 
 
@@ -335,7 +336,7 @@ def at_phase(monkeypatch):
             pipeline.step = watched
             return pipeline
 
-        monkeypatch.setattr(inteco_abs.experiment, "build_pipeline", build)
+        monkeypatch.setattr(inteco_abs.experiment.run, "build_pipeline", build)
 
     return arrange
 

@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 
-import inteco_abs.experiment
+import inteco_abs.experiment.virtual_run
 from inteco_abs.boards.families.usb2 import RtdacUsb2
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS
@@ -159,7 +159,7 @@ def stuck(monkeypatch):
             raise BoardError("SAFE could not be confirmed")
 
     monkeypatch.setattr(
-        inteco_abs.experiment,
+        inteco_abs.experiment.virtual_run,
         "board_behind",
         lambda link, config, now_ns: Stuck(link, config.board, now_ns, config.period_ns),
     )
@@ -207,7 +207,7 @@ def test_a_failure_before_the_first_tick_leaves_no_file(run, devices, monkeypatc
         def begin(self, _parameters) -> None:
             raise SessionError("no room")
 
-    monkeypatch.setattr(inteco_abs.experiment, "FileWriter", Failing)
+    monkeypatch.setattr(inteco_abs.experiment.virtual_run, "FileWriter", Failing)
     with pytest.raises(AbsError, match="no room"):
         run()
     assert list(tmp_path.iterdir()) == []

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-import inteco_abs.experiment
+import inteco_abs.experiment.virtual_run
 from inteco_abs.boards.families.usb2 import RtdacUsb2
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import ReadOnlyError
@@ -81,7 +81,7 @@ def test_a_signal_before_the_first_tick_still_gives_a_whole_file(run, devices, r
             super().begin(parameters)
             sender(signal.SIGINT)()
 
-    monkeypatch.setattr(inteco_abs.experiment, "FileWriter", Interrupted)
+    monkeypatch.setattr(inteco_abs.experiment.virtual_run, "FileWriter", Interrupted)
     made = run()
     check_interrupted(made, devices, replayed)
     assert len(made.session.ticks) == 1
@@ -109,7 +109,7 @@ def test_a_second_signal_while_the_file_is_completed_is_harmless(
             super().finish(*args)
             sender(signal.SIGINT)()
 
-    monkeypatch.setattr(inteco_abs.experiment, "FileWriter", Interrupted)
+    monkeypatch.setattr(inteco_abs.experiment.virtual_run, "FileWriter", Interrupted)
     at_phase(Phase.IDLE, sender(signal.SIGINT))
     check_interrupted(run(), devices, replayed)
     assert outer_signals == []
@@ -126,7 +126,7 @@ def test_a_second_signal_while_the_outputs_are_made_safe_does_not_keep_them_on(
             super().make_safe()
 
     monkeypatch.setattr(
-        inteco_abs.experiment,
+        inteco_abs.experiment.virtual_run,
         "board_behind",
         lambda link, config, now_ns: Interrupted(link, config.board, now_ns, config.period_ns),
     )
@@ -171,7 +171,7 @@ def test_a_signal_after_the_last_tick_takes_nothing_back(run, monkeypatch, outer
             sender(signal.SIGINT)()
             super().finish(*args)
 
-    monkeypatch.setattr(inteco_abs.experiment, "FileWriter", Interrupted)
+    monkeypatch.setattr(inteco_abs.experiment.virtual_run, "FileWriter", Interrupted)
     made = run()
     assert made.stop.outcome == made.session.metadata["session"]["outcome"] == "completed"
     assert outer_signals == []

@@ -1,0 +1,17 @@
+"""One experiment from start to file: puts board, loop, pipeline and recorder together, in virtual or in real time."""
+
+from inteco_abs.experiment.plan import Plan, Progress, conditions, ring_ticks
+from inteco_abs.experiment.real_time import RoundTrips, by_hand, conditions_by_hand, measure_round_trips
+from inteco_abs.experiment.run import run_stop
+
+__all__ = [
+    "Plan",
+    "Progress",
+    "RoundTrips",
+    "by_hand",
+    "conditions",
+    "conditions_by_hand",
+    "measure_round_trips",
+    "ring_ticks",
+    "run_stop",
+]

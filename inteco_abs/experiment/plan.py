@@ -1,0 +1,164 @@
+"""What is to be run, what has to hold before anything is opened, and what the processes of a run are told."""
+
+from __future__ import annotations
+
+import sys
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from inteco_abs.boards import check_address, check_kind, check_limits, simulated
+from inteco_abs.config import RigConfig
+from inteco_abs.control import CONTROLLERS, Controller
+from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
+from inteco_abs.mock_board import (
+    BY_PROCESS,
+    CLOCK_STEP,
+    Fault,
+    drawn_facts,
+    require_possible,
+)
+from inteco_abs.realtime.foxglove_server import require_foxglove
+from inteco_abs.realtime.job import Job
+from inteco_abs.sessions import (
+    check_spill,
+)
+from inteco_abs.sessions.provenance import host_facts, profile_source, software_facts
+from inteco_abs.signals import Phase
+from inteco_abs.wire.capture import check_target
+from inteco_abs.wire.recording import check_recordable
+
+_SPARE_S: Final = 2.0
+_LONGEST_RING_S: Final = 60.0
+"""Memory of several stops goes round: what is older is in the file. For so long a disk may take nothing; a run without
+recorder ends within a second. Every process of the run has all of it mapped: 38 MB at 2 kHz."""
+_SHORTEST_RING_S: Final = 4.0
+"""Long enough for the recorder to be found dead and the run to end before the ring is full."""
+
+Progress = Callable[[Phase, int], None]
+"""Told the phase and the number of ticks so far, between slices of a virtual run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is to be done: everything that the configuration does not say."""
+
+    out: Path
+    board: str = "sim:"
+    virtual: bool = True
+    seed: int = 0
+    controllers: Mapping[str, type[Controller]] = field(default_factory=lambda: CONTROLLERS)
+    controller_source: bytes = b""
+    """Source of a controller that does not ship, kept in the session; in real time it runs in another process."""
+    wire: Path | None = None
+    """Capture to write: everything that passes between host and board."""
+    frames: bool = False
+    """Whether all that goes into the session, too."""
+    controller_package: str = ""
+    """Name and version of the installed package that the controller comes from; empty if from none."""
+    live_port: int | None = None
+    """Where to serve a real-time run to viewers on this computer; 0 for any port that is free, None for not at all."""
+    faults: tuple[Fault, ...] = ()
+    """What the mock board does wrong."""
+
+
+def conditions(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
+    """What has to hold before anything is opened, besides a place for the session; each raises AbsError if not."""
+    yield partial(check_address, plan.board)
+    yield partial(check_kind, plan.board, config)
+    yield partial(check_limits, plan.board, config)
+    yield partial(_check_time, config, plan)
+    if plan.faults:
+        yield partial(_check_faults, config, plan)
+    if plan.live_port is not None:
+        yield partial(_check_live, plan.live_port, virtual=plan.virtual)
+    yield partial(check_spill, config)
+    if plan.frames:
+        yield partial(check_recordable, "--frames", config)
+    if plan.wire is not None:
+        yield partial(check_target, plan.wire)
+
+
+def _check_time(config: RigConfig, plan: Plan) -> None:
+    """Whether the run can take place in the time that it asks for."""
+    if not plan.virtual:
+        require_linux()
+        _require_origin(config, plan)
+    elif not simulated(plan.board):
+        raise ConfigError(
+            [ConfigIssue("--virtual", f"{plan.board} is a real board, and real boards have their own time")]
+        )
+
+
+def _check_faults(config: RigConfig, plan: Plan) -> None:
+    require_mock_board(plan.board)
+    if plan.virtual:
+        impossible = dict.fromkeys(BY_PROCESS, "a run in virtual time has no such process; leave --virtual out")
+    else:
+        impossible = {CLOCK_STEP: "nobody's real clock is set; add --virtual"}
+    impossible["alarm"] = "a run reads no such flags; inteco-abs panel --inject shows them"
+    require_possible(plan.faults, config.board.kind, impossible)
+
+
+def require_mock_board(board: str) -> None:
+    if not simulated(board):
+        problem = f"{board} is a real board, and breaks by itself; only sim: can be told"
+        raise ConfigError([ConfigIssue("--inject", problem)])
+
+
+def _require_origin(config: RigConfig, plan: Plan) -> None:
+    if config.controller.name not in CONTROLLERS and not (plan.controller_source or plan.controller_package):
+        problem = (
+            f"{config.controller.name!r}: in real time a controller must come from a file, as file.py:Class, "
+            "or from an installed package"
+        )
+        raise ConfigError([ConfigIssue("controller.name", problem)])
+
+
+def _check_live(port: int, *, virtual: bool) -> None:
+    if virtual:
+        problem = "a run in virtual time is over before anybody could look; leave one of the two out"
+        raise ConfigError([ConfigIssue("--foxglove", f"{problem}, or open the session file in the viewer")])
+    require_foxglove(port)
+
+
+def require_linux() -> None:
+    if not sys.platform.startswith("linux"):
+        raise BoardError(f"real time needs Linux, and this is {sys.platform}; use --virtual")
+
+
+def job_of(config: RigConfig, plan: Plan, facts: Mapping[str, Mapping[str, str]] = MappingProxyType({})) -> Job:
+    return Job(
+        out=str(plan.out.absolute()),
+        session=str(plan.out),
+        board=plan.board,
+        address=plan.board,
+        seed=plan.seed,
+        session_id=str(uuid.uuid4()),
+        config=config,
+        controller_source=plan.controller_source,
+        controller_package=plan.controller_package,
+        facts={**facts_of(config, plan), **facts},
+        wire=str(plan.wire.absolute()) if plan.wire else "",
+        frames=plan.frames,
+        profile=profile_source(config.profile),
+        live_port=plan.live_port,
+        faults=tuple(map(str, plan.faults)),
+    )
+
+
+def facts_of(config: RigConfig, plan: Plan) -> dict[str, dict[str, str]]:
+    facts = {"software": {**software_facts(), "seed": str(plan.seed)}, "host": host_facts()}
+    drawn = drawn_facts(config) if simulated(plan.board) else {}
+    return {**facts, "drawn_rig": drawn} if drawn else facts
+
+
+def ring_ticks(config: RigConfig) -> int:
+    """Ticks that the ring is to hold: all of the longest possible run, up to a minute, if nothing else is asked for."""
+    whole_s = min(config.experiment.longest_s + _SPARE_S, _LONGEST_RING_S)
+    seconds = max(config.loop.ring_s, _SHORTEST_RING_S) if config.loop.ring_s else whole_s
+    return round(seconds * config.loop.rate_hz)

@@ -1,0 +1,131 @@
+"""Runs in real time: shared memory, the mock board's process, and a supervisor for the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from inteco_abs.boards import check_address, check_kind, check_limits, simulated
+from inteco_abs.config import RigConfig
+from inteco_abs.experiment.plan import Plan, job_of, require_linux, require_mock_board, ring_ticks
+from inteco_abs.host.checks import as_facts
+from inteco_abs.host.doctor import examine
+from inteco_abs.mock_board import (
+    ON_THE_HOST,
+    Fault,
+    require_possible,
+)
+from inteco_abs.realtime.memory import RunMemory
+from inteco_abs.realtime.processes.manual import ONLY_WATCHED, ManualClient, slowed
+from inteco_abs.realtime.processes.supervisor import Supervisor
+from inteco_abs.realtime.screen import Screen
+from inteco_abs.sessions import (
+    TICK,
+    TRUTH,
+    RunResult,
+)
+
+_PANEL_RING_S: Final = 30.0
+"""A screen that takes no ticks for so long is gone."""
+
+
+def run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> RunResult:
+    doctor = {"doctor": as_facts(examine(plan.out.absolute().parent))}
+    with processes(config, plan, ring_ticks(config), doctor) as (memory, supervisor):
+        try:
+            return supervisor.run(screen)
+        except BaseException:
+            if memory.tick_reader().written:
+                memory.keep()  # the file may not have them all
+            raise
+
+
+@contextmanager
+def processes(
+    config: RigConfig, plan: Plan, ring_ticks: int, facts: Mapping[str, Mapping[str, str]] | None = None
+) -> Iterator[tuple[RunMemory, Supervisor]]:
+    """Shared memory with the job in it, the mock board's process, and a supervisor for the rest."""
+    memory = RunMemory.create(TICK.size, ring_ticks, TRUTH.size, ring_ticks)
+    try:
+        job = job_of(config, plan, facts or {})
+        if simulated(plan.board):
+            job = replace(job, address=f"{plan.board}{memory.socket}")
+        job.post(memory)
+        supervisor = Supervisor(memory, job)
+        try:
+            if simulated(plan.board):
+                supervisor.spawn("board", "inteco_abs.mock_board_process", str(memory.path))
+            yield memory, supervisor
+        finally:
+            supervisor.end()  # its own work may not have begun when an interrupt comes
+    finally:
+        memory.remove()
+
+
+class RoundTrips(NamedTuple):
+    """How long exchanges with a board take."""
+
+    times_us: list[float]
+    """Of those that succeeded."""
+    engines: dict[str, str]
+    """Which of the link's engines is in use, and how long exchanges took with each; empty if there is no choice."""
+
+
+def measure_round_trips(config: RigConfig, board: str) -> RoundTrips:
+    """Exchange SAFE with the board in a process like the loop's; nothing is energised.
+
+    Raises BoardError if the board cannot be opened or does not answer.
+    """
+    check_address(board)
+    check_kind(board, config)
+    require_linux()
+    with processes(config, Plan(Path(), board, virtual=False), ring_ticks=1) as (_, supervisor):
+        return RoundTrips(**supervisor.ask("trips"))
+
+
+def conditions_by_hand(
+    config: RigConfig, board: str, faults: Sequence[Fault] = (), *, outputs: bool = True
+) -> Iterator[Callable[[], object]]:
+    """What has to hold before a board is opened for a screen; each raises AbsError if not."""
+    yield partial(check_address, board)
+    yield partial(check_kind, board, config)
+    if outputs:
+        yield partial(check_limits, board, config)
+    if faults:
+        yield partial(_check_faults_by_hand, config, board, faults)
+    yield require_linux
+
+
+@contextmanager
+def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault, ...] = ()) -> Iterator[ManualClient]:
+    """A board held by a process of its own, for a screen or a program: entered for output, or only to be read.
+
+    `faults` are what the mock board does wrong. Leaving ends with SAFE, read back. Raises ReadOnlyError if outputs are
+    wanted of a board that the profile does not trust, BoardError if it cannot be opened or its process has died,
+    UnsafeError if SAFE was not confirmed.
+    """
+    for condition in conditions_by_hand(config, board, faults, outputs=outputs):
+        condition()
+    config = slowed(config)
+    told = config if outputs else _only_read(config)
+    ring_ticks = round(_PANEL_RING_S * config.loop.rate_hz)
+    with (
+        processes(told, Plan(Path(), board, virtual=False, faults=faults), ring_ticks) as (memory, supervisor),
+        supervisor.by_hand(drill=outputs),
+    ):
+        yield ManualClient(memory)
+
+
+def _only_read(config: RigConfig) -> RigConfig:
+    because = config.board.read_only or ONLY_WATCHED
+    return replace(config, board=replace(config.board, read_only=because))
+
+
+def _check_faults_by_hand(config: RigConfig, board: str, faults: Sequence[Fault]) -> None:
+    require_mock_board(board)
+    impossible = dict.fromkeys(ON_THE_HOST, "the panel records nothing; inteco-abs run --inject has this")
+    require_possible(faults, config.board.kind, impossible)

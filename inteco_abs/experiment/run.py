@@ -1,0 +1,40 @@
+"""One experiment from start to file, in virtual or in real time."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import redirect_stdout
+
+from inteco_abs.config import RigConfig
+from inteco_abs.control import build_pipeline
+from inteco_abs.experiment.plan import Plan, Progress, conditions
+from inteco_abs.experiment.real_time import run_in_real_time
+from inteco_abs.experiment.virtual_run import Interrupts, VirtualRun
+from inteco_abs.realtime.screen import NoScreen, SafeScreen, Screen
+from inteco_abs.realtime.signal_handlers import hearing
+from inteco_abs.sessions import (
+    RunResult,
+    check_output,
+)
+
+
+def run_stop(
+    config: RigConfig, plan: Plan, progress: Progress | None = None, screen: Screen | None = None
+) -> RunResult:
+    """Run one experiment and record it at `plan.out`; `screen` shows it, in real time ten times a second.
+
+    SIGINT, SIGTERM and their like end it at the next tick, with SAFE and a complete file. Raises ConfigError or
+    BoardError if it cannot start, and then leaves no file. A run that ends without SAFE having been confirmed is told
+    as `aborted`, with a warning on the screen; by UnsafeError only if there is no session of it.
+    """
+    check_output(plan.out)
+    for condition in conditions(config, plan):
+        condition()
+    # a controller's prints must not mix with the result card
+    with redirect_stdout(sys.stderr):
+        pipeline = build_pipeline(config, plan.controllers)
+        if not plan.virtual:
+            return run_in_real_time(config, plan, screen or NoScreen())
+        interrupts, screen = Interrupts(), SafeScreen(screen or NoScreen())
+        with hearing(interrupts.handle), screen.listening(interrupts.handle):
+            return VirtualRun(config, plan, pipeline, interrupts).run(progress, screen)

@@ -1,0 +1,256 @@
+"""A run in this process, in virtual time, on the mock board."""
+
+from __future__ import annotations
+
+import os
+import time
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from inteco_abs.boards import Board, InProcessLink, board_behind
+from inteco_abs.config import RigConfig
+from inteco_abs.control import Controller, Pipeline, gains_in_force
+from inteco_abs.errors import SessionError, UnsafeError, in_words
+from inteco_abs.experiment.plan import Plan, Progress, facts_of, job_of, ring_ticks
+from inteco_abs.mock_board import (
+    Device,
+    FaultyDevice,
+    FaultyFrontEnd,
+    FaultyHost,
+    FrontEnd,
+    Schedule,
+    face_of,
+)
+from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
+from inteco_abs.realtime.histogram import Histogram
+from inteco_abs.realtime.loop import detail_of
+from inteco_abs.realtime.screen import Check, Screen, SnapshotSource
+from inteco_abs.realtime.spool import stow
+from inteco_abs.realtime.watchdog import prove_watchdog
+from inteco_abs.realtime.window import Window
+from inteco_abs.sessions import (
+    EXIT_CODES,
+    LOSSES,
+    TICK,
+    TRUTH,
+    FailoverWriter,
+    FileWriter,
+    Frames,
+    RunEnd,
+    RunHeader,
+    RunResult,
+    pack_tick,
+    spill_path,
+)
+from inteco_abs.sessions.environment import surroundings
+from inteco_abs.sessions.failover_writer import Opener
+from inteco_abs.sessions.provenance import profile_source
+from inteco_abs.signals import EXPLANATIONS, Reason
+from inteco_abs.wire.recording import Recording, recording
+
+_SLICE_TICKS: Final = 1000
+_PATIENCE_S: Final = 1.0
+
+
+class VirtualRun:
+    """An experiment in this process, in virtual time, on the mock board."""
+
+    def __init__(self, config: RigConfig, plan: Plan, pipeline: Pipeline, interrupts: Interrupts) -> None:
+        self._config = config
+        self._plan = plan
+        self._interrupts = interrupts
+        self._clock = VirtualClock(config.period_ns)
+        self._schedule = Schedule(plan.faults, self._clock.now_ns, plan.seed)
+        self._host = FaultyHost(self._schedule, plan.out, lambda name: os.getpid() if name == "recorder" else 0)
+        self._pipeline = pipeline
+        self._session_id = str(uuid.uuid4())
+        capacity = ring_ticks(config) + 2 * _SLICE_TICKS
+        self._ring = TickRing(pack_tick, TICK.size, capacity)
+        self._truths = TickRing(TRUTH.pack_into, TRUTH.size, capacity)
+        self._window = Window(self._ring.reader(), self._truths.reader())
+
+    def run(self, progress: Progress | None, screen: Screen) -> RunResult:
+        plan = self._plan
+        with self._host, recording(plan.wire, self._config, self._clock.now_ns, keep=plan.frames) as around:
+            return self._run(progress, screen, around)
+
+    def _run(self, progress: Progress | None, screen: Screen, around: Recording) -> RunResult:
+        plan, config = self._plan, self._config
+        board = board_behind(around(InProcessLink(self._face())), config, self._clock.now_ns)
+        controller = plan.controllers[config.controller.name]
+        with FailoverWriter(plan.out, self._opener(controller), self._window.held, self._spill()) as keeper:
+            try:
+                with board:
+                    screen.passed(Check.BOARD, f"{plan.board} {board.insist()}")
+                    watchdog = prove_watchdog(board, config.period_ns, self._wait)
+                    keeper.introduce(config, self._introduction(board, watchdog), plan.out)
+                    screen.passed(Check.RECORDER, str(plan.out))
+                    self._drive(keeper, board, progress, screen)
+            except BaseException as error:
+                unsafe = isinstance(error, UnsafeError) and self._ring.written > 0
+                if unsafe:
+                    screen.warn(str(error))  # before all else that is told
+                words = str(error) if unsafe else in_words(error)
+                account = self._given_up(keeper, replace(self._end(board, words), frames=self._frames(around)), error)
+                if account is None or not unsafe:
+                    raise
+                return account  # as in real time
+            return self._conclude(keeper, replace(self._end(board), frames=self._frames(around)))
+
+    def _face(self) -> FrontEnd:
+        told = self._config, self._clock.now_ns, self._plan.seed, self._truths.append
+        if not self._plan.faults:
+            return face_of(Device(*told))
+        return FaultyFrontEnd(
+            face_of,
+            FaultyDevice(*told, schedule=self._schedule),
+            wait=self._wait,
+            pause=lambda seconds: self._clock.oversleep_ns(round(seconds * 1e9)),
+            begun=self._host.act,
+        )
+
+    def _wait(self, seconds: float) -> None:
+        self._clock.pass_ns(round(seconds * 1e9))
+
+    def _opener(self, controller: type[Controller]) -> Opener:
+        now_ns = self._clock.now_ns()
+        return partial(
+            FileWriter,
+            start_ns=now_ns,
+            controller_internals=controller.internals,
+            session_id=self._session_id,
+            epoch_ns=time.time_ns() - now_ns,
+        )
+
+    def _spill(self) -> Path | None:
+        return spill_path(self._plan.out, self._config, self._session_id)
+
+    def _drive(self, keeper: FailoverWriter, board: Board, progress: Progress | None, screen: Screen) -> None:
+        onlooker = SnapshotSource(self._ring.reader(), Histogram(), self._config.loop.rate_hz)
+        loop = Loop(board, self._pipeline, self._clock, self._ring, self._interrupts.stop)
+        self._window.skip_truths()  # what the device saw while it was opened belongs to no tick
+        try:
+            over = False
+            while not over:
+                with self._interrupts.breaking():
+                    over = loop.run(_SLICE_TICKS)
+                snapshot = onlooker.look()
+                if snapshot is not None:
+                    screen.show(snapshot)
+                if not over:
+                    self._record(keeper)
+                    if progress is not None:
+                        progress(self._pipeline.phase, self._ring.written)
+        finally:
+            try:
+                board.make_safe()  # before anything that takes time or can fail
+            finally:
+                self._record(keeper)
+
+    def _record(self, keeper: FailoverWriter) -> None:
+        keeper.add(*self._window.more())
+        if self._window.waiting > self._window.room:
+            keeper.flush()
+            if keeper.writing:
+                self._window.release()
+        if self._window.room < 2 * _SLICE_TICKS:  # as in real time: what no disk takes ends the run while there is room
+            self._interrupts.stop.request(Reason.RECORDER_LOST)
+
+    def _introduction(self, board: Board, watchdog: Mapping[str, str]) -> RunHeader:
+        config, plan = self._config, self._plan
+        return RunHeader(
+            board=plan.board,
+            identity={**board.insist().facts(), **watchdog},
+            virtual=True,
+            gains=gains_in_force(config, plan.controllers),
+            internals=plan.controllers[config.controller.name].internals,
+            controller_source=plan.controller_source,
+            controller_package=plan.controller_package,
+            facts=facts_of(config, plan),
+            profile=profile_source(config.profile),
+            surroundings=surroundings(),
+        )
+
+    def _end(self, board: Board, aborted: str = "") -> RunEnd:
+        facts = {"injected": self._schedule.told()} if self._plan.faults else {}
+        return RunEnd(self._pipeline.reason, self._ring.written, detail_of(self._pipeline, board), aborted, facts)
+
+    def _frames(self, around: Recording) -> Frames | None:
+        capture = around.capture() if self._plan.frames else None
+        return None if capture is None else lambda: nullcontext((capture, capture.records))
+
+    def _given_up(self, keeper: FailoverWriter, end: RunEnd, error: BaseException) -> RunResult | None:
+        """What was recorded until `error`, which is told the rest; None if nothing was, or no disk takes it."""
+        account = None
+        try:
+            if self._ring.written:
+                account = self._conclude(keeper, end)
+                error.add_note(f"the session is in {keeper.path}")
+            else:
+                keeper.discard()
+        except SessionError as second:
+            error.add_note(str(second))  # the first error is what matters
+        if self._pipeline.reason is not Reason.NONE:
+            error.add_note(f"the run had been stopped: {EXPLANATIONS[self._pipeline.reason]}")
+        for fault, times in self._schedule.told().items():
+            error.add_note(f"injected {fault}: acted {times} times")
+        return account
+
+    def _conclude(self, keeper: FailoverWriter, end: RunEnd) -> RunResult:
+        """As the keeper does; what no disk takes is left in memory, and said where, as a SessionError."""
+        try:
+            return keeper.conclude(end)
+        except SessionError as error:
+            raise self._stowed(keeper, end, error) from error
+
+    def _stowed(self, keeper: FailoverWriter, end: RunEnd, error: SessionError) -> SessionError:
+        job = replace(job_of(self._config, self._plan), session_id=self._session_id, virtual=True)
+        try:
+            ring = stow(job, keeper.introduction, end, self._window, keeper.path)
+        except SessionError as second:
+            out, seed = self._plan.out, self._plan.seed
+            return SessionError(
+                f"{error}; nor can it be kept in memory ({second}). "
+                f"The run is lost; --seed {seed} gives the same again once {out}, if it is there, is removed"
+            )
+        trouble = SessionError(
+            f"the run has ended, but {error}. Its ticks are kept in {ring}: inteco-abs recover {ring} --out FILE"
+        )
+        trouble.exit_code = EXIT_CODES.get(end.outcome, LOSSES)
+        return trouble
+
+
+class Interrupts:
+    """Signals that would end the program set the stop word, and do nothing else.
+
+    One exception, for a controller that never returns: where the run allows it (`breaking`), a signal that comes
+    a second after the first unanswered one breaks into the loop. It cannot break into what makes the outputs safe.
+    """
+
+    def __init__(self) -> None:
+        self.stop = StopWord()
+        self._may_break = False
+        self._asked_s = 0.0
+
+    @contextmanager
+    def breaking(self) -> Iterator[None]:
+        """The loop is running, and may be broken into."""
+        self._may_break = True
+        try:
+            yield
+        finally:
+            self._may_break = False
+
+    def handle(self) -> None:
+        """One signal has come."""
+        now_s = time.monotonic()
+        if not self.stop.requested:
+            self._asked_s = now_s
+            self.stop.request()
+        elif self._may_break and now_s - self._asked_s > _PATIENCE_S:
+            raise KeyboardInterrupt("a second signal")
