@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from copy import deepcopy
 from typing import Any, Final
 
-from inteco_abs.config import Check, EstimatorConfig, LoopConfig, RigConfig, section_of
+from inteco_abs.config import Check, RigConfig, section_of
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
 from inteco_abs.control.estimators import ESTIMATORS, Estimator
 from inteco_abs.control.pipeline import Pipeline
@@ -108,8 +108,7 @@ def control_check(
                 f"{name!r}: the controller {controller['name']} needs {needed!r}; choose it, or another controller"
             )
             yield ConfigIssue("estimator.name", problem)
-        if name == "tracking":
-            yield from _tracking_mistakes(estimator, section_of(table, "loop"))
+        yield from _parameter_mistakes(name, estimator, section_of(table, "loop"))
         name = controller.get("name", "reaching-law")
         if isinstance(name, str) and name not in controllers and ".py:" in name:
             yield ConfigIssue("controller.name", f"{name!r} is code, which runs only if named by --controller")
@@ -126,13 +125,14 @@ def control_check(
     return check
 
 
-def _tracking_mistakes(estimator: Mapping[str, Any], loop: Mapping[str, Any]) -> Iterator[ConfigIssue]:
-    """A tracking loop swings when it is too quick for the time between two samples, a few of which may be missing."""
-    frequency = estimator.get("natural_frequency_rad_s", EstimatorConfig().natural_frequency_rad_s)
-    rate_hz = loop.get("rate_hz", LoopConfig().rate_hz)
-    if isinstance(frequency, int | float) and isinstance(rate_hz, int | float) and frequency > 0.1 * rate_hz:
-        problem = f"{frequency!r}: must be at most a tenth of loop.rate_hz = {rate_hz!r}"
-        yield ConfigIssue("estimator.natural_frequency_rad_s", problem)
+def _parameter_mistakes(name: object, estimator: Mapping[str, Any], loop: Mapping[str, Any]) -> Iterator[ConfigIssue]:
+    if isinstance(name, str) and name in ESTIMATORS:
+        try:
+            check = ESTIMATORS[name].check
+        except ConfigError as error:  # a package's, which is imported only now
+            yield from error.mistakes
+        else:
+            yield from check(estimator, loop)
 
 
 def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterator[ConfigIssue]:

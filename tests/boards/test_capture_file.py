@@ -101,7 +101,7 @@ def test_a_wrong_header_is_named(head, word):
         ({"t": 0, "dir": "control", "hex": "", "setup": "xy"}, "setup = 'xy'"),
         ({"t": 0, "dir": "error", "text": "x"}, "of = ''"),
         ({"t": 0, "dir": "warning", "text": 1}, "text = 1"),
-        ([], "no JSON object"),
+        ([], "not a JSON object"),
     ],
 )
 def test_a_wrong_line_is_named_with_its_value(record, word):

@@ -268,7 +268,7 @@ def test_boards_of_one_computer_are_owned_one_by_one(tmp_path, opened):
 def test_the_address_pci_opens_the_registers_of_this_computer(tmp_path, monkeypatch):
     add_board(tmp_path)
     add_board(tmp_path, SECOND, resource2=b"\x10\x05" + bytes(254))
-    monkeypatch.setattr("inteco_abs.boards.SysfsRegisters", partial(SysfsRegisters, root=tmp_path))
+    monkeypatch.setattr("inteco_abs.boards.families.pci.SysfsRegisters", partial(SysfsRegisters, root=tmp_path))
     with open_board("pci:04:00.0", load_config(profile="pci_abs_50f"), lambda: 0) as board:
         assert board.identity.logic_version == 0x0510
         assert board.identity.read_only_because

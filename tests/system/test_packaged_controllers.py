@@ -1,4 +1,4 @@
-"""Controllers of installed packages, named by entry points: listed, run, replayed, or refused with the reason."""
+"""Controllers and estimators of installed packages, named by entry points: listed, run, replayed, or refused."""
 
 import json
 import os
@@ -48,11 +48,18 @@ class Site:
         self.folder = folder
         self.environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])}
 
-    def install(self, name="abs-threshold", version="1.2", entries=("threshold = threshold_law:Threshold",), **modules):
+    def install(
+        self,
+        name="abs-threshold",
+        version="1.2",
+        entries=("threshold = threshold_law:Threshold",),
+        group="controllers",
+        **modules,
+    ):
         info = self.folder / f"{name.replace('-', '_')}-{version}.dist-info"
         info.mkdir(parents=True)
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
-        (info / "entry_points.txt").write_text("\n".join(["[inteco_abs.controllers]", *entries, ""]))
+        (info / "entry_points.txt").write_text("\n".join([f"[inteco_abs.{group}]", *entries, ""]))
         for module, source in (modules or {"threshold_law": LAW}).items():
             (self.folder / f"{module}.py").write_text(source)
         return info
@@ -274,3 +281,43 @@ def test_the_source_is_that_of_the_module_that_defines_the_class(here):
     (here.folder / "threshold_law.py").unlink()
     assert controllers.origin("threshold") == (b"", "abs-threshold 1.2")
     assert controllers.origin("relay") == (b"", "")
+
+
+ESTIMATORS = """
+from inteco_abs.control import ESTIMATORS, EstimatorSpec
+
+
+class Broken:
+    def update(self, sample, command):
+        raise RuntimeError("no speed today")
+
+
+SAME = EstimatorSpec("Mean speed under another name", (), ESTIMATORS["moving-window"].make, object)
+BROKEN = EstimatorSpec("Fails at its first sample", (), lambda config, parameters: Broken(), Broken)
+"""
+
+
+@pytest.fixture
+def estimators(site):
+    """Environment with a package of three estimators, one of which is none."""
+    entries = ("same = my_estimators:SAME", "broken = my_estimators:BROKEN", "none = my_estimators:Broken")
+    site.install("my-estimators", entries=entries, group="estimators", my_estimators=ESTIMATORS)
+    return site.environment
+
+
+def test_a_packages_estimator_is_listed_and_its_run_replays_only_with_it(inteco_abs, estimators):
+    listed = json.loads(inteco_abs("estimators", "--json", check=0, environment=estimators).stdout)
+    assert listed["estimators"]["same"]["summary"] == "Mean speed under another name"
+    assert [one["name"] for one in listed["broken"]] == ["none"]
+    slips = []
+    for name in ("moving-window", "same"):
+        run = ("run", "--virtual", "--json", *SETS, "--set", f"estimator.name={name}", "--out", f"{name}.mcap")
+        slips.append(json.loads(inteco_abs(*run, check=0, environment=estimators).stdout)["slip_rms_true"])
+    assert slips[0] == slips[1]
+    inteco_abs("replay", "same.mcap", check=0, environment=estimators)
+    assert "no estimator 'same'" in inteco_abs("replay", "same.mcap", check=1).stderr
+
+
+def test_a_packages_estimator_that_is_no_estimator_is_refused_before_anything_starts(inteco_abs, estimators):
+    run = inteco_abs("run", "--virtual", "--set", "estimator.name=none", check=2, environment=estimators)
+    assert "none of the package my-estimators 1.2: my_estimators:Broken is not an inteco_abs.control.E" in run.stderr

@@ -5,6 +5,11 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from inteco_abs.config import RigConfig
+from inteco_abs.control.estimators.base import Estimator, TwoWheels
+from inteco_abs.control.estimators.registry import EstimatorSpec, parameter
+from inteco_abs.rig import RigParameters
+
 _DEAD_ZONE_M_S: Final = 0.05
 SLIP_OFFSET_M_S: Final = 0.01
 """Added to the road's rim speed in the denominator of the slip."""
@@ -40,3 +45,18 @@ class HeldDifference:
             self._speed = math.copysign(max(0.0, abs(speed) - self._zone_rad_s), speed)
             self._then_ns, self._count = time_ns, count
         return self._speed
+
+
+def _difference(config: RigConfig, parameters: RigParameters) -> Estimator:
+    per_turn, window_s, period_s = config.encoders.counts_per_turn, config.estimator.window_s, 1.0 / config.loop.rate_hz
+    wheel = HeldDifference(per_turn, parameters.r1, window_s, period_s)
+    road = HeldDifference(per_turn, parameters.r2, window_s, period_s)
+    return TwoWheels(wheel, road, parameters, SLIP_OFFSET_M_S)
+
+
+SPEC: Final = EstimatorSpec(
+    "The vendor's demonstrations: difference over T0, held for T0, behind a dead zone of 0.05 m/s",
+    (parameter("window_s", "s", "T0; the speed lags by as much in the mean"),),
+    _difference,
+    HeldDifference,
+)

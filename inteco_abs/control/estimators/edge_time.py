@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Final
+
+from inteco_abs.config import RigConfig
+from inteco_abs.control.estimators.registry import EstimatorSpec, on_both_wheels, parameter
 
 
 class EdgeTime:
@@ -54,3 +58,15 @@ class EdgeTime:
         edges.append((edge_ns, line))
         while len(edges) > 2 and edge_ns - edges[1][0] >= self._window_ns:
             edges.popleft()
+
+
+def _edge_time(config: RigConfig) -> EdgeTime:
+    return EdgeTime(config.encoders.counts_per_turn, config.estimator.window_s)
+
+
+SPEC: Final = EstimatorSpec(
+    "Angle between edges over the time between them, known to a sample as no board stamps edges",
+    (parameter("window_s", "s", "least time between the two edges; the speed lags by half of it"),),
+    on_both_wheels(_edge_time),
+    EdgeTime,
+)

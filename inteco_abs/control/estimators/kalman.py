@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from inteco_abs.config import RigConfig
 from inteco_abs.control.estimators.base import Angles
+from inteco_abs.control.estimators.registry import EstimatorSpec, on_both_wheels, parameter
 
 _SPEED_VARIANCE: Final = 25.0
 _ACCELERATION_VARIANCE: Final = 1e4
@@ -63,3 +65,15 @@ class KalmanFilter:
         self._x = th + k0 * e, v + k1 * e, a + k2 * e
         self._p = p00 - k0 * p00, p01 - k0 * p01, p02 - k0 * p02, p11 - k1 * p01, p12 - k1 * p02, p22 - k2 * p02
         return self._x[1]
+
+
+def _kalman(config: RigConfig) -> KalmanFilter:
+    return KalmanFilter(config.encoders.counts_per_turn, config.estimator.jerk_density)
+
+
+SPEC: Final = EstimatorSpec(
+    "Kalman filter of angle, speed and acceleration for a wheel whose jerk is white noise",
+    (parameter("jerk_density", "rad2/s5", "quicker and noisier if higher"),),
+    on_both_wheels(_kalman),
+    KalmanFilter,
+)

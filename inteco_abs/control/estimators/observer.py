@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from inteco_abs.config import RigConfig
 from inteco_abs.control.estimators.base import Angles
 from inteco_abs.control.estimators.braking_ekf import BrakingEkf, EkfTuning
 from inteco_abs.control.estimators.eccentricity import EccentricityFilter
 from inteco_abs.control.estimators.prediction import braking_slip
-from inteco_abs.rig import MEASURED_MAP, BrakeMap, RigParameters
+from inteco_abs.control.estimators.registry import EstimatorSpec
+from inteco_abs.rig import MEASURED_MAP, BrakeMap, RigParameters, nominal_brake_map
 from inteco_abs.signals import Command, Estimate, Sample
 
 _BRAKING_FROM_RAD_S: Final = 10.0
@@ -83,3 +85,21 @@ class Observer:
         slip = braking_slip(wheel_speed, road_speed, self._parameters)
         outlook = self._filter.outlook() if self._braking else None
         return Estimate(wheel_speed, road_speed, slip, self._samples >= _SAMPLES, outlook)
+
+
+def _observer(config: RigConfig, parameters: RigParameters) -> Observer:
+    own = config.model.identified
+    spread = EkfTuning(
+        dead_time_s=EkfTuning().dead_time_s if own.brake_dead_time_s is None else own.brake_dead_time_s,
+        lag_s=EkfTuning().lag_s if own.c31 is None else 1.0 / own.c31,
+    )
+    per_turn, brake_map = config.encoders.counts_per_turn, nominal_brake_map(config.model)
+    return Observer(parameters, per_turn, 1.0 / config.loop.rate_hz, spread, brake_map)
+
+
+SPEC: Final = EstimatorSpec(
+    "Extended Kalman filter of wheels, brake and contact, which learns the encoders' discs in the run-up",
+    (),
+    _observer,
+    Observer,
+)

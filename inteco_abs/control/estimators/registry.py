@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 from inteco_abs.config import EstimatorConfig, RigConfig, bounds, defaults, key_types
-from inteco_abs.control.estimators.base import Estimator
+from inteco_abs.control.estimators.base import Estimator, SpeedFilter, TwoWheels
 from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.rig import RigParameters
 
@@ -24,6 +24,15 @@ class Parameter(NamedTuple):
     meaning: str
 
 
+Check = Callable[[Mapping[str, Any], Mapping[str, Any]], Iterator[ConfigIssue]]
+"""From the sections [estimator] and [loop] as they are written to what is wrong with them together."""
+
+
+def nothing_wrong(_estimator: Mapping[str, Any], _loop: Mapping[str, Any]) -> Iterator[ConfigIssue]:
+    """For an estimator whose parameters have nothing to do with each other."""
+    yield from ()
+
+
 class EstimatorSpec(NamedTuple):
     """One way to estimate: called with configuration and parameters of the rig, it makes a fresh estimator."""
 
@@ -33,9 +42,15 @@ class EstimatorSpec(NamedTuple):
     make: Maker
     works: type
     """The class behind it, whose docstring says how."""
+    check: Check = nothing_wrong
 
     def __call__(self, config: RigConfig, parameters: RigParameters) -> Estimator:
         return self.make(config, parameters)
+
+
+def on_both_wheels(make: Callable[[RigConfig], SpeedFilter]) -> Maker:
+    """An estimator of two filters, one for each wheel."""
+    return lambda config, parameters: TwoWheels(make(config), make(config), parameters)
 
 
 def require_estimator(path: str, found: object, name: str) -> EstimatorSpec:

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from inteco_abs.config import EstimatorConfig, LoopConfig, RigConfig
 from inteco_abs.control.estimators.base import Angles
+from inteco_abs.control.estimators.registry import EstimatorSpec, on_both_wheels, parameter
+from inteco_abs.errors import ConfigIssue
 
 
 class TrackingLoop:
@@ -27,3 +33,25 @@ class TrackingLoop:
         self._speed += self._stiffness * error * dt_s
         self._angle += (self._speed + self._damping * error) * dt_s
         return self._speed
+
+
+def _tracking(config: RigConfig) -> TrackingLoop:
+    return TrackingLoop(config.encoders.counts_per_turn, config.estimator.natural_frequency_rad_s)
+
+
+def _check(estimator: Mapping[str, Any], loop: Mapping[str, Any]) -> Iterator[ConfigIssue]:
+    """The loop swings when it is too quick for the time between two samples, a few of which may be missing."""
+    frequency = estimator.get("natural_frequency_rad_s", EstimatorConfig().natural_frequency_rad_s)
+    rate_hz = loop.get("rate_hz", LoopConfig().rate_hz)
+    if isinstance(frequency, int | float) and isinstance(rate_hz, int | float) and frequency > 0.1 * rate_hz:
+        problem = f"{frequency!r}: must be at most a tenth of loop.rate_hz = {rate_hz!r}"
+        yield ConfigIssue("estimator.natural_frequency_rad_s", problem)
+
+
+SPEC: Final = EstimatorSpec(
+    "A model wheel that follows the counted angle through a spring and a damper",
+    (parameter("natural_frequency_rad_s", "rad/s", "quicker and noisier if higher; at most rate_hz/10"),),
+    on_both_wheels(_tracking),
+    TrackingLoop,
+    _check,
+)

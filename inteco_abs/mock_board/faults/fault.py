@@ -99,11 +99,12 @@ def require_possible(
     `impossible` are other kinds that cannot be, and why.
     """
     mock = mock_family(board)
-    why = dict(impossible or {})
+    why: dict[str, str] = {}
     if mock.identity_at is None:
         why["identity"] = "no answer of such a board says what it is"
     if not mock.has_alarms:
         why["alarm"] = "no alarm flags are known of such a board, only of a PCI board: --set profile=sim_pci"
+    why |= impossible or {}
     mistakes = [ConfigIssue(option, f"{fault.name}: {why[fault.name]}") for fault in faults if fault.name in why]
     if mistakes:
         raise ConfigError(mistakes)
