@@ -41,6 +41,7 @@ class Check:
 
     def __init__(self, *pytest: str) -> None:
         self.pytest = (*pytest, "-m", "pytest", "-q")
+        self.start_s = time.monotonic()
         self.parts: list[Part] = []
         self.unsteady: list[str] = []
 
@@ -80,6 +81,8 @@ class Check:
         print(f"\n{'part':40} {'result':8} {'wall s':>7} {'CPU s':>7}")
         for part in self.parts:
             print(f"{part.name:40} {part.result:8} {part.wall_s:7.1f} {part.cpu_s:7.1f}")
+        cpu_s = sum(part.cpu_s for part in self.parts)
+        print(f"{'all':40} {'':8} {time.monotonic() - self.start_s:7.1f} {cpu_s:7.1f}")
         if self.unsteady:
             print("passed alone, but failed beside other tests:", *self.unsteady, sep="\n  ")
         failed = [part.name for part in self.parts if part.result == "FAILED"]
