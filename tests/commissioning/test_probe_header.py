@@ -61,7 +61,7 @@ def test_a_better_profile_is_taken_if_the_person_wants_it(lab, answer, base):
 
 def test_a_quiet_visit_tells_of_it_and_keeps_the_profile(lab):
     lab.session(profile="usb2_abs_candidate", quiet=True).go()
-    assert lab.person.heard("fits is usb2_generic_0103")
+    assert lab.person.heard("matching shipped profile is usb2_generic_0103")
     assert lab.draft.profile == "usb2_abs_candidate"
 
 

@@ -148,7 +148,7 @@ def test_the_guards_limits_are_shown_and_signed_with_the_wiring(lab, scripts):
     limits = load_config(profile=str(lab.file)).guard
     for key, value in asdict(limits).items():
         assert f"{key} = {value}" in lab.file.read_text()
-    assert any(f"signed with it: guard brake_limit {limits.brake_limit:g}" in text for text in lab.person.told)
+    assert any(f"signed off with it: guard brake_limit {limits.brake_limit:g}" in text for text in lab.person.told)
 
 
 @pytest.mark.parametrize(("change", "by"), [(1, ""), (-1, "the lab")])

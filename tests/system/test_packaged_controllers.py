@@ -138,8 +138,8 @@ def test_a_replay_without_the_package_is_refused_with_its_name(inteco_abs, recor
 def test_a_replay_says_that_package_and_source_are_others(inteco_abs, site, recorded):
     site.install(version="1.3", threshold_law=LAW + "\n# changed\n")
     again = inteco_abs("replay", recorded[0], check=0, environment=site.environment)
-    assert "was run with abs-threshold 1.2, and this is abs-threshold 1.3" in again.stderr
-    assert "the controller's source is not the one" in again.stderr
+    assert "was run with abs-threshold 1.2; this is abs-threshold 1.3" in again.stderr
+    assert "the controller's source differs from the session's" in again.stderr
 
 
 def test_a_replay_with_a_broken_package_says_why(inteco_abs, site, recorded):
