@@ -123,7 +123,7 @@ WRONG = [
     (["import", "two.pcap", "-o", "notes.txt"], 1, ["notes.txt", "never overwritten"]),
     (["import", "two.pcap", "-o", "nowhere/y.jsonl"], 1, ["nowhere", "does not exist"]),
     (["import", "two.pcap", "-o", "y.jsonl", "--device", "five"], 2, ["five", "as in 1.5"]),
-    (["import", "two.pcap", "-o", "y.jsonl", "--protocol", "usb3"], 2, ["usb3", "usb1-111"]),
+    (["import", "two.pcap", "-o", "y.jsonl", "--protocol", "usb3"], 2, ["usb3", "did you mean usb2?"]),
     (["import", "two.pcap"], 2, ["--out"]),
     (["show", "notes.txt"], 1, ["notes.txt, line 1", "JSON"]),
     (["show", "pci.jsonl"], 2, ["'pci'", "usb2"]),
