@@ -35,10 +35,7 @@ from inteco_abs.mock_board import (
     parse_address,
     parse_faults,
 )
-from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
-from inteco_abs.realtime.signal_handlers import hearing
-from inteco_abs.realtime.tuning import BOARD_PRIORITY, guardian_tuning, prepare
+from inteco_abs.realtime import BOARD_PRIORITY, Field, Job, Mailbox, RunMemory, alive, guardian_tuning, hearing, prepare
 
 if TYPE_CHECKING:
     from inteco_abs.commissioning.reported_board import ReportedBoard

@@ -20,7 +20,7 @@ from inteco_abs.experiment import Plan
 from inteco_abs.experiment import run_stop as run_experiment
 from inteco_abs.mock_board import rig_check
 from inteco_abs.plugins import FROM_FILE, Controllers, Origin, load_controller
-from inteco_abs.sessions.card import card_of
+from inteco_abs.sessions import card_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -2,25 +2,40 @@
 
 from inteco_abs.analysis.baseline import previous_card
 from inteco_abs.analysis.catalogue import COLUMNS, session_files, session_row, sort_rows
+from inteco_abs.analysis.closed_loop import Continuation, continued, distance
 from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, settings_of
 from inteco_abs.analysis.gains import REFERENCE, changed_gains
+from inteco_abs.analysis.golden import Golden, GoldenFolder, Verdict
 from inteco_abs.analysis.replay import Difference, Replay, before_the_gap, replay, require_known
+from inteco_abs.analysis.statistics import UNITS, Spread, statistics
 from inteco_abs.analysis.tolerance import Shift, Tolerance, parse_tolerances
+from inteco_abs.analysis.what_if import WhatIf, alternative, braking_row, since_braking_s, what_if
 
 __all__ = [
     "COLUMNS",
     "REFERENCE",
     "SECTIONS",
+    "UNITS",
     "Change",
+    "Continuation",
     "Diff",
     "Difference",
+    "Golden",
+    "GoldenFolder",
     "Replay",
     "Shift",
     "SignalChange",
+    "Spread",
     "Tolerance",
+    "Verdict",
+    "WhatIf",
+    "alternative",
     "before_the_gap",
+    "braking_row",
     "changed_gains",
+    "continued",
     "diff_sessions",
+    "distance",
     "parse_tolerances",
     "previous_card",
     "replay",
@@ -28,5 +43,8 @@ __all__ = [
     "session_files",
     "session_row",
     "settings_of",
+    "since_braking_s",
     "sort_rows",
+    "statistics",
+    "what_if",
 ]

@@ -11,10 +11,7 @@ from typing import Any, Final
 
 from inteco_abs.analysis.catalogue import session_files
 from inteco_abs.errors import SessionError
-from inteco_abs.sessions.card import stored_card
-from inteco_abs.sessions.container import DamagedError
-from inteco_abs.sessions.reader import opened
-from inteco_abs.sessions.summary import metadata_at_a_glance
+from inteco_abs.sessions import DamagedError, metadata_at_a_glance, opened, stored_card
 
 _KIND: Final = ("controller", "estimator", "board", "rig", "reference_slip")
 _SPEED: Final = "start_speed_rad_s"

@@ -9,11 +9,16 @@ from pathlib import Path
 from typing import Any, Final
 
 from inteco_abs.errors import SessionError
-from inteco_abs.sessions.card import card_of, stored_card
-from inteco_abs.sessions.container import DamagedError
-from inteco_abs.sessions.migration import Metadata, newer
-from inteco_abs.sessions.reader import opened, read_session
-from inteco_abs.sessions.summary import metadata_at_a_glance
+from inteco_abs.sessions import (
+    DamagedError,
+    Metadata,
+    card_of,
+    metadata_at_a_glance,
+    newer,
+    opened,
+    read_session,
+    stored_card,
+)
 
 SUFFIX: Final = ".mcap"
 INCOMPLETE: Final = "incomplete"

@@ -21,10 +21,9 @@ from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig, SimulationConfig, load_config
 from inteco_abs.control import Controller, Gain, Pipeline, make_controller, make_estimator
 from inteco_abs.errors import SessionError, in_words
-from inteco_abs.format.schema import TICK, TRUTH
+from inteco_abs.format import TICK, TRUTH
 from inteco_abs.mock_board import Device, Truth, face_of
-from inteco_abs.sessions.card import result_card
-from inteco_abs.sessions.reader import Session
+from inteco_abs.sessions import Session, result_card
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Sample, Tick
 
 _SIMULATED_PROFILE: Final = "sim_usb2"

@@ -13,10 +13,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.format.schema import DOUBLE, TICK, TRUTH, Message, Role
-from inteco_abs.sessions.card import card_of
-from inteco_abs.sessions.reader import Session
-from inteco_abs.sessions.recorded_config import CONFIG_NAME
+from inteco_abs.format import DOUBLE, TICK, TRUTH, Message, Role
+from inteco_abs.sessions import CONFIG_NAME, Session, card_of
 from inteco_abs.signals import Phase
 
 _NOT_METRICS: Final = frozenset(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from inteco_abs.format.schema import PARAMETERS_TOPIC
-from inteco_abs.sessions.reader import Session
+from inteco_abs.format import PARAMETERS_TOPIC
+from inteco_abs.sessions import Session
 
 REFERENCE: Final = "reference_slip"
 _GAIN: Final = "gain."

@@ -27,13 +27,17 @@ from inteco_abs.analysis.what_if import since_braking_s
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller, build_pipeline, control_check
 from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_disk, near_match
-from inteco_abs.format.schema import TICK, TRUTH, Role
-from inteco_abs.sessions.card import result_card
-from inteco_abs.sessions.files import ensured_directory
-from inteco_abs.sessions.provenance import software_facts
-from inteco_abs.sessions.reader import Session, read_session
-from inteco_abs.sessions.recorded_config import CONFIG_NAME, session_config
-from inteco_abs.sessions.writer import FileWriter
+from inteco_abs.format import TICK, TRUTH, Role
+from inteco_abs.sessions import (
+    CONFIG_NAME,
+    FileWriter,
+    Session,
+    ensured_directory,
+    read_session,
+    result_card,
+    session_config,
+    software_facts,
+)
 from inteco_abs.signals import Phase
 
 TABLE_NAME: Final = "golden.toml"

@@ -12,9 +12,8 @@ import numpy as np
 from inteco_abs.analysis.tolerance import DISCRETE, OUTPUTS, Array, Shift, Tolerance, bits, shifts
 from inteco_abs.control import Pipeline
 from inteco_abs.errors import SessionError
-from inteco_abs.format.schema import TICK, Role
-from inteco_abs.sessions.reader import Session
-from inteco_abs.sessions.recorded_config import RECOVERED
+from inteco_abs.format import TICK, Role
+from inteco_abs.sessions import RECOVERED, Session
 from inteco_abs.signals import BoardFlags, Phase, Reason, Sample
 
 _INPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.INPUT)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
-from inteco_abs.format.schema import TICK, Role
+from inteco_abs.format import TICK, Role
 
 Array = npt.NDArray[Any]
 

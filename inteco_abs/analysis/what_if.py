@@ -18,12 +18,17 @@ import tomli_w
 from inteco_abs.analysis.replay import require_known
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.config import RigConfig, apply_setting, parse_config
-from inteco_abs.control import Controller, control_check, make_controller, make_estimator, preferred_estimator
-from inteco_abs.control.phase_machine import recordable
+from inteco_abs.control import (
+    Controller,
+    control_check,
+    make_controller,
+    make_estimator,
+    preferred_estimator,
+    recordable,
+)
 from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, in_words
 from inteco_abs.quantities import finite
-from inteco_abs.sessions.reader import Session
-from inteco_abs.sessions.recorded_config import session_config
+from inteco_abs.sessions import Session, session_config
 from inteco_abs.signals import BrakeDemand, Command, Phase, Sample
 
 DUTY_THRESHOLD: Final = 0.01

@@ -13,7 +13,19 @@ from inteco_abs.boards.addresses import (
 )
 from inteco_abs.boards.authorization import unconfirmed
 from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity, Reading
-from inteco_abs.boards.family import FAMILIES, BoardFamily, UsbTraffic, board_behind, family_of, known_families
+from inteco_abs.boards.family import (
+    FAMILIES,
+    BoardFamily,
+    UsbTraffic,
+    board_behind,
+    family_of,
+    family_speaking,
+    known_families,
+    protocol_name,
+    protocol_of,
+)
+from inteco_abs.boards.first_write import PlannedWord, Remark
+from inteco_abs.boards.frame_labels import UNKNOWN, Protocol, Role, byte_offset, label, masks_of, names_at, words_of
 from inteco_abs.boards.transports.links import InProcessLink, Link, SocketLink, Wrap
 from inteco_abs.boards.transports.registers import LinkedRegisters, Registers
 from inteco_abs.config import RigConfig
@@ -21,6 +33,7 @@ from inteco_abs.config import RigConfig
 __all__ = [
     "FAMILIES",
     "STILL_ON",
+    "UNKNOWN",
     "Board",
     "BoardFamily",
     "BoardReading",
@@ -28,22 +41,34 @@ __all__ = [
     "InProcessLink",
     "Link",
     "LinkedRegisters",
+    "PlannedWord",
+    "Protocol",
     "Reading",
     "Registers",
+    "Remark",
+    "Role",
     "SocketLink",
     "UsbTraffic",
     "Wrap",
     "board_behind",
+    "byte_offset",
     "check_address",
     "check_kind",
     "check_limits",
     "default_profile",
     "family_of",
+    "family_speaking",
     "known_families",
+    "label",
+    "masks_of",
+    "names_at",
     "open_board",
+    "protocol_name",
+    "protocol_of",
     "schemes",
     "simulated",
     "unconfirmed",
+    "words_of",
 ]
 
 

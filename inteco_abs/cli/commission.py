@@ -80,10 +80,8 @@ def commission(
     continues where it was left.
     """
     from inteco_abs.boards import check_address, check_kind, simulated
-    from inteco_abs.commissioning import Procedure, ProfileDraft
-    from inteco_abs.commissioning.procedure import find_step
-    from inteco_abs.commissioning.step import StepContext
-    from inteco_abs.wire.capture import check_target
+    from inteco_abs.commissioning import Procedure, ProfileDraft, StepContext, find_step
+    from inteco_abs.wire import check_target
 
     board, virtual = options.board, options.virtual
     check_address(board)
@@ -192,8 +190,8 @@ def _report(procedure: Procedure, draft: ProfileDraft, board: str) -> dict[str, 
 
 
 def _write_report(draft: ProfileDraft, file: Path) -> None:
-    from inteco_abs.commissioning.board_report import board_seen
-    from inteco_abs.wire.capture import write_capture
+    from inteco_abs.commissioning import board_seen
+    from inteco_abs.wire import write_capture
 
     write_capture(file, board_seen(draft))
     say(f"{file}: report written, not sent. Look at it before you pass it on: inteco-abs wire show {file}", err=True)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from inteco_abs.cli.terminal import print_json, say
 
 if TYPE_CHECKING:
-    from inteco_abs.control import Gain
-    from inteco_abs.control.estimators import Parameter
+    from inteco_abs.control import Gain, Parameter
 
 _NAME_COLUMNS: Final = 19
 """Width of the column of names, that of the longest name that ships."""

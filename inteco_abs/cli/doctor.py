@@ -13,7 +13,7 @@ from inteco_abs.cli.terminal import print_json, say
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
-    from inteco_abs.host.checks import Finding
+    from inteco_abs.host import Finding
 
 
 @click.command()
@@ -54,10 +54,9 @@ def doctor(
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import load_config
     from inteco_abs.experiment import measure_round_trips
-    from inteco_abs.host.checks import Computer, Finding, Verdict, red, worst
+    from inteco_abs.host import Computer, Finding, Verdict, limits, red, serial_group, udev_rules, worst
     from inteco_abs.host.doctor import examine, write_speed
     from inteco_abs.host.latency import LONGEST_S, SHORTEST_S, examine_wake_ups, judge_round_trips
-    from inteco_abs.host.permissions import limits, serial_group, udev_rules
     from inteco_abs.realtime.processes.round_trips import COUNT
 
     group = serial_group(Computer())
@@ -120,7 +119,7 @@ def _print_histogram(times_us: Sequence[float], period_us: float) -> None:
 
 def _serial(ftdi_serial: str | None, *, with_rules: bool) -> str:
     """Serial number of the FTDI chip for the rules, or an empty text. Raises ConfigError."""
-    from inteco_abs.host.permissions import check_serial
+    from inteco_abs.host import check_serial
 
     if ftdi_serial is None:
         return ""

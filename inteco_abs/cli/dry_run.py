@@ -16,8 +16,7 @@ from inteco_abs.cli.terminal import print_json
 from inteco_abs.errors import AbsError, ConfigError, refusals
 
 if TYPE_CHECKING:
-    from inteco_abs.commissioning import RigAccess
-    from inteco_abs.commissioning.preflight import Preflight
+    from inteco_abs.commissioning import Preflight, RigAccess
     from inteco_abs.config import RigConfig
     from inteco_abs.experiment import Plan
     from inteco_abs.mock_board import Fault
@@ -53,7 +52,7 @@ def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: f
     Nothing is written to the board or to a disk. Exit code 0 if the first run would begin, 2 for wrong usage or
     configuration, 1 for everything else.
     """
-    from inteco_abs.commissioning.preflight import look_at
+    from inteco_abs.commissioning import look_at
 
     config, plan = planned[0][:2]
     refused = refusals([*own, *_conditions(planned)])
@@ -75,7 +74,7 @@ def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: f
 
 def rehearse_by_hand(config: RigConfig, board: str, faults: Sequence[Fault], own: Iterable[Condition]) -> int:
     """Print whether the panel could begin, as `rehearse` does for runs."""
-    from inteco_abs.commissioning.preflight import look_at
+    from inteco_abs.commissioning import look_at
     from inteco_abs.experiment import conditions_by_hand
 
     refused = refusals([*own, *conditions_by_hand(config, board, faults)])
@@ -123,7 +122,7 @@ def _build(config: RigConfig, plan: Plan) -> None:
 
 
 def _require_memory(config: RigConfig, plan: Plan) -> None:
-    from inteco_abs.realtime.memory import require_room
+    from inteco_abs.realtime import require_room
 
     require_room(_memory_bytes(config, plan))
 
@@ -131,7 +130,7 @@ def _require_memory(config: RigConfig, plan: Plan) -> None:
 def _memory_bytes(config: RigConfig, plan: Plan) -> int:
     """Shared memory of a run in real time; in virtual time, memory of this process for the whole run."""
     from inteco_abs.experiment import ring_ticks
-    from inteco_abs.realtime.memory import run_bytes
+    from inteco_abs.realtime import run_bytes
     from inteco_abs.sessions import TICK, TRUTH
 
     if plan.virtual:
@@ -204,7 +203,7 @@ def _disk(planned: Sequence[Planned]) -> dict[str, Any]:
 def _memory(planned: Sequence[Planned]) -> dict[str, Any]:
     import shutil
 
-    from inteco_abs.realtime.memory import FOLDER
+    from inteco_abs.realtime import FOLDER
 
     needed = max(_memory_bytes(each.config, each.plan) for each in planned)
     if planned[0].plan.virtual or not FOLDER.is_dir():
@@ -244,7 +243,7 @@ def _board(board: str, look: Preflight) -> dict[str, Any]:
 
 
 def _run(each: Planned) -> dict[str, Any]:
-    from inteco_abs.commissioning.preflight import course
+    from inteco_abs.commissioning import course
 
     config = each.config
     return {
@@ -265,7 +264,7 @@ def _run(each: Planned) -> dict[str, Any]:
 
 def _computer(folder: Path) -> dict[str, Any]:
     """The doctor's findings of a few milliseconds, in short."""
-    from inteco_abs.host.checks import Verdict, worst
+    from inteco_abs.host import Verdict, worst
     from inteco_abs.host.doctor import examine
 
     findings = examine(folder)

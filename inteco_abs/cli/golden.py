@@ -13,7 +13,7 @@ from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import print_json, say
 
 if TYPE_CHECKING:
-    from inteco_abs.analysis.golden import Golden, GoldenFolder, Verdict
+    from inteco_abs.analysis import Golden, GoldenFolder, Verdict
 
 
 def _folder_option(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -68,7 +68,7 @@ def add(
     It overwrites nothing, and refuses a session that was cut, that hardly brakes, or that does not replay now.
     Exit codes: 0 done, 1 the session is refused, 2 wrong usage.
     """
-    from inteco_abs.analysis.golden import GoldenFolder
+    from inteco_abs.analysis import GoldenFolder
     from inteco_abs.sessions import read_session
 
     goldens = GoldenFolder(folder)
@@ -89,7 +89,7 @@ def test(names: tuple[str, ...], folder: Path, as_json: bool) -> int:
     """
     from dataclasses import asdict
 
-    from inteco_abs.analysis.golden import GoldenFolder
+    from inteco_abs.analysis import GoldenFolder
 
     verdicts = GoldenFolder(folder).test(names, known_controllers(None))
     differing = [verdict.name for verdict in verdicts if verdict.replay and verdict.replay.differing]
@@ -113,7 +113,7 @@ def update(name: str, reason: str, folder: Path, as_json: bool) -> int:
 
     Exit codes: 0 done, 1 the session cannot be used, 2 wrong usage, or nothing would change.
     """
-    from inteco_abs.analysis.golden import GoldenFolder
+    from inteco_abs.analysis import GoldenFolder
 
     goldens = GoldenFolder(folder)
     _report(goldens, goldens.update(name, reason, known_controllers(None)), as_json=as_json)
@@ -130,7 +130,7 @@ def list_all(folder: Path, as_json: bool) -> int:
     """
     from dataclasses import asdict
 
-    from inteco_abs.analysis.golden import GoldenFolder
+    from inteco_abs.analysis import GoldenFolder
 
     goldens = GoldenFolder(folder).chosen(())
     if as_json:

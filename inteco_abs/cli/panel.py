@@ -24,9 +24,7 @@ def panel(options: RunOptions, outputs: bool, dry_run: bool) -> int:
 
     Without --outputs it only reads. With --outputs, drive and brake follow their sliders while you hold a key.
     """
-    from inteco_abs.commissioning.operator import require_phrase
-    from inteco_abs.commissioning.outputs import PROVES_ITSELF
-    from inteco_abs.commissioning.panel import PHRASE, REQUEST, Panel
+    from inteco_abs.commissioning import PHRASE, PROVES_ITSELF, REQUEST, Panel, require_phrase
     from inteco_abs.experiment import by_hand
     from inteco_abs.mock_board import parse_faults
     from inteco_abs.signals import EXPLANATIONS, Reason

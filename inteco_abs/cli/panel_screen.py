@@ -18,8 +18,7 @@ from textual.widgets import Static
 from inteco_abs.boards import family_of, unconfirmed
 from inteco_abs.cli.options import INTERRUPTED
 from inteco_abs.cli.terminal import plain
-from inteco_abs.commissioning.identity import hex_dump
-from inteco_abs.commissioning.panel import AGAIN, Output, Panel
+from inteco_abs.commissioning import AGAIN, Output, Panel, hex_dump
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import UnsafeError
 from inteco_abs.realtime.processes.manual import ManualClient

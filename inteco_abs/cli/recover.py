@@ -25,7 +25,7 @@ def recover(file: Path, out: Path, as_json: bool) -> int:
     FILE is a damaged or cut session, which stays as it is, or the shared memory of a run whose processes all crashed.
     A damaged file gives every tick of every chunk with a correct checksum. Ends with 3 if something was lost.
     """
-    from inteco_abs.realtime.memory import is_ring
+    from inteco_abs.realtime import is_ring
 
     check_session_file(out)
     return _recover_ring(file, out, as_json) if is_ring(file) else _recover_file(file, out, as_json)

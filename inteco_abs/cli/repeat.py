@@ -133,9 +133,8 @@ def _report(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
     """Print statistics over the recorded stops, and draw their curves."""
     from rich.console import Console
 
-    from inteco_abs.analysis.statistics import statistics
-    from inteco_abs.sessions import read_session
-    from inteco_abs.sessions.card import card_of
+    from inteco_abs.analysis import statistics
+    from inteco_abs.sessions import card_of, read_session
     from inteco_abs.views.series import draw_series, render_series
 
     cards = [card for path in paths if (card := card_of(read_session(path))) is not None]  # in memory one by one

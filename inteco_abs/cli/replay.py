@@ -15,8 +15,7 @@ from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from inteco_abs.analysis import Replay
-    from inteco_abs.analysis.tolerance import Shift
+    from inteco_abs.analysis import Replay, Shift
     from inteco_abs.plugins import Controllers, Origin
     from inteco_abs.sessions import Session
 

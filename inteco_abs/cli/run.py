@@ -143,7 +143,7 @@ def _folder(out: Path | None, plan: Plan) -> Iterator[Condition]:
 
 def _report_left_rings() -> None:
     """Ticks of a run that crashed, or had no disk, stay in memory: name them before the next run."""
-    from inteco_abs.realtime.memory import left_rings
+    from inteco_abs.realtime import left_rings
 
     for ring in left_rings():
         say(

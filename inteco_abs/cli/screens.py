@@ -12,14 +12,14 @@ from inteco_abs.cli.terminal import on_terminal, say
 
 if TYPE_CHECKING:
     from inteco_abs.config import RigConfig
-    from inteco_abs.realtime.screen import Screen
+    from inteco_abs.realtime import Screen
 
 
 @contextmanager
 def screen_of(config: RigConfig, choice: str | None, *, virtual: bool, quiet: bool) -> Iterator[Screen]:
     """Live picture on a terminal's stderr; elsewhere, or if not wanted, a line where a run in real time begins."""
     if quiet or choice == "none" or not on_terminal(sys.stderr) or os.environ.get("TERM") == "dumb":
-        from inteco_abs.realtime.screen import Lines
+        from inteco_abs.realtime import Lines
 
         begun = (lambda: None) if quiet or virtual else _say_what_stops
         yield Lines(_say, noting=not quiet, begun=begun)

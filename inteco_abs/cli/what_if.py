@@ -24,8 +24,7 @@ from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.quantities import shown
 
 if TYPE_CHECKING:
-    from inteco_abs.analysis.closed_loop import Continuation
-    from inteco_abs.analysis.what_if import WhatIf
+    from inteco_abs.analysis import Continuation, WhatIf
     from inteco_abs.config import RigConfig
     from inteco_abs.plugins import Controllers
     from inteco_abs.sessions import Session
@@ -162,8 +161,8 @@ def _ask(
     thresholds: tuple[float, float],
     closed_loop: bool,
 ) -> tuple[WhatIf, Continuation | None]:
-    from inteco_abs.analysis.what_if import alternative
-    from inteco_abs.analysis.what_if import what_if as ask
+    from inteco_abs.analysis import alternative
+    from inteco_abs.analysis import what_if as ask
 
     other = alternative(session, settings, controllers)
     closed = _continued(session, other, controllers, at_s) if closed_loop else None
@@ -171,7 +170,7 @@ def _ask(
 
 
 def _continued(session: Session, other: RigConfig, controllers: Controllers, at_s: float | None) -> Continuation:
-    from inteco_abs.analysis.closed_loop import continued
+    from inteco_abs.analysis import continued
     from inteco_abs.sessions import session_config
 
     return continued(session, session_config(session, ()), other, controllers, at_s or 0.0)
@@ -179,7 +178,7 @@ def _continued(session: Session, other: RigConfig, controllers: Controllers, at_
 
 def _own_error(session: Session, controllers: Controllers, at_s: float | None) -> dict[str, Any] | None:
     """How far the simulation leaves the log with the session's own controller; None if that is not available."""
-    from inteco_abs.analysis.closed_loop import distance
+    from inteco_abs.analysis import distance
     from inteco_abs.sessions import session_config
 
     own = session_config(session, ())
@@ -221,7 +220,7 @@ def _report(session: Session, courses: Sequence[WhatIfTrace], own: dict[str, Any
 
 
 def _of_closed_loop(session: Session, closed: Continuation | None) -> dict[str, Any] | None:
-    from inteco_abs.analysis.closed_loop import distance
+    from inteco_abs.analysis import distance
     from inteco_abs.signals import Reason
 
     if closed is None:

@@ -14,7 +14,7 @@ from inteco_abs.errors import ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
     from inteco_abs.boards.board_report import BoardReport
-    from inteco_abs.wire.capture import Capture
+    from inteco_abs.wire import Capture
 
 _SCHEMA: Final = 1
 _MOST_SHOWN: Final = 20
@@ -40,8 +40,7 @@ def import_(file: Path, out: Path, device: str, protocol: str | None) -> int:
 
     Wireshark captures are pcap or pcapng, of usbmon or USBPcap.
     """
-    from inteco_abs.wire.capture import Kind, check_target, write_capture
-    from inteco_abs.wire.pcap import import_pcap
+    from inteco_abs.wire import Kind, check_target, import_pcap, write_capture
 
     check_target(out)
     capture = _of_session(file) or import_pcap(file, protocol, device=device)
@@ -58,7 +57,7 @@ def import_(file: Path, out: Path, device: str, protocol: str | None) -> int:
 @json_option
 def show(file: Path, as_json: bool) -> int:
     """Show the messages, rates, failures and board of a capture."""
-    from inteco_abs.wire.summary import summarize
+    from inteco_abs.wire import summarize
 
     capture = _read(file)
     if capture.report is not None:
@@ -106,8 +105,7 @@ def changes(file: Path, as_json: bool) -> int:
 
     The most significant one is first, to find what a slider does.
     """
-    from inteco_abs.wire.changed_words import moved_words
-    from inteco_abs.wire.summary import caution
+    from inteco_abs.wire import caution, moved_words
 
     capture = _read(file)
     words, doubt = moved_words(capture), caution(capture)
@@ -160,7 +158,7 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
 
     It compares the n-th with the n-th. Ends with 4 if they differ.
     """
-    from inteco_abs.wire.changed_words import compare_sends
+    from inteco_abs.wire import compare_sends
 
     ignored = [*ignore, *([] if numbering_pwm is None else [f"pwm{numbering_pwm}_prescaler"])]
     one, other = _read(first), _read(second)
@@ -202,7 +200,7 @@ def replay(file: Path, options: RunOptions, as_json: bool) -> int:
     Ends with 4 if they differ.
     """
     from inteco_abs.config import load_config
-    from inteco_abs.wire.replay import profile_for, replay_wire
+    from inteco_abs.wire import profile_for, replay_wire
 
     capture = _read(file)
     outcome = replay_wire(capture, load_config(options.config, options.settings, profile=profile_for(capture)))
@@ -224,7 +222,7 @@ def replay(file: Path, options: RunOptions, as_json: bool) -> int:
 
 
 def _read(file: Path) -> Capture:
-    from inteco_abs.wire.capture import read_capture
+    from inteco_abs.wire import read_capture
 
     return _of_session(file) or read_capture(file)
 

@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any, Final
 
 import inteco_abs
+from inteco_abs.boards import family_of, protocol_name, protocol_of
 from inteco_abs.boards.board_report import BoardReport, Bus, Identity, Reads, Values
 from inteco_abs.boards.families.usb2.bridge import NOT_TOLD
-from inteco_abs.boards.family import family_of, protocol_name, protocol_of
 from inteco_abs.commissioning.profile_draft import ProfileDraft
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import ConfigError, ConfigIssue
-from inteco_abs.host.checks import Computer
-from inteco_abs.sessions.provenance import host_facts
-from inteco_abs.wire.capture import Capture, Kind, Record
+from inteco_abs.host import Computer
+from inteco_abs.sessions import host_facts
+from inteco_abs.wire import Capture, Kind, Record
 
 _SECTIONS: Final = ("board", "encoders", "usb", "loop", "estimator", "guard", "experiment")
 _WORDS: Final = frozenset({"kind", "pwm_mode", "application_names", "manufacturer", "engine", "frame_map"})

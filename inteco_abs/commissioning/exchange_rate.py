@@ -7,8 +7,7 @@ from typing import Final
 from inteco_abs.commissioning.reading import open_for_reading, require_same_board
 from inteco_abs.commissioning.step import Facts, StepContext
 from inteco_abs.errors import LinkError, ProbeError
-from inteco_abs.realtime.histogram import Histogram
-from inteco_abs.realtime.round_trips import quantiles
+from inteco_abs.realtime import Histogram, quantiles
 
 READS: Final = 1000
 _MOST_FAILED: Final = 10

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
-from inteco_abs.boards import STILL_ON
-from inteco_abs.boards.first_write import PlannedWord, Remark
+from inteco_abs.boards import STILL_ON, PlannedWord, Remark
 from inteco_abs.commissioning.operator import agree
 from inteco_abs.commissioning.step import StepContext
 from inteco_abs.config import RigConfig

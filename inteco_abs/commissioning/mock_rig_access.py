@@ -12,12 +12,10 @@ from inteco_abs.boards import Board, InProcessLink, Link, board_behind
 from inteco_abs.commissioning.rig_access import TURNS, Hold, RigAccess, Wheel
 from inteco_abs.config import RigConfig
 from inteco_abs.format import TICK
-from inteco_abs.host.attached import FoundBoard
+from inteco_abs.host import FoundBoard
 from inteco_abs.mock_board import Device, face_of, parse_faults
-from inteco_abs.realtime import StopWord
-from inteco_abs.realtime.memory import RunMemory
+from inteco_abs.realtime import RunMemory, StopWord, hearing
 from inteco_abs.realtime.processes.manual import DriveLoop, ManualClient, slowed
-from inteco_abs.realtime.signal_handlers import hearing
 from inteco_abs.signals import Reason
 
 if TYPE_CHECKING:

@@ -7,15 +7,14 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from firmware_protocol import signed32
-from inteco_abs.boards import STILL_ON, Board, Identity, family_of
-from inteco_abs.boards.first_write import PlannedWord, Remark
+from inteco_abs.boards import STILL_ON, Board, Identity, PlannedWord, Remark, family_of
 from inteco_abs.commissioning.exchange_rate import MORE_THAN_A_READ
 from inteco_abs.commissioning.reading import read_patiently
 from inteco_abs.commissioning.rig_access import RigAccess
 from inteco_abs.config import RigConfig
-from inteco_abs.control.phase_machine import REST_COUNTS
+from inteco_abs.control import REST_COUNTS
 from inteco_abs.errors import AbsError, BoardError
-from inteco_abs.realtime.round_trips import Quantiles, quantiles
+from inteco_abs.realtime import Quantiles, quantiles
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 _BEAT_NS: Final = 1_000_000

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from inteco_abs.boards import FAMILIES, family_of
 from inteco_abs.errors import CaptureError, near_match
 from inteco_abs.mock_board import Device, FrontEnd, ReportedIdentity, UsbIdentity, mock_family
-from inteco_abs.wire.capture import Kind, read_capture
+from inteco_abs.wire import Kind, read_capture
 
 if TYPE_CHECKING:
     from inteco_abs.boards.board_report import BoardReport  # loads pydantic

@@ -10,7 +10,7 @@ from typing import Final, Literal, Protocol
 
 from inteco_abs.boards import Board, family_of, open_board
 from inteco_abs.config import RigConfig
-from inteco_abs.host.attached import FoundBoard, found_devices
+from inteco_abs.host import FoundBoard, found_devices
 from inteco_abs.mock_board import Fault
 from inteco_abs.realtime import PacedClock
 from inteco_abs.realtime.processes.manual import ManualClient

@@ -1,6 +1,15 @@
 """The decision path, pure: no clock, no I/O, no randomness, scalar floats. That is what makes replay exact."""
 
-from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, PredictiveReaching, ReachingLaw, Relay, Setup
+from inteco_abs.control.controllers import (
+    CONTROLLERS,
+    BoundaryLayer,
+    Controller,
+    Gain,
+    PredictiveReaching,
+    ReachingLaw,
+    Relay,
+    Setup,
+)
 from inteco_abs.control.count_speed import MovingAverageSpeed
 from inteco_abs.control.estimators import (
     ESTIMATORS,
@@ -11,10 +20,12 @@ from inteco_abs.control.estimators import (
     KalmanFilter,
     MovingWindow,
     Observer,
+    Parameter,
     SpeedFilter,
     TrackingLoop,
     TwoWheels,
 )
+from inteco_abs.control.estimators.prediction import DelayLine, braking_slip, outlook
 from inteco_abs.control.factory import (
     build_pipeline,
     control_check,
@@ -24,15 +35,19 @@ from inteco_abs.control.factory import (
     preferred_estimator,
 )
 from inteco_abs.control.guard import Guard
-from inteco_abs.control.phase_machine import PhaseMachine
+from inteco_abs.control.phase_machine import REST_COUNTS, PhaseMachine, recordable
 from inteco_abs.control.pipeline import Pipeline
 from inteco_abs.control.slip_dynamics import BrakingModel, reaching_law_torque, reaching_time_bound
+from inteco_abs.control.wheel_dynamics import WheelDynamics
 
 __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
+    "REST_COUNTS",
+    "BoundaryLayer",
     "BrakingModel",
     "Controller",
+    "DelayLine",
     "EdgeTime",
     "Estimator",
     "EstimatorSpec",
@@ -43,6 +58,7 @@ __all__ = [
     "MovingAverageSpeed",
     "MovingWindow",
     "Observer",
+    "Parameter",
     "PhaseMachine",
     "Pipeline",
     "PredictiveReaching",
@@ -52,12 +68,16 @@ __all__ = [
     "SpeedFilter",
     "TrackingLoop",
     "TwoWheels",
+    "WheelDynamics",
+    "braking_slip",
     "build_pipeline",
     "control_check",
     "gains_in_force",
     "make_controller",
     "make_estimator",
+    "outlook",
     "preferred_estimator",
     "reaching_law_torque",
     "reaching_time_bound",
+    "recordable",
 ]

@@ -22,15 +22,16 @@ from inteco_abs.mock_board import (
     drawn_facts,
     require_possible,
 )
+from inteco_abs.realtime import Job
 from inteco_abs.realtime.foxglove_server import require_foxglove
-from inteco_abs.realtime.job import Job
 from inteco_abs.sessions import (
     check_spill,
+    host_facts,
+    profile_source,
+    software_facts,
 )
-from inteco_abs.sessions.provenance import host_facts, profile_source, software_facts
 from inteco_abs.signals import Phase
-from inteco_abs.wire.capture import check_target
-from inteco_abs.wire.recording import check_recordable
+from inteco_abs.wire import check_recordable, check_target
 
 _SPARE_S: Final = 2.0
 _LONGEST_RING_S: Final = 60.0

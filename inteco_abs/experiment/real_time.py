@@ -12,17 +12,16 @@ from typing import Final, NamedTuple
 from inteco_abs.boards import check_address, check_kind, check_limits, simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.experiment.plan import Plan, job_of, require_linux, require_mock_board, ring_ticks
-from inteco_abs.host.checks import as_facts
+from inteco_abs.host import as_facts
 from inteco_abs.host.doctor import examine
 from inteco_abs.mock_board import (
     ON_THE_HOST,
     Fault,
     require_possible,
 )
-from inteco_abs.realtime.memory import RunMemory
+from inteco_abs.realtime import RunMemory, Screen
 from inteco_abs.realtime.processes.manual import ONLY_WATCHED, ManualClient, slowed
 from inteco_abs.realtime.processes.supervisor import Supervisor
-from inteco_abs.realtime.screen import Screen
 from inteco_abs.sessions import (
     TICK,
     TRUTH,

@@ -10,8 +10,7 @@ from inteco_abs.control import build_pipeline
 from inteco_abs.experiment.plan import Plan, Progress, conditions
 from inteco_abs.experiment.real_time import run_in_real_time
 from inteco_abs.experiment.virtual_run import Interrupts, VirtualRun
-from inteco_abs.realtime.screen import NoScreen, SafeScreen, Screen
-from inteco_abs.realtime.signal_handlers import hearing
+from inteco_abs.realtime import NoScreen, SafeScreen, Screen, hearing
 from inteco_abs.sessions import (
     RunResult,
     check_output,

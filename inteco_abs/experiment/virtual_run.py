@@ -26,13 +26,20 @@ from inteco_abs.mock_board import (
     Schedule,
     face_of,
 )
-from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
-from inteco_abs.realtime.histogram import Histogram
-from inteco_abs.realtime.loop import detail_of
-from inteco_abs.realtime.screen import Check, Screen, SnapshotSource
+from inteco_abs.realtime import (
+    Check,
+    Histogram,
+    Loop,
+    Screen,
+    SnapshotSource,
+    StopWord,
+    TickRing,
+    VirtualClock,
+    Window,
+    detail_of,
+    prove_watchdog,
+)
 from inteco_abs.realtime.spool import stow
-from inteco_abs.realtime.watchdog import prove_watchdog
-from inteco_abs.realtime.window import Window
 from inteco_abs.sessions import (
     EXIT_CODES,
     LOSSES,
@@ -41,17 +48,17 @@ from inteco_abs.sessions import (
     FailoverWriter,
     FileWriter,
     Frames,
+    Opener,
     RunEnd,
     RunHeader,
     RunResult,
     pack_tick,
+    profile_source,
     spill_path,
+    surroundings,
 )
-from inteco_abs.sessions.environment import surroundings
-from inteco_abs.sessions.failover_writer import Opener
-from inteco_abs.sessions.provenance import profile_source
 from inteco_abs.signals import EXPLANATIONS, Reason
-from inteco_abs.wire.recording import Recording, recording
+from inteco_abs.wire import Recording, recording
 
 _SLICE_TICKS: Final = 1000
 _PATIENCE_S: Final = 1.0

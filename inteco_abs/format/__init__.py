@@ -1,5 +1,71 @@
 """What is kept of a run, byte by byte: the loop packs it, MCAP stores it, numpy reads it, any viewer decodes it."""
 
-from inteco_abs.format.schema import TICK, TRUTH, pack_tick
+from inteco_abs.format.declared_layout import Declared, Members, declared
+from inteco_abs.format.descriptors import ENUM
+from inteco_abs.format.io_frame import (
+    IO_NAME,
+    IO_TOPIC,
+    Direction,
+    IoFrame,
+    io_frame_descriptor,
+    pack_io_frame,
+    unpack_io_frame,
+)
+from inteco_abs.format.protobuf import chunk, double, fields, integer, tag
+from inteco_abs.format.result_message import RESULT, RESULT_NAME, RESULT_TOPIC, pack_result, result_descriptor
+from inteco_abs.format.schema import (
+    DOUBLE,
+    FLOAT,
+    LOG_NAME,
+    LOG_TOPIC,
+    PARAMETERS_NAME,
+    PARAMETERS_TOPIC,
+    TICK,
+    TRUTH,
+    Column,
+    Message,
+    MessageKind,
+    Role,
+    log_descriptor,
+    pack_tick,
+    parameters_descriptor,
+)
 
-__all__ = ["TICK", "TRUTH", "pack_tick"]
+__all__ = [
+    "DOUBLE",
+    "ENUM",
+    "FLOAT",
+    "IO_NAME",
+    "IO_TOPIC",
+    "LOG_NAME",
+    "LOG_TOPIC",
+    "PARAMETERS_NAME",
+    "PARAMETERS_TOPIC",
+    "RESULT",
+    "RESULT_NAME",
+    "RESULT_TOPIC",
+    "TICK",
+    "TRUTH",
+    "Column",
+    "Declared",
+    "Direction",
+    "IoFrame",
+    "Members",
+    "Message",
+    "MessageKind",
+    "Role",
+    "chunk",
+    "declared",
+    "double",
+    "fields",
+    "integer",
+    "io_frame_descriptor",
+    "log_descriptor",
+    "pack_io_frame",
+    "pack_result",
+    "pack_tick",
+    "parameters_descriptor",
+    "result_descriptor",
+    "tag",
+    "unpack_io_frame",
+]

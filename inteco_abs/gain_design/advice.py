@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from inteco_abs.control.controllers import BoundaryLayer
+from inteco_abs.control import BoundaryLayer
 from inteco_abs.gain_design.bounds import AtSlip, Bounds, Floats, worst
 from inteco_abs.gain_design.gains import Gains
 from inteco_abs.gain_design.intervals import Interval, in_words, where_lost

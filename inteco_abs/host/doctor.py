@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 from inteco_abs.host import permissions
 from inteco_abs.host.attached import plugged_in
 from inteco_abs.host.checks import Check, Computer, Finding, Judgement, amber, green, look, red
-from inteco_abs.realtime.tuning import Core, cores_of, kernel_list, loop_cpus, parse_cpus
+from inteco_abs.realtime import Core, cores_of, kernel_list, loop_cpus, parse_cpus
 from inteco_abs.sessions import nearest_folder
 
 _CPUS: Final = "sys/devices/system/cpu"

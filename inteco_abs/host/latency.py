@@ -14,9 +14,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from inteco_abs.host.checks import Finding, Judgement, amber, green, red
-from inteco_abs.realtime.clock import Clock, PacedClock
-from inteco_abs.realtime.round_trips import Quantiles, quantiles
-from inteco_abs.realtime.tuning import Setting, loop_tuning, prepare
+from inteco_abs.realtime import Clock, PacedClock, Quantiles, Setting, loop_tuning, prepare, quantiles
 
 SHORTEST_S, LONGEST_S = 0.2, 60.0
 """Of a wake-up test."""

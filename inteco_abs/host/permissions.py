@@ -11,7 +11,7 @@ from typing import Final
 
 from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.host.checks import Check, Computer, Judgement, amber, green, red
-from inteco_abs.realtime.tuning import GUARDIAN_PRIORITY
+from inteco_abs.realtime import GUARDIAN_PRIORITY
 
 UDEV_FILE: Final = "/etc/udev/rules.d/70-inteco-abs.rules"
 """Before 73, where the tag uaccess is read."""

@@ -1,7 +1,7 @@
 """The board's own side: answers real frames, with the physics of the rig inside."""
 
-from inteco_abs.mock_board.device import Cable, Device, Truth
-from inteco_abs.mock_board.family import MockFamily, face_of, mock_family
+from inteco_abs.mock_board.device import MAXIMUM_CELSIUS, MINIMUM_SUPPLY_V, Cable, Device, Truth
+from inteco_abs.mock_board.family import Connected, MockFamily, always_connected, face_of, mock_family
 from inteco_abs.mock_board.faults import (
     BY_PROCESS,
     CLOCK_STEP,
@@ -16,9 +16,9 @@ from inteco_abs.mock_board.faults import (
     parse_faults,
     require_possible,
 )
-from inteco_abs.mock_board.frontend import FrontEnd, Stream
+from inteco_abs.mock_board.frontend import FrontEnd, Stream, require_terminals
 from inteco_abs.mock_board.pty_board import PtyServer
-from inteco_abs.mock_board.reported_board import ReportedFrontEnd, ReportedIdentity
+from inteco_abs.mock_board.reported_board import ReportedFrontEnd, ReportedIdentity, reported_frames
 from inteco_abs.mock_board.simulated_rig import drawn_facts, rig_check, simulated_rig
 from inteco_abs.mock_board.socket_server import SocketServer
 from inteco_abs.mock_board.truth_log import TruthLog
@@ -33,8 +33,11 @@ __all__ = [
     "BY_PROCESS",
     "CLOCK_STEP",
     "KINDS",
+    "MAXIMUM_CELSIUS",
+    "MINIMUM_SUPPLY_V",
     "ON_THE_HOST",
     "Cable",
+    "Connected",
     "Device",
     "Event",
     "Facts",
@@ -61,13 +64,16 @@ __all__ = [
     "UsbHost",
     "UsbIdentity",
     "UsbIpServer",
+    "always_connected",
     "drawn_facts",
     "face_of",
     "ftdi_identity",
     "mock_family",
     "parse_address",
     "parse_faults",
+    "reported_frames",
     "require_possible",
+    "require_terminals",
     "rig_check",
     "simulated_rig",
 ]

@@ -18,8 +18,7 @@ from firmware_protocol.rtdac_usb2 import PWM_FULL_WIDTH, TIMER_HZ
 from inteco_abs.config import RigConfig, SimulationConfig
 from inteco_abs.mock_board.family import mock_family
 from inteco_abs.mock_board.simulated_rig import simulated_rig
-from inteco_abs.rig import Encoder, Plant
-from inteco_abs.rig.rng import WORD, mixed
+from inteco_abs.rig import WORD, Encoder, Plant, mixed
 
 _TIMER_RANGE: Final = 1 << 32
 MINIMUM_SUPPLY_V: Final = 12.3

@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from inteco_abs.boards.family import family_of
-from inteco_abs.boards.frame_labels import Protocol
+from inteco_abs.boards import Protocol, family_of
 from inteco_abs.config import BoardConfig
 from inteco_abs.entry_points import attribute
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from firmware_protocol import FrameTable
-from inteco_abs.boards.frame_labels import Protocol
+from inteco_abs.boards import Protocol
 from inteco_abs.mock_board.device import Device
 from inteco_abs.mock_board.frontend import FrontEnd
 from inteco_abs.mock_board.usbip.usb_descriptors import Speed, UsbIdentity

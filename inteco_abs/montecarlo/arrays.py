@@ -10,10 +10,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from inteco_abs.rig import DriveMotor, EncoderVariation, RigParameters, RigVariation, plant, settled_torque
+from inteco_abs.rig import DriveMotor, EncoderVariation, RigParameters, RigVariation, noise_seed, plant, settled_torque
 from inteco_abs.rig import adhesion_curve as surface
 from inteco_abs.rig import brake_actuator as varied_brake
-from inteco_abs.rig.encoder import noise_seed
 
 Rows = NDArray[np.void]
 

@@ -16,7 +16,7 @@ from inteco_abs.montecarlo.batch import BatchPlant
 from inteco_abs.montecarlo.policies import Maker, TrueState
 from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, StopResults, Trace
 from inteco_abs.rig import RigVariation, nominal_parameters
-from inteco_abs.sessions.metrics import STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
+from inteco_abs.sessions import STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason, Sample
 
 LONGEST_BRAKING_S: Final = 4.0

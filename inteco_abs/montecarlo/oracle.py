@@ -10,9 +10,17 @@ from dataclasses import dataclass
 from typing import Final
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control import Controller, Estimator, PredictiveReaching, Setup, gains_in_force
-from inteco_abs.control.estimators.prediction import DelayLine, braking_slip, outlook
-from inteco_abs.control.wheel_dynamics import WheelDynamics
+from inteco_abs.control import (
+    Controller,
+    DelayLine,
+    Estimator,
+    PredictiveReaching,
+    Setup,
+    WheelDynamics,
+    braking_slip,
+    gains_in_force,
+    outlook,
+)
 from inteco_abs.montecarlo.policies import TrueState
 from inteco_abs.rig import AdhesionCurve, RigVariation, adhesion, brake_duty, measured_duty, settled_torque
 from inteco_abs.signals import Command, Estimate, Prediction, Sample

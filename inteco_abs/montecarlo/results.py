@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.montecarlo.arrays import Rows
-from inteco_abs.sessions.metrics import Array
+from inteco_abs.sessions import Array
 
 METRICS: Final = (
     "reaching_time_s",

@@ -2,19 +2,86 @@
 
 from inteco_abs.realtime.clock import Beat, Clock, PacedClock, VirtualClock
 from inteco_abs.realtime.histogram import Histogram
-from inteco_abs.realtime.loop import Loop, Stop, StopWord
+from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.loop import Loop, Stop, StopWord, detail_of
+from inteco_abs.realtime.memory import (
+    FOLDER,
+    Field,
+    Mailbox,
+    RunMemory,
+    alive,
+    is_ring,
+    left_rings,
+    require_room,
+    run_bytes,
+)
 from inteco_abs.realtime.ring import RingReader, TickRing, ring_bytes
+from inteco_abs.realtime.round_trips import Quantiles, quantiles
+from inteco_abs.realtime.screen import Check, Lines, NoScreen, Point, SafeScreen, Screen, Snapshot, SnapshotSource
+from inteco_abs.realtime.signal_handlers import hearing
+from inteco_abs.realtime.tuning import (
+    BOARD_PRIORITY,
+    GUARDIAN_PRIORITY,
+    LOOP_PRIORITY,
+    Core,
+    Setting,
+    cores_of,
+    guardian_tuning,
+    kernel_list,
+    loop_cpus,
+    loop_tuning,
+    parse_cpus,
+    prepare,
+)
+from inteco_abs.realtime.watchdog import prove_watchdog
+from inteco_abs.realtime.window import Window
 
 __all__ = [
+    "BOARD_PRIORITY",
+    "FOLDER",
+    "GUARDIAN_PRIORITY",
+    "LOOP_PRIORITY",
     "Beat",
+    "Check",
     "Clock",
+    "Core",
+    "Field",
     "Histogram",
+    "Job",
+    "Lines",
     "Loop",
+    "Mailbox",
+    "NoScreen",
     "PacedClock",
+    "Point",
+    "Quantiles",
     "RingReader",
+    "RunMemory",
+    "SafeScreen",
+    "Screen",
+    "Setting",
+    "Snapshot",
+    "SnapshotSource",
     "Stop",
     "StopWord",
     "TickRing",
     "VirtualClock",
+    "Window",
+    "alive",
+    "cores_of",
+    "detail_of",
+    "guardian_tuning",
+    "hearing",
+    "is_ring",
+    "kernel_list",
+    "left_rings",
+    "loop_cpus",
+    "loop_tuning",
+    "parse_cpus",
+    "prepare",
+    "prove_watchdog",
+    "quantiles",
+    "require_room",
     "ring_bytes",
+    "run_bytes",
 ]

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from inteco_abs.errors import CaptureError
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Mailbox, RunMemory
-from inteco_abs.wire.capture import Capture, Record, opened_capture, write_capture
-from inteco_abs.wire.recording import Recording
+from inteco_abs.wire import Capture, Record, Recording, opened_capture, write_capture
 
 if TYPE_CHECKING:
     from inteco_abs.sessions import Frames  # which the loop's process never needs, nor what it loads

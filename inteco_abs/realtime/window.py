@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from inteco_abs.format import TICK, TRUTH
-from inteco_abs.format.schema import Message
+from inteco_abs.format import TICK, TRUTH, Message
 from inteco_abs.realtime.ring import RingReader
 
 _BLOCK: Final = 4096

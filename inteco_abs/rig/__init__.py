@@ -4,19 +4,21 @@ from inteco_abs.rig.actuators import DriveMotor, brake_duty, brake_torque
 from inteco_abs.rig.adhesion_curve import AdhesionCurve, measured_adhesion, measured_adhesion_slope
 from inteco_abs.rig.brake_actuator import MEASURED_MAP, measured_duty, measured_torque, settled_torque
 from inteco_abs.rig.brake_map import BrakeMap
-from inteco_abs.rig.encoder import Encoder
+from inteco_abs.rig.encoder import Encoder, noise_seed
 from inteco_abs.rig.friction import adhesion, adhesion_slope
 from inteco_abs.rig.model import Motion, accelerations, kinetic_energy, wheel_slip
 from inteco_abs.rig.nominal import nominal_brake_map, nominal_drive_motor, nominal_parameters
 from inteco_abs.rig.parameters import RigParameters
 from inteco_abs.rig.plant import Plant
 from inteco_abs.rig.population import POPULATIONS, draw
+from inteco_abs.rig.rng import WORD, mixed
 from inteco_abs.rig.torque_margin import holding_torque, torque_margin
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
 
 __all__ = [
     "MEASURED_MAP",
     "POPULATIONS",
+    "WORD",
     "AdhesionCurve",
     "BrakeMap",
     "DriveMotor",
@@ -38,6 +40,8 @@ __all__ = [
     "measured_adhesion_slope",
     "measured_duty",
     "measured_torque",
+    "mixed",
+    "noise_seed",
     "nominal_brake_map",
     "nominal_drive_motor",
     "nominal_parameters",

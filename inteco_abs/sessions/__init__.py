@@ -2,9 +2,11 @@
 
 from inteco_abs.format import TICK, TRUTH, pack_tick
 from inteco_abs.sessions.attachments import attached, extract
-from inteco_abs.sessions.card import result_card, stored_card
+from inteco_abs.sessions.card import aligned_truth, card_of, link_errors, result_card, stored_card
+from inteco_abs.sessions.container import DamagedError
+from inteco_abs.sessions.environment import Environment, surroundings
 from inteco_abs.sessions.export import FORMATS, Export, export_session
-from inteco_abs.sessions.failover_writer import FailoverWriter, check_spill, spill_path
+from inteco_abs.sessions.failover_writer import FailoverWriter, Opener, check_spill, joined, spill_path
 from inteco_abs.sessions.files import (
     atomic_write,
     check_folder,
@@ -14,10 +16,14 @@ from inteco_abs.sessions.files import (
     require_own_file,
 )
 from inteco_abs.sessions.frames import Frames, read_frames
-from inteco_abs.sessions.reader import Session, is_session_file, read_session
-from inteco_abs.sessions.recorded_config import CONFIG_NAME, session_config
+from inteco_abs.sessions.metrics import STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
+from inteco_abs.sessions.migration import Metadata, newer
+from inteco_abs.sessions.provenance import host_facts, profile_source, software_facts
+from inteco_abs.sessions.reader import Session, is_session_file, opened, read_session, stored_rows
+from inteco_abs.sessions.recorded_config import CONFIG_NAME, RECOVERED, session_config
 from inteco_abs.sessions.recovery import Recovery, recover_session
 from inteco_abs.sessions.session_writer import EXIT_CODES, LOSSES, RunEnd, RunHeader, RunResult, SessionWriter
+from inteco_abs.sessions.summary import metadata_at_a_glance
 from inteco_abs.sessions.tables import Table, tables, to_pandas, to_polars
 from inteco_abs.sessions.validation import Finding, Inspection, Severity, validate
 from inteco_abs.sessions.writer import FileWriter
@@ -27,14 +33,21 @@ __all__ = [
     "EXIT_CODES",
     "FORMATS",
     "LOSSES",
+    "RECOVERED",
+    "STANDSTILL_RAD_S",
     "TICK",
     "TRUTH",
+    "Array",
+    "DamagedError",
+    "Environment",
     "Export",
     "FailoverWriter",
     "FileWriter",
     "Finding",
     "Frames",
     "Inspection",
+    "Metadata",
+    "Opener",
     "Recovery",
     "RunEnd",
     "RunHeader",
@@ -42,26 +55,40 @@ __all__ = [
     "Session",
     "SessionWriter",
     "Severity",
+    "StopTrace",
     "Table",
+    "aligned_truth",
     "atomic_write",
     "attached",
+    "card_of",
     "check_folder",
     "check_output",
     "check_spill",
     "ensured_directory",
     "export_session",
     "extract",
+    "host_facts",
     "is_session_file",
+    "joined",
+    "link_errors",
+    "metadata_at_a_glance",
     "nearest_folder",
+    "newer",
+    "opened",
     "pack_tick",
+    "profile_source",
     "read_frames",
     "read_session",
     "recover_session",
     "require_own_file",
     "result_card",
     "session_config",
+    "software_facts",
     "spill_path",
+    "stop_metrics",
     "stored_card",
+    "stored_rows",
+    "surroundings",
     "tables",
     "to_pandas",
     "to_polars",

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import SessionError
-from inteco_abs.format.schema import TICK, TRUTH
+from inteco_abs.format import TICK, TRUTH
 from inteco_abs.quantities import finite
 from inteco_abs.rig import nominal_parameters
 from inteco_abs.sessions.metrics import StopTrace, stop_metrics

@@ -11,9 +11,8 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.format.io_frame import IO_TOPIC
-from inteco_abs.format.protobuf import fields as wire_fields
-from inteco_abs.format.schema import LOG_TOPIC, PARAMETERS_TOPIC, TICK, TRUTH, Message
+from inteco_abs.format import IO_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC, TICK, TRUTH, Message
+from inteco_abs.format import fields as wire_fields
 from inteco_abs.sessions.container import (
     DamagedError,
     DecompressionBudget,

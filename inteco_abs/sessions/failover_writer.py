@@ -17,7 +17,7 @@ import numpy as np
 
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, SessionError, describe_disk, in_a_line
-from inteco_abs.format.schema import TICK, TRUTH
+from inteco_abs.format import TICK, TRUTH
 from inteco_abs.sessions.environment import Environment
 from inteco_abs.sessions.files import atomic_write, require_own_file
 from inteco_abs.sessions.session_writer import RunEnd, RunHeader, RunResult, SessionWriter

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from inteco_abs.errors import SessionError
-from inteco_abs.format.io_frame import IO_TOPIC, Direction, IoFrame, pack_io_frame, unpack_io_frame
+from inteco_abs.format import IO_TOPIC, Direction, IoFrame, pack_io_frame, unpack_io_frame
 from inteco_abs.sessions.container import (
     DamagedError,
     DecompressionBudget,
@@ -21,7 +21,7 @@ from inteco_abs.sessions.container import (
 )
 from inteco_abs.sessions.content import Content
 from inteco_abs.sessions.reader import opened
-from inteco_abs.wire.capture import Capture, Kind, Record
+from inteco_abs.wire import Capture, Kind, Record
 
 Frames = Callable[[], AbstractContextManager[tuple[Capture, Iterable[Record]]]]
 """Opens the recording: without its records, and these one by one. Raises CaptureError where there is none."""

@@ -18,9 +18,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.format.declared_layout import Declared, Members, declared
-from inteco_abs.format.descriptors import ENUM
-from inteco_abs.format.schema import DOUBLE, FLOAT, Message, MessageKind
+from inteco_abs.format import DOUBLE, ENUM, FLOAT, Declared, Members, Message, MessageKind, declared
 from inteco_abs.sessions.container import DamagedError
 
 Array = npt.NDArray[Any]

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.errors import SessionError, near_file
-from inteco_abs.format.schema import TICK, TRUTH
+from inteco_abs.format import TICK, TRUTH
 from inteco_abs.sessions.container import (
     MAGIC,
     DamagedError,

@@ -14,8 +14,7 @@ import numpy.typing as npt
 
 from inteco_abs.config import RigConfig, parse_config
 from inteco_abs.errors import ConfigError, SessionError
-from inteco_abs.format.io_frame import IO_TOPIC
-from inteco_abs.format.schema import LOG_TOPIC, TICK, TRUTH, Message
+from inteco_abs.format import IO_TOPIC, LOG_TOPIC, TICK, TRUTH, Message
 from inteco_abs.sessions.card import link_errors, result_card, timing_card
 from inteco_abs.sessions.container import (
     DamagedError,

@@ -11,7 +11,7 @@ from typing import Any, Final
 from inteco_abs.boards import simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import CaptureError
-from inteco_abs.format.schema import TICK, TRUTH
+from inteco_abs.format import TICK, TRUTH
 from inteco_abs.rig import nominal_parameters
 from inteco_abs.sessions.card import RunningCard
 from inteco_abs.sessions.environment import Environment

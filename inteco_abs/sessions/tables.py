@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, near_match
-from inteco_abs.format.schema import TICK, TRUTH, Column, Message
+from inteco_abs.format import TICK, TRUTH, Column, Message
 from inteco_abs.sessions.reader import Session
 
 _EVENT_COLUMNS: Final = {

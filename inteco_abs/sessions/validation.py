@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inteco_abs.errors import SessionError
-from inteco_abs.format.schema import TICK, TRUTH
+from inteco_abs.format import TICK, TRUTH
 from inteco_abs.sessions.container import DamagedError, DecompressionBudget, Entry, Opcode, fields, kind
 from inteco_abs.sessions.content import LIBRARY, Batch, Content
 from inteco_abs.sessions.migration import migrated

@@ -22,11 +22,29 @@ from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, Writer
 
 from inteco_abs.errors import SessionError, describe_disk
-from inteco_abs.format import schema
-from inteco_abs.format.io_frame import IO_NAME, IO_TOPIC, io_frame_descriptor
-from inteco_abs.format.protobuf import chunk, double, integer, tag
-from inteco_abs.format.result_message import RESULT, RESULT_NAME, RESULT_TOPIC, pack_result, result_descriptor
-from inteco_abs.format.schema import TICK, TRUTH, Message
+from inteco_abs.format import (
+    IO_NAME,
+    IO_TOPIC,
+    LOG_NAME,
+    LOG_TOPIC,
+    PARAMETERS_NAME,
+    PARAMETERS_TOPIC,
+    RESULT,
+    RESULT_NAME,
+    RESULT_TOPIC,
+    TICK,
+    TRUTH,
+    Message,
+    chunk,
+    double,
+    integer,
+    io_frame_descriptor,
+    log_descriptor,
+    pack_result,
+    parameters_descriptor,
+    result_descriptor,
+    tag,
+)
 from inteco_abs.sessions.content import ATTACHMENT_HASH
 from inteco_abs.sessions.files import check_output
 from inteco_abs.sessions.reader import stored_rows
@@ -148,10 +166,8 @@ class FileWriter:
         self._writer.start(profile="", library=f"inteco-abs/{version('inteco-abs')} mcap-python/{version('mcap')}")
         self._tick_channel = self._flat(TICK, {"internals": json.dumps(list(controller_internals))})
         self._truth_channel = -1
-        self._event_channel = self._channel(schema.LOG_TOPIC, schema.LOG_NAME, schema.log_descriptor(), {})
-        self._parameter_channel = self._channel(
-            schema.PARAMETERS_TOPIC, schema.PARAMETERS_NAME, schema.parameters_descriptor(), {}
-        )
+        self._event_channel = self._channel(LOG_TOPIC, LOG_NAME, log_descriptor(), {})
+        self._parameter_channel = self._channel(PARAMETERS_TOPIC, PARAMETERS_NAME, parameters_descriptor(), {})
 
     def __enter__(self) -> Self:
         return self

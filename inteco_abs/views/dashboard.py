@@ -19,7 +19,7 @@ from rich.live import Live
 from rich.text import Text
 
 from inteco_abs.config import RigConfig
-from inteco_abs.realtime.screen import Check, Snapshot
+from inteco_abs.realtime import Check, Snapshot
 from inteco_abs.signals import Phase
 from inteco_abs.views.keys import stop_keys
 from inteco_abs.views.plot import Axes, Curve, plot

@@ -9,7 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from inteco_abs.host.checks import Finding, Verdict, worst
+from inteco_abs.host import Finding, Verdict, worst
 
 _COLOURS: Final = {Verdict.GREEN: "green", Verdict.AMBER: "yellow", Verdict.RED: "red"}
 _BINS_A_PERIOD: Final = 20

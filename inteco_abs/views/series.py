@@ -10,7 +10,7 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from inteco_abs.analysis.statistics import UNITS, Spread
+from inteco_abs.analysis import UNITS, Spread
 from inteco_abs.errors import AbsError
 from inteco_abs.sessions import Session
 from inteco_abs.views.card import ROWS

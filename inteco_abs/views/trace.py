@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.realtime.screen import Point
+from inteco_abs.realtime import Point
 from inteco_abs.signals import Phase
 
 Array = npt.NDArray[Any]

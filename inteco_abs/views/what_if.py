@@ -13,8 +13,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from inteco_abs.analysis.closed_loop import Continuation
-from inteco_abs.analysis.what_if import WhatIf, braking_row, since_braking_s
+from inteco_abs.analysis import Continuation, WhatIf, braking_row, since_braking_s
 from inteco_abs.quantities import shown
 from inteco_abs.sessions import Session
 from inteco_abs.signals import Phase

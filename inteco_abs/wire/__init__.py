@@ -1,1 +1,28 @@
 """Captures of what passes between host and board: recorded, imported, compared and played back."""
+
+from inteco_abs.wire.capture import Capture, Kind, Record, check_target, opened_capture, read_capture, write_capture
+from inteco_abs.wire.changed_words import compare_sends, moved_words
+from inteco_abs.wire.pcap import import_pcap
+from inteco_abs.wire.recording import Recording, check_recordable, recording
+from inteco_abs.wire.replay import profile_for, replay_wire
+from inteco_abs.wire.summary import caution, summarize
+
+__all__ = [
+    "Capture",
+    "Kind",
+    "Record",
+    "Recording",
+    "caution",
+    "check_recordable",
+    "check_target",
+    "compare_sends",
+    "import_pcap",
+    "moved_words",
+    "opened_capture",
+    "profile_for",
+    "read_capture",
+    "recording",
+    "replay_wire",
+    "summarize",
+    "write_capture",
+]

@@ -10,17 +10,7 @@ from operator import or_
 from typing import Final, NamedTuple
 
 from firmware_protocol.fields import FrameTable
-from inteco_abs.boards.family import protocol_of
-from inteco_abs.boards.frame_labels import (
-    UNKNOWN,
-    Protocol,
-    Role,
-    byte_offset,
-    label,
-    masks_of,
-    names_at,
-    words_of,
-)
+from inteco_abs.boards import UNKNOWN, Protocol, Role, byte_offset, label, masks_of, names_at, protocol_of, words_of
 from inteco_abs.wire.capture import Capture, Kind
 from inteco_abs.wire.playback import differing_words
 

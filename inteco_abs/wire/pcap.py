@@ -13,8 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from inteco_abs.boards import UsbTraffic
-from inteco_abs.boards.family import family_speaking, protocol_name
+from inteco_abs.boards import UsbTraffic, family_speaking, protocol_name
 from inteco_abs.config import load_config
 from inteco_abs.entry_points import attribute
 from inteco_abs.errors import CaptureError, ConfigError, ConfigIssue

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from firmware_protocol.fields import FrameTable, Layout
-from inteco_abs.boards.family import protocol_of
-from inteco_abs.boards.frame_labels import Role, byte_offset, label, masks_of, names_at, words_of
+from inteco_abs.boards import Role, byte_offset, label, masks_of, names_at, protocol_of, words_of
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.errors import CaptureError, LinkError
 from inteco_abs.wire.capture import Capture, Kind, Record

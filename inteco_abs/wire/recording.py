@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.boards.family import family_of, protocol_name, protocol_of
+from inteco_abs.boards import family_of, protocol_name, protocol_of
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import CaptureError, ConfigError, ConfigIssue

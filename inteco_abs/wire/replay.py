@@ -8,9 +8,7 @@ from typing import Any, Final, NamedTuple
 
 from firmware_protocol import FrameTable, ProtocolError
 from firmware_protocol.pwm import PWM_FULL_WIDTH
-from inteco_abs.boards import board_behind
-from inteco_abs.boards.family import family_speaking, protocol_name, protocol_of
-from inteco_abs.boards.frame_labels import Role
+from inteco_abs.boards import Role, board_behind, family_speaking, protocol_name, protocol_of
 from inteco_abs.config import BoardConfig, RigConfig, load_config, profiles
 from inteco_abs.errors import BoardError, CaptureError, ConfigError, ConfigIssue
 from inteco_abs.signals import BoardFlags, Command

@@ -8,8 +8,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from firmware_protocol.fields import ProtocolError
-from inteco_abs.boards.family import protocol_of
-from inteco_abs.boards.frame_labels import Protocol, Role
+from inteco_abs.boards import Protocol, Role, protocol_of
 from inteco_abs.wire.capture import Capture, Kind
 
 

@@ -25,8 +25,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import IO, Any, Final, cast
 
-from inteco_abs.control import CONTROLLERS, Controller, Gain, Setup
-from inteco_abs.control.phase_machine import recordable
+from inteco_abs.control import CONTROLLERS, Controller, Gain, Setup, recordable
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, ControllerError, in_words
 from inteco_abs.plugins import FROM_FILE, Controllers, load_controller
 from inteco_abs.realtime.heartbeat import NO_MORE

@@ -27,7 +27,7 @@ from inteco_abs.realtime.rules import LOOPS_WINDOW_NS
 from inteco_abs.realtime.tuning import loop_tuning, prepare
 from inteco_abs.realtime.watchdog import prove_watchdog
 from inteco_abs.signals import Reason
-from inteco_abs.wire.recording import recording
+from inteco_abs.wire import recording
 
 _NONE: Final = Reason.NONE
 _STALL_NS: Final = 100_000_000

@@ -31,20 +31,23 @@ from inteco_abs.realtime.tuning import prepare, recorder_tuning
 from inteco_abs.realtime.window import Window
 from inteco_abs.sessions import (
     TICK,
+    Environment,
     FailoverWriter,
     FileWriter,
+    Opener,
     RunEnd,
     RunHeader,
     RunResult,
     SessionWriter,
     atomic_write,
     check_output,
+    joined,
+    opened,
     require_own_file,
     spill_path,
+    stored_rows,
+    surroundings,
 )
-from inteco_abs.sessions.environment import Environment, surroundings
-from inteco_abs.sessions.failover_writer import Opener, joined
-from inteco_abs.sessions.reader import opened, stored_rows
 from inteco_abs.signals import Reason
 
 _DRAIN_S: Final = 0.005

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from inteco_abs.analysis import settings_of
-from inteco_abs.sessions import Session
-from inteco_abs.sessions.card import card_of
+from inteco_abs.sessions import Session, card_of
 from inteco_abs.views.card import ROWS
 from inteco_abs.views.comparison import gains_of
 

@@ -9,8 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.sessions import Session
-from inteco_abs.sessions.card import aligned_truth
+from inteco_abs.sessions import Session, aligned_truth
 from inteco_abs.signals import Phase
 from inteco_abs.views.comparison import PALETTE, held_rows, since_s, start_ns, stretches
 from inteco_abs.views.decimation import Decimated, decimate

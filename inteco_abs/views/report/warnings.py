@@ -7,8 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from inteco_abs.sessions import Session
-from inteco_abs.sessions.card import card_of, link_errors
+from inteco_abs.sessions import Session, card_of, link_errors
 from inteco_abs.signals import EXPLANATIONS, BoardFlags, Phase, Reason
 from inteco_abs.views.comparison import held_rows, since_s, start_ns
 

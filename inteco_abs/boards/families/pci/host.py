@@ -5,9 +5,20 @@ from __future__ import annotations
 from typing import Final
 
 from inteco_abs.config import RigConfig
-from inteco_abs.host.attached import FoundBoard, HostFamily, last_part
-from inteco_abs.host.checks import Computer, Judgement, green, red
-from inteco_abs.host.permissions import PCI_DEVICE, PCI_REGISTERS, PCI_VENDOR, PLUG_AGAIN, UDEV_FILE
+from inteco_abs.host import (
+    PCI_DEVICE,
+    PCI_REGISTERS,
+    PCI_VENDOR,
+    PLUG_AGAIN,
+    UDEV_FILE,
+    Computer,
+    FoundBoard,
+    HostFamily,
+    Judgement,
+    green,
+    last_part,
+    red,
+)
 
 _HEADER_BYTES: Final = 64
 """Of the configuration space, what every user may read."""

@@ -43,8 +43,7 @@ from firmware_protocol.rtdac_pci import (
 )
 from inteco_abs.boards.families.pci.board import registers_of
 from inteco_abs.boards.frame_labels import Protocol
-from inteco_abs.mock_board.device import MAXIMUM_CELSIUS, MINIMUM_SUPPLY_V, Device
-from inteco_abs.mock_board.family import MockFamily
+from inteco_abs.mock_board import MAXIMUM_CELSIUS, MINIMUM_SUPPLY_V, Device, MockFamily
 
 _WORD: Final = (1 << REGISTER_BITS) - 1
 _COUNTS: Final = 0x04

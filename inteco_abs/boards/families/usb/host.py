@@ -6,9 +6,19 @@ from pathlib import Path
 from typing import Final
 
 from inteco_abs.config import RigConfig
-from inteco_abs.host.attached import FoundBoard, HostFamily, last_part, usb_description, usb_strings
-from inteco_abs.host.checks import Computer, Judgement, amber, green
-from inteco_abs.host.permissions import INSTALL_FTDI_RULES, UDEV_FILE
+from inteco_abs.host import (
+    INSTALL_FTDI_RULES,
+    UDEV_FILE,
+    Computer,
+    FoundBoard,
+    HostFamily,
+    Judgement,
+    amber,
+    green,
+    last_part,
+    usb_description,
+    usb_strings,
+)
 
 _PORTS: Final = "sys/bus/usb-serial/devices/*"
 _LEAST_LATENCY_MS: Final = 1

@@ -10,10 +10,7 @@ from firmware_protocol.fields import sent_back
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, HEADER_BYTES, READ_REQUEST, logic_of
 from inteco_abs.config import MOCK_NAMES
 from inteco_abs.errors import ConfigError, ConfigIssue
-from inteco_abs.mock_board.device import Device
-from inteco_abs.mock_board.family import MockFamily
-from inteco_abs.mock_board.frontend import FrontEnd, require_terminals
-from inteco_abs.mock_board.reported_board import reported_frames
+from inteco_abs.mock_board import Device, FrontEnd, MockFamily, reported_frames, require_terminals
 from inteco_abs.mock_board.usbip.ftdi import FtdiBoard, ftdi_identity
 
 APPLICATION_NAME: Final = MOCK_NAMES[1]

@@ -6,10 +6,22 @@ from typing import Final
 
 from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER, VENDOR_ID
 from inteco_abs.config import RigConfig
-from inteco_abs.host.attached import USB_DEVICES, FoundBoard, HostFamily, last_part, usb_description, usb_strings
-from inteco_abs.host.checks import Computer, Judgement, amber, green, red, together
-from inteco_abs.host.permissions import PLUG_AGAIN
-from inteco_abs.realtime.tuning import GUARDIAN_PRIORITY, LOOP_PRIORITY, cores_of, kernel_list, loop_cpus, parse_cpus
+from inteco_abs.host import (
+    PLUG_AGAIN,
+    USB_DEVICES,
+    Computer,
+    FoundBoard,
+    HostFamily,
+    Judgement,
+    amber,
+    green,
+    last_part,
+    red,
+    together,
+    usb_description,
+    usb_strings,
+)
+from inteco_abs.realtime import GUARDIAN_PRIORITY, LOOP_PRIORITY, cores_of, kernel_list, loop_cpus, parse_cpus
 
 _UNPROGRAMMED: Final = "04b4", "8613"
 """What an EZ-USB FX2 calls itself as long as no firmware runs in it (its data sheet's default ids)."""

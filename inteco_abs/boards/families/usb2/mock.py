@@ -10,10 +10,7 @@ from firmware_protocol import ProtocolError
 from firmware_protocol.fields import sent_back
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, LOGIC_VERSION, LOGICS, READ, READ_REQUEST, SEND, Logic
 from inteco_abs.config import MOCK_NAMES, BoardConfig
-from inteco_abs.mock_board.device import Device
-from inteco_abs.mock_board.family import Connected, MockFamily, always_connected
-from inteco_abs.mock_board.frontend import require_terminals
-from inteco_abs.mock_board.reported_board import reported_frames
+from inteco_abs.mock_board import Connected, Device, MockFamily, always_connected, reported_frames, require_terminals
 from inteco_abs.mock_board.usbip.usb_board import UsbBoard
 from inteco_abs.mock_board.usbip.usb_descriptors import UsbIdentity
 
