@@ -9,7 +9,7 @@ pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 def test_an_ordinary_user_runs_in_real_time_and_is_told_what_was_refused(
     command_path, inteco_abs, untraced, tmp_path, without_privileges
 ):
-    quick = ("--set", "experiment.start_speed_rad_s=30", "--set", "experiment.hold_s=0.1")
+    quick = ("--set", "experiment.start_speed_rad_s=30", "--set", "experiment.hold_s=0.1", "--set", "loop.rate_hz=500")
     run = subprocess.run(
         [*without_privileges, command_path, "run", "--out", "stop.mcap", "--json", *quick],
         cwd=tmp_path, env=untraced, capture_output=True, text=True, timeout=60, check=False,
