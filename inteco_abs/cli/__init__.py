@@ -14,7 +14,7 @@ def main() -> None:
     # thread it raises SIGINT, which would end the command as interrupted
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        from inteco_abs.cli.main import main as verbs
+        from inteco_abs.cli.command import main as verbs
 
         verbs()
     except KeyboardInterrupt:

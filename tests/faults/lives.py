@@ -34,7 +34,7 @@ SIGNALS = {
     "SIGHUP": (signal.SIGHUP,),
     "SIGINT twice": (signal.SIGINT, signal.SIGINT),
 }
-TOP = ("cli/__init__.py", "cli/main.py")
+TOP = ("cli/__init__.py", "cli/command.py")
 """Always struck, as nobody is above them."""
 DEADLY = (signal.SIGTERM, signal.SIGHUP)
 """Where nobody listens to them."""

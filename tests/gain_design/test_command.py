@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from inteco_abs.cli.main import cli
+from inteco_abs.cli.command import cli
 from inteco_abs.errors import AbsError, ConfigError
 
 COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tracing import untraced
 
-from inteco_abs.cli.main import cli
+from inteco_abs.cli.command import cli
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError
 from inteco_abs.experiment import Plan, run_stop

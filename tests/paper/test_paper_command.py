@@ -12,7 +12,7 @@ from contextlib import redirect_stdout
 import pytest
 from click.testing import CliRunner
 
-from inteco_abs.cli.main import cli
+from inteco_abs.cli.command import cli
 from inteco_abs.errors import AbsError, ConfigError
 
 FIGURES = ("simulation", "experiment-window", "experiment-euler")

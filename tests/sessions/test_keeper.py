@@ -317,7 +317,7 @@ class TestSpill:
         assert spill_path(tmp_path / "stop.mcap", quick.config, "12345678-9") is None
 
     def test_a_folder_that_is_not_there_is_refused_before_the_run(self, run, tmp_path, devices):
-        with pytest.raises(ConfigError, match=r"session\.spill.*no folder; create it first"):
+        with pytest.raises(ConfigError, match=r"session\.spill.*not a folder; create it first"):
             run(f"session.spill={tmp_path / 'nowhere'}")
         assert devices == []
 

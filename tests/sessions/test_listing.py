@@ -79,7 +79,7 @@ def test_broken_files_are_rows_with_their_problem(folder, short, container, with
     assert "not an MCAP file" in problems["text.mcap"]
     assert "no session of this program" in problems["foreign.mcap"]
     assert "is damaged: chunk at byte" in problems["damaged.mcap"]
-    assert "no regular file" in problems["pipe.mcap"]
+    assert "not a regular file" in problems["pipe.mcap"]
     assert "No such file" in problems["dangling.mcap"]
     assert problems.pop("good.mcap") is None
     assert {rows[name]["outcome"] for name in problems} == {"broken"}

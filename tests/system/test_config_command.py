@@ -9,7 +9,7 @@ from dataclasses import asdict
 
 import pytest
 
-from inteco_abs.cli.main import cli
+from inteco_abs.cli.command import cli
 from inteco_abs.config import load_config
 from inteco_abs.config.explain import all_keys
 from inteco_abs.control import CONTROLLERS

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
-from inteco_abs.cli.main import cli
+from inteco_abs.cli.command import cli
 from inteco_abs.signals import EXPLANATIONS, Reason
 
 ROOT = Path(__file__).parents[2]

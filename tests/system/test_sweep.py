@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from inteco_abs.cli.main import cli
+from inteco_abs.cli.command import cli
 from inteco_abs.errors import AbsError, ConfigError
 
 QUICK = ("--rigs", "hard:3-4", "--no-run-up", "--set", "experiment.start_speed_rad_s=30")

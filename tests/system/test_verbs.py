@@ -7,7 +7,7 @@ from ast import literal_eval
 import click
 import pytest
 
-from inteco_abs.cli.main import cli
+from inteco_abs.cli.command import cli
 
 GROUPS = ("Run:", "Sessions:", "Compare and design:", "Boards and commissioning:", "Setup:")
 OLD_NAMES = {
@@ -56,7 +56,7 @@ def test_an_old_name_works_and_is_not_listed(main_here, old, new):
 
 def test_one_verb_does_not_load_the_others():
     code = (
-        "import sys; from inteco_abs.cli.main import cli\n"
+        "import sys; from inteco_abs.cli.command import cli\n"
         "cli.main(['faults', '--json'], standalone_mode=False)\n"
         "print(sorted(each for each in sys.modules if each.startswith('inteco_abs.cli.')))"
     )

@@ -14,7 +14,7 @@ def rig(content):
 ROWS = [
     Row("no file", FILE, 2, ("rig.toml", "No such file"), "inteco-abs config init rig.toml writes one"),
     Row("a folder", FILE, 2, ("rig.toml", "is a folder"), "name a file", (folder("rig.toml"),)),
-    Row("no regular file", "run --config /dev/null", 2, ("/dev/null",), "no regular file; name one"),
+    Row("no regular file", "run --config /dev/null", 2, ("/dev/null",), "not a regular file; name one"),
     Row("nearly its name", "run --config rig.tml", 2, ("rig.tml", "No such file"), "did you mean rig.toml?", rig("")),
     Row("empty", FILE, 2, ("rig.toml: is empty",), "begin one with inteco-abs config init", rig(" \n")),
     Row("far too large", FILE, 2, ("larger than 1000000 bytes",), "is it a configuration?", rig("#" * 1_000_001)),

@@ -12,6 +12,8 @@ from inteco_abs.sessions import TICK, TRUTH, read_frames, read_session
 
 LOCK = Path(__file__).with_name("package-lock.json")
 
+NEW_NAMES = {"drive_wish": "drive_request", "brake_wish": "brake_request"}
+
 
 def sums(rows):
     """Of every column in the order of the file, as that reader adds them up: 64 bits as text, without what is NaN."""
@@ -61,6 +63,13 @@ def test_messages_are_as_many(opened):
     assert int(theirs["counted"]) == sum(told["messages"] for told in theirs["topics"].values())
 
 
+def today(found):
+    """What the other reader found, with the names that columns of older files have by now."""
+    if isinstance(found, dict):
+        return {NEW_NAMES.get(name, name): value for name, value in found.items()}
+    return [NEW_NAMES.get(name, name) for name in found] if isinstance(found, list) else found
+
+
 @pytest.mark.parametrize("message", [TICK, TRUTH], ids=["tick", "truth"])
 def test_every_column_of_numbers_has_the_sum_that_numpy_finds(opened, message):
     session, theirs = opened
@@ -68,7 +77,7 @@ def test_every_column_of_numbers_has_the_sum_that_numpy_finds(opened, message):
     if message is TRUTH and not len(rows):
         assert message.topic not in theirs["topics"]  # a golden session keeps no truth
         return
-    told = theirs["topics"][message.topic]
+    told = {key: today(value) for key, value in theirs["topics"][message.topic].items()}
     rows = rows[[name for name in rows.dtype.names if name in told["fields"]]]  # older files have fewer
     assert told["schema"] == message.name
     assert told["sums"] == sums(rows)

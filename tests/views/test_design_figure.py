@@ -51,7 +51,7 @@ def test_every_panel_shows_its_curves_over_the_road_speed(report, drawn):
         (gain, "(25) asks for more than", "mq_25_per_s"),
         (gain, "(26) asks for more than", "mq_26_per_s"),
         (gain, "given", "mq_per_s"),
-        (torque, "M1eq, as believed", "torque_eq_nm"),
+        (torque, "M1eq, nominal", "torque_eq_nm"),
         (uncertainty, "F [1/s]", "F_per_s"),
         (uncertainty, "eps_f [1/s]", "eps_f_per_s"),
         (uncertainty, "eps_g [1]", "eps_g"),
