@@ -11,7 +11,7 @@ from inteco_abs.boards.addresses import (
     schemes,
     simulated,
 )
-from inteco_abs.boards.authorization import unconfirmed
+from inteco_abs.boards.authorization import read_only_reason, unconfirmed
 from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity, Reading
 from inteco_abs.boards.family import (
     FAMILIES,
@@ -65,6 +65,7 @@ __all__ = [
     "open_board",
     "protocol_name",
     "protocol_of",
+    "read_only_reason",
     "schemes",
     "simulated",
     "unconfirmed",

@@ -20,7 +20,7 @@ from inteco_abs.errors import AbsError, ConfigError, ConfigIssue
     "--dry-run", is_flag=True, help="With --outputs, only check whether it could begin, and print its limits."
 )
 def panel(options: RunOptions, outputs: bool, dry_run: bool) -> int:
-    """Watch encoders and speeds live, and move the rig by hand.
+    """Watch the board, and drive its motors while a key is held.
 
     Without --outputs it only reads. With --outputs, drive and brake follow their sliders while you hold a key.
     """

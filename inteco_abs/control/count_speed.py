@@ -1,4 +1,4 @@
-"""Speed from quadrature counts over a window of samples: the one place where counts become rad/s."""
+"""Speed from quadrature counts over a window of samples, in rad/s."""
 
 from __future__ import annotations
 

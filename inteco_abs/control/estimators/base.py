@@ -61,7 +61,7 @@ class TwoWheels:
 
 
 class MovingWindow:
-    """`TwoWheels` with a `SpeedWindow` of `length` samples on each, done at once."""
+    """`TwoWheels` with a `MovingAverageSpeed` of `length` samples on each, done at once."""
 
     __slots__ = ("_ratio", "_valid", "_windows")
 

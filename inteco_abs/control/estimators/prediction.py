@@ -65,7 +65,7 @@ class DelayLine:
 def outlook(
     contact: WheelDynamics, parameters: RigParameters, pending: DelayLine, state: Sequence[float]
 ) -> Prediction:
-    """From the states of `BrakingFilter`."""
+    """From the states of `BrakingEkf`."""
     th1, x1, _, x2, lagged, excess, factor, cosine, sine, dead_time, lag = state
     horizon, then, mean = pending.ahead(lagged, dead_time, lag)
     halfway = th1 + 0.5 * horizon * x1

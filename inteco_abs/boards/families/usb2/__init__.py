@@ -1,4 +1,4 @@
-"""RT-DAC/USB2: frames of 512 bytes over USB, in the words of the generic logic or of a rig's."""
+"""RT-DAC/USB2: frames of 504 bytes over USB, in the words of the generic logic or of a rig's."""
 
 from __future__ import annotations
 
