@@ -36,6 +36,7 @@ from inteco_abs.mock_board import (
     parse_faults,
 )
 from inteco_abs.realtime import BOARD_PRIORITY, Field, Job, Mailbox, RunMemory, alive, guardian_tuning, hearing, prepare
+from inteco_abs.realtime.processes import ENTRY
 
 if TYPE_CHECKING:
     from inteco_abs.commissioning.reported_board import ReportedBoard
@@ -79,7 +80,7 @@ def _pid_of(name: str, memory: RunMemory) -> int:
     """Process of the run in `memory`; 0 if there is none."""
     if name == "supervisor":
         return memory.words[Field.SUPERVISOR_PID]
-    ours = f"inteco_abs.realtime\0{name}\0{memory.path}\0".encode()
+    ours = f"{ENTRY}\0{name}\0{memory.path}\0".encode()
     for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             if (process / "cmdline").read_bytes().endswith(ours):

@@ -183,21 +183,22 @@ def test_a_cable_that_is_pulled_in_real_time_is_told_at_once(inteco_abs, untrace
     assert "MOTOR POWER MAY STILL BE ON" in stop.stderr
 
 
-@pytest.mark.long
 @pytest.mark.xdist_group("real time")
 @pytest.mark.parametrize(
     ("fault", "codes", "words"),
     [
         ("loop-frozen@drive+300ms", {5}, "the guardian made its board safe"),
-        ("disk-full@drive+300ms/200ms", {3}, "cannot be written: File too large"),
-        ("loop-killed@brake+20ms", {5}, "the guardian made its board safe"),
-        ("guardian-killed@drive+300ms", {5}, "guardian"),
-        ("guardian-frozen@drive+300ms/1000ms", {5}, "guardian"),
-        ("recorder-killed@drive+300ms", {5}, "recorder"),
-        ("recorder-frozen@drive+300ms/300ms", {0, 3}, ""),
-        ("supervisor-frozen@drive+#0/2000ms", {5}, "nobody could have stopped the run"),
-        ("supervisor-frozen@drive+300ms", {5}, "nobody could have stopped the run"),
-        ("file-gone@drive+300ms", {3}, "is gone"),
+        pytest.param("disk-full@drive+300ms/200ms", {3}, "cannot be written: File too large", marks=pytest.mark.long),
+        pytest.param("loop-killed@brake+20ms", {5}, "the guardian made its board safe", marks=pytest.mark.long),
+        pytest.param("guardian-killed@drive+300ms", {5}, "guardian", marks=pytest.mark.long),
+        pytest.param("guardian-frozen@drive+300ms/1000ms", {5}, "guardian", marks=pytest.mark.long),
+        pytest.param("recorder-killed@drive+300ms", {5}, "recorder", marks=pytest.mark.long),
+        pytest.param("recorder-frozen@drive+300ms/300ms", {0, 3}, "", marks=pytest.mark.long),
+        pytest.param(
+            "supervisor-frozen@drive+#0/2000ms", {5}, "nobody could have stopped the run", marks=pytest.mark.long
+        ),
+        pytest.param("supervisor-frozen@drive+300ms", {5}, "nobody could have stopped the run", marks=pytest.mark.long),
+        pytest.param("file-gone@drive+300ms", {3}, "is gone", marks=pytest.mark.long),
     ],
 )
 def test_a_computer_that_fails_in_real_time_ends_the_run_as_it_should(

@@ -30,6 +30,7 @@ from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, ControllerEr
 from inteco_abs.plugins import FROM_FILE, Controllers, load_controller
 from inteco_abs.realtime.heartbeat import NO_MORE
 from inteco_abs.realtime.job import Job
+from inteco_abs.realtime.processes import ENTRY
 from inteco_abs.realtime.tuning import controller_tuning, end_with_parent, prepare
 from inteco_abs.signals import BrakeDemand, Estimate, Prediction
 
@@ -158,7 +159,7 @@ def _started(run: Path) -> subprocess.Popen[bytes]:
     try:
         return subprocess.Popen(  # noqa: S603  our own module
             # named like the other processes of the run; it is not to open that file
-            [sys.executable, "-P", "-m", "inteco_abs.realtime.processes", "controller", str(run)],
+            [sys.executable, "-P", "-m", ENTRY, "controller", str(run)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )

@@ -23,6 +23,7 @@ from inteco_abs.realtime.foxglove_server import address
 from inteco_abs.realtime.heartbeat import NO_MORE
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
+from inteco_abs.realtime.processes import ENTRY
 from inteco_abs.realtime.processes.recorder import conclusion, describe_board, rebuild
 from inteco_abs.realtime.screen import Check, NoScreen, SafeScreen, Screen, Snapshot, SnapshotSource
 from inteco_abs.realtime.signal_handlers import hearing
@@ -83,7 +84,7 @@ class Supervisor:
         """Run the process of one role alone, without guarding it; the note RESULT that it leaves."""
         try:
             self._await_the_mock()
-            self.spawn(role, "inteco_abs.realtime.processes", role, str(self._memory.path))
+            self.spawn(role, ENTRY, role, str(self._memory.path))
             self._wait_for(lambda: self._memory.note(Mailbox.RESULT) is not None, "the answer comes", role, _START_S)
             return self._memory.note(Mailbox.RESULT)
         finally:
@@ -102,7 +103,7 @@ class Supervisor:
             try:
                 self._await_the_mock()
                 for role, name in (("guardian", "guardian"), *((("drill", "drill"),) if drill else ()), _BY_HAND):
-                    self.spawn(name, "inteco_abs.realtime.processes", role, str(self._memory.path))
+                    self.spawn(name, ENTRY, role, str(self._memory.path))
                 loop = self._children["loop"]
                 self._memory.name(Field.LOOP_PID, loop.pid)
                 watch = self._begin_watch()
@@ -166,7 +167,7 @@ class Supervisor:
     def _start(self) -> None:
         self._await_the_mock()
         for role in ("guardian", "recorder", "drill", "loop"):
-            self.spawn(role, "inteco_abs.realtime.processes", role, str(self._memory.path))
+            self.spawn(role, ENTRY, role, str(self._memory.path))
         self._memory.name(Field.LOOP_PID, self._children["loop"].pid)
 
     def _begin_watch(self) -> Watch:
