@@ -41,7 +41,7 @@ def beyond_ceilings(config: RigConfig) -> Iterator[ConfigIssue]:
     limits, rate_hz = config.guard, config.loop.rate_hz
     for key, ceiling in _REAL_CEILINGS.items():
         value, most = getattr(limits, key), ceiling.at(rate_hz)
-        if value is None or value > most:
+        if value is None or not value <= most:  # nor is what is not a number
             allowed = f"at most {most:g}" + (f" at {rate_hz:g} Hz" if ceiling.seconds is not None else "")
             yield ConfigIssue(f"guard.{key}", f"{value}: on a real board {allowed} ({ceiling.because}); lower it")
     if not config.board.verified_by and not config.board.read_only:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Self
 
-from inteco_abs.config import RigConfig, trusted_config
+from inteco_abs.config import RigConfig, parse_config, trusted_config
 from inteco_abs.errors import SessionError
 from inteco_abs.realtime.memory import Mailbox, RunMemory
 
@@ -50,9 +50,11 @@ class Job:
     """What the mock board is to do wrong, as it was typed."""
 
     def post(self, memory: RunMemory) -> None:
-        """Leave it for the others."""
+        """Leave it for the others, which trust its configuration. Raises ConfigError for values out of range."""
         files = {name: base64.b64encode(getattr(self, name)).decode() for name in _FILES}
-        memory.post(Mailbox.JOB, asdict(self) | files | {"config": self.config.to_toml()})
+        config = self.config.to_toml()
+        parse_config(config)
+        memory.post(Mailbox.JOB, asdict(self) | files | {"config": config})
 
     @classmethod
     def of(cls, memory: RunMemory, config_of: Callable[[str], RigConfig] = trusted_config) -> Self:

@@ -1,5 +1,6 @@
 import errno
 import gc
+import math
 import os
 import resource
 import shutil
@@ -7,12 +8,13 @@ import struct
 import threading
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from inteco_abs.errors import SessionError
+from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.realtime.memory import (
     Field,
     Mailbox,
@@ -493,3 +495,12 @@ class TestAlive:
         finally:
             over.set()
             thread.join()
+
+
+@pytest.mark.parametrize("key", ["over_speed_rad_s", "silence_s"])
+def test_no_job_with_a_value_out_of_range_is_posted_for_processes_that_trust_it(new_memory, job_of, key):
+    memory = new_memory(10)
+    job = job_of(memory)
+    config = replace(job.config, guard=replace(job.config.guard, **{key: math.nan}))
+    with pytest.raises(ConfigError, match=f"guard.{key}: nan"):
+        replace(job, config=config).post(memory)
