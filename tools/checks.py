@@ -15,8 +15,8 @@ import re
 import subprocess
 import sys
 import tempfile
-import threading
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -63,12 +63,12 @@ class Check:
         self.parts.append(Part(name, "passed" if code == 0 else "FAILED", wall_s, usage.ru_utime + usage.ru_stime))
         return code
 
-    def tests(self, name: str, selection: str, *, others: threading.Thread) -> None:
+    def tests(self, name: str, selection: str, *, others: Future[None]) -> None:
         """Run the selected tests on all cores, and those that failed again when the `others` have ended."""
         # tests of one group stay on one worker: real-time runs would be each other's load
         parallel = ("-n", "auto", "--dist", "loadgroup", "--cache-clear")
         code = self.run(name, *self.pytest, "-m", selection, *parallel)
-        others.join()
+        others.result()  # raises what kept them from running
         failed = failed_tests() if code == TESTS_FAILED else []
         if not 0 < len(failed) <= MOST_TRIED_AGAIN:
             return
@@ -112,10 +112,10 @@ def main(arguments: list[str]) -> int:
 
     if long:
         subprocess.run(["coverage", "erase"], check=True)
-    others = threading.Thread(target=beside_the_tests, daemon=True)
-    others.start()
+    beside = ThreadPoolExecutor(1)
+    others = beside.submit(beside_the_tests)
     if long:  # more of its tests keep real time, and it has time
-        others.join()
+        others.result()
     check.tests("tests", "" if long else "not long", others=others)
     if long:
         check.run("coverage of all processes", "coverage", "combine", "--quiet")
