@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from typing import Self
 
@@ -17,7 +16,7 @@ import numpy as np
 
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, SessionError, describe_disk, in_a_line
-from inteco_abs.format import TICK, TRUTH
+from inteco_abs.format import TICK, TRUTH, Message
 from inteco_abs.sessions.environment import Environment
 from inteco_abs.sessions.files import atomic_write, require_own_file
 from inteco_abs.sessions.session_writer import RunEnd, RunHeader, RunResult, SessionWriter
@@ -56,23 +55,26 @@ def spill_path(out: Path, config: RigConfig, session_id: str) -> Path | None:
     return path.with_name(f"{out.stem}-{session_id[:8]}{out.suffix}") if taken else path
 
 
-def joined(stored: Callable[[], Rows], held: Rows) -> Iterator[tuple[bytes, bytes]]:
+def joined(stored: Callable[[], Rows], held: Callable[[], Rows]) -> Iterator[tuple[bytes, bytes]]:
     """A run from what a file has `stored` of it and the newest part, which memory has `held`: each row once.
 
-    The file is not looked at where memory has everything. Raises what reading it raises.
+    The file is not looked at where memory has everything. Else it comes first: the loop goes on meanwhile and may take
+    the place of what a file has, never of what none has. Raises what reading the file raises.
     """
-    blocks = iter(held)
-    first = next(blocks, (b"", b""))
-    ticks, truths = TICK.array(first[0]), TRUTH.array(first[1])
-    if not len(ticks):
-        yield from stored()
-    elif ticks["tick"][0]:
-        newer_ns = truths["time_ns"][0] if len(truths) else np.iinfo(np.uint64).max
-        for old, states in stored():
-            end = int(np.searchsorted(TICK.array(old)["tick"], ticks["tick"][0]))
-            seen = int(np.searchsorted(TRUTH.array(states)["time_ns"], newer_ns))
-            yield old[: end * TICK.size], states[: seen * TRUTH.size]
-    yield from chain([first], blocks)
+    first, _ = next(iter(held()), (b"", b""))
+    tick = state_ns = -1
+    if not first or TICK.array(first)["tick"][0]:
+        for ticks, states in stored():
+            tick = int(TICK.array(ticks)["tick"].max()) if ticks else tick
+            state_ns = int(TRUTH.array(states)["time_ns"].max()) if states else state_ns
+            yield ticks, states
+    for ticks, states in held():
+        yield _behind(TICK, "tick", ticks, tick), _behind(TRUTH, "time_ns", states, state_ns)
+
+
+def _behind(message: Message, column: str, rows: bytes, newest: int) -> bytes:
+    """Those of the rows, which are in order, that are newer."""
+    return rows[int((message.array(rows)[column].astype(np.int64) <= newest).sum()) * message.size :]
 
 
 class FailoverWriter:
@@ -171,7 +173,7 @@ class FailoverWriter:
 
     def rows(self) -> Iterator[tuple[bytes, bytes]]:
         """Everything that was added, out of the last file and memory; only once no file is written any more."""
-        return joined(self._stored, self._held())
+        return joined(self._stored, self._held)
 
     def discard(self) -> None:
         """Remove the file: nothing ran, so there is nothing to keep. Raises SessionError if it cannot be removed."""

@@ -115,8 +115,9 @@ def stored_rows(file: BinaryIO, size: int, path: Path) -> Iterator[tuple[bytes, 
                 content.take(entry)
                 continue
             batches = content.take_chunk(unpack_chunk(entry.data, content.allowance))
-            rows = (batches[topic].today if topic in batches else b"" for topic in FLAT)
-            yield next(rows), next(rows)
+            ticks, states = (batches[topic].today if topic in batches else b"" for topic in FLAT)
+            if ticks or states:
+                yield ticks, states
     except DamagedError as error:
         raise _damaged(path, error) from error
 

@@ -4,6 +4,7 @@ import pytest
 
 from inteco_abs.realtime.window import Window
 from inteco_abs.sessions import TICK, TRUTH, pack_tick
+from inteco_abs.sessions.failover_writer import joined
 
 PER_TICK = 2
 """States of the rig for each tick."""
@@ -89,3 +90,14 @@ def test_what_no_file_has_is_held_to_the_last_tick_that_comes_in(new_memory):
     run.window.more()
     assert run.window.room == 0
     assert numbers(run.window.held())[0] == list(range(100, 900))
+
+
+def test_what_a_file_has_may_go_from_memory_while_the_file_is_read(run):
+    """The loop goes on meanwhile: each tick comes once, from the file or from what memory has by then."""
+    run.ticks(300)
+    records = [run.window._ticks.look(number, 1)[0] for number in range(300)]
+    looks = iter([range(100, 200), range(190, 300)])
+    blocks = joined(
+        lambda: [(b"".join(records[:195]), b"")], lambda: [(b"".join(records[n] for n in next(looks)), b"")]
+    )
+    assert TICK.array(b"".join(ticks for ticks, _ in blocks))["tick"].tolist() == list(range(300))

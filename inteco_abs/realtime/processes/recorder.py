@@ -329,23 +329,34 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
     if introduction is None or not ticks.written:
         return None
     file, held_from = file_of(memory, job), ticks.held_from()
-    gone = bool(held_from) and not file.exists()
-    rows = joined(lambda: () if gone else _rows_of(file), Window(ticks, memory.truth_reader(), over=True).held())
-    first = next(rows)
-    opener = _opener(memory, job, introduction, int(TICK.array(first[0][: TICK.size])["time_ns"].max(initial=0)))
+    gone = bool(held_from) and not _is_ours(file, job)
+    rows = joined(lambda: () if gone else _rows_of(file), Window(ticks, memory.truth_reader(), over=True).held)
+    begin = list[tuple[bytes, bytes]]()
+    while not begin or not begin[-1][0]:  # the first tick, which everything is dated by
+        begin.append(next(rows))
+    opener = _opener(memory, job, introduction, int(TICK.array(begin[-1][0])["time_ns"][0]))
     require_own_file(out, job.session_id)
     with atomic_write(out) as part, opener(part) as recorder:
         scribe = SessionWriter(recorder, job.config, introduction, session or out)
         scribe.introduce()
         memory.histogram.clear()
-        for records, states in chain([first], rows):
+        for records, states in chain(begin, rows):
             scribe.add(records, states)
             _count(memory, records)
         end = replace(conclusion(memory), frames=frames_of(memory, job))
         anew = f"the session was made from what the run left in memory, {scribe.ticks} ticks"
         if gone:
-            anew += f"; those before tick {held_from} were in {file}, which is gone"
+            anew += f"; those before tick {held_from} were in {file}, which is gone or another session's"
         return scribe.conclude(replace(end, detail=f"{end.detail}; {anew}" if end.detail else anew))
+
+
+def _is_ours(file: Path, job: Job) -> bool:
+    """Whether the file is there, and no other run has written one of its name since."""
+    try:
+        require_own_file(file, job.session_id)
+    except SessionError:
+        return False
+    return file.exists()
 
 
 def _rows_of(path: Path) -> Iterator[tuple[bytes, bytes]]:
