@@ -3,7 +3,7 @@
 import re
 import runpy
 import sys
-import threading
+from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
@@ -42,8 +42,8 @@ def checked(tmp_path, monkeypatch, capfd):
     def run(**files):
         for name, text in files.items():
             (tmp_path / f"test_{name}.py").write_text(text)
-        others = threading.Thread(target=lambda: None)
-        others.start()
+        others = Future()
+        others.set_result(None)
         check = runpy.run_path(str(CHECKS))["Check"](sys.executable)
         check.tests("tests", "not long", others=others)
         code = check.report()
