@@ -231,8 +231,10 @@ class Supervisor:
         note = Mailbox.RECORDER_FAILURE if name == "recorder" else Mailbox.FAILURE
         told = self._memory.note(note)
         if told is None:
-            code = self._children[name].returncode
-            return BoardError(f"the {name} process ended before the run began (exit code {code}); nothing was started")
+            ended = f"the {name} process ended before the run began (exit code {self._children[name].returncode})"
+            reason = Reason(self._words[Field.GUARDIAN_STOP])
+            why = f": {EXPLANATIONS[reason]}" if reason else ""
+            return BoardError(f"{ended}{why}; nothing was started")
         return raised_again(told)
 
     def _until_the_loop_ends(self, screen: SafeScreen, watch: Watch) -> None:
