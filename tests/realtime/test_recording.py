@@ -254,6 +254,24 @@ class TestWrappedRing:
         assert f"those before tick {made.held_from} were in {made.run.job.path}, which is gone" in account.explanation
         assert read_session(made.run.job.path).ticks["tick"].tolist() == list(range(made.held_from, made.run.ticks))
 
+    def test_what_another_run_has_written_there_is_not_taken_for_ticks_of_this_one(self, crash, tmp_path):
+        made = crash()
+        made.run.conclude()
+        made.run.job.path.rename(tmp_path / "moved.mcap")
+        made.run.job.path.write_bytes((tmp_path / "moved.mcap").read_bytes().replace(b"an-id", b"is-no"))
+        account = rebuild(made.run.memory, made.run.job, tmp_path / "again.mcap")
+        assert account.card["lost_ticks"] == made.held_from
+        assert read_session(tmp_path / "again.mcap").ticks["tick"].tolist() == list(
+            range(made.held_from, made.run.ticks)
+        )
+
+    def test_the_session_is_dated_by_its_first_tick(self, crash):
+        made = crash()
+        made.run.conclude()
+        made.run.memory.words[Field.EPOCH_NS] = 600_000  # the first tick is 500 us later, in the next millisecond
+        rebuild(made.run.memory, made.run.job, made.run.job.path)
+        assert read_session(made.run.job.path).metadata["session"]["started_utc"] == "1970-01-01T00:00:00.001+00:00"
+
     def test_of_a_file_that_is_damaged_nothing_is_replaced(self, crash):
         made = crash()
         made.run.conclude()
