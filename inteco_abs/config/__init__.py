@@ -1,6 +1,6 @@
 """rig.toml: its sections, loading, the sign-off of profiles, ceilings of the guard's limits.
 
-`explain` and `validation` are doors of their own, as they load pydantic: a run's processes do without.
+`explain` and `validation` are public modules, as they load pydantic: a run's processes do without it.
 """
 
 from inteco_abs.config.guard_limits import beyond_ceilings, bounded_in_time
