@@ -39,7 +39,7 @@ from inteco_abs.realtime import BOARD_PRIORITY, Field, Job, Mailbox, RunMemory, 
 from inteco_abs.realtime.processes import ENTRY
 
 if TYPE_CHECKING:
-    from inteco_abs.commissioning.reported_board import ReportedBoard
+    from inteco_abs.commissioning.board_from_report import ReportedBoard
 
 _LOOK_S: Final = 0.1
 _CATCH_UP_S: Final = 0.005

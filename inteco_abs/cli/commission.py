@@ -103,7 +103,7 @@ def commission(
     mock_settings = [] if file.exists() else _mock_settings(board)
     draft = ProfileDraft.open(file, board, base, [*mock_settings, *options.settings], given=profile is not None)
     check_kind(board, draft.config)
-    procedure = Procedure(StepContext(_bench(board, draft, virtual=virtual), draft, Terminal(), quiet))
+    procedure = Procedure(StepContext(_rig_access(board, draft, virtual=virtual), draft, Terminal(), quiet))
     _print_state(procedure, file)
     try:
         _go(procedure, only, redo, lambda: None if report is None else _write_report(draft, report))
@@ -162,7 +162,7 @@ def _mock_settings(board: str) -> list[str]:
     ]
 
 
-def _bench(board: str, draft: ProfileDraft, *, virtual: bool) -> RigAccess:
+def _rig_access(board: str, draft: ProfileDraft, *, virtual: bool) -> RigAccess:
     from inteco_abs.boards import simulated
     from inteco_abs.commissioning import MockRigAccess, PacedMockRigAccess, RealRigAccess
     from inteco_abs.experiment import by_hand

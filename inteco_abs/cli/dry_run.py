@@ -52,18 +52,18 @@ def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: f
     Nothing is written to the board or to a disk. Exit code 0 if the first run would begin, 2 for wrong usage or
     configuration, 1 for everything else.
     """
-    from inteco_abs.commissioning import look_at
+    from inteco_abs.commissioning import run_preflight
 
     config, plan = planned[0][:2]
     refused = refusals([*own, *_conditions(planned)])
-    look = look_at(_bench(config, plan.board, plan.seed), config)
-    refused += look.refused
+    found = run_preflight(_rig_access(config, plan.board, plan.seed), config)
+    refused += found.refused
     report = {
         "schema_version": 1,
         "would_begin": not refused,
         "refused": _refusals(refused),
-        "cautions": [*look.cautions, *_cautions(planned)],
-        **_report(planned, look, pause_s),
+        "cautions": [*found.cautions, *_cautions(planned)],
+        **_report(planned, found, pause_s),
     }
     if as_json:
         print_json(report)
@@ -74,17 +74,17 @@ def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: f
 
 def rehearse_by_hand(config: RigConfig, board: str, faults: Sequence[Fault], own: Iterable[Condition]) -> int:
     """Print whether the panel could begin, as `rehearse` does for runs."""
-    from inteco_abs.commissioning import look_at
+    from inteco_abs.commissioning import run_preflight
     from inteco_abs.experiment import conditions_by_hand
 
     refused = refusals([*own, *conditions_by_hand(config, board, faults)])
-    look = look_at(_bench(config, board), config, rest=False)
-    refused += look.refused
+    found = run_preflight(_rig_access(config, board), config, rest=False)
+    refused += found.refused
     _print(
         {
             "refused": _refusals(refused),
-            "cautions": look.cautions,
-            "board": _board(board, look),
+            "cautions": found.cautions,
+            "board": _board(board, found),
             "runs": [],
             "guard": asdict(config.guard),
             "needs": [],
@@ -151,7 +151,7 @@ def _disk_bytes(config: RigConfig, plan: Plan) -> int:
     return _ticks(config) * sum(size + _MCAP_BYTES for size in records)
 
 
-def _bench(config: RigConfig, board: str, seed: int = 0) -> RigAccess:
+def _rig_access(config: RigConfig, board: str, seed: int = 0) -> RigAccess:
     from inteco_abs.boards import simulated
     from inteco_abs.commissioning import MockRigAccess, RealRigAccess
     from inteco_abs.experiment import by_hand
@@ -212,13 +212,13 @@ def _memory(planned: Sequence[Planned]) -> dict[str, Any]:
     return {"what": "shared memory", "where": str(FOLDER), "bytes": needed, "free_bytes": free}
 
 
-def _report(planned: Sequence[Planned], look: Preflight, pause_s: float) -> dict[str, Any]:
+def _report(planned: Sequence[Planned], found: Preflight, pause_s: float) -> dict[str, Any]:
     """The plan and its resources."""
     config, plan = planned[0][:2]
     guard, runs = config.guard, sum(each.times for each in planned)
     driven_s = sum(each.times * each.config.experiment.longest_s for each in planned)
     return {
-        "board": _board(plan.board, look),
+        "board": _board(plan.board, found),
         "virtual": plan.virtual,
         "runs": [_run(each) for each in planned],
         "pause_s": pause_s,
@@ -229,21 +229,21 @@ def _report(planned: Sequence[Planned], look: Preflight, pause_s: float) -> dict
     }
 
 
-def _board(board: str, look: Preflight) -> dict[str, Any]:
-    identity = look.identity
+def _board(board: str, found: Preflight) -> dict[str, Any]:
+    identity = found.identity
     return {
         "address": board,
         "identity": None if identity is None else identity.facts(),
         "says": None if identity is None else str(identity),
         "outputs_allowed": identity is not None and not identity.read_only_because,
-        "first_write": [one._asdict() for one in look.first_write],
-        "moved_counts": look.moved,
-        "read_us": None if look.read_us is None else look.read_us._asdict(),
+        "first_write": [one._asdict() for one in found.first_write],
+        "moved_counts": found.moved,
+        "read_us": None if found.read_us is None else found.read_us._asdict(),
     }
 
 
 def _run(each: Planned) -> dict[str, Any]:
-    from inteco_abs.commissioning import course
+    from inteco_abs.commissioning import planned_phases
 
     config = each.config
     return {
@@ -256,7 +256,7 @@ def _run(each: Planned) -> dict[str, Any]:
         "rate_hz": config.loop.rate_hz,
         "drive": min(config.experiment.drive_duty, config.guard.drive_limit),
         "start_speed_rad_s": config.experiment.start_speed_rad_s,
-        "phases": [part._asdict() for part in course(config)],
+        "phases": [part._asdict() for part in planned_phases(config)],
         "longest_s": config.experiment.longest_s,
         "most_ticks": _ticks(config),
     }
@@ -278,6 +278,6 @@ def _computer(folder: Path) -> dict[str, Any]:
 def _print(report: dict[str, Any]) -> None:
     from rich.console import Console
 
-    from inteco_abs.commissioning.preflight_table import render_rehearsal
+    from inteco_abs.commissioning.preflight_table import render_preflight
 
-    Console(markup=False, highlight=False).print(render_rehearsal(report))
+    Console(markup=False, highlight=False).print(render_preflight(report))

@@ -69,7 +69,7 @@ def mock_board(
     from functools import partial
 
     from inteco_abs.boards import family_of
-    from inteco_abs.commissioning.reported_board import ReportedBoard
+    from inteco_abs.commissioning.board_from_report import ReportedBoard
     from inteco_abs.config import load_config
     from inteco_abs.mock_board import rig_check
     from inteco_abs.mock_board_process import Mock, serve_pty, serve_usbip

@@ -24,7 +24,7 @@ def panel(options: RunOptions, outputs: bool, dry_run: bool) -> int:
 
     Without --outputs it only reads. With --outputs, drive and brake follow their sliders while you hold a key.
     """
-    from inteco_abs.commissioning import PHRASE, PROVES_ITSELF, REQUEST, Panel, require_phrase
+    from inteco_abs.commissioning import CONFIRMED_OFF, PHRASE, PROVES_ITSELF, REQUEST, Panel, require_phrase
     from inteco_abs.experiment import by_hand
     from inteco_abs.mock_board import parse_faults
     from inteco_abs.signals import EXPLANATIONS, Reason
@@ -50,8 +50,7 @@ def panel(options: RunOptions, outputs: bool, dry_run: bool) -> int:
             app = PanelApp(by_person, side, board)
             code = app.run(mouse=False)
         if outputs:
-            text = "the board has confirmed that both outputs are off; wheels that turn coast for up to 48 s"
-            say(text, err=True)
+            say(CONFIRMED_OFF, err=True)
         if by_person.reason is not Reason.NONE:
             say(f"inteco-abs: {EXPLANATIONS[by_person.reason]}", err=True)
     return app.return_code or 1 if code is None else code

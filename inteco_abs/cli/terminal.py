@@ -79,7 +79,7 @@ class Terminal:
     def __init__(self) -> None:
         self._showing = False
 
-    def tell(self, text: str) -> None:
+    def say(self, text: str) -> None:
         """Print one paragraph."""
         say(f"\n{text}" if self._showing else text, err=True)
         self._showing = False

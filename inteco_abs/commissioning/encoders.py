@@ -26,60 +26,65 @@ class _Encoder(NamedTuple):
     turned: HandTurn
 
 
-def turn_wheels(visit: StepContext) -> Facts:
-    """Upper wheel, then lower; the draft gets channels, signs and counts per turn."""
-    visit.person.tell(
+def turn_wheels(context: StepContext) -> Facts:
+    """Have both wheels turned by hand; write channels, signs and counts per turn into the draft.
+
+    Raises ProbeError if a wheel stays unclear, or if the wheels differ in counts per turn.
+    """
+    context.operator.say(
         "  Power interface off. Lift the balance lever, so that the wheels do not touch. Forwards is as the drive\n"
         "  turns them: where they touch, both rims move the same way, so seen from one side they turn in opposite "
         "directions."
     )
-    with open_for_reading(visit) as board:
-        require_same_board(board, visit.draft.config)
+    with open_for_reading(context) as board:
+        require_same_board(board, context.draft.config)
         require_outputs_off(board)
         images = [board.survey().raw.hex()]
-        wheel = _turn(visit, board, "wheel", None)
+        wheel = _turn(context, board, "wheel", None)
         images.append(board.survey().raw.hex())
-        road = _turn(visit, board, "road", wheel)
+        road = _turn(context, board, "road", wheel)
         images.append(board.survey().raw.hex())
     if wheel.per_turn != road.per_turn:
         raise ProbeError(
             f"{wheel.per_turn} counts per turn on the upper wheel, {road.per_turn} on the lower: a configuration has "
             "one number for both; if the encoders are the same, you miscounted the turns"
         )
-    _write(visit, wheel, road)
+    _write(context, wheel, road)
     found = {name: one._asdict() | {"turned": one.turned.counts} for name, one in (("wheel", wheel), ("road", road))}
     return {**found, "images": images}
 
 
-def _turn(visit: StepContext, board: Board, which: Wheel, other: _Encoder | None) -> _Encoder:
+def _turn(context: StepContext, board: Board, which: Wheel, other: _Encoder | None) -> _Encoder:
     """One wheel, repeated while the result is unclear."""
     trouble = ""
     for _ in range(_TRIALS):
-        wait_for(visit.person, f"Ready to turn the {_NAMES[which]} wheel, and no other, {TURNS} full turns forwards?")
-        visit.person.tell("  turn it now; counting ends after three seconds at rest")
-        visit.bench.turned(which)
+        wait_for(
+            context.operator, f"Ready to turn the {_NAMES[which]} wheel, and no other, {TURNS} full turns forwards?"
+        )
+        context.operator.say("  turn it now; counting ends after three seconds at rest")
+        context.rig.turned(which)
         try:
-            return _understood(visit, watch(visit.bench, board, visit.person), other)
+            return _understood(context, watch(context.rig, board, context.operator), other)
         except Unclear as unclear:
             trouble = str(unclear)
-            visit.person.tell(f"  {trouble}")
+            context.operator.say(f"  {trouble}")
     raise ProbeError(f"{_NAMES[which]} wheel: not clear in {_TRIALS} trials; the last time {trouble}")
 
 
-def _understood(visit: StepContext, turned: HandTurn, other: _Encoder | None) -> _Encoder:
+def _understood(context: StepContext, turned: HandTurn, other: _Encoder | None) -> _Encoder:
     if other is not None and turned.channel == other.channel:
         raise Unclear(f"channel {turned.channel} is the upper wheel's: turn the lower wheel")
-    visit.person.tell(f"  channel {turned.channel}: {turned.counts:+d} counts")
+    context.operator.say(f"  channel {turned.channel}: {turned.counts:+d} counts")
     sign = 1 if turned.counts > 0 else -1
     question = "It counted down. Did you turn the wheel forwards, the way the drive turns it?"
-    if sign < 0 and not agree(visit.person, question):
+    if sign < 0 and not agree(context.operator, question):
         raise Unclear("you turned it backwards")
-    return _Encoder(turned.channel, sign, _per_turn(visit, turned), turned)
+    return _Encoder(turned.channel, sign, _per_turn(context, turned), turned)
 
 
-def _per_turn(visit: StepContext, turned: HandTurn) -> int:
+def _per_turn(context: StepContext, turned: HandTurn) -> int:
     """Counts per turn; asks the operator if they are neither usual nor those of the profile."""
-    configured = visit.draft.config.encoders.counts_per_turn
+    configured = context.draft.config.encoders.counts_per_turn
     found = counts_per_turn(turned.counts)
     if found == configured:
         return found
@@ -88,8 +93,8 @@ def _per_turn(visit: StepContext, turned: HandTurn) -> int:
         if found
         else "an unusual number of counts per turn"
     )
-    visit.person.tell(f"  {TURNS} turns would give {result}")
-    turns = ask_for(visit.person, "How many full turns did you make?", _positive, "a number of turns, such as 10")
+    context.operator.say(f"  {TURNS} turns would give {result}")
+    turns = ask_for(context.operator, "How many full turns did you make?", _positive, "a number of turns, such as 10")
     found = counts_per_turn(turned.counts, turns)
     if found is not None:
         return found
@@ -97,7 +102,7 @@ def _per_turn(visit: StepContext, turned: HandTurn) -> int:
     usual = " nor ".join(map(str, USUAL_COUNTS))
     if not _LEAST <= measured <= _MOST:
         raise Unclear(f"{measured} counts per turn are neither {usual} nor within {_LEAST}..{_MOST}: count again")
-    if agree(visit.person, f"That makes {measured} counts per turn, neither {usual}. Keep it?"):
+    if agree(context.operator, f"That makes {measured} counts per turn, neither {usual}. Keep it?"):
         return measured
     raise Unclear("the turns were not certain: count them again")
 
@@ -110,8 +115,8 @@ def _positive(text: str) -> float | None:
     return turns if 0.0 < turns < 1e6 else None
 
 
-def _write(visit: StepContext, wheel: _Encoder, road: _Encoder) -> None:
-    visit.draft.write(
+def _write(context: StepContext, wheel: _Encoder, road: _Encoder) -> None:
+    context.draft.write(
         {
             "board.wheel_encoder": wheel.channel,
             "board.wheel_sign": wheel.sign,
@@ -120,8 +125,8 @@ def _write(visit: StepContext, wheel: _Encoder, road: _Encoder) -> None:
             "encoders.counts_per_turn": wheel.per_turn,
         }
     )
-    visit.draft.confirm(KEYS, f"turned by hand on {today()}")
-    visit.person.tell(
+    context.draft.confirm(KEYS, f"turned by hand on {today()}")
+    context.operator.say(
         f"  upper wheel: encoder {wheel.channel}, sign {wheel.sign:+d}; lower wheel: encoder {road.channel}, "
         f"sign {road.sign:+d}; {wheel.per_turn} counts per turn"
     )

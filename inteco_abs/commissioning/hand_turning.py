@@ -1,4 +1,4 @@
-"""Watching all encoder channels while a wheel is turned by hand."""
+"""Counts of all encoder channels while a wheel is turned by hand."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from inteco_abs.commissioning.rig_access import TURNS, RigAccess
 from inteco_abs.errors import ProbeError
 
 USUAL_COUNTS: Final = (2048, 4096)
-"""Per turn: the paper's, and the vendor's."""
+"""Per turn: in the paper and on the vendor's rig."""
 _CHANNEL: Final = re.compile(r"encoder(\d+)_count")
 _LOOK_S: Final = 0.05
 _REST_S: Final = 3.0
@@ -29,7 +29,7 @@ _NEAR: Final = 0.04
 
 
 class HandTurn(NamedTuple):
-    """What one channel counted."""
+    """Counts of one channel during a turn by hand."""
 
     channel: int
     counts: int
@@ -40,20 +40,20 @@ class Unclear(Exception):  # noqa: N818  not yet an error: the operator may turn
     """The counts are ambiguous; the text says why and what to do."""
 
 
-def watch(bench: RigAccess, board: Board, person: Operator) -> HandTurn:
-    """The channel that counted while one wheel was turned, once all have rested for three seconds.
+def watch(rig: RigAccess, board: Board, operator: Operator) -> HandTurn:
+    """Wait until all channels rest for 3 s; return the one that counted.
 
-    Raises Unclear if that is ambiguous, LinkError if the board stops answering, ProbeError after three minutes.
+    Raises Unclear if the counts are ambiguous, LinkError if the board stops answering, ProbeError after three minutes.
     """
     names = {int(match[1]): name for name in board.survey().values if (match := _CHANNEL.fullmatch(name))}
     before = read_patiently(board, names.values())
     net = dict.fromkeys(names, 0)
     travelled = dict.fromkeys(names, 0)
-    started_ns = moved_ns = bench.now_ns()
+    started_ns = moved_ns = rig.now_ns()
     while True:
-        bench.pause(_LOOK_S)
+        rig.pause(_LOOK_S)
         counts = read_patiently(board, names.values())
-        now_ns = bench.now_ns()
+        now_ns = rig.now_ns()
         for channel, name in names.items():
             step = signed32(counts[name] - before[name])
             net[channel] += step
@@ -61,7 +61,7 @@ def watch(bench: RigAccess, board: Board, person: Operator) -> HandTurn:
             if step:
                 moved_ns = now_ns
         before = counts
-        person.show(_moving(net))
+        operator.show(_moving(net))
         begun = max(travelled.values()) >= _BEGUN_COUNTS
         if now_ns - moved_ns >= (_REST_S if begun else _WAIT_S) * 1e9:
             return judge(net, travelled)
@@ -70,7 +70,7 @@ def watch(bench: RigAccess, board: Board, person: Operator) -> HandTurn:
 
 
 def judge(net: Mapping[int, int], travelled: Mapping[int, int]) -> HandTurn:
-    """The one channel that counted; raises Unclear if there is none, more than one, or it went back and forth."""
+    """The channel that counted. Raises Unclear if none or several did, or if one went back and forth."""
     most = max(travelled, key=lambda channel: travelled[channel])
     if travelled[most] < _BEGUN_COUNTS:
         raise Unclear("no encoder channel counted: is the encoders' cable plugged in, and was the wheel turned?")
@@ -86,7 +86,7 @@ def judge(net: Mapping[int, int], travelled: Mapping[int, int]) -> HandTurn:
 
 
 def counts_per_turn(counts: int, turns: float = TURNS) -> int | None:
-    """The usual number of counts per turn that is near `counts / turns`; None if neither is."""
+    """The usual number of counts per turn within 4 % of `counts / turns`; None if there is none."""
     return next((one for one in USUAL_COUNTS if math.isclose(abs(counts) / turns, one, rel_tol=_NEAR)), None)
 
 

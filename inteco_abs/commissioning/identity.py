@@ -1,4 +1,4 @@
-"""Steps 1 and 2: which boards are there, and what the board says of itself."""
+"""Steps 1 and 2: list the boards; identify this one."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ _BYTES_A_LINE: Final = 16
 _CANDIDATE: Final = "_abs_candidate"
 
 
-def list_boards(visit: StepContext) -> Facts:
-    """Devices that may be the board, as the kernel lists them."""
-    found = visit.bench.devices(visit.draft.config)
+def list_boards(context: StepContext) -> Facts:
+    """List the devices that may be the board, as the kernel knows them. Raises ProbeError if there are none."""
+    found = context.rig.devices(context.draft.config)
     if not found:
-        raise ProbeError(f"no device for {visit.bench.address}: plug the board in, switch it on, try another cable")
+        raise ProbeError(f"no device for {context.rig.address}: plug the board in, switch it on, try another cable")
     for one in found:
-        visit.person.tell(f"  {one.address}  {one.description}")
+        context.operator.say(f"  {one.address}  {one.description}")
     return {"devices": [{**one._asdict(), "told": dict(one.told)} for one in found]}
 
 
-def read_header(visit: StepContext) -> Facts:
-    """One reading: who the board is; the draft is made for it from here on."""
-    bridge = visit.bench.bridge(visit.draft.config)
-    with open_for_reading(visit) as board:
+def read_header(context: StepContext) -> Facts:
+    """Read the board once; write its logic version and name into the draft."""
+    bridge = context.rig.bridge(context.draft.config)
+    with open_for_reading(context) as board:
         identity, (values, raw) = board.identify(), board.survey()
         left_on = outputs_left_on(board)
-    visit.person.tell("\n".join([f"  {identity}", *(f"  {name}: {text}" for name, text in bridge.items())]))
-    visit.person.tell(hex_dump(raw))
+    context.operator.say("\n".join([f"  {identity}", *(f"  {name}: {text}" for name, text in bridge.items())]))
+    context.operator.say(hex_dump(raw))
     if left_on:
-        visit.person.tell("  THE PWM OUTPUTS ARE NOT ZERO: press the emergency switch, switch the board off and on")
-    suggested = fitting_profile(visit.draft.config.board.kind, identity)
-    if suggested != visit.draft.profile:
-        _suggest(visit, suggested)
-    _write(visit, identity)
+        context.operator.say("  THE PWM OUTPUTS ARE NOT ZERO: press the emergency switch, switch the board off and on")
+    suggested = fitting_profile(context.draft.config.board.kind, identity)
+    if suggested != context.draft.profile:
+        _suggest(context, suggested)
+    _write(context, identity)
     counts = {name: value for name, value in values.items() if name.endswith("_channels")}
     return {**identity.facts(), "bridge": bridge, "channels": counts, "suggested_profile": suggested, "raw": raw.hex()}
 
 
 def fitting_profile(kind: str, identity: Identity) -> str:
-    """Name of the shipped profile that was made for this logic, else of the one for unknown logics."""
+    """Name of the shipped profile for this logic, or else of the one for unknown logics."""
     fallback = ""
     for name in profiles():
         board = load_config(profile=name).board
@@ -60,7 +60,7 @@ def fitting_profile(kind: str, identity: Identity) -> str:
 
 
 def hex_dump(raw: bytes) -> str:
-    """Lines of bytes with their offsets; lines like the one before are left out."""
+    """16 bytes a line with their offset; repeated lines are left out."""
     shown, before = [], b""
     for at in range(0, len(raw), _BYTES_A_LINE):
         line = raw[at : at + _BYTES_A_LINE]
@@ -70,23 +70,23 @@ def hex_dump(raw: bytes) -> str:
     return "\n".join(shown)
 
 
-def _suggest(visit: StepContext, suggested: str) -> None:
-    """A profile that fits better is taken only if the person says so: it may be their own that does not ship."""
-    visit.person.tell(f"  the matching shipped profile is {suggested}; the draft began from {visit.draft.profile}")
-    if not visit.quiet and agree(visit.person, f"Begin a new draft from {suggested}?"):
-        visit.draft.begin_from(suggested)
+def _suggest(context: StepContext, suggested: str) -> None:
+    """Offer a profile that fits better; only the operator decides, as the draft may come from the lab's own."""
+    context.operator.say(f"  the matching shipped profile is {suggested}; the draft began from {context.draft.profile}")
+    if not context.quiet and agree(context.operator, f"Begin a new draft from {suggested}?"):
+        context.draft.begin_from(suggested)
 
 
-def _write(visit: StepContext, identity: Identity) -> None:
-    board = visit.draft.config.board
+def _write(context: StepContext, identity: Identity) -> None:
+    board = context.draft.config.board
     found: dict[str, object] = {"board.logic_version": identity.logic_version}
     changed = replace(board, logic_version=identity.logic_version)
     try:
-        # a logic whose frames are not known must not get into the draft
-        with open_for_reading(visit, replace(visit.draft.config, board=changed)):
+        # raises for a logic without known frames, which must not get into the draft
+        with open_for_reading(context, replace(context.draft.config, board=changed)):
             pass
     except ConfigError as error:
         raise ProbeError(f"logic 0x{identity.logic_version:04X} cannot be driven by this version: {error}") from error
     if family_of(board.kind).says_name:
         found["board.application_names"] = [identity.application_name]
-    visit.draft.write(found)
+    context.draft.write(found)

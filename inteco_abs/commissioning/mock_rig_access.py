@@ -1,4 +1,4 @@
-"""Commissioning on the mock of a board: a simulated rig under simulated hands."""
+"""Access to the mock board, whose simulated rig has simulated hands."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 _TURNING_S: Final = 5.0
-"""For ten turns: a quick hand."""
+"""Duration of ten turns by a quick hand."""
 _SWITCHED_OFF: Final = parse_faults(["power-off@start"])
 
 
 class MockRigAccess(RigAccess):
-    """The mock of the configured board in this process and in virtual time, powered up once for the whole walk."""
+    """The configured board's mock in this process and in virtual time, powered up once for the whole procedure."""
 
     def __init__(self, config: RigConfig, seed: int = 0) -> None:
         super().__init__("sim:")
@@ -37,25 +37,25 @@ class MockRigAccess(RigAccess):
         self._face = face_of(self.device)
 
     def devices(self, config: RigConfig) -> list[FoundBoard]:
-        """The mock alone."""
+        """Only the mock."""
         return [FoundBoard("sim:", f"the mock {config.board.kind} board with the simulated rig, in this program")]
 
     def open(self, config: RigConfig) -> Board:
-        """The mock, by direct calls."""
+        """The mock, called directly."""
         return board_behind(self.link(), config, self.now_ns)
 
     @contextmanager
     def held(self, config: RigConfig) -> Iterator[ManualClient]:
-        """In this process: there is no motor, and no time in which it could die."""
+        """Hold the mock in this process, without a guardian: no motor turns."""
         config, stop = slowed(config), StopWord()
         memory = RunMemory.private(TICK.size, round(config.loop.rate_hz))
         with hearing(stop.request), self.open(config) as board:
             board.insist()
             driven = DriveLoop(board, config, memory, stop)
-            yield _VirtualSide(self, config.period_ns, memory, driven, stop)
+            yield _VirtualClient(self, config.period_ns, memory, driven, stop)
 
     def link(self) -> Link:
-        """A new host's end of the cable."""
+        """A new link to the mock."""
         return InProcessLink(self._face)
 
     def now_ns(self) -> int:
@@ -63,29 +63,28 @@ class MockRigAccess(RigAccess):
         return self._now_ns
 
     def pause(self, seconds: float) -> None:
-        """Let the rig move on."""
+        """Advance virtual time."""
         self._now_ns += round(seconds * 1e9)
 
     def beats(self, period_ns: int) -> Iterator[object]:
-        """One pause each."""
+        """Beats that advance virtual time by one period each."""
         for beat in itertools.count():
             self.pause(period_ns * 1e-9)
             yield beat
 
     def turned(self, which: Wheel) -> None:
-        """A hand turns it, forwards, with the lever lifted."""
+        """Turn the wheel forwards, with the lever lifted."""
         self.device.turn(which, TURNS, _TURNING_S)
 
     def powered(self, *, on: bool) -> None:
-        """Someone has gone to the switch."""
+        """Switch the mock's power interface."""
         self.device.power(on=on)
 
 
 class PacedMockRigAccess(MockRigAccess):
-    """The mock bench in real time: for outputs, the mock is a process of its own, held as a real board is.
+    """The mock in real time: for outputs, a process of its own, held like a real board.
 
-    Where the board is only read, its time is virtual, so that a busy computer is never late, and never ahead of real
-    time.
+    For reading, its time is virtual and never ahead of real time, so that a busy computer is not late.
     """
 
     def __init__(self, config: RigConfig, hold: Hold) -> None:
@@ -95,7 +94,7 @@ class PacedMockRigAccess(MockRigAccess):
         self._due_s = 0.0
 
     def pause(self, seconds: float) -> None:
-        """Let the rig move on, and wait."""
+        """Advance virtual time, and wait for real time."""
         super().pause(seconds)
         now_s = time.monotonic()
         self._due_s = max(self._due_s + seconds, now_s)  # what took longer is not made up for
@@ -103,37 +102,37 @@ class PacedMockRigAccess(MockRigAccess):
 
     @contextmanager
     def held(self, config: RigConfig) -> Iterator[ManualClient]:
-        """A mock that is powered up now, its power interface switched as it is here."""
+        """Hold a mock that powers up now, its power interface switched as here."""
         with self._hold(config, self.address, outputs=True, faults=() if self._on else _SWITCHED_OFF) as side:
             yield side
 
     def powered(self, *, on: bool) -> None:
-        """For the next mock that is held, too."""
+        """Switch the power interface, also of the next mock to be held."""
         super().powered(on=on)
         self._on = on
 
 
-class _VirtualSide(ManualClient):
-    """Time passes, and the board is held, while the next tick is waited for."""
+class _VirtualClient(ManualClient):
+    """Client whose wait for a tick advances virtual time and drives the board."""
 
-    def __init__(self, bench: RigAccess, period_ns: int, memory: RunMemory, driven: DriveLoop, stop: StopWord) -> None:
+    def __init__(self, rig: RigAccess, period_ns: int, memory: RunMemory, driven: DriveLoop, stop: StopWord) -> None:
         super().__init__(memory)
-        self._bench = bench
-        self._beats = bench.beats(period_ns)
+        self._rig = rig
+        self._beats = rig.beats(period_ns)
         self._driven = driven
         self._stop = stop
 
     def now_ns(self) -> int:
         """Virtual time."""
-        return self._bench.now_ns()
+        return self._rig.now_ns()
 
     def next_ticks(self) -> npt.NDArray[np.void]:
-        """The tick of one beat."""
+        """Drive one beat; return its tick."""
         next(self._beats)
         self._driven.beat()
         return self.ticks()
 
     @property
     def reason(self) -> Reason:
-        """OPERATOR_STOP once a signal has come."""
+        """OPERATOR_STOP after a signal."""
         return self._stop.wanted(self.now_ns())

@@ -1,4 +1,4 @@
-"""Step 6: a little drive, then a growing brake: the sense of rotation, and the brake's dead zone."""
+"""Step 6: low drive, then a rising brake duty: sense of rotation, and the brake's dead zone."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from statistics import median
 from typing import Final, NamedTuple
 
 from inteco_abs.boards import family_of
-from inteco_abs.commissioning.first_write import agree_on_first_write
+from inteco_abs.commissioning.consent import agree_on_first_write
 from inteco_abs.commissioning.operator import agree, wait_for
-from inteco_abs.commissioning.outputs import PROVES_ITSELF, Motion, Outputs, outputs, turns
+from inteco_abs.commissioning.outputs import PROVES_ITSELF, Outputs, WheelMotion, outputs, turns
 from inteco_abs.commissioning.permission import DRIVE_LIMIT, outputs_permitted
 from inteco_abs.commissioning.step import Facts, StepContext, today
 from inteco_abs.config import RigConfig
@@ -25,7 +25,7 @@ _REQUEST: Final = (
 )
 _FIRST_DUTY, _DUTY_STEP = 0.05, 0.01
 _NUDGE_S: Final = 0.3
-"""For each duty of the drive, until a wheel moves."""
+"""At each drive duty, until a wheel moves."""
 _MOVED_TURNS: Final = 0.05
 _FOLLOW_S: Final = 0.5
 """More of the duty that moved the first wheel, for the other to follow."""
@@ -61,34 +61,34 @@ class _Braked(NamedTuple):
     """First duty that braked; None if the wheels were too slow before."""
 
 
-def try_motors(visit: StepContext) -> Facts:
+def try_motors(context: StepContext) -> Facts:
     """Test emergency switch, drive and brake; every part ends with the outputs off."""
-    config = outputs_permitted(visit, _REQUEST, PHRASE)
-    agreed = agree_on_first_write(visit, config)
-    wait_for(visit.person, "Press the emergency switch: it is tested first, and no wheel may move.")
-    visit.bench.powered(on=False)
-    visit.person.tell(f"  {PROVES_ITSELF}")
-    with outputs(visit, config) as out:
+    config = outputs_permitted(context, _REQUEST, PHRASE)
+    agreed = agree_on_first_write(context, config)
+    wait_for(context.operator, "Press the emergency switch: it is tested first, and no wheel may move.")
+    context.rig.powered(on=False)
+    context.operator.say(f"  {PROVES_ITSELF}")
+    with outputs(context, config) as out:
         _require_rest(out)
         if _nudge(out, config) is not None:
             raise ProbeError(
                 "a wheel moved although the emergency switch is pressed: do not use this rig until it cuts the drive"
             )
-    visit.person.tell("  nothing moved: the emergency switch cuts the drive")
-    wait_for(visit.person, "Turn the switch to release it, press ON, and put your hand on the switch again.")
-    visit.bench.powered(on=True)
-    visit.person.tell("  driving, then braking; at most a minute and a half")
-    with outputs(visit, config) as out:
+    context.operator.say("  nothing moved: the emergency switch cuts the drive")
+    wait_for(context.operator, "Turn the switch to release it, press ON, and put your hand on the switch again.")
+    context.rig.powered(on=True)
+    context.operator.say("  driving, then braking; at most a minute and a half")
+    with outputs(context, config) as out:
         _require_rest(out)
         moving_duty = _drive(out, config)  # no output here: a halted terminal would keep the drive on
         onset, coast_rad_s2 = _find_dead_zone(out, config)
         lines = _counts_per_turn(out, config)
-    _compare_counts(visit, config, lines)
-    visit.person.tell(f"  both wheels turn forwards from {moving_duty:.0%} drive")
-    visit.person.tell(
+    _compare_counts(context, config, lines)
+    context.operator.say(f"  both wheels turn forwards from {moving_duty:.0%} drive")
+    context.operator.say(
         f"  the brake acts from a duty of {onset:.2f}{_compared(onset)}; coasting loses {coast_rad_s2:.1f} rad/s2"
     )
-    visit.draft.confirm(_confirmed(config), f"drove and braked on {today()}")
+    context.draft.confirm(_confirmed(config), f"drove and braked on {today()}")
     found = {**agreed, "moving_duty": moving_duty, "brake_from": onset, "coast_rad_s2": coast_rad_s2}
     return found if lines is None else {**found, "counts_per_turn_by_velocity": lines}
 
@@ -99,8 +99,8 @@ def _require_rest(out: Outputs) -> None:
             raise ProbeError("a wheel moves although both outputs are off: wait until both are at rest")
 
 
-def _nudge(out: Outputs, config: RigConfig) -> tuple[float, Motion] | None:
-    """Raise the drive in small steps until a wheel moves: the duty and the motion; None if none moves."""
+def _nudge(out: Outputs, config: RigConfig) -> tuple[float, WheelMotion] | None:
+    """Raise the drive in small steps until a wheel moves; return duty and motion, or None if none moves."""
     duty = _FIRST_DUTY
     while duty <= DRIVE_LIMIT + 1e-9:
         for motion in out.hold(duty, 0.0, _NUDGE_S):
@@ -111,7 +111,7 @@ def _nudge(out: Outputs, config: RigConfig) -> tuple[float, Motion] | None:
 
 
 def _drive(out: Outputs, config: RigConfig) -> float:
-    """Duty from which both wheels turn, forwards. Raises ProbeError saying what to check."""
+    """Duty from which both wheels turn forwards. Raises ProbeError with what to check."""
     nudged = _nudge(out, config)
     if nudged is None:
         raise ProbeError(
@@ -130,7 +130,7 @@ def _drive(out: Outputs, config: RigConfig) -> float:
     return duty
 
 
-def _require_sense(motion: Motion, config: RigConfig) -> None:
+def _require_sense(motion: WheelMotion, config: RigConfig) -> None:
     for name, key, counts in (
         ("lower", "road_sign", motion.road_counts),
         ("upper", "wheel_sign", motion.wheel_counts),
@@ -175,11 +175,10 @@ def _coast(out: Outputs) -> float:
 
 
 def _counts_per_turn(out: Outputs, config: RigConfig) -> int | None:
-    """By the board's own velocity of the road wheel, where it has one, while the wheels coast; None if too slow.
+    """Counts per turn by the board's velocity register while the wheels coast; None without one, or if too slow.
 
-    That register counts lines of the encoder's disc in a time that the board's own clock measures, and the vendor's
-    conversion takes 1024 of them for a turn. So it shows by how much the counter multiplies them, two or four, and
-    nothing about a disc that has another number of lines.
+    The register counts lines of the encoder's disc in a time by the board's clock, and the vendor's conversion takes
+    1024 lines for a turn. So it shows whether the counter multiplies them by two or four, not how many lines there are.
     """
     velocity = family_of(config.board.kind).velocity
     if not velocity:
@@ -194,23 +193,23 @@ def _counts_per_turn(out: Outputs, config: RigConfig) -> int | None:
     return round(median(ratios) * config.encoders.counts_per_turn) if len(ratios) == _VELOCITIES else None
 
 
-def _compare_counts(visit: StepContext, config: RigConfig, by_velocity: int | None) -> None:
-    """Ask if the board's own velocity has found another number than the hands that turned the wheels."""
+def _compare_counts(context: StepContext, config: RigConfig, by_velocity: int | None) -> None:
+    """Ask the operator if the velocity register and the turns by hand disagree. Raises ProbeError if not certain."""
     by_hand = config.encoders.counts_per_turn
     if by_velocity is None or abs(by_velocity - by_hand) <= _MOST_OFF * by_hand:
         return
-    visit.person.tell(
+    context.operator.say(
         f"  the board's velocity register makes {by_velocity} counts per turn, if the encoder's disc has 1024 lines as "
         f"the vendor's has; turning by hand gave {by_hand}"
     )
-    if not agree(visit.person, f"Did you turn each wheel exactly as often as asked, so that {by_hand} is right?"):
+    if not agree(context.operator, f"Did you turn each wheel exactly as often as asked, so that {by_hand} is right?"):
         raise ProbeError("the counts per turn are not certain: --redo wheels")
 
 
 def _ramp(out: Outputs, config: RigConfig, first: float, coast_rad_s2: float) -> _Braked:
-    """Raise the brake until the upper wheel slows down faster than it coasts, in two steps in a row.
+    """Raise the brake until the upper wheel slows down faster than by coasting, in two steps in a row.
 
-    Raises ProbeError at the limit.
+    Raises ProbeError at the brake limit.
     """
     least_rad_s = 2.0 * math.pi * turns(1, config) * _RESOLUTION_COUNTS / _STEP_S
     slowed = 0

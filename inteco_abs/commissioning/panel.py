@@ -1,4 +1,4 @@
-"""The manual panel without its screen: sliders, the dead man's key, counts from where they were set to zero."""
+"""The manual panel without its screen: sliders, the hold-to-run key, counts since they were set to zero."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ _RPM: Final = 9.549296585513721
 Output = Literal["drive", "brake"]
 
 
-class Turning(NamedTuple):
-    """One wheel now."""
+class WheelState(NamedTuple):
+    """Counts and speed of one wheel now."""
 
     name: str
     counts: int
@@ -43,7 +43,7 @@ class Turning(NamedTuple):
 
     @property
     def speed_rpm(self) -> float:
-        """Speed in turns per minute."""
+        """Speed in revolutions per minute."""
         return self.speed_rad_s * _RPM
 
 
@@ -59,10 +59,10 @@ class Pwm(NamedTuple):
 
 
 class Panel:
-    """What a person at the panel has set, and what was last seen of the rig.
+    """What the operator has set, and what was last read from the rig.
 
     Sliders are in whole percent, up to the guard's limits. The key counts as held from its second event on, as a
-    terminal repeats it: a tap does nothing, and no terminal reports when a key is released.
+    terminal repeats it: a tap does nothing, and a terminal does not report the release.
     """
 
     def __init__(self, config: RigConfig, *, outputs: bool) -> None:
@@ -74,11 +74,11 @@ class Panel:
         }
         self.sliders: dict[Output, int] = {"drive": 0, "brake": 0}
         self.admitted = Command.SAFE
-        """What the guard has let through last."""
+        """Last command that the guard admitted."""
         self.reason = Reason.NONE
         """Why the guard switched the outputs off; they return only by arming again."""
         self.flags = BoardFlags.NONE
-        """Of the newest exchange."""
+        """Flags of the newest exchange."""
         self.failed = 0
         """Exchanges that failed or were slow so far."""
         self._pressed_ns = -HELD_NS
@@ -98,7 +98,7 @@ class Panel:
         return Command(self.sliders["drive"] / 100, self.sliders["brake"] / 100)
 
     def press(self, now_ns: int) -> bool:
-        """The key was seen; whether it is held by now, so that the request is to be passed on."""
+        """Take a key event; return whether the key counts as held, so that the request is passed on."""
         repeated = now_ns - self._pressed_ns < HELD_NS
         self._pressed_ns = now_ns
         if repeated and self.outputs:
@@ -106,15 +106,15 @@ class Panel:
         return repeated and self.outputs
 
     def release(self) -> None:
-        """Another key was seen, so this one is held no longer."""
+        """Take the hold-to-run key as released."""
         self._pressed_ns = self._held_ns = -HELD_NS
 
     def held(self, now_ns: int) -> bool:
-        """Whether the key is taken for held."""
+        """Whether the key counts as held."""
         return now_ns - self._held_ns < HELD_NS
 
     def move(self, output: Output, percent: int) -> None:
-        """Move a slider by so much, within its limits; the key is held no longer."""
+        """Move a slider by `percent` within its limits; the key counts as released."""
         self.release()
         self.sliders[output] = min(max(self.sliders[output] + percent, 0), self.limits[output])
 
@@ -124,11 +124,11 @@ class Panel:
         self.sliders = {"drive": 0, "brake": 0}
 
     def zero_counts(self) -> None:
-        """Count from here on; the board's own counters go on, as the guard judges by them."""
+        """Set the shown counts to zero; the board's own counters go on, as the guard judges by them."""
         self._zero = self._counts
 
     def see(self, ticks: npt.NDArray[np.void]) -> None:
-        """Take over what has happened since the last call, oldest first."""
+        """Take the ticks since the last call, oldest first."""
         if not len(ticks):
             return
         last = ticks[-1]
@@ -140,17 +140,17 @@ class Panel:
         self.failed += int((ticks["board_flags"] != 0).sum())
 
     @property
-    def wheels(self) -> tuple[Turning, Turning]:
+    def wheels(self) -> tuple[WheelState, WheelState]:
         """Upper and lower wheel."""
         per_turn = self.config.encoders.counts_per_turn
         upper, lower = (
-            Turning(name, count - zero, (count - zero) / per_turn, speed)
+            WheelState(name, count - zero, (count - zero) / per_turn, speed)
             for name, count, zero, speed in zip(("upper", "lower"), self._counts, self._zero, self._speeds, strict=True)
         )
         return upper, lower
 
     def pwm(self, look: dict[str, Any]) -> list[Pwm]:
-        """Settings of both channels in a reading of the whole board; none if that failed."""
+        """PWM settings of both channels in a reading of the whole board; empty if it failed."""
         board, values = self.config.board, look.get("values", {})
         found = []
         channels: tuple[tuple[Output, int], ...] = ("drive", board.drive_pwm), ("brake", board.brake_pwm)
@@ -162,7 +162,7 @@ class Panel:
         return found
 
     def state(self, now_ns: int) -> str:
-        """One line: whether power is on, and why not."""
+        """One line: whether power is on, or why not."""
         if not self.outputs:
             return "WATCHING: nothing is written to the board; start with --outputs to move the motors"
         if self.reason is not Reason.NONE:

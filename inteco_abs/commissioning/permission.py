@@ -1,4 +1,4 @@
-"""The one narrow way to outputs before a profile is signed: a person at the rig types what they have made sure of."""
+"""The only way to outputs before the sign-off: the operator types a phrase at the rig."""
 
 from __future__ import annotations
 
@@ -13,27 +13,26 @@ from inteco_abs.errors import ReadOnlyError
 _BY: Final = "commission: typed confirmation by the operator"
 DRIVE_LIMIT: Final = 0.2
 BRAKE_LIMIT: Final = 0.7
-"""The vendor's own, for its brake supply's sake."""
+"""The vendor's limit, which protects its brake supply."""
 SPEED_LIMIT_RAD_S: Final = 60.0
 """A quarter of the rig's limit."""
 
 
-def outputs_permitted(visit: StepContext, request: str, phrase: str) -> RigConfig:
-    """Configuration with which the board may be entered for output, once `phrase` has been typed.
+def outputs_permitted(context: StepContext, request: str, phrase: str) -> RigConfig:
+    """Configuration that allows outputs, after the operator typed `phrase`.
 
-    It is signed in memory only, for the very logic that the header step has read, and its guard's limits are the
-    walk's; the processes that hold the board have it from this one, and it ends with them. Raises ReadOnlyError for a
-    profile whose outputs are never to be used, ProbeError for any other phrase.
+    It is signed in memory only, for the logic that the header step read, with the guard's limits of this procedure.
+    Raises ReadOnlyError for a profile whose outputs must never be used, ProbeError for any other phrase.
     """
-    config = visit.draft.config
+    config = context.draft.config
     board, guard, plan = config.board, config.guard, config.experiment
     if board.read_only:
         raise ReadOnlyError(f"the profile's outputs must never be used: {board.read_only}")
-    require_phrase(visit.person, request, phrase)
+    require_phrase(context.operator, request, phrase)
     sign_off: dict[str, Any] = {
         "verified_by": _BY,
         "verified_on": today(),
-        "verified_logic": visit.logic_version,
+        "verified_logic": context.logic_version,
     }
     limits: dict[str, Any] = {
         "drive_limit": DRIVE_LIMIT,

@@ -1,4 +1,4 @@
-"""What a run would meet, found out by reading alone: the board, the wheels, and the phases to come."""
+"""Preflight: what a run would meet, found by reading only, and its planned phases."""
 
 from __future__ import annotations
 
@@ -18,130 +18,129 @@ from inteco_abs.realtime import Quantiles, quantiles
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 _BEAT_NS: Final = 1_000_000
-"""Between two readings, where the loop's period is not longer."""
+"""Shortest time between two readings."""
 
 
-class Part(NamedTuple):
-    """One phase of a stop."""
+class PlannedPhase(NamedTuple):
+    """A phase of a stop that is still to come."""
 
     phase: str
     seconds: float
     fixed: bool
-    """Whether it lasts so long, rather than at most."""
+    """Whether it lasts exactly so long; otherwise at most."""
     does: str
 
 
 @dataclass
 class Preflight:
-    """What was read of a board, and what that has against a run."""
+    """What was read from a board, and what speaks against a run."""
 
     identity: Identity | None = None
     """None if no board could be read."""
     moved: tuple[int, int] | None = None
-    """Counts of wheel and road, from the first reading to the farthest; None if they were not looked at."""
+    """Largest deviation of wheel and road counts from the first reading; None if they were not watched."""
     first_write: list[PlannedWord] = field(default_factory=list)
-    """Words of the board that a run would change before its first tick, and those that it would keep unknown."""
+    """Words of the board that a run would change before its first tick, and unknown ones that it would keep."""
     read_us: Quantiles | None = None
-    """Of readings of both counters; None in virtual time, in which they take none."""
+    """Time of readings of both counters; None in virtual time."""
     refused: list[AbsError] = field(default_factory=list)
     cautions: list[str] = field(default_factory=list)
 
 
-def look_at(bench: RigAccess, config: RigConfig, *, rest: bool = True) -> Preflight:
-    """Read the board at the bench; nothing is written to it.
+def run_preflight(rig: RigAccess, config: RigConfig, *, rest: bool = True) -> Preflight:
+    """Read the board; write nothing to it.
 
-    Which board it is, whether its outputs may be used, and with `rest`, for as long as a run watches them, whether the
-    wheels stand still and readings fit into a period. What does not suit is in `refused`, a board that cannot be opened
-    or read too.
+    Checks its identity, whether outputs are allowed, and with `rest`, for as long as a run watches them, whether the
+    wheels stand still and readings fit into a period. `refused` has what fails, also a board that cannot be read.
     """
-    look = Preflight()
+    found = Preflight()
     try:
-        with bench.open(config).reading() as board:
-            look.identity = board.identity
-            _judge(board, config, look)
+        with rig.open(config).reading() as board:
+            found.identity = board.identity
+            _judge(board, config, found)
             if rest and board.identity is not None and board.identity.logic_version == config.board.logic_version:
-                _watch(bench, board, config, look)
+                _watch(rig, board, config, found)
     except AbsError as error:
-        look.refused.append(error)
+        found.refused.append(error)
     if caution := family_of(config.board.kind).reading_caution:
-        look.cautions.append(caution)
-    return look
+        found.cautions.append(caution)
+    return found
 
 
-def course(config: RigConfig) -> Iterator[Part]:
-    """The phases of one stop, as the sequence steps through them."""
+def planned_phases(config: RigConfig) -> Iterator[PlannedPhase]:
+    """The phases of one stop in order."""
     plan, guard = config.experiment, config.guard
     drive, brake = min(plan.drive_duty, guard.drive_limit), guard.brake_limit
     controller = config.controller
-    yield Part(Phase.IDLE.name, plan.idle_s, fixed=True, does="outputs off, both wheels must stand still")
-    yield Part(Phase.ARMED.name, plan.idle_s, fixed=True, does="the same")
+    yield PlannedPhase(Phase.IDLE.name, plan.idle_s, fixed=True, does="outputs off, both wheels must stand still")
+    yield PlannedPhase(Phase.ARMED.name, plan.idle_s, fixed=True, does="the same")
     spin_up = f"drive {drive:g} until the road wheel turns at {plan.start_speed_rad_s:g} rad/s"
-    yield Part(Phase.SPIN_UP.name, plan.spin_up_timeout_s, fixed=False, does=spin_up)
+    yield PlannedPhase(Phase.SPIN_UP.name, plan.spin_up_timeout_s, fixed=False, does=spin_up)
     law = f"{controller.name} on {config.estimator.name}, reference slip {controller.reference_slip:g}"
     braking = f"{law}, brake at most {brake:g}, until the road wheel is below {plan.stop_speed_rad_s:g} rad/s"
-    yield Part(Phase.BRAKING.name, plan.braking_timeout_s, fixed=False, does=braking)
-    yield Part(Phase.STOPPED.name, plan.hold_s, fixed=True, does="the brake is held, then both outputs are off")
+    yield PlannedPhase(Phase.BRAKING.name, plan.braking_timeout_s, fixed=False, does=braking)
+    yield PlannedPhase(Phase.STOPPED.name, plan.hold_s, fixed=True, does="the brake is held, then both outputs are off")
 
 
-def _judge(board: Board, config: RigConfig, look: Preflight) -> None:
-    """Whether a run could drive it."""
+def _judge(board: Board, config: RigConfig, found: Preflight) -> None:
+    """Add what keeps a run from driving the board."""
     try:
         board.insist()
     except BoardError as error:
-        look.refused.append(error)
-        return  # what an earlier program left on is reported there
+        found.refused.append(error)
+        return  # its message also reports outputs that were left on
     wiring = config.board
-    look.first_write = board.first_write()
-    running = [name for one in look.first_write if one.remark is Remark.RUNS for name in one.names]
+    found.first_write = board.first_write()
+    running = [name for one in found.first_write if one.remark is Remark.RUNS for name in one.names]
     if running:
-        look.cautions.append(
+        found.cautions.append(
             f"PWM channels are on that the profile does not use, and a run leaves them on: {', '.join(running)}"
         )
     names = [f"pwm{channel}_width" for channel in (wiring.drive_pwm, wiring.brake_pwm)]
     if any(read_patiently(board, names).values()):
-        look.cautions.append(
+        found.cautions.append(
             f"the board's PWM outputs are not zero, an earlier program has left them so. {STILL_ON}; a run would "
             "switch them off first"
         )
 
 
-def _watch(bench: RigAccess, board: Board, config: RigConfig, look: Preflight) -> None:
-    """Both counters, for as long as the phases IDLE and ARMED last together."""
+def _watch(rig: RigAccess, board: Board, config: RigConfig, found: Preflight) -> None:
+    """Watch both counters for as long as the phases IDLE and ARMED last together."""
     wiring = config.board
     names = wheel, road = f"encoder{wiring.wheel_encoder}_count", f"encoder{wiring.road_encoder}_count"
     first = read_patiently(board, names)
     period_ns = max(config.period_ns, _BEAT_NS)
-    beats = bench.beats(period_ns)
+    beats = rig.beats(period_ns)
     moved, times_us = [0, 0], list[float]()
     for _ in range(max(1, round(2.0 * config.experiment.idle_s * 1e9 / period_ns))):
         next(beats)
-        start_ns = bench.now_ns()
+        start_ns = rig.now_ns()
         counts = read_patiently(board, names)
-        times_us.append((bench.now_ns() - start_ns) * 1e-3)
+        times_us.append((rig.now_ns() - start_ns) * 1e-3)
         for number, name in enumerate((wheel, road)):
             moved[number] = max(moved[number], signed32(counts[name] - first[name]), key=abs)
-    look.moved = moved[0], moved[1]
+    found.moved = moved[0], moved[1]
     if max(map(abs, moved)) > REST_COUNTS:
         shown = f"upper wheel {moved[0]:+d} counts, lower wheel {moved[1]:+d}"
-        look.refused.append(BoardError(f"{EXPLANATIONS[Reason.WHEELS_MOVING]} ({shown})"))
+        found.refused.append(BoardError(f"{EXPLANATIONS[Reason.WHEELS_MOVING]} ({shown})"))
     spread = quantiles(times_us)
     if spread.max:
-        look.read_us = spread
-        _judge_rate(spread, config, look)
+        found.read_us = spread
+        _judge_rate(spread, config, found)
 
 
-def _judge_rate(spread: Quantiles, config: RigConfig, look: Preflight) -> None:
-    """A run measures whole exchanges, which takes writing; readings tell what cannot be, and what is doubtful."""
+def _judge_rate(spread: Quantiles, config: RigConfig, found: Preflight) -> None:
+    """Refuse a period that is shorter than readings; warn if an exchange, which takes writing, may not fit."""
     period_us = config.period_ns * 1e-3
     if spread.p50 > period_us:
-        look.refused.append(
+        found.refused.append(
             BoardError(
                 f"half of the readings take longer than {spread.p50:.0f} us, and the period is {period_us:g} us: set "
                 "loop.rate_hz to less; inteco-abs doctor --board measures it"
             )
         )
     elif MORE_THAN_A_READ * spread.max > period_us:
-        look.cautions.append(
+        found.cautions.append(
             f"the slowest reading took {spread.max:.0f} us, a whole exchange takes about {MORE_THAN_A_READ:g} times "
             f"as long: a run, which measures a thousand, may find that the period of {period_us:g} us is too short"
         )

@@ -1,4 +1,4 @@
-"""A dry run on a terminal: the plan, what it needs, and in the end whether it would begin."""
+"""A dry run on a terminal: the plan, what it needs, and whether it would begin."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from rich.table import Table
 from rich.text import Text
 
 
-def render_rehearsal(report: Mapping[str, Any]) -> RenderableType:
-    """The report of a dry run; what stands against it comes last, where it is seen."""
+def render_preflight(report: Mapping[str, Any]) -> RenderableType:
+    """Report of a dry run; what speaks against a run comes last, where it is seen."""
     facts = _grid()
     for name, text in _facts(report):
         facts.add_row(name, text)
@@ -36,7 +36,7 @@ def _verdict(report: Mapping[str, Any]) -> Text:
 
 
 def _run(run: Mapping[str, Any]) -> Iterator[RenderableType]:
-    """The phases of the only kind of run that there is."""
+    """Phases, if all runs are alike."""
     times = f"{run['times']} runs of " if run["times"] > 1 else ""
     stops = f"{run['stops']} stops, each" if run["stops"] > 1 else "one stop"
     yield Text(f"{times}{stops}, at {run['rate_hz']:g} Hz:")
@@ -48,7 +48,7 @@ def _run(run: Mapping[str, Any]) -> Iterator[RenderableType]:
 
 
 def _runs(report: Mapping[str, Any]) -> Table:
-    """A line for each, where there are several."""
+    """One line for each of several runs."""
     table = _grid()
     for run in report["runs"]:
         drive = f"drive {run['drive']:g} to {run['start_speed_rad_s']:g} rad/s"
@@ -107,5 +107,5 @@ def _grid() -> Table:
 
 
 def size(count: int) -> str:
-    """So many bytes, in words."""
+    """A number of bytes in MB or GB."""
     return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.1f} MB"

@@ -1,4 +1,4 @@
-"""The steps of the commissioning: which is next, and what is kept of each."""
+"""The steps of the commissioning in order, and their results."""
 
 from __future__ import annotations
 
@@ -92,34 +92,34 @@ STEPS: Final = (
     ),
 )
 _QUIET: Final = ("list", "header", "reads")
-"""Steps that need no person."""
+"""Steps that need no operator."""
 
 
 class Procedure:
-    """The steps in their order, over as many sessions as it takes."""
+    """Does the steps in order, over as many calls of the command as needed."""
 
-    def __init__(self, visit: StepContext) -> None:
-        self._visit = visit
-        self._draft = visit.draft
+    def __init__(self, context: StepContext) -> None:
+        self._context = context
+        self._draft = context.draft
 
     def go(self, only: str = "", redo: str = "") -> None:
-        """Do what is not done yet; or one step alone; or one step again and what comes after it.
+        """Do the remaining steps; or `only` this step; or `redo` this step and then the remaining ones.
 
-        A quiet visit ends before the first step that needs a person. Raises ConfigError for a step that does not
-        exist or whose turn has not come, AbsError if a step fails, Stopped if the person leaves.
+        A quiet context ends before the first step that needs an operator. Raises ConfigError for a step that does not
+        exist or comes after one that is not done, AbsError if a step fails, Stopped if the operator stops.
         """
         for step in self._wanted(only, redo):
             self._do(step)
 
     def state(self) -> list[dict[str, Any]]:
-        """Each step with its number, what has become of it, and what it found."""
+        """Each step with its number, outcome and results."""
         return [
             {"step": number, "name": step.name, **self._draft.results.get(step.name, {}), "outcome": self.outcome(step)}
             for number, step in enumerate(STEPS, 1)
         ]
 
     def outcome(self, step: Step) -> str:
-        """`done`, `failed`, `outdated` (the draft's wiring is another by now), or `open`."""
+        """`done`, `failed`, `outdated` (the draft's wiring has changed since), or `open`."""
         result = self._draft.results.get(step.name)
         if result is None:
             return "open"
@@ -134,32 +134,32 @@ class Procedure:
         return next((step.name for step in STEPS if self.outcome(step) != DONE), "")
 
     def _wanted(self, only: str, redo: str) -> Iterator[Step]:
-        """Steps to do, asked anew after each, as one may undo what later ones rest on."""
+        """Steps to do, decided after each step, as one may outdate later ones."""
         if only or redo:
             step = find_step(only or redo)
-            self._insist_on_earlier(step)
+            self._require_earlier(step)
             yield step
         if only:
             return
         while name := self.next:
-            if self._visit.quiet and name not in _QUIET:
+            if self._context.quiet and name not in _QUIET:
                 return
             yield find_step(name)
 
-    def _insist_on_earlier(self, step: Step) -> None:
+    def _require_earlier(self, step: Step) -> None:
         for earlier in STEPS[: STEPS.index(step)]:
             if self.outcome(earlier) != DONE:
                 problem = f"{step.name} comes after {earlier.name}, which is {self.outcome(earlier)}"
                 raise ConfigError([ConfigIssue("--step", problem)])
 
     def _do(self, step: Step) -> None:
-        person = self._visit.person
+        operator = self._context.operator
         number = STEPS.index(step) + 1
-        person.tell(f"\nStep {number} of {len(STEPS)}, {step.name}: {step.does}.\n  Risk: {step.risk}.")
+        operator.say(f"\nStep {number} of {len(STEPS)}, {step.name}: {step.does}.\n  Risk: {step.risk}.")
         try:
-            if not self._visit.quiet:
-                wait_for(person, "Begin?")
-            facts = step.run(self._visit)
+            if not self._context.quiet:
+                wait_for(operator, "Begin?")
+            facts = step.run(self._context)
         except Stopped:
             raise
         except AbsError as error:

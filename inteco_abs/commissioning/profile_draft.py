@@ -1,7 +1,6 @@
-"""The profile that the commissioning writes: a TOML file that any run can use at any moment, and its results beside it.
+"""The profile that the commissioning writes, a TOML file that a run can use at any time, and its results beside it.
 
-The results are a file of their own, as a configuration has no place for what is not a setting. Both are replaced whole,
-so that an interruption leaves the old file or the new one.
+Both files are replaced as a whole, so that an interruption leaves the old file or the new one.
 """
 
 from __future__ import annotations
@@ -34,9 +33,9 @@ from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 _SCHEMA: Final = 1
 _COVERED: Final = tuple(key for key in COVERED if key != "evidence")
-"""The evidence in a draft is what its own steps confirm: to repeat one leaves the sign-off."""
+"""Without evidence, which the steps themselves write: repeating one keeps the sign-off."""
 _LOGIC: Final = re.compile(r"^((?:logic_version|verified_logic) = )(\d+)$", re.MULTILINE)
-"""Known to everybody in hex."""
+"""Logic versions, which the boards' documents give in hex."""
 _HEADING: Final = """\
 # Profile of one rig, written by `inteco-abs commission`; comments of your own are not kept when it goes on.
 # To use it: inteco-abs run --board ADDRESS --set profile={name}
@@ -45,7 +44,7 @@ _HEADING: Final = """\
 
 
 class ProfileDraft:
-    """A profile draft at `file`, which ends in .toml, with the results at `results_file`."""
+    """A profile draft in `file`, with its results in `results_file`."""
 
     def __init__(self, file: Path, table: Table, results: dict[str, Any]) -> None:
         self.file = file
@@ -57,8 +56,8 @@ class ProfileDraft:
     def open(cls, file: Path, board: str, profile: str, settings: Sequence[str] = (), *, given: bool = False) -> Self:
         """The draft at `file`, or a new one from `profile`, with `settings` such as `board.drive_pwm=1` in it.
 
-        `given`: the profile was asked for, so that a draft made from another is a mistake. Nothing is written yet
-        unless something is new. Raises ConfigError, or AbsError where the disk refuses.
+        `given`: the user named the profile, so that a draft made from another one is an error. Writes only what is
+        new. Raises ConfigError, or AbsError if the disk refuses.
         """
         if file.suffix != ".toml":
             raise ConfigError([ConfigIssue("--draft", f"{file}: a profile's name must end in .toml")])
@@ -69,7 +68,7 @@ class ProfileDraft:
         if file.exists():
             draft = cls(file, read_profile(str(file)), _read_results(results_of(file)))
             parse_config(tomli_w.dumps(draft._table))
-            draft._insist_on_same(board, profile if given else "")
+            draft._require_same(board, profile if given else "")
         else:
             draft = cls(file, unsigned(read_profile(profile)), _no_results(board, profile))
         before = draft._table
@@ -82,32 +81,32 @@ class ProfileDraft:
 
     @property
     def config(self) -> RigConfig:
-        """What the draft amounts to now; raises ConfigError for a file that was edited into something wrong."""
+        """The configuration that the draft gives now. Raises ConfigError if the file was edited and is wrong."""
         return load_config(profile=str(self.file))
 
     @property
     def table(self) -> Table:
-        """What the draft's file says, section by section."""
+        """A copy of the draft's sections and keys."""
         return _deep_copy(self._table)
 
     @property
     def board(self) -> str:
-        """Address of the board that it was begun with."""
+        """Address of the board that the draft was begun with."""
         return str(self._results["board"])
 
     @property
     def profile(self) -> str:
-        """The profile that it was begun from."""
+        """The profile that the draft was begun from."""
         return str(self._results["profile"])
 
     @property
     def results(self) -> Mapping[str, Mapping[str, Any]]:
-        """What each step has found, by its name."""
+        """Results by name of the step."""
         steps: dict[str, dict[str, Any]] = self._results["steps"]
         return steps
 
     def begin_from(self, profile: str) -> None:
-        """Take another profile for the base; how links and simulation are set stays."""
+        """Begin again from another profile; the sections `usb` and `simulation` stay."""
         kept: Table = {key: self._table[key] for key in ("usb", "simulation") if key in self._table}
         simulated = self._table.get("board", {}).get("simulated", False)
         self._table = {**unsigned(read_profile(profile)), **kept}
@@ -117,7 +116,7 @@ class ProfileDraft:
         self._save_results()
 
     def write(self, values: Mapping[str, Any]) -> None:
-        """Set keys such as `board.drive_pwm`; a sign-off that has not seen them goes. Raises ConfigError."""
+        """Set keys such as `board.drive_pwm`; a sign-off that does not cover them is removed. Raises ConfigError."""
         before, self._table = self._table, _deep_copy(self._table)
         for path, value in values.items():
             *sections, key = path.split(".")
@@ -134,21 +133,21 @@ class ProfileDraft:
             raise
 
     def confirm(self, keys: Iterable[str], source: str) -> None:
-        """Mark statements of the wiring as confirmed by `source`."""
+        """Mark keys of the wiring as confirmed by `source`."""
         evidence = {"status": "confirmed", "source": source}
         self.write({f"board.evidence.{key}": evidence for key in keys})
 
     def record(self, step: str, result: Mapping[str, Any]) -> None:
-        """Keep what a step has found."""
+        """Keep the result of a step."""
         self._results["steps"][step] = dict(result)
         self._save_results()
 
     def wiring(self, keys: Iterable[str]) -> dict[str, Any]:
-        """What the draft says now of some of its wiring, for a later comparison."""
+        """Current values of these keys of the wiring, for a later comparison."""
         stated = wiring_of(self.config.as_table())
         return {key: stated.get(key) for key in keys}
 
-    def _insist_on_same(self, board: str, profile: str) -> None:
+    def _require_same(self, board: str, profile: str) -> None:
         begun = str(self._results["board"] or board)
         if begun.partition(":")[0] != board.partition(":")[0]:
             problem = f"{self.file} was begun with the board {begun}, this is {board}; name another file"
@@ -162,7 +161,7 @@ class ProfileDraft:
             self._table = unsigned(self._table)
 
     def _save_profile(self) -> None:
-        parse_config(tomli_w.dumps(self._table))  # nothing that a run could not use gets into the file
+        parse_config(tomli_w.dumps(self._table))  # only what a run can use gets into the file
         text = _LOGIC.sub(lambda found: f"{found[1]}0x{int(found[2]):04X}", tomli_w.dumps(self._table))
         _replace(self.file, _HEADING.format(name=self.file.name) + text)
 
@@ -171,12 +170,12 @@ class ProfileDraft:
 
 
 def results_of(file: Path) -> Path:
-    """Where the results of the draft at `file` are."""
-    return file.with_suffix(".probe.json")
+    """File with the results of the draft at `file`."""
+    return file.with_suffix(".results.json")
 
 
 def _deep_copy(table: Table) -> Table:
-    """The same table, of which inner tables may be changed too."""
+    """A copy whose inner tables are copies too."""
     return {key: _deep_copy(value) if isinstance(value, dict) else value for key, value in table.items()}
 
 
@@ -185,6 +184,8 @@ def _no_results(board: str, profile: str) -> dict[str, Any]:
 
 
 def _read_results(file: Path) -> dict[str, Any]:
+    old = file.with_name(file.name.replace(".results.", ".probe."))  # an earlier name
+    file = old if old.exists() and not file.exists() else file
     problem = f"{file} is not a file of the commissioning; delete it to begin again with the draft as it is"
     try:
         results = json.loads(file.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Step 5: PWM settings are written with the power interface off, and must be echoed; the wheels must not move."""
+"""Step 5: write PWM settings with the power interface off; the board must echo them, and no wheel may move."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
 
-from inteco_abs.commissioning.first_write import agree_on_first_write
+from inteco_abs.commissioning.consent import agree_on_first_write
 from inteco_abs.commissioning.outputs import PROVES_ITSELF, outputs
 from inteco_abs.commissioning.permission import outputs_permitted
 from inteco_abs.commissioning.reading import open_for_reading
@@ -20,29 +20,29 @@ _REQUEST: Final = (
     "keep hands away from the wheels."
 )
 _DUTIES: Final = ((0.05, 0.0), (0.0, 0.2), (0.1, 0.1), (0.0, 0.0))
-"""Of drive and brake. So small that little would happen if the interface were on after all."""
+"""Of drive and brake; small, in case the interface is on after all."""
 _SETTINGS: Final = (("12-bit", 2), ("8-bit", 44))
 """Modes and prescalers near 3.5 kHz (docs/facts/boards.md#pwm-and-counters)."""
 _HOLD_S: Final = 0.1
 _MOST_COUNTS: Final = 8
-"""A wheel that stands on an edge may count a little."""
+"""A wheel that rests on the edge of an encoder line may count a little."""
 
 
-def echo_settings(visit: StepContext) -> Facts:
-    """Each mode, prescaler and width of both channels; the last one written are the profile's own, widths zero."""
-    config = outputs_permitted(visit, _REQUEST, PHRASE)
-    visit.bench.powered(on=False)
-    agreed = agree_on_first_write(visit, config)
-    before = _settings(visit)
-    visit.person.tell(f"  {PROVES_ITSELF}")
+def echo_settings(context: StepContext) -> Facts:
+    """Write modes, prescalers and widths of both channels; the profile's own settings and zero widths come last."""
+    config = outputs_permitted(context, _REQUEST, PHRASE)
+    context.rig.powered(on=False)
+    agreed = agree_on_first_write(context, config)
+    before = _settings(context)
+    context.operator.say(f"  {PROVES_ITSELF}")
     tried = []
     for mode, prescaler in _modes(config):
-        _echo(visit, _with_pwm(config, mode, prescaler))
+        _echo(context, _with_pwm(config, mode, prescaler))
         tried.append({"mode": mode, "prescaler": prescaler, "duties": [list(pair) for pair in _DUTIES]})
-        visit.person.tell(f"  {mode}, prescaler {prescaler}: all widths were echoed, no wheel moved")
-    after = _settings(visit)
+        context.operator.say(f"  {mode}, prescaler {prescaler}: all widths were echoed, no wheel moved")
+    after = _settings(context)
     changed = {name: [before[name], after[name]] for name in before if before[name] != after[name]}
-    visit.person.tell(f"  settings that differ from before: {', '.join(changed) or 'none'}")
+    context.operator.say(f"  settings that differ from before: {', '.join(changed) or 'none'}")
     return {**agreed, "tried": tried, "changed": changed}
 
 
@@ -57,9 +57,9 @@ def _with_pwm(config: RigConfig, mode: PwmMode, prescaler: int) -> RigConfig:
     return replace(config, board=board)
 
 
-def _echo(visit: StepContext, config: RigConfig) -> None:
-    """Entering the board writes mode, prescaler and pins and compares them, each beat compares the widths."""
-    with outputs(visit, config) as out:
+def _echo(context: StepContext, config: RigConfig) -> None:
+    """Opening the board writes mode, prescaler and pins and compares their echo; each beat compares the widths."""
+    with outputs(context, config) as out:
         for drive, brake in _DUTIES:
             for motion in out.hold(drive, brake, _HOLD_S):
                 if max(abs(motion.wheel_counts), abs(motion.road_counts)) > _MOST_COUNTS:
@@ -69,8 +69,8 @@ def _echo(visit: StepContext, config: RigConfig) -> None:
                     )
 
 
-def _settings(visit: StepContext) -> dict[str, int | str]:
-    """What the board echoes of its settings."""
-    with open_for_reading(visit) as board:
+def _settings(context: StepContext) -> dict[str, int | str]:
+    """Settings as the board echoes them."""
+    with open_for_reading(context) as board:
         values = board.survey().values
     return {name: value for name, value in values.items() if name.startswith(("pwm", "pin_", "encoder_reset"))}

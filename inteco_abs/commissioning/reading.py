@@ -1,4 +1,4 @@
-"""Reading the board before anybody may write to it."""
+"""Reading of a board that must not be written to yet."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _ONLY_READ: Final = "this step of the commissioning only reads"
 
 
 @contextmanager
-def open_for_reading(visit: StepContext, config: RigConfig | None = None) -> Iterator[Board]:
-    """The board, entered so that nothing can be written to it, whatever the draft says and whoever signed it."""
-    config = config or visit.draft.config
+def open_for_reading(context: StepContext, config: RigConfig | None = None) -> Iterator[Board]:
+    """Open the board for reading only, whatever draft and sign-off say."""
+    config = config or context.draft.config
     reading = replace(config, board=replace(config.board, read_only=_ONLY_READ))
-    with visit.bench.open(reading) as board:
+    with context.rig.open(reading) as board:
         yield board
 
 
 def outputs_left_on(board: Board) -> bool:
-    """Whether an earlier program has left a PWM output of an entered, read-only board on."""
+    """Whether an earlier program left a PWM output on; the board is open for reading."""
     return board.identity is not None and STILL_ON in board.identity.read_only_because
 
 
 def require_outputs_off(board: Board) -> None:
-    """Raise ProbeError, saying what to do, if an earlier program has left an output on."""
+    """Raise ProbeError if an earlier program left an output on."""
     if outputs_left_on(board):
         raise ProbeError(
             f"the board's PWM outputs are not zero, an earlier program has left them so. {STILL_ON}, "
@@ -40,7 +40,7 @@ def require_outputs_off(board: Board) -> None:
 
 
 def require_same_board(board: Board, config: RigConfig) -> None:
-    """Raise ProbeError if an entered board is not the one whose header is in the draft."""
+    """Raise ProbeError if the open board is not the one whose header is in the draft."""
     identity, wiring = board.identity, config.board
     if (
         identity is None
@@ -51,7 +51,7 @@ def require_same_board(board: Board, config: RigConfig) -> None:
 
 
 def read_patiently(board: Board, names: Collection[str]) -> dict[str, int]:
-    """The named numbers; a few failed readings in a row are forgiven. Raises LinkError after four."""
+    """The named numbers. Raises LinkError after four failed readings in a row."""
     failures = 0
     while True:
         try:

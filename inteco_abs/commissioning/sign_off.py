@@ -1,4 +1,4 @@
-"""Step 7: a person signs off the wiring and the guard's limits by name."""
+"""Step 7: the operator signs off the wiring and the guard's limits by name."""
 
 from __future__ import annotations
 
@@ -12,31 +12,33 @@ from inteco_abs.errors import ReadOnlyError, Stopped
 _LONGEST: Final = 100
 
 
-def sign(visit: StepContext) -> Facts:
-    """Show what is still not confirmed, then ask who has verified the rest; the guard's limits are signed with it."""
-    board, guard = visit.draft.config.board, visit.draft.config.guard
+def sign(context: StepContext) -> Facts:
+    """Show what is not confirmed, ask who verified the rest, and sign it off together with the guard's limits."""
+    board, guard = context.draft.config.board, context.draft.config.guard
     if board.read_only:
         raise ReadOnlyError(f"there is nothing to sign: the profile's outputs must never be used: {board.read_only}")
     open_points = unconfirmed(board)
     for one in open_points:
         key = one.partition(" ")[0]
         source = board.evidence[key].source if key in board.evidence else "no source"
-        visit.person.tell(f"  not confirmed: {one}: {source}")
+        context.operator.say(f"  not confirmed: {one}: {source}")
     if not open_points:
-        visit.person.tell("  all of the wiring is confirmed")
+        context.operator.say("  all of the wiring is confirmed")
     limits = guard.as_table()
-    visit.person.tell(f"  signed off with it: guard {', '.join(f'{key} {value:g}' for key, value in limits.items())}")
-    signer = ask_for(visit.person, "Who verified this wiring on the rig? Name:", _name, "a name")
-    if not agree(visit.person, f"Sign for logic 0x{visit.logic_version:04X} as {signer!r}?"):
+    context.operator.say(
+        f"  signed off with it: guard {', '.join(f'{key} {value:g}' for key, value in limits.items())}"
+    )
+    signer = ask_for(context.operator, "Who verified this wiring on the rig? Name:", _name, "a name")
+    if not agree(context.operator, f"Sign for logic 0x{context.logic_version:04X} as {signer!r}?"):
         raise Stopped("not signed: the draft stays as it is")
-    signature = {
+    sign_off = {
         "board.verified_by": signer,
         "board.verified_on": today(),
-        "board.verified_logic": visit.logic_version,
+        "board.verified_logic": context.logic_version,
         **{f"guard.{key}": value for key, value in limits.items()},  # a later default would otherwise count as signed
     }
-    visit.draft.write(signature)
-    visit.person.tell(f"  signed: inteco-abs run --board {visit.bench.address} --set profile={visit.draft.file}")
+    context.draft.write(sign_off)
+    context.operator.say(f"  signed: inteco-abs run --board {context.rig.address} --set profile={context.draft.file}")
     return {"signed_by": signer, "unconfirmed": open_points}
 
 

@@ -1,4 +1,4 @@
-"""One step of the commissioning, and what it works with."""
+"""A step of the commissioning and its context."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from inteco_abs.commissioning.profile_draft import ProfileDraft
 from inteco_abs.commissioning.rig_access import RigAccess
 
 Facts = Mapping[str, Any]
-"""What a step has found, as JSON has it."""
+"""Result of a step, in JSON's types."""
 
 
 @dataclass(frozen=True, slots=True)
 class StepContext:
-    """A person at a rig, with a draft to be written."""
+    """The rig, the draft to write, and the operator."""
 
-    bench: RigAccess
+    rig: RigAccess
     draft: ProfileDraft
-    person: Operator
+    operator: Operator
     quiet: bool = False
-    """Ask nothing where a suggestion or a default will do."""
+    """Take defaults instead of asking."""
 
     @property
     def logic_version(self) -> int:
-        """Of the board, as the header step has read it."""
+        """Logic version of the board, as the header step read it."""
         return int(self.draft.results["header"]["logic_version"], 16)
 
 
 class Step(NamedTuple):
-    """What is done, what it may do to the rig, and what its result is good for."""
+    """A step: what it does, its risk, and what its result holds for."""
 
     name: str
     does: str
@@ -40,9 +40,9 @@ class Step(NamedTuple):
     if_it_fails: str
     run: Callable[[StepContext], Facts]
     rests_on: tuple[str, ...] = ()
-    """What of the wiring the result holds for; with another it has to be done again."""
+    """Keys of the wiring that the result holds for; if one changes, the step is outdated."""
 
 
 def today() -> date:
-    """At the rig."""
+    """Local date."""
     return datetime.now().astimezone().date()

@@ -1,4 +1,4 @@
-"""The walk on the mock with a scripted person: what was asked, what was answered, and what went over the link."""
+"""The procedure on the mock with a scripted operator: questions, answers, and what goes over the link."""
 
 from collections.abc import Callable, Iterable
 from functools import cache
@@ -40,16 +40,16 @@ class NoAnswerLeftError(Exception):
     """There are no more answers."""
 
 
-class ScriptedPerson:
+class ScriptedOperator:
     """Answers from a list. An answer that is an exception is raised, one that is a function is called."""
 
     def __init__(self, answers: Iterable[str | BaseException | Callable[[], str]]) -> None:
         self.answers = list(answers)
         self.asked: list[str] = []
-        self.told: list[str] = []
+        self.said: list[str] = []
 
-    def tell(self, text: str) -> None:
-        self.told.append(text)
+    def say(self, text: str) -> None:
+        self.said.append(text)
 
     def show(self, text: str) -> None:
         pass
@@ -64,30 +64,30 @@ class ScriptedPerson:
         return answer if isinstance(answer, str) else answer()
 
     def heard(self, text: str) -> bool:
-        return any(text in line for line in self.told)
+        return any(text in line for line in self.said)
 
 
 class WatchedLink(Link):
     """Keeps what is written, and fails from a given write on."""
 
-    def __init__(self, bench: "WatchedBench", inner: Link) -> None:
-        self._bench = bench
+    def __init__(self, rig: "WatchedRig", inner: Link) -> None:
+        self._rig = rig
         self._inner = inner
 
     def write(self, data):
-        self._bench.written.append(bytes(data))
-        self._bench.before_write(len(self._bench.written))
+        self._rig.written.append(bytes(data))
+        self._rig.before_write(len(self._rig.written))
         self._inner.write(data)
 
     def read(self, length):
-        return self._bench.change_answer(self._inner.read(length))
+        return self._rig.change_answer(self._inner.read(length))
 
     def close(self):
         self._inner.close()
 
 
-class WatchedBench(MockRigAccess):
-    """The mock bench, whose hands, link and time a test may watch and disturb."""
+class WatchedRig(MockRigAccess):
+    """The mock rig, whose hands, link and time a test may watch and disturb."""
 
     def __init__(self, config) -> None:
         super().__init__(config)
@@ -125,18 +125,18 @@ class WatchedBench(MockRigAccess):
 
 
 class Lab:
-    """A folder with a draft in it; each session is a new walk on a board that is powered up anew."""
+    """A folder with a draft in it; each session is a new procedure on a board that is powered up anew."""
 
     def __init__(self, folder) -> None:
         self.file = folder / "lab.toml"
 
     def session(self, *answers, settings=(), profile="usb2_generic_0103", quiet=False):
-        """A walk, not begun, with a person who will give these answers."""
+        """A procedure, not begun, with a operator who will give these answers."""
         self.draft = ProfileDraft.open(self.file, "sim:", profile, settings)
-        self.person = ScriptedPerson(answers)
-        self.bench = WatchedBench(self.draft.config)
-        self.walk = Procedure(StepContext(self.bench, self.draft, self.person, quiet))
-        return self.walk
+        self.operator = ScriptedOperator(answers)
+        self.rig = WatchedRig(self.draft.config)
+        self.procedure = Procedure(StepContext(self.rig, self.draft, self.operator, quiet))
+        return self.procedure
 
     def done_until(self, step: str, settings=()) -> None:
         """As after a session with all steps before this one."""
@@ -153,7 +153,7 @@ class Lab:
         self.session()
 
     def outcomes(self) -> dict[str, str]:
-        return {one["name"]: one["outcome"] for one in self.walk.state()}
+        return {one["name"]: one["outcome"] for one in self.procedure.state()}
 
 
 @cache

@@ -81,7 +81,7 @@ ROWS = [
     Row("no libusb", "identify-led", 1, ("no libusb on this computer",), "install libusb-1.0-0", (no_libusb,)),
     Row("nothing to commission", "commission --board pci: --yes-read-only", 1, ("no device for pci:", "step 1"),
         "plug the board in",
-        leaves=("rig-profile.toml", "rig-profile.probe.json")),
+        leaves=("rig-profile.toml", "rig-profile.results.json")),
     Row("a profile that nobody signed", "run --virtual --set profile=usb2_generic_0103", 1, ("reading only",),
         "inteco-abs commission makes a profile"),
     Row("outputs switched off", "run --virtual --set board.read_only='cable cut'", 1, ("reading only",),

@@ -4,7 +4,7 @@ import pytest
 from wrong_inputs import Row, file, ids, session, stdin
 
 PROBE = "commission --yes-read-only"
-DRAFT = ("rig-profile.toml", "rig-profile.probe.json")
+DRAFT = ("rig-profile.toml", "rig-profile.results.json")
 ROWS = [
     Row("no such verb", "bogus", 2, ("no command 'bogus'",), "known: commission, completion"),
     Row("nearly a verb", "rum", 2, ("no command 'rum'",), "did you mean run?"),

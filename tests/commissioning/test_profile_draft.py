@@ -23,16 +23,16 @@ def test_the_logic_is_written_in_hex(lab):
 
 @pytest.mark.untraced
 def test_the_draft_can_be_used_after_every_write(lab, whole_script, monkeypatch):
-    walk = lab.session(*whole_script)
+    procedure = lab.session(*whole_script)
     seen = []
     record = lab.draft.record
 
-    def look(step, result):
+    def found(step, result):
         record(step, result)
         seen.append((step, load_config(profile=str(lab.file)).board.verified_by))
 
-    monkeypatch.setattr(lab.draft, "record", look)
-    walk.go()
+    monkeypatch.setattr(lab.draft, "record", found)
+    procedure.go()
     assert [step for step, _ in seen] == ["list", "header", "reads", "wheels", "echo", "motors", "sign"]
     assert [by for _, by in seen] == [""] * 6 + ["the lab"]
 
@@ -101,13 +101,20 @@ def test_a_draft_edited_into_nonsense_is_refused_with_its_key(lab):
 @pytest.mark.untraced
 def test_results_are_kept_beside_the_draft(lab):
     lab.all_done()
-    kept = json.loads((lab.file.parent / "lab.probe.json").read_text())
+    kept = json.loads((lab.file.parent / "lab.results.json").read_text())
     assert kept["steps"]["header"]["raw"].startswith("0301")
     assert kept["steps"]["motors"]["brake_from"] == pytest.approx(0.415, abs=0.03)
     assert kept["steps"]["wheels"]["road"]["turned"] == 40960
 
 
+def test_results_under_their_earlier_name_are_read(lab):
+    lab.done_until("reads")
+    lab.draft.results_file.rename(lab.file.with_suffix(".probe.json"))
+    lab.session()
+    assert lab.outcomes()["header"] == "done"
+
+
 @pytest.mark.untraced
 def test_no_other_file_is_left(lab, whole_script):
     lab.session(*whole_script).go()
-    assert sorted(file.name for file in lab.file.parent.iterdir()) == ["lab.probe.json", "lab.toml"]
+    assert sorted(file.name for file in lab.file.parent.iterdir()) == ["lab.results.json", "lab.toml"]

@@ -14,9 +14,9 @@ def hands(lab, *moves):
     def turn(_asked):
         which, turns, lifted = queue.pop(0)
         if which:
-            lab.bench.device.turn(which, turns, 5.0, lifted=lifted)
+            lab.rig.device.turn(which, turns, 5.0, lifted=lifted)
 
-    lab.bench.hand = turn
+    lab.rig.hand = turn
 
 
 @pytest.fixture
@@ -25,9 +25,9 @@ def at_wheels(lab):
 
     def prepare(answers, *moves, settings=()):
         lab.done_until("wheels", settings)
-        walk = lab.session("", *answers)
+        procedure = lab.session("", *answers)
         hands(lab, *moves)
-        return walk
+        return procedure
 
     return prepare
 
@@ -43,23 +43,23 @@ AGAIN = {
 def test_a_mistake_is_told_and_the_wheel_turned_again(lab, at_wheels, mistake):
     move, complaint = AGAIN[mistake]
     at_wheels(["", "", ""], move, UPPER, LOWER).go(only="wheels")
-    assert lab.person.heard(complaint)
+    assert lab.operator.heard(complaint)
     assert lab.draft.config.board.wheel_encoder == 1
 
 
 @pytest.mark.parametrize("mistake", AGAIN)
 def test_three_mistakes_end_the_step_and_leave_the_draft(lab, at_wheels, mistake):
     move, complaint = AGAIN[mistake]
-    walk = at_wheels(["", "", ""], move, move, move)
+    procedure = at_wheels(["", "", ""], move, move, move)
     before = lab.file.read_text()
     with pytest.raises(ProbeError, match=complaint):
-        walk.go(only="wheels")
+        procedure.go(only="wheels")
     assert lab.file.read_text() == before
 
 
 def test_the_same_wheel_twice_is_noticed(lab, at_wheels):
     at_wheels(["", "", ""], UPPER, UPPER, LOWER).go(only="wheels")
-    assert lab.person.heard("channel 1 is the upper wheel's: turn the lower wheel")
+    assert lab.operator.heard("channel 1 is the upper wheel's: turn the lower wheel")
 
 
 def test_a_wheel_turned_backwards_is_asked_about_and_turned_again(lab, at_wheels):
@@ -75,7 +75,7 @@ def test_an_encoder_that_counts_down_gets_its_sign(lab, at_wheels):
 
 def test_a_wrong_answer_is_asked_for_again(lab, at_wheels):
     at_wheels(["", "maybe", "yes", ""], ("wheel", -10, True), LOWER).go(only="wheels")
-    assert lab.person.heard("must be yes or no")
+    assert lab.operator.heard("must be yes or no")
 
 
 def test_a_little_more_than_ten_turns_is_ten_turns(lab, at_wheels):
@@ -85,13 +85,13 @@ def test_a_little_more_than_ten_turns_is_ten_turns(lab, at_wheels):
 
 def test_wrong_turns_are_asked_about(lab, at_wheels):
     at_wheels(["", "seven", "7", ""], ("wheel", 7, True), LOWER).go(only="wheels")
-    assert lab.person.heard("must be a number of turns")
+    assert lab.operator.heard("must be a number of turns")
     assert lab.draft.config.encoders.counts_per_turn == 4096
 
 
 def test_half_the_turns_look_like_half_the_counts_and_are_asked_about(lab, at_wheels):
     at_wheels(["", "5", ""], ("wheel", 5, True), LOWER).go(only="wheels")
-    assert lab.person.heard("2048 counts per turn, and the profile says 4096")
+    assert lab.operator.heard("2048 counts per turn, and the profile says 4096")
     assert lab.draft.config.encoders.counts_per_turn == 4096
 
 
@@ -120,17 +120,17 @@ def test_what_was_found_is_confirmed_with_its_day(lab, at_wheels):
 
 
 def test_wheels_that_never_rest_end_the_step(lab, at_wheels):
-    walk = at_wheels([""])
-    lab.bench.hand = lambda _which: lab.bench.device.turn("wheel", 400, 1000.0)
+    procedure = at_wheels([""])
+    lab.rig.hand = lambda _which: lab.rig.device.turn("wheel", 400, 1000.0)
     with pytest.raises(ProbeError, match="is a motor on"):
-        walk.go(only="wheels")
+        procedure.go(only="wheels")
 
 
 def test_another_board_than_the_drafts_is_refused(lab, at_wheels):
-    walk = at_wheels([""], UPPER)
-    lab.bench.change_answer = lambda answer: answer[:2] + b"X" + answer[3:]  # its name
+    procedure = at_wheels([""], UPPER)
+    lab.rig.change_answer = lambda answer: answer[:2] + b"X" + answer[3:]  # its name
     with pytest.raises(ProbeError, match="not the one that the draft was begun with"):
-        walk.go(only="wheels")
+        procedure.go(only="wheels")
 
 
 class TestJudging:

@@ -1,4 +1,4 @@
-"""Before anything is written to a board: what that changes, word by word, and the operator's consent."""
+"""The operator's consent to the first write, after seeing word by word what it changes."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from inteco_abs.errors import ProbeError, Stopped
 _NAME: Final = "first_write"
 
 
-def agree_on_first_write(visit: StepContext, config: RigConfig) -> dict[str, list[dict[str, Any]]]:
-    """Show what entering the board with `config` would change, and ask, unless an earlier step was answered yes to it.
+def agree_on_first_write(context: StepContext, config: RigConfig) -> dict[str, list[dict[str, Any]]]:
+    """Show what entering the board with `config` would change, and ask unless an earlier step had the same consent.
 
-    The board is only read. Gives back what was shown, for the step's result. Raises ProbeError for a board on which a
-    PWM runs that the wiring does not use, Stopped if the person does not want it.
+    The board is only read. Returns what was shown, for the step's result. Raises ProbeError if a PWM runs that the
+    wiring does not use, Stopped if the operator refuses.
     """
-    with visit.bench.open(config).reading() as board:
+    with context.rig.open(config).reading() as board:
         board.insist()
         planned = board.first_write()
     _require_others_off(planned)
-    # as JSON will give it back
+    # in the types that JSON reads back, to compare with earlier results
     shown = [{**one._asdict(), "names": list(one.names)} for one in planned if one.remark is not Remark.NUMBER]
-    agreed = [one for facts in visit.draft.results.values() for one in facts.get(_NAME, [])]
+    agreed = [one for facts in context.draft.results.values() for one in facts.get(_NAME, [])]
     changes = [one for one in planned if one.now != one.planned]
     kept = [one for one in planned if one.remark in {Remark.UNKNOWN, Remark.CUT}]
-    visit.person.tell(_table(changes, kept))
+    context.operator.say(_table(changes, kept))
     new = any(one not in agreed for one in shown)
-    if new and not agree(visit.person, "Write this to the board?"):
+    if new and not agree(context.operator, "Write this to the board?"):
         raise Stopped("not agreed: nothing was written to the board")
     return {_NAME: shown}
 
 
 def _require_others_off(planned: Sequence[PlannedWord]) -> None:
-    """Before the sign-off, the channels of the motors are not certain: no other channel may stay on."""
+    """Raise ProbeError if an unused channel is on: before the sign-off, it may be a motor's."""
     running = [name for one in planned if one.remark is Remark.RUNS for name in one.names]
     if running:
         keys = ", ".join(f"{name} = 0" for name in running)
@@ -48,11 +48,7 @@ def _require_others_off(planned: Sequence[PlannedWord]) -> None:
 
 
 def _table(changes: Sequence[PlannedWord], kept: Sequence[PlannedWord]) -> str:
-    lines = [f"  {len(changes)} words of the board change with the first write (now -> then):", *map(_row, changes)]
+    lines: list[object] = [f"{len(changes)} words of the board change with the first write (now -> then):", *changes]
     if kept:
-        lines += [f"  {len(kept)} unknown words are written back as they were read:", *map(_row, kept)]
-    return "\n".join(lines)
-
-
-def _row(one: PlannedWord) -> str:
-    return f"  {one}"
+        lines += [f"{len(kept)} unknown words are written back as they were read:", *kept]
+    return "\n".join(f"  {line}" for line in lines)

@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from inteco_abs.boards import InProcessLink, board_behind
-from inteco_abs.commissioning.board_report import board_seen
-from inteco_abs.commissioning.reported_board import ReportedBoard
+from inteco_abs.commissioning.anonymous_report import board_seen
+from inteco_abs.commissioning.board_from_report import ReportedBoard
 from inteco_abs.config import load_config
 from inteco_abs.errors import AbsError, CaptureError, ConfigError
 from inteco_abs.mock_board import Device, UsbBoard, UsbIdentity, ftdi_identity, rig_check
@@ -32,13 +32,13 @@ FTDI = b"".join(ftdi_identity().descriptor(kind, 0) for kind in (1, 2))
 def reported(lab, scripts, tmp_path):
     """Walks steps 1 to 4 on the mock of a board; the file with its report."""
 
-    def walk(kind="usb2", told=None):
+    def procedure(kind="usb2", told=None):
         if kind == "usb2":
             lab.done_until("echo")
         else:
-            walk = lab.session(*(answer for name in READING for answer in scripts[name]), profile=KINDS[kind])
+            procedure = lab.session(*(answer for name in READING for answer in scripts[name]), profile=KINDS[kind])
             for name in READING:
-                walk.go(only=name)
+                procedure.go(only=name)
         if told is not None:
             listed = lab.draft.results["list"]
             device = {"address": "sim:", "description": "", "told": told}
@@ -47,7 +47,7 @@ def reported(lab, scripts, tmp_path):
         write_capture(file, board_seen(lab.draft))
         return file
 
-    return walk
+    return procedure
 
 
 def plugged_in(file):

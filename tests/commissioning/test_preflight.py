@@ -5,7 +5,7 @@ import pytest
 from firmware_protocol.rtdac_usb2 import READ_REQUEST, encode_send
 from inteco_abs.boards import InProcessLink
 from inteco_abs.commissioning import MockRigAccess
-from inteco_abs.commissioning.preflight import course, look_at
+from inteco_abs.commissioning.preflight import planned_phases, run_preflight
 from inteco_abs.config import load_config
 from inteco_abs.mock_board import FrontEnd
 
@@ -27,8 +27,8 @@ class Overheard(InProcessLink):
         return super().read(length)
 
 
-class Bench(MockRigAccess):
-    """A bench of which everything that goes to the board is kept; `read_ns` is how long each reading takes."""
+class WatchedRig(MockRigAccess):
+    """A rig of which everything that goes to the board is kept; `read_ns` is how long each reading takes."""
 
     def __init__(self, *settings, read_s=0.0):
         super().__init__(load_config(settings=settings))
@@ -45,67 +45,67 @@ class Bench(MockRigAccess):
         return {message for link in self.links for message in link.written}
 
 
-def looked(bench, *settings):
-    return look_at(bench, load_config(settings=settings))
+def preflight(rig, *settings):
+    return run_preflight(rig, load_config(settings=settings))
 
 
 def test_a_rig_at_rest_has_nothing_against_a_run():
-    bench = Bench()
-    look = looked(bench)
-    assert (look.refused, look.cautions, look.moved) == ([], [], (0, 0))
-    assert not look.identity.read_only_because
+    rig = WatchedRig()
+    found = preflight(rig)
+    assert (found.refused, found.cautions, found.moved) == ([], [], (0, 0))
+    assert not found.identity.read_only_because
 
 
 def test_only_read_requests_go_to_the_board():
-    bench = Bench()
-    looked(bench)
-    assert bench.written == {READ_REQUEST}
+    rig = WatchedRig()
+    preflight(rig)
+    assert rig.written == {READ_REQUEST}
 
 
 @pytest.mark.parametrize("which", ["wheel", "road"])
 def test_a_wheel_that_turns_stands_against_it_as_against_a_run(which):
-    bench = Bench()
-    bench.device.turn(which, 1.0, 1.0)
-    (refusal,) = looked(bench).refused
+    rig = WatchedRig()
+    rig.device.turn(which, 1.0, 1.0)
+    (refusal,) = preflight(rig).refused
     assert "a wheel moved before the start: wait until both stand still" in str(refusal)
 
 
 def test_a_nudge_of_few_counts_does_not():
-    bench = Bench()
-    bench.device.turn("wheel", 3.0 / 2048.0, 0.05)
-    look = looked(bench)
-    assert look.refused == []
-    assert 0 < abs(look.moved[0]) <= 4
+    rig = WatchedRig()
+    rig.device.turn("wheel", 3.0 / 2048.0, 0.05)
+    found = preflight(rig)
+    assert found.refused == []
+    assert 0 < abs(found.moved[0]) <= 4
 
 
 def test_a_board_that_is_not_trusted_is_refused_and_still_watched():
-    bench = Bench()
-    bench.device.turn("wheel", 1.0, 1.0)
-    unsigned, moving = looked(bench, 'board.verified_by=""').refused
+    rig = WatchedRig()
+    rig.device.turn("wheel", 1.0, 1.0)
+    unsigned, moving = preflight(rig, 'board.verified_by=""').refused
     assert "reading only" in str(unsigned)
     assert "a wheel moved" in str(moving)
 
 
 def test_counters_of_an_unknown_logic_are_not_taken_for_counters():
-    look = looked(Bench(), "board.logic_version=0x0111")
-    assert ("0x0103" in str(look.refused[0]), look.moved) == (True, None)
+    found = preflight(WatchedRig(), "board.logic_version=0x0111")
+    assert ("0x0103" in str(found.refused[0]), found.moved) == (True, None)
 
 
 def test_outputs_that_were_left_on_are_told_of():
-    bench = Bench("experiment.idle_s=0.01")
-    bench.device.power(on=False)
-    bench.link().write(encode_send({"pin_mode": 1 << 2 | 1 << 5, "pwm0_width": 255}))
-    look = looked(bench)
-    assert "emergency switch" in look.cautions[0]
+    rig = WatchedRig("experiment.idle_s=0.01")
+    rig.device.power(on=False)
+    rig.link().write(encode_send({"pin_mode": 1 << 2 | 1 << 5, "pwm0_width": 255}))
+    found = preflight(rig)
+    assert "emergency switch" in found.cautions[0]
 
 
 def test_a_board_that_hangs_up_is_a_refusal_and_no_error():
-    bench = Bench()
-    made = bench.link
-    bench.link = lambda: closed(made())
-    look = looked(bench)
-    assert "closed" in str(look.refused[0])
-    assert look.identity is None
+    rig = WatchedRig()
+    made = rig.link
+    rig.link = lambda: closed(made())
+    found = preflight(rig)
+    assert "closed" in str(found.refused[0])
+    assert found.identity is None
 
 
 def closed(link):
@@ -114,7 +114,7 @@ def closed(link):
 
 
 def test_readings_that_take_longer_than_a_period_are_refused_and_long_ones_noted():
-    slow, doubtful, quick = (looked(Bench(read_s=read_s)) for read_s in (0.0006, 0.0004, 0.0001))
+    slow, doubtful, quick = (preflight(WatchedRig(read_s=read_s)) for read_s in (0.0006, 0.0004, 0.0001))
     assert "longer than" in str(slow.refused[0])
     assert ("may find" in doubtful.cautions[0], doubtful.refused) == (True, [])
     assert (quick.cautions, quick.refused) == ([], [])
@@ -122,7 +122,7 @@ def test_readings_that_take_longer_than_a_period_are_refused_and_long_ones_noted
 
 def test_the_course_has_the_limits_of_experiment_and_guard():
     config = load_config(settings=["guard.drive_limit=0.5", "guard.brake_limit=0.6", "experiment.hold_s=2"])
-    parts = {part.phase: part for part in course(config)}
+    parts = {part.phase: part for part in planned_phases(config)}
     assert list(parts) == ["IDLE", "ARMED", "SPIN_UP", "BRAKING", "STOPPED"]
     assert "drive 0.5 until the road wheel turns at 180 rad/s" in parts["SPIN_UP"].does
     assert "brake at most 0.6" in parts["BRAKING"].does

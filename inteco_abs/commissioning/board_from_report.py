@@ -1,4 +1,4 @@
-"""A mock made from the report of a commissioning: a board that was seen once, with the simulated rig behind it."""
+"""A mock board made from the report of a commissioning."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CABLE: Final = ("drive_pwm", "brake_pwm", "road_encoder", "wheel_encoder", "roa
 
 
 class ReportedBoard:
-    """The board of the report at `path`. Raises CaptureError for a file that is not such a report, or has no image."""
+    """The board of the report at `path`. Raises CaptureError if it is not such a report, or has no image."""
 
     def __init__(self, path: Path) -> None:
         capture = read_capture(path)
@@ -49,7 +49,7 @@ class ReportedBoard:
 
     @property
     def settings(self) -> Sequence[str]:
-        """What the simulated rig's wiring is, by the report's draft, as `--set` takes it."""
+        """The simulated rig's wiring by the report's profile, as settings for `--set`."""
         board, encoders = (self.report.profile.get(name, {}) for name in ("board", "encoders"))
         values: dict[str, object] = {f"simulation.{key}": board[key] for key in _CABLE if key in board}
         if "counts_per_turn" in encoders:
@@ -59,14 +59,14 @@ class ReportedBoard:
         return [f"{key}={json.dumps(value)}" for key, value in values.items()]
 
     def face(self, device: Device) -> FrontEnd:
-        """The board's side of the wire, with `device` behind it. Raises CaptureError for an image that cannot be."""
+        """Front end of the board with `device` behind it. Raises CaptureError for an impossible image."""
         try:
             return mock_family(self._family.name).reported(device, self._protocol, self._image)
         except ValueError as error:
             raise CaptureError(f"{self._capture.name}: the image is not one of this board: {error}") from error
 
     def identity(self, like: UsbIdentity) -> UsbIdentity:
-        """The board's descriptors, but for the serial number; `like` where the report has none. Raises CaptureError."""
+        """The board's descriptors without its serial number; `like` if the report has none. Raises CaptureError."""
         bus = self.report.bus
         if not bus.descriptors:
             return like

@@ -1,4 +1,4 @@
-"""The report of a commissioning: what was seen of a board, as one file without anything personal in it."""
+"""The report of a commissioning: what was read from a board, in one file without personal data."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from inteco_abs.wire import Capture, Kind, Record
 
 _SECTIONS: Final = ("board", "encoders", "usb", "loop", "estimator", "guard", "experiment")
 _WORDS: Final = frozenset({"kind", "pwm_mode", "application_names", "manufacturer", "engine", "frame_map"})
-"""Texts of the profile that are words of the program or of the board; any other may be somebody's own."""
+"""Keys of the profile whose texts come from the program or the board; any other text may be personal."""
 _HOST: Final = ("os", "kernel", "machine", "cores", "cpu")
 _MOVED: Final = (
     "before the wheels were turned",
@@ -34,25 +34,27 @@ _MOVED: Final = (
 _DATES: Final = ("firmware_compiled", "firmware_released")
 _REMOVED: Final = "(removed)"
 _SHORTEST: Final = 3
-"""Shorter names are within too many words."""
+"""Shorter names occur inside too many words."""
 
 
 def board_seen(draft: ProfileDraft) -> Capture:
-    """What the commissioning has found so far. Raises ConfigError if it has not read the board yet."""
+    """Report of the steps done so far. Raises ConfigError if the board was not read yet."""
     results, wiring = draft.results, draft.config.board
     header = results.get("header", {})
     if "raw" not in header:
         raise ConfigError([ConfigIssue("--send-report", "the board was not read yet: do step 2, header, first")])
-    told = _told(draft)
+    device = _device_facts(draft)
     named = [("header", header["raw"]), *zip(_MOVED, results.get("wheels", {}).get("images", ()), strict=False)]
     report = BoardReport(
         kind=wiring.kind,
         identity=_identity(header),
-        bus=_bus(told),
+        bus=_bus(device),
         reads=_reads(results.get("reads", {})),
         steps={name: str(one["outcome"]) for name, one in results.items()},
         images=[name for name, _ in named],
-        profile={name: _values(part, told.get("serial", "")) for name in _SECTIONS if (part := draft.table.get(name))},
+        profile={
+            name: _values(part, device.get("serial", "")) for name in _SECTIONS if (part := draft.table.get(name))
+        },
         computer=_computer(),
     )
     records = [record for at, (_, image) in enumerate(named) for record in _reading(wiring, at, bytes.fromhex(image))]
@@ -62,7 +64,7 @@ def board_seen(draft: ProfileDraft) -> Capture:
 
 
 def _protocol(wiring: BoardConfig) -> str:
-    """Of a logic that has no tables, the tables of its kind of board: whose they are is told by who reads it."""
+    """Protocol of the wiring, or for a logic without tables the first one of its family."""
     family = family_of(wiring.kind)
     if not family.protocols:
         return family.name
@@ -87,8 +89,8 @@ def _identity(header: Mapping[str, Any]) -> Identity:
     )
 
 
-def _told(draft: ProfileDraft) -> dict[str, str]:
-    """By the device among those that were listed that is this board; nothing where that is not certain."""
+def _device_facts(draft: ProfileDraft) -> dict[str, str]:
+    """Facts of the listed device that is this board; empty if several could be."""
     listed = draft.results.get("list", {}).get("devices", [])
     serial = draft.results["header"].get("bridge", {}).get("serial", "")
     ours = {draft.board, f"{draft.config.board.kind}:{serial}"}
@@ -96,11 +98,11 @@ def _told(draft: ProfileDraft) -> dict[str, str]:
     return dict(found[0].get("told", ())) if len(found) == 1 else {}
 
 
-def _bus(told: Mapping[str, str]) -> Bus:
-    serial = told.get("serial", "")
-    kept = {name: _masked(text, serial) for name, text in told.items() if name not in {"serial", "descriptors"}}
+def _bus(device: Mapping[str, str]) -> Bus:
+    serial = device.get("serial", "")
+    kept = {name: _masked(text, serial) for name, text in device.items() if name not in {"serial", "descriptors"}}
     form = re.sub(r"[^9]", "x", re.sub(r"\d", "9", serial))
-    return Bus(**kept, descriptors=told.get("descriptors", ""), serial_form=form)
+    return Bus(**kept, descriptors=device.get("descriptors", ""), serial_form=form)
 
 
 def _masked(text: str, serial: str) -> str:
@@ -114,7 +116,7 @@ def _reads(found: Mapping[str, Any]) -> Reads | None:
 
 
 def _values(section: Mapping[str, Any], serial: str) -> Values:
-    """What a section says in numbers, and in words that are nobody's own."""
+    """Numbers of a section, and its texts that are not personal."""
     kept: Values = {}
     for key, value in section.items():
         if isinstance(value, bool | int | float) and key != "verified_logic":
@@ -129,24 +131,24 @@ def _values(section: Mapping[str, Any], serial: str) -> Values:
 def _computer() -> dict[str, str]:
     host = host_facts()
     system = re.search(r'^PRETTY_NAME="?([^"\n]*)', Computer().text_or("etc/os-release", ""), re.MULTILINE)
-    told: dict[str, str] = {
+    facts: dict[str, str] = {
         **{name: host[name] for name in _HOST if name in host},
         "system": system[1] if system else "",
         "python": platform.python_version(),
         "inteco_abs": inteco_abs.__version__,
     }
-    return {name: _without_names(text) for name, text in told.items() if text}
+    return {name: _without_names(text) for name, text in facts.items() if text}
 
 
 def _without_names(text: str) -> str:
-    """The text without the names of the user, the home folder and the computer."""
+    """`text` without the names of user, home folder and computer."""
     for name in _names():
         text = re.sub(re.escape(name), _REMOVED, text, flags=re.IGNORECASE)
     return text
 
 
 def _names() -> list[str]:
-    """Longest first, so that none is left over in part."""
+    """Longest first, so that no part of one remains."""
     names = {platform.node(), platform.node().partition(".")[0], os.environ.get("HOME", "")}
     with suppress(OSError, KeyError):  # a user without an entry
         names.add(getpass.getuser())

@@ -47,7 +47,7 @@ def installed(tmp_path):
 
 
 @pytest.fixture
-def probe(tmp_path, monkeypatch, capsys):
+def commission(tmp_path, monkeypatch, capsys):
     """Runs the command's main() in this process, in the same way: a tenth of what starting it costs."""
 
     def run(*arguments, lines=(), verb="commission"):
@@ -65,9 +65,9 @@ def probe(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.untraced
 def test_the_whole_walk_then_a_stop_with_the_signed_draft(installed, whole_script):
-    walk = installed("--board", "sim:", "--virtual", "--draft", "lab.toml", "--json", lines=whole_script)
-    assert walk.returncode == 0, walk.stderr
-    report = json.loads(walk.stdout)
+    procedure = installed("--board", "sim:", "--virtual", "--draft", "lab.toml", "--json", lines=whole_script)
+    assert procedure.returncode == 0, procedure.stderr
+    report = json.loads(procedure.stdout)
     assert report["next"] is None
     assert report["verified_by"] == "the lab"
     assert [one["outcome"] for one in report["steps"]] == ["done"] * 7
@@ -79,65 +79,65 @@ def test_the_whole_walk_then_a_stop_with_the_signed_draft(installed, whole_scrip
 
 
 @pytest.mark.untraced
-def test_an_odd_rig_is_commissioned_and_stopped(probe, scripts, odd):
+def test_an_odd_rig_is_commissioned_and_stopped(commission, scripts, odd):
     settings = [part for one in (*odd, "board.drive_pwm=1", "board.brake_pwm=0") for part in ("--set", one)]
     lines = [*[""] * 3, *["", "", "yes", "10", "", "10"], *scripts["echo"], *scripts["motors"], *scripts["sign"]]
-    walk = probe("--virtual", "--draft", "odd.toml", *settings, lines=lines)
-    assert walk.returncode == 0, walk.stderr
-    stop = probe("--set", "profile=odd.toml", "--virtual", "--out", "stop.mcap", "--json", verb="run")
+    procedure = commission("--virtual", "--draft", "odd.toml", *settings, lines=lines)
+    assert procedure.returncode == 0, procedure.stderr
+    stop = commission("--set", "profile=odd.toml", "--virtual", "--out", "stop.mcap", "--json", verb="run")
     assert stop.returncode == 0, stop.stderr
     card = json.loads(stop.stdout)
     assert card["outcome"] == "completed"
     assert card["slip_rms_fixed_true"] < 0.1
 
 
-def test_a_profile_that_is_wrong_about_the_mock_does_not_stop_it(probe):
-    run = probe("--set", "simulation.road_encoder=5", "--virtual", "--out", "stop.mcap", "--json", verb="run")
+def test_a_profile_that_is_wrong_about_the_mock_does_not_stop_it(commission):
+    run = commission("--set", "simulation.road_encoder=5", "--virtual", "--out", "stop.mcap", "--json", verb="run")
     assert run.returncode == 5
     assert json.loads(run.stdout)["reason"] != "NONE"
 
 
-def test_an_unsigned_draft_does_not_run(probe):
-    assert probe("--virtual", "--yes-read-only", "--draft", "lab.toml").returncode == 0
-    run = probe("--set", "profile=lab.toml", "--virtual", "--out", "stop.mcap", verb="run")
+def test_an_unsigned_draft_does_not_run(commission):
+    assert commission("--virtual", "--yes-read-only", "--draft", "lab.toml").returncode == 0
+    run = commission("--set", "profile=lab.toml", "--virtual", "--out", "stop.mcap", verb="run")
     assert run.returncode == 1
     assert "reading only" in run.stderr
 
 
-def test_reading_steps_need_no_answers_and_the_rest_follows_later(probe, whole_script):
-    first = probe("--virtual", "--yes-read-only", "--json")
+def test_reading_steps_need_no_answers_and_the_rest_follows_later(commission, whole_script):
+    first = commission("--virtual", "--yes-read-only", "--json")
     assert first.returncode == 0, first.stderr
     assert json.loads(first.stdout)["next"] == "wheels"
-    second = probe("--virtual", "--json", lines=whole_script[3:])
+    second = commission("--virtual", "--json", lines=whole_script[3:])
     assert second.returncode == 0, second.stderr
     assert json.loads(second.stdout)["next"] is None
 
 
-def test_the_end_of_the_input_is_an_interruption(probe, tmp_path):
-    run = probe("--virtual", "--json", lines=["", ""])
+def test_the_end_of_the_input_is_an_interruption(commission, tmp_path):
+    run = commission("--virtual", "--json", lines=["", ""])
     assert run.returncode == 130
     assert json.loads(run.stdout)["next"] == "reads"
     assert load_config(profile=str(tmp_path / "rig-profile.toml")).board.application_names == ["ABSSIM"]
 
 
-def test_stop_leaves_with_130(probe):
-    run = probe("--virtual", lines=["stop"])
+def test_stop_leaves_with_130(commission):
+    run = commission("--virtual", lines=["stop"])
     assert run.returncode == 130
     assert "stopped by the operator" in run.stderr
 
 
-def test_a_wrong_phrase_fails_with_what_to_do(probe):
+def test_a_wrong_phrase_fails_with_what_to_do(commission):
     lines = [*[""] * 6, "", "it is off"]
-    run = probe("--virtual", "--json", lines=lines)
+    run = commission("--virtual", "--json", lines=lines)
     assert run.returncode == 1
     assert "nothing was written to the board" in run.stderr
     assert json.loads(run.stdout)["steps"][4]["outcome"] == "failed"
 
 
 @pytest.mark.untraced
-def test_a_step_is_done_again_on_demand(probe, whole_script):
-    probe("--virtual", lines=whole_script)
-    run = probe("--virtual", "--redo", "4", lines=["", "", ""])
+def test_a_step_is_done_again_on_demand(commission, whole_script):
+    commission("--virtual", lines=whole_script)
+    run = commission("--virtual", "--redo", "4", lines=["", "", ""])
     assert run.returncode == 0, run.stderr
     assert "4 wheels: done" in run.stderr
 
@@ -156,8 +156,8 @@ def test_in_real_time_a_guarded_process_holds_the_mock(lab, installed, scripts):
     assert lab.draft.results["motors"]["brake_from"] == pytest.approx(0.415, abs=0.05)
 
 
-def test_a_real_board_that_is_not_there_fails_the_first_step(probe):
-    run = probe("--board", "pci:", "--yes-read-only")
+def test_a_real_board_that_is_not_there_fails_the_first_step(commission):
+    run = commission("--board", "pci:", "--yes-read-only")
     assert run.returncode == 1
     assert "plug the board in" in run.stderr
 

@@ -11,10 +11,10 @@ def at(lab, scripts):
 
     def prepare(step, *settings, switch=None):
         lab.done_until(step, settings)
-        walk = lab.session(*scripts[step])
+        procedure = lab.session(*scripts[step])
         if switch is not None:
-            lab.bench.switch = switch(lab.bench.device)
-        return walk
+            lab.rig.switch = switch(lab.rig.device)
+        return procedure
 
     return prepare
 
@@ -31,47 +31,47 @@ def test_the_dead_zone_is_found(lab, at):
 
 
 def test_a_power_interface_that_is_on_is_noticed_at_the_first_movement(lab, at):
-    walk = at("echo", switch=lambda device: lambda _on: device.turn("road", 10, 5.0))
+    procedure = at("echo", switch=lambda device: lambda _on: device.turn("road", 10, 5.0))
     with pytest.raises(ProbeError, match="although the power interface should be off"):
-        walk.go(only="echo")
-    assert lab.bench.device.duties == (0.0, 0.0)
+        procedure.go(only="echo")
+    assert lab.rig.device.duties == (0.0, 0.0)
 
 
 def test_a_board_that_does_not_take_the_mode_fails_the_echo_test(lab, at):
-    walk = at("echo")
-    lab.bench.change_answer = lambda answer: answer[:42] + bytes([answer[42] & 0xFE]) + answer[43:]
+    procedure = at("echo")
+    lab.rig.change_answer = lambda answer: answer[:42] + bytes([answer[42] & 0xFE]) + answer[43:]
     with pytest.raises(Exception, match="pwm0_mode = 0, not 1"):
-        walk.go(only="echo")
+        procedure.go(only="echo")
     assert lab.outcomes()["echo"] == "failed"
 
 
 @pytest.mark.untraced
 def test_an_emergency_switch_that_does_not_cut_is_noticed(lab, at):
-    walk = at("motors", switch=lambda device: lambda _on: device.power(on=True))
+    procedure = at("motors", switch=lambda device: lambda _on: device.power(on=True))
     with pytest.raises(ProbeError, match="although the emergency switch is pressed"):
-        walk.go(only="motors")
-    assert lab.bench.device.duties == (0.0, 0.0)
+        procedure.go(only="motors")
+    assert lab.rig.device.duties == (0.0, 0.0)
 
 
 def test_a_drive_without_power_is_noticed(at):
-    walk = at("motors", switch=lambda device: lambda _on: device.power(on=False))
+    procedure = at("motors", switch=lambda device: lambda _on: device.power(on=False))
     with pytest.raises(ProbeError, match=r"no wheel moved at up to 20% drive.*--set board.drive_pwm"):
-        walk.go(only="motors")
+        procedure.go(only="motors")
 
 
 def test_swapped_pwm_channels_show_as_a_drive_that_does_nothing(lab, at):
-    walk = at("motors", "simulation.drive_pwm=1", "simulation.brake_pwm=0")
+    procedure = at("motors", "simulation.drive_pwm=1", "simulation.brake_pwm=0")
     with pytest.raises(ProbeError, match="really on PWM 0"):
-        walk.go(only="motors")
-    assert lab.bench.device.duties == (0.0, 0.0)
+        procedure.go(only="motors")
+    assert lab.rig.device.duties == (0.0, 0.0)
 
 
 @pytest.mark.untraced
 def test_a_brake_that_is_not_there_is_noticed_at_the_limit(lab, at):
-    walk = at("motors", "simulation.brake_pwm=3")
+    procedure = at("motors", "simulation.brake_pwm=3")
     with pytest.raises(ProbeError, match=r"the brake did nothing up to 0\.70"):
-        walk.go(only="motors")
-    assert lab.bench.device.duties == (0.0, 0.0)
+        procedure.go(only="motors")
+    assert lab.rig.device.duties == (0.0, 0.0)
 
 
 @pytest.mark.untraced
@@ -80,14 +80,14 @@ def test_a_wheel_that_was_turned_the_wrong_way_round_is_found_out_by_the_drive(l
     lab.done_until("wheels", [f"simulation.{key}=-1"])
     lab.session(*scripts["wheels"])
     which = "wheel" if key == "wheel_sign" else "road"
-    # the person turns this wheel backwards, so that it counts up, and all seems well
-    lab.bench.hand = lambda asked: lab.bench.device.turn(asked, -10 if asked == which else 10, 5.0)
-    lab.walk.go(only="wheels")
-    walk = lab.session(*scripts["echo"], *scripts["motors"])
-    walk.go(only="echo")
+    # the operator turns this wheel backwards, so that it counts up, and all seems well
+    lab.rig.hand = lambda asked: lab.rig.device.turn(asked, -10 if asked == which else 10, 5.0)
+    lab.procedure.go(only="wheels")
+    procedure = lab.session(*scripts["echo"], *scripts["motors"])
+    procedure.go(only="echo")
     with pytest.raises(ProbeError, match=f"the {name} wheel counts backwards when driven: board.{key}"):
-        walk.go(only="motors")
-    assert lab.bench.device.duties == (0.0, 0.0)
+        procedure.go(only="motors")
+    assert lab.rig.device.duties == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("when", [False, True], ids=["before the switch is tried", "after it"])
@@ -95,18 +95,18 @@ def test_wheels_that_do_not_rest_are_not_driven(lab, at, when):
     def switch(device):
         return lambda on: device.turn("road", 10, 60.0) if on is when else device.power(on=on)
 
-    walk = at("motors", switch=switch)
+    procedure = at("motors", switch=switch)
     with pytest.raises(ProbeError, match="wait until both are at rest"):
-        walk.go(only="motors")
-    assert lab.bench.largest == (0.0, 0.0)
+        procedure.go(only="motors")
+    assert lab.rig.largest == (0.0, 0.0)
 
 
 def test_a_board_that_calls_itself_something_else_by_now_is_not_driven(lab, at):
-    walk = at("motors")
-    lab.bench.change_answer = lambda answer: answer[:2] + b"X" + answer[3:]
+    procedure = at("motors")
+    lab.rig.change_answer = lambda answer: answer[:2] + b"X" + answer[3:]
     with pytest.raises(ReadOnlyError, match="the profile knows 'ABSSIM'"):
-        walk.go(only="motors")
-    assert lab.bench.frames_sent == []
+        procedure.go(only="motors")
+    assert lab.rig.frames_sent == []
 
 
 class TestVelocityRegister:
@@ -114,9 +114,9 @@ class TestVelocityRegister:
 
     @pytest.fixture
     def on_pci(self, lab, scripts):
-        """All steps up to the motors on that board; `turns`: how many the person says that they have made."""
+        """All steps up to the motors on that board; `turns`: how many the operator says that they have made."""
 
-        def walk(*answers, turns=(), settings=()):
+        def procedure(*answers, turns=(), settings=()):
             wheels = [answer for wheel in ("", "") for answer in (wheel, *turns)]
             before = [*scripts["list"], *scripts["header"], *scripts["reads"], "", *wheels, *scripts["echo"]]
             script = [*before, *scripts["motors"], *answers]
@@ -124,7 +124,7 @@ class TestVelocityRegister:
             for step in list(scripts)[:6]:
                 session.go(only=step)
 
-        return walk
+        return procedure
 
     @pytest.mark.untraced
     @pytest.mark.parametrize(("counts", "turns"), [(4096, ()), (2048, ("10",))])
@@ -132,16 +132,16 @@ class TestVelocityRegister:
         on_pci(turns=turns, settings=[f"simulation.counts_per_turn={counts}"])
         assert lab.draft.config.encoders.counts_per_turn == counts
         assert lab.draft.results["motors"]["counts_per_turn_by_velocity"] == pytest.approx(counts, rel=0.1)
-        assert not lab.person.heard("velocity register")
+        assert not lab.operator.heard("velocity register")
 
     @pytest.mark.untraced
     def test_it_contradicts_turns_that_were_miscounted(self, lab, on_pci):
         with pytest.raises(ProbeError, match="counts per turn are not certain: --redo wheels"):
             on_pci("no", turns=("5",), settings=["simulation.counts_per_turn=2048"])
         assert lab.draft.config.encoders.counts_per_turn == 4096
-        assert lab.person.heard("velocity register makes 20")
+        assert lab.operator.heard("velocity register makes 20")
         assert lab.outcomes()["motors"] == "failed"
-        assert lab.bench.device.duties == (0.0, 0.0)
+        assert lab.rig.device.duties == (0.0, 0.0)
 
     @pytest.mark.untraced
     def test_who_is_certain_of_the_turns_goes_on(self, lab, on_pci):

@@ -32,8 +32,8 @@ def test_the_profile_made_for_the_logic_is_suggested_else_the_candidate(kind, ve
 
 def test_the_header_is_written_into_the_draft(lab):
     lab.session("", "", settings=["board.logic_version=0x0777", 'board.application_names=["OLD"]'])
-    lab.walk.go(only="list")
-    lab.walk.go(only="header")
+    lab.procedure.go(only="list")
+    lab.procedure.go(only="header")
     config = load_config(profile=str(lab.file))
     assert config.board.logic_version == 0x0103
     assert config.board.application_names == ["ABSSIM"]
@@ -50,8 +50,8 @@ def test_the_header_is_written_into_the_draft(lab):
 @pytest.mark.parametrize(("answer", "base"), [("yes", "usb2_generic_0103"), ("no", "usb2_abs_candidate")])
 def test_a_better_profile_is_taken_if_the_person_wants_it(lab, answer, base):
     lab.session("", "", answer, profile="usb2_abs_candidate", settings=["simulation.road_encoder=2"])
-    lab.walk.go(only="list")
-    lab.walk.go(only="header")
+    lab.procedure.go(only="list")
+    lab.procedure.go(only="header")
     config = load_config(profile=str(lab.file))
     assert lab.draft.profile == base
     assert config.board.numbering_pwm == (7 if answer == "yes" else -1)
@@ -61,43 +61,43 @@ def test_a_better_profile_is_taken_if_the_person_wants_it(lab, answer, base):
 
 def test_a_quiet_visit_tells_of_it_and_keeps_the_profile(lab):
     lab.session(profile="usb2_abs_candidate", quiet=True).go()
-    assert lab.person.heard("matching shipped profile is usb2_generic_0103")
+    assert lab.operator.heard("matching shipped profile is usb2_generic_0103")
     assert lab.draft.profile == "usb2_abs_candidate"
 
 
 def test_a_board_that_does_not_answer_fails_the_step(lab):
-    walk = lab.session("", "")
-    lab.bench.change_answer = lambda answer: answer[:17]
+    procedure = lab.session("", "")
+    lab.rig.change_answer = lambda answer: answer[:17]
     with pytest.raises(LinkError):
-        walk.go()
+        procedure.go()
     assert lab.outcomes()["header"] == "failed"
 
 
 def test_a_reading_now_and_then_may_fail(lab, scripts):
-    walk = lab.session(*scripts["list"], *scripts["header"], *scripts["reads"])
+    procedure = lab.session(*scripts["list"], *scripts["header"], *scripts["reads"])
     count = iter(range(10_000))
-    lab.bench.change_answer = lambda answer: answer[:100] if next(count) % 150 == 149 else answer
+    lab.rig.change_answer = lambda answer: answer[:100] if next(count) % 150 == 149 else answer
     for name in ("list", "header", "reads"):
-        walk.go(only=name)
+        procedure.go(only=name)
     assert lab.draft.results["reads"]["failed"] in (6, 7)
 
 
 def test_too_many_failed_readings_fail_the_step(lab, scripts):
-    walk = lab.session(*scripts["list"], *scripts["header"], *scripts["reads"])
-    walk.go(only="list")
-    walk.go(only="header")
+    procedure = lab.session(*scripts["list"], *scripts["header"], *scripts["reads"])
+    procedure.go(only="list")
+    procedure.go(only="header")
     count = iter(range(10_000))
-    lab.bench.change_answer = lambda answer: answer[:100] if next(count) % 20 == 19 else answer
+    lab.rig.change_answer = lambda answer: answer[:100] if next(count) % 20 == 19 else answer
     with pytest.raises(ProbeError, match="readings failed"):
-        walk.go(only="reads")
+        procedure.go(only="reads")
 
 
 def test_a_slow_board_gets_a_rate_that_it_can_keep(lab, scripts):
-    walk = lab.session(*scripts["list"], *scripts["header"], *scripts["reads"])
-    walk.go(only="list")
-    walk.go(only="header")
-    lab.bench.before_write = lambda _number: lab.bench.pause(0.002)  # how long each answer takes
-    walk.go(only="reads")
+    procedure = lab.session(*scripts["list"], *scripts["header"], *scripts["reads"])
+    procedure.go(only="list")
+    procedure.go(only="header")
+    lab.rig.before_write = lambda _number: lab.rig.pause(0.002)  # how long each answer takes
+    procedure.go(only="reads")
     config = load_config(profile=str(lab.file))
     assert config.loop.rate_hz == 250.0
     assert config.estimator.window_s * config.loop.rate_hz >= 5.0
@@ -158,23 +158,23 @@ def test_boards_are_listed_as_the_kernel_knows_them(computer, address, found, wo
 
 
 def test_no_board_is_said_with_what_to_do(lab):
-    walk = lab.session("")
-    lab.bench.devices = lambda _config: []
+    procedure = lab.session("")
+    lab.rig.devices = lambda _config: []
     with pytest.raises(ProbeError, match="plug the board in"):
-        walk.go(only="list")
+        procedure.go(only="list")
 
 
 def test_a_logic_without_known_frames_does_not_get_into_the_draft(lab, monkeypatch):
     lab.session("", "").go(only="list")
-    opened = lab.bench.open
+    opened = lab.rig.open
 
     def open_known(config):
-        if lab.bench.written:
+        if lab.rig.written:
             raise ConfigError([])
         return opened(config)
 
     before = lab.file.read_text()
-    monkeypatch.setattr(lab.bench, "open", open_known)
+    monkeypatch.setattr(lab.rig, "open", open_known)
     with pytest.raises(ProbeError, match="logic 0x0103 cannot be driven by this version"):
-        lab.walk.go(only="header")
+        lab.procedure.go(only="header")
     assert lab.file.read_text() == before

@@ -1,4 +1,4 @@
-"""The whole walk: order, resuming, what it keeps."""
+"""The whole procedure: order, resuming, what it keeps."""
 
 import json
 from dataclasses import asdict
@@ -36,8 +36,8 @@ def test_a_vendors_rig_is_commissioned_from_end_to_end(lab, whole_script):
     assert config.board.verified_logic == 0x0103
     assert config.board.application_names == ["ABSSIM"]
     assert unconfirmed(config.board) == ["numbering_pwm (inferred)"]
-    assert lab.person.answers == []
-    assert lab.bench.device.duties == (0.0, 0.0)
+    assert lab.operator.answers == []
+    assert lab.rig.device.duties == (0.0, 0.0)
 
 
 @pytest.mark.untraced
@@ -58,14 +58,14 @@ def test_an_odd_rig_is_found_out(lab, scripts, odd):
 def test_a_signed_draft_opens_the_board_for_output(lab):
     lab.all_done()
     board: Board
-    with lab.bench.open(load_config(profile=str(lab.file))) as board:
+    with lab.rig.open(load_config(profile=str(lab.file))) as board:
         assert not board.identity.read_only_because
 
 
 @pytest.mark.untraced
 def test_the_unsigned_draft_opens_it_for_reading_only(lab):
     lab.done_until("sign")
-    with lab.bench.open(load_config(profile=str(lab.file))) as board:
+    with lab.rig.open(load_config(profile=str(lab.file))) as board:
         assert "nobody has verified" in board.identity.read_only_because
 
 
@@ -77,7 +77,7 @@ def test_an_interruption_at_any_step_keeps_the_draft_and_the_walk_goes_on_there(
     with pytest.raises(KeyboardInterrupt):
         lab.session(*scripts[step][:-1], KeyboardInterrupt()).go()
     assert before in ("", lab.file.read_text())
-    assert lab.bench.device.duties == (0.0, 0.0)
+    assert lab.rig.device.duties == (0.0, 0.0)
     rest = STEPS[STEPS.index(step) :]
     lab.session(*(answer for name in rest for answer in scripts[name])).go()
     assert set(lab.outcomes().values()) == {"done"}
@@ -98,13 +98,13 @@ def test_an_answer_that_is_not_just_enter_begins_no_step(lab, step):
     with pytest.raises(ProbeError, match="no valid answer"):
         lab.session("go", "yes", "ok").go()
     assert lab.outcomes()[step] == "failed"
-    assert lab.bench.written == []
+    assert lab.rig.written == []
 
 
 def test_a_quiet_visit_asks_nothing_and_ends_before_the_hands_are_needed(lab):
     lab.session(quiet=True).go()
     assert lab.outcomes() == dict.fromkeys(STEPS[:3], "done") | dict.fromkeys(STEPS[3:], "open")
-    assert lab.person.asked == []
+    assert lab.operator.asked == []
 
 
 def test_a_step_whose_turn_has_not_come_is_refused(lab):
@@ -148,7 +148,7 @@ def test_the_guards_limits_are_shown_and_signed_with_the_wiring(lab, scripts):
     limits = load_config(profile=str(lab.file)).guard
     for key, value in asdict(limits).items():
         assert f"{key} = {value}" in lab.file.read_text()
-    assert any(f"signed off with it: guard brake_limit {limits.brake_limit:g}" in text for text in lab.person.told)
+    assert any(f"signed off with it: guard brake_limit {limits.brake_limit:g}" in text for text in lab.operator.said)
 
 
 @pytest.mark.parametrize(("change", "by"), [(1, ""), (-1, "the lab")])
@@ -179,7 +179,7 @@ def test_a_step_that_failed_says_what_to_do(lab):
 
 
 class StoppedClock:
-    """Real time, as far as the bench knows."""
+    """Real time, as far as the rig knows."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -201,25 +201,25 @@ class TestTimeOfTheMock:
         return clock
 
     def test_virtual_time_waits_for_nothing(self, clock):
-        bench = MockRigAccess(load_config())
-        bench.pause(5.0)
-        assert (bench.now_ns(), clock.slept_s) == (5_000_000_000, [])
+        rig = MockRigAccess(load_config())
+        rig.pause(5.0)
+        assert (rig.now_ns(), clock.slept_s) == (5_000_000_000, [])
 
     def test_otherwise_it_is_never_ahead_of_real_time(self, clock):
-        bench = PacedMockRigAccess(load_config(), by_hand)
-        bench.pause(0.5)
+        rig = PacedMockRigAccess(load_config(), by_hand)
+        rig.pause(0.5)
         clock.now_s += 0.2  # something else took a while
-        bench.pause(0.5)
-        bench.pause(0.5)
+        rig.pause(0.5)
+        rig.pause(0.5)
         assert clock.slept_s[-2:] == pytest.approx([0.3, 0.5])
-        assert bench.now_ns() == 1_500_000_000
+        assert rig.now_ns() == 1_500_000_000
 
     def test_a_long_question_is_not_made_up_for(self, clock):
-        bench = PacedMockRigAccess(load_config(), by_hand)
-        bench.pause(0.5)
+        rig = PacedMockRigAccess(load_config(), by_hand)
+        rig.pause(0.5)
         clock.now_s += 60.0
-        bench.pause(0.5)
-        bench.pause(0.5)
+        rig.pause(0.5)
+        rig.pause(0.5)
         assert clock.slept_s[-1] == pytest.approx(0.5)
 
 
@@ -241,5 +241,5 @@ class TestSigning:
     def test_what_is_not_confirmed_is_shown_before(self, lab, scripts):
         lab.done_until("sign")
         lab.session(*scripts["sign"]).go()
-        told = next(text for text in lab.person.told if "not confirmed" in text)
+        told = next(text for text in lab.operator.said if "not confirmed" in text)
         assert "numbering_pwm (inferred): eight channels" in told
