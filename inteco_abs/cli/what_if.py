@@ -115,14 +115,14 @@ def what_if(
             raise ConfigError([ConfigIssue("--figure", problem)])
     session = read_whole(file, read_session)
     controllers = known_controllers(options.controller)
-    courses = [
+    alternatives = [
         WhatIfTrace(name, *_ask(session, given, controllers, at_s, (duty, torque), closed_loop)) for name, given in grid
     ]
     own = _own_error(session, controllers, at_s) if closed_loop else None
     if figure is not None:
-        draw_what_if(session, courses, figure)
+        draw_what_if(session, alternatives, figure)
         say(f"figure: {figure}", err=True)
-    report = _report(session, courses, own)
+    report = _report(session, alternatives, own)
     if as_json:
         print_json(report)
     else:
@@ -187,7 +187,7 @@ def _own_error(session: Session, controllers: Controllers, at_s: float | None) -
     return distance(session, _continued(session, own, controllers, at_s))
 
 
-def _report(session: Session, courses: Sequence[WhatIfTrace], own: dict[str, Any] | None) -> dict[str, Any]:
+def _report(session: Session, alternatives: Sequence[WhatIfTrace], own: dict[str, Any] | None) -> dict[str, Any]:
     from dataclasses import asdict
 
     from inteco_abs.sessions import result_card, session_config
@@ -198,17 +198,17 @@ def _report(session: Session, courses: Sequence[WhatIfTrace], own: dict[str, Any
         "incomplete": session.incomplete,
         "alternatives": [
             {
-                "name": course.name,
-                "horizon_s": course.open_loop.horizon_s,
-                "open_loop": [asdict(each) for each in course.open_loop.divergences],
-                "closed_loop": _of_closed_loop(session, course.closed_loop),
+                "name": each.name,
+                "horizon_s": each.open_loop.horizon_s,
+                "open_loop": [asdict(one) for one in each.open_loop.divergences],
+                "closed_loop": _of_closed_loop(session, each.closed_loop),
             }
-            for course in courses
+            for each in alternatives
         ],
     }
-    if courses[0].closed_loop is not None:
+    if alternatives[0].closed_loop is not None:
         card = result_card(session_config(session, ()), session.ticks, session.truth)
-        first = courses[0].closed_loop
+        first = alternatives[0].closed_loop
         report["simulation"] = {
             "rig": first.rig,
             "from_tick": int(session.ticks["tick"][first.row]),

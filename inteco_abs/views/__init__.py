@@ -1,5 +1,5 @@
-"""What a person sees: result card and figures."""
+"""Result card, live dashboard, figures and reports."""
 
-from inteco_abs.views.card import render_card
+from inteco_abs.views.result_panel import render_card
 
 __all__ = ["render_card"]

@@ -17,14 +17,14 @@ from inteco_abs.signals import Phase
 PALETTE: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Okabe and Ito without black and yellow: distinct for every kind of colour vision, on white and on black."""
 MOST: Final = len(PALETTE)
-"""Sessions that colours can distinguish."""
+"""Most sessions in one figure or page: one a colour."""
 _MOST_SETTINGS: Final = 3
-_TOLD_ALREADY: Final = ("controller.", "estimator.", "profile")
+_COMPARED_BEFORE: Final = ("controller.", "estimator.", "profile")
 
 Array = npt.NDArray[Any]
 
 
-class Stretch(NamedTuple):
+class PhaseSpan(NamedTuple):
     """Rows `first` to before `end`, all in one phase."""
 
     phase: Phase
@@ -33,7 +33,7 @@ class Stretch(NamedTuple):
 
 
 def require_distinct(sessions: Sequence[Session]) -> None:
-    """Raise ConfigError if there are too many, or one of them twice."""
+    """Raise ConfigError for too many sessions, or one named twice."""
     paths = [session.path.resolve() for session in sessions]
     twice = [str(session.path) for session, path in zip(sessions, paths, strict=True) if paths.count(path) > 1]
     mistakes = [ConfigIssue("FILE", f"{name}: is named more than once") for name in twice[:1]]
@@ -46,7 +46,7 @@ def require_distinct(sessions: Sequence[Session]) -> None:
 
 
 def start_ns(session: Session) -> int:
-    """When braking began, or, where it never did, when the session began; on the ticks' clock. It has ticks."""
+    """Start of braking, or of a session that never brakes, ns by the ticks' clock. The session has ticks."""
     rows = np.flatnonzero(session.ticks["phase"] == Phase.BRAKING)
     return int(session.ticks["time_ns"][rows[0] if len(rows) else 0])
 
@@ -57,28 +57,28 @@ def since_s(rows: Array, start: int) -> Array:
     return seconds
 
 
-def stretches(ticks: Array) -> list[Stretch]:
-    """The phases in the order in which they came."""
+def phase_spans(ticks: Array) -> list[PhaseSpan]:
+    """Phases in order."""
     phases = ticks["phase"]
     edges = [0, *(np.flatnonzero(np.diff(phases)) + 1).tolist(), len(phases)]
-    return [Stretch(Phase(phases[first]), first, end) for first, end in pairwise(edges) if end]
+    return [PhaseSpan(Phase(phases[first]), first, end) for first, end in pairwise(edges) if end]
 
 
 def held_rows(ticks: Array) -> Array:
-    """Rows in which the brake was in charge: while the wheels stopped and until the brake was let go."""
+    """Rows in the phases braking and stopped, while the brake is held."""
     return np.flatnonzero((ticks["phase"] == Phase.BRAKING) | (ticks["phase"] == Phase.STOPPED))
 
 
 def labels(sessions: Sequence[Session]) -> list[str]:
-    """What differs between the sessions, in words for a legend; of one session, what it was run with."""
+    """Labels for a legend: what differs between sessions; for one session, controller and estimator."""
     if len(sessions) == 1:
-        told = sessions[0].metadata.get("controller", {})
-        return [f"{told.get('name', 'unknown controller')} on {told.get('estimator', 'unknown estimator')}"]
+        law = sessions[0].metadata.get("controller", {})
+        return [f"{law.get('name', 'unknown controller')} on {law.get('estimator', 'unknown estimator')}"]
     words: list[list[str]] = [[] for _ in sessions]
-    for tell in (_makers, _gains, _rigs, _settings):
+    for differences in (_controllers, _gains, _rigs, _settings):
         if len({tuple(each) for each in words}) == len(sessions):
             break
-        for each, more in zip(words, tell(sessions), strict=True):
+        for each, more in zip(words, differences(sessions), strict=True):
             each.extend(more)
     found = [", ".join(each) for each in words]
     if len(set(found)) == len(found) and all(found):
@@ -89,16 +89,14 @@ def labels(sessions: Sequence[Session]) -> list[str]:
     return [f"{name}: {text}" if text else name for name, text in zip(names, found, strict=True)]
 
 
-def _makers(sessions: Sequence[Session]) -> list[list[str]]:
-    return _differing([_told(session, ("name", "estimator", "reference_slip")) for session in sessions], _fact)
-
-
-def _fact(key: str, value: str) -> str:
-    return f"reference {value}" if key == "reference_slip" else value
+def _controllers(sessions: Sequence[Session]) -> list[list[str]]:
+    laws = [session.metadata.get("controller", {}) for session in sessions]
+    facts = [{key: law.get(key, "") for key in ("name", "estimator", "reference_slip")} for law in laws]
+    return _differing(facts, lambda key, value: f"reference {value}" if key == "reference_slip" else value)
 
 
 def _gains(sessions: Sequence[Session]) -> list[list[str]]:
-    """Gains in which sessions of the same controller differ."""
+    """Gains that differ between sessions of the same controller."""
     found: list[list[str]] = []
     gains = [gains_of(session) for session in sessions]
     names = [session.metadata.get("controller", {}).get("name", "") for session in sessions]
@@ -109,7 +107,7 @@ def _gains(sessions: Sequence[Session]) -> list[list[str]]:
 
 
 def gains_of(session: Session) -> dict[str, str]:
-    """Gains in force, as decimals."""
+    """Gains of a session's run by name, as decimal text."""
     return {
         key.removeprefix("gain."): value
         for key, value in session.metadata.get("controller", {}).items()
@@ -118,33 +116,28 @@ def gains_of(session: Session) -> dict[str, str]:
 
 
 def _rigs(sessions: Sequence[Session]) -> list[list[str]]:
-    told = []
+    facts = []
     for session in sessions:
         rig, software = session.metadata.get("rig", {}), session.metadata.get("software", {})
         kind = {"true": "simulated", "false": "real rig"}.get(rig.get("simulated", ""), "")
         time = {"true": "virtual time", "false": "real time"}.get(rig.get("virtual_time", ""), "")
         drawn = rig.get("drawn", "published rig" if kind == "simulated" else "")
-        told.append({"kind": kind, "time": time, "drawn": drawn, "seed": software.get("seed", "")})
-    return _differing(told, lambda key, value: f"{key} {value}" if key == "seed" else value)
+        facts.append({"kind": kind, "time": time, "drawn": drawn, "seed": software.get("seed", "")})
+    return _differing(facts, lambda key, value: f"{key} {value}" if key == "seed" else value)
 
 
 def _settings(sessions: Sequence[Session]) -> list[list[str]]:
-    told = [
-        {key: str(value) for key, value in settings_of(session).items() if not key.startswith(_TOLD_ALREADY)}
+    facts = [
+        {key: str(value) for key, value in settings_of(session).items() if not key.startswith(_COMPARED_BEFORE)}
         for session in sessions
     ]
-    return [each[:_MOST_SETTINGS] for each in _differing(told, lambda key, value: f"{key} {_short(value)}")]
+    return [each[:_MOST_SETTINGS] for each in _differing(facts, lambda key, value: f"{key} {_short(value)}")]
 
 
-def _told(session: Session, keys: Sequence[str]) -> dict[str, str]:
-    facts = session.metadata.get("controller", {})
-    return {key: facts.get(key, "") for key in keys}
-
-
-def _differing(told: Sequence[dict[str, str]], words: Callable[[str, str], str]) -> list[list[str]]:
-    keys = dict.fromkeys(key for each in told for key in each)
-    apart = [key for key in keys if len({each.get(key) for each in told}) > 1]
-    return [[words(key, each[key]) for key in apart if each.get(key)] for each in told]
+def _differing(facts: Sequence[dict[str, str]], text: Callable[[str, str], str]) -> list[list[str]]:
+    keys = dict.fromkeys(key for each in facts for key in each)
+    differing = [key for key in keys if len({each.get(key) for each in facts}) > 1]
+    return [[text(key, each[key]) for key in differing if each.get(key)] for each in facts]
 
 
 def _short(value: str) -> str:

@@ -1,7 +1,7 @@
-"""A run while it happens, on a terminal: drawn by the process that the user started, from copies of its ticks.
+"""Live dashboard of a run on a terminal, drawn by the command's process from copies of its ticks.
 
-Drawn in place and not on the terminal's second screen: the traces stay when the run is over, and so does what a
-controller prints meanwhile.
+It is drawn in place, not on the terminal's alternate screen, so that the traces and a controller's prints stay when the
+run is over.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from inteco_abs.views.text_lines import Line, TextLines, apart, length, padded
 from inteco_abs.views.trace import RunTrace
 
 LEAST: Final = (80, 24)
-"""Columns and rows of the smallest terminal that the whole picture is made for."""
+"""Columns and rows of the smallest terminal for the whole dashboard."""
 CTRL_C: Final = "Ctrl-C stops safely"
 KEYS: Final = "q, space or Ctrl-C stops safely"
-_BESIDE: Final = 110
+_SIDE_BY_SIDE: Final = 110
 """Columns from which on the two plots stand side by side."""
 _MOST_ROWS: Final = 19
 _ROOMY: Final = 30
@@ -43,7 +43,7 @@ _ROAD, _WHEEL, _SLIP, _GOOD, _BAD = "cyan", "magenta", "green", "green", "bold r
 
 
 class _Signs(NamedTuple):
-    """Letters of a picture."""
+    """Characters that the dashboard is drawn with."""
 
     passed: str
     here: str
@@ -60,7 +60,7 @@ _ASCII: Final = _Signs("x", ">", ".", "#", ".", "-", "", "")
 
 
 class Dashboard:
-    """Shows a run on a terminal in place; in one line on a small one, or if asked to. A context manager."""
+    """Shows a run on a terminal in place; in one line on a small terminal or with `line`. A context manager."""
 
     def __init__(
         self, console: Console, config: RigConfig, *, virtual: bool = False, line: bool = False, plain: bool = False
@@ -70,12 +70,12 @@ class Dashboard:
         self._config = config
         self._virtual = virtual
         self._only_line = line
-        self._course = RunTrace(config.experiment.start_speed_rad_s)
+        self._trace = RunTrace(config.experiment.start_speed_rad_s)
         self._passed: dict[Check, str] = {}
         self._snapshot: Snapshot | None = None
         self._hint = CTRL_C
         self._size = console.size
-        # no thread refreshes it: what draws is what was asked to, when it was asked
+        # without a refresh thread: it draws only when it is called
         self._live = Live(console=console, auto_refresh=False)
 
     def __enter__(self) -> Self:
@@ -86,49 +86,49 @@ class Dashboard:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # traces stay as they are; what has none has nothing to say that the result does not
+        # a dashboard without traces shows nothing that the result card does not
         self._hint = ""
-        self._live.transient = self.in_line or not self._course.braked()
+        self._live.transient = self.in_line or not self._trace.braked()
         if not self._live.transient:
             self._draw()
         self._live.stop()
 
     @contextmanager
     def listening(self, stop: Callable[[], None]) -> Iterator[None]:
-        """While inside, q and space call `stop`, if the program has the keyboard."""
+        """Let q and space call `stop`, if the program has the keyboard."""
         with stop_keys(stop, _stdin()) as can:
             self._hint = KEYS if can else CTRL_C
             yield
 
     @property
     def in_line(self) -> bool:
-        """Whether there is room, or a request, for no more than a line."""
+        """Whether only one line is drawn."""
         width, height = self._console.size
         return self._only_line or width < LEAST[0] or height < LEAST[1]
 
-    def passed(self, check: Check, told: str = "") -> None:
-        """Tick off what the start waited for."""
-        self._passed[check] = told if told.isprintable() else ascii(told)[1:-1]
+    def passed(self, check: Check, text: str = "") -> None:
+        """Tick off a check of the start."""
+        self._passed[check] = text if text.isprintable() else ascii(text)[1:-1]
         self._draw()
 
     def show(self, snapshot: Snapshot) -> None:
         """Draw the newest state."""
-        self._course.add(snapshot.recent)
+        self._trace.add(snapshot.recent)
         self._snapshot = snapshot
         if snapshot.phase in _AT_REST:
             self._passed.setdefault(Check.REST, "")
         self._draw()
 
     def note(self, text: str) -> None:
-        """Print what is good to know, above the live part."""
+        """Print a note above the live part."""
         self._console.print(Text(text, style="yellow"))
 
     def warn(self, text: str) -> None:
-        """Print what cannot wait, above the live part."""
+        """Print a warning above the live part."""
         self._console.print(Text(text, style=_BAD))
 
     def _draw(self) -> None:
-        if self._console.size != self._size:  # what was drawn has been wrapped by the terminal: begin on an empty one
+        if self._console.size != self._size:  # the terminal has wrapped the old lines: begin on an empty one
             self._size = self._console.size
             self._console.clear()
         self._live.update(self._line() if self.in_line else TextLines(self.lines()), refresh=True)
@@ -146,12 +146,12 @@ class Dashboard:
         return [check for check in Check if not (self._virtual and check is Check.GUARDIAN)]
 
     def lines(self) -> list[Line]:
-        """The whole picture, one row less than the terminal has at most."""
+        """All lines, at most one fewer than the terminal's rows."""
         width, height = self._console.size
         signs = _ASCII if self._plain else _UNICODE
         spare: list[Line] = [[]] if height >= _ROOMY else []
         room = height - 1 - 5 - len(spare)  # the lines around it
-        body = self._plots(width, room) if self._course.braked() else self._start(width, signs)
+        body = self._plots(width, room) if self._trace.braked() else self._start(width, signs)
         return [
             self._title(width, signs),
             self._phases(signs),
@@ -169,38 +169,38 @@ class Dashboard:
             (f" {config.controller.name} on {config.estimator.name} ", "bold"),
         ]
         if config.experiment.stops > 1:
-            name.append((f"stop {max(self._course.stop, 1)} of {config.experiment.stops} ", ""))
-        told = f" {shot.time_s:.1f} s, {shot.ticks} ticks " if shot else " starting "
+            name.append((f"stop {max(self._trace.stop, 1)} of {config.experiment.stops} ", ""))
+        state = f" {shot.time_s:.1f} s, {shot.ticks} ticks " if shot else " starting "
         kind = "virtual time " if self._virtual else ""
-        right: Line = [(f"{told}{kind}", ""), (signs.rule * 2, "dim")]
+        right: Line = [(f"{state}{kind}", ""), (signs.rule * 2, "dim")]
         return [*name, (signs.rule * max(1, width - length(name) - length(right)), "dim"), *right]
 
     def _phases(self, signs: _Signs) -> Line:
-        """Every step, with the time that it took; the present one stands out by a sign and by capitals."""
+        """Every phase with its duration; the present one stands out by a sign and by capitals."""
         present = self._snapshot.phase if self._snapshot else Phase.UNKNOWN
         line: Line = []
         for phase in _STEPS:
-            seconds = self._course.seconds_in(phase)
+            seconds = self._trace.seconds_in(phase)
             lasted = f" {_TIMED[phase].format(seconds)}" if seconds is not None and phase in _TIMED else ""
             name = f"{named(phase)}{lasted}"
             if phase is present:
                 line += [(" ", ""), (f" {signs.here} {named(phase).upper()}{lasted} ", "bold reverse")]
             elif seconds is not None:
                 line.append((f"  {signs.passed} {name}", ""))
-            elif present is not Phase.FAULT:  # which nothing follows
+            elif present is not Phase.FAULT:  # no phase follows a fault
                 line.append((f"  {name}", "dim"))
         if present is Phase.FAULT:
             line += [(" ", ""), (f" {signs.here} FAULT: outputs off ", "bold red reverse")]
         return line
 
     def _start(self, width: int, signs: _Signs) -> list[Line]:
-        """The checks, and how far the wheels are."""
+        """Checks of the start, and the speed of the wheels."""
         lines: list[Line] = []
         awaited = self._awaited()
         for check in self._checks():
-            told = self._passed.get(check)
-            if told is not None:
-                lines.append([(f"   {signs.passed} ", _GOOD), (f"{check.value:<28}", ""), (told, "dim")])
+            text = self._passed.get(check)
+            if text is not None:
+                lines.append([(f"   {signs.passed} ", _GOOD), (f"{check.value:<28}", ""), (text, "dim")])
             elif check is awaited:
                 lines.append([(f"   {signs.here} {check.value:<28}", "bold"), ("waiting", "dim")])
             else:
@@ -208,33 +208,33 @@ class Dashboard:
         return [*lines, [], *self._spin_up(width, signs), []]
 
     def _spin_up(self, width: int, signs: _Signs) -> list[Line]:
-        seconds, plan = self._course.seconds_in(Phase.SPIN_UP), self._config.experiment
+        seconds, plan = self._trace.seconds_in(Phase.SPIN_UP), self._config.experiment
         if seconds is None or self._snapshot is None:
             return []
         speed = self._snapshot.road_speed_rad_s
-        told = f" {speed:6.1f} of {plan.start_speed_rad_s:g} rad/s"
-        meter = bar(speed / plan.start_speed_rad_s, max(10, width - 3 - 3 - len(told)), signs)
+        reached = f" {speed:6.1f} of {plan.start_speed_rad_s:g} rad/s"
+        meter = bar(speed / plan.start_speed_rad_s, max(10, width - 3 - 3 - len(reached)), signs)
         return [
             [
                 ("   spin-up to the start speed", "bold"),
                 (f"   {seconds:.1f} s of at most {plan.spin_up_timeout_s:g} s", "dim"),
             ],
-            [("   ", ""), *meter, (told, "bold")],
+            [("   ", ""), *meter, (reached, "bold")],
         ]
 
     def _plots(self, width: int, room: int) -> list[Line]:
         """Speeds and slip since braking began, side by side if there is room."""
-        beside = width >= _BESIDE
-        rows = min(_MOST_ROWS, room - 3 if beside else (room - 4) // 2)
-        rows -= 1 - rows % 2  # so that there is a middle one
-        each = (width - 2) // 2 if beside else width - 1
+        side_by_side = width >= _SIDE_BY_SIDE
+        rows = min(_MOST_ROWS, room - 3 if side_by_side else (room - 4) // 2)
+        rows -= 1 - rows % 2  # odd, so that there is a middle row
+        each = (width - 2) // 2 if side_by_side else width - 1
         speeds, slip = self._speeds(each, rows), self._slip(each, rows)
-        if not beside:
+        if not side_by_side:
             return [*speeds, *slip]
         return [[*padded(left, each), ("  ", ""), *right] for left, right in zip(speeds, slip, strict=True)] + [[]]
 
     def _speeds(self, width: int, rows: int) -> list[Line]:
-        times, road, wheel, _ = self._course.columns()
+        times, road, wheel, _ = self._trace.columns()
         shot = self._shown
         head = [
             (" speed [rad/s]  ", "bold"),
@@ -242,12 +242,12 @@ class Dashboard:
             *self._legend("wheel", f"{shot.wheel_speed_rad_s:6.1f}", _WHEEL, "o", dashed=True),
         ]
         curves = [Curve(times, road, _ROAD, "*"), Curve(times, wheel, _WHEEL, "o", dashed=True)]
-        axes = Axes(self._course.span_s(), speed_top(self._config.experiment.start_speed_rad_s))
+        axes = Axes(self._trace.span_s(), speed_top(self._config.experiment.start_speed_rad_s))
         return [head, *plot(curves, axes, width, rows, plain=self._plain)]
 
     def _slip(self, width: int, rows: int) -> list[Line]:
-        times, _, _, slip = self._course.columns()
-        axes, reference = Axes(self._course.span_s(), 1.0), self._config.controller.reference_slip
+        times, _, _, slip = self._trace.columns()
+        axes, reference = Axes(self._trace.span_s(), 1.0), self._config.controller.reference_slip
         always = np.array([0.0, axes.span_s])
         head = [
             (" slip           ", "bold"),
@@ -277,8 +277,8 @@ class Dashboard:
             ("brake", shot.brake if shot else 0.0, guard.brake_limit),
         ):
             at_limit = duty >= limit and limit < 1.0
-            told = f" {duty:4.2f} " + ("limit" if at_limit else f"of {limit:g}" if limit < 1.0 else "")
-            line += [(f" {name} ", "dim"), *bar(duty, size, signs), (f"{told:<13}", "bold" if at_limit else "")]
+            text = f" {duty:4.2f} " + ("limit" if at_limit else f"of {limit:g}" if limit < 1.0 else "")
+            line += [(f" {name} ", "dim"), *bar(duty, size, signs), (f"{text:<13}", "bold" if at_limit else "")]
         return line
 
     def _timing(self) -> Line:
@@ -305,12 +305,12 @@ def in_one_line(snapshot: Snapshot, hint: str) -> Text:
 
 
 def one_line(line: Line) -> Text:
-    """A line that ends in three dots where the terminal does."""
+    """A line, cut at the terminal's width with three dots."""
     return Text.assemble(*line, no_wrap=True, overflow="ellipsis")
 
 
 def timing(snapshot: Snapshot | None, period_us: float) -> Line:
-    """Lateness so far and periods missed: red, and louder, where a tick was a period late, or left out."""
+    """Lateness so far and periods missed; red and with ! if a tick was a period late or left out."""
     if snapshot is None:
         return [("late -", "dim")]
     p50, p99, p999, greatest = (f"{value:.0f}" if value is not None else "-" for value in snapshot.late_us)
@@ -325,23 +325,23 @@ def timing(snapshot: Snapshot | None, period_us: float) -> Line:
 
 
 def bar(share: float, size: int, signs: _Signs) -> Line:
-    """A share in 0..1 as so many cells."""
+    """A share in 0..1 as a bar of `size` cells."""
     full = round(min(max(share, 0.0), 1.0) * size) if math.isfinite(share) else 0
     return [(signs.full * full, "bold"), (signs.empty * (size - full), "dim")]
 
 
 def speed_top(start_speed_rad_s: float) -> float:
-    """Upper end of the axis of speeds: the start speed and a little, in whole steps of 20 rad/s."""
+    """Upper end of the speed axis, rad/s: 5 % above the start speed, in steps of 20 rad/s."""
     return 20.0 * math.ceil(1.05 * start_speed_rad_s / 20.0)
 
 
 def named(phase: Phase) -> str:
-    """A phase as people read it."""
+    """A phase in lower case, as `spin-up`."""
     return phase.name.lower().replace("_", "-")
 
 
 def _stdin() -> int:
-    """The keyboard's file descriptor; -1 if there is none."""
+    """File descriptor of standard input; -1 if it has none."""
     try:
         return sys.stdin.fileno()
     except (OSError, ValueError, AttributeError):  # closed, or a notebook's

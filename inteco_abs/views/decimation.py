@@ -1,4 +1,4 @@
-"""Fewer points for the eye, with every extreme kept: a peak of one tick is still there."""
+"""Decimation that keeps every extreme: a peak of one tick stays visible."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ import numpy.typing as npt
 Array = npt.NDArray[Any]
 _POINTS_A_BIN: Final = 2
 _LARGEST: Final = 1e30
-"""What a controller may ask for has no limit, float32 has."""
+"""A controller's demand has no limit, float32 has."""
 
 
 class Decimated(NamedTuple):
-    """What is left of some columns."""
+    """Decimated columns."""
 
     time_s: Array
     columns: dict[str, Array]
     """float32, one value per time."""
     inside: int
-    """Rows that became two points in the stretches that matter; 1 where every row is a point."""
+    """Rows for each two points in the runs that matter; 1 if every row is a point."""
     outside: int
     """The same elsewhere."""
 
 
 def decimate(columns: Mapping[str, Array], time_s: Array, matters: Array, most: int) -> Decimated:
-    """About `most` points of the columns, up to three quarters of them for the rows that `matters` is true for.
+    """Decimate to about `most` points, up to three quarters of them in rows where `matters` is true.
 
-    Of each so many neighbouring rows there are two points, the smallest and the largest value in the order in which
-    they came, at the times of the first and of the last of these rows. NaN is left out where a number is beside it.
+    Each bin of neighbouring rows becomes two points: smallest and largest value in their order, at the times of its
+    first and last row. NaN is left out where the bin has a number.
     """
     inside = _bin(int(matters.sum()), 3 * most // 4)
     spent = int(matters.sum()) * (_POINTS_A_BIN if inside > 1 else 1) // inside
@@ -46,18 +46,17 @@ def decimate(columns: Mapping[str, Array], time_s: Array, matters: Array, most: 
     empty = np.zeros(0)
     return Decimated(
         np.concatenate([empty, *times]),
-        {name: _as_float32(np.concatenate([empty, *parts])) for name, parts in values.items()},
+        {
+            name: np.clip(np.concatenate([empty, *parts]), -_LARGEST, _LARGEST).astype(np.float32)
+            for name, parts in values.items()
+        },
         inside,
         outside,
     )
 
 
-def _as_float32(values: Array) -> Array:
-    return np.clip(values, -_LARGEST, _LARGEST).astype(np.float32)
-
-
 def _bin(rows: int, points: int) -> int:
-    """Rows to make two points of, so that there are at most so many."""
+    """Size of a bin that gives at most so many points."""
     return 1 if rows <= points else -(-_POINTS_A_BIN * rows // max(points, _POINTS_A_BIN))
 
 

@@ -1,4 +1,4 @@
-"""Stops as a figure for a paper: speeds, slip and brake torque, as in the paper's three panels."""
+"""Stops as a figure for a paper, in the paper's three panels: speeds, slip and brake torque."""
 
 from __future__ import annotations
 
@@ -28,13 +28,15 @@ COLOURS: Final = PALETTE[:3]
 _WHEEL, _ROAD, _OTHER = COLOURS
 FORMATS: Final = ("png", "svg", "pdf")
 _DASHES: Final = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.5, 1, 1.5)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
-"""One for each colour of the palette, so that a print in grey can be read, too."""
+"""One for each colour of the palette, for prints in grey."""
 _BEFORE_S: Final = 0.2
 _MM_PER_INCH: Final = 25.4
 _TRUETYPE: Final = 42
-"""Kind of the fonts in a PDF that journals accept."""
+"""Font type in a PDF that journals accept."""
 _DPI: Final = 300
 _PRINTED_POINTS: Final = 1200
+_DRAWN_POINTS: Final = 100_000
+"""Of each line in a file: many stops in one session would otherwise take gigabytes."""
 _DRAWN: Final[Sequence[str]] = (
     "wheel_speed_rad_s",
     "road_speed_rad_s",
@@ -45,22 +47,22 @@ _DRAWN: Final[Sequence[str]] = (
     "brake_torque_nm",
 )
 _AT_REST_RAD_S: Final = 1.0
-"""Road speed below which slip says nothing: a difference of counts over next to none."""
+"""Road speed below which slip is not drawn: both speeds are a few counts."""
 _ROLLING_RAD_S: Final = 10.0
-"""As the result card's share of time with a locked wheel has it, and the slip from which a wheel counts as locked."""
+"""Road speed and slip for a locked wheel, as in the result card's `lock_fraction`."""
 _LOCKED: Final = 0.9
 _WHOLE_SLIP: Final = 1.02
 _SLIP_AIR: Final = 1.2
 _SLIP_STEP: Final = 0.05
 _SALT: Final = "inteco-abs"
-"""Of the names inside an SVG, which are random otherwise."""
+"""Fixes names inside an SVG, which are otherwise random."""
 
 
 Array = npt.NDArray[Any]
 
 
 class Width(NamedTuple):
-    """Size of a figure, and what fits into it."""
+    """Size of a figure, its font, and letters in a line of its labels."""
 
     width_mm: float
     height_mm: float
@@ -69,11 +71,11 @@ class Width(NamedTuple):
 
 
 WIDTHS: Final = {"one": Width(88.0, 135.0, 7.0, 56), "two": Width(180.0, 165.0, 8.0, 115)}
-"""Columns of a journal's page that a figure takes."""
+"""By number of columns on a journal's page."""
 
 
 class _Part(NamedTuple):
-    """What there is to draw of a session, and the time that its axis counts from."""
+    """A session to draw, and the start and end of its time axis."""
 
     ticks: Array
     truth: Array
@@ -83,9 +85,9 @@ class _Part(NamedTuple):
 
 
 def check_figure(path: Path, option: str = "--figure") -> None:
-    """Refuse a path, named with `option`, where no figure can be drawn anew.
+    """Check that a new figure can be written to `path`, given with `option`.
 
-    Raises ConfigError, SessionError where the folder cannot be written to, or AbsError without matplotlib.
+    Raises ConfigError, SessionError if the folder cannot be written to, or AbsError without matplotlib.
     """
     if path.suffix.removeprefix(".") not in FORMATS:
         raise ConfigError([ConfigIssue(option, f"{path}: must end in .{', .'.join(FORMATS)}")])
@@ -94,24 +96,23 @@ def check_figure(path: Path, option: str = "--figure") -> None:
 
 
 def require_matplotlib() -> None:
-    """Raise AbsError if there is none."""
+    """Raise AbsError without matplotlib."""
     if importlib.util.find_spec("matplotlib") is None:
         raise AbsError("figures need matplotlib: pip install 'inteco-abs[figures]'")
 
 
 def draw_stops(sessions: Sequence[Session], path: Path, width: str = "two") -> None:
-    """Draw the braking part of `sessions` to `path` (.png, .svg or .pdf), `width` being one of `WIDTHS`.
+    """Draw the braking part of `sessions` to `path` (.png, .svg or .pdf); `width` is one of `WIDTHS`.
 
-    Of one session there is everything that the panels are about, of several only what can be told apart; a legend
-    then names what differs. The same sessions give the same file. Raises ConfigError if there are too many of them,
-    AbsError if one never braked, or without matplotlib.
+    One session is drawn with all curves of each panel; of several, a legend names what differs. The same sessions give
+    the same file. Raises ConfigError for too many sessions, AbsError if one never braked, or without matplotlib.
     """
     check_figure(path)
     save_figure(figure_of(sessions, width), path, _DPI)
 
 
 def figure_of(sessions: Sequence[Session], width: str = "two") -> Figure:
-    """The same as matplotlib's object, to be changed or shown. Raises as `draw_stops`."""
+    """The figure of `draw_stops` as a matplotlib object. Raises the same errors."""
     require_matplotlib()
     if width not in WIDTHS:
         raise ConfigError([ConfigIssue("width", f"{width!r}: must be one of {', '.join(WIDTHS)}")])
@@ -121,7 +122,7 @@ def figure_of(sessions: Sequence[Session], width: str = "two") -> Figure:
 
 
 def svg_of(sessions: Sequence[Session]) -> bytes:
-    """The same figure as SVG, two columns wide and with no more points than a print can show. Raises AbsError."""
+    """The same figure as SVG, two columns wide, decimated for print. Raises AbsError."""
     with _style(WIDTHS["two"]):
         data = BytesIO()
         _drawn(sessions, WIDTHS["two"], _PRINTED_POINTS).savefig(data, format="svg", metadata={"Date": None})
@@ -129,7 +130,7 @@ def svg_of(sessions: Sequence[Session]) -> bytes:
 
 
 def save_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
-    """Write `figure` in the format of its name, undated and always alike; raises AbsError if that fails."""
+    """Write `figure` in the format of its suffix, without date and reproducibly. Raises AbsError."""
     from matplotlib import rc_context  # noqa: PLC0415  heavy, and an extra
 
     undated: dict[str, dict[str, Any]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
@@ -144,27 +145,24 @@ def save_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
 
 @contextmanager
 def _style(width: Width) -> Iterator[None]:
-    """Letters and lines of the right size."""
     from matplotlib import rc_context  # noqa: PLC0415  heavy, and an extra
 
     with rc_context({"font.size": width.font_pt, "axes.linewidth": 0.6}):
         yield
 
 
-def _drawn(sessions: Sequence[Session], width: Width, most: int | None = None) -> Figure:
-    """The figure, each of its lines of at most so many points."""
+def _drawn(sessions: Sequence[Session], width: Width, most: int = _DRAWN_POINTS) -> Figure:
+    """The figure, with lines of about `most` points."""
     from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
 
-    parts = list(map(_part, sessions, labels(sessions)))
-    if most is not None:
-        parts = [_thinned(part, most) for part in parts]
+    parts = [_part(session, label, most) for session, label in zip(sessions, labels(sessions), strict=True)]
     figure = Figure((width.width_mm / _MM_PER_INCH, width.height_mm / _MM_PER_INCH), layout="constrained")
     axes = figure.subplots(3, sharex=True)
     if len(parts) == 1:
         _alone(axes, parts[0])
         figure.suptitle(_wrapped(parts[0].label, width), fontsize="medium", parse_math=False)
     else:
-        _beside(axes, parts)
+        _compared(axes, parts)
         _name_sessions(figure, axes[0], parts, width)
     axes[0].set_ylabel("speed [rad/s]")
     axes[0].set_ylim(bottom=0.0)
@@ -180,10 +178,10 @@ def _drawn(sessions: Sequence[Session], width: Width, most: int | None = None) -
 
 
 def slip_top(stops: Iterable[Array]) -> float:
-    """Upper end of a slip axis, from 0 on, for ticks or truths of stops that share it.
+    """Upper end of the slip axis for ticks or truths of `stops`.
 
-    All there is if a wheel has locked, and else what the slip comes to, with some air, so that a stop which holds its
-    reference is not a thin line. What counts is the road above 10 rad/s: in the end every slip is anything.
+    1.02 if a wheel locked, else a fifth above the largest slip, so that a stop that holds its reference is not a thin
+    line. Slip counts above 10 rad/s of road speed: near standstill it is noise.
     """
     highest = 0.0
     for rows in stops:
@@ -197,7 +195,7 @@ def slip_top(stops: Iterable[Array]) -> float:
 
 
 def _slip_rows(part: _Part, parts: Sequence[_Part]) -> Iterator[Array]:
-    """What is seen of a part in the panel of slip: alone, estimated and true; beside others, one of them."""
+    """Rows shown in the slip panel: estimated and true of one session; of several, one of the two."""
     drawn = [part.ticks]
     if len(parts) == 1:
         drawn.append(part.truth)
@@ -209,30 +207,29 @@ def _slip_rows(part: _Part, parts: Sequence[_Part]) -> Iterator[Array]:
 
 
 def _true(parts: Sequence[_Part]) -> bool:
-    """Whether the true slip and torque are known of all, for a fair comparison."""
+    """Whether true slip and torque are known for all, for a fair comparison."""
     return all(len(part.truth) for part in parts)
 
 
 def _slip(rows: Array) -> Array:
-    """Where the road moves."""
+    """Slip; NaN where the road wheel is about at rest."""
     return np.where(rows["road_speed_rad_s"] >= _AT_REST_RAD_S, rows["slip"], np.nan)
 
 
-def _part(session: Session, label: str) -> _Part:
+def _part(session: Session, label: str, most: int) -> _Part:
     held = held_rows(session.ticks)
     if not len(held):
         raise AbsError(f"{session.path}: the run ended before braking; there is nothing to draw")
     start = start_ns(session)
     end_s = float((int(session.ticks["time_ns"][held[-1]]) - start) * 1e-9)
-    return _Part(session.ticks, session.truth, label, start, end_s)
+    part = _Part(session.ticks, session.truth, label, start, end_s)
+    return part._replace(ticks=_decimated(part.ticks, part, most), truth=_decimated(part.truth, part, most))
 
 
-def _thinned(part: _Part, most: int) -> _Part:
-    return part._replace(ticks=_fewer(part.ticks, part, most), truth=_fewer(part.truth, part, most))
-
-
-def _fewer(rows: Array, part: _Part, most: int) -> Array:
-    """What is shown of the rows, in about `most` points with all extremes."""
+def _decimated(rows: Array, part: _Part, most: int) -> Array:
+    """The shown rows in about `most` points with all extremes; `rows` themselves if there are fewer."""
+    if len(rows) <= most:
+        return rows
     time_s = since_s(rows, part.start_ns)
     shown = (time_s >= -_BEFORE_S) & (time_s <= part.end_s)
     columns = {name: rows[name][shown] for name in _DRAWN if name in (rows.dtype.names or ())}
@@ -270,8 +267,7 @@ def _alone(axes: Sequence[Axes], part: _Part) -> None:
     duty.set_ylim(-0.02, 1.0)
 
 
-def _beside(axes: Sequence[Axes], parts: Sequence[_Part]) -> None:
-    """Each session in its colour and dash."""
+def _compared(axes: Sequence[Axes], parts: Sequence[_Part]) -> None:
     true = _true(parts)
     speeds, slip, torque = axes
     for part, colour, dash in zip(parts, PALETTE, _DASHES, strict=False):

@@ -1,4 +1,4 @@
-"""The doctor's findings on a terminal: a word for each verdict, with colour where there is any."""
+"""The doctor's findings on a terminal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BAR: Final = 40
 
 
 def render_findings(findings: Sequence[Finding]) -> RenderableType:
-    """Name, verdict, what was found, and beneath it what to do."""
+    """Table of names, verdicts, findings and what to do, with a summary."""
     table = Table.grid(padding=(0, 2))
     table.add_column(no_wrap=True)
     table.add_column(no_wrap=True)
@@ -32,7 +32,7 @@ def render_findings(findings: Sequence[Finding]) -> RenderableType:
 
 
 def render_histogram(times_us: Sequence[float], period_us: float) -> RenderableType:
-    """Bars over bins of a twentieth of the period, empty ones left out; the last one has all from two periods on."""
+    """Histogram in bins of a twentieth of the period, without empty ones; the last bin has all from two periods on."""
     width_us = period_us / _BINS_A_PERIOD
     counts = [0] * (_LAST_BIN + 1)
     for time_us in times_us:
@@ -44,7 +44,7 @@ def render_histogram(times_us: Sequence[float], period_us: float) -> RenderableT
     for number, count in enumerate(counts):
         if count:
             colour = _COLOURS[Verdict.GREEN if number < _BINS_A_PERIOD else Verdict.RED]
-            bar = "#" * max(round(_BAR * count / max(counts)), 1)  # the rare ones are what one looks for
+            bar = "#" * max(round(_BAR * count / max(counts)), 1)  # rare values stay visible
             table.add_row(f"from {number * width_us:.0f} us", str(count), Text(bar, colour))
     return table
 

@@ -18,41 +18,40 @@ _PAUSE_S: Final = 0.2
 
 @contextmanager
 def stop_keys(stop: Callable[[], None], terminal: int = 0) -> Iterator[bool]:
-    """While inside, such a key on the `terminal`, a file descriptor, calls `stop` from a thread; True if it can.
+    """Let these keys on `terminal`, a file descriptor, call `stop` from a thread; yields whether they can.
 
-    It cannot where this is not a terminal, or where the program runs in the background. The terminal gets back the
-    settings that it had, and keys that nobody asked for are dropped, whatever ends it. A program that was frozen and
-    goes on, with its terminal meanwhile set up by a shell, sets it up again.
+    They cannot if it is not a terminal, or if the program runs in the background. Leaving restores the terminal's
+    settings and drops unread keys. A program that continues after a stop (SIGCONT) sets the terminal up again.
     """
     try:
         keyboard = _Keyboard(terminal)
         keyboard.take()
-    except (OSError, termios.error):  # none, or closed by now
+    except (OSError, termios.error):  # not a terminal, or closed
         yield False
         return
-    leave, told = os.pipe()
+    leave, leaving = os.pipe()
     reader = threading.Thread(target=_read, args=(terminal, leave, stop), name="keys", daemon=True)
     with keyboard.taken_again():
         reader.start()
         try:
             yield True
         finally:
-            os.write(told, b"\0")
+            os.write(leaving, b"\0")
             reader.join()
             with suppress(OSError, termios.error):  # the terminal may be gone by now
                 keyboard.give_back()
             os.close(leave)
-            os.close(told)
+            os.close(leaving)
 
 
 def _read(terminal: int, leave: int, stop: Callable[[], None]) -> None:
-    """Until `leave` can be read, or the terminal is gone."""
+    """Read keys until `leave` can be read or the terminal is gone."""
     while True:
         with suppress(InterruptedError):
             ready, _, _ = select.select([terminal, leave], [], [])
             if leave in ready:
                 return
-            if not _in_front(terminal):  # what is typed is the shell's, and reading it would freeze this program
+            if not _in_front(terminal):  # keys are the shell's, and reading them would stop this program
                 select.select([leave], [], [], _PAUSE_S)
                 continue
             try:
@@ -66,7 +65,7 @@ def _read(terminal: int, leave: int, stop: Callable[[], None]) -> None:
 
 
 def _in_front(terminal: int) -> bool:
-    """Whether this program, and not a shell that it was put behind, has the terminal."""
+    """Whether this program is in the terminal's foreground."""
     try:
         return os.tcgetpgrp(terminal) == os.getpgrp()
     except OSError:
@@ -74,26 +73,26 @@ def _in_front(terminal: int) -> bool:
 
 
 class _Keyboard:
-    """Settings of a terminal, as they were and as keys without Enter need them. Raises OSError if it is none of ours.
+    """A terminal's settings, as they were and for keys without Enter. Raises OSError in the background.
 
-    Only ever changed by a program in front: one behind would be frozen for it.
+    Only a program in the foreground changes them: in the background the kernel would stop it.
     """
 
     def __init__(self, terminal: int) -> None:
         if not _in_front(terminal):
-            raise OSError("the terminal is another's")
+            raise OSError("the program is in the background")
         self._terminal = terminal
         self._before = termios.tcgetattr(terminal)
 
     def take(self) -> None:
-        """No echo, and no waiting for Enter; Ctrl-C stays a signal. What was typed before is dropped."""
+        """Switch echo and waiting for Enter off; Ctrl-C stays a signal. Drops what was typed before."""
         settings = termios.tcgetattr(self._terminal)
         settings[3] &= ~(termios.ICANON | termios.ECHO)
         settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
         self._set(settings)
 
     def give_back(self) -> None:
-        """As it was; what was typed since is dropped, and does not reach the shell."""
+        """Restore the settings; drop unread keys, so that the shell does not get them."""
         self._set(self._before)
 
     def _set(self, settings: list[object]) -> None:
@@ -102,7 +101,7 @@ class _Keyboard:
 
     @contextmanager
     def taken_again(self) -> Iterator[None]:
-        """While inside, a program that goes on after it was frozen takes the terminal anew."""
+        """Take the terminal again after SIGCONT."""
         if threading.current_thread() is not threading.main_thread():  # Python delivers signals to no other
             yield
             return

@@ -1,8 +1,7 @@
-"""A plot over time in letters: eight dots to a letter (braille), or one mark where the terminal knows ASCII only.
+"""Plots over time in characters: braille with eight dots a cell, or one mark a cell in ASCII.
 
-One cell cannot have two colours: curves differ in being solid or dashed too, and where two meet the first one's colour
-is shown. numpy makes all dots at once, in a fifth of a millisecond, where a plotting library takes five
-(docs/facts/sessions.md#cost-of-a-screen).
+A cell has one colour: where curves meet, that of the first one. So curves also differ in being solid or dashed. numpy
+makes all dots in a fifth of a millisecond, a plotting library in five (docs/facts/sessions.md#cost-of-a-screen).
 """
 
 from __future__ import annotations
@@ -25,22 +24,22 @@ _DASH_DOTS: Final = 6
 _DASH_MARKS: Final = 2
 """The same in ASCII."""
 MARGIN: Final = 6
-"""Cells to the left of the area for the dots: a number and the axis."""
+"""Cells left of the dots, for a number and the axis."""
 
 
 class Curve(NamedTuple):
-    """Values over time, the latter ascending and in s."""
+    """Values over ascending times."""
 
     times_s: Array
     values: Array
     style: str
     mark: str
-    """What draws it in ASCII."""
+    """Character in ASCII plots."""
     dashed: bool = False
 
 
 class Axes(NamedTuple):
-    """Fixed ends of both axes, which begin at zero."""
+    """Ends of both axes, which begin at zero."""
 
     span_s: float
     top: float
@@ -62,7 +61,7 @@ def plot(curves: Sequence[Curve], axes: Axes, width: int, rows: int, *, plain: b
 
 
 def _time_axis(span_s: float, columns: int, *, plain: bool) -> str:
-    """A line with the times below the first, the middle and the last column."""
+    """Axis with the times of the first, middle and last column."""
     line = "-" if plain else "─"
     first, middle, last = " 0 ", f" {span_s / 2:g} ", f" {span_s:g} s"
     left = max(0, columns // 2 - len(middle) // 2 - len(first))
@@ -75,7 +74,7 @@ def _dots(curves: Sequence[Curve], axes: Axes, columns: int, rows: int) -> list[
     owner = np.full((rows, columns), len(curves))
     for number, curve in reversed(list(enumerate(curves))):
         drawn = _raster(curve, axes, 2 * columns, 4 * rows, _DASH_DOTS)
-        if not curve.dashed:  # two dots thick, as one is hard to see
+        if not curve.dashed:  # two dots thick, to be visible
             drawn[1:] |= drawn[:-1]
         cells = drawn.reshape(rows, 4, columns, 2)
         bits |= (cells * _DOTS[None, :, None, :]).sum(axis=(1, 3))
@@ -95,7 +94,7 @@ def _marks(curves: Sequence[Curve], axes: Axes, columns: int, rows: int) -> list
 
 
 def _raster(curve: Curve, axes: Axes, width: int, height: int, dash: int) -> Array:
-    """Which points of a grid the curve goes through; row 0 is at the top."""
+    """Grid points on the curve; row 0 is at the top."""
     known = np.isfinite(curve.values)
     times, values = curve.times_s[known], curve.values[known]
     grid = np.zeros((height, width), bool)
@@ -106,7 +105,7 @@ def _raster(curve: Curve, axes: Axes, width: int, height: int, dash: int) -> Arr
     values = np.interp(columns * axes.span_s / (width - 1), times, values)
     levels = np.rint((1.0 - np.clip(values / axes.top, 0.0, 1.0)) * (height - 1)).astype(int)
     before = np.concatenate([levels[:1], levels[:-1]])
-    begin = before + np.sign(levels - before)  # beside the point before, so that steep parts hang together
+    begin = before + np.sign(levels - before)  # next to the point before, so that steep parts are connected
     low, high = np.minimum(begin, levels), np.maximum(begin, levels)
     rows = np.arange(height)[:, None]
     path = np.cumsum(high - low + 1)

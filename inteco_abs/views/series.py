@@ -1,4 +1,4 @@
-"""A series of stops: its statistics on a terminal, and its curves over one another."""
+"""Statistics and curves of a series of stops."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from rich.table import Table
 from inteco_abs.analysis import UNITS, Spread
 from inteco_abs.errors import AbsError
 from inteco_abs.sessions import Session
-from inteco_abs.views.card import ROWS
 from inteco_abs.views.comparison import held_rows, since_s, start_ns
 from inteco_abs.views.figure import check_figure, save_figure, slip_top
+from inteco_abs.views.result_panel import ROWS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,7 +31,7 @@ _AT_REST_RAD_S: Final = 1.0
 
 
 def render_series(spreads: Mapping[str, Spread]) -> Table:
-    """A line for each metric: of how many stops, their spread, and by how much it drifts from stop to stop."""
+    """Table of metrics: number of stops, spread, and drift per stop."""
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("metric", no_wrap=True)
     table.add_column("unit", no_wrap=True)
@@ -44,16 +44,16 @@ def render_series(spreads: Mapping[str, Spread]) -> Table:
 
 
 def _number(value: float | None) -> str:
-    """Three digits, and no exponent for a large one."""
+    """Three digits, without exponent."""
     if value is None:
         return "-"
     return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
 
 
 def draw_series(sessions: Sequence[Session], path: Path) -> None:
-    """Wheel speed, estimated slip and brake duty of each stop since it began, from the first, dark, to the last, light.
+    """Draw wheel speed, estimated slip and brake duty of each stop, dark to light, to `path` (.png, .svg or .pdf).
 
-    To `path` (.png, .svg or .pdf). Sessions that never braked are left out; raises AbsError if none did.
+    Sessions that never braked are left out. Raises AbsError if none braked.
     """
     check_figure(path)
     from matplotlib import colormaps  # noqa: PLC0415  heavy, and an extra

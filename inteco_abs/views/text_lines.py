@@ -1,4 +1,4 @@
-"""Lines of a picture for a terminal: pieces of text with a style each, as cheap to draw as can be."""
+"""Lines for a terminal as pieces of text with a style each, cheap to draw."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Line = list[Piece]
 
 
 class TextLines:
-    """Lines as they are, cut at the terminal's width. No layout, no wrapping: rich's own take ten times as long."""
+    """Lines cut at the terminal's width, without layout and wrapping, which take rich ten times as long."""
 
     def __init__(self, lines: Sequence[Line]) -> None:
         self.lines = lines
@@ -29,7 +29,7 @@ class TextLines:
 
 
 def length(line: Line) -> int:
-    """Cells that a line takes: every letter here takes one."""
+    """Cells of a line; every character here takes one."""
     return sum(len(text) for text, _ in line)
 
 
@@ -50,13 +50,13 @@ def padded(line: Line, width: int) -> Line:
 
 
 def apart(left: Line, right: Line, width: int) -> Line:
-    """Both in one line, at its two ends; where there is no room for both, the left one."""
+    """Both at the ends of one line; only the left one if there is no room."""
     room = width - length(left) - length(right)
     return [*left, (" " * room, ""), *right] if room > 0 else left
 
 
 def runs(text: str, styles: Sequence[str]) -> Line:
-    """Letters with a style each, as few pieces."""
+    """Text with a style for each character, in as few pieces as possible."""
     made, at = Line(), 0
     for style, group in groupby(styles):
         size = sum(1 for _ in group)

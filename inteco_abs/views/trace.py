@@ -1,4 +1,4 @@
-"""What a dashboard remembers of a run: which phases it went through, and the course of the present stop."""
+"""Phases and traces of the present stop, for the dashboard."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _EMPTY: Final = np.zeros((0, 4))
 
 
 class RunTrace:
-    """Grows point by point. A second stop of the same run begins a new one."""
+    """Trace of a run's present stop; the next stop begins a new trace."""
 
     def __init__(self, start_speed_rad_s: float) -> None:
         self.stop = 0
@@ -34,7 +34,7 @@ class RunTrace:
         self._braked_s = 0.0
 
     def add(self, points: Iterable[Point]) -> None:
-        """Go on with what has happened since."""
+        """Add points."""
         for point in points:
             if point.phase != self._phase:
                 self._enter(Phase(point.phase), point.time_ns)
@@ -42,7 +42,7 @@ class RunTrace:
             if Phase.BRAKING in self.entered_ns and self._phase in {Phase.BRAKING, Phase.STOPPED}:
                 since_s = (point.time_ns - self.entered_ns[Phase.BRAKING]) * 1e-9
                 self._rows.append((since_s, point.road_speed_rad_s, point.wheel_speed_rad_s, point.slip))
-                if self._phase is Phase.BRAKING:  # how long the brake is held afterwards changes no axis
+                if self._phase is Phase.BRAKING:  # holding the brake afterwards does not lengthen the axis
                     self._braked_s = since_s
 
     def _enter(self, phase: Phase, time_ns: int) -> None:
@@ -55,11 +55,11 @@ class RunTrace:
         self._phase = phase
 
     def braked(self) -> bool:
-        """Whether there is anything to be drawn."""
+        """Whether there is a trace to draw."""
         return bool(self._rows)
 
     def seconds_in(self, phase: Phase) -> float | None:
-        """How long that phase has lasted or lasts by now; None if it was not entered."""
+        """Duration of a phase so far, s; None if it was not entered."""
         begin = self.entered_ns.get(phase)
         if begin is None:
             return None
@@ -72,12 +72,12 @@ class RunTrace:
         return times, road, wheel, slip
 
     def span_s(self) -> float:
-        """Length of the time axis: that of a usual stop, and longer in steps where this one takes longer."""
+        """Length of the time axis, s: that of a usual stop, longer in steps if this one takes longer."""
         return _at_least(max(self._usual_s, self._braked_s))
 
 
 def _at_least(seconds: float) -> float:
-    """The next of ... 0.5, 1, 2, 5, 10 ..."""
+    """The next larger of ... 0.5, 1, 2, 5, 10 ... s."""
     decade = 0.1
     while True:
         for step in _SPANS:

@@ -1,4 +1,4 @@
-"""A session beside what others would have asked for on its counts, and what simulation makes of them."""
+"""A session compared with alternatives: their commands on its counts, and their simulation."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _CARD: Final = {
     "lock_fraction": "locked\n1",
     "duty_variation_per_s": "duty\n1/s",
 }
-"""Keys of the result card that are told, by their headings with units."""
+"""Headings with units of keys of the result card."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class WhatIfTrace:
 
 
 def render_what_if(report: Mapping[str, Any]) -> RenderableType:
-    """How far each alternative leaves the log, and from when on; then, if it was simulated, what came of it."""
+    """When and how far each alternative leaves the log, and its simulated result if there is one."""
     parts: list[RenderableType] = [_divergences(report["alternatives"])]
     if "simulation" in report:
         parts.append(_simulated(report["simulation"]["log"], report["alternatives"]))
@@ -73,7 +73,7 @@ def _divergences(alternatives: Sequence[Mapping[str, Any]]) -> Table:
     for each in alternatives:
         table.add_row(Text(each["name"]))
         for field in each["open_loop"]:
-            # a slip is estimated, not requested: it is told, and leaves nothing
+            # slip is estimated, not commanded, and has no threshold
             left = "" if field["threshold"] is None else _since(field["time_s"])
             numbers = (field["largest"], *(field["rms"].get(phase) for phase in _PHASES.values()))
             table.add_row(f"  {_REQUESTS[field['field']]}", left, *map(shown, numbers))
@@ -94,11 +94,11 @@ def _simulated(log: Mapping[str, Any], alternatives: Sequence[Mapping[str, Any]]
     return table
 
 
-def draw_what_if(session: Session, courses: Sequence[WhatIfTrace], path: Path) -> None:
+def draw_what_if(session: Session, alternatives: Sequence[WhatIfTrace], path: Path) -> None:
     """Draw log and alternatives to `path` (.png, .svg or .pdf).
 
-    An open loop is faint from where it has left the log: there it is no longer what the rig would have seen. A
-    closed loop, dashed, is a simulation.
+    An open loop is faint after it leaves the log, where the rig would have reacted. A closed loop, dashed, is a
+    simulation.
     """
     check_figure(path)
     from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
@@ -108,26 +108,26 @@ def draw_what_if(session: Session, courses: Sequence[WhatIfTrace], path: Path) -
     axes: Sequence[Axes] = figure.subplots(len(_PANELS), sharex=True)
     for panel, (field, label, limits) in zip(axes, _PANELS, strict=True):
         panel.plot(since_s, session.ticks[field], color="black", lw=1.4, label="log")
-        for course, colour in zip(courses, _COLOURS, strict=False):
-            _open_loop(panel, course, field, since_s, colour)
-            if course.closed_loop is not None:
-                _closed_loop(panel, session, course.closed_loop, field, colour)
+        for alternative, colour in zip(alternatives, _COLOURS, strict=False):
+            _open_loop(panel, alternative, field, since_s, colour)
+            if alternative.closed_loop is not None:
+                _closed_loop(panel, session, alternative.closed_loop, field, colour)
         panel.set_ylabel(label)
         panel.set_ylim(*limits)
         panel.grid(alpha=0.3)
     braking_s = since_s[session.ticks["phase"] == Phase.BRAKING]
-    axes[-1].set_xlim(-_MARGIN_S, float(braking_s[-1]) + _MARGIN_S)  # beyond, a slip is the encoders' trembling
+    axes[-1].set_xlim(-_MARGIN_S, float(braking_s[-1]) + _MARGIN_S)  # later, slip is encoder noise
     axes[-1].set_xlabel("time since braking began [s]")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, fontsize="small")
     save_figure(figure, path)
 
 
-def _open_loop(panel: Axes, course: WhatIfTrace, field: str, since_s: Any, colour: str) -> None:
-    horizon_s, values = course.open_loop.horizon_s, course.open_loop.requests[field]
+def _open_loop(panel: Axes, alternative: WhatIfTrace, field: str, since_s: Any, colour: str) -> None:
+    horizon_s, values = alternative.open_loop.horizon_s, alternative.open_loop.requests[field]
     left = since_s >= (np.inf if horizon_s is None else horizon_s)
     panel.plot(since_s[~left], values[~left], color=colour, lw=0.9)
-    name = f"{course.name}, on the logged counts"
+    name = f"{alternative.name}, on the logged counts"
     panel.plot(since_s[left], values[left], color=colour, lw=0.7, alpha=0.35, label=name)
 
 

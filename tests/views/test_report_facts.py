@@ -11,7 +11,7 @@ from inteco_abs.sessions.content import Event
 from inteco_abs.signals import BoardFlags, Phase
 from inteco_abs.views.report.commands import repeat_commands, replay_commands
 from inteco_abs.views.report.facts import result_rows, tables
-from inteco_abs.views.report.traces import courses_of
+from inteco_abs.views.report.traces import traces_of
 from inteco_abs.views.report.warnings import outcome_of, warnings_of
 
 
@@ -122,7 +122,7 @@ class TestWarnings:
 
     def test_a_file_that_was_cut(self, clean):
         cut = replace(clean, incomplete="it ends")
-        assert warnings_of(cut)[0].startswith("The file is not whole: it ends.")
+        assert warnings_of(cut)[0].startswith("The file is incomplete: it ends.")
 
     def test_a_recovered_session(self, session, tmp_path):
         data = session.path.read_bytes()
@@ -180,30 +180,30 @@ class TestCommands:
 
 class TestCourses:
     def test_a_real_rig_has_no_truth(self, session):
-        (simulated,) = courses_of([session])
-        (real,) = courses_of([replace(session, truth=session.truth[:0])])
+        (simulated,) = traces_of([session])
+        (real,) = traces_of([replace(session, truth=session.truth[:0])])
         assert simulated.points.columns.keys() - real.points.columns.keys() == {"true_slip", "true_brake_torque_nm"}
 
     def test_true_values_are_those_at_the_ticks(self, session):
-        (course,) = courses_of([session])
-        true = course.points.columns["true_slip"][:-1]
+        (trace,) = traces_of([session])
+        true = trace.points.columns["true_slip"][:-1]
         np.testing.assert_array_equal(true, session.truth["slip"][: len(true)].astype(np.float32))
 
     def test_it_is_about_the_first_stop(self, session):
-        (course,) = courses_of([session])
-        assert course.held_s[0] == 0.0
+        (trace,) = traces_of([session])
+        assert trace.held_s[0] == 0.0
         again = np.concatenate([session.ticks, session.ticks])
         again["time_ns"] = np.arange(len(again)) * 500_000
-        (twice,) = courses_of([replace(session, ticks=again, truth=session.truth[:0])])
-        assert twice.held_s == pytest.approx(course.held_s)
+        (twice,) = traces_of([replace(session, ticks=again, truth=session.truth[:0])])
+        assert twice.held_s == pytest.approx(trace.held_s)
         assert [band.phase for band in twice.bands].count(Phase.BRAKING) == 2
 
     def test_one_without_ticks_is_left_out_and_the_others_keep_their_look(self, session, others):
-        found = courses_of([session, without_ticks(others[0]), others[1]])
-        assert [course.look.letter for course in found] == ["A", "C"]
-        assert len({course.look.marker for course in found}) == 2
+        found = traces_of([session, without_ticks(others[0]), others[1]])
+        assert [trace.look.letter for trace in found] == ["A", "C"]
+        assert len({trace.look.marker for trace in found}) == 2
 
     def test_one_that_never_braked_is_shown_whole(self, session):
-        (course,) = courses_of([replace(session, ticks=session.ticks[:10])])
-        assert not course.braked
-        assert course.held_s == course.whole_s
+        (trace,) = traces_of([replace(session, ticks=session.ticks[:10])])
+        assert not trace.braked
+        assert trace.held_s == trace.whole_s

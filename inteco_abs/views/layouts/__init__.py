@@ -1,8 +1,8 @@
-"""Layouts for viewers that open sessions: what belongs together in one plot, as each viewer saves it.
+"""Layouts for viewers that open sessions, as each viewer saves them.
 
-To change one, change it in the viewer and export it. Formats: Lichtblick 1.28 (layout data, panels Plot,
-StateTransitions and Log, which it calls RosOut; Foxglove shares them) and PlotJuggler 3.17 (layout 2.3.8, loader of
-MCAP, parser of protobuf), as far as their sources tell (docs/facts/sessions.md#encodings).
+To change one, change it in the viewer and export it. Formats: Lichtblick 1.28 (panels Plot, StateTransitions and Log,
+which it calls RosOut; Foxglove shares them) and PlotJuggler 3.17 (layout 2.3.8, MCAP loader, protobuf parser); see
+docs/facts/sessions.md#encodings.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def layout_of(viewer: str) -> bytes:
 
 
 def write_layout(viewer: str, out: Path) -> None:
-    """Write the layout for a viewer to the new file `out`; raises ConfigError or SessionError if it cannot."""
+    """Write the layout for a viewer to the new file `out`. Raises ConfigError or SessionError."""
     check_output(out)
     with atomic_write(out) as part:
         try:

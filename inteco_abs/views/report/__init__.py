@@ -1,4 +1,4 @@
-"""A stop, or several beside one another, as a page for the browser."""
+"""HTML report of one or more stops."""
 
 from inteco_abs.views.report.page import check_report, report_page, write_report
 

@@ -1,4 +1,4 @@
-"""The commands that do a session once more: its decisions, or the whole run."""
+"""Commands that replay a session or repeat its run."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _SOURCE: Final = "controller.py"
 
 
 def replay_commands(session: Session) -> list[str]:
-    """Compare the session's decisions bit for bit; none where its configuration is lost."""
+    """Commands that replay the session; none without its configuration."""
     if CONFIG_NAME not in session.attachments or not len(session.ticks):
         return []
-    return [*_take_out_controller(session), _line("replay", str(session.path), *_controller(session))]
+    return [*_extract_controller(session), _line("replay", str(session.path), *_controller(session))]
 
 
 def repeat_commands(session: Session) -> list[str]:
-    """Run the same again; none where configuration or board are lost."""
+    """Commands that repeat the run; none without configuration or board."""
     rig, software = session.metadata.get("rig", {}), session.metadata.get("software", {})
     board = rig.get("board", "")
     if CONFIG_NAME not in session.attachments or not board:
@@ -28,18 +28,18 @@ def repeat_commands(session: Session) -> list[str]:
     simulated = rig.get("simulated") == "true"
     virtual = ["--virtual"] if rig.get("virtual_time") == "true" else []
     seed = ["--seed", software["seed"]] if simulated and "seed" in software else []
-    with_what = ["--config", "rig.toml", *_controller(session)]
+    options = ["--config", "rig.toml", *_controller(session)]
     return [
         _line("extract", str(session.path), CONFIG_NAME, "-o", "rig.toml"),
-        *_take_out_controller(session),
-        _line("run", "--board", board, *virtual, *seed, *with_what, "--out", "again.mcap"),
+        *_extract_controller(session),
+        _line("run", "--board", board, *virtual, *seed, *options, "--out", "again.mcap"),
     ]
 
 
-def _take_out_controller(session: Session) -> list[str]:
+def _extract_controller(session: Session) -> list[str]:
     name = _own_file(session)
-    taken = name and _SOURCE in session.attachments
-    return [_line("extract", str(session.path), _SOURCE, "-o", name)] if taken else []
+    kept = name and _SOURCE in session.attachments
+    return [_line("extract", str(session.path), _SOURCE, "-o", name)] if kept else []
 
 
 def _controller(session: Session) -> list[str]:
@@ -50,7 +50,7 @@ def _controller(session: Session) -> list[str]:
 
 
 def _own_file(session: Session) -> str:
-    """Name of the user's file that the controller came from; empty if it came from none."""
+    """Name of the user's file with the controller; empty for other controllers."""
     name = _name(session)
     return PurePath(name.rpartition(":")[0]).name if FROM_FILE in name else ""
 

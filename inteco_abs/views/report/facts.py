@@ -1,4 +1,4 @@
-"""The report's tables: results and settings, one column per session."""
+"""The report's tables of results and settings, one column per session."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any, Final, NamedTuple
 
 from inteco_abs.analysis import settings_of
 from inteco_abs.sessions import Session, card_of
-from inteco_abs.views.card import ROWS
 from inteco_abs.views.comparison import gains_of
+from inteco_abs.views.result_panel import ROWS
 
 NOTHING: Final = "–"
 _LATENESS: Final = (("late, p50", "p50"), ("late, p99", "p99"), ("late, p99.9", "p999"), ("late, most", "max"))
@@ -19,26 +19,26 @@ _COUNTS: Final = (
     ("link errors", "link_errors"),
     ("lost ticks", "lost_ticks"),
 )
-_TOLD_ELSEWHERE: Final = ("result", "controller")
+_SHOWN_ELSEWHERE: Final = ("result", "controller")
 
 
 class Row(NamedTuple):
-    """A fact of every session."""
+    """One fact of all sessions."""
 
     name: str
     values: tuple[str, ...]
     differs: bool
 
 
-class Facts(NamedTuple):
-    """A table."""
+class FactTable(NamedTuple):
+    """A table of facts."""
 
     title: str
     rows: list[Row]
 
 
 def result_rows(sessions: Sequence[Session]) -> list[Row]:
-    """The result cards beside one another; what was not measured is a dash."""
+    """Result cards side by side; a value that was not measured is a dash."""
     cards = [card_of(session) or {} for session in sessions]
     rows = [_row(label, [_number(card.get(key), form, factor) for card in cards]) for label, key, form, factor in ROWS]
     rows += [_row(label, [_number(card.get(key), "{:.0f}") for card in cards]) for label, key in _COUNTS]
@@ -47,11 +47,11 @@ def result_rows(sessions: Sequence[Session]) -> list[Row]:
     return rows
 
 
-def tables(sessions: Sequence[Session]) -> list[Facts]:
-    """Gains, configuration, and every record that the sessions hold; the payload's hash is in `integrity`."""
+def tables(sessions: Sequence[Session]) -> list[FactTable]:
+    """Gains, configuration and every metadata record; the payload's hash is in `integrity`."""
     gains = [{**_controller(session), **gains_of(session)} for session in sessions]
     settings = [{key: str(value) for key, value in settings_of(session).items()} for session in sessions]
-    records = dict.fromkeys(name for session in sessions for name in session.metadata if name not in _TOLD_ELSEWHERE)
+    records = dict.fromkeys(name for session in sessions for name in session.metadata if name not in _SHOWN_ELSEWHERE)
     found = [_facts("controller and gains", gains), _facts("configuration", settings)]
     found += [_facts(name, [session.metadata.get(name, {}) for session in sessions]) for name in records]
     return [facts for facts in found if facts.rows]
@@ -62,9 +62,9 @@ def _controller(session: Session) -> dict[str, str]:
     return {key: value for key, value in facts.items() if not key.startswith("gain.")}
 
 
-def _facts(title: str, told: Sequence[Mapping[str, str]]) -> Facts:
-    keys = dict.fromkeys(key for each in told for key in each)
-    return Facts(title, [_row(key, [each.get(key) or NOTHING for each in told]) for key in keys])
+def _facts(title: str, records: Sequence[Mapping[str, str]]) -> FactTable:
+    keys = dict.fromkeys(key for each in records for key in each)
+    return FactTable(title, [_row(key, [each.get(key) or NOTHING for each in records]) for key in keys])
 
 
 def _row(name: str, values: Sequence[str]) -> Row:

@@ -1,4 +1,4 @@
-"""One page of HTML with everything in it: it loads nothing, and nothing runs in it but bokeh's script and its own."""
+"""The report as one HTML page that loads nothing else; only bokeh's script and its own run in it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from inteco_abs.views.comparison import held_rows, labels, require_distinct
 from inteco_abs.views.figure import svg_of
 from inteco_abs.views.report.commands import repeat_commands, replay_commands
 from inteco_abs.views.report.facts import result_rows, tables
-from inteco_abs.views.report.traces import MARGIN_S, Look, ReportTrace, courses_of, look_of
+from inteco_abs.views.report.traces import MARGIN_S, Look, ReportTrace, look_of, traces_of
 from inteco_abs.views.report.warnings import outcome_of, warnings_of
 
 SUFFIX: Final = ".html"
@@ -28,7 +28,7 @@ _NEEDED: Final = ("bokeh", "jinja2")
 
 
 def check_report(path: Path) -> None:
-    """Refuse a path where no new report can be; raises ConfigError or SessionError, or AbsError without bokeh."""
+    """Check that a new report can be written to `path`. Raises ConfigError, SessionError, or AbsError without bokeh."""
     if path.suffix != SUFFIX:
         raise ConfigError([ConfigIssue("--out", f"{path}: must end in {SUFFIX}")])
     check_output(path)
@@ -39,7 +39,7 @@ def check_report(path: Path) -> None:
 def write_report(sessions: Sequence[Session], path: Path) -> None:
     """Write the page about `sessions` to `path`, as a whole or not at all.
 
-    Raises ConfigError if it cannot be there or if the sessions cannot be told apart, SessionError if it cannot be
+    Raises ConfigError for a wrong path, too many sessions or one named twice, SessionError if the page cannot be
     written, AbsError without bokeh.
     """
     check_report(path)
@@ -53,25 +53,25 @@ def write_report(sessions: Sequence[Session], path: Path) -> None:
 
 
 def report_page(sessions: Sequence[Session]) -> str:
-    """The page. Without matplotlib it lacks the figure that is printed in place of the plots."""
+    """The page as text. Without matplotlib it lacks the figure that replaces the plots in print."""
     from jinja2 import Environment, StrictUndefined  # noqa: PLC0415  an extra
     from markupsafe import Markup  # noqa: PLC0415  comes with it
 
-    courses = courses_of(sessions)
-    panels, scripts = _panels(courses)
+    traces = traces_of(sessions)
+    panels, scripts = _panels(traces)
     sheet = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     page: str = sheet.from_string(_resource("page.html")).render(
         title=_title(sessions),
         version=__version__,
-        sessions=list(map(_told, map(look_of, range(len(sessions))), sessions, labels(sessions))),
+        sessions=list(map(_facts, map(look_of, range(len(sessions))), sessions, labels(sessions))),
         result=result_rows(sessions),
         tables=tables(sessions),
-        span=_span(courses),
-        density=[_density(course, alone=len(sessions) == 1) for course in courses],
+        span=_span(traces),
+        density=[_density(trace, alone=len(sessions) == 1) for trace in traces],
         panels=panels,
         dashes={"solid": "none", "dashed": "6 4", "dotted": "2 3"},
         virtual=any(session.metadata.get("rig", {}).get("virtual_time") == "true" for session in sessions),
-        picture=_picture(sessions),
+        picture=_print_figure(sessions),
         style=Markup(_resource("page.css")),  # noqa: S704  ours
         scripts=[Markup(script) for script in (*scripts, _resource("page.js"))],  # noqa: S704  bokeh's and ours
         nonce=secrets.token_urlsafe(16),
@@ -87,7 +87,7 @@ def _title(sessions: Sequence[Session]) -> str:
     return f"Braking stop {sessions[0].path.name}" if len(sessions) == 1 else f"{len(sessions)} braking stops compared"
 
 
-def _told(look: Look, session: Session, label: str) -> dict[str, Any]:
+def _facts(look: Look, session: Session, label: str) -> dict[str, Any]:
     return {
         "look": look,
         "label": label,
@@ -100,9 +100,9 @@ def _told(look: Look, session: Session, label: str) -> dict[str, Any]:
     }
 
 
-def _panels(courses: Sequence[ReportTrace]) -> tuple[list[Drawing], list[str]]:
-    """Every plot as an element of the page, and the scripts that draw them; nothing where there is nothing to draw."""
-    if not courses:
+def _panels(traces: Sequence[ReportTrace]) -> tuple[list[Drawing], list[str]]:
+    """Plots as elements of the page, and the scripts that draw them; empty without traces."""
+    if not traces:
         return [], []
     from bokeh.embed import components  # noqa: PLC0415  heavy, and an extra
     from bokeh.resources import Resources  # noqa: PLC0415  likewise
@@ -111,34 +111,34 @@ def _panels(courses: Sequence[ReportTrace]) -> tuple[list[Drawing], list[str]]:
     from inteco_abs.views.report.phase_planes import phase_plane, timing_histogram  # noqa: PLC0415  likewise
     from inteco_abs.views.report.plots import time_plots  # noqa: PLC0415  likewise
 
-    drawn = [*time_plots(courses), phase_plane(courses), timing_histogram(courses)]
+    drawn = [*time_plots(traces), phase_plane(traces), timing_histogram(traces)]
     script, elements = components({each.key: each.plot for each in drawn}, wrap_script=False)
     panels = [each._replace(plot=Markup(elements[each.key])) for each in drawn]  # noqa: S704  bokeh's own element
     return panels, [*Resources(mode="inline", components=["bokeh"]).js_raw, script]
 
 
-def _span(courses: Sequence[ReportTrace]) -> dict[str, tuple[float, float]]:
-    """From when to when the brakes were in charge, and the sessions last, s."""
-    if not courses:
+def _span(traces: Sequence[ReportTrace]) -> dict[str, tuple[float, float]]:
+    """First and last time, s, of braking (`held`) and of the sessions (`whole`)."""
+    if not traces:
         return {}
-    held, whole = [course.held_s for course in courses], [course.whole_s for course in courses]
+    held, whole = [trace.held_s for trace in traces], [trace.whole_s for trace in traces]
     return {
         name: (min(first for first, _ in spans) - MARGIN_S, max(last for _, last in spans) + MARGIN_S)
         for name, spans in (("held", held), ("whole", whole))
     }
 
 
-def _density(course: ReportTrace, *, alone: bool) -> str:
+def _density(trace: ReportTrace, *, alone: bool) -> str:
     inside, outside = (
         "every tick" if size == 1 else f"the smallest and the largest of each {size} ticks"
-        for size in (course.points.inside, course.points.outside)
+        for size in (trace.points.inside, trace.points.outside)
     )
-    told = inside if inside == outside else f"{inside} while the brake was in charge, {outside} elsewhere"
-    return told if alone else f"{course.look.letter}: {told}"
+    text = inside if inside == outside else f"{inside} while the brake was in charge, {outside} elsewhere"
+    return text if alone else f"{trace.look.letter}: {text}"
 
 
-def _picture(sessions: Sequence[Session]) -> str:
-    """The figure for print as SVG in base64; empty without matplotlib, and where no session ever braked."""
+def _print_figure(sessions: Sequence[Session]) -> str:
+    """The figure for print as SVG in base64; empty without matplotlib, or if no session braked."""
     braked = [session for session in sessions if len(held_rows(session.ticks))]
     if not braked or importlib.util.find_spec("matplotlib") is None:
         return ""

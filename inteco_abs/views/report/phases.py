@@ -1,4 +1,4 @@
-"""The phases of the experiment as bands behind the curves."""
+"""Phases as bands behind the curves."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _SHORTEST_NAMED_S: Final = 0.15
 _MOST_NAMED: Final = 20
 
 
-def draw_bands(plot: Any, course: ReportTrace) -> None:
-    """Put the bands of the phases in which something turns behind `plot`."""
+def draw_bands(plot: Any, trace: ReportTrace) -> None:
+    """Draw the bands of the phases behind `plot`."""
     for phase, (_, colour, hatch) in _BANDS.items():
-        bands = [band for band in course.bands if band.phase is phase]
+        bands = [band for band in trace.bands if band.phase is phase]
         plot.vstrip(
             x0=[band.start_s for band in bands],
             x1=[band.end_s for band in bands],
@@ -37,14 +37,14 @@ def draw_bands(plot: Any, course: ReportTrace) -> None:
             hatch_alpha=0.3,
             level="underlay",
         )
-    for band in course.bands:
-        if band.phase is Phase.FAULT:  # it often ends at once
+    for band in trace.bands:
+        if band.phase is Phase.FAULT:  # often too short for a band
             plot.add_layout(Span(location=band.start_s, dimension="height", line_color=_RED, line_width=2))
 
 
-def name_bands(plot: Any, course: ReportTrace) -> None:
-    """Write the names of the first bands into `plot`, which has a fixed height."""
-    named = [band for band in course.bands if band.phase in _BANDS and _has_room(band)]
+def name_bands(plot: Any, trace: ReportTrace) -> None:
+    """Label the first bands of `plot`, whose y range is fixed."""
+    named = [band for band in trace.bands if band.phase in _BANDS and _has_room(band)]
     for band in named[:_MOST_NAMED]:
         plot.add_layout(
             Label(

@@ -1,4 +1,4 @@
-"""The report's plots over time: one below the other, with one time for all of them."""
+"""The report's plots over time, one below the other with a common time range."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from inteco_abs.views.report.phases import draw_bands, name_bands
 from inteco_abs.views.report.traces import MARGIN_S, ReportTrace
 
 TIME_RANGE: Final = "time"
-"""Name of the range that all plots over time share."""
+"""Name of the common time range."""
 CURSOR: Final = "cursor"
-"""Name of the line that follows the mouse in all of them."""
+"""Name of the line that follows the mouse in all plots."""
 _HEIGHT: Final = 230
 _LEFT: Final = 64
-"""Room for numbers and unit, the same in every plot, so that one instant is one vertical line."""
+"""Left border, the same in every plot, so that one instant is one vertical line."""
 BLUE, RED, GREEN = COLOURS
 GREY: Final = "#808080"
 """Readable on white and on black."""
@@ -37,77 +37,77 @@ _SLOW_RAD_S: Final = 10.0
 _FLATTEST_SLIP: Final = 0.4
 
 
-class Line(NamedTuple):
+class PlotLine(NamedTuple):
     """A signal in a plot."""
 
     column: str
     name: str
     dash: str
     colour: str
-    beside: bool = True
-    """Whether it is drawn where there are several sessions, too."""
+    compared: bool = True
+    """Whether it is also drawn for several sessions."""
 
 
-class Panel(NamedTuple):
+class PlotPanel(NamedTuple):
     """One plot over time."""
 
     key: str
     title: str
     axis: str
-    lines: tuple[Line, ...]
+    lines: tuple[PlotLine, ...]
 
 
 _SLIP: Final = (
-    Line("slip", "estimated", "solid", BLUE),
-    Line("true_slip", "true", "dashed", RED),
+    PlotLine("slip", "estimated", "solid", BLUE),
+    PlotLine("true_slip", "true", "dashed", RED),
 )
-_REFERENCE: Final = Line("slip_reference", "reference", "dotted", GREY)
+_REFERENCE: Final = PlotLine("slip_reference", "reference", "dotted", GREY)
 PANELS: Final = (
-    Panel(
+    PlotPanel(
         "speeds",
         "Speeds",
         "speed [rad/s]",
         (
-            Line("road_speed_rad_s", "road wheel (car)", "solid", RED),
-            Line("wheel_speed_rad_s", "braked wheel", "dashed", BLUE),
+            PlotLine("road_speed_rad_s", "road wheel (car)", "solid", RED),
+            PlotLine("wheel_speed_rad_s", "braked wheel", "dashed", BLUE),
         ),
     ),
-    Panel("slip", "Slip", "slip [1]", (*_SLIP, _REFERENCE)),
-    Panel(
+    PlotPanel("slip", "Slip", "slip [1]", (*_SLIP, _REFERENCE)),
+    PlotPanel(
         "torque",
         "Brake torque",
         "torque [N m]",
         (
-            Line("torque_demand_nm", "asked for by the law", "solid", BLUE),
-            Line("true_brake_torque_nm", "true", "dashed", RED),
+            PlotLine("torque_demand_nm", "asked for by the law", "solid", BLUE),
+            PlotLine("true_brake_torque_nm", "true", "dashed", RED),
         ),
     ),
-    Panel(
+    PlotPanel(
         "duty",
         "Duty cycles",
         "duty [1]",
-        (Line("brake", "brake", "solid", BLUE), Line("drive", "drive", "dashed", RED)),
+        (PlotLine("brake", "brake", "solid", BLUE), PlotLine("drive", "drive", "dashed", RED)),
     ),
-    Panel(
+    PlotPanel(
         "switching",
         "Sliding variable",
         "switching function [1]",
-        (Line("switching", "switching function", "solid", BLUE),),
+        (PlotLine("switching", "switching function", "solid", BLUE),),
     ),
-    Panel(
+    PlotPanel(
         "timing",
         "Punctuality",
         "duration [us]",
         (
-            Line("late_us", "late", "solid", BLUE),
-            Line("io_us", "exchange with the board", "dashed", RED, beside=False),
-            Line("busy_us", "decision and record", "dotted", GREEN, beside=False),
+            PlotLine("late_us", "late", "solid", BLUE),
+            PlotLine("io_us", "exchange with the board", "dashed", RED, compared=False),
+            PlotLine("busy_us", "decision and record", "dotted", GREEN, compared=False),
         ),
     ),
 )
 
 
-class Key(NamedTuple):
+class LegendEntry(NamedTuple):
     """An entry of a legend."""
 
     name: str
@@ -116,60 +116,61 @@ class Key(NamedTuple):
     sign: str
     """Marker, or nothing."""
     lines: tuple[str, ...]
-    """Names of what it stands for in the plot; the page tells the first one's value at the cursor."""
+    """Names of its renderers in the plot; the page shows the first one's value at the cursor."""
 
 
 class Drawing(NamedTuple):
-    """A plot of bokeh's, and what must be known to read it."""
+    """A bokeh plot with title, caption and legend."""
 
     key: str
     title: str
     caption: str
     plot: Any
-    legend: tuple[Key, ...]
+    legend: tuple[LegendEntry, ...]
 
 
-def time_plots(courses: Sequence[ReportTrace]) -> list[Drawing]:
-    """A plot for each of `PANELS`. There is at least one course."""
-    begin_s = min(course.held_s[0] for course in courses) - MARGIN_S
-    shared = Range1d(begin_s, max(course.held_s[1] for course in courses) + MARGIN_S, name=TIME_RANGE)
+def time_plots(traces: Sequence[ReportTrace]) -> list[Drawing]:
+    """A plot for each of `PANELS`, of at least one trace."""
+    begin_s = min(trace.held_s[0] for trace in traces) - MARGIN_S
+    shared = Range1d(begin_s, max(trace.held_s[1] for trace in traces) + MARGIN_S, name=TIME_RANGE)
     cursor = Span(dimension="height", line_color=GREY, name=CURSOR)
-    sources = [ColumnDataSource({"t": course.points.time_s, **course.points.columns}) for course in courses]
-    return [_drawing(panel, courses, sources, shared, cursor) for panel in PANELS]
+    sources = [ColumnDataSource({"t": trace.points.time_s, **trace.points.columns}) for trace in traces]
+    return [_drawing(panel, traces, sources, shared, cursor) for panel in PANELS]
 
 
 def _drawing(
-    panel: Panel, courses: Sequence[ReportTrace], sources: Sequence[ColumnDataSource], shared: Range1d, cursor: Span
+    panel: PlotPanel, traces: Sequence[ReportTrace], sources: Sequence[ColumnDataSource], shared: Range1d, cursor: Span
 ) -> Drawing:
-    since = "braking began" if any(course.braked for course in courses) else "the first tick"
+    since = "braking began" if any(trace.braked for trace in traces) else "the first tick"
     plot = blank(panel.key, f"time since {since} [s]", panel.axis, shared, window_axis="x")
     plot.add_tools(CrosshairTool(overlay=cursor, dimensions="height"))
     plot.add_tools(WheelZoomTool(dimensions="width", modifiers={"shift": True}))
-    plot.y_range = _y_range(panel, courses)
-    if len(courses) == 1:
-        draw_bands(plot, courses[0])
+    plot.y_range = _y_range(panel, traces)
+    if len(traces) == 1:
+        draw_bands(plot, traces[0])
         if panel.key == "slip":
-            name_bands(plot, courses[0])
+            name_bands(plot, traces[0])
         legend = [
-            Key(line.name, line.colour, line.dash, "", _draw(plot, panel, line, courses[0], sources[0]))
+            LegendEntry(line.name, line.colour, line.dash, "", _draw(plot, panel, line, traces[0], sources[0]))
             for line in panel.lines
-            if line.column in courses[0].points.columns
+            if line.column in traces[0].points.columns
         ]
         return Drawing(panel.key, panel.title, "", plot, tuple(legend))
     legend = []
-    told = [line for line in panel.lines if line.beside]
-    for course, source in zip(courses, sources, strict=True):
-        lines = [line._replace(colour=course.look.colour) for line in told if line.column in course.points.columns]
-        names = [name for line in lines for name in _draw(plot, panel, line, course, source)]
-        names.append(_mark(plot, panel, course))
-        legend.append(Key(course.look.letter, course.look.colour, "solid", course.look.sign, tuple(names)))
-    caption = ", ".join(f"{line.dash}: {line.name}" for line in told) if len(told) > 1 else told[0].name
+    compared = [line for line in panel.lines if line.compared]
+    for trace, source in zip(traces, sources, strict=True):
+        lines = [line._replace(colour=trace.look.colour) for line in compared if line.column in trace.points.columns]
+        names = [name for line in lines for name in _draw(plot, panel, line, trace, source)]
+        names.append(_mark(plot, panel, trace))
+        legend.append(LegendEntry(trace.look.letter, trace.look.colour, "solid", trace.look.sign, tuple(names)))
+    names_by_dash = ", ".join(f"{line.dash}: {line.name}" for line in compared)
+    caption = names_by_dash if len(compared) > 1 else compared[0].name
     return Drawing(panel.key, panel.title, caption, plot, tuple(legend))
 
 
-def _draw(plot: Any, panel: Panel, line: Line, course: ReportTrace, source: ColumnDataSource) -> tuple[str, ...]:
-    """Draw a line, and dots on it where there are so few that it could be missed; their names."""
-    name = f"{panel.key}-{course.look.letter}-{line.column}"
+def _draw(plot: Any, panel: PlotPanel, line: PlotLine, trace: ReportTrace, source: ColumnDataSource) -> tuple[str, ...]:
+    """Draw a line, with dots if it has few points; return their names."""
+    name = f"{panel.key}-{trace.look.letter}-{line.column}"
     plot.line(
         "t",
         line.column,
@@ -179,31 +180,31 @@ def _draw(plot: Any, panel: Panel, line: Line, course: ReportTrace, source: Colu
         line_dash=line.dash,
         line_width=_LINE_WIDTH,
     )
-    if len(course.points.time_s) > _FEW_POINTS:
+    if len(trace.points.time_s) > _FEW_POINTS:
         return (name,)
     plot.scatter("t", line.column, source=source, name=f"{name}-dots", color=line.colour, size=5)
     return name, f"{name}-dots"
 
 
-def _mark(plot: Any, panel: Panel, course: ReportTrace) -> str:
-    """Put a few markers on the first line, so that colour is not the only sign of a session; their name."""
-    name, points = f"{panel.key}-{course.look.letter}-marks", course.points
-    rows = np.unique(np.searchsorted(points.time_s, np.linspace(*course.held_s, _MARKS)))
+def _mark(plot: Any, panel: PlotPanel, trace: ReportTrace) -> str:
+    """Put markers on the first line, so that a session is known not by colour only; return their name."""
+    name, points = f"{panel.key}-{trace.look.letter}-marks", trace.points
+    rows = np.unique(np.searchsorted(points.time_s, np.linspace(*trace.held_s, _MARKS)))
     rows = rows[rows < len(points.time_s)]
     plot.scatter(
         points.time_s[rows],
         points.columns[panel.lines[0].column][rows],
         name=name,
-        marker=course.look.marker,
+        marker=trace.look.marker,
         size=8,
-        color=course.look.colour,
+        color=trace.look.colour,
         fill_alpha=0.35,
     )
     return name
 
 
 def blank(name: str, x_axis: str, y_axis: str, x_range: Any = None, **options: Any) -> Any:
-    """An empty plot that takes its colours from the page."""
+    """An empty plot with the page's colours."""
     plot = figure(
         name=name,
         height=_HEIGHT,
@@ -224,15 +225,15 @@ def blank(name: str, x_axis: str, y_axis: str, x_range: Any = None, **options: A
     return plot
 
 
-def _y_range(panel: Panel, courses: Sequence[ReportTrace]) -> Any:
+def _y_range(panel: PlotPanel, traces: Sequence[ReportTrace]) -> Any:
     if panel.key == "slip":
-        return Range1d(-0.02, max(_highest_slip(course) for course in courses))
+        return Range1d(-0.02, max(_highest_slip(trace) for trace in traces))
     return DataRange1d(only_visible=True, range_padding=0.05)
 
 
-def _highest_slip(course: ReportTrace) -> float:
-    """A little above the largest slip that means something: near standstill it is the encoders' trembling."""
-    columns = course.points.columns
+def _highest_slip(trace: ReportTrace) -> float:
+    """A quarter above the largest slip, without the encoder noise near standstill."""
+    columns = trace.points.columns
     moving = (columns["road_speed_rad_s"] > _SLOW_RAD_S) & np.isfinite(columns["slip_reference"])
     top = float(np.nanmax(columns["slip"][moving], initial=0.0)) if moving.any() else 1.0
     return float(np.clip(1.25 * top, _FLATTEST_SLIP, 1.05))

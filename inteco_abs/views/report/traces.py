@@ -1,4 +1,4 @@
-"""What the report's plots show of each session, in as many points as a page can carry."""
+"""Traces of each session for the report's plots, decimated."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy.typing as npt
 
 from inteco_abs.sessions import Session, aligned_truth
 from inteco_abs.signals import Phase
-from inteco_abs.views.comparison import PALETTE, held_rows, since_s, start_ns, stretches
+from inteco_abs.views.comparison import PALETTE, held_rows, phase_spans, since_s, start_ns
 from inteco_abs.views.decimation import Decimated, decimate
 
 _POINTS: Final = 9000
-"""Of one session; they make 0.9 MB at most beside the 1.3 MB of bokeh's own script."""
+"""Of one session: at most 0.9 MB, where bokeh's script takes 1.3 MB."""
 _POINTS_OF_EACH: Final = 4000
 """Of each of several."""
 MARGIN_S: Final = 0.1
-"""Shown before braking and after the brake was let go."""
+"""Time shown before braking and after the brake is released."""
 _TICK_COLUMNS: Final = (
     "wheel_speed_rad_s",
     "road_speed_rad_s",
@@ -48,18 +48,18 @@ Array = npt.NDArray[Any]
 
 
 class Look(NamedTuple):
-    """By what a session is known in every plot and table."""
+    """What identifies a session in every plot and table."""
 
     letter: str
     colour: str
     marker: str
     sign: str
-    """The marker as a letter."""
+    """The marker as a character."""
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A phase of the experiment, s since braking began."""
+    """A phase; times since braking began."""
 
     phase: Phase
     start_s: float
@@ -73,31 +73,31 @@ class ReportTrace:
     look: Look
     session: Session
     points: Decimated
-    """Columns of the ticks, and with `true_` before their names those of the simulated rig at their times."""
+    """Columns of the ticks, and as `true_NAME` those of the simulated rig at the same times."""
     bands: tuple[Band, ...]
     held_s: tuple[float, float]
-    """From when to when the plots are about: the first stop, or the whole session where there is none."""
+    """First and last time of the first stop, or of a session without one."""
     whole_s: tuple[float, float]
     braked: bool
 
 
-def courses_of(sessions: Sequence[Session]) -> list[ReportTrace]:
-    """All sessions that have ticks."""
+def traces_of(sessions: Sequence[Session]) -> list[ReportTrace]:
+    """Traces of all sessions with ticks."""
     most = _POINTS if len(sessions) == 1 else _POINTS_OF_EACH
-    return [_course(look_of(at), session, most) for at, session in enumerate(sessions) if len(session.ticks)]
+    return [_trace(look_of(at), session, most) for at, session in enumerate(sessions) if len(session.ticks)]
 
 
 def look_of(at: int) -> Look:
-    """Of the session at that place."""
+    """Look of the session at that index."""
     return Look(_LETTERS[at], PALETTE[at], *_MARKERS[at])
 
 
-def _course(look: Look, session: Session, most: int) -> ReportTrace:
+def _trace(look: Look, session: Session, most: int) -> ReportTrace:
     start = start_ns(session)
     time_s = since_s(session.ticks, start)
     bands = tuple(
         Band(each.phase, float(time_s[each.first]), float(time_s[min(each.end, len(time_s) - 1)]))
-        for each in stretches(session.ticks)
+        for each in phase_spans(session.ticks)
     )
     held, whole_s = _first_run(held_rows(session.ticks)), (float(time_s[0]), float(time_s[-1]))
     columns = {name: session.ticks[name] for name in _TICK_COLUMNS}
@@ -116,14 +116,14 @@ def _course(look: Look, session: Session, most: int) -> ReportTrace:
 
 
 def _first_run(rows: Array) -> Array:
-    """The first of these rows and those that follow it without a gap."""
+    """The first rows without a gap."""
     gaps = np.flatnonzero(np.diff(rows) > 1)
     run: Array = rows[: gaps[0] + 1] if len(gaps) else rows
     return run
 
 
 def _matters(time_s: Array, bands: Sequence[Band]) -> Array:
-    """Where the brake is in charge, and a little around it."""
+    """Mask of the rows while the brake is held, with a margin."""
     found = np.zeros(len(time_s), bool)
     for band in bands:
         if band.phase in {Phase.BRAKING, Phase.STOPPED}:

@@ -1,4 +1,4 @@
-"""What a reader of a report must know before believing its curves."""
+"""Warnings that a reader needs before trusting the curves."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _MOST_EVENTS: Final = 10
 
 
 def warnings_of(session: Session) -> list[str]:
-    """In the order of weight; none for a stop that went well."""
-    told = *_injected(session), *_end(session), *_guard(session)
-    return [*told, *_losses(session), *_machine(session), *_source(session), *_log(session)]
+    """Warnings, most important first; empty for a good stop."""
+    first = *_injected(session), *_end(session), *_guard(session)
+    return [*first, *_losses(session), *_machine(session), *_source(session), *_log(session)]
 
 
 def _injected(session: Session) -> Iterator[str]:
@@ -30,18 +30,18 @@ def _injected(session: Session) -> Iterator[str]:
 
 
 def outcome_of(session: Session) -> str:
-    """In a word."""
-    told = session.metadata.get("session", {}).get("outcome", "")
-    return told or ("not known" if session.incomplete else "not recorded")
+    """Outcome in one or two words."""
+    recorded = session.metadata.get("session", {}).get("outcome", "")
+    return recorded or ("not known" if session.incomplete else "not recorded")
 
 
 def _end(session: Session) -> Iterator[str]:
     if session.incomplete:
-        yield f"The file is not whole: {session.incomplete}. {len(session.ticks)} ticks could be read."
+        yield f"The file is incomplete: {session.incomplete}. {len(session.ticks)} ticks could be read."
     outcome = outcome_of(session)
     if outcome != _WELL:
-        told = _explanation(session)
-        yield f"Outcome: {outcome}{f': {told}' if told else ''}."
+        why = _explanation(session)
+        yield f"Outcome: {outcome}{f': {why}' if why else ''}."
     lost = session.metadata.get("recovery", {}).get("lost", "")
     if lost not in _explanation(session):
         yield f"Recovered, with losses: {lost}."
@@ -52,9 +52,9 @@ def _end(session: Session) -> Iterator[str]:
 
 
 def _explanation(session: Session) -> str:
-    """Of the outcome, as the result card or the session's last words tell it."""
-    told = (card_of(session) or {}).get("explanation") or session.metadata.get("session", {}).get("reason", "")
-    return str(told)
+    """Explanation of the outcome from the result card, or the recorded reason."""
+    card = card_of(session) or {}
+    return str(card.get("explanation") or session.metadata.get("session", {}).get("reason", ""))
 
 
 def _guard(session: Session) -> Iterator[str]:
@@ -96,9 +96,9 @@ def _losses(session: Session) -> Iterator[str]:
 
 def _machine(session: Session) -> Iterator[str]:
     red = [
-        f"{name} ({told.partition(': ')[2]})"
-        for name, told in session.metadata.get("doctor", {}).items()
-        if told.startswith("red")
+        f"{name} ({finding.partition(': ')[2]})"
+        for name, finding in session.metadata.get("doctor", {}).items()
+        if finding.startswith("red")
     ]
     if red:
         yield f"The doctor found the computer unfit: {', '.join(red)}."
@@ -113,8 +113,8 @@ def _source(session: Session) -> Iterator[str]:
 
 def _log(session: Session) -> Iterator[str]:
     known = [EXPLANATIONS[Reason(reason)] for reason in np.unique(session.ticks["reason"])]
-    told = [event.text for event in session.log if event.level >= _WARNING]
-    told = [text for text in told if not any(why in text for why in known)]
-    yield from (f"Log: {text}." for text in told[:_MOST_EVENTS])
-    if len(told) > _MOST_EVENTS:
-        yield f"Log: {len(told) - _MOST_EVENTS} more."
+    texts = [event.text for event in session.log if event.level >= _WARNING]
+    texts = [text for text in texts if not any(why in text for why in known)]
+    yield from (f"Log: {text}." for text in texts[:_MOST_EVENTS])
+    if len(texts) > _MOST_EVENTS:
+        yield f"Log: {len(texts) - _MOST_EVENTS} more."

@@ -1,4 +1,4 @@
-"""The result card on a terminal."""
+"""The result card as a panel on a terminal."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ ROWS: Final = (
 )
 """Label, key of the result card, format with its unit, and factor."""
 _NEITHER: Final = frozenset({"start_speed_rad_s"})
-"""Of which neither more nor less is better."""
+"""Keys of which neither more nor less is better."""
 _COLOURS = {"completed": "green", "interrupted": "yellow"}
 
 
 def render_card(
     card: Mapping[str, Any], explanation: str, before: Mapping[str, Any] | None = None, *, plain: bool = False
 ) -> RenderableType:
-    """The card as a panel, with what differs from the card `before`; what was not measured is a dash.
+    """The card as a panel, with differences from the card `before`; a value that was not measured is a dash.
 
     `plain` uses ASCII only.
     """
@@ -66,15 +66,15 @@ def render_card(
 
 
 def _change(key: str, value: Any, earlier: Any, form: str, factor: float, *, plain: bool) -> Text:
-    """An arrow, the difference, and whether that is good: less is better for all but the start speed."""
+    """Arrow and difference, with "better" or "worse": less is better for all but the start speed."""
     if not isinstance(value, int | float) or not isinstance(earlier, int | float):
         return Text()
     number = form.partition(" ")[0]
-    told, difference = number.replace("{:", "{:+"), (value - earlier) * factor
+    difference = (value - earlier) * factor
     if number.format(value * factor) == number.format(earlier * factor):
         return Text("=", style="dim")
     up, down = ("^", "v") if plain else ("▲", "▼")
-    text = f"{up if difference > 0.0 else down} {told.format(difference)}"
+    text = f"{up if difference > 0.0 else down} {number.replace('{:', '{:+').format(difference)}"
     if key in _NEITHER:
         return Text(text, style="dim")
     return Text(f"{text} worse", style="yellow") if difference > 0.0 else Text(f"{text} better", style="green")

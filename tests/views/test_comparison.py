@@ -7,7 +7,7 @@ import pytest
 
 from inteco_abs.errors import ConfigError
 from inteco_abs.signals import Phase
-from inteco_abs.views.comparison import MOST, labels, require_distinct, since_s, start_ns, stretches
+from inteco_abs.views.comparison import MOST, labels, phase_spans, require_distinct, since_s, start_ns
 
 
 def test_one_session_is_named_by_what_it_was_run_with(session):
@@ -81,10 +81,10 @@ def test_time_counts_from_the_first_tick_of_braking_or_of_all(session):
 
 
 def test_stretches_are_the_phases_in_their_order(session):
-    found = stretches(session.ticks)
+    found = phase_spans(session.ticks)
     expected = [Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE]
     assert [each.phase for each in found] == expected
     assert found[0].first == 0
     assert found[-1].end == len(session.ticks)
     assert all(a.end == b.first for a, b in itertools.pairwise(found))
-    assert stretches(session.ticks[:0]) == []
+    assert phase_spans(session.ticks[:0]) == []
