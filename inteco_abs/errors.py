@@ -20,7 +20,7 @@ import errno
 import traceback
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 _LONGEST: Final = 2000
 """Characters of a foreign error's text that are worth keeping."""
@@ -74,6 +74,11 @@ class ConfigError(AbsError):
         count = f"{len(lines)} mistakes" if len(lines) > 1 else "a mistake"
         place = "command line" if all(mistake.typed for mistake in self.mistakes) else "configuration"
         super().__init__("\n".join([f"the {place} has {count}; nothing was started:", *_on_a_screen(lines)]))
+
+    @classmethod
+    def of(cls, path: str, problem: str) -> Self:
+        """The error with this one issue."""
+        return cls([ConfigIssue(path, problem)])
 
     def __reduce__(self) -> tuple[type[ConfigError], tuple[tuple[ConfigIssue, ...]]]:
         """Made from its mistakes again, not from its text, where another process has raised it."""

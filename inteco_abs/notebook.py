@@ -15,7 +15,7 @@ from inteco_abs import analysis, sessions
 from inteco_abs.boards import check_address, check_kind, default_profile, simulated
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import Controller, build_pipeline, control_check, preferred_estimator
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue
+from inteco_abs.errors import AbsError, ConfigError
 from inteco_abs.experiment import Plan
 from inteco_abs.experiment import run_stop as run_experiment
 from inteco_abs.mock_board import rig_check
@@ -140,7 +140,7 @@ class Rig:
             problem = (
                 f"{_name(controller)} is a class of this process, and real time needs one from a file: file.py:Class"
             )
-            raise ConfigError([ConfigIssue("controller", problem)])
+            raise ConfigError.of("controller", problem)
         run_experiment(
             config, Plan(path, self.board, virtual, seed, known, origin.source, controller_package=origin.package)
         )

@@ -15,7 +15,7 @@ import click
 
 from inteco_abs.cli.options import RunOptions, run_options
 from inteco_abs.cli.terminal import Terminal, say
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue
+from inteco_abs.errors import AbsError, ConfigError
 
 if TYPE_CHECKING:
     from inteco_abs.commissioning import Procedure, ProfileDraft, RigAccess
@@ -28,7 +28,7 @@ def _require_answers() -> None:
     problem = (
         "missing: standard input cannot answer questions; run it on a terminal, or do only steps 1 to 3, which read"
     )
-    raise ConfigError([ConfigIssue("--yes-read-only", problem)])
+    raise ConfigError.of("--yes-read-only", problem)
 
 
 def _ended(stream: TextIO) -> bool:
@@ -86,12 +86,12 @@ def commission(
     board, virtual = options.board, options.virtual
     check_address(board)
     if virtual and not simulated(board):
-        raise ConfigError([ConfigIssue("--virtual", f"{board}: a real board runs in real time; omit --virtual")])
+        raise ConfigError.of("--virtual", f"{board}: a real board runs in real time; omit --virtual")
     for name in (only, redo):
         if name:
             find_step(name)
     if only and redo:
-        raise ConfigError([ConfigIssue("--redo", "continues after its step, --step does not: name one of them")])
+        raise ConfigError.of("--redo", "continues after its step, --step does not: name one of them")
     if dry_run:
         _print_steps(as_json=as_json)
         return 0

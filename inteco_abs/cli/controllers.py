@@ -8,7 +8,7 @@ from inteco_abs.cli.completion import controller_names
 from inteco_abs.cli.description import Description, docstring, print_broken, print_description, print_line, summary
 from inteco_abs.cli.options import json_option
 from inteco_abs.cli.terminal import print_json
-from inteco_abs.errors import ConfigError, ConfigIssue, near_match
+from inteco_abs.errors import ConfigError, near_match
 
 
 @click.command()
@@ -44,7 +44,7 @@ def _describe(name: str, *, as_json: bool) -> None:
 
     known = known_controllers(name)
     if name not in known:
-        raise ConfigError([ConfigIssue("NAME", f"no controller {name!r}{near_match(name, known)}")])
+        raise ConfigError.of("NAME", f"no controller {name!r}{near_match(name, known)}")
     kind = known[name]
     one = Description(name, docstring(kind), kind.gains, kind.internals, getattr(kind, "estimator", ""))
     values = {gain.name: gain.default for gain in kind.gains}

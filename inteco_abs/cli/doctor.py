@@ -10,7 +10,7 @@ import click
 
 from inteco_abs.cli.options import FILE, LOSSES, Finite, json_option, shared_option
 from inteco_abs.cli.terminal import print_json, say
-from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
+from inteco_abs.errors import BoardError, ConfigError
 
 if TYPE_CHECKING:
     from inteco_abs.host import Finding
@@ -66,12 +66,12 @@ def doctor(
         _print_file(printed, files[printed], as_json=as_json)
         return 0
     if not SHORTEST_S <= seconds <= LONGEST_S:
-        raise ConfigError([ConfigIssue("--seconds", f"{seconds:g}: must be {SHORTEST_S:g}..{LONGEST_S:g} s")])
+        raise ConfigError.of("--seconds", f"{seconds:g}: must be {SHORTEST_S:g}..{LONGEST_S:g} s")
     if board is not None:
         check_address(board)
     rig = load_config(config, profile=default_profile(board or "sim:"))
     if sessions.exists() and not sessions.is_dir():
-        raise ConfigError([ConfigIssue("--sessions", f"{sessions}: is a file; name a folder")])
+        raise ConfigError.of("--sessions", f"{sessions}: is a file; name a folder")
     findings = examine(sessions)
     say(f"measuring for {seconds:g} s", err=True)
     findings += [write_speed(sessions), *examine_wake_ups(seconds)]
@@ -124,5 +124,5 @@ def _serial(ftdi_serial: str | None, *, with_rules: bool) -> str:
     if ftdi_serial is None:
         return ""
     if not with_rules:
-        raise ConfigError([ConfigIssue("--ftdi-serial", "only with --rules, whose text it changes; add --rules")])
+        raise ConfigError.of("--ftdi-serial", "only with --rules, whose text it changes; add --rules")
     return check_serial(ftdi_serial)

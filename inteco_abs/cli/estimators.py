@@ -8,7 +8,7 @@ from inteco_abs.cli.completion import estimator_names
 from inteco_abs.cli.description import Description, docstring, print_broken, print_description, print_line
 from inteco_abs.cli.options import json_option
 from inteco_abs.cli.terminal import print_json
-from inteco_abs.errors import ConfigError, ConfigIssue, near_match
+from inteco_abs.errors import ConfigError, near_match
 
 
 @click.command()
@@ -39,7 +39,7 @@ def _describe(name: str, *, as_json: bool) -> None:
     from inteco_abs.control import ESTIMATORS
 
     if name not in ESTIMATORS:
-        raise ConfigError([ConfigIssue("NAME", f"no estimator {name!r}{near_match(name, ESTIMATORS)}")])
+        raise ConfigError.of("NAME", f"no estimator {name!r}{near_match(name, ESTIMATORS)}")
     kind = ESTIMATORS[name]
     one = Description(name, f"{kind.summary}.\n\n{docstring(kind.works)}", kind.parameters)
     values = {each.name: each.default for each in kind.parameters}

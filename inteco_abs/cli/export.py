@@ -10,7 +10,7 @@ import click
 from inteco_abs.cli.options import FILE, LOSSES, json_option
 from inteco_abs.cli.session_files import report_losses
 from inteco_abs.cli.terminal import print_json, say
-from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.errors import ConfigError
 
 _FORMATS: Final = ("csv", "npz", "mat", "parquet")
 
@@ -51,12 +51,10 @@ def _form_and_out(file: Path, form: str | None, out: Path | None) -> tuple[str, 
     """Each follows from the other, and they must agree: programs open a file by its suffix."""
     if out is None:
         if form is None:
-            raise ConfigError(
-                [ConfigIssue("--format", f"missing: name {', '.join(_FORMATS)}, or an --out that ends so")]
-            )
+            raise ConfigError.of("--format", f"missing: name {', '.join(_FORMATS)}, or an --out that ends so")
         return form, file.with_suffix(f".{form}")
     ending = out.suffix.removeprefix(".")
     wanted = _FORMATS if form is None else (form,)
     if ending not in wanted:
-        raise ConfigError([ConfigIssue("--out", f"{out}: must end in .{', .'.join(wanted)}")])
+        raise ConfigError.of("--out", f"{out}: must end in .{', .'.join(wanted)}")
     return ending, out

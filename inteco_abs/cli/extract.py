@@ -11,7 +11,7 @@ import click
 from inteco_abs.cli.options import FILE, LOSSES, json_option
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import on_terminal, plain, print_json, say
-from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.errors import ConfigError
 
 if TYPE_CHECKING:
     from inteco_abs.sessions import Session
@@ -31,9 +31,9 @@ def extract(file: Path, name: str | None, out: Path | None, as_json: bool) -> in
     from inteco_abs.sessions import extract as write_attachment
 
     if name is None and out is not None:
-        raise ConfigError([ConfigIssue("--out", f"{out}: name the file to write there: extract FILE NAME --out OUT")])
+        raise ConfigError.of("--out", f"{out}: name the file to write there: extract FILE NAME --out OUT")
     if name is not None and out is None and as_json:
-        raise ConfigError([ConfigIssue("--json", "standard output has the file itself; name another place with --out")])
+        raise ConfigError.of("--json", "standard output has the file itself; name another place with --out")
     session = read_whole(file, read_session)
     if name is None:
         _list(session, as_json)

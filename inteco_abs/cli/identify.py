@@ -83,13 +83,13 @@ def identify(
     from inteco_abs.views.figure import check_figure
 
     if plan and files:
-        raise ConfigError([ConfigIssue("--plan", "records sessions and reads none; omit --plan to read them")])
+        raise ConfigError.of("--plan", "records sessions and reads none; omit --plan to read them")
     if not plan and not files:
-        raise ConfigError([ConfigIssue("SESSION", "name at least one session, or --plan to record what is needed")])
+        raise ConfigError.of("SESSION", "name at least one session, or --plan to record what is needed")
     if plan:
         return _record(options, out, pause_s, dry_run=dry_run, as_json=as_json)
     if dry_run:
-        raise ConfigError([ConfigIssue("--dry-run", "only with --plan; without it, nothing moves")])
+        raise ConfigError.of("--dry-run", "only with --plan; without it, nothing moves")
     assumed = _assumed(assume)
     rig = load_config(options.config, options.settings, [control_check()])
     require_different({"--out": out, "--figure": figure})
@@ -135,7 +135,7 @@ def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, floa
         found += segments(session, session_config(session, ()).encoders.counts_per_turn)
     if not found:
         problem = "no session has a run-up or a braking phase of the open-loop controller; --plan records some"
-        raise ConfigError([ConfigIssue("SESSION", problem)])
+        raise ConfigError.of("SESSION", problem)
     return identify(chosen(found), nominal_parameters(rig.model), assumed)
 
 
@@ -164,7 +164,7 @@ def _check_out(path: Path) -> None:
     from inteco_abs.sessions import check_output
 
     if path.suffix != ".toml":
-        raise ConfigError([ConfigIssue("--out", f"{path}: must end in .toml")])
+        raise ConfigError.of("--out", f"{path}: must end in .toml")
     check_output(path)
 
 

@@ -9,7 +9,7 @@ import click
 
 from inteco_abs.cli.options import Finite, shared_option
 from inteco_abs.cli.terminal import say
-from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
+from inteco_abs.errors import BoardError, ConfigError
 
 
 @click.command("identify-led")
@@ -28,8 +28,7 @@ def identify_led(board: str, seconds: float, config: Path | None) -> int:
     name, _, rest = board.partition(":")
     switch = None if simulated(board) else family_of(name).identify_led
     if switch is None:
-        problem = f"{board!r}: only an RT-DAC/USB2 has this LED; name one, as in usb2:123"
-        raise ConfigError([ConfigIssue("--board", problem)])
+        raise ConfigError.of("--board", f"{board!r}: only an RT-DAC/USB2 has this LED; name one, as in usb2:123")
     rig = load_config(config, profile=default_profile(board))
     if not switch(rest, rig, True):
         raise BoardError("the board refuses to switch its LED")

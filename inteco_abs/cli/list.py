@@ -11,7 +11,7 @@ import click
 
 from inteco_abs.cli.options import FILE, LOSSES, json_option
 from inteco_abs.cli.terminal import on_terminal, plain, print_json, say
-from inteco_abs.errors import ConfigError, ConfigIssue, near_match
+from inteco_abs.errors import ConfigError, near_match
 
 _HEADS: Final = {
     "session": "session",
@@ -66,7 +66,7 @@ def list_sessions(folder: Path, key: str, reverse: bool, recursive: bool, as_jso
     from inteco_abs.analysis import COLUMNS, session_files, session_row, sort_rows
 
     if key not in COLUMNS:
-        raise ConfigError([ConfigIssue("--sort", f"no column {key!r}{near_match(key, COLUMNS)}")])
+        raise ConfigError.of("--sort", f"no column {key!r}{near_match(key, COLUMNS)}")
     rows = sort_rows(map(session_row, session_files(folder, nested=recursive)), key, reverse=reverse)
     if as_json:
         print_json({"schema_version": 1, "folder": str(folder), "sessions": rows})

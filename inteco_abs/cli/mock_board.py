@@ -12,7 +12,7 @@ import click
 
 from inteco_abs.cli.options import FILE, Finite, Whole, rig_settings, shared_option
 from inteco_abs.cli.terminal import say
-from inteco_abs.errors import ConfigError, ConfigIssue, describe_disk
+from inteco_abs.errors import ConfigError, describe_disk
 
 
 @click.command("mock-board")
@@ -75,18 +75,16 @@ def mock_board(
     from inteco_abs.mock_board_process import Mock, serve_pty, serve_usbip
 
     if (address is None) == (link is None):
-        raise ConfigError([ConfigIssue("--usbip, --pty", "name one of them: a USB device or a serial port")])
+        raise ConfigError.of("--usbip, --pty", "name one of them: a USB device or a serial port")
     seen = None if report is None else ReportedBoard(report)
     if seen is not None and kind not in {None, seen.report.kind}:
-        raise ConfigError(
-            [ConfigIssue("--board", f"{kind}: the report is of a {seen.report.kind} board; omit --board")]
-        )
+        raise ConfigError.of("--board", f"{kind}: the report is of a {seen.report.kind} board; omit --board")
     kind = _pluggable(seen.report.kind if seen is not None else kind, at_pty=link is not None)
     settings = [*(seen.settings if seen is not None else ()), *rig_settings(rig)]
     configured = load_config(config, settings, [rig_check], family_of(kind).mock_profile)
     if configured.board.kind != kind:
-        raise ConfigError(
-            [ConfigIssue("board.kind", f"{configured.board.kind!r}: the mock is to be {kind!r}; name another profile")]
+        raise ConfigError.of(
+            "board.kind", f"{configured.board.kind!r}: the mock is to be {kind!r}; name another profile"
         )
     with _truth_file(truth) as file:
         mock = Mock(configured, seed, file, truth_hz, seen)
@@ -112,9 +110,9 @@ def _pluggable(kind: str | None, *, at_pty: bool) -> str:
     family = family_of(kind)
     if at_pty and mock_family(kind).usb_device is not None:
         known = ", ".join(name for name in FAMILIES if fits(name))
-        raise ConfigError([ConfigIssue("--board", f"{kind}: not a serial port; use --pty with --board {known}")])
+        raise ConfigError.of("--board", f"{kind}: not a serial port; use --pty with --board {known}")
     problem = f"{kind}: its mock cannot be plugged in; use run --board sim: --set profile={family.mock_profile}"
-    raise ConfigError([ConfigIssue("--board", problem)])
+    raise ConfigError.of("--board", problem)
 
 
 @contextmanager
@@ -126,6 +124,6 @@ def _truth_file(name: str | None) -> Iterator[TextIO | None]:
     try:
         file = Path(name).open("w", encoding="utf-8")  # noqa: SIM115  closed below; what is raised inside is not ours
     except OSError as error:
-        raise ConfigError([ConfigIssue("--truth", f"{name}: cannot be written: {describe_disk(error)}")]) from error
+        raise ConfigError.of("--truth", f"{name}: cannot be written: {describe_disk(error)}") from error
     with file:
         yield file

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names, key_names
-from inteco_abs.errors import ConfigError, ConfigIssue, near_match
+from inteco_abs.errors import ConfigError, near_match
 from inteco_abs.quantities import number_hint
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ class RunOptions:
         check_address(self.board)
         if self.rig is not None and not simulated(self.board):
             problem = f"{self.board}: a real board has its own rig; use --rig with --board sim: only"
-            raise ConfigError([ConfigIssue("--rig", problem)])
+            raise ConfigError.of("--rig", problem)
         settings = (*self.settings, *rig_settings(self.rig), *more)
         return load_config(self.config, settings, [*checks, rig_check], default_profile(self.board), follows)
 
@@ -306,7 +306,7 @@ def check_table(path: Path | None) -> None:
         return
     check_output(path, "--csv")
     if path.suffix != ".csv":
-        raise ConfigError([ConfigIssue("--csv", f"{path}: must end in .csv")])
+        raise ConfigError.of("--csv", f"{path}: must end in .csv")
 
 
 def require_different(files: dict[str, Path | None]) -> None:
@@ -317,7 +317,7 @@ def require_different(files: dict[str, Path | None]) -> None:
             continue
         other = seen.setdefault(file.resolve(), option)
         if other != option:
-            raise ConfigError([ConfigIssue(option, f"{file}: same file as {other}; choose another name")])
+            raise ConfigError.of(option, f"{file}: same file as {other}; choose another name")
 
 
 def known_controllers(name: str | None) -> Controllers:
@@ -329,7 +329,7 @@ def known_controllers(name: str | None) -> Controllers:
         if name is not None and name not in controllers:
             file = name if name.endswith(".py") else f"{name}.py"
             if name == file or os.path.isfile(file):  # noqa: PTH113  a name too long for a file is not an error here
-                raise ConfigError([ConfigIssue("--controller", f"{name}: name the class too, as in {file}:Class")])
+                raise ConfigError.of("--controller", f"{name}: name the class too, as in {file}:Class")
         return controllers
     kind, source = load_controller(name)
     return Controllers({name: (kind, Origin(source))})

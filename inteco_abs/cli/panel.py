@@ -10,7 +10,7 @@ import click
 from inteco_abs.cli.dry_run import rehearse_by_hand
 from inteco_abs.cli.options import RunOptions, run_options
 from inteco_abs.cli.terminal import Terminal, on_terminal, say
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue
+from inteco_abs.errors import AbsError, ConfigError
 
 
 @click.command()
@@ -32,7 +32,7 @@ def panel(options: RunOptions, outputs: bool, dry_run: bool) -> int:
     rig, board = options.load(), options.board
     injected = parse_faults(options.faults)
     if dry_run and not outputs:
-        raise ConfigError([ConfigIssue("--dry-run", "only with --outputs: without them the panel only reads")])
+        raise ConfigError.of("--dry-run", "only with --outputs: without them the panel only reads")
     if dry_run:
         return rehearse_by_hand(rig, board, injected, (_require_textual, _require_terminal))
     _require_textual()

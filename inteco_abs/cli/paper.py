@@ -12,7 +12,7 @@ import click
 
 from inteco_abs.cli.options import Whole, json_option
 from inteco_abs.cli.terminal import print_json, say, stops_progress
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
+from inteco_abs.errors import AbsError, ConfigError, describe_disk
 
 if TYPE_CHECKING:
     from inteco_abs.paper import Reproduction
@@ -67,11 +67,9 @@ def paper(folder: Path, draws: int, as_json: bool) -> int:
 def _check_folder(folder: Path) -> None:
     """Refuse, before anything is computed, what cannot be written to."""
     if folder.exists() and not folder.is_dir():
-        raise ConfigError([ConfigIssue("--out", f"{folder}: is a file; name a folder")])
+        raise ConfigError.of("--out", f"{folder}: is a file; name a folder")
     if not folder.absolute().parent.is_dir():
-        raise ConfigError(
-            [ConfigIssue("--out", f"{folder}: the folder {folder.parent} does not exist; create it first")]
-        )
+        raise ConfigError.of("--out", f"{folder}: the folder {folder.parent} does not exist; create it first")
     changed = folder if folder.exists() else folder.absolute().parent
     if not os.access(changed, os.W_OK | os.X_OK):
         raise AbsError(f"{changed}: no permission to write to this folder; name another with -o")

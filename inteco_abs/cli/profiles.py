@@ -6,7 +6,7 @@ import click
 
 from inteco_abs.cli.options import json_option
 from inteco_abs.cli.terminal import print_json, say
-from inteco_abs.errors import ConfigError, ConfigIssue, near_match
+from inteco_abs.errors import ConfigError, near_match
 
 
 @click.command()
@@ -23,7 +23,7 @@ def profiles(name: str | None, as_json: bool) -> int:
 
     if name is not None:
         if name not in shipped():
-            raise ConfigError([ConfigIssue("NAME", f"{name!r} is not a shipped profile{near_match(name, shipped())}")])
+            raise ConfigError.of("NAME", f"{name!r} is not a shipped profile{near_match(name, shipped())}")
         say(profile_text(name), nl=False)
         return 0
     boards = {one: load_config(profile=one).board for one in shipped()}

@@ -25,7 +25,7 @@ from inteco_abs.cli.options import (
 )
 from inteco_abs.cli.run import brake, report_end
 from inteco_abs.cli.terminal import print_json, say
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue
+from inteco_abs.errors import AbsError, ConfigError
 
 _COOL_DOWN_S: Final = 30.0
 """What the manual asks for after a switch-off for heat (docs/facts/rig.md#how-the-rig-is-run)."""
@@ -121,7 +121,7 @@ def _check_new(folder: Path) -> None:
     from inteco_abs.sessions import check_folder
 
     if folder.exists():
-        raise ConfigError([ConfigIssue("--out", f"{folder}: exists already; name a folder that does not exist")])
+        raise ConfigError.of("--out", f"{folder}: exists already; name a folder that does not exist")
     check_folder(folder)
 
 

@@ -10,7 +10,7 @@ import click
 from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, json_option, known_controllers
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import print_json, say
-from inteco_abs.errors import ConfigError, ConfigIssue, near_match
+from inteco_abs.errors import ConfigError, near_match
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -84,17 +84,13 @@ def controllers_for(session: Session, controller: str | None) -> Controllers:
     name, package = recorded.get("name", ""), recorded.get("package", "")
     if controller is not None:
         if controller not in controllers:
-            raise ConfigError(
-                [ConfigIssue("--controller", f"no controller {controller!r}{near_match(controller, controllers)}")]
-            )
+            raise ConfigError.of("--controller", f"no controller {controller!r}{near_match(controller, controllers)}")
         controllers = Controllers({name: (controllers[controller], controllers.origin(controller))})
     elif FROM_FILE in name:
-        raise ConfigError(
-            [ConfigIssue("--controller", f"the session was run with {name!r}; name that file to replay it")]
-        )
+        raise ConfigError.of("--controller", f"the session was run with {name!r}; name that file to replay it")
     elif package and name not in controllers:
         problem = f"the session was run with {name!r} of the package {package!r}, which is not installed; install it"
-        raise ConfigError([ConfigIssue("--controller", problem)])
+        raise ConfigError.of("--controller", problem)
     if name in controllers:
         _report_other(controllers.origin(name), session.attachments.get("controller.py"), package)
     return controllers

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from inteco_abs.cli.terminal import plain, say
-from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.errors import ConfigError
 
 if TYPE_CHECKING:
     from inteco_abs.sessions import Session
@@ -47,4 +47,4 @@ def check_session_file(out: Path) -> None:
 
     check_output(out)
     if out.suffix != ".mcap":
-        raise ConfigError([ConfigIssue("--out", f"{out}: must end in .mcap, by which sessions are found")])
+        raise ConfigError.of("--out", f"{out}: must end in .mcap, by which sessions are found")

@@ -20,7 +20,7 @@ from inteco_abs.cli.options import (
 )
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import print_json, say
-from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.errors import ConfigError
 from inteco_abs.quantities import shown
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def what_if(
         check_figure(figure)
         if len(grid) > MOST:
             problem = f"{len(grid)} alternatives: a figure shows at most {MOST}; sweep fewer values, or omit --figure"
-            raise ConfigError([ConfigIssue("--figure", problem)])
+            raise ConfigError.of("--figure", problem)
     session = read_whole(file, read_session)
     controllers = known_controllers(options.controller)
     alternatives = [
@@ -137,10 +137,10 @@ def _grid(settings: Sequence[str], sweeps: Sequence[str]) -> Iterator[tuple[str,
     for axis in axes:
         count *= len(axis)
     if count > _MOST:
-        raise ConfigError([ConfigIssue("--sweep", f"{count} alternatives: must be at most {_MOST}; give fewer values")])
+        raise ConfigError.of("--sweep", f"{count} alternatives: must be at most {_MOST}; give fewer values")
     if not (settings or axes):
         problem = "nothing to compare: name other gains, as controller.gains.Mk=5, or a --controller or --estimator"
-        raise ConfigError([ConfigIssue("--set", problem)])
+        raise ConfigError.of("--set", problem)
     for values in product(*axes):
         yield ", ".join(values or settings), [*settings, *values]
 
@@ -149,7 +149,7 @@ def _axis(sweep: str) -> list[str]:
     key, equals, text = sweep.partition("=")
     values = [value.strip() for value in text.split(",")]
     if not (equals and key.strip() and all(values)):
-        raise ConfigError([ConfigIssue(f"--sweep {sweep}", "must look like controller.gains.Mk=1,2,5")])
+        raise ConfigError.of(f"--sweep {sweep}", "must look like controller.gains.Mk=1,2,5")
     return [f"{key.strip()}={value}" for value in dict.fromkeys(values)]
 
 

@@ -10,7 +10,7 @@ import click
 
 from inteco_abs.cli.options import DIFFERS, FILE, RunOptions, VerbGroup, Whole, json_option, run_options
 from inteco_abs.cli.terminal import print_json, say
-from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.errors import ConfigError
 
 if TYPE_CHECKING:
     from inteco_abs.boards.board_report import BoardReport
@@ -163,7 +163,7 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
     ignored = [*ignore, *([] if numbering_pwm is None else [f"pwm{numbering_pwm}_prescaler"])]
     one, other = _read(first), _read(second)
     if one.board != other.board:
-        raise ConfigError([ConfigIssue("SECOND", f"{second} is of a {other.board} board, {first} of a {one.board}")])
+        raise ConfigError.of("SECOND", f"{second} is of a {other.board} board, {first} of a {one.board}")
     outcome = compare_sends(one, other, ignored)
     if as_json:
         words = [word._asdict() for word in outcome.words]

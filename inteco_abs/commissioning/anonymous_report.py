@@ -17,7 +17,7 @@ from inteco_abs.boards.board_report import BoardReport, Bus, Identity, Reads, Va
 from inteco_abs.boards.families.usb2.bridge import NOT_TOLD
 from inteco_abs.commissioning.profile_draft import ProfileDraft
 from inteco_abs.config import BoardConfig
-from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.errors import ConfigError
 from inteco_abs.host import Computer
 from inteco_abs.sessions import host_facts
 from inteco_abs.wire import Capture, Kind, Record
@@ -42,7 +42,7 @@ def board_seen(draft: ProfileDraft) -> Capture:
     results, wiring = draft.results, draft.config.board
     header = results.get("header", {})
     if "raw" not in header:
-        raise ConfigError([ConfigIssue("--send-report", "the board was not read yet: do step 2, header, first")])
+        raise ConfigError.of("--send-report", "the board was not read yet: do step 2, header, first")
     device = _device_facts(draft)
     named = [("header", header["raw"]), *zip(_MOVED, results.get("wheels", {}).get("images", ()), strict=False)]
     report = BoardReport(

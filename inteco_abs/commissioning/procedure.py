@@ -15,7 +15,7 @@ from inteco_abs.commissioning.pwm_echo import echo_settings
 from inteco_abs.commissioning.sign_off import sign
 from inteco_abs.commissioning.step import Step, StepContext
 from inteco_abs.config import WIRING
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, Stopped, near_match
+from inteco_abs.errors import AbsError, ConfigError, Stopped, near_match
 
 DONE: Final = "done"
 _FAILED: Final = "failed"
@@ -150,7 +150,7 @@ class Procedure:
         for earlier in STEPS[: STEPS.index(step)]:
             if self.outcome(earlier) != DONE:
                 problem = f"{step.name} comes after {earlier.name}, which is {self.outcome(earlier)}"
-                raise ConfigError([ConfigIssue("--step", problem)])
+                raise ConfigError.of("--step", problem)
 
     def _do(self, step: Step) -> None:
         operator = self._context.operator
@@ -176,7 +176,7 @@ def find_step(name: str) -> Step:
         if name in (step.name, str(number)):
             return step
     names = [step.name for step in STEPS]
-    raise ConfigError([ConfigIssue("--step", f"no step {name!r}, 1..{len(STEPS)}{near_match(name, names)}")])
+    raise ConfigError.of("--step", f"no step {name!r}, 1..{len(STEPS)}{near_match(name, names)}")
 
 
 def _now() -> str:

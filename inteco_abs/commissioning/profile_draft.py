@@ -60,11 +60,9 @@ class ProfileDraft:
         new. Raises ConfigError, or AbsError if the disk refuses.
         """
         if file.suffix != ".toml":
-            raise ConfigError([ConfigIssue("--draft", f"{file}: a profile's name must end in .toml")])
+            raise ConfigError.of("--draft", f"{file}: a profile's name must end in .toml")
         if not file.parent.is_dir():
-            raise ConfigError(
-                [ConfigIssue("--draft", f"{file}: the folder {file.parent} does not exist; create it first")]
-            )
+            raise ConfigError.of("--draft", f"{file}: the folder {file.parent} does not exist; create it first")
         if file.exists():
             draft = cls(file, read_profile(str(file)), _read_results(results_of(file)))
             parse_config(tomli_w.dumps(draft._table))
@@ -151,10 +149,10 @@ class ProfileDraft:
         begun = str(self._results["board"] or board)
         if begun.partition(":")[0] != board.partition(":")[0]:
             problem = f"{self.file} was begun with the board {begun}, this is {board}; name another file"
-            raise ConfigError([ConfigIssue("--draft", problem)])
+            raise ConfigError.of("--draft", problem)
         if profile and profile != self.profile:
             problem = f"{profile}: {self.file} was begun from {self.profile}; name another draft, or leave this out"
-            raise ConfigError([ConfigIssue("--profile", problem)])
+            raise ConfigError.of("--profile", problem)
 
     def _void_sign_off(self, before: Table) -> None:
         if changed_wiring(before, self._table, _COVERED) or laxer_limits(before, self._table):
@@ -192,12 +190,12 @@ def _read_results(file: Path) -> dict[str, Any]:
     except FileNotFoundError:
         return _no_results("", "unknown")
     except (OSError, ValueError) as error:
-        raise ConfigError([ConfigIssue("--draft", f"{problem} ({error})")]) from error
+        raise ConfigError.of("--draft", f"{problem} ({error})") from error
     whole = isinstance(results, dict) and isinstance(results.get("steps"), dict)
     if not (whole and results.get("schema_version") == _SCHEMA and {"board", "profile"} <= results.keys()):
-        raise ConfigError([ConfigIssue("--draft", problem)])
+        raise ConfigError.of("--draft", problem)
     if not all(isinstance(one, dict) and "outcome" in one for one in results["steps"].values()):
-        raise ConfigError([ConfigIssue("--draft", problem)])
+        raise ConfigError.of("--draft", problem)
     return dict(results)
 
 

@@ -13,7 +13,7 @@ import tomli_w
 
 from inteco_abs.config.model import RigConfig, Section, bare, defaults, key_types, limits
 from inteco_abs.config.validation import meanings
-from inteco_abs.errors import ConfigError, ConfigIssue, near_match
+from inteco_abs.errors import ConfigError, near_match
 
 _WIDTH: Final = 100
 _GAINS: Final = "controller.gains"
@@ -106,7 +106,7 @@ def _asked(path: str, controllers: Controllers) -> tuple[list[Key], list[Key]]:
     within = [key for key in keys if key.path.startswith(f"{asked}.")]
     if mine or within:
         return mine, within
-    raise ConfigError([ConfigIssue(path or "KEY", f"is not a key of rig.toml{_hint(asked, keys)}")])
+    raise ConfigError.of(path or "KEY", f"is not a key of rig.toml{_hint(asked, keys)}")
 
 
 def _hint(asked: str, keys: Iterable[Key]) -> str:

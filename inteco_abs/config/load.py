@@ -103,7 +103,7 @@ def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
     try:
         table = _stored(text)
     except NOT_TOML as error:
-        raise ConfigError([ConfigIssue("config.toml", f"is not TOML: {in_words(error, text)}")]) from error
+        raise ConfigError.of("config.toml", f"is not TOML: {in_words(error, text)}") from error
     return _validate(table, checks, [])
 
 

@@ -14,7 +14,7 @@ from typing import Final
 from inteco_abs.boards import check_address, check_kind, check_limits, simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller
-from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
+from inteco_abs.errors import BoardError, ConfigError
 from inteco_abs.mock_board import (
     BY_PROCESS,
     CLOCK_STEP,
@@ -90,9 +90,7 @@ def _check_time(config: RigConfig, plan: Plan) -> None:
         require_linux()
         _require_origin(config, plan)
     elif not simulated(plan.board):
-        raise ConfigError(
-            [ConfigIssue("--virtual", f"{plan.board} is a real board, and real boards have their own time")]
-        )
+        raise ConfigError.of("--virtual", f"{plan.board} is a real board, and real boards have their own time")
 
 
 def _check_faults(config: RigConfig, plan: Plan) -> None:
@@ -107,8 +105,7 @@ def _check_faults(config: RigConfig, plan: Plan) -> None:
 
 def require_mock_board(board: str) -> None:
     if not simulated(board):
-        problem = f"{board} is a real board, and breaks by itself; only sim: can be told"
-        raise ConfigError([ConfigIssue("--inject", problem)])
+        raise ConfigError.of("--inject", f"{board} is a real board, and breaks by itself; only sim: can be told")
 
 
 def _require_origin(config: RigConfig, plan: Plan) -> None:
@@ -117,13 +114,13 @@ def _require_origin(config: RigConfig, plan: Plan) -> None:
             f"{config.controller.name!r}: in real time a controller must come from a file, as file.py:Class, "
             "or from an installed package"
         )
-        raise ConfigError([ConfigIssue("controller.name", problem)])
+        raise ConfigError.of("controller.name", problem)
 
 
 def _check_live(port: int, *, virtual: bool) -> None:
     if virtual:
         problem = "a run in virtual time is over before anybody could look; leave one of the two out"
-        raise ConfigError([ConfigIssue("--foxglove", f"{problem}, or open the session file in the viewer")])
+        raise ConfigError.of("--foxglove", f"{problem}, or open the session file in the viewer")
     require_foxglove(port)
 
 

@@ -120,8 +120,7 @@ def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault
 
 
 def _only_read(config: RigConfig) -> RigConfig:
-    because = config.board.read_only or ONLY_WATCHED
-    return replace(config, board=replace(config.board, read_only=because))
+    return replace(config, board=replace(config.board, read_only=config.board.read_only or ONLY_WATCHED))
 
 
 def _check_faults_by_hand(config: RigConfig, board: str, faults: Sequence[Fault]) -> None:

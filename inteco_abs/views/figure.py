@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
+from inteco_abs.errors import AbsError, ConfigError, describe_disk
 from inteco_abs.sessions import Session, atomic_write, check_output
 from inteco_abs.views.comparison import PALETTE, held_rows, labels, require_distinct, since_s, start_ns
 from inteco_abs.views.decimation import decimate
@@ -90,7 +90,7 @@ def check_figure(path: Path, option: str = "--figure") -> None:
     Raises ConfigError, SessionError if the folder cannot be written to, or AbsError without matplotlib.
     """
     if path.suffix.removeprefix(".") not in FORMATS:
-        raise ConfigError([ConfigIssue(option, f"{path}: must end in .{', .'.join(FORMATS)}")])
+        raise ConfigError.of(option, f"{path}: must end in .{', .'.join(FORMATS)}")
     check_output(path, option)
     require_matplotlib()
 
@@ -115,7 +115,7 @@ def figure_of(sessions: Sequence[Session], width: str = "two") -> Figure:
     """The figure of `draw_stops` as a matplotlib object. Raises the same errors."""
     require_matplotlib()
     if width not in WIDTHS:
-        raise ConfigError([ConfigIssue("width", f"{width!r}: must be one of {', '.join(WIDTHS)}")])
+        raise ConfigError.of("width", f"{width!r}: must be one of {', '.join(WIDTHS)}")
     require_distinct(sessions)
     with _style(WIDTHS[width]):
         return _drawn(sessions, WIDTHS[width])

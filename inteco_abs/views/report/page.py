@@ -10,7 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, SessionError, describe_disk
+from inteco_abs.errors import AbsError, ConfigError, SessionError, describe_disk
 from inteco_abs.sessions import Session, atomic_write, check_output
 from inteco_abs.version import __version__
 from inteco_abs.views.comparison import held_rows, labels, require_distinct
@@ -30,7 +30,7 @@ _NEEDED: Final = ("bokeh", "jinja2")
 def check_report(path: Path) -> None:
     """Check that a new report can be written to `path`. Raises ConfigError, SessionError, or AbsError without bokeh."""
     if path.suffix != SUFFIX:
-        raise ConfigError([ConfigIssue("--out", f"{path}: must end in {SUFFIX}")])
+        raise ConfigError.of("--out", f"{path}: must end in {SUFFIX}")
     check_output(path)
     if any(importlib.util.find_spec(name) is None for name in _NEEDED):
         raise AbsError("reports need bokeh: pip install 'inteco-abs[report]'")
