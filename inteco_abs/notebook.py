@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsFloat
 
 from inteco_abs import analysis, sessions
-from inteco_abs.boards import check_address, check_kind, default_profile, simulated
+from inteco_abs.boards import check_address, check_kind, default_profile, kind_check, simulated
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import Controller, build_pipeline, control_check, preferred_estimator
 from inteco_abs.errors import AbsError, ConfigError
@@ -105,7 +105,7 @@ class Rig:
         known = _known(controller)
         name = {} if controller is None else {"controller.name": _name(controller)}
         lines = [f"{key}={_toml(value)}" for key, value in {**self.settings, **settings, **name}.items()]
-        checks = [control_check(known), rig_check]
+        checks = [control_check(known), kind_check, rig_check]
         return load_config(self.config_file, lines, checks, default_profile(self.board), preferred_estimator(known))
 
     def run_stop(

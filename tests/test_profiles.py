@@ -10,6 +10,7 @@ from inteco_abs.boards import (
     check_kind,
     check_limits,
     default_profile,
+    kind_check,
     schemes,
     unconfirmed,
 )
@@ -282,6 +283,16 @@ class TestLimits:
         copied = load_config(settings=["board.application_names=['ABSIM', 'INTECO']"], profile="sim_usb")
         with pytest.raises(ConfigError, match=r"board\.simulated: the profile was made for the mock"):
             check_kind("usb:", copied)
+
+    def test_a_sign_off_cannot_make_a_real_boards_profile_simulated(self):
+        signed = ["board.verified_by=me", "board.verified_on=2026-01-01", "board.verified_logic=0x0103"]
+        assert load_config(settings=signed, profile="usb2_generic_0103").board.verified_by == "me"
+        with pytest.raises(ConfigError, match=r"board\.simulated: true in a signed configuration of a real board"):
+            load_config(settings=[*signed, "board.simulated=true"], profile="usb2_generic_0103")
+
+    def test_a_kind_that_no_family_has_is_refused_with_those_that_there_are(self):
+        with pytest.raises(ConfigError, match=r"board\.kind: no board family 'USB2'; known: pci, usb, usb2"):
+            load_config(settings=["board.kind=USB2"], checks=[kind_check])
 
     def test_a_session_with_any_limits_is_still_read(self):
         text = load_config(profile="usb2_generic_0103").to_toml().replace("silence_s = 0.05", "silence_s = 2.0")

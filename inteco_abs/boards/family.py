@@ -7,7 +7,7 @@ of the group `inteco_abs.board_families` (docs/how-to/add-a-board-family.md).
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
@@ -16,7 +16,7 @@ from inteco_abs.boards.families import SHIPPED
 from inteco_abs.boards.frame_labels import Protocol
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.boards.transports.registers import Registers
-from inteco_abs.config import BoardConfig, RigConfig
+from inteco_abs.config import BoardConfig, RigConfig, section_of
 from inteco_abs.entry_points import Registry
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
@@ -98,10 +98,21 @@ def known_families() -> dict[str, BoardFamily]:
     return {name: family for name, (family, _) in FAMILIES.usable()[0].items()}
 
 
+def kind_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
+    """Check for `load_config`: `board.kind` must be a known family."""
+    kind = section_of(table, "board").get("kind")
+    if isinstance(kind, str) and kind not in FAMILIES:
+        yield _unknown(kind)
+
+
+def _unknown(kind: str) -> ConfigIssue:
+    return ConfigIssue("board.kind", f"no board family {kind!r}; known: {', '.join(sorted(FAMILIES))}")
+
+
 def family_of(kind: str) -> BoardFamily:
     """The family that a profile's `board.kind` names; raises ConfigError if there is none."""
     if kind not in FAMILIES:
-        raise ConfigError([ConfigIssue("board.kind", f"no board family {kind!r}{near_match(kind, FAMILIES)}")])
+        raise ConfigError([_unknown(kind)])
     family = FAMILIES[kind]
     if family.name != kind:
         raise ConfigError([ConfigIssue("board.kind", f"{kind!r}: its record says {family.name!r}; mend its package")])
@@ -118,11 +129,11 @@ def protocols() -> dict[str, Protocol]:
     return {one.board: one for family in known_families().values() for one in family.protocols}
 
 
-def protocol_of(board: str) -> Protocol:
-    """Raises ConfigError for a board that has no tables here."""
+def protocol_of(board: str, option: str = "board") -> Protocol:
+    """Protocol of that name. Raises ConfigError that blames `option` if there is none."""
     known = protocols()
     if board not in known:
-        raise ConfigError([ConfigIssue("board", f"no protocol {board!r}{near_match(board, known)}")])
+        raise ConfigError([ConfigIssue(option, f"no protocol {board!r}{near_match(board, known)}")])
     return known[board]
 
 
@@ -137,7 +148,7 @@ def protocol_name(wiring: BoardConfig) -> str:
     raise ConfigError([ConfigIssue("board", f"no messages of {family.title}{stated} are known")])
 
 
-def family_speaking(board: str) -> BoardFamily:
-    """The family whose boards speak the protocol `board`; raises ConfigError."""
-    protocol = protocol_of(board)
+def family_speaking(board: str, option: str = "board") -> BoardFamily:
+    """The family whose boards speak the protocol `board`. Raises ConfigError that blames `option`."""
+    protocol = protocol_of(board, option)
     return next(family for family in known_families().values() if protocol in family.protocols)

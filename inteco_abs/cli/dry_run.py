@@ -116,8 +116,9 @@ def _conditions(planned: Sequence[Planned]) -> Iterator[Condition]:
 
 def _build(config: RigConfig, plan: Plan) -> None:
     from inteco_abs.control import build_pipeline
+    from inteco_abs.experiment import time_limit
 
-    with redirect_stdout(sys.stderr):  # a user's controller may print, and the report is on stdout
+    with redirect_stdout(sys.stderr), time_limit():  # a user's controller may print, and the report is on stdout
         build_pipeline(config, plan.controllers)
 
 

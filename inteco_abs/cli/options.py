@@ -159,7 +159,7 @@ class RunOptions:
         self, *more: str, checks: Sequence[Check] = (), follows: Callable[[Table], Table] | None = None
     ) -> RigConfig:
         """The configuration for this board, with `more` settings over the typed ones. Raises ConfigError."""
-        from inteco_abs.boards import check_address, default_profile, simulated
+        from inteco_abs.boards import check_address, default_profile, kind_check, simulated
         from inteco_abs.config import load_config
         from inteco_abs.mock_board import rig_check
 
@@ -167,8 +167,8 @@ class RunOptions:
         if self.rig is not None and not simulated(self.board):
             problem = f"{self.board}: a real board has its own rig; use --rig with --board sim: only"
             raise ConfigError.of("--rig", problem)
-        settings = (*self.settings, *rig_settings(self.rig), *more)
-        return load_config(self.config, settings, [*checks, rig_check], default_profile(self.board), follows)
+        settings, checks = (*self.settings, *rig_settings(self.rig), *more), (*checks, kind_check, rig_check)
+        return load_config(self.config, settings, checks, default_profile(self.board), follows)
 
     def plan(self, out: Path, *, wire: Path | None = None, frames: bool = False) -> tuple[RigConfig, Plan]:
         """Configuration and plan of a stop recorded at `out`; nothing is opened or created. Raises ConfigError."""
@@ -331,5 +331,8 @@ def known_controllers(name: str | None) -> Controllers:
             if name == file or os.path.isfile(file):  # noqa: PTH113  a name too long for a file is not an error here
                 raise ConfigError.of("--controller", f"{name}: name the class too, as in {file}:Class")
         return controllers
-    kind, source = load_controller(name)
+    from inteco_abs.experiment import time_limit
+
+    with time_limit():
+        kind, source = load_controller(name)
     return Controllers({name: (kind, Origin(source))})

@@ -52,6 +52,10 @@ def load_config(
         ConfigIssue(f"board.evidence.{key}", "evidence stands in a file with its source, not on the command line")
         for key in section_of(section_of(over, "board"), "evidence")
     )
+    signed_anew = signs_off(in_file) or signs_off(over)
+    if signed_anew and _simulated(merged) and not _simulated(below):
+        problem = "true in a signed configuration of a real board: remove it, or choose a profile of the mock"
+        mistakes.append(ConfigIssue("board.simulated", problem))
     void = _void(below, in_file, filed, over, merged)
     if void and isinstance(merged["board"], dict):
         merged["board"] = {**merged["board"], "read_only": void}
@@ -148,6 +152,10 @@ def _validate(table: Table, checks: Iterable[Check], mistakes: list[ConfigIssue]
     if config is None or mistakes:
         raise ConfigError(mistakes)
     return config
+
+
+def _simulated(table: Table) -> bool:
+    return section_of(table, "board").get("simulated") is True
 
 
 def _void(below: Table, in_file: Table, filed: Table, over: Table, merged: Table) -> str:

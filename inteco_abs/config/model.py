@@ -24,16 +24,6 @@ Table = dict[str, Any]
 PwmMode = Literal["8-bit", "12-bit"]
 
 
-@dataclass(frozen=True, slots=True)
-class Pattern:
-    """Regular expression that a text must match, for pydantic; the other rules' library has no word for it."""
-
-    regex: str
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        return handler(source) | {"pattern": self.regex}
-
-
 class Section:
     """A section of rig.toml. Change a value with `dataclasses.replace`, which does not check it."""
 
@@ -96,7 +86,7 @@ WIRING: Final = (
 class BoardConfig(Section):
     """Which board is expected and how the rig is wired to it. Comes from a profile."""
 
-    kind: Annotated[str, Pattern(r"^[a-z][a-z0-9-]*$")] = "usb2"
+    kind: str = "usb2"
     """Board family: usb2 for RT-DAC/USB2, usb for RT-DAC/USB of the first generation, pci for RT-DAC4/PCI, or one of an
     installed package."""
     logic_version: Annotated[int, Interval(ge=0, le=0xFFFF)]

@@ -9,6 +9,7 @@ from inteco_abs.config import RigConfig
 from inteco_abs.control import build_pipeline
 from inteco_abs.experiment.plan import Plan, Progress, conditions
 from inteco_abs.experiment.real_time import run_in_real_time
+from inteco_abs.experiment.user_code import time_limit
 from inteco_abs.experiment.virtual_run import Interrupts, VirtualRun
 from inteco_abs.realtime import NoScreen, SafeScreen, Screen, hearing
 from inteco_abs.sessions import (
@@ -31,7 +32,8 @@ def run_stop(
         condition()
     # a controller's prints must not mix with the result card
     with redirect_stdout(sys.stderr):
-        pipeline = build_pipeline(config, plan.controllers)
+        with time_limit():
+            pipeline = build_pipeline(config, plan.controllers)
         if not plan.virtual:
             return run_in_real_time(config, plan, screen or NoScreen())
         interrupts, screen = Interrupts(), SafeScreen(screen or NoScreen())

@@ -44,7 +44,7 @@ def import_pcap(path: Path, board: str | None = None, *, device: str = "") -> Ca
     several could be meant, ConfigError for a wrong `board` or `device`.
     """
     board = board or protocol_name(load_config().board)
-    traffic = family_speaking(board).traffic
+    traffic = family_speaking(board, "--protocol").traffic
     if traffic is None:
         raise ConfigError([ConfigIssue("--protocol", f"{board!r}: how a USB monitor sees it is not known")])
     if device and not _is_device(device):

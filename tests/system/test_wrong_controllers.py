@@ -70,6 +70,12 @@ IN_A_RUN = [
 ]  # fmt: skip
 
 
+def test_a_constructor_that_does_not_end_is_ended(answers, monkeypatch):
+    monkeypatch.setattr("inteco_abs.experiment.user_code.MOST_S", 0.3)
+    text = source(LAW.format(made="while True: pass", asked="pass"))
+    answers.to(Row("hangs", RUN, 2, ("law.py, line 6", "cannot be made"), "not finished within 0.3 s", text))
+
+
 @pytest.mark.parametrize("row", NONE, ids=ids(NONE))
 def test_what_is_no_controller_is_told_before_anything_is_started(answers, row):
     answers.to(row)

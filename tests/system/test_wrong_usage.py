@@ -20,7 +20,7 @@ ROWS = [
     Row("no such width", "figure a.mcap -o x.png --width 3", 2, ("'3'",), "'one', 'two'"),
     Row("no such shell", "completion tcsh", 2, ("'tcsh'",), "'bash', 'zsh', 'fish'"),
     Row("no such viewer", "viewer-layout --for rviz", 2, ("'rviz'",), "'lichtblick', 'plotjuggler'"),
-    Row("no such protocol", "wire import a.pcap -o b.jsonl --protocol usb3", 2, ("no protocol 'usb3'",),
+    Row("no such protocol", "wire import a.pcap -o b.jsonl --protocol usb3", 2, ("--protocol: no protocol 'usb3'",),
         "did you mean usb2?"),
     Row("no such section", "diff a.mcap b.mcap --only gain", 2, ("no section 'gain'",), "did you mean gains?"),
     Row("no such column", "list --sort slip", 2, ("--sort: no column 'slip'",), "known: band_entry_s"),
