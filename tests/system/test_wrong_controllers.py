@@ -73,7 +73,7 @@ IN_A_RUN = [
 def test_a_constructor_that_does_not_end_is_ended(answers, monkeypatch):
     monkeypatch.setattr("inteco_abs.experiment.user_code.MOST_S", 0.3)
     text = source(LAW.format(made="while True: pass", asked="pass"))
-    answers.to(Row("hangs", RUN, 2, ("law.py, line 6", "cannot be made"), "not finished within 0.3 s", text))
+    answers.to(Row("hangs", RUN, 2, ("law.py:Law, line 6", "cannot be made"), "not finished within 0.3 s", text))
 
 
 @pytest.mark.parametrize("row", NONE, ids=ids(NONE))
