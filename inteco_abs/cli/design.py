@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import click
 
@@ -18,14 +17,15 @@ from inteco_abs.cli.options import (
     json_option,
     known_controllers,
     run_options,
+    write_csv,
 )
-from inteco_abs.cli.terminal import print_json
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
+from inteco_abs.cli.terminal import print_json, show
+from inteco_abs.errors import ConfigError, ConfigIssue
 
 _SLOWEST_RAD_S: Final = 10.0
 _FASTEST_RAD_S: Final = 245.0
 _LEAST_SLIP: Final = 0.01
-"""Below, the model's adhesion is near zero, and soon negative."""
+"""Below, the model's adhesion is near zero or negative."""
 
 
 @click.command()
@@ -92,13 +92,16 @@ def design(
     box = stated_box(uncertain or HARD, nominal_parameters(rig.model))
     report = judge_gains(rig, box, speeds, slip_band, slips).report()
     if table is not None:
-        _write_table(report["curves"], table)
+        curves = report["curves"]
+        write_csv([dict(zip(curves, row, strict=True)) for row in zip(*curves.values(), strict=True)], table)
     if figure is not None:
         draw_design(report, figure)
     if as_json:
         print_json(report)
     else:
-        _print_report(report)
+        from inteco_abs.gain_design.table import render_design
+
+        show(render_design(report))
     return LOSSES if report["advice"] else 0
 
 
@@ -127,24 +130,3 @@ def _range_issues(option: str, stated: tuple[float, float], least: float, most: 
     if not low < high:
         return [ConfigIssue(option, f"{low:g} {high:g}: must rise; write {option} {high:g} {low:g}")]
     return []
-
-
-def _write_table(curves: Mapping[str, Any], path: Path) -> None:
-    """One row per road speed; a value without bound is empty."""
-    from inteco_abs.sessions import atomic_write
-
-    try:
-        with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(curves)
-            writer.writerows(zip(*curves.values(), strict=True))
-    except OSError as error:
-        raise AbsError(f"{path}: the table cannot be written: {describe_disk(error)}") from error
-
-
-def _print_report(report: Mapping[str, Any]) -> None:
-    from rich.console import Console
-
-    from inteco_abs.gain_design.table import render_design
-
-    Console().print(render_design(report))

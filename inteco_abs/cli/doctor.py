@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING
 import click
 
 from inteco_abs.cli.options import FILE, LOSSES, Finite, json_option, shared_option
-from inteco_abs.cli.terminal import print_json, say
+from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import BoardError, ConfigError
 
 if TYPE_CHECKING:
     from inteco_abs.host import Finding
+
+if TYPE_CHECKING:
+    pass
 
 
 @click.command()
@@ -63,7 +66,10 @@ def doctor(
     serial = _serial(ftdi_serial, with_rules=printed == "rules")
     files = {"rules": udev_rules(group, serial), "limits": limits(group)}
     if printed:
-        _print_file(printed, files[printed], as_json=as_json)
+        if as_json:
+            print_json({"schema_version": 1, printed: files[printed]})
+        else:
+            say(files[printed], nl=False)  # the text alone, for sudo tee
         return 0
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise ConfigError.of("--seconds", f"{seconds:g}: must be {SHORTEST_S:g}..{LONGEST_S:g} s")
@@ -87,38 +93,20 @@ def doctor(
     if as_json:
         print_json({"schema_version": 1, "verdict": verdict, "findings": [one._asdict() for one in findings], **files})
     else:
-        _print_findings(findings)
-        if times_us:
-            _print_histogram(times_us, rig.period_ns * 1e-3)
+        _print_findings(findings, times_us, rig.period_ns * 1e-3)
     return LOSSES if verdict is Verdict.RED else 0
 
 
-def _print_file(name: str, text: str, *, as_json: bool) -> None:
-    """The text of a system file alone, as sudo tee takes it."""
-    if as_json:
-        print_json({"schema_version": 1, name: text})
-    else:
-        say(text, nl=False)
+def _print_findings(findings: Sequence[Finding], times_us: Sequence[float], period_us: float) -> None:
+    from inteco_abs.views.findings import render_findings, render_histogram
 
-
-def _print_findings(findings: Sequence[Finding]) -> None:
-    from rich.console import Console
-
-    from inteco_abs.views.findings import render_findings
-
-    Console().print(render_findings(findings))
-
-
-def _print_histogram(times_us: Sequence[float], period_us: float) -> None:
-    from rich.console import Console
-
-    from inteco_abs.views.findings import render_histogram
-
-    Console().print("\nround trips:", render_histogram(times_us, period_us), sep="\n")
+    show(render_findings(findings))
+    if times_us:
+        show("\nround trips:", render_histogram(times_us, period_us))
 
 
 def _serial(ftdi_serial: str | None, *, with_rules: bool) -> str:
-    """Serial number of the FTDI chip for the rules, or an empty text. Raises ConfigError."""
+    """Serial number of the FTDI chip for the rules; empty without one. Raises ConfigError."""
     from inteco_abs.host import check_serial
 
     if ftdi_serial is None:

@@ -1,4 +1,4 @@
-"""The option `--dry-run`: all that a run does before its first write to the board, and all that it would refuse."""
+"""The option `--dry-run`: everything that a run does before its first write, and everything that it would refuse."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 
-from inteco_abs.cli.terminal import print_json
+from inteco_abs.cli.terminal import print_json, show
 from inteco_abs.errors import AbsError, ConfigError, refusals
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: f
     configuration, 1 for everything else.
     """
     from inteco_abs.commissioning import run_preflight
+    from inteco_abs.commissioning.preflight_table import render_preflight
 
     config, plan = planned[0][:2]
     refused = refusals([*own, *_conditions(planned)])
@@ -68,29 +69,29 @@ def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: f
     if as_json:
         print_json(report)
     else:
-        _print(report)
+        show(render_preflight(report))
     return _exit_code(refused)
 
 
 def rehearse_by_hand(config: RigConfig, board: str, faults: Sequence[Fault], own: Iterable[Condition]) -> int:
     """Print whether the panel could begin, as `rehearse` does for runs."""
     from inteco_abs.commissioning import run_preflight
+    from inteco_abs.commissioning.preflight_table import render_preflight
     from inteco_abs.experiment import conditions_by_hand
 
     refused = refusals([*own, *conditions_by_hand(config, board, faults)])
     found = run_preflight(_rig_access(config, board), config, rest=False)
     refused += found.refused
-    _print(
-        {
-            "refused": _refusals(refused),
-            "cautions": found.cautions,
-            "board": _board(board, found),
-            "runs": [],
-            "guard": asdict(config.guard),
-            "needs": [],
-            "computer": _computer(Path()),
-        }
-    )
+    report = {
+        "refused": _refusals(refused),
+        "cautions": found.cautions,
+        "board": _board(board, found),
+        "runs": [],
+        "guard": asdict(config.guard),
+        "needs": [],
+        "computer": _computer(Path()),
+    }
+    show(render_preflight(report))
     return _exit_code(refused)
 
 
@@ -264,7 +265,7 @@ def _run(each: Planned) -> dict[str, Any]:
 
 
 def _computer(folder: Path) -> dict[str, Any]:
-    """The doctor's findings of a few milliseconds, in short."""
+    """Counts of the doctor's quick findings, and the red ones."""
     from inteco_abs.host import Verdict, worst
     from inteco_abs.host.doctor import examine
 
@@ -274,11 +275,3 @@ def _computer(folder: Path) -> dict[str, Any]:
         **{verdict.value: sum(one.verdict is verdict for one in findings) for verdict in Verdict},
         "not_fit": [one._asdict() for one in findings if one.verdict is Verdict.RED],
     }
-
-
-def _print(report: dict[str, Any]) -> None:
-    from rich.console import Console
-
-    from inteco_abs.commissioning.preflight_table import render_preflight
-
-    Console(markup=False, highlight=False).print(render_preflight(report))

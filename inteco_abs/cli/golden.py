@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import click
 
 from inteco_abs.cli.options import DIFFERS, FILE, Finite, VerbGroup, json_option, known_controllers
 from inteco_abs.cli.session_files import read_whole
-from inteco_abs.cli.terminal import print_json, say
+from inteco_abs.cli.terminal import print_json, say, show
 
 if TYPE_CHECKING:
     from inteco_abs.analysis import Golden, GoldenFolder, Verdict
@@ -97,7 +97,7 @@ def test(names: tuple[str, ...], folder: Path, as_json: bool) -> int:
         print_json({"schema_version": 1, "differing": differing, "sessions": [asdict(verdict) for verdict in verdicts]})
     else:
         for verdict in verdicts:
-            say(_words(verdict))
+            say(_line(verdict))
     return DIFFERS if differing else 1 if any(verdict.problem for verdict in verdicts) else 0
 
 
@@ -136,20 +136,15 @@ def list_all(folder: Path, as_json: bool) -> int:
     if as_json:
         print_json({"schema_version": 1, "sessions": [asdict(each) for each in goldens]})
     else:
-        _print_all(goldens)
+        from rich.table import Table
+
+        table = Table("name", "ticks", "tolerances", "version", "reason", box=None, header_style="dim")
+        for each in goldens:
+            newest = each.history[-1]
+            version = f"{len(each.history)}, {newest.date[:10]}"
+            table.add_row(each.name, str(each.ticks), " ".join(each.tolerances) or "exact", version, newest.reason)
+        show(table)
     return 0
-
-
-def _print_all(goldens: Sequence[Golden]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("name", "ticks", "tolerances", "version", "reason", box=None, header_style="dim")
-    for each in goldens:
-        newest = each.history[-1]
-        version = f"{len(each.history)}, {newest.date[:10]}"
-        table.add_row(each.name, str(each.ticks), " ".join(each.tolerances) or "exact", version, newest.reason)
-    Console(markup=False).print(table)
 
 
 def _report(goldens: GoldenFolder, kept: Golden, *, as_json: bool) -> None:
@@ -164,7 +159,7 @@ def _report(goldens: GoldenFolder, kept: Golden, *, as_json: bool) -> None:
     say(f"{file}: {kept.ticks} ticks{changed}, {file.stat().st_size / 1000:.0f} kB; {newest.reason}")
 
 
-def _words(verdict: Verdict) -> str:
+def _line(verdict: Verdict) -> str:
     if verdict.replay is None:
         return f"{verdict.name}: cannot be tested: {verdict.problem}"
     first = verdict.replay.first

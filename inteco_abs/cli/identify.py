@@ -21,7 +21,7 @@ from inteco_abs.cli.options import (
     run_options,
 )
 from inteco_abs.cli.session_files import read_whole
-from inteco_abs.cli.terminal import print_json, say
+from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 _MOST_NAMED: Final = 12
-"""Names in one line: a session without brake steps leaves a hundred points of the brake map unidentified."""
+"""Names in one line: without brake steps, a hundred points of the brake map are not identified."""
 
 
 @click.command()
@@ -106,7 +106,9 @@ def _report(found: Identification, out: Path | None, figure: Path | None, *, as_
     if as_json:
         print_json(found.report())
     else:
-        _print(found)
+        from inteco_abs.identification.table import render_identification
+
+        show(render_identification(found.report()))
     if out is not None:
         _write(found, out)
     if figure is not None:
@@ -176,16 +178,8 @@ def _write(found: Identification, out: Path) -> None:
     say(f"parameters: {out}; use them with --config {out}", err=True)
 
 
-def _print(found: Identification) -> None:
-    from rich.console import Console
-
-    from inteco_abs.identification.table import render_identification
-
-    Console().print(render_identification(found.report()))
-
-
 def _record(options: RunOptions, out: Path | None, pause_s: float, *, dry_run: bool, as_json: bool) -> int:
-    """Record the plan's runs until one does not complete; the exit code of the last one."""
+    """Record the plan's runs until one does not complete; return the exit code of the last one."""
     from inteco_abs.control import control_check
     from inteco_abs.experiment import Plan
     from inteco_abs.identification import experiments

@@ -9,7 +9,7 @@ import click
 
 from inteco_abs.cli.options import FILE, LOSSES, json_option
 from inteco_abs.cli.session_files import read_whole
-from inteco_abs.cli.terminal import plain, print_json, say
+from inteco_abs.cli.terminal import plain, print_json, say, show
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -61,13 +61,9 @@ def _summary(session: Session) -> dict[str, Any]:
 
 def _print_summary(session: Session, summary: Mapping[str, Any], *, everything: bool) -> None:
     """The main facts, on one screen."""
-    from rich.console import Console
-
-    console = Console(markup=False, highlight=False)
-    console.print(_table(_first_facts(summary)))
-    console.print(_results(session))
+    show(_table(_first_facts(summary)), _results(session))
     if everything:
-        console.print(_table(_records(summary)))
+        show(_table(_records(summary)))
     else:
         count = sum(map(len, summary["metadata"].values()))
         say(f"--all or --json prints all {count} facts; inteco-abs extract writes out the files")

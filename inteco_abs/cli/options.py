@@ -1,4 +1,4 @@
-"""What the verbs have in common: exit codes, types of parameters, options, and the group that a verb can be."""
+"""What the verbs share: exit codes, parameter types, options, groups of verbs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from inteco_abs.cli.completion import controller_names, estimator_names, key_names
-from inteco_abs.errors import ConfigError, near_match
+from inteco_abs.errors import AbsError, ConfigError, describe_disk, near_match
 from inteco_abs.quantities import number_hint
 
 if TYPE_CHECKING:
@@ -26,16 +26,16 @@ LOSSES: Final = 3
 DIFFERS: Final = 4
 INTERRUPTED: Final = 130
 FILE: Final = click.Path(path_type=Path, readable=False)
-"""Whether it can be read is for each verb to check, with its own message and exit code."""
+"""Each verb checks whether it can be read, with its own message and exit code."""
 _LONGEST_LINE: Final = 60
-"""Characters of a verb's line in a list of verbs."""
+"""Characters of a verb's help line in a list."""
 _LIVE_PORT: Final = 8765
-"""Where Lichtblick and Foxglove look by default."""
+"""Default port of Lichtblick and Foxglove."""
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 class Finite(click.FloatRange):
-    """A finite number in `unit` within its range; click accepts NaN in every range."""
+    """A finite number in `unit` within its range, without NaN, which click accepts."""
 
     def __init__(self, least: float | None = None, most: float | None = None, *, unit: str = "") -> None:
         super().__init__(least, most)
@@ -76,7 +76,7 @@ class Whole(click.IntRange):
 
 
 class _Setting(click.types.StringParamType):
-    """KEY=VALUE. Only the = is checked here: a value typed as a second word would be lost without a message."""
+    """KEY=VALUE. Checks the = only, without which a value typed as a second word would be lost silently."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         text = str(value)
@@ -101,7 +101,7 @@ def _wanted(what: str, limits: click.IntRange | click.FloatRange, unit: str = ""
 
 
 class VerbGroup(click.Group):
-    """Group that suggests the nearest verb, and knows the verbs' old names without listing them."""
+    """Group that suggests the nearest verb, and accepts old names without listing them."""
 
     def __init__(self, *arguments: Any, aliases: Mapping[str, str] | None = None, **more: Any) -> None:
         super().__init__(*arguments, **more)
@@ -132,7 +132,7 @@ class VerbGroup(click.Group):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunOptions:
-    """What was typed for the options that verbs share with `run`; a verb without one of them has its default."""
+    """Values of the options that verbs share with `run`; the default where a verb does not have one."""
 
     board: str = "sim:"
     virtual: bool = False
@@ -158,7 +158,7 @@ class RunOptions:
     def load(
         self, *more: str, checks: Sequence[Check] = (), follows: Callable[[Table], Table] | None = None
     ) -> RigConfig:
-        """The configuration for this board, with `more` settings over the typed ones. Raises ConfigError."""
+        """Configuration for this board, with `more` settings over the typed ones. Raises ConfigError."""
         from inteco_abs.boards import check_address, default_profile, kind_check, simulated
         from inteco_abs.config import load_config
         from inteco_abs.mock_board import rig_check
@@ -263,7 +263,7 @@ _OPTIONS: Final[Mapping[str, tuple[tuple[str, ...], dict[str, Any]]]] = {
     ),
     "quiet": (("--quiet", "-q"), {"is_flag": True, "help": "Print errors and warnings only."}),
 }
-"""By field of RunOptions: the names of the option, and what click is to know of it."""
+"""By field of RunOptions: the option's names, and arguments for click."""
 
 
 def shared_option(field: str, text: str = "") -> Decorator:
@@ -273,7 +273,7 @@ def shared_option(field: str, text: str = "") -> Decorator:
 
 
 def run_options(*fields: str, **helps: str) -> Decorator:
-    """Options for these fields of RunOptions, or all, passed on as one `options`; `helps` replace a help."""
+    """Options for these fields of RunOptions, or all of them, passed on as `options`; `helps` replaces help texts."""
     chosen = (*fields, *helps) or tuple(_OPTIONS)
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -294,8 +294,24 @@ def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def rig_settings(sampled: str | None) -> list[str]:
-    """What `--rig` says, as settings."""
+    """`--rig` as settings."""
     return [] if sampled is None else [f"simulation.rig={json.dumps(sampled)}"]
+
+
+def write_csv(records: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Write one line per record; a value that a record does not have, or None, is empty. Raises AbsError."""
+    import csv
+
+    from inteco_abs.sessions import atomic_write
+
+    columns = dict.fromkeys(key for record in records for key in record)
+    try:
+        with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, list(columns))
+            writer.writeheader()
+            writer.writerows(records)
+    except OSError as error:
+        raise AbsError(f"{path}: the table cannot be written: {describe_disk(error)}") from error
 
 
 def check_table(path: Path | None) -> None:
@@ -310,7 +326,7 @@ def check_table(path: Path | None) -> None:
 
 
 def require_different(files: dict[str, Path | None]) -> None:
-    """Raise ConfigError if two outputs have one file: the later would replace the earlier."""
+    """Raise ConfigError if two options name the same file."""
     seen: dict[Path, str] = {}
     for option, file in files.items():
         if file is None:

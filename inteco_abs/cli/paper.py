@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.options import Whole, json_option
-from inteco_abs.cli.terminal import print_json, say, stops_progress
+from inteco_abs.cli.options import Whole, json_option, write_csv
+from inteco_abs.cli.terminal import print_json, say, show, stops_progress
 from inteco_abs.errors import AbsError, ConfigError, describe_disk
 
 if TYPE_CHECKING:
@@ -60,12 +59,14 @@ def paper(folder: Path, draws: int, as_json: bool) -> int:
     if as_json:
         print_json({**report, "files": written})
     else:
-        _print(report)
+        from inteco_abs.paper.table import render_paper
+
+        show(render_paper(report))
     return 0
 
 
 def _check_folder(folder: Path) -> None:
-    """Refuse, before anything is computed, what cannot be written to."""
+    """Raise an error before anything is computed if `folder` cannot be written to."""
     if folder.exists() and not folder.is_dir():
         raise ConfigError.of("--out", f"{folder}: is a file; name a folder")
     if not folder.absolute().parent.is_dir():
@@ -76,32 +77,25 @@ def _check_folder(folder: Path) -> None:
 
 
 def _write(found: Reproduction, report: Mapping[str, Any], folder: Path, command: str) -> Iterator[Path]:
-    """All files; each path when it is written."""
+    """Write all files; yields each path."""
     from inteco_abs.paper.table import draw_course, paper_markdown
 
     try:
         folder.mkdir(exist_ok=True)
         for course in found.courses:
-            yield _write_csv(folder / f"{course.name}.csv", _ticks(course.columns))
+            write_csv(_ticks(course.columns), path := folder / f"{course.name}.csv")
+            yield path
             for suffix in _FORMATS:
                 draw_course(course.columns, course.title, path := folder / f"{course.name}.{suffix}")
                 yield path
-        yield _write_csv(folder / "stops.csv", found.records())
-        yield _write_csv(folder / "table.csv", [_flat(row) for row in report["rows"]])
+        write_csv(found.records(), path := folder / "stops.csv")
+        yield path
+        write_csv([_flat(row) for row in report["rows"]], path := folder / "table.csv")
+        yield path
         (path := folder / "table.md").write_text(paper_markdown(report, command), encoding="utf-8")
         yield path
     except OSError as error:
         raise AbsError(f"{error.filename or folder}: cannot be written: {describe_disk(error)}") from error
-
-
-def _write_csv(path: Path, records: Sequence[Mapping[str, Any]]) -> Path:
-    """What a record does not have is empty."""
-    columns = dict.fromkeys(key for record in records for key in record)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(columns))
-        writer.writeheader()
-        writer.writerows(records)
-    return path
 
 
 def _ticks(columns: Mapping[str, Any]) -> list[dict[str, float]]:
@@ -119,11 +113,3 @@ def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
         flat |= {f"ratio_{metric}": value for metric, value in compared["ratios"].items()}
         flat |= {key: compared[key] for key in ("better", "worse", "confirmed")}
     return flat
-
-
-def _print(report: Mapping[str, Any]) -> None:
-    from rich.console import Console
-
-    from inteco_abs.paper.table import render_paper
-
-    Console().print(render_paper(report))

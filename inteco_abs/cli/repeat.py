@@ -24,7 +24,7 @@ from inteco_abs.cli.options import (
     run_options,
 )
 from inteco_abs.cli.run import brake, report_end
-from inteco_abs.cli.terminal import print_json, say
+from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import AbsError, ConfigError
 
 _COOL_DOWN_S: Final = 30.0
@@ -131,8 +131,6 @@ def _session(folder: Path, number: int, count: int) -> Path:
 
 def _report(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
     """Print statistics over the recorded stops, and draw their curves."""
-    from rich.console import Console
-
     from inteco_abs.analysis import statistics
     from inteco_abs.sessions import card_of, read_session
     from inteco_abs.views.series import draw_series, render_series
@@ -143,7 +141,7 @@ def _report(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
         facts = {name: spread._asdict() for name, spread in spreads.items()}
         print_json({"schema_version": 1, "stops": cards, "statistics": facts})
     else:
-        Console().print(render_series(spreads))
+        show(render_series(spreads))
     if figure is not None:
         try:
             draw_series([read_session(path) for path in paths], figure)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import signal
 import sys
@@ -11,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -25,9 +24,10 @@ from inteco_abs.cli.options import (
     known_controllers,
     require_different,
     shared_option,
+    write_csv,
 )
-from inteco_abs.cli.terminal import print_json, say, stops_progress
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
+from inteco_abs.cli.terminal import print_json, say, show, stops_progress
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
 _SMALLEST_SHARD: Final = 5
 _SHARDS_PER_JOB: Final = 4
-"""At least, so that no process is left waiting long for the last one."""
+"""At least, so that no process waits long for the last one."""
 _NARROWEST: Final = 80
-"""Columns of a table: a narrower terminal wraps the lines, where cutting them off would lose names and digits."""
+"""Columns of the table: a narrower terminal wraps lines; cutting them would lose names and digits."""
 
 
 @click.command()
@@ -127,9 +127,15 @@ def sweep(
         f"{ticks / elapsed_s:.0f} ticks/s on {jobs} {'processes' if jobs > 1 else 'process'}",
         err=True,
     )
-    _print(rows, as_json=as_json)  # first: a file that cannot be written must not cost the result
+    # before the files: one that cannot be written must not cost the result
+    if as_json:
+        print_json({"schema_version": 1, "rows": [row.facts() for row in rows]})
+    else:
+        from inteco_abs.montecarlo.table import render_sweep
+
+        show(render_sweep(rows), width=_NARROWEST)
     if table is not None:
-        _write_csv(rows, table)
+        write_csv([record for row in rows for record in row.records()], table)
     if figure is not None:
         from inteco_abs.montecarlo.table import draw_sweep
 
@@ -139,7 +145,7 @@ def sweep(
 
 
 def _controllers(names: Sequence[str]) -> tuple[Controllers, dict[str, bytes]]:
-    """All known controllers, and the sources of the user's own."""
+    """All known controllers, and the sources of those from the user's files."""
     from inteco_abs.montecarlo import split_list
     from inteco_abs.plugins import FROM_FILE
     from inteco_abs.plugins import Controllers as Known
@@ -180,7 +186,7 @@ def _report_left_out(draws: Sequence[SampleSet]) -> None:
 
 
 def _report_errors(rows: Sequence[SweepRow]) -> int:
-    """One line for each row with stops that failed; the exit code."""
+    """Report each row with failed stops; return the exit code."""
     code = 0
     for row in rows:
         failed = [(seed, error) for seed, error in zip(row.draws.seeds, row.stops.errors, strict=True) if error]
@@ -215,12 +221,12 @@ def _processes(jobs: int) -> Iterator[Executor | None]:
     from concurrent.futures.process import BrokenProcessPool
     from multiprocessing import active_children, get_context
 
-    # started afresh: a copy of a process with threads, as the progress bar's, may hang
+    # spawned: a forked copy of a process with threads, as the progress bar's, may hang
     with ProcessPoolExecutor(jobs, get_context("spawn"), _begin_worker) as pool:
         try:
             yield pool
         except KeyboardInterrupt:
-            for worker in active_children():  # else the pool would wait for what they have begun
+            for worker in active_children():  # the pool would wait for their work
                 worker.terminate()
             raise
         except BrokenProcessPool as error:
@@ -228,10 +234,7 @@ def _processes(jobs: int) -> Iterator[Executor | None]:
 
 
 def _begin_worker() -> None:
-    """Ctrl-C is for the parent, which then gives no more work; prints are not part of the result.
-
-    A worker would otherwise not notice that its parent was killed, and wait for work for ever.
-    """
+    """Leave Ctrl-C to the parent, send prints to stderr, and end when the parent is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stdout = sys.stderr
     Thread(target=_end_with_parent, daemon=True).start()
@@ -244,30 +247,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def _print(rows: Sequence[SweepRow], *, as_json: bool) -> None:
-    if as_json:
-        print_json({"schema_version": 1, "rows": [row.facts() for row in rows]})
-        return
-    from rich.console import Console
-
-    from inteco_abs.montecarlo.table import render_sweep
-
-    console = Console()
-    console.width = max(console.width, _NARROWEST)
-    console.print(render_sweep(rows))
-
-
-def _write_csv(rows: Sequence[SweepRow], path: Path) -> None:
-    from inteco_abs.sessions import atomic_write
-
-    records: list[dict[str, Any]] = [record for row in rows for record in row.records()]
-    columns = dict.fromkeys(key for record in records for key in record)  # gains differ from controller to controller
-    try:
-        with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, list(columns))
-            writer.writeheader()
-            writer.writerows(records)
-    except OSError as error:
-        raise AbsError(f"{path}: the table cannot be written: {describe_disk(error)}") from error

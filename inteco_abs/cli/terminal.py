@@ -1,4 +1,4 @@
-"""What the command says to a person or a program: text, JSON, cards, progress, questions."""
+"""Output and questions of the command: text, JSON, tables, result cards, progress."""
 
 from __future__ import annotations
 
@@ -14,26 +14,37 @@ import click
 from inteco_abs.errors import Stopped
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from inteco_abs.montecarlo import Progress
 
 
 def on_terminal(stream: TextIO | None) -> bool:
-    """Whether a person reads or types there; a stream that the shell has closed is None."""
+    """Whether the stream is a terminal; a stream that the shell closed is None."""
     return stream is not None and stream.isatty()
 
 
 def say(text: str = "", *, err: bool = False, nl: bool = True) -> None:
-    """Print lines: the only way by which text reaches a terminal, as any of it may come out of a stranger's file."""
+    """Print lines, escaped: any text may come from an untrusted file."""
     click.echo("\n".join(map(plain, text.split("\n"))), err=err, nl=nl)  # noqa: TID251
 
 
 def plain(text: object) -> str:
-    """Text out of a file as a part of a line: it cannot move the cursor, change colours or begin a line."""
+    """`text` escaped: it cannot move the cursor, change colours or begin a line."""
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in str(text))
 
 
+def show(*renderables: RenderableType, width: int = 0) -> None:
+    """Print what rich renders on stdout, without markup and at least `width` columns wide."""
+    from rich.console import Console
+
+    console = Console(markup=False, highlight=False)
+    console.width = max(console.width, width)
+    console.print(*renderables, sep="\n")
+
+
 def print_json(data: Mapping[str, Any]) -> None:
-    """One object on one line of standard output; NaN and infinity, which JSON does not have, raise ValueError."""
+    """Print one object on one line. Raises ValueError for NaN and infinity, which JSON does not have."""
     say(json.dumps(data, allow_nan=False, default=date.isoformat))
 
 
@@ -44,11 +55,11 @@ def print_card(card: Mapping[str, Any], explanation: str, before: Mapping[str, A
     from inteco_abs.views import render_card
 
     console = Console()
-    shown, earlier = _in_plain(card), None if before is None else _in_plain(before)
+    shown, earlier = _escaped(card), None if before is None else _escaped(before)
     console.print(render_card(shown, plain(explanation), earlier, plain=console.options.ascii_only))
 
 
-def _in_plain(card: Mapping[str, Any]) -> dict[str, Any]:
+def _escaped(card: Mapping[str, Any]) -> dict[str, Any]:
     return {key: plain(value) if isinstance(value, str) else value for key, value in card.items()}
 
 
@@ -74,7 +85,7 @@ def stops_progress() -> Iterator[Progress | None]:
 
 
 class Terminal:
-    """The operator of a commissioning: reads on stderr and answers on stdin, a terminal or a file of answers."""
+    """Operator that reads stderr and answers on stdin, from a terminal or a file of answers."""
 
     def __init__(self) -> None:
         self._showing = False
@@ -85,13 +96,13 @@ class Terminal:
         self._showing = False
 
     def show(self, text: str) -> None:
-        """Replace the current line; on a terminal only."""
+        """Replace the current line, on a terminal only."""
         if on_terminal(sys.stderr):
             click.echo(f"\r\033[K  {plain(text)}", nl=False, err=True)  # noqa: TID251  it replaces a line
             self._showing = True
 
     def ask(self, question: str) -> str:
-        """One line of an answer, stripped. Raises Stopped at the end of the input."""
+        """Return one line, stripped. Raises Stopped at the end of the input."""
         try:
             answer: str = click.prompt(question, default="", show_default=False, prompt_suffix=" ", err=True)
         except click.Abort as abort:

@@ -19,7 +19,7 @@ from inteco_abs.cli.options import (
     run_options,
 )
 from inteco_abs.cli.session_files import read_whole
-from inteco_abs.cli.terminal import print_json, say
+from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import ConfigError
 from inteco_abs.quantities import shown
 
@@ -131,7 +131,7 @@ def what_if(
 
 
 def _grid(settings: Sequence[str], sweeps: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
-    """Name and settings of each alternative; raises ConfigError if there is none, or too many."""
+    """Name and settings of each alternative. Raises ConfigError for none or too many."""
     axes = [_axis(sweep) for sweep in sweeps]
     count = 1
     for axis in axes:
@@ -177,7 +177,7 @@ def _continued(session: Session, other: RigConfig, controllers: Controllers, at_
 
 
 def _own_error(session: Session, controllers: Controllers, at_s: float | None) -> dict[str, Any] | None:
-    """How far the simulation leaves the log with the session's own controller; None if that is not available."""
+    """How far the simulation leaves the log with the session's own controller; None if it is not available."""
     from inteco_abs.analysis import distance
     from inteco_abs.sessions import session_config
 
@@ -233,11 +233,9 @@ def _of_closed_loop(session: Session, closed: Continuation | None) -> dict[str, 
 
 
 def _print(report: dict[str, Any]) -> None:
-    from rich.console import Console
-
     from inteco_abs.views.what_if import render_what_if
 
-    Console(markup=False, highlight=False).print(render_what_if(report))
+    show(render_what_if(report))
     simulation = report.get("simulation")
     if simulation is None:
         say("open loop: the logged counts do not react; after the horizon this is not what would have happened")

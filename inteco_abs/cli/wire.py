@@ -10,6 +10,7 @@ import click
 
 from inteco_abs.cli.options import DIFFERS, FILE, RunOptions, VerbGroup, Whole, json_option, run_options
 from inteco_abs.cli.terminal import print_json, say
+from inteco_abs.cli.terminal import show as print_rich
 from inteco_abs.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -247,7 +248,6 @@ def _print_json(data: dict[str, Any]) -> None:
 
 
 def _print_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
@@ -258,4 +258,4 @@ def _print_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         table.add_row(*(Text(name, style="dim") for name in head))
     for row in rows:
         table.add_row(*map(Text, row))
-    Console(markup=False).print(table)
+    print_rich(table)
