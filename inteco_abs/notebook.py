@@ -1,4 +1,4 @@
-"""For notebooks and scripts: connect to a board, run stops, look at sessions. `import inteco_abs` has all of it."""
+"""Interface for notebooks and scripts, offered by `import inteco_abs`: connect to a board, run stops, open sessions."""
 
 from __future__ import annotations
 
@@ -29,35 +29,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Session(sessions.Session):
-    """A recorded session that shows itself: as a picture with its card in a notebook, as a card on a terminal."""
+    """A recorded session, shown as figure and result card in a notebook, as result card on a terminal."""
 
     @property
     def card(self) -> dict[str, Any]:
-        """The result card, with the keys of `run --json`. Raises AbsError if there is too little to make one of."""
+        """The result card, with the keys of `run --json`. Raises AbsError if the session has none."""
         card = card_of(self)
         if card is None:
             raise AbsError(f"{self.path}: has no result card, and too little to make one of")
         return card
 
     def to_pandas(self, table: str = "tick") -> Any:
-        """Ticks, or the table `truth` or `events`, as a pandas DataFrame with `units` and `meanings` in its attrs."""
+        """Table `tick`, `truth` or `events` as a pandas DataFrame with `units` and `meanings` in its attrs."""
         return sessions.to_pandas(self, table)
 
     def to_polars(self, table: str = "tick") -> Any:
-        """The same as a polars DataFrame, which has no place for units."""
+        """The same as a polars DataFrame, without units."""
         return sessions.to_polars(self, table)
 
     def plot(self, *others: sessions.Session, width: str = "two") -> Figure:
-        """Speeds, slip and torque since braking began, beside `others`, `width` columns of a journal wide: one or two.
+        """Figure of speeds, slip and torque since braking began, compared with `others`.
 
-        Raises AbsError if a run never braked, or without matplotlib.
+        `width` is `one` or `two` columns of a journal. Raises AbsError if a run never braked, or without matplotlib.
         """
         from inteco_abs.views.figure import figure_of  # noqa: PLC0415  heavy, and an extra
 
         return figure_of([self, *others], width)
 
     def replay(self, controller: type[Controller] | None = None) -> analysis.Replay:
-        """Decide every tick again, and compare bit for bit; `controller` is yours if the run was with yours.
+        """Repeat every decision and compare bit for bit; `controller` is your class if the run used one.
 
         Raises SessionError if the session cannot be replayed.
         """
@@ -91,17 +91,17 @@ class Session(sessions.Session):
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A board with the rig on it, and the settings that its runs begin with."""
+    """A board with the rig, and the settings of its runs."""
 
     board: str
-    """Its address, as for `run --board`."""
+    """Address, as for `run --board`."""
     config_file: Path | None = None
     """A rig.toml; without one, the defaults of the board's profile hold."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """By dotted key of rig.toml, as {"guard.brake_limit": 0.6}."""
+    """Values by dotted key of rig.toml, as {"guard.brake_limit": 0.6}."""
 
     def config(self, controller: str | type[Controller] | None = None, **settings: Any) -> RigConfig:
-        """The effective configuration of a run with that controller. Raises ConfigError."""
+        """Effective configuration of a run with that controller. Raises ConfigError."""
         known = _known(controller)
         name = {} if controller is None else {"controller.name": _name(controller)}
         lines = [f"{key}={_toml(value)}" for key, value in {**self.settings, **settings, **name}.items()]
@@ -119,15 +119,15 @@ class Rig:
         seed: int = 0,
         real_time: bool | None = None,
     ) -> Session:
-        """Drive, brake, record, and give the session, whatever its outcome: `card["outcome"]` says it.
+        """Drive, brake and record; return the session. `card["outcome"]` has the outcome.
 
-        `controller` is a name as on the command line or, in virtual time, a class of yours; `seed` is what differs
-        between two power-ups of the mock board. A simulated board runs in virtual time unless `real_time` is asked for.
-        An interrupt ends the run safely. Raises ConfigError or BoardError if it cannot start.
+        `controller` is a name as on the command line or, in virtual time, a class; `seed` is that of the mock board's
+        random state. A simulated board runs in virtual time unless `real_time` is True. An interrupt ends the run
+        safely. Raises ConfigError or BoardError if it cannot start.
         """
         chosen: dict[str, Any] = dict(settings or {})
         given: Mapping[str, object] = gains or {}
-        for name, value in given.items():  # numpy's numbers, too; what is none is refused by the configuration
+        for name, value in given.items():  # also numpy's numbers; the configuration refuses what is not a number
             chosen[f"controller.gains.{name}"] = float(value) if isinstance(value, SupportsFloat) else value
         if estimator is not None:
             chosen["estimator.name"] = estimator
@@ -154,9 +154,9 @@ def connect(
     config: str | Path | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> Rig:
-    """The board at an address as for `run --board`; with the mock board, `rig` is a drawn one such as "hard:17".
+    """The board at an address as for `run --board`; with the mock board, `rig` is a sampled rig such as "hard:17".
 
-    Nothing is opened before a run. Raises ConfigError or BoardError for an address, a file or settings that are wrong.
+    Nothing is opened before a run. Raises ConfigError or BoardError for a wrong address, file or setting.
     """
     check_address(board)
     drawn = {} if rig is None else {"simulation.rig": rig}
@@ -171,7 +171,7 @@ def run_stop(board: str = "sim:", controller: str | type[Controller] | None = No
 
 
 def open_session(path: str | Path) -> Session:
-    """The session at `path`; one that was cut is read as far as it goes, and says so in `incomplete`.
+    """The session at `path`; a cut file is read as far as it goes, with the reason in `incomplete`.
 
     Raises SessionError.
     """
@@ -193,7 +193,7 @@ def _name(controller: str | type[Controller]) -> str:
 
 
 def _source(controller: type[Controller]) -> bytes:
-    """Of the class, for the session; nothing where it cannot be found, as at a prompt."""
+    """Source of the class, for the session; empty where it cannot be found, as at a prompt."""
     try:
         return inspect.getsource(controller).encode()
     except (OSError, TypeError):
@@ -210,5 +210,4 @@ def _default_out() -> Path:
 
 
 def _toml(value: Any) -> str:
-    """Numbers, text, truth values and lists are written alike there."""
-    return json.dumps(value)
+    return json.dumps(value)  # TOML writes numbers, text, booleans and lists alike

@@ -124,7 +124,7 @@ class TestSignature:
         file = tmp_path / "lab.toml"
         text = LAB.format(signed_logic="0x0103")
         file.write_text("\n".join(line for line in text.splitlines() if not line.startswith(key)), encoding="utf-8")
-        with pytest.raises(ConfigError, match=f"board.verified_by: a signature needs board.{key}"):
+        with pytest.raises(ConfigError, match=f"board.verified_by: a sign-off needs board.{key}"):
             load_config(settings=[f"profile={file}"])
 
     @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ class TestLimits:
     def test_more_than_was_signed_opens_read_only_wherever_it_is_asked_for(self, signed, setting, because):
         for config in (signed(setting), signed(over=f"[guard]\n{setting.removeprefix('guard.')}\n")):
             told = opened(config).read_only_because
-            assert told == f"A. Lab signed the profile with {because}. Lower it, or sign it anew"
+            assert told == f"A. Lab signed the profile with {because}. Lower it, or sign the profile again"
 
     def test_a_limit_that_was_lowered_in_the_file_may_be_raised_to_what_was_signed(self, signed):
         assert opened(signed("guard.silence_s=0.08", over="[guard]\nsilence_s = 0.05\n")).read_only_because == ""

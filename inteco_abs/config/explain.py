@@ -1,4 +1,4 @@
-"""The keys of rig.toml: what each means, its range and default; a template of the file, and where values come from."""
+"""Explains the keys of rig.toml, writes a template of the file, and shows the origin of values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PROFILES: Final = "The section [board] comes with the profile; `inteco-abs prof
 
 
 class Gain(Protocol):
-    """What there is to say of a controller's gain."""
+    """A controller's gain, as far as it is explained here."""
 
     @property
     def name(self) -> str: ...
@@ -42,7 +42,7 @@ class Gain(Protocol):
 
 
 class HasGains(Protocol):
-    """A controller, as far as its keys in the configuration go."""
+    """A controller, as far as it is explained here."""
 
     @property
     def gains(self) -> Sequence[Gain]: ...
@@ -57,25 +57,25 @@ class Key(NamedTuple):
     path: str
     """Dotted, as for --set."""
     kind: str
-    """Type and range, in words."""
+    """Type and range as text."""
     default: Any
-    """None where there is none."""
+    """None without a default."""
     meaning: str
     of: str = ""
-    """The controller whose gain it is, if it is one: several have gains of one name."""
+    """Controller of a gain; several controllers have gains of one name."""
 
 
 def all_keys(controllers: Controllers) -> list[Key]:
-    """Every key of rig.toml in the order of its sections; of the gains, those of each of the controllers."""
+    """Every key of rig.toml by section, with the gains of all controllers."""
     found = list(_keys(RigConfig, ()))
     place = next(i for i, key in enumerate(found) if key.path == _GAINS)
     return found[: place + 1] + list(_gains(controllers)) + found[place + 1 :]
 
 
 def explain(path: str, below: Mapping[str, Any], controllers: Controllers) -> str:
-    """A key's meaning, or a line for each key of a section; `below` is what the profile sets.
+    """A key's meaning, or a line for each key of a section; `below` has the profile's values.
 
-    Raises ConfigError for what is neither.
+    Raises ConfigError for an unknown key.
     """
     mine, within = _asked(path, controllers)
     if within:
@@ -84,7 +84,7 @@ def explain(path: str, below: Mapping[str, Any], controllers: Controllers) -> st
 
 
 def facts(path: str, below: Mapping[str, Any], controllers: Controllers) -> list[dict[str, Any]]:
-    """The same for programs: path, type and range, default, what the profile says, and meaning of each key."""
+    """The same for programs: path, type and range, default, profile's value, and meaning of each key."""
     mine, within = _asked(path, controllers)
     return [
         {
@@ -99,7 +99,7 @@ def facts(path: str, below: Mapping[str, Any], controllers: Controllers) -> list
 
 
 def _asked(path: str, controllers: Controllers) -> tuple[list[Key], list[Key]]:
-    """The key itself, as often as it is there, and those within it; raises ConfigError if there is nothing."""
+    """Keys of that path, and keys within it. Raises ConfigError if there are none."""
     keys = all_keys(controllers)
     asked = path.strip().strip(".[]")
     mine = [key for key in keys if key.path == asked]
@@ -110,7 +110,7 @@ def _asked(path: str, controllers: Controllers) -> tuple[list[Key], list[Key]]:
 
 
 def _hint(asked: str, keys: Iterable[Key]) -> str:
-    """Keys that end so, else what is nearly called so, else what there is at the top."""
+    """Keys with this last part, else a similar one, else the sections."""
     paths = dict.fromkeys(key.path for key in keys)
     sections = dict.fromkeys(section for path in paths if (section := path.rpartition(".")[0]))
     tails = [path for path in paths if path.rpartition(".")[2] == asked]
@@ -168,7 +168,7 @@ def _gains(controllers: Controllers) -> Iterator[Key]:
 
 
 def _kind(key_type: Any) -> str:
-    """For what `limits` has no words: choices, lists, tables, and what may be left out."""
+    """Type of a key that `limits` cannot describe: choices, lists, tables, optional keys."""
     outer = get_args(bare(key_type))
     parts = bare(key_type), *outer, *(inner for one in outer for inner in get_args(one))
     choices = [one for part in parts if get_origin(part) is Literal for one in get_args(part)]
@@ -189,7 +189,7 @@ def _in_full(key: Key, below: Mapping[str, Any]) -> str:
 
 
 def _value_in(table: Mapping[str, Any], path: str) -> Any:
-    """What a table says at a dotted path; None if nothing."""
+    """Value at a dotted path; None if there is none."""
     value: Any = table
     for part in path.split("."):
         value = value.get(part) if isinstance(value, dict) else None
@@ -206,7 +206,7 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _toml(value: Any) -> str:
-    """On one line, for which the library would need several."""
+    """A value as TOML on one line."""
     if isinstance(value, list):
         return f"[{', '.join(map(_toml, value))}]"
     return tomli_w.dumps({"x": value}).partition(" = ")[2].strip() if value != {} else "{}"

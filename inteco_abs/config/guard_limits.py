@@ -1,4 +1,4 @@
-"""Ceilings of the guard's limits on a real board, whoever has signed for more."""
+"""Ceilings of the guard's limits on a real board, which no sign-off lifts."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from inteco_abs.errors import ConfigIssue
 
 
 class _Ceiling(NamedTuple):
-    """Of a limit of the guard on a real board, whoever signs."""
+    """Ceiling of one limit of the guard on a real board."""
 
     seconds: float | None
-    """As a time, which the loop's rate makes a number of exchanges of; None: `least` it is."""
+    """As a time, which the loop's rate turns into a number of exchanges; None: `least` is the ceiling."""
     least: float
-    """What is allowed at any rate."""
+    """Allowed at any rate."""
     because: str
 
     def at(self, rate_hz: float) -> float:
@@ -30,14 +30,14 @@ _REAL_CEILINGS: Final = {
         0.025, 4, "25 ms, half the shortest silence: a loop without answers ends its run before the guardian has to"
     ),
     "bucket_limit": _Ceiling(0.15, 30, "0.15 s of a link that loses every other exchange"),
-    "silence_s": _Ceiling(None, 0.1, "five periods of the slowest loop; meanwhile nobody watches the motors"),
+    "silence_s": _Ceiling(None, 0.1, "five periods of the slowest loop; until then a hung loop keeps the motors on"),
     "run_up_factor": _Ceiling(None, 2.0, "more would let counts per turn pass that are wrong by half"),
 }
-"""The other limits have their ceilings in the ranges that hold on every board."""
+"""All other limits are bounded by their ranges in `GuardConfig`."""
 
 
 def beyond_ceilings(config: RigConfig) -> Iterator[ConfigIssue]:
-    """What a run on a real board is refused for, though it may be run on a simulated one or stand in a session."""
+    """Limits beyond what a real board may have; simulated boards and recorded sessions may have them."""
     limits, rate_hz = config.guard, config.loop.rate_hz
     for key, ceiling in _REAL_CEILINGS.items():
         value, most = getattr(limits, key), ceiling.at(rate_hz)
@@ -51,7 +51,7 @@ def beyond_ceilings(config: RigConfig) -> Iterator[ConfigIssue]:
 
 
 def _shipped_limits(kind: str) -> Table:
-    """The most that a shipped profile of a real board of this kind has of each limit of the guard."""
+    """Largest value of each limit in the shipped profiles of real boards of this kind."""
     most: Table = {}
     usual = defaults(BoardConfig)["kind"]
     for table in map(read_profile, profiles()):
@@ -63,7 +63,7 @@ def _shipped_limits(kind: str) -> Table:
 
 
 def bounded_in_time(guard: GuardConfig, rate_hz: float) -> GuardConfig:
-    """The same limits at another rate, with those in exchanges within a real board's ceilings there."""
+    """`guard` for another rate: limits in exchanges are lowered to a real board's ceilings there."""
     in_exchanges = [key for key, ceiling in _REAL_CEILINGS.items() if ceiling.seconds is not None]
     return replace(
         guard, **{key: min(getattr(guard, key), int(_REAL_CEILINGS[key].at(rate_hz))) for key in in_exchanges}

@@ -1,4 +1,4 @@
-"""rig.toml -> RigConfig: one visible configuration, every mistake in its values reported at once.
+"""rig.toml -> RigConfig: reports all mistakes at once.
 
 Order of precedence: a `--set` on the command line, then the file, then the profile, then the defaults. The result is
 stored whole in every session.
@@ -18,7 +18,7 @@ from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.toml_text import NOT_TOML, in_words, read_toml
 
 Check = Callable[[Mapping[str, Any]], Iterable[ConfigIssue]]
-"""Looks at the merged table, wrong values included, and names what the sections' own ranges cannot know."""
+"""Checks the merged table, wrong values included, for what the sections' ranges cannot express."""
 _PROFILES: Final = Path(__file__).parents[1] / "profiles"
 
 
@@ -34,11 +34,10 @@ def load_config(
     profile: str = DEFAULT_PROFILE,
     follows: Callable[[Table], Table] | None = None,
 ) -> RigConfig:
-    """Configuration from `file` (or only defaults), with `settings` such as `guard.brake_limit=0.7` over it.
+    """Configuration from `file` (None: defaults), with `settings` such as `guard.brake_limit=0.7` over it.
 
-    `profile` is the one to begin with if neither names one; `follows` gives what follows from the choices for keys
-    that are not set. Raises ConfigError with every mistake found in the file,
-    the settings and by `checks`.
+    `profile` is used if neither names one; `follows` gives values for keys that are not set, from the merged table.
+    Raises ConfigError with all mistakes in the file and settings, and those found by `checks`.
     """
     mistakes: list[ConfigIssue] = []
     table = _read(file) if file is not None else {}
@@ -63,7 +62,7 @@ def load_config(
 
 
 def origins(file: Path | None = None, settings: Sequence[str] = (), profile: str = DEFAULT_PROFILE) -> dict[str, str]:
-    """Where the values of `load_config` with these arguments come from, by dotted key; not named: a default."""
+    """Origin of each value that is not a default, by dotted key, for `load_config` with the same arguments."""
     table = _read(file) if file is not None else {}
     over = _settings_table(settings)
     name = _merge(table, over).get("profile", profile)
@@ -81,7 +80,7 @@ def _leaves(table: Table, above: str = "") -> Iterator[str]:
 
 
 def _settings_table(settings: Sequence[str]) -> Table:
-    """The settings by themselves; what is wrong with them is told elsewhere."""
+    """The settings as a table, without their mistakes."""
     table: Table = {}
     for setting in settings:
         apply_setting(table, setting)
@@ -94,7 +93,7 @@ def profile_text(name: str) -> str:
 
 
 def read_profile(name: str) -> Table:
-    """What a shipped profile or a .toml file says, before defaults; raises ConfigError if there is none."""
+    """Table of a shipped profile or a .toml file, without defaults. Raises ConfigError if there is none."""
     mistakes: list[ConfigIssue] = []
     table = _profile(name, mistakes)
     if mistakes:
@@ -103,7 +102,7 @@ def read_profile(name: str) -> Table:
 
 
 def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
-    """Effective configuration as stored in a session, of this version or an earlier one; raises ConfigError."""
+    """Configuration as stored in a session of this or an earlier version. Raises ConfigError."""
     try:
         table = _stored(text)
     except NOT_TOML as error:
@@ -112,9 +111,9 @@ def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
 
 
 def trusted_config(text: str) -> RigConfig:
-    """The same of what this very program has checked and written a moment ago, for the processes of a run.
+    """Configuration that this program has just checked and written, for the processes of a run.
 
-    Nothing is checked, which makes it a hundred times as fast; a text of any other origin goes to `parse_config`.
+    It checks nothing, and is a hundred times as fast as `parse_config`, which is for any other text.
     """
     return _built(RigConfig, _stored(text))
 
@@ -159,7 +158,7 @@ def _simulated(table: Table) -> bool:
 
 
 def _void(below: Table, in_file: Table, filed: Table, over: Table, merged: Table) -> str:
-    """Why what was signed off below does not hold any more; empty if it does, or if what has changed is signed anew."""
+    """Why the sign-off below no longer holds; empty if it holds, or if the layer above has its own."""
     steps = ((below, in_file, filed), (filed, over, merged))
     void = [
         void_by_wiring(signed, changed)
@@ -176,7 +175,7 @@ def _read(file: Path) -> Table:
 
 
 def apply_setting(table: Table, setting: str) -> list[ConfigIssue]:
-    """Put one `key=value` into `table`; the value is TOML, or a bare word. Gives back what is wrong with it."""
+    """Put one `key=value` into `table`; the value is TOML or a bare word. Returns what is wrong with it."""
     key, equals, text = setting.partition("=")
     path = key.strip().split(".")
     if not equals or not all(path) or "\n" in setting:

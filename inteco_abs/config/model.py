@@ -1,7 +1,6 @@
-"""The sections of rig.toml as plain values: every key with its type, range, default and meaning.
+"""The sections of rig.toml: every key with its type, range, default and meaning.
 
-What the processes of a run use is declared here and costs little to import. Whoever reads TOML that people write checks
-it with pydantic (`validation`), from the same declarations.
+The module is cheap to import for the processes of a run; `validation` checks TOML by the same declarations.
 """
 
 from __future__ import annotations
@@ -37,11 +36,11 @@ class Section:
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
-        """For pydantic: a table may stand for the section itself, though the values in it are checked strictly."""
+        """For pydantic: a table is accepted for a section; its values are checked strictly."""
         return handler(source) | {"strict": False}
 
     def as_table(self) -> Table:
-        """The keys and values as in TOML, which has no word for what is not given."""
+        """Keys and values as in TOML, which has no None: keys without a value are left out."""
         table: Table = asdict(self, dict_factory=_given)  # type: ignore[call-overload]  # every section is a dataclass
         return table
 
@@ -52,11 +51,11 @@ def _given(pairs: list[tuple[str, Any]]) -> Table:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence(Section):
-    """Why one of the profile's statements about board or wiring is believed."""
+    """Status and source of a profile's statement about board or wiring."""
 
     status: Literal["confirmed", "inferred", "unknown"]
     source: str = ""
-    """Manual, driver or test that tells it, or what it is inferred from."""
+    """Manual, driver or test that states it, or what it is inferred from."""
 
 
 WIRING: Final = (
@@ -79,12 +78,12 @@ WIRING: Final = (
     "wheel_sign",
     "counts_per_turn",
 )
-"""What outputs rest on: keys of [board], and `encoders.counts_per_turn`."""
+"""Keys that outputs depend on: of [board], and `encoders.counts_per_turn`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardConfig(Section):
-    """Which board is expected and how the rig is wired to it. Comes from a profile."""
+    """The board and how the rig is wired to it. Comes from a profile."""
 
     kind: str = "usb2"
     """Board family: usb2 for RT-DAC/USB2, usb for RT-DAC/USB of the first generation, pci for RT-DAC4/PCI, or one of an
@@ -92,19 +91,19 @@ class BoardConfig(Section):
     logic_version: Annotated[int, Interval(ge=0, le=0xFFFF)]
     """Version of the FPGA logic that this wiring was checked with."""
     application_names: list[str] = field(default_factory=list)
-    """Names of the logic that may be driven; any other opens read-only. The PCI board tells none."""
+    """Names of the logic that may be driven; any other opens read-only. The PCI board reports none."""
     simulated: bool = False
-    """Whether the profile was made for the mock: nothing in it was ever seen on a rig, and its guard's limits have no
-    ceilings but their ranges."""
+    """Whether the profile is for the mock: nothing in it was checked on a rig, and its guard's limits have no ceilings
+    but their ranges."""
     read_only: str = ""
-    """Why outputs must stay off whatever the board says; empty: they may be used."""
+    """Why outputs must always stay off; empty: they may be used."""
     verified_by: str = ""
-    """Who checked this wiring on the rig: the signature. Without it, a board whose outputs rest on anything that is
-    not confirmed opens read-only."""
+    """Who checked this wiring on the rig: the sign-off. Without it, a board whose outputs rest on anything that is not
+    confirmed opens read-only."""
     verified_on: date | None = None
-    """When."""
+    """Day of the sign-off."""
     verified_logic: Annotated[int, Interval(ge=0, le=0xFFFF)] | None = None
-    """Version of the logic that the board had then; the signature is good for no other."""
+    """Version of the logic that the board had then; the sign-off holds for no other."""
     drive_pwm: Annotated[int, Interval(ge=0, le=7)] = 0
     """PWM channel of the drive motor."""
     brake_pwm: Annotated[int, Interval(ge=0, le=7)] = 1
@@ -129,10 +128,10 @@ class BoardConfig(Section):
     timer_hz: Annotated[int, Interval(ge=1_000_000, le=100_000_000)] = TIMER_HZ
     """Rate of that timer."""
     frame_map: Literal["generic", "servo", "tras", "rpend", "abs"] = "generic"
-    """Which logic's words an RT-DAC/USB2 speaks: the generic one's, or those of a rig. `abs` has what is common to the
-    known rigs. What a map does not name is sent back as the board had it. The other boards go by the version."""
+    """Frame map of an RT-DAC/USB2's logic: the generic one, or that of a rig. `abs` has what the known rigs have in
+    common. Words that a map does not name are sent back as the board had them. Other boards go by the version."""
     constants: dict[str, Annotated[int, Interval(ge=0, le=0xFFFF_FFFF)]] = field(default_factory=dict)
-    """What the board is set to besides the rest of the wiring, in every frame: a field of the SEND frame by its name,
+    """Further values that are sent in every frame: a field of the SEND frame by its name,
     which the board must echo; the output of a CN1 pin, as `pin21 = 0`; or a whole word, as `w31 = 3` (on the first
     RT-DAC/USB a byte, as `b77 = 1`), which need not be echoed. Not on the PCI board."""
     watchdog_pin: Annotated[int, Interval(ge=-1, le=25)] = -1
@@ -149,10 +148,10 @@ class BoardConfig(Section):
     wheel_sign: Literal[1, -1] = 1
     """-1 where the wheel's encoder counts down when the drive turns it."""
     evidence: dict[str, Evidence] = field(default_factory=dict)
-    """Status of each of `WIRING`; what is not named is unknown."""
+    """Status of each of `WIRING`; a key that is missing is unknown."""
 
     def unconfirmed(self, meaningless: Collection[str]) -> list[str]:
-        """What outputs rest on and is not confirmed, with its status; `meaningless` is what this board has not."""
+        """Keys that outputs depend on and that are not confirmed, with status; without those `meaningless` here."""
         relied_on = [key for key in self._relied_on() if key not in meaningless]
         statuses = {key: self.evidence[key].status if key in self.evidence else "unknown" for key in relied_on}
         return [f"{key} ({status})" for key, status in statuses.items() if status != "confirmed"]
@@ -168,7 +167,7 @@ class BoardConfig(Section):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UsbConfig(Section):
-    """How an RT-DAC/USB2 is told from other devices. The vendor's software goes by the manufacturer's name alone."""
+    """How an RT-DAC/USB2 is found. The vendor's software goes by the manufacturer's name alone."""
 
     vendor_id: Annotated[int, Interval(ge=0, le=0xFFFF)] | None = None
     """Any, if not given: UNKNOWN, though probably that of Cypress, the maker of the bridge."""
@@ -242,7 +241,7 @@ class IdentifiedConfig(Section):
     brake_torques_nm: Annotated[list[Annotated[float, Interval(ge=0.0, le=100.0)]], MinLen(2)] | None = None
     """Torque that the brake settles to at each of them, rising."""
     brake_dead_time_s: Annotated[float, Interval(ge=0.0, le=0.2)] | None = None
-    """For the observer, which believes no brake outside of 2 to 30 ms."""
+    """For the observer, which limits it to 2 to 30 ms."""
     drive_stall_torque_nm: _Positive | None = None
     """Of the drive motor, N m; the guard judges the run-up by it, and no controller uses it."""
     drive_no_load_speed_rad_s: _Positive | None = None
@@ -251,12 +250,12 @@ class IdentifiedConfig(Section):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelConfig(Section):
-    """What the controller believes about the rig."""
+    """The controller's model of the rig."""
 
     parameters: Literal["mask", "table"] = "mask"
-    """Which published set: that of the simulator's mask, or of the manual's tables."""
+    """Published set of parameters: of the simulator's mask, or of the manual's tables."""
     identified: IdentifiedConfig = IdentifiedConfig()
-    """What a lab has found out about its own rig goes before that."""
+    """A lab's own numbers, which replace the published ones."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -350,7 +349,7 @@ class SimulationConfig(Section):
     brake_rate_per_s: Annotated[float, Interval(ge=1.0, le=1e6)] = 20.37
     """Rate of the brake actuator's lag."""
     drive_pwm: Annotated[int, Interval(ge=0, le=7)] = 0
-    """PWM channel that is really wired to the drive, whatever [board] believes; all as the vendor's PCI version."""
+    """PWM channel that the drive is really wired to, whatever [board] says; all as in the vendor's PCI version."""
     brake_pwm: Annotated[int, Interval(ge=0, le=7)] = 1
     """PWM channel that is really wired to the brake."""
     road_encoder: Annotated[int, Interval(ge=0, le=7)] = 0
@@ -368,7 +367,7 @@ class SimulationConfig(Section):
     watchdog_hold_s: Annotated[float, Interval(ge=0.001, le=10.0)] = 0.05
     """Time after the last change of level for which the one-shot holds the motors' power."""
     counts_per_turn: Annotated[int, Interval(ge=256, le=1_000_000)] | None = None
-    """Of the simulated encoders; not given: what `encoders.counts_per_turn` believes."""
+    """Of the simulated encoders; not given: `encoders.counts_per_turn`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -444,7 +443,7 @@ def bare(key_type: Any) -> Any:
 
 
 def bounds(key_type: Any, *names: Literal["ge", "gt", "le", "lt"]) -> list[float]:
-    """Those of the range's limits that a key's type has."""
+    """Limits of a key's range, of those named."""
     rules = key_type.__metadata__ if get_origin(key_type) is Annotated else ()
     found = (getattr(rule, name, None) for rule in rules for name in names)
     return [bound for bound in found if bound is not None]

@@ -1,6 +1,6 @@
-"""Sign-off of a profile: a person's name, the day and the logic, under the wiring and the guard's limits.
+"""Sign-off of a profile: a name, the day and the logic, for its wiring and the guard's limits.
 
-No key is involved: it records responsibility. Whatever it covers and is changed later takes it away.
+It records responsibility; no cryptographic key is involved. A later change of what it covers removes it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final
 from inteco_abs.config.model import WIRING, BoardConfig, EncodersConfig, GuardConfig, Table, defaults, section_of
 
 SIGN_OFF: Final = ("verified_by", "verified_on", "verified_logic")
-"""The keys of [board] that make it."""
+"""Keys of [board] that make a sign-off."""
 COVERED: Final = (
     *WIRING,
     "timer_hz",
@@ -24,11 +24,11 @@ COVERED: Final = (
     "verified_logic",
     "evidence",
 )
-"""What it covers, besides the guard's limits: keys of [board], and `encoders.counts_per_turn`."""
+"""Keys that a sign-off covers besides the guard's limits: of [board], and `encoders.counts_per_turn`."""
 
 
 def signs_off(table: Table) -> bool:
-    """Whether a table states who has verified the wiring, so that it answers for what it changes."""
+    """Whether a table has its own sign-off."""
     return bool(section_of(table, "board").get("verified_by"))
 
 
@@ -39,23 +39,20 @@ def unsigned(table: Table) -> Table:
 
 
 def wiring_of(table: Table) -> Table:
-    """What a configuration says of `WIRING` and of the logic that it is for, and nothing else."""
+    """The keys of `WIRING` and of the logic that a configuration states."""
     stated = _stated(table)
     return {key: stated[key] for key in (*WIRING, "logic_version", "application_names") if key in stated}
 
 
 def changed_wiring(signed: Table, changed: Table, keys: Collection[str] = COVERED) -> list[str]:
-    """Those of `keys` in which two tables differ; what a table does not state is the default."""
+    """Those of `keys` in which two tables differ; a missing key has its default."""
     usual = defaults(BoardConfig) | defaults(EncodersConfig)
     before, after = (usual | _stated(table) for table in (signed, changed))
     return [key for key in keys if after.get(key) != before.get(key)]
 
 
 def laxer_limits(signed: Table, table: Table) -> list[str]:
-    """Limits of the guard of which `table` allows more than `signed` does, in words.
-
-    More of any limit is laxer; what a table does not state is the default.
-    """
+    """Limits of the guard that `table` sets higher than `signed`, as text; a missing key has its default."""
     usual = defaults(GuardConfig)
     limits, asked = (usual | section_of(each, "guard") for each in (signed, table))
     return [
@@ -66,9 +63,9 @@ def laxer_limits(signed: Table, table: Table) -> list[str]:
 
 
 def void_by_wiring(signed: Table, changed: Table) -> str:
-    """Why the sign-off in `signed` does not hold for the wiring in `changed`; empty if it does, or if there is none.
+    """Why the sign-off in `signed` does not hold for the wiring in `changed`; empty if it holds or is missing.
 
-    A simulated rig may be rewired at will.
+    It holds for any wiring of a simulated rig.
     """
     board = section_of(signed, "board")
     new = changed_wiring(signed, changed, ("simulated",) if board.get("simulated") is True else COVERED)
@@ -78,15 +75,15 @@ def void_by_wiring(signed: Table, changed: Table) -> str:
 
 
 def void_by_limits(signed: Table, changed: Table) -> str:
-    """Why it does not hold for the limits in `changed`; empty if it does. A simulated rig has no limits to sign."""
+    """Why it does not hold for the limits in `changed`; empty if it holds, or for a simulated rig."""
     board = section_of(signed, "board")
     beyond = [] if board.get("simulated") is True else laxer_limits(signed, changed)
     if not signs_off(signed) or not beyond:
         return ""
-    return f"{board['verified_by']} signed the profile with {'; '.join(beyond)}. Lower it, or sign it anew"
+    return f"{board['verified_by']} signed the profile with {'; '.join(beyond)}. Lower it, or sign the profile again"
 
 
 def _stated(table: Table) -> Table:
-    """What a table says of board and wiring; nothing where it is not even a section."""
+    """Keys of board and wiring in a table; empty without such sections."""
     encoders = section_of(table, "encoders")
     return section_of(table, "board") | {key: encoders[key] for key in ("counts_per_turn",) if key in encoders}

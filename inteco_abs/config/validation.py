@@ -1,6 +1,6 @@
-"""A merged table checked by pydantic against the sections of `model`: every mistake with its key, value and range.
+"""Checks a merged table by pydantic against the sections of `model`: every mistake with its key, value and range.
 
-It takes longer to import than all the rest: only whoever reads what people have written loads it.
+It takes longer to import than everything else, so only code that reads TOML written by people imports it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _LONGEST_VALUE: Final = 60
 
 
 def validated(table: Table, issues: list[ConfigIssue]) -> RigConfig | None:
-    """The configuration that `table` stands for; None if it has mistakes, which are added to `issues`."""
+    """The configuration of `table`; None if it has mistakes, which are added to `issues`."""
     config = None
     try:
         config = _ADAPTER.validate_python(table)
@@ -51,13 +51,13 @@ def json_schema() -> Table:
     schema = _ADAPTER.json_schema()
     for name, definition in schema["$defs"].items():
         for key, value in defaults(getattr(model, name)).items():
-            if isinstance(value, list | dict):  # made for each configuration, which pydantic leaves out
+            if isinstance(value, list | dict):  # pydantic leaves out defaults made by a factory
                 definition["properties"][key]["default"] = value
     return schema
 
 
 def meanings(section: type[model.Section]) -> dict[str, str]:
-    """What each key of a section means: the docstrings below the keys, on one line."""
+    """Meaning of each key of a section: the docstring below it, on one line."""
     schema = _ADAPTER.json_schema()
     definition = schema if section is RigConfig else schema["$defs"][section.__name__]
     found = ((key, stated.get("description", "")) for key, stated in definition["properties"].items())
@@ -65,7 +65,7 @@ def meanings(section: type[model.Section]) -> dict[str, str]:
 
 
 class _Pair(NamedTuple):
-    """Two values that are each in range and cannot be together."""
+    """Two keys whose values must fit each other."""
 
     first: str
     second: str
@@ -88,7 +88,7 @@ _PAIRS: Final = (
 
 
 def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[ConfigIssue]:
-    """Pairs that do not fit; `wrong` are the keys that are mistaken by themselves."""
+    """Values that do not fit each other; `wrong` are keys that have an issue already."""
     sections = key_types(RigConfig)
 
     def value(path: str) -> Any:
@@ -104,7 +104,7 @@ def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[ConfigIssu
         if missing:
             wanted = " and ".join(f"board.{key}" for key in missing)
             yield ConfigIssue(
-                "board.verified_by", f"a signature needs {wanted} too: the day, and the logic it was made for"
+                "board.verified_by", f"a sign-off needs {wanted} too: the day, and the logic it was made for"
             )
     yield from _brake_map_mistakes(section_of(section_of(table, "model"), "identified"))
     for pair in _PAIRS:
@@ -115,7 +115,7 @@ def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[ConfigIssu
 
 
 def _brake_map_mistakes(identified: Table) -> Iterator[ConfigIssue]:
-    """Points of a map belong together, and rise, so that there is a duty for each torque."""
+    """A brake map needs as many torques as duties, both rising, so that each torque has one duty."""
     keys = ("brake_duties", "brake_torques_nm")
     points = [identified.get(key) for key in keys]
     if points == [None, None]:
@@ -133,7 +133,7 @@ def _brake_map_mistakes(identified: Table) -> Iterator[ConfigIssue]:
 _CEILINGS: Final = {"guard.over_speed_rad_s": "the rig's own limit, which no configuration can raise"}
 _NUMBER: Final = re.compile(r"[+-]?[0-9.]+(e[+-]?[0-9]+)?", re.IGNORECASE)
 _NUMERIC: Final = ("int_", "float_", "finite_")
-"""How pydantic calls its findings about what should be a number."""
+"""Prefixes of pydantic's error types for values that must be numbers."""
 
 
 def _issue(detail: Any) -> ConfigIssue:
@@ -156,7 +156,7 @@ def _issue(detail: Any) -> ConfigIssue:
 
 
 def _meant(location: Sequence[Any], value: object, kind: str) -> str:
-    """What may have been meant by a value that is not a number, or one in another unit; empty if there is no guess."""
+    """Hint for a value that is not a number or has another unit; empty without a guess."""
     unit = unit_of(str(location[-1]))
     if isinstance(value, str):
         if not kind.startswith(_NUMERIC):
@@ -170,7 +170,7 @@ def _meant(location: Sequence[Any], value: object, kind: str) -> str:
 
 
 def _short(value: object) -> str:
-    """As it stands in the file, cut short."""
+    """The value as in the file, shortened."""
     text = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
     text = value.isoformat() if isinstance(value, date | time) else text
     return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."

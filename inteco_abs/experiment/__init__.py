@@ -1,4 +1,4 @@
-"""One experiment from start to file: puts board, loop, pipeline and recorder together, in virtual or in real time."""
+"""One run from start to file, in virtual or real time: connects board, loop, pipeline and recorder."""
 
 from inteco_abs.experiment.plan import Plan, Progress, conditions, ring_ticks
 from inteco_abs.experiment.real_time import RoundTrips, by_hand, conditions_by_hand, measure_round_trips

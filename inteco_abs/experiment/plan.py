@@ -1,4 +1,4 @@
-"""What is to be run, what has to hold before anything is opened, and what the processes of a run are told."""
+"""Plan of a run, the conditions before anything is opened, and the job for the run's processes."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ from inteco_abs.wire import check_recordable, check_target
 
 _SPARE_S: Final = 2.0
 _LONGEST_RING_S: Final = 60.0
-"""Memory of several stops goes round: what is older is in the file. For so long a disk may take nothing; a run without
-recorder ends within a second. Every process of the run has all of it mapped: 38 MB at 2 kHz."""
+"""The ring holds the latest ticks, the file older ones: a disk may stall for so long. A run without recorder ends in
+a second. Every process of the run has the whole ring mapped: 38 MB at 2 kHz."""
 _SHORTEST_RING_S: Final = 4.0
 """Long enough for the recorder to be found dead and the run to end before the ring is full."""
 
 Progress = Callable[[Phase, int], None]
-"""Told the phase and the number of ticks so far, between slices of a virtual run."""
+"""Called with the phase and the number of ticks so far, between slices of a virtual run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is to be done: everything that the configuration does not say."""
+    """What to run, besides the configuration."""
 
     out: Path
     board: str = "sim:"
@@ -58,17 +58,17 @@ class Plan:
     wire: Path | None = None
     """Capture to write: everything that passes between host and board."""
     frames: bool = False
-    """Whether all that goes into the session, too."""
+    """Whether the session also holds these messages."""
     controller_package: str = ""
-    """Name and version of the installed package that the controller comes from; empty if from none."""
+    """Name and version of the installed package with the controller; empty without one."""
     live_port: int | None = None
-    """Where to serve a real-time run to viewers on this computer; 0 for any port that is free, None for not at all."""
+    """Port that serves a real-time run to viewers on this computer; 0: any free port, None: not served."""
     faults: tuple[Fault, ...] = ()
-    """What the mock board does wrong."""
+    """Faults to inject into the mock board."""
 
 
 def conditions(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
-    """What has to hold before anything is opened, besides a place for the session; each raises AbsError if not."""
+    """Conditions before anything is opened, besides a place for the session; each raises AbsError unless it holds."""
     yield partial(check_address, plan.board)
     yield partial(check_kind, plan.board, config)
     yield partial(check_limits, plan.board, config)
@@ -85,27 +85,27 @@ def conditions(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
 
 
 def _check_time(config: RigConfig, plan: Plan) -> None:
-    """Whether the run can take place in the time that it asks for."""
+    """Raise AbsError if the run is not possible in virtual or real time, as asked."""
     if not plan.virtual:
         require_linux()
         _require_origin(config, plan)
     elif not simulated(plan.board):
-        raise ConfigError.of("--virtual", f"{plan.board} is a real board, and real boards have their own time")
+        raise ConfigError.of("--virtual", f"{plan.board} is a real board, which runs in real time; omit --virtual")
 
 
 def _check_faults(config: RigConfig, plan: Plan) -> None:
     require_mock_board(plan.board)
     if plan.virtual:
-        impossible = dict.fromkeys(BY_PROCESS, "a run in virtual time has no such process; leave --virtual out")
+        impossible = dict.fromkeys(BY_PROCESS, "a run in virtual time has no such process; omit --virtual")
     else:
-        impossible = {CLOCK_STEP: "nobody's real clock is set; add --virtual"}
-    impossible["alarm"] = "a run reads no such flags; inteco-abs panel --inject shows them"
+        impossible = {CLOCK_STEP: "the computer's real clock is not changed; add --virtual"}
+    impossible["alarm"] = "a run does not read such flags; inteco-abs panel --inject shows them"
     require_possible(plan.faults, config.board.kind, impossible)
 
 
 def require_mock_board(board: str) -> None:
     if not simulated(board):
-        raise ConfigError.of("--inject", f"{board} is a real board, and breaks by itself; only sim: can be told")
+        raise ConfigError.of("--inject", f"{board} is a real board; faults can be injected into sim: only")
 
 
 def _require_origin(config: RigConfig, plan: Plan) -> None:
@@ -119,7 +119,7 @@ def _require_origin(config: RigConfig, plan: Plan) -> None:
 
 def _check_live(port: int, *, virtual: bool) -> None:
     if virtual:
-        problem = "a run in virtual time is over before anybody could look; leave one of the two out"
+        problem = "a run in virtual time ends too soon to be viewed; omit one of the two"
         raise ConfigError.of("--foxglove", f"{problem}, or open the session file in the viewer")
     require_foxglove(port)
 
@@ -156,7 +156,7 @@ def facts_of(config: RigConfig, plan: Plan) -> dict[str, dict[str, str]]:
 
 
 def ring_ticks(config: RigConfig) -> int:
-    """Ticks that the ring is to hold: all of the longest possible run, up to a minute, if nothing else is asked for."""
+    """Size of the ring in ticks: by `loop.ring_s`, or the longest possible run, up to a minute."""
     whole_s = min(config.experiment.longest_s + _SPARE_S, _LONGEST_RING_S)
     seconds = max(config.loop.ring_s, _SHORTEST_RING_S) if config.loop.ring_s else whole_s
     return round(seconds * config.loop.rate_hz)

@@ -29,7 +29,7 @@ from inteco_abs.sessions import (
 )
 
 _PANEL_RING_S: Final = 30.0
-"""A screen that takes no ticks for so long is gone."""
+"""A screen that takes no ticks for longer is taken as ended."""
 
 
 def run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> RunResult:
@@ -39,7 +39,7 @@ def run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> RunResult
             return supervisor.run(screen)
         except BaseException:
             if memory.tick_reader().written:
-                memory.keep()  # the file may not have them all
+                memory.keep()  # the file may lack some ticks
             raise
 
 
@@ -60,22 +60,22 @@ def processes(
                 supervisor.spawn("board", "inteco_abs.mock_board_process", str(memory.path))
             yield memory, supervisor
         finally:
-            supervisor.end()  # its own work may not have begun when an interrupt comes
+            supervisor.end()  # also if an interrupt comes before it runs
     finally:
         memory.remove()
 
 
 class RoundTrips(NamedTuple):
-    """How long exchanges with a board take."""
+    """Times of exchanges with a board."""
 
     times_us: list[float]
     """Of those that succeeded."""
     engines: dict[str, str]
-    """Which of the link's engines is in use, and how long exchanges took with each; empty if there is no choice."""
+    """The link's engine in use, and the times with each engine; empty without a choice."""
 
 
 def measure_round_trips(config: RigConfig, board: str) -> RoundTrips:
-    """Exchange SAFE with the board in a process like the loop's; nothing is energised.
+    """Time exchanges of SAFE with the board in a process like the loop's; the outputs stay off.
 
     Raises BoardError if the board cannot be opened or does not answer.
     """
@@ -89,7 +89,7 @@ def measure_round_trips(config: RigConfig, board: str) -> RoundTrips:
 def conditions_by_hand(
     config: RigConfig, board: str, faults: Sequence[Fault] = (), *, outputs: bool = True
 ) -> Iterator[Callable[[], object]]:
-    """What has to hold before a board is opened for a screen; each raises AbsError if not."""
+    """Conditions before a board is opened for manual control; each raises AbsError unless it holds."""
     yield partial(check_address, board)
     yield partial(check_kind, board, config)
     if outputs:
@@ -101,19 +101,19 @@ def conditions_by_hand(
 
 @contextmanager
 def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault, ...] = ()) -> Iterator[ManualClient]:
-    """A board held by a process of its own, for a screen or a program: entered for output, or only to be read.
+    """Hold a board by a process of its own, for output or for reading only.
 
-    `faults` are what the mock board does wrong. Leaving ends with SAFE, read back. Raises ReadOnlyError if outputs are
-    wanted of a board that the profile does not trust, BoardError if it cannot be opened or its process has died,
-    UnsafeError if SAFE was not confirmed.
+    `faults` are injected into the mock board. Leaving ends with SAFE, read back. Raises ReadOnlyError if the profile
+    does not allow outputs, BoardError if the board cannot be opened or its process died, UnsafeError if SAFE was not
+    confirmed.
     """
     for condition in conditions_by_hand(config, board, faults, outputs=outputs):
         condition()
     config = slowed(config)
-    told = config if outputs else _only_read(config)
+    held = config if outputs else _only_read(config)
     ring_ticks = round(_PANEL_RING_S * config.loop.rate_hz)
     with (
-        processes(told, Plan(Path(), board, virtual=False, faults=faults), ring_ticks) as (memory, supervisor),
+        processes(held, Plan(Path(), board, virtual=False, faults=faults), ring_ticks) as (memory, supervisor),
         supervisor.by_hand(drill=outputs),
     ):
         yield ManualClient(memory)
@@ -125,5 +125,5 @@ def _only_read(config: RigConfig) -> RigConfig:
 
 def _check_faults_by_hand(config: RigConfig, board: str, faults: Sequence[Fault]) -> None:
     require_mock_board(board)
-    impossible = dict.fromkeys(ON_THE_HOST, "the panel records nothing; inteco-abs run --inject has this")
+    impossible = dict.fromkeys(ON_THE_HOST, "the panel records nothing; use inteco-abs run --inject")
     require_possible(faults, config.board.kind, impossible)

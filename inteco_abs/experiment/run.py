@@ -1,4 +1,4 @@
-"""One experiment from start to file, in virtual or in real time."""
+"""One run from start to file, in virtual or real time."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def run_stop(
 ) -> RunResult:
     """Run one experiment and record it at `plan.out`; `screen` shows it, in real time ten times a second.
 
-    SIGINT, SIGTERM and their like end it at the next tick, with SAFE and a complete file. Raises ConfigError or
-    BoardError if it cannot start, and then leaves no file. A run that ends without SAFE having been confirmed is told
-    as `aborted`, with a warning on the screen; by UnsafeError only if there is no session of it.
+    SIGINT, SIGTERM and similar signals end it at the next tick, with SAFE and a complete file. Raises ConfigError or
+    BoardError if it cannot start, and leaves no file. If SAFE was not confirmed, the outcome is `aborted`, with a
+    warning on the screen, or UnsafeError is raised if there is no session.
     """
     check_output(plan.out)
     for condition in conditions(config, plan):

@@ -90,32 +90,32 @@ class VirtualRun:
         plan, config = self._plan, self._config
         board = board_behind(around(InProcessLink(self._face())), config, self._clock.now_ns)
         controller = plan.controllers[config.controller.name]
-        with FailoverWriter(plan.out, self._opener(controller), self._window.held, self._spill()) as keeper:
+        with FailoverWriter(plan.out, self._opener(controller), self._window.held, self._spill()) as writer:
             try:
                 with board:
                     screen.passed(Check.BOARD, f"{plan.board} {board.insist()}")
                     watchdog = prove_watchdog(board, config.period_ns, self._wait)
-                    keeper.introduce(config, self._introduction(board, watchdog), plan.out)
+                    writer.introduce(config, self._introduction(board, watchdog), plan.out)
                     screen.passed(Check.RECORDER, str(plan.out))
-                    self._drive(keeper, board, progress, screen)
+                    self._drive(writer, board, progress, screen)
             except BaseException as error:
                 unsafe = isinstance(error, UnsafeError) and self._ring.written > 0
                 if unsafe:
-                    screen.warn(str(error))  # before all else that is told
+                    screen.warn(str(error))  # before all other messages
                 words = str(error) if unsafe else in_words(error)
-                account = self._given_up(keeper, replace(self._end(board, words), frames=self._frames(around)), error)
-                if account is None or not unsafe:
+                result = self._given_up(writer, replace(self._end(board, words), frames=self._frames(around)), error)
+                if result is None or not unsafe:
                     raise
-                return account  # as in real time
-            return self._conclude(keeper, replace(self._end(board), frames=self._frames(around)))
+                return result  # as in real time
+            return self._conclude(writer, replace(self._end(board), frames=self._frames(around)))
 
     def _face(self) -> FrontEnd:
-        told = self._config, self._clock.now_ns, self._plan.seed, self._truths.append
+        arguments = self._config, self._clock.now_ns, self._plan.seed, self._truths.append
         if not self._plan.faults:
-            return face_of(Device(*told))
+            return face_of(Device(*arguments))
         return FaultyFrontEnd(
             face_of,
-            FaultyDevice(*told, schedule=self._schedule),
+            FaultyDevice(*arguments, schedule=self._schedule),
             wait=self._wait,
             pause=lambda seconds: self._clock.oversleep_ns(round(seconds * 1e9)),
             begun=self._host.act,
@@ -137,35 +137,35 @@ class VirtualRun:
     def _spill(self) -> Path | None:
         return spill_path(self._plan.out, self._config, self._session_id)
 
-    def _drive(self, keeper: FailoverWriter, board: Board, progress: Progress | None, screen: Screen) -> None:
-        onlooker = SnapshotSource(self._ring.reader(), Histogram(), self._config.loop.rate_hz)
+    def _drive(self, writer: FailoverWriter, board: Board, progress: Progress | None, screen: Screen) -> None:
+        snapshots = SnapshotSource(self._ring.reader(), Histogram(), self._config.loop.rate_hz)
         loop = Loop(board, self._pipeline, self._clock, self._ring, self._interrupts.stop)
-        self._window.skip_truths()  # what the device saw while it was opened belongs to no tick
+        self._window.skip_truths()  # truths from opening the board belong to no tick
         try:
             over = False
             while not over:
                 with self._interrupts.breaking():
                     over = loop.run(_SLICE_TICKS)
-                snapshot = onlooker.look()
+                snapshot = snapshots.look()
                 if snapshot is not None:
                     screen.show(snapshot)
                 if not over:
-                    self._record(keeper)
+                    self._record(writer)
                     if progress is not None:
                         progress(self._pipeline.phase, self._ring.written)
         finally:
             try:
                 board.make_safe()  # before anything that takes time or can fail
             finally:
-                self._record(keeper)
+                self._record(writer)
 
-    def _record(self, keeper: FailoverWriter) -> None:
-        keeper.add(*self._window.more())
+    def _record(self, writer: FailoverWriter) -> None:
+        writer.add(*self._window.more())
         if self._window.waiting > self._window.room:
-            keeper.flush()
-            if keeper.writing:
+            writer.flush()
+            if writer.writing:
                 self._window.release()
-        if self._window.room < 2 * _SLICE_TICKS:  # as in real time: what no disk takes ends the run while there is room
+        if self._window.room < 2 * _SLICE_TICKS:  # a disk that takes nothing ends the run while there is room
             self._interrupts.stop.request(Reason.RECORDER_LOST)
 
     def _introduction(self, board: Board, watchdog: Mapping[str, str]) -> RunHeader:
@@ -191,34 +191,34 @@ class VirtualRun:
         capture = around.capture() if self._plan.frames else None
         return None if capture is None else lambda: nullcontext((capture, capture.records))
 
-    def _given_up(self, keeper: FailoverWriter, end: RunEnd, error: BaseException) -> RunResult | None:
-        """What was recorded until `error`, which is told the rest; None if nothing was, or no disk takes it."""
-        account = None
+    def _given_up(self, writer: FailoverWriter, end: RunEnd, error: BaseException) -> RunResult | None:
+        """Save what was recorded until `error`, with notes on it; None if nothing was, or no disk takes it."""
+        result = None
         try:
             if self._ring.written:
-                account = self._conclude(keeper, end)
-                error.add_note(f"the session is in {keeper.path}")
+                result = self._conclude(writer, end)
+                error.add_note(f"the session is in {writer.path}")
             else:
-                keeper.discard()
+                writer.discard()
         except SessionError as second:
-            error.add_note(str(second))  # the first error is what matters
+            error.add_note(str(second))  # the first error matters
         if self._pipeline.reason is not Reason.NONE:
             error.add_note(f"the run had been stopped: {EXPLANATIONS[self._pipeline.reason]}")
         for fault, times in self._schedule.told().items():
             error.add_note(f"injected {fault}: acted {times} times")
-        return account
+        return result
 
-    def _conclude(self, keeper: FailoverWriter, end: RunEnd) -> RunResult:
-        """As the keeper does; what no disk takes is left in memory, and said where, as a SessionError."""
+    def _conclude(self, writer: FailoverWriter, end: RunEnd) -> RunResult:
+        """Finish the file. Raises SessionError naming the shared memory with the ticks if no disk takes them."""
         try:
-            return keeper.conclude(end)
+            return writer.conclude(end)
         except SessionError as error:
-            raise self._stowed(keeper, end, error) from error
+            raise self._stowed(writer, end, error) from error
 
-    def _stowed(self, keeper: FailoverWriter, end: RunEnd, error: SessionError) -> SessionError:
+    def _stowed(self, writer: FailoverWriter, end: RunEnd, error: SessionError) -> SessionError:
         job = replace(job_of(self._config, self._plan), session_id=self._session_id, virtual=True)
         try:
-            ring = stow(job, keeper.introduction, end, self._window, keeper.path)
+            ring = stow(job, writer.introduction, end, self._window, writer.path)
         except SessionError as second:
             out, seed = self._plan.out, self._plan.seed
             return SessionError(
@@ -233,10 +233,10 @@ class VirtualRun:
 
 
 class Interrupts:
-    """Signals that would end the program set the stop word, and do nothing else.
+    """Signals only set the stop word, which the loop reads at each tick.
 
-    One exception, for a controller that never returns: where the run allows it (`breaking`), a signal that comes
-    a second after the first unanswered one breaks into the loop. It cannot break into what makes the outputs safe.
+    For a controller that never returns, a signal more than a second after the first one breaks into the loop, but only
+    inside `breaking`, so never into switching the outputs off.
     """
 
     def __init__(self) -> None:
@@ -246,7 +246,7 @@ class Interrupts:
 
     @contextmanager
     def breaking(self) -> Iterator[None]:
-        """The loop is running, and may be broken into."""
+        """Allow a second signal to break into the loop."""
         self._may_break = True
         try:
             yield
@@ -254,7 +254,7 @@ class Interrupts:
             self._may_break = False
 
     def handle(self) -> None:
-        """One signal has come."""
+        """Handle one signal."""
         now_s = time.monotonic()
         if not self.stop.requested:
             self._asked_s = now_s

@@ -319,6 +319,6 @@ class TestStrangers:
 
 
 def test_a_run_in_virtual_time_has_nothing_to_look_at(tmp_path):
-    with pytest.raises(ConfigError, match="--foxglove: a run in virtual time is over before anybody could look"):
+    with pytest.raises(ConfigError, match="--foxglove: a run in virtual time ends too soon to be viewed"):
         run_stop(load_config(), Plan(tmp_path / "stop.mcap", virtual=True, live_port=0))
     assert list(tmp_path.iterdir()) == []

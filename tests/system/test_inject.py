@@ -92,7 +92,7 @@ def test_when_nothing_takes_the_run_the_seed_that_gives_it_again_is_told(main_he
 
 def test_in_virtual_time_there_is_no_process_to_be_killed(main_here, tmp_path):
     stop = main_here("run", "--virtual", "--inject", "loop-killed@1s", "--inject", "guardian-frozen@1s", check=2)
-    assert stop.stderr.count("leave --virtual out") == 2
+    assert stop.stderr.count("omit --virtual") == 2
     assert list(tmp_path.iterdir()) == []
 
 
@@ -110,7 +110,7 @@ def test_a_wall_clock_that_steps_changes_no_tick(main_here, tmp_path, step_s):
 
 def test_nobodys_real_clock_is_set(main_here, tmp_path):
     stop = main_here("run", *QUICK, "--inject", "clock-step=1@brake", check=2)
-    assert "clock-step: nobody's real clock is set; add --virtual" in stop.stderr
+    assert "clock-step: the computer's real clock is not changed; add --virtual" in stop.stderr
     assert list(tmp_path.iterdir()) == []
 
 
@@ -122,8 +122,8 @@ PCI = ("--set", "profile=sim_pci")
     ("board", "fault", "said"),
     [
         (PCI, "identity@1s", "identity: no answer of such a board says what it is"),
-        (PCI, "alarm=2@1s", "alarm: a run reads no such flags; inteco-abs panel --inject shows them"),
-        ((), "alarm=2@1s", "alarm: a run reads no such flags"),
+        (PCI, "alarm=2@1s", "alarm: a run does not read such flags; inteco-abs panel --inject shows them"),
+        ((), "alarm=2@1s", "alarm: a run does not read such flags"),
     ],
 )
 def test_what_this_board_or_a_run_cannot_show_is_refused_however_it_is_asked_for(
@@ -139,10 +139,10 @@ def test_what_this_board_or_a_run_cannot_show_is_refused_however_it_is_asked_for
     ("arguments", "said"),
     [
         (("--inject", "alarm=2@1s"), "only of a PCI board: --set profile=sim_pci"),
-        (("--inject", "loop-killed@1s"), "loop-killed: the panel records nothing; inteco-abs run --inject has this"),
+        (("--inject", "loop-killed@1s"), "loop-killed: the panel records nothing; use inteco-abs run --inject"),
         (("--inject", "disk-full@1s", *PCI), "disk-full: the panel records nothing"),
         (("--inject", "alarm=9@1s", *PCI), "alarm takes a whole number in 1..7 bits"),
-        (("--inject", "lose@1s", "--board", "usb2:"), "usb2: is a real board, and breaks by itself"),
+        (("--inject", "lose@1s", "--board", "usb2:"), "usb2: is a real board; faults can be injected into sim: only"),
     ],
 )
 def test_what_the_panel_cannot_be_told_to_meet_is_refused(main_here, arguments, said):
