@@ -17,6 +17,21 @@ settings.register_profile(  # a failure is all that tools/mutate asks for, and t
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 
+_final = list[str]()
+
+
+def pytest_runtest_logreport(report):
+    """Note what no busy computer causes: an error of a teardown, or (when is ???) a test that ends its process."""
+    if report.failed and report.when not in {"setup", "call"}:
+        _final.append(report.nodeid)
+
+
+def pytest_sessionfinish(session):
+    """Keep it for tools/checks.py, which does not run these again."""
+    if not hasattr(session.config, "workerinput"):
+        session.config.cache.set("check/final", _final)
+
+
 def pytest_configure():
     """Let tests send Ctrl-C to what they start, also where the tests run in a shell's background, which ignores it."""
     signal.signal(signal.SIGINT, signal.default_int_handler)

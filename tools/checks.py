@@ -4,7 +4,8 @@ tools/check sets up the environment and runs this file in it: python tools/check
 
 Tests that keep real time, or wait for a process, can fail on a computer that is busy with the other tests. Up to
 `MOST_TRIED_AGAIN` failed tests run once more when nothing else does; the check passes only if they pass then, and names
-them in its last lines. More failures than that, and errors of collection, are final.
+them in its last lines. More failures than that are final, and so is what no busy computer causes: an
+error of collection or of a teardown, a test that ends its process.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-FAILED_CACHE = Path(".pytest_cache/v/cache/lastfailed")
+KEPT = Path(".pytest_cache/v")
 MOST_TRIED_AGAIN = 5
 NICENESS = 10
 TESTS_FAILED = 1
@@ -69,7 +70,7 @@ class Check:
         parallel = ("-n", "auto", "--dist", "loadgroup", "--cache-clear")
         code = self.run(name, *self.pytest, "-m", selection, *parallel)
         others.result()  # raises what kept them from running
-        failed = failed_tests() if code == TESTS_FAILED else []
+        failed = unsteady_tests() if code == TESTS_FAILED else []
         if not 0 < len(failed) <= MOST_TRIED_AGAIN:
             return
         if self.run(f"{name}, failed ones alone", *self.pytest, "-m", selection, "-n", "0", *failed) == 0:
@@ -90,9 +91,12 @@ class Check:
         return len(failed) > 0
 
 
-def failed_tests() -> list[str]:
-    """Names of the tests that failed in the last run, without the groups that pytest-xdist adds to them."""
-    return [re.sub(r"@[^\]]*$", "", name) for name in json.loads(FAILED_CACHE.read_text(encoding="utf-8"))]
+def unsteady_tests(kept: Path = KEPT) -> list[str]:
+    """Tests that failed in the last run and may pass alone, without the groups that pytest-xdist adds to them."""
+    # tests/conftest.py keeps the second list
+    lists = [json.loads((kept / name).read_text(encoding="utf-8")) for name in ("cache/lastfailed", "check/final")]
+    failed, final = lists
+    return [] if final else [re.sub(r"@[^\]]*$", "", name) for name in failed]
 
 
 def main(arguments: list[str]) -> int:

@@ -220,3 +220,51 @@ def test_bench_identify_tells_errors_and_coverage_of_each_number(untraced):
     covered = {row.split()[0]: row.split()[1] for row in rows if "/5" in row}
     assert {"d", "M0", "brake_lag", "brake_dead_time", "M1(0.7)", "mu(0.2)"} <= covered.keys()
     assert sum(int(share.removesuffix("/5")) for share in covered.values()) >= 0.85 * 5 * len(covered)
+
+
+UNLUCKY = """
+import os, pytest
+
+@pytest.fixture
+def leftover():
+    yield
+    raise RuntimeError("a process is left")
+
+def test_is_late():
+    assert False
+
+def test_leaves_something(leftover):
+    pass
+
+def test_ends_its_process():
+    os._exit(3)
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("selection", "again"),
+    [("late", ["test_is_late"]), ("late or leaves", []), ("late or ends", [])],
+    ids=["a failure", "an error of a teardown", "a test that ends its process"],
+)
+def test_the_check_tries_again_only_what_a_busy_computer_may_have_caused(tmp_path, untraced, selection, again):
+    (tmp_path / "test_unlucky.py").write_text(UNLUCKY)
+    where = [
+        "-c",
+        "pyproject.toml",
+        f"--rootdir={tmp_path}",
+        "-o",
+        f"cache_dir={tmp_path}/kept",
+        "-p",
+        "tests.conftest",
+    ]
+    code = subprocess.call(
+        [sys.executable, "-m", "pytest", "-n1", "-k", selection, *where, tmp_path],
+        cwd=TOOLS.parent,
+        env={**untraced, "PYTHONPATH": "tests/system"},
+        stdout=subprocess.DEVNULL,
+    )
+    checks = runpy.run_path(str(TOOLS / "checks.py"))
+    assert code == checks["TESTS_FAILED"]
+    tried = checks["unsteady_tests"](tmp_path / "kept" / "v")
+    assert [name.rpartition(":")[2] for name in tried] == again
