@@ -1,4 +1,4 @@
-"""Writes PROTOCOL.md out of the tables: `python -m firmware_protocol.reference [--check]`."""
+"""Writes PROTOCOL.md from the tables: `python -m firmware_protocol.reference [--check]`."""
 
 from __future__ import annotations
 
@@ -22,18 +22,17 @@ Do not edit.
 ## RT-DAC/USB2
 
 One frame is {size} bytes: 16-bit words, little-endian; `w20[0:15]` is bits 0 to 14 of word 20 and a `+` joins the
-parts of a value, low part first. Bits that neither direction names are sent back as they were read, what is only read
-is sent as zero.
+parts of a value, low part first. Bits that neither direction names are sent back as they were read; fields
+that are only read are sent as zero.
 
 * **READ**: OUT `{request}` on bulk endpoint 0x{out:02X}, then IN {size} bytes on 0x{into:02X}. Read words use all
   16 bits.
 * **SEND**: OUT {size} bytes on bulk endpoint 0x{out:02X}, word 0 = 0x{send:04X}. No reply. Bit 15 of every data
   word is 0.
 * Status: confirmed = read in the named source, inferred = deduced, unknown = no source.
-* The words belong to the logic in the FPGA, not to the board: a rig's own logic has its own. Two of the two rig logics
-  whose driver is public, TRAS and rpend, are sent w31 = 3, thermal protection on, in every frame; w31 is the width of
-  PWM 3 in the generic one.
-* One pin-out of CN1 is common to servo, TRAS and rpend (confirmed there, inferred for the ABS rig): PWM 0 has thermal
+* The logic in the FPGA defines the words, not the board. The programs for TRAS and rpend, the two rig logics whose driver
+  is public, send w31 = 3, thermal protection on, in every frame; in the generic logic w31 is the width of PWM 3.
+* Servo, TRAS and rpend have the same pin-out of CN1 (confirmed there, inferred for the ABS rig): PWM 0 has thermal
   input 18, PWM 19, brake 20, direction 21; PWM 1 has thermal input 22, PWM 23, brake 24, direction 25. Their programs
   set a brake pin while its width is 0. All three let timer 0 run free (mode 1, reset 0) at 20 MHz.
 * Sources S1, S4, S5, S10: [docs/facts/sources.md](../docs/facts/sources.md#s1).
@@ -45,7 +44,7 @@ _RIG_LOGICS: Final = {
     "servo": "Servo logic",
     "tras": "TRAS logic, the two-rotor rig's",
     "rpend": "rpend logic, the reaction pendulum's",
-    "abs": "ABS logic: not published; what servo, TRAS and rpend share",
+    "abs": "ABS logic: not published; the fields that servo, TRAS and rpend share",
 }
 
 _USB: Final = """\
@@ -53,7 +52,7 @@ _USB: Final = """\
 
 One frame is {size} bytes through an FTDI chip used as a FIFO. `b21[0:7]` is bits 0 to 6 of data byte 21, which is byte
 21 of a READ frame and byte 22 of a SEND frame, behind the command. Bits that neither direction names are sent back as
-they were read, what is only read is sent as zero.
+they were read; fields that are only read are sent as zero.
 
 * **Dummy**: OUT `{dummy}`, once after opening: leaves the mode in which the FPGA is programmed. No reply.
 * **READ**: OUT `{request}`, then IN {size} bytes. They use all 8 bits.
@@ -61,7 +60,7 @@ they were read, what is only read is sent as zero.
 * **SEND and READ**: 0x{both:02X} is defined, but no known program uses it (inferred, not used here).
 * On opening, the vendor's library resets the chip, sets its latency timer to {latency} ms and enables the event
   character 0x{event:02X}.
-* Logic version and name are in the same bytes in every logic: they tell which table holds.
+* Logic version and name are in the same bytes in every logic: they select the table.
 * Source S2: [docs/facts/sources.md](../docs/facts/sources.md#s2). Inferred here means that the place is
   confirmed, but not all of the meaning.
 """
@@ -73,20 +72,20 @@ PCI device {vendor:04x}:{device:04x}, {size} bytes of I/O at base address regist
 always accessed whole. `0x04[12:16]` is bits 12 to 15 of the register at byte offset 0x04.
 
 * **Index, then data**: a register with an index exists once per channel. Write the channel to the index register,
-  then access the data register, and let nobody in between: the pair is not atomic.
+  then access the data register, without another access in between: the pair is not atomic.
 * **Alarm flags are advisory.** The sources disagree which of bits 0 and 2 is the temperature's and which the speed's
-  (K1), and whether 1 means tripped (K2; [contradictions](../docs/facts/boards.md#contradictions)). Nothing may rest on
-  them.
-* **Thresholds are only read.** Whether they can be written is unknown, and no source does it.
+  (K1), and whether 1 means tripped (K2; [contradictions](../docs/facts/boards.md#contradictions)). Do not
+  use them.
+* **Thresholds are only read.** Whether they can be written is unknown; no source writes them.
 * At {collisions} the ABS logic has thresholds where the generic map has its A/D converter: a program
-  made for the one must not write to the other. The version is checked before anything is written.
+  for one logic must not write to the other. The version is checked before anything is written.
 * Source S3: [docs/facts/sources.md](../docs/facts/sources.md#s3).
 """
 
 _PCI_GENERIC: Final = """\
 ### Generic registers
 
-Named in the vendor's driver besides, without proof that the ABS logic has them. For reference, never for access.
+Also named in the vendor's driver, without evidence that the ABS logic has them. For reference, not for access.
 """
 
 
@@ -200,7 +199,7 @@ def _pci_section() -> str:
 
 
 def render() -> str:
-    """The whole document."""
+    """The whole document, as Markdown."""
     return f"{_usb2_section()}\n{_usb_section()}\n{_pci_section()}"
 
 
