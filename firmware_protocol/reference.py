@@ -30,8 +30,8 @@ that are only read are sent as zero.
 * **SEND**: OUT {size} bytes on bulk endpoint 0x{out:02X}, word 0 = 0x{send:04X}. No reply. Bit 15 of every data
   word is 0.
 * Status: confirmed = read in the named source, inferred = deduced, unknown = no source.
-* The logic in the FPGA defines the words, not the board. The programs for TRAS and rpend, the two rig logics whose driver
-  is public, send w31 = 3, thermal protection on, in every frame; in the generic logic w31 is the width of PWM 3.
+* The logic in the FPGA defines the words, not the board. The programs for TRAS and rpend, the two rig logics whose
+  driver is public, send w31 = 3, thermal protection on, in every frame; in the generic logic w31 is the width of PWM 3.
 * Servo, TRAS and rpend have the same pin-out of CN1 (confirmed there, inferred for the ABS rig): PWM 0 has thermal
   input 18, PWM 19, brake 20, direction 21; PWM 1 has thermal input 22, PWM 23, brake 24, direction 25. Their programs
   set a brake pin while its width is 0. All three let timer 0 run free (mode 1, reset 0) at 20 MHz.
