@@ -53,14 +53,3 @@ def test_without_a_compiler_there_are_no_ratios_to_c(untraced, tmp_path):
             for key in ("p50", "p99", "p999", "max", "missed_percent", "round_p999", "wake_up_p999")
         )
     assert all(math.isfinite(value) for column in told["tick_us"].values() for value in column.values())
-
-
-@pytest.mark.long
-@pytest.mark.xdist_group("real time")
-def test_with_and_without_the_screen_is_compared_beside_the_noise(untraced):
-    told = json.loads(bench(untraced, "--screen", "--json"))
-    assert tuple(told["rows"]) == ("no screen", "no screen again", "live screen")
-    assert all(row["ticks"] > 0 for row in told["rows"].values())
-    for ratios in (told["ratios"]["no screen again"], told["ratios"]["live screen"]):
-        assert list(ratios) == ["p50", "p99", "p999"]
-        assert all(math.isfinite(ratio["all"]) and len(ratio["rounds"]) == 1 for ratio in ratios.values())

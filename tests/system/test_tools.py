@@ -67,14 +67,6 @@ def test_a_stop_more_adds_its_rows_to_the_ring_and_next_to_nothing_else(untraced
 
 @pytest.mark.long
 @pytest.mark.xdist_group("real time")
-def test_bench_stack_prints_every_stage(untraced):
-    printed = run("bench_stack", "1", environment=untraced)
-    for stage in ("rig", "frames", "decide", "record", "times real time"):
-        assert stage in printed
-
-
-@pytest.mark.long
-@pytest.mark.xdist_group("real time")
 @pytest.mark.parametrize(
     ("arguments", "rows"),
     [
