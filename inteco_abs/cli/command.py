@@ -46,9 +46,7 @@ class _Verbs(VerbGroup):
 
 
 @click.group(
-    cls=_Verbs,
-    aliases=_OLD_NAMES,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    cls=_Verbs, aliases=_OLD_NAMES, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
 )
 @click.version_option(package_name="inteco-abs")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")

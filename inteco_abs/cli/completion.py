@@ -12,11 +12,7 @@ from inteco_abs.cli.terminal import say
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-_SHELLS: Final = {
-    "bash": "~/.bashrc",
-    "zsh": "~/.zshrc",
-    "fish": "~/.config/fish/completions/inteco-abs.fish",
-}
+_SHELLS: Final = {"bash": "~/.bashrc", "zsh": "~/.zshrc", "fish": "~/.config/fish/completions/inteco-abs.fish"}
 
 
 @click.command()

@@ -11,15 +11,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from inteco_abs.cli.dry_run import Planned, dry_run_option, rehearse
-from inteco_abs.cli.options import (
-    FILE,
-    LOSSES,
-    Finite,
-    RunOptions,
-    json_option,
-    require_different,
-    run_options,
-)
+from inteco_abs.cli.options import FILE, LOSSES, Finite, RunOptions, json_option, require_different, run_options
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk

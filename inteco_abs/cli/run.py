@@ -146,7 +146,4 @@ def _report_left_rings() -> None:
     from inteco_abs.realtime import left_rings
 
     for ring in left_rings():
-        say(
-            f"inteco-abs: an earlier run left its ticks in {ring}: inteco-abs recover {ring} --out FILE",
-            err=True,
-        )
+        say(f"inteco-abs: an earlier run left its ticks in {ring}: inteco-abs recover {ring} --out FILE", err=True)

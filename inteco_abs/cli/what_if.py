@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from inteco_abs.cli.options import (
-    FILE,
-    LOSSES,
-    Finite,
-    RunOptions,
-    json_option,
-    known_controllers,
-    run_options,
-)
+from inteco_abs.cli.options import FILE, LOSSES, Finite, RunOptions, json_option, known_controllers, run_options
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import ConfigError

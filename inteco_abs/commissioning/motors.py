@@ -131,10 +131,7 @@ def _drive(out: Outputs, config: RigConfig) -> float:
 
 
 def _require_sense(motion: WheelMotion, config: RigConfig) -> None:
-    for name, key, counts in (
-        ("lower", "road_sign", motion.road_counts),
-        ("upper", "wheel_sign", motion.wheel_counts),
-    ):
+    for name, key, counts in (("lower", "road_sign", motion.road_counts), ("upper", "wheel_sign", motion.wheel_counts)):
         if turns(counts, config) < -_MOVED_TURNS / 2:
             raise ProbeError(
                 f"the {name} wheel counts backwards when driven: board.{key} is wrong. --redo wheels, and turn it "

@@ -29,11 +29,7 @@ def outputs_permitted(context: StepContext, request: str, phrase: str) -> RigCon
     if board.read_only:
         raise ReadOnlyError(f"the profile's outputs must never be used: {board.read_only}")
     require_phrase(context.operator, request, phrase)
-    sign_off: dict[str, Any] = {
-        "verified_by": _BY,
-        "verified_on": today(),
-        "verified_logic": context.logic_version,
-    }
+    sign_off: dict[str, Any] = {"verified_by": _BY, "verified_on": today(), "verified_logic": context.logic_version}
     limits: dict[str, Any] = {
         "drive_limit": DRIVE_LIMIT,
         "brake_limit": min(BRAKE_LIMIT, guard.brake_limit),

@@ -15,21 +15,10 @@ from inteco_abs.boards import check_address, check_kind, check_limits, simulated
 from inteco_abs.config import RigConfig
 from inteco_abs.control import CONTROLLERS, Controller
 from inteco_abs.errors import BoardError, ConfigError
-from inteco_abs.mock_board import (
-    BY_PROCESS,
-    CLOCK_STEP,
-    Fault,
-    drawn_facts,
-    require_possible,
-)
+from inteco_abs.mock_board import BY_PROCESS, CLOCK_STEP, Fault, drawn_facts, require_possible
 from inteco_abs.realtime import Job
 from inteco_abs.realtime.foxglove_server import require_foxglove
-from inteco_abs.sessions import (
-    check_spill,
-    host_facts,
-    profile_source,
-    software_facts,
-)
+from inteco_abs.sessions import check_spill, host_facts, profile_source, software_facts
 from inteco_abs.signals import Phase
 from inteco_abs.wire import check_recordable, check_target
 

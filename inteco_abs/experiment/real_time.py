@@ -14,19 +14,11 @@ from inteco_abs.config import RigConfig
 from inteco_abs.experiment.plan import Plan, job_of, require_linux, require_mock_board, ring_ticks
 from inteco_abs.host import as_facts
 from inteco_abs.host.doctor import examine
-from inteco_abs.mock_board import (
-    ON_THE_HOST,
-    Fault,
-    require_possible,
-)
+from inteco_abs.mock_board import ON_THE_HOST, Fault, require_possible
 from inteco_abs.realtime import RunMemory, Screen
 from inteco_abs.realtime.processes.manual import ONLY_WATCHED, ManualClient, slowed
 from inteco_abs.realtime.processes.supervisor import Supervisor
-from inteco_abs.sessions import (
-    TICK,
-    TRUTH,
-    RunResult,
-)
+from inteco_abs.sessions import TICK, TRUTH, RunResult
 
 _PANEL_RING_S: Final = 30.0
 """A screen that takes no ticks for longer is taken as ended."""

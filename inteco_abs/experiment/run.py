@@ -12,10 +12,7 @@ from inteco_abs.experiment.real_time import run_in_real_time
 from inteco_abs.experiment.user_code import time_limit
 from inteco_abs.experiment.virtual_run import Interrupts, VirtualRun
 from inteco_abs.realtime import NoScreen, SafeScreen, Screen, hearing
-from inteco_abs.sessions import (
-    RunResult,
-    check_output,
-)
+from inteco_abs.sessions import RunResult, check_output
 
 
 def run_stop(

@@ -17,15 +17,7 @@ from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller, Pipeline, gains_in_force
 from inteco_abs.errors import SessionError, UnsafeError, in_words
 from inteco_abs.experiment.plan import Plan, Progress, facts_of, job_of, ring_ticks
-from inteco_abs.mock_board import (
-    Device,
-    FaultyDevice,
-    FaultyFrontEnd,
-    FaultyHost,
-    FrontEnd,
-    Schedule,
-    face_of,
-)
+from inteco_abs.mock_board import Device, FaultyDevice, FaultyFrontEnd, FaultyHost, FrontEnd, Schedule, face_of
 from inteco_abs.realtime import (
     Check,
     Histogram,

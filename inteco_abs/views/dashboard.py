@@ -164,10 +164,7 @@ class Dashboard:
 
     def _title(self, width: int, signs: _Signs) -> Line:
         config, shot = self._config, self._snapshot
-        name: Line = [
-            (signs.rule * 2, "dim"),
-            (f" {config.controller.name} on {config.estimator.name} ", "bold"),
-        ]
+        name: Line = [(signs.rule * 2, "dim"), (f" {config.controller.name} on {config.estimator.name} ", "bold")]
         if config.experiment.stops > 1:
             name.append((f"stop {max(self._trace.stop, 1)} of {config.experiment.stops} ", ""))
         state = f" {shot.time_s:.1f} s, {shot.ticks} ticks " if shot else " starting "

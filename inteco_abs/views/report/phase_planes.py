@@ -85,12 +85,7 @@ def timing_histogram(traces: Sequence[ReportTrace]) -> Drawing:
 def _bars(plot: Any, edges: Array, counts: Array) -> None:
     full = np.flatnonzero(counts)
     plot.quad(
-        left=edges[full],
-        right=edges[full + 1],
-        bottom=_BELOW_ONE_TICK,
-        top=counts[full],
-        color=BLUE,
-        fill_alpha=0.5,
+        left=edges[full], right=edges[full + 1], bottom=_BELOW_ONE_TICK, top=counts[full], color=BLUE, fill_alpha=0.5
     )
 
 

@@ -6,14 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from bokeh.models import (
-    ColumnDataSource,
-    CrosshairTool,
-    DataRange1d,
-    Range1d,
-    Span,
-    WheelZoomTool,
-)
+from bokeh.models import ColumnDataSource, CrosshairTool, DataRange1d, Range1d, Span, WheelZoomTool
 from bokeh.plotting import figure
 
 from inteco_abs.views.figure import COLOURS
@@ -57,10 +50,7 @@ class PlotPanel(NamedTuple):
     lines: tuple[PlotLine, ...]
 
 
-_SLIP: Final = (
-    PlotLine("slip", "estimated", "solid", BLUE),
-    PlotLine("true_slip", "true", "dashed", RED),
-)
+_SLIP: Final = (PlotLine("slip", "estimated", "solid", BLUE), PlotLine("true_slip", "true", "dashed", RED))
 _REFERENCE: Final = PlotLine("slip_reference", "reference", "dotted", GREY)
 PANELS: Final = (
     PlotPanel(
@@ -172,13 +162,7 @@ def _draw(plot: Any, panel: PlotPanel, line: PlotLine, trace: ReportTrace, sourc
     """Draw a line, with dots if it has few points; return their names."""
     name = f"{panel.key}-{trace.look.letter}-{line.column}"
     plot.line(
-        "t",
-        line.column,
-        source=source,
-        name=name,
-        line_color=line.colour,
-        line_dash=line.dash,
-        line_width=_LINE_WIDTH,
+        "t", line.column, source=source, name=name, line_color=line.colour, line_dash=line.dash, line_width=_LINE_WIDTH
     )
     if len(trace.points.time_s) > _FEW_POINTS:
         return (name,)
