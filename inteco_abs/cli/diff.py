@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from inteco_abs.cli.options import DIFFERS, FILE, LOSSES, Finite, json_option
-from inteco_abs.cli.session_files import read_whole
+from inteco_abs.cli.session_files import read_on_disk, read_whole
 from inteco_abs.cli.terminal import plain, print_json, say
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 if TYPE_CHECKING:
     from inteco_abs.analysis import Change, Diff, SignalChange
-    from inteco_abs.sessions import Session
 
 
 @click.command()
@@ -37,7 +36,7 @@ def diff(a: Path, b: Path, only: tuple[str, ...], rel: float, as_json: bool) -> 
     mistakes = [mistake for mistake, name in zip(mistakes, only, strict=True) if name not in SECTIONS]
     if mistakes:
         raise ConfigError(mistakes)
-    first, second = (read_whole(file, _on_disk) for file in (a, b))
+    first, second = (read_whole(file, read_on_disk) for file in (a, b))
     found = diff_sessions(first, second, only, rel)
     if as_json:
         changes = {name: [change._asdict() for change in of_section] for name, of_section in found.changes.items()}
@@ -47,14 +46,6 @@ def diff(a: Path, b: Path, only: tuple[str, ...], rel: float, as_json: bool) -> 
     if not found.equal:
         return DIFFERS
     return LOSSES if any(session.incomplete or session.beyond for session in (first, second)) else 0
-
-
-def _on_disk(file: Path) -> Session:
-    import tempfile
-
-    from inteco_abs.sessions import read_session
-
-    return read_session(file, Path(tempfile.gettempdir()))
 
 
 def _print(a: Path, b: Path, found: Diff) -> None:

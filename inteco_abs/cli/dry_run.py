@@ -107,12 +107,13 @@ def _exit_code(refused: Iterable[AbsError]) -> int:
 
 def _conditions(planned: Sequence[Planned]) -> Iterator[Condition]:
     from inteco_abs.experiment import conditions
+    from inteco_abs.realtime import require_room
 
     for config, plan, *_ in planned:
         yield from conditions(config, plan)
         yield partial(_build, config, plan)
         if not plan.virtual:
-            yield partial(_require_memory, config, plan)
+            yield partial(require_room, _memory_bytes(config, plan))
 
 
 def _build(config: RigConfig, plan: Plan) -> None:
@@ -121,12 +122,6 @@ def _build(config: RigConfig, plan: Plan) -> None:
 
     with redirect_stdout(sys.stderr), time_limit():  # a user's controller may print, and the report is on stdout
         build_pipeline(config, plan.controllers)
-
-
-def _require_memory(config: RigConfig, plan: Plan) -> None:
-    from inteco_abs.realtime import require_room
-
-    require_room(_memory_bytes(config, plan))
 
 
 def _memory_bytes(config: RigConfig, plan: Plan) -> int:

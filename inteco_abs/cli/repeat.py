@@ -24,6 +24,7 @@ from inteco_abs.cli.options import (
     run_options,
 )
 from inteco_abs.cli.run import brake, report_end
+from inteco_abs.cli.session_files import read_on_disk
 from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import AbsError, ConfigError
 
@@ -144,7 +145,7 @@ def _report(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
         show(render_series(spreads))
     if figure is not None:
         try:
-            draw_series([read_session(path) for path in paths], figure)
+            draw_series([read_on_disk(path) for path in paths], figure)
         except AbsError as error:  # how the stops went matters more than their picture
             say(f"inteco-abs: {error}", err=True)
         else:

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 @run_options()
 @click.option("--out", "-o", type=FILE, help="Session file to write; default: sessions/stop-TIME.mcap.")
 @click.option("--figure", type=FILE, help="Also draw the stop: .png, .svg or .pdf.")
-@click.option("--record-wire", "wire", type=FILE, help="Also write the board's messages as JSON lines.")
+@click.option(
+    "--record-wire", "wire", type=FILE, help="Also write the board's messages, at most 300000, as JSON lines."
+)
 @click.option(
     "--frames",
     is_flag=True,

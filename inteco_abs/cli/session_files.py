@@ -1,4 +1,4 @@
-"""Session files as verbs take and make them: read with a word about what is lost, drawn, refused before a run."""
+"""Session files of the verbs: read with a report of losses, drawn, checked before a run."""
 
 from __future__ import annotations
 
@@ -13,15 +13,24 @@ if TYPE_CHECKING:
     from inteco_abs.sessions import Session
 
 
+def read_on_disk(file: Path) -> Session:
+    """The session in `file`, with its rows in a temporary file instead of memory."""
+    import tempfile
+
+    from inteco_abs.sessions import read_session
+
+    return read_session(file, Path(tempfile.gettempdir()))
+
+
 def read_whole(file: Path, reader: Callable[[Path], Session]) -> Session:
-    """The session in `file`, with what it lacks on stderr."""
+    """The session in `file`; reports on stderr what it lacks."""
     session = reader(file)
     report_losses(session)
     return session
 
 
 def report_losses(session: Session) -> None:
-    """Say what a session lacks, and what to do about it."""
+    """Report what a session lacks, and what to do about it."""
     if session.incomplete:
         ticks = len(session.ticks)
         whole = f"{ticks} ticks are complete{'; recover makes a session of them' if ticks else ''}"
@@ -31,11 +40,10 @@ def report_losses(session: Session) -> None:
 
 
 def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
-    """Draw stops to `out`; whether every file was complete and fully understood."""
-    from inteco_abs.sessions import read_session
+    """Draw stops to `out`; return whether every file was complete and fully understood."""
     from inteco_abs.views.figure import draw_stops
 
-    sessions = [read_whole(file, read_session) for file in files]
+    sessions = [read_whole(file, read_on_disk) for file in files]
     draw_stops(sessions, out, width)
     say(f"figure: {out}", err=True)
     return not any(session.incomplete or session.beyond for session in sessions)

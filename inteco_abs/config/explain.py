@@ -5,9 +5,9 @@ from __future__ import annotations
 import difflib
 import json
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import date
-from typing import Any, Final, Literal, NamedTuple, Protocol, get_args, get_origin
+from typing import Any, Final, Literal, NamedTuple, get_args, get_origin
 
 import tomli_w
 
@@ -24,34 +24,11 @@ prints the resulting values, and `inteco-abs config explain KEY` explains a key.
 _PROFILES: Final = "The section [board] comes with the profile; `inteco-abs profiles` lists them, and prints one."
 
 
-class Gain(Protocol):
-    """A controller's gain, as far as it is explained here."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def default(self) -> float: ...
-    @property
-    def low(self) -> float: ...
-    @property
-    def high(self) -> float: ...
-    @property
-    def unit(self) -> str: ...
-    @property
-    def meaning(self) -> str: ...
+Controllers = Mapping[str, Any]
+"""Controllers by name; each has `gains` with name, default, low, high, unit and meaning."""
 
 
-class HasGains(Protocol):
-    """A controller, as far as it is explained here."""
-
-    @property
-    def gains(self) -> Sequence[Gain]: ...
-
-
-Controllers = Mapping[str, HasGains]
-
-
-class Key(NamedTuple):
+class ConfigKey(NamedTuple):
     """One key of the configuration."""
 
     path: str
@@ -65,7 +42,7 @@ class Key(NamedTuple):
     """Controller of a gain; several controllers have gains of one name."""
 
 
-def all_keys(controllers: Controllers) -> list[Key]:
+def all_keys(controllers: Controllers) -> list[ConfigKey]:
     """Every key of rig.toml by section, with the gains of all controllers."""
     found = list(_keys(RigConfig, ()))
     place = next(i for i, key in enumerate(found) if key.path == _GAINS)
@@ -98,7 +75,7 @@ def facts(path: str, below: Mapping[str, Any], controllers: Controllers) -> list
     ]
 
 
-def _asked(path: str, controllers: Controllers) -> tuple[list[Key], list[Key]]:
+def _asked(path: str, controllers: Controllers) -> tuple[list[ConfigKey], list[ConfigKey]]:
     """Keys of that path, and keys within it. Raises ConfigError if there are none."""
     keys = all_keys(controllers)
     asked = path.strip().strip(".[]")
@@ -109,7 +86,7 @@ def _asked(path: str, controllers: Controllers) -> tuple[list[Key], list[Key]]:
     raise ConfigError.of(path or "KEY", f"is not a key of rig.toml{_hint(asked, keys)}")
 
 
-def _hint(asked: str, keys: Iterable[Key]) -> str:
+def _hint(asked: str, keys: Iterable[ConfigKey]) -> str:
     """Keys with this last part, else a similar one, else the sections."""
     paths = dict.fromkeys(key.path for key in keys)
     sections = dict.fromkeys(section for path in paths if (section := path.rpartition(".")[0]))
@@ -149,22 +126,22 @@ def with_origins(config: RigConfig, origins: Mapping[str, str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _keys(section: type[Section], above: tuple[str, ...]) -> Iterator[Key]:
+def _keys(section: type[Section], above: tuple[str, ...]) -> Iterator[ConfigKey]:
     meaning, usual = meanings(section), defaults(section)
     for name, kind in key_types(section).items():
         location = (*above, name)
         if isinstance(kind, type) and issubclass(kind, Section):
             yield from _keys(kind, location)
         else:
-            yield Key(".".join(location), limits(location) or _kind(kind), usual.get(name), meaning[name])
+            yield ConfigKey(".".join(location), limits(location) or _kind(kind), usual.get(name), meaning[name])
 
 
-def _gains(controllers: Controllers) -> Iterator[Key]:
+def _gains(controllers: Controllers) -> Iterator[ConfigKey]:
     for name, controller in controllers.items():
         for gain in controller.gains:
             unit = "" if gain.unit == "1" else f" {gain.unit}"
             kind = f"a number at least {gain.low:g} and at most {gain.high:g}{unit}"
-            yield Key(f"{_GAINS}.{gain.name}", kind, gain.default, f"of {name}: {gain.meaning}", name)
+            yield ConfigKey(f"{_GAINS}.{gain.name}", kind, gain.default, f"of {name}: {gain.meaning}", name)
 
 
 def _kind(key_type: Any) -> str:
@@ -178,7 +155,7 @@ def _kind(key_type: Any) -> str:
     return next((names[kind] for part in parts for kind in (get_origin(part), part) if kind in names), "a whole number")
 
 
-def _in_full(key: Key, below: Mapping[str, Any]) -> str:
+def _in_full(key: ConfigKey, below: Mapping[str, Any]) -> str:
     lines = [key.path, *(f"  {line}" for line in _wrapped(key.meaning)), f"  {key.kind}"]
     if key.default is not None:
         lines.append(f"  default {_toml(key.default)}")
@@ -196,7 +173,7 @@ def _value_in(table: Mapping[str, Any], path: str) -> Any:
     return value
 
 
-def _in_short(key: Key) -> str:
+def _in_short(key: ConfigKey) -> str:
     default = "" if key.default is None else f" = {_toml(key.default)}"
     return f"{key.path}{default}: {key.kind}{f', of {key.of}' if key.of else ''}"
 

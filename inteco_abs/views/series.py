@@ -14,6 +14,7 @@ from inteco_abs.analysis import UNITS, Spread
 from inteco_abs.errors import AbsError
 from inteco_abs.sessions import Session
 from inteco_abs.views.comparison import held_rows, since_s, start_ns
+from inteco_abs.views.decimation import decimate
 from inteco_abs.views.figure import check_figure, save_figure, slip_top
 from inteco_abs.views.result_panel import ROWS
 
@@ -28,6 +29,8 @@ _PANELS: Final = (
     ("brake", "brake duty [1]"),
 )
 _AT_REST_RAD_S: Final = 1.0
+_POINTS: Final = 4000
+"""Of each line: a thousand stops would otherwise take gigabytes."""
 
 
 def render_series(spreads: Mapping[str, Spread]) -> Table:
@@ -82,6 +85,8 @@ def _draw(panels: Sequence[Axes], session: Session, **look: Any) -> None:
     time_s = since_s(ticks, start_ns(session))
     shown = (time_s >= -_BEFORE_S) & (np.arange(len(ticks)) <= held_rows(ticks)[-1])
     moves = ticks["road_speed_rad_s"] >= _AT_REST_RAD_S
+    values = {name: ticks[name][shown] for name, _ in _PANELS}
+    values["slip"] = np.where(moves[shown], values["slip"], np.nan)
+    drawn = decimate(values, time_s[shown], np.zeros(int(shown.sum()), bool), _POINTS)
     for panel, (name, _) in zip(panels, _PANELS, strict=True):
-        values = np.where(moves, ticks[name], np.nan) if name == "slip" else ticks[name]
-        panel.plot(time_s[shown], values[shown], **look)
+        panel.plot(drawn.time_s, drawn.columns[name], **look)
