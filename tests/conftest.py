@@ -28,7 +28,7 @@ def pytest_runtest_logreport(report):
 
 def pytest_sessionfinish(session):
     """Keep it for tools/checks.py, which does not run these again."""
-    if not hasattr(session.config, "workerinput"):
+    if hasattr(session.config, "cache") and not hasattr(session.config, "workerinput"):
         session.config.cache.set("check/final", _final)
 
 
