@@ -50,31 +50,35 @@ class Guardian:
         self._supervisor = Silence(SUPERVISOR_WINDOW_NS)
         self._recorder = Silence(_RECORDER_WINDOW_NS)
         self._alarm = Alarm(memory, turn=1)
+        self._before_ns = time.monotonic_ns()
 
     def watch(self) -> None:
         """Watch and act until nothing is left to guard."""
-        before = time.monotonic_ns()
-        while not self._over():
+        while not self.over():
             ended = bool(self._poller.poll(POLL_NS / 1e6))
-            now = time.monotonic_ns()
-            self._words[Field.GUARDIAN_BEAT_NS] = now
-            silent = self._hangs(now - before) or self._goes_on_after_stop(now - before)
-            held = self._words[Field.HOLDER_PID] == self._guarded != 0
-            deed = guardian_does(held=held, loop_ended=ended, loop_silent=silent)
-            if Action.KILL_LOOP in deed:
-                self._kill()
-            if ended:
-                self._leave(rescue=Action.RESCUE in deed)
-            self._look_after_the_others(now - before)
-            self._alarm.look()
-            self._follow()
-            before = now
+            self.look(time.monotonic_ns(), ended=ended)
 
-    def _over(self) -> bool:
+    def look(self, now_ns: int, *, ended: bool) -> None:
+        """Beat, look at the others, act; `ended`: the guarded process is gone."""
+        passed_ns, self._before_ns = now_ns - self._before_ns, now_ns
+        self._words[Field.GUARDIAN_BEAT_NS] = now_ns
+        silent = self._hangs(passed_ns) or self._goes_on_after_stop(passed_ns)
+        held = self._words[Field.HOLDER_PID] == self._guarded != 0
+        deed = guardian_does(held=held, loop_ended=ended, loop_silent=silent)
+        if Action.KILL_LOOP in deed:
+            self._kill()
+        if ended:
+            self._leave(rescue=Action.RESCUE in deed)
+        self._look_after_the_others(passed_ns)
+        self._alarm.look()
+        self._follow()
+
+    def over(self) -> bool:
+        """Whether nothing is left to guard; a supervisor that is gone is told to whoever still waits."""
         words = self._words
         left_alone = not alive(words[Field.SUPERVISOR_PID]) and not self._guarded
         if left_alone and not words[Field.GUARDIAN_STOP]:
-            words[Field.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST  # for whoever still waits to be guarded
+            words[Field.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST
         return bool(words[Field.OVER]) or left_alone
 
     def _follow(self) -> None:
@@ -86,7 +90,6 @@ class Guardian:
             self._end = os.pidfd_open(pid)
             self._poller.register(self._end, select.POLLIN)
             self._guarded, self._killed = pid, False
-            self._loop.forget()
             self._words[Field.GUARDING_PID] = pid
 
     def _hangs(self, passed_ns: int) -> bool:
