@@ -158,7 +158,7 @@ def test_a_table_that_cannot_be_written_is_an_error_and_nothing_is_left(design, 
     def full(*_columns):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("inteco_abs.cli.design.csv.writer", full)
+    monkeypatch.setattr("csv.DictWriter", full)
     with pytest.raises(AbsError, match=r"curves\.csv: the table cannot be written: No space left"):
         design("--csv", "curves.csv")
     assert not list(tmp_path.iterdir())

@@ -142,7 +142,7 @@ def test_a_folder_without_permission_is_refused_at_once(monkeypatch, tmp_path):
 
 def test_a_file_that_cannot_be_written_is_named(paper, tmp_path):
     (tmp_path / "simulation.csv").mkdir()
-    with pytest.raises(AbsError, match=r"simulation\.csv: cannot be written: Is a directory"):
+    with pytest.raises(AbsError, match=r"simulation\.csv: Is a directory"):
         paper(tmp_path)
 
 

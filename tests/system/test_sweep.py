@@ -104,7 +104,7 @@ def test_a_table_that_cannot_be_written_is_an_error_after_the_result(monkeypatch
     def full(*_arguments):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("inteco_abs.cli.sweep.csv.DictWriter", full)
+    monkeypatch.setattr("csv.DictWriter", full)
     with pytest.raises(AbsError, match=r"stops\.csv: the table cannot be written: No space left on device"):
         cli.main(["sweep", *QUICK, "--jobs", "1", "--csv", "stops.csv"], standalone_mode=False)
     assert not list(tmp_path.iterdir())
