@@ -104,7 +104,8 @@ class Rig:
         """Effective configuration of a run with that controller. Raises ConfigError."""
         known = _known(controller)
         name = {} if controller is None else {"controller.name": _name(controller)}
-        lines = [f"{key}={_toml(value)}" for key, value in {**self.settings, **settings, **name}.items()]
+        # TOML writes numbers, text, booleans and lists as JSON does
+        lines = [f"{key}={json.dumps(value)}" for key, value in {**self.settings, **settings, **name}.items()]
         checks = [control_check(known), kind_check, rig_check]
         return load_config(self.config_file, lines, checks, default_profile(self.board), preferred_estimator(known))
 
@@ -207,7 +208,3 @@ def _default_out() -> Path:
     except OSError as error:
         raise AbsError(f"no folder {folder} can be made here ({error.strerror}); name a file with out=") from error
     return folder / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"
-
-
-def _toml(value: Any) -> str:
-    return json.dumps(value)  # TOML writes numbers, text, booleans and lists alike

@@ -83,7 +83,10 @@ def _write(found: Reproduction, report: Mapping[str, Any], folder: Path, command
     try:
         folder.mkdir(exist_ok=True)
         for course in found.courses:
-            write_csv(_ticks(course.columns), path := folder / f"{course.name}.csv")
+            rows = zip(*(column.tolist() for column in course.columns.values()), strict=True)
+            write_csv(
+                [dict(zip(course.columns, row, strict=True)) for row in rows], path := folder / f"{course.name}.csv"
+            )
             yield path
             for suffix in _FORMATS:
                 draw_course(course.columns, course.title, path := folder / f"{course.name}.{suffix}")
@@ -96,11 +99,6 @@ def _write(found: Reproduction, report: Mapping[str, Any], folder: Path, command
         yield path
     except OSError as error:
         raise AbsError(f"{error.filename or folder}: cannot be written: {describe_disk(error)}") from error
-
-
-def _ticks(columns: Mapping[str, Any]) -> list[dict[str, float]]:
-    values = zip(*(column.tolist() for column in columns.values()), strict=True)
-    return [dict(zip(columns, row, strict=True)) for row in values]
 
 
 def _flat(row: Mapping[str, Any]) -> dict[str, Any]:

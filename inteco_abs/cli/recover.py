@@ -12,7 +12,7 @@ from inteco_abs.cli.session_files import check_session_file
 from inteco_abs.cli.terminal import plain, print_card, print_json, say
 
 if TYPE_CHECKING:
-    from inteco_abs.sessions import Recovery
+    pass
 
 
 @click.command()
@@ -49,12 +49,8 @@ def _recover_file(file: Path, out: Path, as_json: bool) -> int:
     if as_json:
         print_json({**recovery.card, "missing_ticks": recovery.missing, "losses": recovery.losses})
     else:
-        _print_recovery(out, recovery)
+        ticks = recovery.card["ticks"]
+        say(f"{out}: {ticks} ticks recovered, {'with losses' if recovery.losses else 'nothing was lost'}")
+        for loss in recovery.losses:
+            say(f"  lost: {plain(loss)}")
     return LOSSES if recovery.losses else 0
-
-
-def _print_recovery(out: Path, recovery: Recovery) -> None:
-    ticks = recovery.card["ticks"]
-    say(f"{out}: {ticks} ticks recovered, {'with losses' if recovery.losses else 'nothing was lost'}")
-    for loss in recovery.losses:
-        say(f"  lost: {plain(loss)}")

@@ -67,16 +67,18 @@ def run(
         if as_json:
             print_json(stop.card)
         elif not options.quiet:
-            _print_card(stop)
+            from inteco_abs.analysis import previous_card
+
+            print_card(stop.card, stop.explanation, previous_card(stop.card))
         report_end(stop)
-    except OSError:  # the terminal is gone: how the run ended matters more
+    except OSError:  # the terminal is gone; the exit code still counts
         sys.stdout = sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115  until the process ends
         return stop.exit_code or 1
     return _drawn(stop, figure)
 
 
 def brake(rig: RigConfig, plan: Plan, options: RunOptions) -> RunResult:
-    """One stop with a screen for the person who waits for it."""
+    """Run one stop with a screen."""
     from inteco_abs.experiment import run_stop
     from inteco_abs.sessions import ensured_directory
 
@@ -88,7 +90,7 @@ def brake(rig: RigConfig, plan: Plan, options: RunOptions) -> RunResult:
 
 
 def report_end(stop: RunResult) -> None:
-    """Say on stderr what is remarkable about how a stop ended."""
+    """Report on stderr how a stop ended, if not as usual."""
     for fault, times in stop.injected.items():
         acted = "never acted: was the run over before?" if times == "0" else f"acted {times} times"
         say(f"inteco-abs: injected {fault}: {acted}", err=True)
@@ -102,20 +104,14 @@ def report_end(stop: RunResult) -> None:
         say(f"inteco-abs: completed with problems: {lost}", err=True)
 
 
-def _print_card(stop: RunResult) -> None:
-    from inteco_abs.analysis import previous_card
-
-    print_card(stop.card, stop.explanation, previous_card(stop.card))
-
-
 def _drawn(stop: RunResult, figure: Path | None) -> int:
-    """The exit code after the figure, if one was asked for and the stop has braked."""
+    """Draw the figure, if asked for and the stop braked; return the exit code."""
     if figure is None or stop.card["start_speed_rad_s"] is None:
         return stop.exit_code
     session = stop.card["session"]
     try:
         draw([Path(session)], figure)
-    except AbsError as error:  # how the run ended matters more than its picture
+    except AbsError as error:  # the run's outcome matters more than its figure
         say(f"inteco-abs: {error}", err=True)
         return stop.exit_code or error.exit_code
     except KeyboardInterrupt:
@@ -136,7 +132,7 @@ def _places(out: Path | None, figure: Path | None, wire: Path | None) -> Iterato
 
 
 def _folder(out: Path | None, plan: Plan) -> Iterator[Condition]:
-    """The condition on the default folder, which an --out brings itself."""
+    """Condition on the default folder."""
     from inteco_abs.sessions import check_folder
 
     if out is None:
@@ -144,7 +140,7 @@ def _folder(out: Path | None, plan: Plan) -> Iterator[Condition]:
 
 
 def _report_left_rings() -> None:
-    """Ticks of a run that crashed, or had no disk, stay in memory: name them before the next run."""
+    """Name shared memory with ticks of a run that crashed or had no disk."""
     from inteco_abs.realtime import left_rings
 
     for ring in left_rings():

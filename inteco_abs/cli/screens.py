@@ -1,4 +1,4 @@
-"""The display of a run while it lasts: a full screen, one line, or none."""
+"""Display of a running stop: dashboard, one line, or none."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING
 
 from inteco_abs.cli.terminal import on_terminal, say
@@ -17,12 +18,13 @@ if TYPE_CHECKING:
 
 @contextmanager
 def screen_of(config: RigConfig, choice: str | None, *, virtual: bool, quiet: bool) -> Iterator[Screen]:
-    """Live picture on a terminal's stderr; elsewhere, or if not wanted, a line where a run in real time begins."""
+    """Dashboard on a terminal's stderr; elsewhere, or if not wanted, one line when a run in real time begins."""
     if quiet or choice == "none" or not on_terminal(sys.stderr) or os.environ.get("TERM") == "dumb":
         from inteco_abs.realtime import Lines
 
-        begun = (lambda: None) if quiet or virtual else _say_what_stops
-        yield Lines(_say, noting=not quiet, begun=begun)
+        stops = partial(say, "running in real time; Ctrl-C stops safely", err=True)
+        begun = (lambda: None) if quiet or virtual else stops
+        yield Lines(lambda text: say(f"inteco-abs: {text}", err=True), noting=not quiet, begun=begun)
         return
     from rich.console import Console
 
@@ -35,15 +37,7 @@ def screen_of(config: RigConfig, choice: str | None, *, virtual: bool, quiet: bo
 
 
 def ascii_wanted() -> bool:
-    """Whether the user's locale is the one that has ASCII only; Python would write UTF-8 all the same."""
+    """Whether the user's locale has ASCII only; Python would still write UTF-8."""
     # LC_CTYPE=C.UTF-8 is Python's own answer to that locale, if nothing else was set
     chosen = (os.environ.get("LC_ALL"), os.environ.get("LC_CTYPE", "").replace("C.UTF-8", ""), os.environ.get("LANG"))
     return next(filter(None, chosen), "") in {"C", "POSIX"}
-
-
-def _say_what_stops() -> None:
-    say("running in real time; Ctrl-C stops safely", err=True)
-
-
-def _say(text: str) -> None:
-    say(f"inteco-abs: {text}", err=True)

@@ -92,7 +92,7 @@ def sweep(
     and is judged by the true slip. Of the guard only the brake limit applies; rigs of the population capped have
     their own, and only those that can hold slip 0.2 with a margin of 0.5 N m count.
     """
-    from inteco_abs.montecarlo import combinations, parse_draws
+    from inteco_abs.montecarlo import SHARD, combinations, parse_draws
     from inteco_abs.montecarlo import sweep as sweep_all
     from inteco_abs.views.figure import check_figure
 
@@ -118,7 +118,7 @@ def sweep(
             sources=sources,
             run_up=not no_run_up,
             executor=executor,
-            shard=_shard(stops, jobs),
+            shard=max(_SMALLEST_SHARD, min(SHARD, stops // (_SHARDS_PER_JOB * jobs))),
             progress=progress,
         )
     ticks, elapsed_s = sum(row.stops.ticks for row in rows), time.monotonic() - began
@@ -203,12 +203,6 @@ def _report_errors(rows: Sequence[SweepRow]) -> int:
 def _cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _shard(stops: int, jobs: int) -> int:
-    from inteco_abs.montecarlo import SHARD
-
-    return max(_SMALLEST_SHARD, min(SHARD, stops // (_SHARDS_PER_JOB * jobs)))
 
 
 @contextmanager

@@ -33,7 +33,9 @@ def validate(files: tuple[Path, ...], as_json: bool) -> int:
         print_json({"schema_version": 1, "sessions": list(map(_facts, inspections))})
     else:
         for inspection in inspections:
-            _print(inspection)
+            for finding in inspection.findings:
+                say(f"{inspection.path}: {plain(finding.place)}: {finding.severity}: {plain(finding.problem)}")
+            say(f"{inspection.path}: {inspection.verdict}, {inspection.ticks} ticks")
     verdicts = {inspection.verdict for inspection in inspections}
     return _CODES[next(verdict for verdict in _WORST_FIRST if verdict in verdicts)]
 
@@ -45,9 +47,3 @@ def _facts(inspection: Inspection) -> dict[str, Any]:
         "ticks": inspection.ticks,
         "findings": [finding._asdict() for finding in inspection.findings],
     }
-
-
-def _print(inspection: Inspection) -> None:
-    for finding in inspection.findings:
-        say(f"{inspection.path}: {plain(finding.place)}: {finding.severity}: {plain(finding.problem)}")
-    say(f"{inspection.path}: {inspection.verdict}, {inspection.ticks} ticks")

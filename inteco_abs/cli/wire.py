@@ -68,7 +68,9 @@ def show(file: Path, as_json: bool) -> int:
         traffic = {role: one._asdict() for role, one in summary.traffic.items()}
         _print_json({"capture": str(file), **summary._asdict(), "traffic": traffic})
         return 0
-    board = f"{summary.board}, {_logic(summary.logic_version, summary.application_name)}"
+    version = summary.logic_version
+    logic = "no READ answer" if version is None else f"logic 0x{version:04X} {summary.application_name!r}"
+    board = f"{summary.board}, {logic}"
     facts = [("board", board), ("recorded by", summary.recorded_by), ("clock", summary.clock)]
     facts += [("duration", f"{summary.duration_s:.6f} s"), ("control transfers", str(summary.control_transfers))]
     facts += [("failure", f"{text} ({count} times)") for text, count in summary.errors.items()]
@@ -84,7 +86,7 @@ def show(file: Path, as_json: bool) -> int:
 
 
 def _show_report(file: Path, capture: Capture, report: BoardReport, *, as_json: bool) -> int:
-    """Everything that the report holds, so that you can see what you pass on."""
+    """Print everything in the report, so that you can see what you pass on."""
     images = [record.data.hex() for record in capture.records if record.kind == "in"]
     if as_json:
         facts = report.model_dump(mode="json", exclude_defaults=True)
@@ -111,14 +113,7 @@ def changes(file: Path, as_json: bool) -> int:
     capture = _read(file)
     words, doubt = moved_words(capture), caution(capture)
     if as_json:
-        print_json(
-            {
-                "schema_version": _SCHEMA,
-                "capture": str(file),
-                "caution": doubt,
-                "moved": [word._asdict() for word in words],
-            }
-        )
+        _print_json({"capture": str(file), "caution": doubt, "moved": [word._asdict() for word in words]})
         return 0
     if doubt:
         say(f"inteco-abs: {doubt}", err=True)
@@ -168,9 +163,7 @@ def diff(first: Path, second: Path, numbering_pwm: int | None, ignore: tuple[str
     outcome = compare_sends(one, other, ignored)
     if as_json:
         words = [word._asdict() for word in outcome.words]
-        print_json(
-            {"schema_version": _SCHEMA, "first": str(first), "second": str(second), **outcome._asdict(), "words": words}
-        )
+        _print_json({"first": str(first), "second": str(second), **outcome._asdict(), "words": words})
         return 0 if outcome.same else DIFFERS
     say(
         f"{outcome.first_frames} and {outcome.second_frames} SEND frames, "
@@ -233,10 +226,6 @@ def _of_session(file: Path) -> Capture | None:
     from inteco_abs.sessions import is_session_file, read_frames
 
     return read_frames(file) if is_session_file(file) else None
-
-
-def _logic(version: int | None, name: str) -> str:
-    return "no READ answer" if version is None else f"logic 0x{version:04X} {name!r}"
 
 
 def _number(value: float | None) -> str:

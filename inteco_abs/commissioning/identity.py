@@ -38,7 +38,11 @@ def read_header(context: StepContext) -> Facts:
         context.operator.say("  THE PWM OUTPUTS ARE NOT ZERO: press the emergency switch, switch the board off and on")
     suggested = fitting_profile(context.draft.config.board.kind, identity)
     if suggested != context.draft.profile:
-        _suggest(context, suggested)
+        begun = context.draft.profile
+        context.operator.say(f"  the matching shipped profile is {suggested}; the draft began from {begun}")
+        # only the operator decides, as the draft may come from the lab's own profile
+        if not context.quiet and agree(context.operator, f"Begin a new draft from {suggested}?"):
+            context.draft.begin_from(suggested)
     _write(context, identity)
     counts = {name: value for name, value in values.items() if name.endswith("_channels")}
     return {**identity.facts(), "bridge": bridge, "channels": counts, "suggested_profile": suggested, "raw": raw.hex()}
@@ -68,13 +72,6 @@ def hex_dump(raw: bytes) -> str:
             shown.append(f"  {at:04x}  {line.hex(' ')}")
         before = line
     return "\n".join(shown)
-
-
-def _suggest(context: StepContext, suggested: str) -> None:
-    """Offer a profile that fits better; only the operator decides, as the draft may come from the lab's own."""
-    context.operator.say(f"  the matching shipped profile is {suggested}; the draft began from {context.draft.profile}")
-    if not context.quiet and agree(context.operator, f"Begin a new draft from {suggested}?"):
-        context.draft.begin_from(suggested)
 
 
 def _write(context: StepContext, identity: Identity) -> None:

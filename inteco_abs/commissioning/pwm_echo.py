@@ -37,7 +37,7 @@ def echo_settings(context: StepContext) -> Facts:
     context.operator.say(f"  {PROVES_ITSELF}")
     tried = []
     for mode, prescaler in _modes(config):
-        _echo(context, _with_pwm(config, mode, prescaler))
+        _echo(context, replace(config, board=replace(config.board, pwm_mode=mode, pwm_prescaler=prescaler)))
         tried.append({"mode": mode, "prescaler": prescaler, "duties": [list(pair) for pair in _DUTIES]})
         context.operator.say(f"  {mode}, prescaler {prescaler}: all widths were echoed, no wheel moved")
     after = _settings(context)
@@ -50,11 +50,6 @@ def _modes(config: RigConfig) -> Iterator[tuple[PwmMode, int]]:
     own = (config.board.pwm_mode, config.board.pwm_prescaler)
     yield from (setting for setting in _SETTINGS if setting != own)
     yield own
-
-
-def _with_pwm(config: RigConfig, mode: PwmMode, prescaler: int) -> RigConfig:
-    board = replace(config.board, pwm_mode=mode, pwm_prescaler=prescaler)
-    return replace(config, board=board)
 
 
 def _echo(context: StepContext, config: RigConfig) -> None:

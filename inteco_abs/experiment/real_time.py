@@ -102,17 +102,15 @@ def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault
     for condition in conditions_by_hand(config, board, faults, outputs=outputs):
         condition()
     config = slowed(config)
-    held = config if outputs else _only_read(config)
+    if not outputs:
+        because = config.board.read_only or ONLY_WATCHED
+        config = replace(config, board=replace(config.board, read_only=because))
     ring_ticks = round(_PANEL_RING_S * config.loop.rate_hz)
     with (
-        processes(held, Plan(Path(), board, virtual=False, faults=faults), ring_ticks) as (memory, supervisor),
+        processes(config, Plan(Path(), board, virtual=False, faults=faults), ring_ticks) as (memory, supervisor),
         supervisor.by_hand(drill=outputs),
     ):
         yield ManualClient(memory)
-
-
-def _only_read(config: RigConfig) -> RigConfig:
-    return replace(config, board=replace(config.board, read_only=config.board.read_only or ONLY_WATCHED))
 
 
 def _check_faults_by_hand(config: RigConfig, board: str, faults: Sequence[Fault]) -> None:

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 from inteco_abs.boards import Board, InProcessLink, board_behind
@@ -82,7 +81,8 @@ class VirtualRun:
         plan, config = self._plan, self._config
         board = board_behind(around(InProcessLink(self._face())), config, self._clock.now_ns)
         controller = plan.controllers[config.controller.name]
-        with FailoverWriter(plan.out, self._opener(controller), self._window.held, self._spill()) as writer:
+        spill = spill_path(plan.out, config, self._session_id)
+        with FailoverWriter(plan.out, self._opener(controller), self._window.held, spill) as writer:
             try:
                 with board:
                     screen.passed(Check.BOARD, f"{plan.board} {board.insist()}")
@@ -125,9 +125,6 @@ class VirtualRun:
             session_id=self._session_id,
             epoch_ns=time.time_ns() - now_ns,
         )
-
-    def _spill(self) -> Path | None:
-        return spill_path(self._plan.out, self._config, self._session_id)
 
     def _drive(self, writer: FailoverWriter, board: Board, progress: Progress | None, screen: Screen) -> None:
         snapshots = SnapshotSource(self._ring.reader(), Histogram(), self._config.loop.rate_hz)

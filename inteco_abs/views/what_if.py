@@ -74,14 +74,11 @@ def _divergences(alternatives: Sequence[Mapping[str, Any]]) -> Table:
         table.add_row(Text(each["name"]))
         for field in each["open_loop"]:
             # slip is estimated, not commanded, and has no threshold
-            left = "" if field["threshold"] is None else _since(field["time_s"])
+            never = "never" if field["time_s"] is None else f"{field['time_s']:.4f}"
+            left = "" if field["threshold"] is None else never
             numbers = (field["largest"], *(field["rms"].get(phase) for phase in _PHASES.values()))
             table.add_row(f"  {_REQUESTS[field['field']]}", left, *map(shown, numbers))
     return table
-
-
-def _since(time_s: float | None) -> str:
-    return "never" if time_s is None else f"{time_s:.4f}"
 
 
 def _simulated(log: Mapping[str, Any], alternatives: Sequence[Mapping[str, Any]]) -> Table:

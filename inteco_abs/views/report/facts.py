@@ -42,7 +42,7 @@ def result_rows(sessions: Sequence[Session]) -> list[Row]:
     cards = [card_of(session) or {} for session in sessions]
     rows = [_row(label, [_number(card.get(key), form, factor) for card in cards]) for label, key, form, factor in ROWS]
     rows += [_row(label, [_number(card.get(key), "{:.0f}") for card in cards]) for label, key in _COUNTS]
-    late = [_table(card.get("lateness_us")) for card in cards]
+    late = [each if isinstance(each := card.get("lateness_us"), dict) else {} for card in cards]
     rows += [_row(label, [_number(each.get(key), "{:.1f} us") for each in late]) for label, key in _LATENESS]
     return rows
 
@@ -74,7 +74,3 @@ def _row(name: str, values: Sequence[str]) -> Row:
 def _number(value: Any, form: str, factor: float = 1.0) -> str:
     known = isinstance(value, int | float) and not isinstance(value, bool)
     return form.format(value * factor) if known else NOTHING
-
-
-def _table(value: Any) -> Mapping[str, Any]:
-    return value if isinstance(value, dict) else {}

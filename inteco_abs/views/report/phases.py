@@ -8,7 +8,7 @@ from bokeh.models import Label, Span
 
 from inteco_abs.signals import Phase
 from inteco_abs.views.figure import COLOURS
-from inteco_abs.views.report.traces import Band, ReportTrace
+from inteco_abs.views.report.traces import ReportTrace
 
 _BLUE, _RED, _GREEN = COLOURS
 _BANDS: Final = {
@@ -44,7 +44,8 @@ def draw_bands(plot: Any, trace: ReportTrace) -> None:
 
 def name_bands(plot: Any, trace: ReportTrace) -> None:
     """Label the first bands of `plot`, whose y range is fixed."""
-    named = [band for band in trace.bands if band.phase in _BANDS and _has_room(band)]
+    named = [band for band in trace.bands if band.phase in _BANDS]
+    named = [band for band in named if band.phase is Phase.FAULT or band.end_s - band.start_s >= _SHORTEST_NAMED_S]
     for band in named[:_MOST_NAMED]:
         plot.add_layout(
             Label(
@@ -57,7 +58,3 @@ def name_bands(plot: Any, trace: ReportTrace) -> None:
                 text_font_size="11px",
             )
         )
-
-
-def _has_room(band: Band) -> bool:
-    return band.phase is Phase.FAULT or band.end_s - band.start_s >= _SHORTEST_NAMED_S

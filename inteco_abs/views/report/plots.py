@@ -135,7 +135,9 @@ def _drawing(
     plot = blank(panel.key, f"time since {since} [s]", panel.axis, shared, window_axis="x")
     plot.add_tools(CrosshairTool(overlay=cursor, dimensions="height"))
     plot.add_tools(WheelZoomTool(dimensions="width", modifiers={"shift": True}))
-    plot.y_range = _y_range(panel, traces)
+    plot.y_range = DataRange1d(only_visible=True, range_padding=0.05)
+    if panel.key == "slip":
+        plot.y_range = Range1d(-0.02, max(map(_highest_slip, traces)))
     if len(traces) == 1:
         draw_bands(plot, traces[0])
         if panel.key == "slip":
@@ -207,12 +209,6 @@ def blank(name: str, x_axis: str, y_axis: str, x_range: Any = None, **options: A
     plot.toolbar.logo = None
     plot.axis.axis_label_text_font_style = "normal"
     return plot
-
-
-def _y_range(panel: PlotPanel, traces: Sequence[ReportTrace]) -> Any:
-    if panel.key == "slip":
-        return Range1d(-0.02, max(_highest_slip(trace) for trace in traces))
-    return DataRange1d(only_visible=True, range_padding=0.05)
 
 
 def _highest_slip(trace: ReportTrace) -> float:
