@@ -244,13 +244,7 @@ def _fields_0111() -> tuple[Field, ...]:
 
 def _fields_0112() -> tuple[Field, ...]:
     reset = Field(
-        "encoder_reset",
-        _HELD,
-        _BITMAP,
-        _SOURCE,
-        read=words(31, 8, 4),
-        send=words(31, 7, 5),
-        status=Status.INFERRED,
+        "encoder_reset", _HELD, _BITMAP, _SOURCE, read=words(31, 8, 4), send=words(31, 7, 5), status=Status.INFERRED
     )
     return (
         *_header(),

@@ -19,18 +19,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from firmware_protocol.fields import (
-    Bits,
-    Field,
-    FrameTable,
-    Kind,
-    Layout,
-    ProtocolError,
-    Status,
-    Value,
-    bits,
-    words,
-)
+from firmware_protocol.fields import Bits, Field, FrameTable, Kind, Layout, ProtocolError, Status, Value, bits, words
 from firmware_protocol.pwm import PWM_CLOCK_HZ, PWM_FULL_WIDTH, pwm_frequency_hz
 
 FRAME_BYTES: Final = 504
@@ -87,11 +76,7 @@ def _header() -> list[Field]:
         ),
         *(
             Field(
-                f"{what}_channels",
-                f"number of {what.replace('_', ' ')} channels",
-                "1",
-                "S1",
-                read=bits(word, 4 * i, 4),
+                f"{what}_channels", f"number of {what.replace('_', ' ')} channels", "1", "S1", read=bits(word, 4 * i, 4)
             )
             for word, names in counts
             for i, what in enumerate(names)
@@ -135,12 +120,7 @@ def _pwm(i: int) -> list[Field]:
             read=bits(word + 1, 0, 1),
             send=bits(word + 1, 1, 1),
         ),
-        _both(
-            f"pwm{i}_width",
-            f"PWM {i}: part of the period at logic 1, of 255 or 4095",
-            "1",
-            bits(word + 2, 0, 12),
-        ),
+        _both(f"pwm{i}_width", f"PWM {i}: part of the period at logic 1, of 255 or 4095", "1", bits(word + 2, 0, 12)),
     ]
 
 
@@ -253,10 +233,7 @@ def _analogue() -> list[Field]:
     return [
         *(
             _both(
-                f"ad{i}_gain",
-                f"A/D {i} gain code 0..4 = x1, x2, x4, x8, x16",
-                "1",
-                bits(200 + i // 4, 4 * (i % 4), 3),
+                f"ad{i}_gain", f"A/D {i} gain code 0..4 = x1, x2, x4, x8, x16", "1", bits(200 + i // 4, 4 * (i % 4), 3)
             )
             for i in range(16)
         ),

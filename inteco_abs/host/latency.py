@@ -73,10 +73,7 @@ def examine_wake_ups(seconds: float) -> list[Finding]:
     if child.returncode:
         return [_not_tested(_how_it_ended(child.returncode, child.stderr))]
     seen = _parse(child.stdout)
-    return [
-        Finding("loop settings", *judge_settings(seen.settings)),
-        Finding("wake-ups", *judge_wake_ups(seen)),
-    ]
+    return [Finding("loop settings", *judge_settings(seen.settings)), Finding("wake-ups", *judge_wake_ups(seen))]
 
 
 def judge_settings(settings: Sequence[Setting]) -> Judgement:

@@ -130,9 +130,7 @@ class ReportedFrontEnd:
         return shown.to_bytes(self._size, "little")[:length]
 
 
-def reported_frames(
-    face: Callable[[Device, bytes], FrontEnd],
-) -> Callable[[Device, Protocol | None, bytes], FrontEnd]:
+def reported_frames(face: Callable[[Device, bytes], FrontEnd]) -> Callable[[Device, Protocol | None, bytes], FrontEnd]:
     """For `MockFamily.reported` of a family with frames, whose own front end `face` makes."""
 
     def reported(device: Device, protocol: Protocol | None, image: bytes) -> FrontEnd:

@@ -37,12 +37,7 @@ class TickRing:
     """
 
     def __init__(
-        self,
-        pack: Pack,
-        record_bytes: int,
-        capacity: int,
-        memory: bytearray | memoryview | None = None,
-        first: int = 0,
+        self, pack: Pack, record_bytes: int, capacity: int, memory: bytearray | memoryview | None = None, first: int = 0
     ) -> None:
         self.memory = memoryview(mmap.mmap(-1, ring_bytes(record_bytes, capacity)) if memory is None else memory)
         self._pack = pack

@@ -206,9 +206,7 @@ def _common(schedule: Callable[[], str]) -> tuple[Tuning, ...]:
         Tuning("signals", _block_signals, ""),
         Tuning("malloc", _keep_heap, "the C library is not glibc"),
         Tuning(
-            "memory",
-            _lock_memory,
-            "a page fault may cost a tick; raise memlock to unlimited in /etc/security/limits.d",
+            "memory", _lock_memory, "a page fault may cost a tick; raise memlock to unlimited in /etc/security/limits.d"
         ),
         Tuning("timer slack", _no_slack, "wake-ups may come 50 us late"),
         Tuning(

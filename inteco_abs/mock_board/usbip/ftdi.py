@@ -58,10 +58,7 @@ class FtdiBoard(UsbDevice):
     """
 
     def __init__(
-        self,
-        stream: Stream,
-        identity: UsbIdentity | None = None,
-        now_ns: Callable[[], int] = time.monotonic_ns,
+        self, stream: Stream, identity: UsbIdentity | None = None, now_ns: Callable[[], int] = time.monotonic_ns
     ) -> None:
         super().__init__(identity or ftdi_identity())
         self.stream = stream

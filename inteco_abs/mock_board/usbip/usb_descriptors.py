@@ -13,13 +13,7 @@ from enum import Enum
 from typing import Final
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
-from firmware_protocol.rtdac_usb2_bridge import (
-    ENDPOINT_JTAG_IN,
-    ENDPOINT_JTAG_OUT,
-    MANUFACTURER,
-    PRODUCT_ID,
-    VENDOR_ID,
-)
+from firmware_protocol.rtdac_usb2_bridge import ENDPOINT_JTAG_IN, ENDPOINT_JTAG_OUT, MANUFACTURER, PRODUCT_ID, VENDOR_ID
 
 PRODUCT: Final = "RT-DAC/USB2 (mock, simulated rig)"
 MOCK_SERIALS: Final = range(900_000_000, 1_000_000_000)
@@ -118,17 +112,7 @@ class UsbIdentity:
         for address in self.endpoints:
             below += struct.pack("<BBBBHB", 7, _ENDPOINT, address, _BULK, self.speed.packet_bytes, 0)
         return (
-            struct.pack(
-                "<BBHBBBBB",
-                9,
-                _CONFIGURATION,
-                9 + len(below),
-                1,
-                CONFIGURATION,
-                0,
-                _BUS_POWERED,
-                _CURRENT_2MA,
-            )
+            struct.pack("<BBHBBBBB", 9, _CONFIGURATION, 9 + len(below), 1, CONFIGURATION, 0, _BUS_POWERED, _CURRENT_2MA)
             + below
         )
 
