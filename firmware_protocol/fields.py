@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol, Self
 
 WORD_BITS: Final = 16
 BYTE_BITS: Final = 8
@@ -267,6 +267,13 @@ class FrameTable:
             raise TableError(f"{title}: fixed fields {sorted(self.fixed)} are not all declared")
         self._fixed = tuple((*self._framed[name], value) for name, value in self.fixed.items())
         self.named_bits = self._named_bits()
+
+    @classmethod
+    def of(cls, fields: Iterable[Field], title: str, *, command: int | None = None, **form: Any) -> Self:
+        """Build the table of what the host sends if there is a `command`, else of what the board answers."""
+        layouts = ((field, field.read if command is None else field.send) for field in fields)
+        parts = [(field, layout) for field, layout in layouts if layout is not None]
+        return cls(title, parts, command=command, **form)
 
     def _named_bits(self) -> tuple[int, ...]:
         """Bits that the command or a field carries, by word of the frame; all others belong to nothing known."""

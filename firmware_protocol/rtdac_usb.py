@@ -14,6 +14,7 @@ marked inferred where its place is known but not all of its meaning.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -31,7 +32,6 @@ from firmware_protocol.fields import (
     bits,
     words,
 )
-from firmware_protocol.pwm import PWM_CLOCK_HZ, PWM_FULL_WIDTH, pwm_frequency_hz
 
 FRAME_BYTES: Final = 150
 """Length of a READ answer, and of a SEND frame with its command byte."""
@@ -45,103 +45,72 @@ SEND_AND_READ_COMMAND: Final = 0x83
 """Named by the vendor but used by no known program: inferred, and not used here."""
 
 LATENCY_TIMER_MS: Final = 1
-"""What the vendor's library sets in the FTDI chip on opening, after a reset."""
+"""Latency timer that the vendor's library sets in the FTDI chip on opening, after a reset."""
 EVENT_CHARACTER: Final = 0x3F
-"""The same: the event character that it enables. It turns the error character off and sets no baud rate."""
+"""Event character that it enables then. It turns the error character off and sets no baud rate."""
 
-_SOURCE: Final = "S2"
 _RAW: Final = "raw"
 _BITMAP: Final = "bit mask"
 _HELD: Final = "reset bit i; that counter i is held at 0 while it is 1, as on RT-DAC/USB2, is inferred"
 _PAYLOAD_BITS: Final = 7
 _U16: Final = (8, 8)
 _U32: Final = (8, 8, 8, 8)
+_INFERRED: Final = Status.INFERRED
+_field: Final = partial(Field, source="S2")
 
 
 def _both(name: str, meaning: str, unit: str, layout: Layout, status: Status = Status.CONFIRMED) -> Field:
-    return Field(name, meaning, unit, _SOURCE, read=layout, send=layout, status=status)
+    return _field(name, meaning, unit, read=layout, send=layout, status=status)
 
 
-def _header() -> list[Field]:
-    return [
-        Field("logic_version", "version of the FPGA logic; shown in hex", _RAW, _SOURCE, read=words(0, *_U16)),
-        Field(
-            "application_name",
-            "name of the logic; its last character travels first",
-            "text",
-            _SOURCE,
-            read=words(3, 8, 8, 8, 8, 8),
-            kind=Kind.TEXT,
-        ),
-    ]
+_HEADER: Final = (
+    _field("logic_version", "version of the FPGA logic; shown in hex", _RAW, read=words(0, *_U16)),
+    _field(
+        "application_name",
+        "name of the logic; its last character travels first",
+        "text",
+        read=words(3, 8, 8, 8, 8, 8),
+        kind=Kind.TEXT,
+    ),
+)
 
 
 def _pins(name: str, meaning: str, byte: int, status: Status = Status.CONFIRMED) -> Field:
-    return Field(
-        name, meaning, _BITMAP, _SOURCE, read=words(byte, 8, 8, 8, 2), send=words(byte, 7, 7, 7, 5), status=status
-    )
+    return _field(name, meaning, _BITMAP, read=words(byte, 8, 8, 8, 2), send=words(byte, 7, 7, 7, 5), status=status)
 
 
 def _digital(modes: int) -> list[Field]:
+    mode = "CN1 pin mode bits; that 1 = function (PWM) is inferred, which pins they are is unknown"
     return [
-        _both(
-            "pin_mode",
-            "CN1 pin mode bits; that 1 = function (PWM) is inferred, which pins they are is unknown",
-            _BITMAP,
-            bits(8, 0, modes),
-            Status.INFERRED,
-        ),
-        _pins("pin_direction", "CN1 pin direction: 1 = input, 0 = output", 9, Status.INFERRED),
+        _both("pin_mode", mode, _BITMAP, bits(8, 0, modes), _INFERRED),
+        _pins("pin_direction", "CN1 pin direction: 1 = input, 0 = output", 9, _INFERRED),
         _pins("pin_output", "CN1 output latch: 1 = high", 13),
-        Field("pin_input", "CN1 input levels", _BITMAP, _SOURCE, read=words(17, 8, 8, 8, 2)),
+        _field("pin_input", "CN1 input levels", _BITMAP, read=words(17, 8, 8, 8, 2)),
     ]
 
 
 def _pwm(i: int) -> list[Field]:
     byte = 21 + 5 * i
+    divider = f"PWM {i}: clock divider minus one; frequency = 40 MHz / ((prescaler + 1) * 255 or 4095), inferred"
+    cut = (Bits(byte, 0, 7, 0), Bits(byte + 1, 0, 7, 7), Bits(byte + 2, 0, 2, 14))
+    mode, send_mode = bits(byte + 2, 0, 1), bits(byte + 2, 6, 1)
+    width, part = words(byte + 3, 8, 4), f"PWM {i}: part of the period at logic 1, of 255 or 4095"
     return [
-        Field(
-            f"pwm{i}_prescaler",
-            f"PWM {i}: clock divider minus one; frequency = 40 MHz / ((prescaler + 1) * 255 or 4095), inferred",
-            "1",
-            _SOURCE,
-            read=words(byte, *_U16),
-            send=(Bits(byte, 0, 7, 0), Bits(byte + 1, 0, 7, 7), Bits(byte + 2, 0, 2, 14)),
-        ),
-        Field(
-            f"pwm{i}_mode",
-            f"PWM {i}: 0 = 8-bit, 1 = 12-bit",
-            "1",
-            _SOURCE,
-            read=bits(byte + 2, 0, 1),
-            send=bits(byte + 2, 6, 1),
-        ),
-        Field(
-            f"pwm{i}_width",
-            f"PWM {i}: part of the period at logic 1, of 255 or 4095",
-            "1",
-            _SOURCE,
-            read=words(byte + 3, 8, 4),
-            send=words(byte + 3, 7, 5),
-        ),
+        _field(f"pwm{i}_prescaler", divider, "1", read=words(byte, *_U16), send=cut),
+        _field(f"pwm{i}_mode", f"PWM {i}: 0 = 8-bit, 1 = 12-bit", "1", read=mode, send=send_mode),
+        _field(f"pwm{i}_width", part, "1", read=width, send=words(byte + 3, 7, 5)),
     ]
 
 
 def _count(i: int, byte: int, status: Status = Status.CONFIRMED) -> Field:
-    return Field(
-        f"encoder{i}_count",
-        f"encoder {i}: 32-bit quadrature counter (x4), wraps; two's complement in the vendor's library",
-        "counts",
-        _SOURCE,
-        read=words(byte, *_U32),
-        kind=Kind.SIGNED,
-        status=status,
-    )
+    meaning = f"encoder {i}: 32-bit quadrature counter (x4), wraps; two's complement in the vendor's library"
+    read = words(byte, *_U32)
+    return _field(f"encoder{i}_count", meaning, "counts", read=read, kind=Kind.SIGNED, status=status)
 
 
 def _encoders_with_index() -> list[Field]:
     return [
-        _both("encoder_reset", _HELD, _BITMAP, bits(41, 0, 4), Status.INFERRED),
+        _both("encoder_reset", _HELD, _BITMAP, bits(41, 0, 4), _INFERRED),
         _both("encoder_index_active", "index input i is used", _BITMAP, bits(42, 0, 4)),
         _both("encoder_index_invert", "index input i is inverted", _BITMAP, bits(43, 0, 4)),
         *(_count(i, 44 + 5 * i) for i in range(4)),
@@ -149,13 +118,11 @@ def _encoders_with_index() -> list[Field]:
 
 
 def _timers() -> list[Field]:
+    values = (words(66 + 5 * i, *_U32) for i in range(2))
     return [
-        _both("timer_reset", _HELD, _BITMAP, bits(64, 0, 2), Status.INFERRED),
-        _both("timer_mode", "timer/counter i: 0 = counter, 1 = timer", _BITMAP, bits(65, 0, 2), Status.INFERRED),
-        *(
-            Field(f"timer{i}_value", f"timer/counter {i}, wraps", "1", _SOURCE, read=words(66 + 5 * i, *_U32))
-            for i in range(2)
-        ),
+        _both("timer_reset", _HELD, _BITMAP, bits(64, 0, 2), _INFERRED),
+        _both("timer_mode", "timer/counter i: 0 = counter, 1 = timer", _BITMAP, bits(65, 0, 2), _INFERRED),
+        *(_field(f"timer{i}_value", f"timer/counter {i}, wraps", "1", read=value) for i, value in enumerate(values)),
     ]
 
 
@@ -171,93 +138,51 @@ def _generator() -> list[Field]:
     )
     levels = (("level", "level in state 1"), ("initial_level", "level before"), ("terminate_level", "level after"))
     numbers = (("length1", "length of state 1"), ("length2", "length of state 2"), ("periods", "number of periods"))
-    return [
-        *(
-            _both(f"generator_{name}", f"generator: {what}", "1", bits(76, i, 1))
-            for i, (name, what) in enumerate(flags)
-        ),
-        *(
-            _both(f"generator_{name}", f"generator: {what}", "1", bits(77, i, 1))
-            for i, (name, what) in enumerate(levels)
-        ),
-        *(
-            Field(
-                f"generator_{name}",
-                f"generator: {what}",
-                "1",
-                _SOURCE,
-                read=words(78 + 5 * i, *_U32),
-                send=words(78 + 5 * i, 7, 7, 7, 7, 4),
-            )
-            for i, (name, what) in enumerate(numbers)
-        ),
+    switches = [
+        _both(f"generator_{name}", f"generator: {what}", "1", bits(byte, i, 1))
+        for byte, group in ((76, flags), (77, levels))
+        for i, (name, what) in enumerate(group)
     ]
+    for i, (name, what) in enumerate(numbers):
+        read, send = words(78 + 5 * i, *_U32), words(78 + 5 * i, 7, 7, 7, 7, 4)
+        switches.append(_field(f"generator_{name}", f"generator: {what}", "1", read=read, send=send))
+    return switches
 
 
 def _analogue() -> list[Field]:
+    gain = "gain code 0..4 = x1, x2, x4, x8, x16; that the even channel has the low bits is inferred"
+    result = "as it travels; that bits 0 to 11 are two's complement, as on RT-DAC/USB2, is inferred"
+    output = "14 bits; volts = -10 + 20 * code / 16383, as on RT-DAC/USB2, is inferred"
+    gains = ((i, bits(93 + i // 2, 4 * (i % 2), 3)) for i in range(16))
+    outputs = ((i, words(133 + 2 * i, 8, 6), words(133 + 2 * i, 7, 7)) for i in range(4))
     return [
-        *(
-            _both(
-                f"ad{i}_gain",
-                f"A/D {i} gain code 0..4 = x1, x2, x4, x8, x16; that the even channel has the low bits is inferred",
-                "1",
-                bits(93 + i // 2, 4 * (i % 2), 3),
-                Status.INFERRED,
-            )
-            for i in range(16)
-        ),
-        *(
-            Field(
-                f"ad{i}_result",
-                f"A/D {i} as it travels; that bits 0 to 11 are two's complement, as on RT-DAC/USB2, is inferred",
-                _RAW,
-                _SOURCE,
-                read=words(101 + 2 * i, *_U16),
-            )
-            for i in range(16)
-        ),
-        *(
-            Field(
-                f"da{i}_output",
-                f"D/A {i}, 14 bits; volts = -10 + 20 * code / 16383, as on RT-DAC/USB2, is inferred",
-                "1",
-                _SOURCE,
-                read=words(133 + 2 * i, 8, 6),
-                send=words(133 + 2 * i, 7, 7),
-            )
-            for i in range(4)
-        ),
+        *(_both(f"ad{i}_gain", f"A/D {i} {gain}", "1", place, _INFERRED) for i, place in gains),
+        *(_field(f"ad{i}_result", f"A/D {i} {result}", _RAW, read=words(101 + 2 * i, *_U16)) for i in range(16)),
+        *(_field(f"da{i}_output", f"D/A {i}, {output}", "1", read=read, send=send) for i, read, send in outputs),
     ]
 
 
-def _fields_0111() -> tuple[Field, ...]:
-    return (
-        *_header(),
-        *_digital(modes=5),
-        *(field for i in range(4) for field in _pwm(i)),
-        *_encoders_with_index(),
-        *_timers(),
-        *_generator(),
-        *_analogue(),
-    )
-
-
-def _fields_0112() -> tuple[Field, ...]:
-    reset = Field(
-        "encoder_reset", _HELD, _BITMAP, _SOURCE, read=words(31, 8, 4), send=words(31, 7, 5), status=Status.INFERRED
-    )
-    return (
-        *_header(),
-        *_digital(modes=2),
-        *(field for i in range(2) for field in _pwm(i)),
-        reset,
-        *(_count(i, 33 + 4 * i, Status.INFERRED) for i in range(12)),
-        *_analogue(),
-    )
+_FIELDS_0111: Final = (
+    *_HEADER,
+    *_digital(modes=5),
+    *(field for i in range(4) for field in _pwm(i)),
+    *_encoders_with_index(),
+    *_timers(),
+    *_generator(),
+    *_analogue(),
+)
+_FIELDS_0112: Final = (
+    *_HEADER,
+    *_digital(modes=2),
+    *(field for i in range(2) for field in _pwm(i)),
+    _field("encoder_reset", _HELD, _BITMAP, read=words(31, 8, 4), send=words(31, 7, 5), status=_INFERRED),
+    *(_count(i, 33 + 4 * i, _INFERRED) for i in range(12)),
+    *_analogue(),
+)
 
 
 class Logic(NamedTuple):
-    """What the wire carries under one logic of the FPGA."""
+    """The fields and the two frame tables of one logic of the FPGA."""
 
     version: int
     fields: tuple[Field, ...]
@@ -269,41 +194,19 @@ class Logic(NamedTuple):
 
 def _logic(version: int, fields: tuple[Field, ...]) -> Logic:
     name = f"logic 0x{version:04X}"
-    return Logic(
-        version,
-        fields,
-        FrameTable(
-            f"RT-DAC/USB READ frame, {name}",
-            ((f, f.read) for f in fields if f.read is not None),
-            size=FRAME_BYTES,
-            word_bits=BYTE_BITS,
-            fixed={"logic_version": version},
-        ),
-        FrameTable(
-            f"RT-DAC/USB SEND frame, {name}",
-            ((f, f.send) for f in fields if f.send is not None),
-            size=FRAME_BYTES,
-            word_bits=BYTE_BITS,
-            payload_bits=_PAYLOAD_BITS,
-            command=SEND_COMMAND,
-            data_from=1,
-        ),
-        sum(f.name.endswith("_width") for f in fields),
-        sum(f.name.endswith("_count") for f in fields),
-    )
+    bytes_of = partial(FrameTable.of, fields, size=FRAME_BYTES, word_bits=BYTE_BITS)
+    read = bytes_of(f"RT-DAC/USB READ frame, {name}", fixed={"logic_version": version})
+    send = bytes_of(f"RT-DAC/USB SEND frame, {name}", payload_bits=_PAYLOAD_BITS, command=SEND_COMMAND, data_from=1)
+    channels = (sum(field.name.endswith(end) for field in fields) for end in ("_width", "_count"))
+    return Logic(version, fields, read, send, *channels)
 
 
 LOGICS: Final[Mapping[int, Logic]] = MappingProxyType(
-    {0x0111: _logic(0x0111, _fields_0111()), 0x0112: _logic(0x0112, _fields_0112())}
+    {version: _logic(version, fields) for version, fields in ((0x0111, _FIELDS_0111), (0x0112, _FIELDS_0112))}
 )
 """By logic version."""
 
-HEADER: Final = FrameTable(
-    "RT-DAC/USB READ frame",
-    ((f, f.read) for f in _header() if f.read is not None),
-    size=FRAME_BYTES,
-    word_bits=BYTE_BITS,
-)
+HEADER: Final = FrameTable.of(_HEADER, "RT-DAC/USB READ frame", size=FRAME_BYTES, word_bits=BYTE_BITS)
 """The part of a READ frame that tells which logic it comes from; any logic."""
 
 
@@ -314,11 +217,6 @@ def logic_of(version: int) -> Logic:
         shown = f"0x{version:04X}" if type(version) is int else repr(version)
         raise ProtocolError(f"logic = {shown}: must be one of {', '.join(f'0x{known:04X}' for known in LOGICS)}")
     return found
-
-
-def decode_header(frame: Buffer) -> dict[str, Value]:
-    """Logic version and application name of a READ frame of any logic. Raises ProtocolError."""
-    return HEADER.decode(frame)
 
 
 def encode_send(values: Mapping[str, Value], *, logic: int) -> bytes:
@@ -339,23 +237,3 @@ def encode_read(values: Mapping[str, Value], *, logic: int) -> bytes:
 def decode_send(frame: Buffer, *, logic: int) -> dict[str, Value]:
     """All fields of a SEND frame as the board understands it. Raises ProtocolError."""
     return logic_of(logic).send.decode(frame)
-
-
-__all__ = [
-    "DUMMY",
-    "FRAME_BYTES",
-    "HEADER",
-    "LOGICS",
-    "PWM_CLOCK_HZ",
-    "PWM_FULL_WIDTH",
-    "READ_REQUEST",
-    "Logic",
-    "ProtocolError",
-    "decode_header",
-    "decode_read",
-    "decode_send",
-    "encode_read",
-    "encode_send",
-    "logic_of",
-    "pwm_frequency_hz",
-]

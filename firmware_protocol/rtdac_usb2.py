@@ -16,11 +16,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from firmware_protocol.fields import Bits, Field, FrameTable, Kind, Layout, ProtocolError, Status, Value, bits, words
-from firmware_protocol.pwm import PWM_CLOCK_HZ, PWM_FULL_WIDTH, pwm_frequency_hz
+from firmware_protocol.fields import Bits, Field, FrameTable, Kind, Layout, Status, Value, bits, words
 
 FRAME_BYTES: Final = 504
 HEADER_BYTES: Final = 18
@@ -38,89 +38,64 @@ ENDPOINT_IN: Final = 0x84
 PWM_CHANNELS: Final = 8
 ENCODER_CHANNELS: Final = 8
 TIMER_HZ: Final = 20_000_000
-"""Of a timer/counter in timer mode, in all three rig logics whose drivers are public (S4, S5, rpend)."""
+"""Rate of a timer/counter in timer mode, in all three rig logics whose drivers are public (S4, S5, rpend)."""
 
 _RAW: Final = "raw"
 _BITMAP: Final = "bit mask"
-_NAME_READ: Final[Layout] = (Bits(1, 0, 16, 0), Bits(2, 0, 16, 16), Bits(3, 0, 16, 32))
+_field: Final = partial(Field, source="S1")
 
 
 def _both(name: str, meaning: str, unit: str, layout: Layout) -> Field:
-    return Field(name, meaning, unit, "S1", read=layout, send=layout)
+    return _field(name, meaning, unit, read=layout, send=layout)
 
 
 def _header() -> list[Field]:
-    """The same in every logic."""
-    counts = (
+    """Return the fields of words 0 to 8, which are the same in every logic."""
+    channels = (
         (6, ("pwm", "encoder", "encoder_index", "timer")),
         (7, ("counter", "timer_counter", "pulse_generator", "frequency_meter")),
         (8, ("chronometer",)),
     )
+    places = ((what, bits(word, 4 * i, 4)) for word, names in channels for i, what in enumerate(names))
+    name, name_at = "name of the logic; its last character travels first", words(1, 16, 16, 16)
+    date = "day the logic was made; the hex digits read YYYYMMDD"
+    further = "three more counts of channels, which ones is not published"
     return [
-        Field("logic_version", "version of the FPGA logic; shown in hex", _RAW, "S1", read=bits(0, 0, 16)),
-        Field(
-            "application_name",
-            "name of the logic; its last character travels first",
-            "text",
-            "S1",
-            read=_NAME_READ,
-            kind=Kind.TEXT,
-        ),
-        Field(
-            "synthesis_date",
-            "day the logic was made; the hex digits read YYYYMMDD",
-            "date",
-            "S1",
-            read=words(4, 16, 16),
-            kind=Kind.HEX,
-        ),
+        _field("logic_version", "version of the FPGA logic; shown in hex", _RAW, read=bits(0, 0, 16)),
+        _field("application_name", name, "text", read=name_at, kind=Kind.TEXT),
+        _field("synthesis_date", date, "date", read=words(4, 16, 16), kind=Kind.HEX),
         *(
-            Field(
-                f"{what}_channels", f"number of {what.replace('_', ' ')} channels", "1", "S1", read=bits(word, 4 * i, 4)
-            )
-            for word, names in counts
-            for i, what in enumerate(names)
+            _field(f"{what}_channels", f"number of {what.replace('_', ' ')} channels", "1", read=place)
+            for what, place in places
         ),
-        Field(
-            "further_counts", "three more counts of channels, which ones is not published", _RAW, "S4", bits(8, 4, 12)
-        ),
+        Field("further_counts", further, _RAW, "S4", bits(8, 4, 12)),
     ]
 
 
 def _digital(*, mode: bool = True) -> list[Field]:
-    """CN1; `mode` is whether the logic's pins have several functions."""
+    """Return the fields of CN1; `mode` is whether the logic's pins have several functions."""
 
     def pins(name: str, meaning: str, word: int) -> Field:
-        return Field(name, meaning, _BITMAP, "S1", read=words(word, 16, 10), send=words(word, 15, 11))
+        return _field(name, meaning, _BITMAP, read=words(word, 16, 10), send=words(word, 15, 11))
 
     return [
         *([pins("pin_mode", "CN1 pin mode: 0 = general purpose, 1 = function (PWM)", 10)] if mode else []),
         pins("pin_direction", "CN1 pin direction: 1 = input, 0 = output", 12),
         pins("pin_output", "CN1 output latch: 1 = high", 14),
-        Field("pin_input", "CN1 input levels", _BITMAP, "S1", read=words(16, 16, 10)),
+        _field("pin_input", "CN1 input levels", _BITMAP, read=words(16, 16, 10)),
     ]
 
 
 def _pwm(i: int) -> list[Field]:
     word = 20 + 3 * i
+    divider = f"PWM {i}: clock divider minus one; frequency = 40 MHz / ((prescaler + 1) * 255 or 4095)"
+    cut = (Bits(word, 0, 15, 0), Bits(word + 1, 0, 1, 15))
+    mode, send_mode = bits(word + 1, 0, 1), bits(word + 1, 1, 1)
+    part = f"PWM {i}: part of the period at logic 1, of 255 or 4095"
     return [
-        Field(
-            f"pwm{i}_prescaler",
-            f"PWM {i}: clock divider minus one; frequency = 40 MHz / ((prescaler + 1) * 255 or 4095)",
-            "1",
-            "S1",
-            read=bits(word, 0, 16),
-            send=(Bits(word, 0, 15, 0), Bits(word + 1, 0, 1, 15)),
-        ),
-        Field(
-            f"pwm{i}_mode",
-            f"PWM {i}: 0 = 8-bit, 1 = 12-bit",
-            "1",
-            "S1",
-            read=bits(word + 1, 0, 1),
-            send=bits(word + 1, 1, 1),
-        ),
-        _both(f"pwm{i}_width", f"PWM {i}: part of the period at logic 1, of 255 or 4095", "1", bits(word + 2, 0, 12)),
+        _field(f"pwm{i}_prescaler", divider, "1", read=bits(word, 0, 16), send=cut),
+        _field(f"pwm{i}_mode", f"PWM {i}: 0 = 8-bit, 1 = 12-bit", "1", read=mode, send=send_mode),
+        _both(f"pwm{i}_width", part, "1", bits(word + 2, 0, 12)),
     ]
 
 
@@ -131,133 +106,84 @@ def _index_inputs() -> list[Field]:
     ]
 
 
+def _encoder(i: int) -> Field:
+    meaning = f"encoder {i}: 32-bit quadrature counter (x4), wraps; the sign is read as two's complement"
+    read = words(53 + 2 * i, 16, 16)
+    return _field(f"encoder{i}_count", meaning, "counts", read=read, kind=Kind.SIGNED, status=Status.INFERRED)
+
+
 def _encoders(count: int) -> list[Field]:
-    return [
-        _both("encoder_reset", "counter i is held at 0 while bit i is 1", _BITMAP, bits(50, 0, count)),
-        *(
-            Field(
-                f"encoder{i}_count",
-                f"encoder {i}: 32-bit quadrature counter (x4), wraps; the sign is read as two's complement",
-                "counts",
-                "S1",
-                read=words(53 + 2 * i, 16, 16),
-                kind=Kind.SIGNED,
-                status=Status.INFERRED,
-            )
-            for i in range(count)
-        ),
-    ]
+    reset = _both("encoder_reset", "counter i is held at 0 while bit i is 1", _BITMAP, bits(50, 0, count))
+    return [reset, *map(_encoder, range(count))]
 
 
 def _timers(count: int) -> list[Field]:
+    meanings = (f"timer/counter {i}, wraps; a timer counts at 20 MHz" for i in range(count))
     return [
         _both("timer_reset", "timer/counter i is held at 0 while bit i is 1", _BITMAP, bits(70, 0, count)),
         _both("timer_mode", "timer/counter i: 0 = counter, 1 = timer", _BITMAP, bits(71, 0, count)),
-        *(
-            Field(
-                f"timer{i}_value",
-                f"timer/counter {i}, wraps; a timer counts at 20 MHz",
-                "1",
-                "S1",
-                read=words(72 + 2 * i, 16, 16),
-            )
-            for i in range(count)
-        ),
+        *(_field(f"timer{i}_value", what, "1", read=words(72 + 2 * i, 16, 16)) for i, what in enumerate(meanings)),
     ]
 
 
+_METER_FLAGS: Final = (
+    *("enable", "mode", "infinite", "software_start", "start_invert", "software_gate", "hardware_gate_select"),
+    *("gate_invert", "gate_mode", "input_invert"),
+)
+
+
 def _frequency_meters() -> list[Field]:
-    flags = (
-        "enable",
-        "mode",
-        "infinite",
-        "software_start",
-        "start_invert",
-        "software_gate",
-        "hardware_gate_select",
-        "gate_invert",
-        "gate_mode",
-        "input_invert",
-    )
     return [
         *(
             _both(f"frequency_meter_{flag}", f"{flag.replace('_', ' ')} of meter i", _BITMAP, bits(80 + k, 0, 8))
-            for k, flag in enumerate(flags)
+            for k, flag in enumerate(_METER_FLAGS)
         ),
-        Field("frequency_meter_ready", "meter i has a result", _BITMAP, "S1", read=bits(106, 0, 8)),
+        _field("frequency_meter_ready", "meter i has a result", _BITMAP, read=bits(106, 0, 8)),
         *(field for i in range(8) for field in _frequency_meter(i)),
     ]
 
 
 def _frequency_meter(i: int) -> list[Field]:
     name, what = f"frequency_meter{i}", f"frequency meter {i}:"
+    read, send = words(90 + 2 * i, 16, 16), words(90 + 2 * i, 15, 15)
     return [
-        Field(
-            f"{name}_timer",
-            f"{what} gate time in clock ticks",
-            "1",
-            "S1",
-            read=words(90 + 2 * i, 16, 16),
-            send=words(90 + 2 * i, 15, 15),
-        ),
-        Field(f"{name}_counter", f"{what} running count", "1", "S1", read=words(107 + 2 * i, 16, 16)),
-        Field(f"{name}_result", f"{what} last result", "1", "S1", read=words(123 + 2 * i, 16, 16)),
+        _field(f"{name}_timer", f"{what} gate time in clock ticks", "1", read=read, send=send),
+        _field(f"{name}_counter", f"{what} running count", "1", read=words(107 + 2 * i, 16, 16)),
+        _field(f"{name}_result", f"{what} last result", "1", read=words(123 + 2 * i, 16, 16)),
     ]
+
+
+_TRIGGERS: Final = (
+    "bit 0 enable, 1-2 trigger mode, 4 gate enable, 6 invert start/stop, 7 invert stop, 8 invert gate, 10 next, 11 arm"
+)
 
 
 def _chronometer(i: int) -> list[Field]:
     name, what = f"chronometer{i}", f"chronometer {i}:"
+    read, send = words(148 + 2 * i, 16, 16), words(148 + 2 * i, 15, 15)
     return [
-        _both(
-            f"{name}_control",
-            f"{what} bit 0 enable, 1-2 trigger mode, 4 gate enable, 6 invert start/stop, 7 invert stop, "
-            "8 invert gate, 10 next, 11 arm",
-            _BITMAP,
-            bits(140 + i, 0, 12),
-        ),
-        Field(f"{name}_status", f"{what} state", _RAW, "S1", read=bits(140 + i, 13, 3)),
-        Field(
-            f"{name}_divider",
-            f"{what} clock divider",
-            "1",
-            "S1",
-            read=words(148 + 2 * i, 16, 16),
-            send=words(148 + 2 * i, 15, 15),
-        ),
-        Field(f"{name}_counter", f"{what} running count", "1", "S1", read=words(164 + 2 * i, 16, 16)),
-        Field(f"{name}_result", f"{what} last result", "1", "S1", read=words(180 + 2 * i, 16, 16)),
+        _both(f"{name}_control", f"{what} {_TRIGGERS}", _BITMAP, bits(140 + i, 0, 12)),
+        _field(f"{name}_status", f"{what} state", _RAW, read=bits(140 + i, 13, 3)),
+        _field(f"{name}_divider", f"{what} clock divider", "1", read=read, send=send),
+        _field(f"{name}_counter", f"{what} running count", "1", read=words(164 + 2 * i, 16, 16)),
+        _field(f"{name}_result", f"{what} last result", "1", read=words(180 + 2 * i, 16, 16)),
     ]
 
 
 def _analogue() -> list[Field]:
+    gain, output = "gain code 0..4 = x1, x2, x4, x8, x16", "volts = -10 + 20 * code / 16383"
+    gains = ((i, bits(200 + i // 4, 4 * (i % 4), 3)) for i in range(16))
+    results = ((i, bits(204 + i, 0, 12), f"A/D {i}: volts = 10 * result / 2048 / gain") for i in range(16))
     return [
-        *(
-            _both(
-                f"ad{i}_gain", f"A/D {i} gain code 0..4 = x1, x2, x4, x8, x16", "1", bits(200 + i // 4, 4 * (i % 4), 3)
-            )
-            for i in range(16)
-        ),
-        *(
-            Field(
-                f"ad{i}_result",
-                f"A/D {i}: volts = 10 * result / 2048 / gain",
-                "1",
-                "S1",
-                read=bits(204 + i, 0, 12),
-                kind=Kind.SIGNED,
-            )
-            for i in range(16)
-        ),
-        *(Field(f"ad{i}_busy", f"A/D {i} is converting", "1", "S1", read=bits(204 + i, 12, 1)) for i in range(16)),
-        *(
-            _both(f"da{i}_output", f"D/A {i}: volts = -10 + 20 * code / 16383", "1", bits(220 + i, 0, 14))
-            for i in range(4)
-        ),
+        *(_both(f"ad{i}_gain", f"A/D {i} {gain}", "1", place) for i, place in gains),
+        *(_field(f"ad{i}_result", what, "1", read=place, kind=Kind.SIGNED) for i, place, what in results),
+        *(_field(f"ad{i}_busy", f"A/D {i} is converting", "1", read=bits(204 + i, 12, 1)) for i in range(16)),
+        *(_both(f"da{i}_output", f"D/A {i}: {output}", "1", bits(220 + i, 0, 14)) for i in range(4)),
     ]
 
 
 def _thermal() -> Field:
-    """The same word is PWM 3's width in the generic logic."""
+    """Return the thermal flags; the same word is PWM 3's width in the generic logic."""
     meaning = "bit i: thermal protection of PWM i is on; every published program for such a logic sends 3"
     return _both("pwm_thermal_flags", meaning, _BITMAP, bits(31, 0, 2))
 
@@ -273,30 +199,30 @@ FIELDS: Final[tuple[Field, ...]] = (
     *(field for i in range(8) for field in _chronometer(i)),
     *_analogue(),
 )
-"""Of the generic logic."""
+"""Fields of the generic logic."""
 
 
 def _known_from(source: str, fields: Iterable[Field], status: Status | None = None) -> Iterator[Field]:
-    """The fields as `source` has them; with `status` all but the header, which is the same everywhere, are that."""
+    """Yield the fields with their `source`, and with `status` except for the header, which is the same everywhere."""
     for field in fields:
         header = field.read is not None and field.read[0].word < HEADER_BYTES // 2
         yield replace(field, source=source, status=status if status and not header else field.status)
 
 
 def _servo() -> tuple[Field, ...]:
-    """The generic words with fewer channels: S5 names the channels, that the words are the generic ones is inferred."""
+    """Return the generic words with fewer channels: S5 names the channels, the words are inferred."""
     fields = [*_header(), *_digital(), *(field for i in range(4) for field in _pwm(i)), *_encoders(4), *_timers(2)]
     return tuple(_known_from("S1, S5", [*fields, *_analogue()], Status.INFERRED))
 
 
 def _two_rotors() -> list[Field]:
-    """TRAS: its library writes no pin mode and no pin direction."""
+    """Return the fields of TRAS, whose library writes no pin mode and no pin direction."""
     pwm = (field for i in range(2) for field in _pwm(i))
     return [*_header(), *_digital(mode=False), *pwm, _thermal(), *_encoders(2), *_timers(1), *_analogue()]
 
 
 def _shared() -> list[Field]:
-    """What servo, TRAS and rpend agree in, and the lever's encoder; the vendor's ABS rig on PCI has three of them.
+    """Return what servo, TRAS and rpend share, and the lever's encoder; the vendor's ABS rig on PCI has three encoders.
 
     The thermal flags are those of TRAS and rpend. In the servo's logic that word is the width of PWM 3, which drives
     nothing here, so that 3 does no harm there.
@@ -306,7 +232,7 @@ def _shared() -> list[Field]:
 
 
 class Logic(NamedTuple):
-    """What the wire carries under one logic of the FPGA."""
+    """The fields and the two frame tables of one logic of the FPGA."""
 
     name: str
     fields: tuple[Field, ...]
@@ -318,22 +244,10 @@ class Logic(NamedTuple):
 
 def _logic(name: str, fields: tuple[Field, ...]) -> Logic:
     of = "" if name == "generic" else f", {name} logic"
-    return Logic(
-        name,
-        fields,
-        FrameTable(
-            f"RT-DAC/USB2 READ frame{of}", ((f, f.read) for f in fields if f.read is not None), size=FRAME_BYTES
-        ),
-        FrameTable(
-            f"RT-DAC/USB2 SEND frame{of}",
-            ((f, f.send) for f in fields if f.send is not None),
-            size=FRAME_BYTES,
-            payload_bits=15,
-            command=SEND_COMMAND,
-        ),
-        sum(f.name.endswith("_width") for f in fields),
-        sum(f.name.endswith("_count") for f in fields),
-    )
+    words_of = partial(FrameTable.of, fields, size=FRAME_BYTES)
+    send = words_of(f"RT-DAC/USB2 SEND frame{of}", payload_bits=15, command=SEND_COMMAND)
+    channels = (sum(field.name.endswith(end) for field in fields) for end in ("_width", "_count"))
+    return Logic(name, fields, words_of(f"RT-DAC/USB2 READ frame{of}"), send, *channels)
 
 
 LOGICS: Final[Mapping[str, Logic]] = MappingProxyType(
@@ -373,22 +287,3 @@ def encode_read(values: Mapping[str, Value]) -> bytes:
 def decode_send(frame: bytes | bytearray | memoryview) -> dict[str, Value]:
     """All fields of a SEND frame as the board understands it. Raises ProtocolError."""
     return SEND.decode(frame)
-
-
-__all__ = [
-    "FIELDS",
-    "FRAME_BYTES",
-    "LOGICS",
-    "PWM_CLOCK_HZ",
-    "PWM_FULL_WIDTH",
-    "READ",
-    "READ_REQUEST",
-    "SEND",
-    "Logic",
-    "ProtocolError",
-    "decode_read",
-    "decode_send",
-    "encode_read",
-    "encode_send",
-    "pwm_frequency_hz",
-]

@@ -14,7 +14,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Final, Literal, NamedTuple
 
 from firmware_protocol import signed32
-from firmware_protocol.rtdac_usb2 import PWM_FULL_WIDTH, TIMER_HZ
+from firmware_protocol.pwm import PWM_FULL_WIDTH
+from firmware_protocol.rtdac_usb2 import TIMER_HZ
 from inteco_abs.config import RigConfig, SimulationConfig
 from inteco_abs.mock_board.family import mock_family
 from inteco_abs.mock_board.simulated_rig import simulated_rig

@@ -1,7 +1,7 @@
 import pytest
 
 from firmware_protocol import ProtocolError, rtdac_usb
-from firmware_protocol.rtdac_usb import decode_header, decode_read, decode_send, encode_read, encode_send, logic_of
+from firmware_protocol.rtdac_usb import decode_read, decode_send, encode_read, encode_send, logic_of
 
 LOGICS = [0x0111, 0x0112]
 each_logic = pytest.mark.parametrize("logic", LOGICS, ids=hex)
@@ -74,13 +74,13 @@ def test_decoders_take_any_byte_buffer(buffer, logic):
 def test_the_header_is_read_before_the_logic_is_known(version):
     frame = bytearray(150)
     frame[:8] = version.to_bytes(2, "little") + bytes.fromhex("FF 00 00 53 42 41")
-    assert decode_header(frame) == {"logic_version": version, "application_name": "ABS"}
+    assert rtdac_usb.HEADER.decode(frame) == {"logic_version": version, "application_name": "ABS"}
     assert set(frame[rtdac_usb.HEADER_BYTES :]) == {0}
 
 
 def test_a_header_needs_the_whole_frame():
     with pytest.raises(ProtocolError, match="8 bytes, must be 150"):
-        decode_header(bytes(8))
+        rtdac_usb.HEADER.decode(bytes(8))
 
 
 @pytest.mark.parametrize(("logic", "pwm", "encoders"), [(0x0111, 4, 4), (0x0112, 2, 12)])

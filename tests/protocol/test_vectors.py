@@ -1,6 +1,7 @@
 import pytest
 
 from firmware_protocol import rtdac_usb2
+from firmware_protocol.pwm import pwm_frequency_hz
 from firmware_protocol.rtdac_usb2 import decode_read, decode_send, encode_read, encode_send
 
 
@@ -64,7 +65,7 @@ def test_decoders_take_any_byte_buffer(buffer):
     [(0, 44, 3485.8), (1, 2, 3256.0), (1, 7, 1221.0), (0, 7, 19607.8), (1, 60, 160.13), (0, 522, 299.93)],
 )
 def test_pwm_frequency_of_published_settings(mode, prescaler, frequency_hz):
-    assert rtdac_usb2.pwm_frequency_hz(mode, prescaler) == pytest.approx(frequency_hz, rel=2e-5)
+    assert pwm_frequency_hz(mode, prescaler) == pytest.approx(frequency_hz, rel=2e-5)
 
 
 def test_endpoints_are_the_data_pair_and_never_jtag():

@@ -7,41 +7,11 @@ from struct import Struct
 from typing import Final
 
 from firmware_protocol import ProtocolError, Register
+from firmware_protocol import rtdac_pci as pci
+from firmware_protocol.pwm import PWM_FULL_WIDTH
 from firmware_protocol.register_messages import Step
 from firmware_protocol.registers import REGISTER_BYTES, Write
-from firmware_protocol.rtdac_pci import (
-    ABS,
-    ALARM_BIT0,
-    ALARM_BIT2,
-    ALARM_SUPPLY,
-    ENCODER_CHANNELS,
-    ENCODER_COUNT,
-    ENCODER_INDEX,
-    ENCODER_RESET,
-    LOGIC,
-    LOGIC_VERSION,
-    MAXIMUM_ROAD_VELOCITY,
-    MAXIMUM_TEMPERATURE,
-    MINIMUM_SUPPLY,
-    PWM_CHANNELS,
-    PWM_FULL_WIDTH,
-    PWM_INDEX,
-    PWM_MODE,
-    PWM_PRESCALER,
-    PWM_WIDTH,
-    RESISTOR1_HIGH,
-    RESISTOR1_IN_SERIES,
-    RESISTOR1_LOW,
-    RESISTOR2_HIGH,
-    RESISTOR2_IN_SERIES,
-    RESISTOR2_LOW,
-    ROAD_VELOCITY,
-    SUPPLY,
-    TEMPERATURE_HIGH,
-    TEMPERATURE_LOW,
-    VELOCITY_WINDOW,
-    WHEEL_VELOCITY,
-)
+from firmware_protocol.rtdac_pci import ABS, ENCODER_COUNT, LOGIC, PWM_WIDTH
 from inteco_abs.boards.authorization import read_only_reason
 from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity, Reading
 from inteco_abs.boards.first_write import PlannedWord
@@ -51,25 +21,21 @@ from inteco_abs.config import BoardConfig
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, LinkError
 from inteco_abs.signals import Command
 
-_FIELD_NAMES: Final = {PWM_MODE: "mode", PWM_PRESCALER: "prescaler", PWM_WIDTH: "width"}
+_FIELD_NAMES: Final = {pci.PWM_MODE: "mode", pci.PWM_PRESCALER: "prescaler", PWM_WIDTH: "width"}
 _NOBODY: Final = 0xFFFF_FFFF
 """What a bus reads where no board answers."""
 _RELIED_ON: Final = (
-    LOGIC, PWM_INDEX, PWM_MODE, PWM_PRESCALER, PWM_WIDTH, ENCODER_INDEX, ENCODER_RESET, ENCODER_COUNT,
-)  # fmt: skip
-_SHOWN: Final = {
-    "supply": SUPPLY,
-    "temperature": TEMPERATURE_HIGH,
-    "velocity_window": VELOCITY_WINDOW,
-    **{
-        register.name: register
-        for register in (
-            ROAD_VELOCITY, WHEEL_VELOCITY, RESISTOR1_IN_SERIES, RESISTOR2_IN_SERIES, ALARM_BIT0, ALARM_SUPPLY,
-            ALARM_BIT2, MAXIMUM_ROAD_VELOCITY, MINIMUM_SUPPLY, MAXIMUM_TEMPERATURE, RESISTOR1_LOW, RESISTOR1_HIGH,
-            RESISTOR2_LOW, RESISTOR2_HIGH,
-        )
-    },
-}  # fmt: skip
+    *(LOGIC, pci.PWM_INDEX, pci.PWM_MODE, pci.PWM_PRESCALER, PWM_WIDTH),
+    *(pci.ENCODER_INDEX, pci.ENCODER_RESET, ENCODER_COUNT),
+)
+_SHOWN: Final = {"supply": pci.SUPPLY, "temperature": pci.TEMPERATURE_HIGH, "velocity_window": pci.VELOCITY_WINDOW} | {
+    name: ABS.find(name)
+    for name in (
+        *("road_velocity", "wheel_velocity", "resistor1_in_series", "resistor2_in_series", "alarm_bit0"),
+        *("alarm_supply", "alarm_bit2", "maximum_road_velocity", "minimum_supply", "maximum_temperature"),
+        *("resistor1_low", "resistor1_high", "resistor2_low", "resistor2_high"),
+    )
+}
 
 
 class RtdacPci(Board):
@@ -110,8 +76,8 @@ class RtdacPci(Board):
         """
         version = self._own_version(self._registers.read(LOGIC.offset))
         because = read_only_reason(self._wiring, version, None, _RELIED_ON)
-        if version != LOGIC_VERSION:
-            own = f"this driver knows the registers of logic 0x{LOGIC_VERSION:04X} only"
+        if version != pci.LOGIC_VERSION:
+            own = f"this driver knows the registers of logic 0x{pci.LOGIC_VERSION:04X} only"
             because = f"{because}; {own}" if because else f"the board has logic 0x{version:04X}, and {own}"
             because += f". Whether its PWM outputs are zero cannot be told. {STILL_ON}"
         elif because and self._outputs_on():
@@ -135,7 +101,7 @@ class RtdacPci(Board):
         Raises BoardError on a board with another logic, whose registers mean something else.
         """
         self._insist_on_logic()
-        registers = [*_SHOWN.values(), TEMPERATURE_LOW]
+        registers = [*_SHOWN.values(), pci.TEMPERATURE_LOW]
         raw = {offset: self._registers.read(offset) for offset in sorted({one.offset for one in registers})}
         values = {one.name: one.decode(raw[one.offset]) for one in registers}
         return [
@@ -145,7 +111,7 @@ class RtdacPci(Board):
     def _insist_on_logic(self) -> None:
         """Nothing may be written to another logic, not even which channel is asked for."""
         version = self._own_version(self._registers.read(LOGIC.offset))
-        if version != LOGIC_VERSION:
+        if version != pci.LOGIC_VERSION:
             raise BoardError(f"the board has logic 0x{version:04X}: what its registers are is not known")
 
     def _own_version(self, raw: int) -> int:
@@ -159,7 +125,7 @@ class RtdacPci(Board):
         return any(PWM_WIDTH.decode(raw) for raw in self._registers.run(self._echo)[1:])
 
     def _take_over(self) -> None:
-        self._reset = self._reset_without_ours(ENCODER_RESET.decode(self._registers.read(ENCODER_RESET.offset)))
+        self._reset = self._reset_without_ours(pci.ENCODER_RESET.decode(self._registers.read(pci.ENCODER_RESET.offset)))
 
     def _reset_without_ours(self, found: int) -> int:
         return found & ~(1 << self._wiring.wheel_encoder | 1 << self._wiring.road_encoder)
@@ -170,8 +136,8 @@ class RtdacPci(Board):
         planned = {
             f"pwm{channel}_{_FIELD_NAMES[register]}": value for channel in self._outputs for register, value in settings
         }
-        found = self.survey([*planned, ENCODER_RESET.name]).values
-        planned[ENCODER_RESET.name] = self._reset_without_ours(int(found[ENCODER_RESET.name]))
+        found = self.survey([*planned, pci.ENCODER_RESET.name]).values
+        planned[pci.ENCODER_RESET.name] = self._reset_without_ours(int(found[pci.ENCODER_RESET.name]))
         return [
             PlannedWord(f"0x{_FIELDS[name][0].offset:02X}", (name,), int(found[name]), value)
             for name, value in planned.items()
@@ -192,21 +158,21 @@ class RtdacPci(Board):
         settings = [(register, channel, value) for channel in self._outputs for register, value in self._pwm_settings()]
         for register, channel, value in settings:
             self._registers.run(ABS.write(register, value, channel))
-        self._registers.run(ABS.write(ENCODER_RESET, self._reset))
+        self._registers.run(ABS.write(pci.ENCODER_RESET, self._reset))
         wrong = [
             f"{register.name} of channel {channel} = {echo}, not {value}"
             for register, channel, value in settings
             if (echo := register.decode(self._registers.run(_read(register, channel))[0])) != value
         ]
-        reset = ENCODER_RESET.decode(self._registers.read(ENCODER_RESET.offset))
+        reset = pci.ENCODER_RESET.decode(self._registers.read(pci.ENCODER_RESET.offset))
         if reset != self._reset:
-            wrong.append(f"{ENCODER_RESET.name} = {reset}, not {self._reset}")
+            wrong.append(f"{pci.ENCODER_RESET.name} = {reset}, not {self._reset}")
         if wrong:
             raise BoardError(f"the board did not take its settings: {'; '.join(wrong)}")
         return self._counts(self._registers.run(self._look), 0, 0)
 
     def _pwm_settings(self) -> tuple[tuple[Register, int], ...]:
-        return (PWM_MODE, self._mode), (PWM_PRESCALER, self._wiring.pwm_prescaler)
+        return (pci.PWM_MODE, self._mode), (pci.PWM_PRESCALER, self._wiring.pwm_prescaler)
 
     def _transfer(self, command: Command) -> tuple[int, int]:
         drive, brake = new = widths(command, self._full)
@@ -264,9 +230,9 @@ def _fields() -> dict[str, tuple[Register, int | None]]:
     """What a survey may ask for, by the names that the fields have on every board."""
     return {
         LOGIC.name: (LOGIC, None),
-        **{f"pwm{i}_{name}": (register, i) for i in range(PWM_CHANNELS) for register, name in _FIELD_NAMES.items()},
-        ENCODER_RESET.name: (ENCODER_RESET, None),
-        **{f"encoder{i}_count": (ENCODER_COUNT, i) for i in range(ENCODER_CHANNELS)},
+        **{f"pwm{i}_{name}": (register, i) for i in range(pci.PWM_CHANNELS) for register, name in _FIELD_NAMES.items()},
+        pci.ENCODER_RESET.name: (pci.ENCODER_RESET, None),
+        **{f"encoder{i}_count": (ENCODER_COUNT, i) for i in range(pci.ENCODER_CHANNELS)},
     }
 
 
@@ -285,7 +251,7 @@ def registers_of(image: bytes) -> Iterator[tuple[str, Register, int | None, int]
 
 
 def _width(channel: int, width: int) -> tuple[Write, Write]:
-    return Write(PWM_INDEX.offset, channel), Write(PWM_WIDTH.offset, width)
+    return Write(pci.PWM_INDEX.offset, channel), Write(PWM_WIDTH.offset, width)
 
 
 def _exchanged(channel: int, width: int) -> tuple[Step, ...]:
@@ -313,10 +279,10 @@ def _unit(register: Register) -> str:
 
 def _insist_on_channels(wiring: BoardConfig) -> None:
     most = {
-        "drive_pwm": PWM_CHANNELS,
-        "brake_pwm": PWM_CHANNELS,
-        "wheel_encoder": ENCODER_CHANNELS,
-        "road_encoder": ENCODER_CHANNELS,
+        "drive_pwm": pci.PWM_CHANNELS,
+        "brake_pwm": pci.PWM_CHANNELS,
+        "wheel_encoder": pci.ENCODER_CHANNELS,
+        "road_encoder": pci.ENCODER_CHANNELS,
         "numbering_pwm": 0,
         "timer": 0,
         "watchdog_pin": 0,

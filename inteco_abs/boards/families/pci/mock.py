@@ -8,46 +8,17 @@ from types import MappingProxyType
 from typing import Final
 
 from firmware_protocol import ProtocolError, Register
+from firmware_protocol import rtdac_pci as pci
 from firmware_protocol.register_messages import decode_request, encode_answer
 from firmware_protocol.registers import REGISTER_BITS
-from firmware_protocol.rtdac_pci import (
-    ALARM_BIT0,
-    ENCODER_CHANNELS,
-    ENCODER_COUNT,
-    ENCODER_INDEX,
-    ENCODER_LINES,
-    ENCODER_RESET,
-    LOGIC,
-    LOGIC_VERSION,
-    MAXIMUM_ROAD_VELOCITY,
-    MAXIMUM_TEMPERATURE,
-    MINIMUM_SUPPLY,
-    PWM_CHANNELS,
-    PWM_INDEX,
-    PWM_MODE,
-    PWM_PRESCALER,
-    PWM_WIDTH,
-    RESISTOR1_HIGH,
-    RESISTOR1_IN_SERIES,
-    RESISTOR1_LOW,
-    RESISTOR2_HIGH,
-    RESISTOR2_IN_SERIES,
-    RESISTOR2_LOW,
-    ROAD_VELOCITY,
-    SUPPLY,
-    TEMPERATURE_HIGH,
-    TEMPERATURE_LOW,
-    VELOCITY_CLOCK_HZ,
-    VELOCITY_WINDOW,
-    WHEEL_VELOCITY,
-)
+from firmware_protocol.rtdac_pci import PWM_WIDTH
 from inteco_abs.boards.families.pci.board import registers_of
 from inteco_abs.boards.frame_labels import Protocol
 from inteco_abs.mock_board import MAXIMUM_CELSIUS, MINIMUM_SUPPLY_V, Device, MockFamily
 
 _WORD: Final = (1 << REGISTER_BITS) - 1
 _COUNTS: Final = 0x04
-_CHANNEL_COUNTS: Final = ENCODER_CHANNELS << 4 | PWM_CHANNELS  # which nibble is which is UNKNOWN
+_CHANNEL_COUNTS: Final = pci.ENCODER_CHANNELS << 4 | pci.PWM_CHANNELS  # which nibble is which is UNKNOWN
 _WINDOW: Final = 200_000
 """5 ms: INFERRED, as whole counts in it are all velocities on the manual's screens (K3)."""
 _RESISTOR_LOW, _RESISTOR_HIGH = 140, 150
@@ -57,20 +28,24 @@ _SUPPLY_SCALE_V: Final = 92_000
 _PULSE: Final = 1000
 """Length of the temperature sensor's low pulse, a guess: only the quotient of the two tells the temperature."""
 _FIXED: Final = {
-    LOGIC.offset: LOGIC_VERSION,
+    pci.LOGIC.offset: pci.LOGIC_VERSION,
     _COUNTS: _CHANNEL_COUNTS,
-    VELOCITY_WINDOW.offset: _WINDOW,
-    MAXIMUM_ROAD_VELOCITY.offset: 200,  # 2344 rpm, on the manual's screens
-    RESISTOR1_LOW.offset: _RESISTOR_LOW,
-    RESISTOR1_HIGH.offset: _RESISTOR_HIGH,
-    RESISTOR2_LOW.offset: _RESISTOR_LOW,
-    RESISTOR2_HIGH.offset: _RESISTOR_HIGH,
-    MINIMUM_SUPPLY.offset: round(_SUPPLY_SCALE_V / MINIMUM_SUPPLY_V),
-    MAXIMUM_TEMPERATURE.offset: round(MAXIMUM_CELSIUS),
-    TEMPERATURE_LOW.offset: _PULSE,
+    pci.VELOCITY_WINDOW.offset: _WINDOW,
+    pci.MAXIMUM_ROAD_VELOCITY.offset: 200,  # 2344 rpm, on the manual's screens
+    pci.RESISTOR1_LOW.offset: _RESISTOR_LOW,
+    pci.RESISTOR1_HIGH.offset: _RESISTOR_HIGH,
+    pci.RESISTOR2_LOW.offset: _RESISTOR_LOW,
+    pci.RESISTOR2_HIGH.offset: _RESISTOR_HIGH,
+    pci.MINIMUM_SUPPLY.offset: round(_SUPPLY_SCALE_V / MINIMUM_SUPPLY_V),
+    pci.MAXIMUM_TEMPERATURE.offset: round(MAXIMUM_CELSIUS),
+    pci.TEMPERATURE_LOW.offset: _PULSE,
 }
-_PWM: Final = {PWM_MODE.offset: PWM_MODE, PWM_PRESCALER.offset: PWM_PRESCALER, PWM_WIDTH.offset: PWM_WIDTH}
-_INDEXES: Final = {PWM_INDEX.offset: PWM_INDEX, ENCODER_INDEX.offset: ENCODER_INDEX}
+_PWM: Final = {
+    pci.PWM_MODE.offset: pci.PWM_MODE,
+    pci.PWM_PRESCALER.offset: pci.PWM_PRESCALER,
+    PWM_WIDTH.offset: PWM_WIDTH,
+}
+_INDEXES: Final = {pci.PWM_INDEX.offset: pci.PWM_INDEX, pci.ENCODER_INDEX.offset: pci.ENCODER_INDEX}
 
 
 class PciFrontEnd:
@@ -91,13 +66,15 @@ class PciFrontEnd:
         self._in_series = True
         self._waiting: list[bytes] = []
         self._moving: dict[int, Callable[[], int]] = {
-            ENCODER_COUNT.offset: self._count,
-            ROAD_VELOCITY.offset: lambda: _lines(device.plant.road_speed),
-            WHEEL_VELOCITY.offset: lambda: _lines(device.plant.wheel_speed),
-            RESISTOR1_IN_SERIES.offset: self._resistors,
-            SUPPLY.offset: self._supply,
-            TEMPERATURE_HIGH.offset: lambda: round((235 - device.power_interface.temperature_celsius) / 400 * _PULSE),
-            ALARM_BIT0.offset: lambda: device.power_interface.alarms,
+            pci.ENCODER_COUNT.offset: self._count,
+            pci.ROAD_VELOCITY.offset: lambda: _lines(device.plant.road_speed),
+            pci.WHEEL_VELOCITY.offset: lambda: _lines(device.plant.wheel_speed),
+            pci.RESISTOR1_IN_SERIES.offset: self._resistors,
+            pci.SUPPLY.offset: self._supply,
+            pci.TEMPERATURE_HIGH.offset: lambda: round(
+                (235 - device.power_interface.temperature_celsius) / 400 * _PULSE
+            ),
+            pci.ALARM_BIT0.offset: lambda: device.power_interface.alarms,
         }
 
     def bulk_out(self, data: bytes | bytearray) -> None:
@@ -139,7 +116,7 @@ class PciFrontEnd:
         if offset in self._selected:
             return self._selected[offset]
         settings = self.device.settings
-        if offset == ENCODER_RESET.offset:
+        if offset == pci.ENCODER_RESET.offset:
             return settings.get("encoder_reset", 0)
         return settings.get(self._name(_PWM[offset]), 0) if offset in _PWM else 0
 
@@ -151,20 +128,20 @@ class PciFrontEnd:
             register = _PWM[offset]
             self._unseen = self._unseen or register is PWM_WIDTH
             self.device.take({self._name(register): register.decode(value)})
-        elif offset == ENCODER_RESET.offset:
-            self.device.take({"encoder_reset": ENCODER_RESET.decode(value)})
+        elif offset == pci.ENCODER_RESET.offset:
+            self.device.take({"encoder_reset": pci.ENCODER_RESET.decode(value)})
         else:
             self.rejected += 1
 
     def _name(self, register: Register) -> str:
         """The device's name of a setting of the selected PWM channel."""
-        return register.name.replace("pwm", f"pwm{self._selected[PWM_INDEX.offset]}")
+        return register.name.replace("pwm", f"pwm{self._selected[pci.PWM_INDEX.offset]}")
 
     def _count(self) -> int:
         """The selected counter. The balance lever's stays 0: the rig inside has none that moves."""
         road, wheel = self.device.counts()
         cable = self.device.cable
-        return {cable.road_encoder: road, cable.wheel_encoder: wheel}.get(self._selected[ENCODER_INDEX.offset], 0)
+        return {cable.road_encoder: road, cable.wheel_encoder: wheel}.get(self._selected[pci.ENCODER_INDEX.offset], 0)
 
     def _supply(self) -> int:
         volts = self.device.power_interface.supply_v
@@ -174,12 +151,12 @@ class PciFrontEnd:
         """Both start-up resistors: in series until the road wheel is fast, and again once it is slow."""
         velocity = _lines(self.device.plant.road_speed)
         self._in_series = velocity < (_RESISTOR_HIGH if self._in_series else _RESISTOR_LOW)
-        return RESISTOR1_IN_SERIES.mask | RESISTOR2_IN_SERIES.mask if self._in_series else 0
+        return pci.RESISTOR1_IN_SERIES.mask | pci.RESISTOR2_IN_SERIES.mask if self._in_series else 0
 
 
 def _lines(speed_rad_s: float) -> int:
     """What a velocity register shows: encoder lines in one window."""
-    return int(abs(speed_rad_s) / (2.0 * math.pi) * ENCODER_LINES * _WINDOW / VELOCITY_CLOCK_HZ)
+    return int(abs(speed_rad_s) / (2.0 * math.pi) * pci.ENCODER_LINES * _WINDOW / pci.VELOCITY_CLOCK_HZ)
 
 
 def _reported(device: Device, _: Protocol | None, image: bytes) -> PciFrontEnd:

@@ -8,7 +8,8 @@ from __future__ import annotations
 import struct
 from typing import Final
 
-from firmware_protocol.rtdac_usb import HEADER, HEADER_BYTES, LOGICS, PWM_FULL_WIDTH, READ_REQUEST, Logic
+from firmware_protocol.pwm import PWM_FULL_WIDTH
+from firmware_protocol.rtdac_usb import HEADER, HEADER_BYTES, LOGICS, READ_REQUEST, Logic
 from inteco_abs.boards.frame_board import FrameBoard, FrameLayout
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import ConfigError, ConfigIssue
