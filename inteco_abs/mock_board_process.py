@@ -30,12 +30,22 @@ from inteco_abs.mock_board import (
     UsbHost,
     UsbIdentity,
     UsbIpServer,
-    face_of,
+    front_end_of,
     mock_family,
     parse_address,
     parse_faults,
 )
-from inteco_abs.realtime import BOARD_PRIORITY, Field, Job, Mailbox, RunMemory, alive, guardian_tuning, hearing, prepare
+from inteco_abs.realtime import (
+    BOARD_PRIORITY,
+    Field,
+    Job,
+    Mailbox,
+    RunMemory,
+    alive,
+    guardian_tuning,
+    handle_signals,
+    prepare,
+)
 from inteco_abs.realtime.processes import ENTRY
 
 if TYPE_CHECKING:
@@ -59,14 +69,14 @@ def main(path: str) -> int:
 
     schedule = Schedule(parse_faults(job.faults), time.monotonic_ns, job.seed)
     standstill = _Standstill(memory)
-    face = _face(job, standstill, schedule, observe)
-    server = SocketServer(face, str(memory.socket))
+    front_end = _front_end(job, standstill, schedule, observe)
+    server = SocketServer(front_end, str(memory.socket))
     prepare(guardian_tuning(BOARD_PRIORITY))
     with FaultyHost(schedule, Path(job.out), lambda name: _pid_of(name, memory)) as host:
 
         def between() -> None:
             host.act()
-            standstill.keep(face)
+            standstill.keep(front_end)
 
         def awaited() -> bool:  # a supervisor that stands still asks for nothing; leaving lets it go on
             return not host.frozen("supervisor") and alive(memory.words[Field.SUPERVISOR_PID])
@@ -88,11 +98,11 @@ def _pid_of(name: str, memory: RunMemory) -> int:
     return 0
 
 
-def _face(job: Job, standstill: _Standstill, schedule: Schedule, observe: Callable[[Truth], None]) -> FrontEnd:
+def _front_end(job: Job, standstill: _Standstill, schedule: Schedule, observe: Callable[[Truth], None]) -> FrontEnd:
     if not job.faults:
-        return face_of(Device(job.config, time.monotonic_ns, job.seed, observe))
+        return front_end_of(Device(job.config, time.monotonic_ns, job.seed, observe))
     device = FaultyDevice(job.config, time.monotonic_ns, job.seed, observe, schedule=schedule)
-    return FaultyFrontEnd(face_of, device, time.sleep, standstill.request)
+    return FaultyFrontEnd(front_end_of, device, time.sleep, standstill.request)
 
 
 class _Standstill:
@@ -106,9 +116,9 @@ class _Standstill:
         """Stand still for so long once the exchange that goes on is over: amid it, it would be a slow board."""
         self._seconds = seconds
 
-    def keep(self, face: FrontEnd) -> None:
-        """Let whoever holds the board stand still if that is requested, once `face` has answered him."""
-        if not self._seconds or not isinstance(face, FaultyFrontEnd) or not face.answered:
+    def keep(self, front_end: FrontEnd) -> None:
+        """Let whoever holds the board stand still if that is requested, once `front_end` has answered him."""
+        if not self._seconds or not isinstance(front_end, FaultyFrontEnd) or not front_end.answered:
             return
         seconds, self._seconds = self._seconds, 0.0
         holder = self._words[Field.HOLDER_PID]
@@ -120,7 +130,7 @@ class _Standstill:
                 end = time.monotonic() + seconds
                 while (left := end - time.monotonic()) > 0.0:
                     time.sleep(min(left, _CATCH_UP_S))
-                    face.device.catch_up()
+                    front_end.device.catch_up()
             finally:
                 os.kill(holder, signal.SIGCONT)
 
@@ -143,10 +153,10 @@ class Mock:
         drawn = self.config.simulation.rig
         return f"mock {family_of(self.config.board.kind).title}{f' with rig {drawn}' if drawn else ''}"
 
-    def face(self) -> FrontEnd:
+    def front_end(self) -> FrontEnd:
         """The board's own side of the wire."""
         device = Device(self.config, time.monotonic_ns, self.seed)
-        return face_of(device) if self.seen is None else self.seen.face(device)
+        return front_end_of(device) if self.seen is None else self.seen.front_end(device)
 
     def identity(self, like: UsbIdentity) -> UsbIdentity:
         """What it says of itself on the bus; `like` unless a board was seen to say something else."""
@@ -163,24 +173,24 @@ def serve_usbip(mock: Mock, address: str, serial: int, say: Callable[[str], None
     Raises ConfigError for an address or serial number that cannot be, BoardError if the address is taken.
     """
     place = parse_address(address)
-    face, kind = mock.face(), mock.config.board.kind
+    front_end, kind = mock.front_end(), mock.config.board.kind
     make = mock_family(kind).usb_device
     if make is None:
         raise ConfigError([ConfigIssue("--usbip", f"a mock {kind} board cannot be plugged into USB")])
     try:
-        bridge = make(face, mock.identity, serial)
+        bridge = make(front_end, mock.identity, serial)
     except ValueError as error:
         raise ConfigError([ConfigIssue("--serial", str(error))]) from error
     server = UsbIpServer(UsbHost(bridge), place)
     facts = server.bind()
-    with hearing(server.close):  # as an unplugged cable would end it
+    with handle_signals(server.close):  # as an unplugged cable would end it
         ids = f"{facts.vendor_id:04x}:{facts.product_id:04x}"
         say(f"{mock.name} {ids}, serial number {facts.serial}, at {facts.address}; Ctrl-C unplugs it")
         for what, lines in (("attach it", facts.attach), ("detach it", facts.detach)):
             if lines:
                 say(f"to {what}, as root: {' && '.join(lines)}")
         _be_quick()
-        server.serve(mock.log(face.device))
+        server.serve(mock.log(front_end.device))
 
 
 def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
@@ -189,18 +199,18 @@ def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
     `link` is a path for a symbolic link to it, or empty. Raises BoardError if that cannot be made.
     """
     family = family_of(mock.config.board.kind)
-    face, stream = mock.face(), mock_family(family.name).stream
+    front_end, stream = mock.front_end(), mock_family(family.name).stream
     if stream is None:
         raise ConfigError([ConfigIssue("--pty", f"a mock {family.name} board is not at a serial port")])
-    server = PtyServer(stream(face), Path(link) if link else None)
-    with hearing(server.close):
+    server = PtyServer(stream(front_end), Path(link) if link else None)
+    with handle_signals(server.close):
         say(f"{mock.name} at {link or server.name}; Ctrl-C unplugs it")
         say(
             f"to use it: inteco-abs run --board {family.name}:{Path(link or server.name).absolute()} "
             f"--set profile={family.mock_profile}"
         )
         _be_quick()
-        server.serve(mock.log(face.device))
+        server.serve(mock.log(front_end.device))
 
 
 def _be_quick() -> None:
@@ -226,7 +236,7 @@ def _serve(
             continue  # a fault's first act may end the run, and is told before the next exchange
         looked, told = now, news
         if schedule.times:
-            memory.post(Mailbox.INJECTED, schedule.told())
+            memory.post(Mailbox.INJECTED, schedule.acted())
         if server.busy or awaited():
             alone_since = now
         elif now - alone_since > _LINGER_S:

@@ -16,7 +16,7 @@ from inteco_abs.boards import (
 )
 from inteco_abs.config import WIRING, BoardConfig, Evidence, load_config, parse_config, profiles
 from inteco_abs.errors import ConfigError
-from inteco_abs.mock_board import Device, face_of
+from inteco_abs.mock_board import Device, front_end_of
 
 REAL = [name for name in profiles() if not name.startswith("sim_")]
 LAB = """
@@ -31,7 +31,7 @@ verified_logic = {signed_logic}
 
 def opened(config):
     device = Device(load_config(), lambda: 0)
-    board = board_behind(InProcessLink(face_of(device)), config, lambda: 0)
+    board = board_behind(InProcessLink(front_end_of(device)), config, lambda: 0)
     with board:
         return board.identity
 
@@ -352,4 +352,4 @@ def test_the_profile_of_the_unknown_abs_logic_begins_from_what_the_known_rig_log
 def test_a_channel_that_the_logic_does_not_have_is_refused_with_its_key():
     config = load_config(settings=["board.road_encoder=9"])
     with pytest.raises(ConfigError, match=r"board\.road_encoder: 9"):
-        board_behind(InProcessLink(face_of(Device(load_config(), lambda: 0))), config, lambda: 0)
+        board_behind(InProcessLink(front_end_of(Device(load_config(), lambda: 0))), config, lambda: 0)

@@ -22,7 +22,7 @@ from inteco_abs.config import RigConfig, SimulationConfig, load_config
 from inteco_abs.control import Controller, Gain, Pipeline, make_controller, make_estimator
 from inteco_abs.errors import SessionError, in_words
 from inteco_abs.format import TICK, TRUTH
-from inteco_abs.mock_board import Device, Truth, face_of
+from inteco_abs.mock_board import Device, Truth, front_end_of
 from inteco_abs.sessions import Session, result_card
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Sample, Tick
 
@@ -169,7 +169,7 @@ class _Rig:
         seed = int(session.metadata.get("software", {}).get("seed", "0"))
         self.truths: list[Truth] = []
         self._device = Device(config, self._time_ns, seed, self.truths.append)
-        self.board: Board = board_behind(InProcessLink(face_of(self._device)), config, self._time_ns)
+        self.board: Board = board_behind(InProcessLink(front_end_of(self._device)), config, self._time_ns)
 
     def exchange(self, time_ns: int, command: Command) -> Sample:
         """Write and read at that time."""

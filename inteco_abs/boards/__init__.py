@@ -26,7 +26,16 @@ from inteco_abs.boards.family import (
     protocol_of,
 )
 from inteco_abs.boards.first_write import PlannedWord, Remark
-from inteco_abs.boards.frame_labels import UNKNOWN, Protocol, Role, byte_offset, label, masks_of, names_at, words_of
+from inteco_abs.boards.frame_labels import (
+    UNKNOWN,
+    BoardProtocol,
+    MessageRole,
+    byte_offset,
+    label,
+    masks_of,
+    names_at,
+    words_of,
+)
 from inteco_abs.boards.transports.links import InProcessLink, Link, SocketLink, Wrap
 from inteco_abs.boards.transports.registers import LinkedRegisters, Registers
 from inteco_abs.config import RigConfig
@@ -37,17 +46,17 @@ __all__ = [
     "UNKNOWN",
     "Board",
     "BoardFamily",
+    "BoardProtocol",
     "BoardReading",
     "Identity",
     "InProcessLink",
     "Link",
     "LinkedRegisters",
+    "MessageRole",
     "PlannedWord",
-    "Protocol",
     "Reading",
     "Registers",
     "Remark",
-    "Role",
     "SocketLink",
     "UsbTraffic",
     "Wrap",

@@ -1,4 +1,4 @@
-"""Board, the abstract interface of the device layer."""
+"""`Board`, the abstract interface of the device layer."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ STILL_ON: Final = "MOTOR POWER MAY STILL BE ON: press the emergency switch"
 
 
 class Identity(NamedTuple):
-    """What a board says of itself, and whether it may be driven."""
+    """Header of a board, and whether it may be driven."""
 
     logic_version: int
     application_name: str
-    """Empty if the board tells none, as the one on the PCI bus."""
+    """Empty if the board reports none, as the PCI board."""
     synthesis_date: str
-    """YYYYMMDD as the board tells it; empty likewise."""
+    """YYYYMMDD as the board reports it; empty likewise."""
     read_only_because: str
     """Empty if outputs may be used."""
 
     def facts(self) -> dict[str, str]:
-        """The same as text, for the session."""
+        """Return the header as text, for the session."""
         return {
             "logic_version": f"0x{self.logic_version:04X}",
             "application_name": self.application_name,
@@ -38,87 +38,87 @@ class Identity(NamedTuple):
         }
 
     def __str__(self) -> str:
-        told = f"logic 0x{self.logic_version:04X}"
-        told += f" {self.application_name!r}" if self.application_name else ""
-        return f"{told} of {self.synthesis_date}" if self.synthesis_date else told
+        name = f" {self.application_name!r}" if self.application_name else ""
+        date = f" of {self.synthesis_date}" if self.synthesis_date else ""
+        return f"logic 0x{self.logic_version:04X}{name}{date}"
 
 
 class BoardReading(NamedTuple):
-    """What one reading of a board says, decoded and as it came."""
+    """One reading of a board, decoded and raw."""
 
     values: Mapping[str, int | str]
-    """By field name, as the board tells them: counters with no sign or wrap of the wiring's applied."""
+    """By field name, as the board reports them: counters without the wiring's sign, and not unwrapped."""
     raw: bytes
-    """The frame, or the registers one after the other."""
+    """The frame, or the registers in order."""
 
 
 class Reading(NamedTuple):
-    """One of the quantities that the board measures besides the wheels' angles, or has as a limit. For show only."""
+    """A quantity that the board measures besides the wheels' angles, or one of its limits. For display only."""
 
     name: str
     value: float | None
-    """None if the board's numbers make no value."""
+    """None if the board's numbers give no value."""
     unit: str
     """`1` for a flag."""
     status: Status
-    """What is known of the register: the meaning of the alarm flags is not."""
+    """How well the register is known; the meaning of the alarm flags is not."""
     meaning: str
 
 
 class Board(ABC):
     """A board with the rig on it; a context manager.
 
-    Every board promises: entering reads before it writes, and writes only to a board that its profile knows and
-    trusts; the first thing written is SAFE; `exchange` is the only call that can energise an output; leaving, by
-    whatever way, leaves SAFE behind and has read it back, or raises UnsafeError saying that it has not.
+    Every board guarantees: entering reads before it writes, and writes only to a board that its profile knows and
+    trusts; the first write is SAFE; only `exchange` can energise an output; leaving in any way writes SAFE and reads it
+    back, or raises UnsafeError.
 
     `now_ns` is the monotonic clock of the run, `period_ns` the nominal time between exchanges.
     """
 
     def __init__(self, now_ns: Callable[[], int], period_ns: int) -> None:
         self.link_errors = 0
-        """Exchanges that failed so far."""
+        """Failed exchanges so far."""
         self.last_error: LinkError | None = None
         self.identity: Identity | None = None
         self.armed = False
-        """Whether each exchange after a good one feeds the watchdog, if the wiring has one. Nothing else ever does."""
+        """Whether each exchange after a good one feeds the watchdog, if the wiring has one; nothing else does."""
         self._now_ns = now_ns
         self._period_ns = period_ns
         self._tick = 0
         self._ready = False
         self._raw = (0, 0)  # counters of wheel and road at the newest good exchange
         self._newest_ns = 0
-        self._start_ns = 0  # of the exchange that goes on
+        self._start_ns = 0  # of the current exchange
         self._wheel_count = 0
         self._road_count = 0
 
     engines: tuple[str, ...] = ()
-    """Ways to move an exchange's transfers that may be chosen from, the usual one first; empty: no choice."""
+    """Available ways to move an exchange's transfers, the usual one first; empty: no choice."""
     engine: str = ""
-    """The one in use; may be set between two exchanges."""
+    """The engine in use; may be set between two exchanges."""
     hurried: bool = True
-    """Whether an exchange gives up after a few periods, as a loop needs it; a measurement waits for slow answers."""
+    """Whether an exchange gives up after two periods, as a loop needs it; a measurement waits longer."""
 
     @abstractmethod
     def identify(self) -> Identity:
-        """Ask the board what it is; reads only. Raises LinkError if it does not answer in its protocol."""
+        """Read the board's header; writes nothing. Raises LinkError if it does not answer in its protocol."""
 
     @abstractmethod
     def survey(self, names: Collection[str] = ()) -> BoardReading:
-        """Read a board that was entered, or is only read, once, trust aside: the named fields, or all; writes nothing.
+        """Read the named fields, or all, of a board that was entered or is only read; writes nothing.
 
-        Raises LinkError if the board does not answer in its protocol, BoardError if it has no field of such a name.
+        Raises LinkError if the board does not answer in its protocol, BoardError for an unknown field name.
         """
 
     def readings(self) -> list[Reading]:
-        """What the board measures besides counts, and its limits; takes too long for a tick. Raises BoardError."""
+        """Return what the board measures besides counts, and its limits; too slow for a tick. Raises BoardError."""
         return []
 
     @abstractmethod
     def first_write(self) -> list[PlannedWord]:
-        """What entering the board would change; reads only, like `survey`.
+        """Return what entering the board would change; reads only, like `survey`.
 
-        Raises BoardError for a board whose settings cannot be taken over, LinkError if it does not answer.
+        Raises BoardError if its settings cannot be taken over, LinkError if it does not answer.
         """
 
     @abstractmethod
@@ -127,32 +127,32 @@ class Board(ABC):
 
     @abstractmethod
     def _start(self) -> tuple[int, int]:
-        """Write the image and check that the board took it; raw wheel and road counts."""
+        """Write the image and check that the board took it; return raw wheel and road counts."""
 
     @abstractmethod
     def _transfer(self, command: Command) -> tuple[int, int]:
-        """Write `command`, read the board; raw signed 32-bit wheel and road counts. Raises LinkError."""
+        """Write `command`, read the board; return raw signed 32-bit wheel and road counts. Raises LinkError."""
 
     def _dated(self, now: int) -> int:
-        """When the counts of the newest transfer were taken; `now` is when it was over."""
+        """Return when the counts of the newest transfer were taken, ns; the transfer ended at `now`."""
         return now
 
     @abstractmethod
     def _write_safe(self) -> None:
-        """Write SAFE and read it back; raises LinkError if that is not what the board says it does."""
+        """Write SAFE and read it back; raises LinkError if the board does not report SAFE."""
 
     @property
     @abstractmethod
     def safe_image(self) -> bytes:
-        """What makes this board safe when another process writes it; to be kept once the board has been entered."""
+        """Bytes with which `rescue` makes this board safe from another process; valid once it was entered."""
 
     @abstractmethod
     def _adopt(self, image: bytes) -> None:
-        """Take the `safe_image` of the process that drove the board before, without reading anything."""
+        """Take over the `safe_image` of the process that drove the board before; reads nothing."""
 
     @abstractmethod
     def _close(self) -> None:
-        """Let go of the board."""
+        """Close the board."""
 
     def __enter__(self) -> Self:
         try:
@@ -178,10 +178,10 @@ class Board(ABC):
 
     @contextmanager
     def reading(self) -> Iterator[Self]:
-        """Instead of entering it: a board that is identified and read, whoever has signed.
+        """Identify and read the board inside the context without entering it, whether it may be driven or not.
 
-        Nothing is written to it but which of its channels is asked for, where the reading itself takes that (PCI).
-        `insist` tells whether entering it would allow outputs; `exchange` is refused. Lets go of the board in the end.
+        Writes nothing but the channel selection that reading a PCI board takes.
+        `require_writable` says whether entering it would allow outputs; `exchange` is refused.
         """
         try:
             self.identity = self.identify()
@@ -190,10 +190,7 @@ class Board(ABC):
             self._close()
 
     def begin(self) -> None:
-        """Begin a run: its first sample is tick 0 and lasts one period, however long ago the newest exchange was.
-
-        What was exchanged before, to time the board, belongs to no run: neither its ticks nor its errors count.
-        """
+        """Begin a run: the next sample is tick 0 and lasts one period; earlier ticks and errors do not count."""
         self._tick = 0
         self.link_errors = 0
         self.last_error = None
@@ -201,9 +198,9 @@ class Board(ABC):
     def exchange(self, command: Command) -> Sample:
         """Write `command`, then read the board, once.
 
-        A failed exchange gives a sample that repeats the last counts and carries STALE, one that took longer than a
-        period carries SLOW; the guard judges how many are too many. Raises ReadOnlyError on a board whose outputs are
-        off, BoardError on one that is not open.
+        The sample of a failed exchange repeats the last counts with the flag STALE; an exchange longer than a period has
+        the flag SLOW; the guard limits both. Raises ReadOnlyError for a board that must not be driven, BoardError for
+        one that is not open.
         """
         if not self._ready:
             raise self._refusal()
@@ -227,9 +224,9 @@ class Board(ABC):
         return None
 
     def make_safe(self) -> None:
-        """De-energise both outputs and read it back.
+        """Switch both outputs off and read that back.
 
-        What interrupts it, Ctrl-C included, is raised only once the outputs are safe. Raises UnsafeError after three
+        An interruption, Ctrl-C included, is raised only once the outputs are safe. Raises UnsafeError after three
         failures, BoardError if the board is not open.
         """
         if not self._ready:
@@ -241,7 +238,7 @@ class Board(ABC):
                 self._write_safe()
             except LinkError as error:
                 failure = error
-            except BaseException as error:  # noqa: BLE001  nothing may keep the outputs on; raised below
+            except BaseException as error:  # noqa: BLE001  raised below, once the outputs are off
                 interruption = error
             else:
                 break
@@ -251,9 +248,9 @@ class Board(ABC):
             raise interruption
 
     def rescue(self, image: bytes) -> None:
-        """Make safe a board whose process is gone, with the `safe_image` that it left, and let go of it.
+        """Make the board of a dead process safe with its `safe_image`, and close it.
 
-        For a board that was not entered. The write depends on no read. Raises UnsafeError after three failures.
+        For a board that was not entered; writes before it reads. Raises UnsafeError after three failures.
         """
         try:
             self._adopt(image)
@@ -269,8 +266,8 @@ class Board(ABC):
         self._newest_ns = time_ns
         return Sample(tick, time_ns, dt_s, self._wheel_count, self._road_count, flags)
 
-    def insist(self) -> Identity:
-        """Identity of a board that may be driven; raises ReadOnlyError saying what the lab has to do."""
+    def require_writable(self) -> Identity:
+        """Return the identity of a board that may be driven; else raise ReadOnlyError with what the lab has to do."""
         identity = self.identity
         if identity is None or identity.read_only_because:
             because = identity.read_only_because if identity else "it was not identified"

@@ -38,7 +38,7 @@ class Bus(_Part):
     """Of the bus, in Mbit/s."""
 
 
-class Identity(_Part):
+class BoardHeader(_Part):
     """The board's header, and the dates of its bridge's firmware where there are any."""
 
     logic_version: Annotated[int, Field(ge=0, le=0xFFFF)]
@@ -62,7 +62,7 @@ class BoardReport(_Part):
 
     kind: Text
     """Board family."""
-    identity: Identity
+    identity: BoardHeader
     bus: Bus = Bus()
     reads: Reads | None = None
     steps: dict[Text, Text] = {}

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from inteco_abs.boards.board import Board
 from inteco_abs.boards.families import SHIPPED
-from inteco_abs.boards.frame_labels import Protocol
+from inteco_abs.boards.frame_labels import BoardProtocol
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.boards.transports.registers import Registers
 from inteco_abs.config import BoardConfig, RigConfig, section_of
@@ -63,7 +63,7 @@ class BoardFamily:
     """"module:attribute" of its `inteco_abs.mock_board.MockFamily`; loaded by nothing but the mock board."""
     host: str
     """"module:attribute" of its `inteco_abs.host.HostFamily`: how the computer lists it, and what `doctor` checks."""
-    protocols: tuple[Protocol, ...] = ()
+    protocols: tuple[BoardProtocol, ...] = ()
     """Of its logics whose frames are known; empty: it has registers, and no messages to record."""
     traffic: UsbTraffic | None = None
     """How Wireshark's captures are read; None: they are not."""
@@ -124,12 +124,12 @@ def board_behind(link: Link | Registers, config: RigConfig, now_ns: Callable[[],
     return family_of(config.board.kind).driver(link, config.board, now_ns, config.period_ns)
 
 
-def protocols() -> dict[str, Protocol]:
+def protocols() -> dict[str, BoardProtocol]:
     """The protocols of all families, by the board that a capture names."""
     return {one.board: one for family in known_families().values() for one in family.protocols}
 
 
-def protocol_of(board: str, option: str = "board") -> Protocol:
+def protocol_of(board: str, option: str = "board") -> BoardProtocol:
     """Protocol of that name. Raises ConfigError that blames `option` if there is none."""
     known = protocols()
     if board not in known:

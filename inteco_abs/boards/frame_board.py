@@ -77,7 +77,7 @@ class FrameBoard(Board):
         self._layout = layout = self._layout_of(wiring)
         self._mode = MODES.index(wiring.pwm_mode)
         self._full = layout.pwm_full_width[self._mode]
-        _insist_on_channels(wiring, layout)
+        _require_channels(wiring, layout)
         drive, brake = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
         self._drive_out, self._brake_out = layout.send.place(drive), layout.send.place(brake)
         self._drive_echo, self._brake_echo = layout.read.place(drive), layout.read.place(brake)
@@ -385,7 +385,7 @@ def widths(command: Command, full: int) -> tuple[int, int]:
     return int(command.drive * full + _EXACT), int(command.brake * full + _EXACT)
 
 
-def _insist_on_channels(wiring: BoardConfig, layout: FrameLayout) -> None:
+def _require_channels(wiring: BoardConfig, layout: FrameLayout) -> None:
     wanted = {
         "drive_pwm": f"pwm{wiring.drive_pwm}_width",
         "brake_pwm": f"pwm{wiring.brake_pwm}_width",

@@ -15,7 +15,7 @@ UNKNOWN: Final = "unknown"
 COMMAND: Final = "command"
 
 
-class Role(StrEnum):
+class MessageRole(StrEnum):
     """What a message is for."""
 
     SEND = "SEND"
@@ -25,7 +25,7 @@ class Role(StrEnum):
 
 
 @dataclass(frozen=True)
-class Protocol:
+class BoardProtocol:
     """How the messages of one board are told apart, and their words named."""
 
     board: str
@@ -40,17 +40,17 @@ class Protocol:
     settings: Mapping[str, object]
     """Keys of [board], with the values by which a profile says that its board speaks this."""
 
-    def role_out(self, message: bytes) -> Role:
+    def role_out(self, message: bytes) -> MessageRole:
         """What a message from the host is for."""
         if message == self.request:
-            return Role.REQUEST
+            return MessageRole.REQUEST
         if len(message) == self.send.size and words_of(self.send, message)[0] == self.send.command:
-            return Role.SEND
-        return Role.OTHER
+            return MessageRole.SEND
+        return MessageRole.OTHER
 
-    def role_in(self, message: bytes) -> Role:
+    def role_in(self, message: bytes) -> MessageRole:
         """What a message from the board is."""
-        return Role.READ if len(message) == self.read.size else Role.OTHER
+        return MessageRole.READ if len(message) == self.read.size else MessageRole.OTHER
 
     def header(self, answer: bytes) -> dict[str, Value]:
         """What a READ answer of any logic tells of its board. Raises ProtocolError."""

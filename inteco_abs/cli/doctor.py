@@ -13,7 +13,7 @@ from inteco_abs.cli.terminal import print_json, say, show
 from inteco_abs.errors import BoardError, ConfigError
 
 if TYPE_CHECKING:
-    from inteco_abs.host import Finding
+    from inteco_abs.host import CheckResult
 
 if TYPE_CHECKING:
     pass
@@ -57,7 +57,7 @@ def doctor(
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import load_config
     from inteco_abs.experiment import measure_round_trips
-    from inteco_abs.host import Computer, Finding, Verdict, limits, red, serial_group, udev_rules, worst
+    from inteco_abs.host import CheckResult, Computer, Rating, limits, red, serial_group, udev_rules, worst
     from inteco_abs.host.doctor import examine, write_speed
     from inteco_abs.host.latency import LONGEST_S, SHORTEST_S, examine_wake_ups, judge_round_trips
     from inteco_abs.realtime.processes.round_trips import COUNT
@@ -86,18 +86,20 @@ def doctor(
         try:
             times_us, engines = measure_round_trips(rig, board)
         except BoardError as error:  # the rest of the report says why
-            findings.append(Finding("round trips", *red(str(error), "see the lines above")))
+            findings.append(CheckResult("round trips", *red(str(error), "see the lines above")))
         else:
-            findings.append(Finding("round trips", *judge_round_trips(times_us, COUNT, rig.period_ns * 1e-3, engines)))
+            findings.append(
+                CheckResult("round trips", *judge_round_trips(times_us, COUNT, rig.period_ns * 1e-3, engines))
+            )
     verdict = worst(findings)
     if as_json:
         print_json({"schema_version": 1, "verdict": verdict, "findings": [one._asdict() for one in findings], **files})
     else:
         _print_findings(findings, times_us, rig.period_ns * 1e-3)
-    return LOSSES if verdict is Verdict.RED else 0
+    return LOSSES if verdict is Rating.RED else 0
 
 
-def _print_findings(findings: Sequence[Finding], times_us: Sequence[float], period_us: float) -> None:
+def _print_findings(findings: Sequence[CheckResult], times_us: Sequence[float], period_us: float) -> None:
     from inteco_abs.views.findings import render_findings, render_histogram
 
     show(render_findings(findings))

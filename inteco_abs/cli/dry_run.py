@@ -261,12 +261,12 @@ def _run(each: Planned) -> dict[str, Any]:
 
 def _computer(folder: Path) -> dict[str, Any]:
     """Counts of the doctor's quick findings, and the red ones."""
-    from inteco_abs.host import Verdict, worst
+    from inteco_abs.host import Rating, worst
     from inteco_abs.host.doctor import examine
 
     findings = examine(folder)
     return {
         "verdict": worst(findings),
-        **{verdict.value: sum(one.verdict is verdict for one in findings) for verdict in Verdict},
-        "not_fit": [one._asdict() for one in findings if one.verdict is Verdict.RED],
+        **{verdict.value: sum(one.verdict is verdict for one in findings) for verdict in Rating},
+        "not_fit": [one._asdict() for one in findings if one.verdict is Rating.RED],
     }

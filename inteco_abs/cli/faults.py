@@ -11,7 +11,7 @@ from inteco_abs.cli.options import json_option
 from inteco_abs.cli.terminal import print_json, say
 
 if TYPE_CHECKING:
-    from inteco_abs.mock_board.faults.kinds import Value
+    from inteco_abs.mock_board.faults.kinds import FaultValue
 
 
 @click.command()
@@ -21,7 +21,7 @@ def faults(as_json: bool) -> int:
 
     For --inject KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG] of run, repeat and panel.
     """
-    from inteco_abs.mock_board.faults import KINDS, Event
+    from inteco_abs.mock_board.faults import KINDS, FaultEvent
 
     if as_json:
         found = {
@@ -32,7 +32,7 @@ def faults(as_json: bool) -> int:
             }
             for name, kind in KINDS.items()
         }
-        print_json({"schema_version": 1, "faults": found, "events": [event.value for event in Event]})
+        print_json({"schema_version": 1, "faults": found, "events": [event.value for event in FaultEvent]})
         return 0
     usages = {name: f"{name}{kind.value.usage if kind.value else ''}" for name, kind in KINDS.items()}
     width = max(map(len, usages.values()))
@@ -47,7 +47,7 @@ def faults(as_json: bool) -> int:
     return 0
 
 
-def _facts(value: Value) -> dict[str, Any]:
+def _facts(value: FaultValue) -> dict[str, Any]:
     """JSON has no infinity: a word has no limits."""
     facts = value._asdict()
     return {name: None if isinstance(fact, float) and math.isinf(fact) else fact for name, fact in facts.items()}

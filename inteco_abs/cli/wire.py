@@ -41,13 +41,13 @@ def import_(file: Path, out: Path, device: str, protocol: str | None) -> int:
 
     Wireshark captures are pcap or pcapng, of usbmon or USBPcap.
     """
-    from inteco_abs.wire import Kind, check_target, import_pcap, write_capture
+    from inteco_abs.wire import RecordKind, check_target, import_pcap, write_capture
 
     check_target(out)
     capture = _of_session(file) or import_pcap(file, protocol, device=device)
     write_capture(out, capture)
     for record in capture.records:
-        if record.kind is Kind.WARNING:
+        if record.kind is RecordKind.WARNING:
             say(f"inteco-abs: at {record.t_s:.6f} s: {record.text}", err=True)
     say(f"{out}: {capture.messages} messages, {capture.recorded_by}", err=True)
     return 0

@@ -13,14 +13,14 @@ from typing import Any, Final
 
 import inteco_abs
 from inteco_abs.boards import family_of, protocol_name, protocol_of
-from inteco_abs.boards.board_report import BoardReport, Bus, Identity, Reads, Values
+from inteco_abs.boards.board_report import BoardHeader, BoardReport, Bus, Reads, Values
 from inteco_abs.boards.families.usb2.bridge import NOT_TOLD
 from inteco_abs.commissioning.profile_draft import ProfileDraft
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import ConfigError
 from inteco_abs.host import Computer
 from inteco_abs.sessions import host_facts
-from inteco_abs.wire import Capture, Kind, Record
+from inteco_abs.wire import Capture, Record, RecordKind
 
 _SECTIONS: Final = ("board", "encoders", "usb", "loop", "estimator", "guard", "experiment")
 _WORDS: Final = frozenset({"kind", "pwm_mode", "application_names", "manufacturer", "engine", "frame_map"})
@@ -75,13 +75,13 @@ def _protocol(wiring: BoardConfig) -> str:
 
 def _reading(wiring: BoardConfig, at: int, image: bytes) -> Iterator[Record]:
     if family_of(wiring.kind).protocols:
-        yield Record(float(at), Kind.OUT, data=protocol_of(_protocol(wiring)).request)
-    yield Record(float(at), Kind.IN, data=image)
+        yield Record(float(at), RecordKind.OUT, data=protocol_of(_protocol(wiring)).request)
+    yield Record(float(at), RecordKind.IN, data=image)
 
 
-def _identity(header: Mapping[str, Any]) -> Identity:
+def _identity(header: Mapping[str, Any]) -> BoardHeader:
     dates = {name: str(header.get("bridge", {}).get(name, NOT_TOLD)) for name in _DATES}
-    return Identity(
+    return BoardHeader(
         logic_version=int(header["logic_version"], 16),
         application_name=_without_names(str(header["application_name"])),
         synthesis_date=str(header["synthesis_date"]),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from inteco_abs.boards import FAMILIES, family_of
 from inteco_abs.errors import CaptureError, near_match
 from inteco_abs.mock_board import Device, FrontEnd, ReportedIdentity, UsbIdentity, mock_family
-from inteco_abs.wire import Kind, read_capture
+from inteco_abs.wire import RecordKind, read_capture
 
 if TYPE_CHECKING:
     from inteco_abs.boards.board_report import BoardReport  # loads pydantic
@@ -27,7 +27,7 @@ class ReportedBoard:
             raise CaptureError(
                 f"{path}: a capture, but not the report of a commissioning: commission --send-report makes one"
             )
-        images = [record.data for record in capture.records if record.kind is Kind.IN]
+        images = [record.data for record in capture.records if record.kind is RecordKind.IN]
         if not images:
             raise CaptureError(f"{path}: has no image of the board")
         self.path = path
@@ -58,7 +58,7 @@ class ReportedBoard:
             values |= {f"board.{key}": value for key, value in self._protocol.settings.items()}
         return [f"{key}={json.dumps(value)}" for key, value in values.items()]
 
-    def face(self, device: Device) -> FrontEnd:
+    def front_end(self, device: Device) -> FrontEnd:
         """Front end of the board with `device` behind it. Raises CaptureError for an impossible image."""
         try:
             return mock_family(self._family.name).reported(device, self._protocol, self._image)

@@ -21,7 +21,7 @@ def agree_on_first_write(context: StepContext, config: RigConfig) -> dict[str, l
     wiring does not use, Stopped if the operator refuses.
     """
     with context.rig.open(config).reading() as board:
-        board.insist()
+        board.require_writable()
         planned = board.first_write()
     _require_others_off(planned)
     # in the types that JSON reads back, to compare with earlier results

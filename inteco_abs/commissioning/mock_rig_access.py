@@ -13,8 +13,8 @@ from inteco_abs.commissioning.rig_access import TURNS, Hold, RigAccess, Wheel
 from inteco_abs.config import RigConfig
 from inteco_abs.format import TICK
 from inteco_abs.host import FoundBoard
-from inteco_abs.mock_board import Device, face_of, parse_faults
-from inteco_abs.realtime import RunMemory, StopWord, hearing
+from inteco_abs.mock_board import Device, front_end_of, parse_faults
+from inteco_abs.realtime import RunMemory, StopFlag, handle_signals
 from inteco_abs.realtime.processes.manual import DriveLoop, ManualClient, slowed
 from inteco_abs.signals import Reason
 
@@ -34,7 +34,7 @@ class MockRigAccess(RigAccess):
         super().__init__("sim:")
         self._now_ns = 0
         self.device = Device(config, self.now_ns, seed)
-        self._face = face_of(self.device)
+        self._front_end = front_end_of(self.device)
 
     def devices(self, config: RigConfig) -> list[FoundBoard]:
         """Only the mock."""
@@ -47,16 +47,16 @@ class MockRigAccess(RigAccess):
     @contextmanager
     def held(self, config: RigConfig) -> Iterator[ManualClient]:
         """Hold the mock in this process, without a guardian: no motor turns."""
-        config, stop = slowed(config), StopWord()
+        config, stop = slowed(config), StopFlag()
         memory = RunMemory.private(TICK.size, round(config.loop.rate_hz))
-        with hearing(stop.request), self.open(config) as board:
-            board.insist()
+        with handle_signals(stop.request), self.open(config) as board:
+            board.require_writable()
             driven = DriveLoop(board, config, memory, stop)
             yield _VirtualClient(self, config.period_ns, memory, driven, stop)
 
     def link(self) -> Link:
         """A new link to the mock."""
-        return InProcessLink(self._face)
+        return InProcessLink(self._front_end)
 
     def now_ns(self) -> int:
         """Virtual time."""
@@ -115,7 +115,7 @@ class PacedMockRigAccess(MockRigAccess):
 class _VirtualClient(ManualClient):
     """Client whose wait for a tick advances virtual time and drives the board."""
 
-    def __init__(self, rig: RigAccess, period_ns: int, memory: RunMemory, driven: DriveLoop, stop: StopWord) -> None:
+    def __init__(self, rig: RigAccess, period_ns: int, memory: RunMemory, driven: DriveLoop, stop: StopFlag) -> None:
         super().__init__(memory)
         self._rig = rig
         self._beats = rig.beats(period_ns)

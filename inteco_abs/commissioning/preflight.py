@@ -85,7 +85,7 @@ def planned_phases(config: RigConfig) -> Iterator[PlannedPhase]:
 def _judge(board: Board, config: RigConfig, found: Preflight) -> None:
     """Add what keeps a run from driving the board."""
     try:
-        board.insist()
+        board.require_writable()
     except BoardError as error:
         found.refused.append(error)
         return  # its message also reports outputs that were left on

@@ -108,7 +108,7 @@ def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault
     ring_ticks = round(_PANEL_RING_S * config.loop.rate_hz)
     with (
         processes(config, Plan(Path(), board, virtual=False, faults=faults), ring_ticks) as (memory, supervisor),
-        supervisor.by_hand(drill=outputs),
+        supervisor.manual_control(drill=outputs),
     ):
         yield ManualClient(memory)
 

@@ -11,7 +11,7 @@ from inteco_abs.experiment.plan import Plan, Progress, conditions
 from inteco_abs.experiment.real_time import run_in_real_time
 from inteco_abs.experiment.user_code import time_limit
 from inteco_abs.experiment.virtual_run import Interrupts, VirtualRun
-from inteco_abs.realtime import NoScreen, SafeScreen, Screen, hearing
+from inteco_abs.realtime import NoScreen, SafeScreen, Screen, handle_signals
 from inteco_abs.sessions import RunResult, check_output
 
 
@@ -34,5 +34,5 @@ def run_stop(
         if not plan.virtual:
             return run_in_real_time(config, plan, screen or NoScreen())
         interrupts, screen = Interrupts(), SafeScreen(screen or NoScreen())
-        with hearing(interrupts.handle), screen.listening(interrupts.handle):
+        with handle_signals(interrupts.handle), screen.listening(interrupts.handle):
             return VirtualRun(config, plan, pipeline, interrupts).run(progress, screen)

@@ -16,21 +16,21 @@ from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller, Pipeline, gains_in_force
 from inteco_abs.errors import SessionError, UnsafeError, in_words
 from inteco_abs.experiment.plan import Plan, Progress, facts_of, job_of, ring_ticks
-from inteco_abs.mock_board import Device, FaultyDevice, FaultyFrontEnd, FaultyHost, FrontEnd, Schedule, face_of
+from inteco_abs.mock_board import Device, FaultyDevice, FaultyFrontEnd, FaultyHost, FrontEnd, Schedule, front_end_of
 from inteco_abs.realtime import (
-    Check,
     Histogram,
     Loop,
     Screen,
     SnapshotSource,
-    StopWord,
+    StartCheck,
+    StopFlag,
     TickRing,
     VirtualClock,
     Window,
     detail_of,
     prove_watchdog,
 )
-from inteco_abs.realtime.spool import stow
+from inteco_abs.realtime.spool import spool_run
 from inteco_abs.sessions import (
     EXIT_CODES,
     LOSSES,
@@ -49,7 +49,7 @@ from inteco_abs.sessions import (
     surroundings,
 )
 from inteco_abs.signals import EXPLANATIONS, Reason
-from inteco_abs.wire import Recording, recording
+from inteco_abs.wire import Recording, record_wire
 
 _SLICE_TICKS: Final = 1000
 _PATIENCE_S: Final = 1.0
@@ -74,21 +74,21 @@ class VirtualRun:
 
     def run(self, progress: Progress | None, screen: Screen) -> RunResult:
         plan = self._plan
-        with self._host, recording(plan.wire, self._config, self._clock.now_ns, keep=plan.frames) as around:
+        with self._host, record_wire(plan.wire, self._config, self._clock.now_ns, keep=plan.frames) as around:
             return self._run(progress, screen, around)
 
     def _run(self, progress: Progress | None, screen: Screen, around: Recording) -> RunResult:
         plan, config = self._plan, self._config
-        board = board_behind(around(InProcessLink(self._face())), config, self._clock.now_ns)
+        board = board_behind(around(InProcessLink(self._front_end())), config, self._clock.now_ns)
         controller = plan.controllers[config.controller.name]
         spill = spill_path(plan.out, config, self._session_id)
         with FailoverWriter(plan.out, self._opener(controller), self._window.held, spill) as writer:
             try:
                 with board:
-                    screen.passed(Check.BOARD, f"{plan.board} {board.insist()}")
+                    screen.passed(StartCheck.BOARD, f"{plan.board} {board.require_writable()}")
                     watchdog = prove_watchdog(board, config.period_ns, self._wait)
                     writer.introduce(config, self._introduction(board, watchdog), plan.out)
-                    screen.passed(Check.RECORDER, str(plan.out))
+                    screen.passed(StartCheck.RECORDER, str(plan.out))
                     self._drive(writer, board, progress, screen)
             except BaseException as error:
                 unsafe = isinstance(error, UnsafeError) and self._ring.written > 0
@@ -101,12 +101,12 @@ class VirtualRun:
                 return result  # as in real time
             return self._conclude(writer, replace(self._end(board), frames=self._frames(around)))
 
-    def _face(self) -> FrontEnd:
+    def _front_end(self) -> FrontEnd:
         arguments = self._config, self._clock.now_ns, self._plan.seed, self._truths.append
         if not self._plan.faults:
-            return face_of(Device(*arguments))
+            return front_end_of(Device(*arguments))
         return FaultyFrontEnd(
-            face_of,
+            front_end_of,
             FaultyDevice(*arguments, schedule=self._schedule),
             wait=self._wait,
             pause=lambda seconds: self._clock.oversleep_ns(round(seconds * 1e9)),
@@ -161,7 +161,7 @@ class VirtualRun:
         config, plan = self._config, self._plan
         return RunHeader(
             board=plan.board,
-            identity={**board.insist().facts(), **watchdog},
+            identity={**board.require_writable().facts(), **watchdog},
             virtual=True,
             gains=gains_in_force(config, plan.controllers),
             internals=plan.controllers[config.controller.name].internals,
@@ -173,7 +173,7 @@ class VirtualRun:
         )
 
     def _end(self, board: Board, aborted: str = "") -> RunEnd:
-        facts = {"injected": self._schedule.told()} if self._plan.faults else {}
+        facts = {"injected": self._schedule.acted()} if self._plan.faults else {}
         return RunEnd(self._pipeline.reason, self._ring.written, detail_of(self._pipeline, board), aborted, facts)
 
     def _frames(self, around: Recording) -> Frames | None:
@@ -193,7 +193,7 @@ class VirtualRun:
             error.add_note(str(second))  # the first error matters
         if self._pipeline.reason is not Reason.NONE:
             error.add_note(f"the run had been stopped: {EXPLANATIONS[self._pipeline.reason]}")
-        for fault, times in self._schedule.told().items():
+        for fault, times in self._schedule.acted().items():
             error.add_note(f"injected {fault}: acted {times} times")
         return result
 
@@ -207,7 +207,7 @@ class VirtualRun:
     def _stowed(self, writer: FailoverWriter, end: RunEnd, error: SessionError) -> SessionError:
         job = replace(job_of(self._config, self._plan), session_id=self._session_id, virtual=True)
         try:
-            ring = stow(job, writer.introduction, end, self._window, writer.path)
+            ring = spool_run(job, writer.introduction, end, self._window, writer.path)
         except SessionError as second:
             out, seed = self._plan.out, self._plan.seed
             return SessionError(
@@ -229,7 +229,7 @@ class Interrupts:
     """
 
     def __init__(self) -> None:
-        self.stop = StopWord()
+        self.stop = StopFlag()
         self._may_break = False
         self._asked_s = 0.0
 

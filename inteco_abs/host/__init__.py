@@ -9,7 +9,18 @@ from inteco_abs.host.attached import (
     usb_description,
     usb_strings,
 )
-from inteco_abs.host.checks import Computer, Finding, Judgement, Verdict, amber, as_facts, green, red, together, worst
+from inteco_abs.host.checks import (
+    CheckResult,
+    Computer,
+    Judgement,
+    Rating,
+    amber,
+    as_facts,
+    green,
+    red,
+    together,
+    worst,
+)
 from inteco_abs.host.permissions import (
     INSTALL_FTDI_RULES,
     PCI_DEVICE,
@@ -31,12 +42,12 @@ __all__ = [
     "PLUG_AGAIN",
     "UDEV_FILE",
     "USB_DEVICES",
+    "CheckResult",
     "Computer",
-    "Finding",
     "FoundBoard",
     "HostFamily",
     "Judgement",
-    "Verdict",
+    "Rating",
     "amber",
     "as_facts",
     "check_serial",

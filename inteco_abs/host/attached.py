@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 from inteco_abs.boards import BoardFamily, family_of, known_families
 from inteco_abs.config import RigConfig
 from inteco_abs.entry_points import attribute
-from inteco_abs.host.checks import Computer, Finding, Judgement, amber, green, look, together
+from inteco_abs.host.checks import CheckResult, Computer, Judgement, amber, green, look, together
 
 USB_DEVICES: Final = "sys/bus/usb/devices/*"
 _STRINGS: Final = ("manufacturer", "product", "serial", "speed")
@@ -65,7 +65,7 @@ def found_devices(address: str, config: RigConfig, computer: Computer | None = N
     return host_family(family_of(name)).found(computer or Computer(), config, rest)
 
 
-def plugged_in(computer: Computer) -> list[Finding]:
+def plugged_in(computer: Computer) -> list[CheckResult]:
     """Findings on the boards that are there; a single one when there are none."""
     known = [(family.title, host_family(family)) for family in known_families().values()]
     findings = look(computer, {"board": partial(_board, known)})

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 NOT_KNOWN: Final = "not known on this system"
 
 
-class Verdict(StrEnum):
+class Rating(StrEnum):
     """How good something is for the 2 kHz loop."""
 
     GREEN = "green"
@@ -22,46 +22,46 @@ class Verdict(StrEnum):
     """The loop will not hold its rate, or does not reach the board or the disk at all."""
 
 
-_FROM_BEST: Final = tuple(Verdict)
+_FROM_BEST: Final = tuple(Rating)
 
 
 class Judgement(NamedTuple):
     """What a check says."""
 
-    verdict: Verdict
+    verdict: Rating
     found: str
     """What was seen, with its unit."""
     fix: str = ""
     """What to do about it; empty when green."""
 
 
-class Finding(NamedTuple):
+class CheckResult(NamedTuple):
     """A judgement and what it is about."""
 
     name: str
-    verdict: Verdict
+    verdict: Rating
     found: str
     fix: str = ""
 
 
 def green(found: str) -> Judgement:
     """As it should be."""
-    return Judgement(Verdict.GREEN, found)
+    return Judgement(Rating.GREEN, found)
 
 
 def amber(found: str, fix: str) -> Judgement:
     """It works, not always in time; or nobody can tell."""
-    return Judgement(Verdict.AMBER, found, fix)
+    return Judgement(Rating.AMBER, found, fix)
 
 
 def red(found: str, fix: str) -> Judgement:
     """It will not do."""
-    return Judgement(Verdict.RED, found, fix)
+    return Judgement(Rating.RED, found, fix)
 
 
-def worst(judged: Iterable[Finding | Judgement]) -> Verdict:
+def worst(judged: Iterable[CheckResult | Judgement]) -> Rating:
     """The worst verdict; green when there is none."""
-    return max((one.verdict for one in judged), key=_FROM_BEST.index, default=Verdict.GREEN)
+    return max((one.verdict for one in judged), key=_FROM_BEST.index, default=Rating.GREEN)
 
 
 def together(parts: Sequence[Judgement]) -> Judgement:
@@ -70,7 +70,7 @@ def together(parts: Sequence[Judgement]) -> Judgement:
     return Judgement(worst(parts), "; ".join(part.found for part in parts), "; ".join(fixes))
 
 
-def as_facts(findings: Iterable[Finding]) -> dict[str, str]:
+def as_facts(findings: Iterable[CheckResult]) -> dict[str, str]:
     """Findings as a session's metadata, such as `"clock_source": "green: tsc"`."""
     return {
         finding.name.lower().replace(" ", "_").replace("-", "_"): f"{finding.verdict}: {finding.found}"
@@ -120,7 +120,7 @@ Check = Callable[[Computer], Judgement]
 """Looks at one thing. Raises OSError, ValueError or LookupError where the system does not tell, or not that way."""
 
 
-def look(computer: Computer, checks: Mapping[str, Check]) -> list[Finding]:
+def look(computer: Computer, checks: Mapping[str, Check]) -> list[CheckResult]:
     """Run each check; what the system does not tell is not known, never an error."""
     findings = []
     for name, check in checks.items():
@@ -128,5 +128,5 @@ def look(computer: Computer, checks: Mapping[str, Check]) -> list[Finding]:
             judgement = check(computer)
         except (OSError, ValueError, LookupError):
             judgement = amber(NOT_KNOWN, "the checks read /proc and /sys of Linux")
-        findings.append(Finding(name, *judgement))
+        findings.append(CheckResult(name, *judgement))
     return findings

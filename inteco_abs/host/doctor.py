@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 from inteco_abs.host import permissions
 from inteco_abs.host.attached import plugged_in
-from inteco_abs.host.checks import Check, Computer, Finding, Judgement, amber, green, look, red
+from inteco_abs.host.checks import Check, CheckResult, Computer, Judgement, amber, green, look, red
 from inteco_abs.realtime import Core, cores_of, kernel_list, loop_cpus, parse_cpus
 from inteco_abs.sessions import nearest_folder
 
@@ -43,7 +43,7 @@ _TRIAL_BYTES: Final = 16 << 20
 _CHUNK_BYTES: Final = 1 << 20
 
 
-def examine(folder: Path, root: Path = Path("/")) -> list[Finding]:
+def examine(folder: Path, root: Path = Path("/")) -> list[CheckResult]:
     """Everything that can be seen at once, in some milliseconds; `folder` is where sessions are to be written."""
     computer = Computer(root)
     disks: dict[str, Check] = {"free space": lambda _: _free_space(folder), "shared memory": _shared_memory}
@@ -51,11 +51,11 @@ def examine(folder: Path, root: Path = Path("/")) -> list[Finding]:
         *look(computer, {**_CHECKS, **permissions.CHECKS}),
         *plugged_in(computer),
         *look(computer, disks),
-        Finding("Python", *judge_python(python_build())),
+        CheckResult("Python", *judge_python(python_build())),
     ]
 
 
-def write_speed(folder: Path) -> Finding:
+def write_speed(folder: Path) -> CheckResult:
     """How fast a session could be written to `folder`: writes 16 MiB, waits for the disk, leaves nothing behind."""
     data = os.urandom(_CHUNK_BYTES)  # some file systems compress
     try:
@@ -67,8 +67,8 @@ def write_speed(folder: Path) -> Finding:
             elapsed_s = time.perf_counter() - start
     except OSError as error:
         why = f"{folder}: nothing can be written ({error.strerror})"
-        return Finding("disk speed", *red(why, "choose another folder with --sessions"))
-    return Finding("disk speed", *judge_write_speed(_TRIAL_BYTES / elapsed_s))
+        return CheckResult("disk speed", *red(why, "choose another folder with --sessions"))
+    return CheckResult("disk speed", *judge_write_speed(_TRIAL_BYTES / elapsed_s))
 
 
 def judge_write_speed(bytes_per_s: float) -> Judgement:

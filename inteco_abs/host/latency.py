@@ -13,7 +13,7 @@ import sys
 from collections.abc import Collection, Mapping, Sequence
 from typing import Final, NamedTuple
 
-from inteco_abs.host.checks import Finding, Judgement, amber, green, red
+from inteco_abs.host.checks import CheckResult, Judgement, amber, green, red
 from inteco_abs.realtime import Clock, PacedClock, Quantiles, Setting, loop_tuning, prepare, quantiles
 
 SHORTEST_S, LONGEST_S = 0.2, 60.0
@@ -58,7 +58,7 @@ def wake_ups(clock: Clock, periods: int) -> tuple[list[int], int]:
     return late, missed
 
 
-def examine_wake_ups(seconds: float) -> list[Finding]:
+def examine_wake_ups(seconds: float) -> list[CheckResult]:
     """Run the wake-up test for so long: what the loop is granted here, and how punctual it would be.
 
     One short test tells how the computer is now. What comes once an hour is not in it.
@@ -73,7 +73,10 @@ def examine_wake_ups(seconds: float) -> list[Finding]:
     if child.returncode:
         return [_not_tested(_how_it_ended(child.returncode, child.stderr))]
     seen = _parse(child.stdout)
-    return [Finding("loop settings", *judge_settings(seen.settings)), Finding("wake-ups", *judge_wake_ups(seen))]
+    return [
+        CheckResult("loop settings", *judge_settings(seen.settings)),
+        CheckResult("wake-ups", *judge_wake_ups(seen)),
+    ]
 
 
 def judge_settings(settings: Sequence[Setting]) -> Judgement:
@@ -116,8 +119,8 @@ def judge_round_trips(
     return green(found)
 
 
-def _not_tested(why: str) -> Finding:
-    return Finding(
+def _not_tested(why: str) -> CheckResult:
+    return CheckResult(
         "wake-ups", *red(f"the test did not finish: {why}", "run it again; if that does not help, report it")
     )
 

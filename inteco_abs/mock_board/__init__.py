@@ -1,14 +1,14 @@
 """The board's own side: answers real frames, with the physics of the rig inside."""
 
 from inteco_abs.mock_board.device import MAXIMUM_CELSIUS, MINIMUM_SUPPLY_V, Cable, Device, Truth
-from inteco_abs.mock_board.family import Connected, MockFamily, always_connected, face_of, mock_family
+from inteco_abs.mock_board.family import Connected, MockFamily, always_connected, front_end_of, mock_family
 from inteco_abs.mock_board.faults import (
     BY_PROCESS,
     CLOCK_STEP,
     KINDS,
     ON_THE_HOST,
-    Event,
     Fault,
+    FaultEvent,
     FaultyDevice,
     FaultyFrontEnd,
     FaultyHost,
@@ -24,7 +24,7 @@ from inteco_abs.mock_board.socket_server import SocketServer
 from inteco_abs.mock_board.truth_log import TruthLog
 from inteco_abs.mock_board.usbip.address import TcpAddress, UnixAddress, parse_address
 from inteco_abs.mock_board.usbip.ftdi import FtdiBoard, ftdi_identity
-from inteco_abs.mock_board.usbip.server import Facts, UsbIpServer
+from inteco_abs.mock_board.usbip.server import AttachFacts, UsbIpServer
 from inteco_abs.mock_board.usbip.usb_board import UsbBoard
 from inteco_abs.mock_board.usbip.usb_descriptors import Speed, UsbIdentity
 from inteco_abs.mock_board.usbip.usb_host import Urb, UsbHost
@@ -36,12 +36,12 @@ __all__ = [
     "MAXIMUM_CELSIUS",
     "MINIMUM_SUPPLY_V",
     "ON_THE_HOST",
+    "AttachFacts",
     "Cable",
     "Connected",
     "Device",
-    "Event",
-    "Facts",
     "Fault",
+    "FaultEvent",
     "FaultyDevice",
     "FaultyFrontEnd",
     "FaultyHost",
@@ -66,7 +66,7 @@ __all__ = [
     "UsbIpServer",
     "always_connected",
     "drawn_facts",
-    "face_of",
+    "front_end_of",
     "ftdi_identity",
     "mock_family",
     "parse_address",

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from inteco_abs.boards import Protocol, family_of
+from inteco_abs.boards import BoardProtocol, family_of
 from inteco_abs.config import BoardConfig
 from inteco_abs.entry_points import attribute
 
@@ -29,7 +29,7 @@ class MockFamily:
 
     front_end: Callable[[Device], FrontEnd]
     """Puts a device behind the family's messages. Raises ConfigError for a rig at channels that the board has not."""
-    reported: Callable[[Device, Protocol | None, bytes], FrontEnd]
+    reported: Callable[[Device, BoardProtocol | None, bytes], FrontEnd]
     """The same for a board that was seen, by an image in its protocol. Raises ValueError for one that cannot be."""
     connected: Callable[[BoardConfig], Connected] = lambda _wiring: always_connected
     identity_at: int | None = None
@@ -49,6 +49,6 @@ def mock_family(kind: str) -> MockFamily:
     return found
 
 
-def face_of(device: Device) -> FrontEnd:
+def front_end_of(device: Device) -> FrontEnd:
     """What a host sees of `device`: messages in, messages out, as its family has them."""
     return mock_family(device.kind).front_end(device)

@@ -30,7 +30,7 @@ class FrontEnd(Protocol):
 class Stream(Protocol):
     """The same board behind a FIFO: bytes come and go in any cuts."""
 
-    face: FrontEnd
+    front_end: FrontEnd
 
     def feed(self, data: bytes | bytearray) -> bytes:
         """Take bytes of the host; what the board answers to them."""

@@ -72,7 +72,7 @@ class PtyServer:
         if self._poll.poll(_CATCH_UP_MS if now < self._busy_until_s else _IDLE_MS):
             self._busy_until_s = now + _BUSY_S
             self._answer(self._stream.feed(os.read(self._board, _CHUNK)))
-        self._stream.face.device.catch_up()
+        self._stream.front_end.device.catch_up()
 
     def _answer(self, answer: bytes) -> None:
         sent = 0

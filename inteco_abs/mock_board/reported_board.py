@@ -1,4 +1,4 @@
-"""A mock of one board that was seen: its descriptors, header and first image, with the simulated rig behind it."""
+"""A mock of one reported board: its descriptors, header and first image, with the simulated rig behind it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from firmware_protocol import FrameTable
-from inteco_abs.boards import Protocol
+from inteco_abs.boards import BoardProtocol
 from inteco_abs.mock_board.device import Device
 from inteco_abs.mock_board.frontend import FrontEnd
 from inteco_abs.mock_board.usbip.usb_descriptors import Speed, UsbIdentity
@@ -18,19 +18,19 @@ _BULK: Final = 2
 _DEVICE_BYTES: Final = 18
 _HIGH_SPEED: Final = "480"
 _MANUFACTURER_AT: Final = 14
-"""Byte of the device descriptor that has the index of the manufacturer's string; product and serial number follow."""
+"""Byte of the device descriptor with the index of the manufacturer's string; product and serial number follow."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReportedIdentity(UsbIdentity):
-    """Descriptors as they were read; the serial number is a mock's all the same."""
+    """Descriptors as they were reported, with a mock's serial number."""
 
     raw: bytes = b""
-    """Device descriptor, then all of the first configuration's."""
+    """Device descriptor, then all descriptors of the first configuration."""
 
     @classmethod
     def of(cls, like: UsbIdentity, raw: bytes, strings: Mapping[str, str]) -> ReportedIdentity:
-        """What was read, with `like` for what was not. Raises ValueError for what are not descriptors.
+        """Return the reported descriptors, completed from `like`. Raises ValueError for malformed ones.
 
         `strings` may have `manufacturer`, `product`, and `speed` in Mbit/s.
         """
@@ -54,7 +54,7 @@ class ReportedIdentity(UsbIdentity):
         )
 
     def descriptor(self, kind: int, index: int) -> bytes | None:
-        """Descriptor `index` of type `kind`, whole; None if there is none."""
+        """Return the whole descriptor `index` of type `kind`; None if there is none."""
         raw = self.raw
         if (kind, index) == (_DEVICE, 0):
             return raw[:_DEVICE_BYTES]
@@ -67,7 +67,7 @@ class ReportedIdentity(UsbIdentity):
 
 
 def _parts(raw: bytes, at: int) -> list[bytes]:
-    """Descriptors one after the other; raises ValueError where one has no length or goes beyond the end."""
+    """Split the descriptors; raises ValueError where one has no length or goes beyond the end."""
     parts = []
     while at < len(raw):
         length = raw[at]
@@ -81,15 +81,15 @@ def _parts(raw: bytes, at: int) -> list[bytes]:
 class ReportedFrontEnd:
     """The face of a device that answers with the image of a board that was seen, until something changes it.
 
-    What the board only tells, its header for one, stays as it was seen; what it echoes is what the host writes, and
-    two of its counters, its timers and the changes of its pins are the simulated rig's. `image` is a READ frame of any
-    logic of the tables' size, `face` makes the face of a device that shows one. Raises ValueError for one of another
-    size, or that is damaged.
+    Fields that only the board writes, such as its header, stay as reported; the others echo what the host writes; two
+    counters, the timers and changes of pins come from the simulated rig. `image` is a READ frame of any logic of the
+    tables' size, `front_end` makes the front end of a device from one. Raises ValueError for an image of another size or
+    a damaged one.
     """
 
     def __init__(
         self,
-        face: Callable[[Device, bytes], FrontEnd],
+        front_end: Callable[[Device, bytes], FrontEnd],
         device: Device,
         read: FrameTable,
         send: FrameTable,
@@ -102,7 +102,7 @@ class ReportedFrontEnd:
         ours = int.from_bytes(read.encode({}), "little") & fixed
         readable = (shown & ~fixed | ours).to_bytes(read.size, "little")
         self.device, self.rejected, self._size = device, 0, read.size
-        self._face = face(device, readable)
+        self._front_end = front_end(device, readable)
         cable = device.cable
         counts = f"encoder{cable.road_encoder}_count", f"encoder{cable.wheel_encoder}_count"
         values = read.decode_some(readable, counts)
@@ -117,26 +117,28 @@ class ReportedFrontEnd:
         self._flipped = (shown ^ levels) & _bits(read, pins)
 
     def bulk_out(self, data: bytes | bytearray) -> None:
-        """What the host writes."""
-        self._face.bulk_out(data)
-        self.rejected = self._face.rejected
+        """Take a message of the host."""
+        self._front_end.bulk_out(data)
+        self.rejected = self._front_end.rejected
 
     def bulk_in(self, length: int) -> bytes:
-        """What the host gets."""
-        answer = self._face.bulk_in(self._size)
+        """Return the next answer."""
+        answer = self._front_end.bulk_in(self._size)
         if len(answer) != self._size:
             return answer[:length]
         shown = (int.from_bytes(answer, "little") ^ self._flipped) & ~self._still | self._seen
         return shown.to_bytes(self._size, "little")[:length]
 
 
-def reported_frames(face: Callable[[Device, bytes], FrontEnd]) -> Callable[[Device, Protocol | None, bytes], FrontEnd]:
-    """For `MockFamily.reported` of a family with frames, whose own front end `face` makes."""
+def reported_frames(
+    front_end: Callable[[Device, bytes], FrontEnd],
+) -> Callable[[Device, BoardProtocol | None, bytes], FrontEnd]:
+    """Return `MockFamily.reported` for a family with frames; `front_end` makes the family's own front end."""
 
-    def reported(device: Device, protocol: Protocol | None, image: bytes) -> FrontEnd:
+    def reported(device: Device, protocol: BoardProtocol | None, image: bytes) -> FrontEnd:
         if protocol is None:
             raise ValueError("its board has no protocol")
-        return ReportedFrontEnd(face, device, protocol.read, protocol.send, image)
+        return ReportedFrontEnd(front_end, device, protocol.read, protocol.send, image)
 
     return reported
 
@@ -146,7 +148,7 @@ def _moves(name: str) -> bool:
 
 
 def _bits(table: FrameTable, names: Iterable[str]) -> int:
-    """Bits of a frame, as one little-endian number, that carry the named fields."""
+    """Return the bits of the named fields in a frame as one little-endian number."""
     mask = 0
     for name in names:
         for part in table.fields[name][1]:

@@ -22,8 +22,8 @@ class SocketServer:
     The outputs stay as they are when a host leaves, as no RT-DAC board is known to do anything else.
     """
 
-    def __init__(self, face: FrontEnd, path: str) -> None:
-        self._face = face
+    def __init__(self, front_end: FrontEnd, path: str) -> None:
+        self._front_end = front_end
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._listener.bind(path)
         self._listener.listen(4)
@@ -36,7 +36,7 @@ class SocketServer:
 
     def step(self) -> None:
         """Wait a moment for something to do, and do it."""
-        host, catch_up = self._host, self._face.device.catch_up
+        host, catch_up = self._host, self._front_end.device.catch_up
         waiting: list[socket.socket] = [self._listener] if host is None else [host, self._listener]
         ready, _, _ = select.select(waiting, [], [], _IDLE_S if host is None else _CATCH_UP_S)
         if host is not None and host in ready:
@@ -67,8 +67,8 @@ class SocketServer:
         self._host = None
 
     def _answer(self, host: socket.socket, data: bytes) -> None:
-        self._face.bulk_out(data)
-        while answer := self._face.bulk_in(_LARGEST):
+        self._front_end.bulk_out(data)
+        while answer := self._front_end.bulk_in(_LARGEST):
             try:
                 host.send(answer, socket.MSG_DONTWAIT)
             except OSError:

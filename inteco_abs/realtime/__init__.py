@@ -3,7 +3,7 @@
 from inteco_abs.realtime.clock import Beat, Clock, PacedClock, VirtualClock
 from inteco_abs.realtime.histogram import Histogram
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.loop import Loop, Stop, StopWord, detail_of
+from inteco_abs.realtime.loop import Loop, StopFlag, StopSource, detail_of
 from inteco_abs.realtime.memory import (
     FOLDER,
     Field,
@@ -17,8 +17,8 @@ from inteco_abs.realtime.memory import (
 )
 from inteco_abs.realtime.ring import RingReader, TickRing, ring_bytes
 from inteco_abs.realtime.round_trips import Quantiles, quantiles
-from inteco_abs.realtime.screen import Check, Lines, NoScreen, Point, SafeScreen, Screen, Snapshot, SnapshotSource
-from inteco_abs.realtime.signal_handlers import hearing
+from inteco_abs.realtime.screen import Lines, NoScreen, Point, SafeScreen, Screen, Snapshot, SnapshotSource, StartCheck
+from inteco_abs.realtime.signal_handlers import handle_signals
 from inteco_abs.realtime.tuning import (
     BOARD_PRIORITY,
     GUARDIAN_PRIORITY,
@@ -42,7 +42,6 @@ __all__ = [
     "GUARDIAN_PRIORITY",
     "LOOP_PRIORITY",
     "Beat",
-    "Check",
     "Clock",
     "Core",
     "Field",
@@ -62,8 +61,9 @@ __all__ = [
     "Setting",
     "Snapshot",
     "SnapshotSource",
-    "Stop",
-    "StopWord",
+    "StartCheck",
+    "StopFlag",
+    "StopSource",
     "TickRing",
     "VirtualClock",
     "Window",
@@ -71,7 +71,7 @@ __all__ = [
     "cores_of",
     "detail_of",
     "guardian_tuning",
-    "hearing",
+    "handle_signals",
     "is_ring",
     "kernel_list",
     "left_rings",

@@ -1,4 +1,4 @@
-"""The word to the user while the board is held and nobody drives it: only the emergency switch may help by then."""
+"""Warns the user when the board is held but no loop drives it: then only the emergency switch may help."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ TEXT: Final = f"no tick for 0.3 s, and the board is not safe yet. {STILL_ON}"
 
 
 class Alarm:
-    """In each process that may outlive the loop: the first in `turn` says it, the next if that one has not."""
+    """Runs in each process that may outlive the loop; the next in `turn` warns if the one before has not."""
 
     def __init__(self, memory: RunMemory, turn: int, say: Callable[[str], bool] | None = None) -> None:
-        """`say` gives whether it could; by default it is the terminal's error output."""
+        """`say` returns whether it could warn; by default the warning goes to standard error."""
         self._words = memory.words
         self._ticks = memory.tick_reader()
         self._silence = Silence(_WINDOW_NS + turn * _TURN_NS, _POLL_NS)
-        self._say = say or self._aloud
+        self._say = say or self._write_stderr
         self._before_ns = time.monotonic_ns()
         self._tried = False
 
     def look(self) -> None:
-        """Say it once if the loop holds the board and has not completed a tick for too long; often called."""
+        """Warn once if the loop holds the board and has completed no tick within the window; call it often."""
         now_ns = time.monotonic_ns()
         passed_ns, self._before_ns = now_ns - self._before_ns, now_ns
         words = self._words
@@ -45,14 +45,14 @@ class Alarm:
             if not words[Field.ALARMED] and self._say(TEXT):
                 words[Field.ALARMED] = 1
 
-    def _aloud(self, text: str) -> bool:
-        """From a thread: a terminal that was halted keeps its writer waiting, and whoever watches must not wait."""
+    def _write_stderr(self, text: str) -> bool:
+        """Write from a thread: a halted terminal blocks its writer, and the watching process must not block."""
 
         def write() -> None:
             with suppress(OSError, ValueError):
                 os.write(2, f"\ninteco-abs: {text}\n".encode())
                 self._words[Field.ALARMED] = 1
 
-        with suppress(RuntimeError):  # no more threads: the next in turn says it
+        with suppress(RuntimeError):  # no thread left: the next in turn warns
             threading.Thread(target=write, daemon=True).start()
         return False

@@ -1,4 +1,4 @@
-"""When the ticks are: two iterators under one loop, in virtual time and in real time."""
+"""The times of the ticks, as two iterators for one loop: virtual time and real time."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ _SPIN_SHORTER_NS: Final = 10
 
 
 class Beat(NamedTuple):
-    """One tick's place in time."""
+    """The deadline of one tick."""
 
     deadline_ns: int
-    """On the clock's own time."""
+    """Time on this clock, ns."""
     skipped: int
-    """Whole periods left out since the beat before, because it took too long."""
+    """Whole periods skipped since the previous beat, because its tick took too long."""
 
 
 class Clock(Protocol):
-    """Endless beats, and the time they are measured in."""
+    """An endless iterator of beats, with its own time."""
 
     def now_ns(self) -> int:
-        """Monotonic time, ns."""
+        """Return the monotonic time, ns."""
         ...
 
     def __iter__(self) -> Iterator[Beat]:
-        """Beats, each given out when its time has come."""
+        """Yield each beat when its deadline comes."""
         ...
 
 
 class VirtualClock:
-    """Time that moves on by one period with each beat, and when told to. Starts at 0."""
+    """A clock that starts at 0 and advances by one period with each beat, and by `pass_ns`."""
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
@@ -44,19 +44,19 @@ class VirtualClock:
         self._asleep_ns = 0
 
     def now_ns(self) -> int:
-        """Time of the newest beat and what has passed since, ns."""
+        """Return the time of the newest beat plus what has passed since, ns."""
         return self._now_ns
 
     def pass_ns(self, duration_ns: int) -> None:
-        """Let time pass before the next beat."""
+        """Advance the clock before the next beat."""
         self._now_ns += duration_ns
 
     def oversleep_ns(self, duration_ns: int) -> None:
-        """Make the next beat so much late."""
+        """Make the next beat late by this much."""
         self._asleep_ns += duration_ns
 
     def __iter__(self) -> Iterator[Beat]:
-        """Beats without waiting, at multiples of the period; those that have passed are left out."""
+        """Yield beats without waiting, at multiples of the period; deadlines that have passed are skipped."""
         period = self._period_ns
         deadline = self._now_ns
         while True:
@@ -72,26 +72,25 @@ class VirtualClock:
 
 
 class PacedClock:
-    """Beats in real time, at multiples of the period from the first. Periods that have passed are left out.
+    """A clock in real time, with beats at multiples of the period; periods that have passed are skipped.
 
-    Sleeps until shortly before a deadline and spins the rest. How long it spins follows how late this machine wakes
-    up: a wake-up past its deadline makes the spin longer at once, all others make it a little shorter, so that about
-    one wake-up in a thousand is late. Never more than 40 % of a period: that much spinning never met the kernel's
-    limit on real-time processes (docs/facts/real-time.md#throttling).
+    It sleeps until shortly before a deadline and spins the rest. The spin adapts: a late wake-up makes it 10 us longer,
+    any other 10 ns shorter, so that about one wake-up in a thousand is late. It takes at most 40 % of a period, which
+    never met the kernel's limit on real-time processes (docs/facts/real-time.md#throttling).
     """
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
         self._most_spin_ns = min(_MOST_SPIN_NS, int(_MOST_SPIN_SHARE * period_ns))
         self.spin_ns = min(_FIRST_SPIN_NS, self._most_spin_ns)
-        """How long before a deadline it wakes up now."""
+        """How long before a deadline it wakes up, ns."""
 
     def now_ns(self) -> int:
-        """The system's monotonic clock, ns."""
+        """Return the system's monotonic clock, ns."""
         return time.monotonic_ns()
 
     def __iter__(self) -> Iterator[Beat]:
-        """Beats, each at its deadline."""
+        """Yield each beat at its deadline."""
         now, sleep, period = time.monotonic_ns, time.sleep, self._period_ns
         deadline = now()
         while True:

@@ -1,4 +1,4 @@
-"""What the supervisor has to know of the recorder's disk: trouble is said at once, and no tick goes without room."""
+"""Reports trouble with the recorder's disk at once, and ends the run before a ring is full."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from inteco_abs.signals import Reason
 
 _SLOW_S: Final = 2.0
 _STOP_S: Final = 1.0
-"""Within which a run that is told to stop has ended."""
+"""Time within which a run that has to stop has ended."""
 
 
 class DiskWatch:
@@ -19,28 +19,29 @@ class DiskWatch:
 
     def __init__(self, memory: RunMemory, job: Job) -> None:
         self._memory, self._job = memory, job
-        self._ticks = memory.tick_reader()
-        self._heard = 0
+        self._ticks, self._truths = memory.tick_reader(), memory.truth_reader()
+        self._reported = 0
         self._slow = False
 
     def look(self, screen: Screen) -> None:
-        """Say what is new, and end the run in order before its ticks have no room left."""
-        self._say_troubles(screen)
-        self._say_if_slow(screen)
+        """Report new trouble, and stop the run before its ticks or its rig's states have no room left."""
+        self._report_troubles(screen)
+        self._report_slowness(screen)
         words = self._memory.words
-        if self._ticks.room < _STOP_S * self._job.config.loop.rate_hz and not words[Field.STOP]:
+        room = min(self._ticks.room, self._truths.room)
+        if room < _STOP_S * self._job.config.loop.rate_hz and not words[Field.STOP]:
             words[Field.STOP] = Reason.RECORDER_LOST
 
-    def _say_troubles(self, screen: Screen) -> None:
-        if self._memory.words[Field.TROUBLES] == self._heard:
+    def _report_troubles(self, screen: Screen) -> None:
+        if self._memory.words[Field.TROUBLES] == self._reported:
             return
-        told = self._memory.note(Mailbox.TROUBLES)
-        if told is not None:
-            for text in told["texts"][self._heard :]:
+        note = self._memory.note(Mailbox.TROUBLES)
+        if note is not None:
+            for text in note["texts"][self._reported :]:
                 screen.warn(text)
-            self._heard = len(told["texts"])
+            self._reported = len(note["texts"])
 
-    def _say_if_slow(self, screen: Screen) -> None:
+    def _report_slowness(self, screen: Screen) -> None:
         words = self._memory.words
         behind = self._ticks.written - words[Field.FLUSHED]
         if not (self._slow or words[Field.TROUBLES]) and behind > _SLOW_S * self._job.config.loop.rate_hz:

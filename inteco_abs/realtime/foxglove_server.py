@@ -1,9 +1,9 @@
-"""Shows a run to Lichtblick and Foxglove while it lasts: a websocket on this computer only, in the recorder's process.
+"""Serves a run to Lichtblick and Foxglove while it lasts, over a websocket on this computer, in the recorder's process.
 
-It looks at the newest tick a hundred times a second and takes nothing out of the ring, so the recording is whole,
-however the view ends. Any program of this computer may connect, so that no more than a few do at a time; web pages may
-not, but for those of this computer and of the Foxglove app. Protocol: foxglove.sdk.v1 (docs.foxglove.dev, "WebSocket
-protocol"): texts in JSON, ticks in binary.
+The server reads the newest tick a hundred times a second and takes nothing out of the ring, so the recording stays
+whole. Any program of this computer may connect, a few at a time; web pages may not, except those of this computer and
+of the Foxglove app. Protocol: foxglove.sdk.v1 (docs.foxglove.dev, "WebSocket protocol"): texts in JSON, ticks in
+binary.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from inteco_abs.realtime.ring import RingReader
 HOST: Final = "127.0.0.1"
 PERIOD_S: Final = 0.01
 MOST_VIEWERS: Final = 16
-"""At a time, those that have only connected among them: each holds a descriptor of the recorder."""
+"""Most connections at a time, with or without a handshake: each holds a descriptor of the recorder."""
 _SHOWN: Final = ("time_ns", "tick")
 _PROTOCOL: Final[Any] = "foxglove.sdk.v1"
 _ORIGINS: Final[Any] = (
-    None,  # a browser names the page that asks; what is not a browser names none
+    None,  # a browser names the page that asks; other programs name none
     re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?"),
     "https://app.foxglove.dev",
     re.compile(r"(?!https?:)[a-z][a-z0-9+.-]*://.*"),  # a viewer installed here, such as file://; no page can say so
@@ -47,14 +47,14 @@ _MESSAGE: Final = struct.Struct("<BIQ")
 _MESSAGE_DATA: Final = 1
 _HANDSHAKE_S: Final = 5.0
 _FAREWELL_S: Final = 0.5
-"""For what a viewer has not taken yet when the run is over."""
+"""Time for what a viewer has not received when the run is over."""
 _LONGEST_REQUEST: Final = 1 << 16
 _MOST_BEHIND: Final = 1 << 16
-"""Bytes that a viewer may leave untaken before ticks are left out for it."""
+"""Bytes that may wait for a viewer before it misses ticks."""
 
 
 def require_foxglove(port: int) -> None:
-    """Raise AbsError if what serves is not installed, or cannot have that port now."""
+    """Raise AbsError if websockets is not installed, or the port is taken."""
     if importlib.util.find_spec("websockets") is None:
         raise AbsError("--foxglove needs websockets: pip install 'inteco-abs[foxglove]'; nothing was started")
     with socket.socket() as trial:
@@ -73,15 +73,15 @@ def _not_served(port: int, why: str) -> AbsError:
 
 
 def address(port: int) -> str:
-    """Where a viewer finds the run."""
+    """Return the address at which a viewer finds the run."""
     return f"ws://{HOST}:{port}"
 
 
 @contextmanager
 def live_view(memory: RunMemory, job: Job) -> Iterator[None]:
-    """Serve the run in `memory` meanwhile, if its job asks for that; its port is then the word LIVE_PORT.
+    """Serve the run in `memory` inside the context if its job asks for it; LIVE_PORT then holds the port.
 
-    Raises AbsError where that port cannot be had. What goes wrong later ends the view, and nothing else.
+    Raises AbsError if the port is taken. A later failure ends the view only.
     """
     if job.live_port is None:
         yield
@@ -95,10 +95,10 @@ def live_view(memory: RunMemory, job: Job) -> Iterator[None]:
 
 
 class _View:
-    """Serves the newest ticks that `reader` finds; `epoch_ns` is the UNIX time of the monotonic clock's zero."""
+    """Serves the newest ticks of `reader`; `epoch_ns` is the UNIX time of the monotonic clock's zero, ns."""
 
     def __init__(self, reader: RingReader, port: int, session_id: str, epoch_ns: int) -> None:
-        import websockets.server  # noqa: F401, PLC0415  an extra; now, rather than while ticks come
+        import websockets.server  # noqa: F401, PLC0415  an extra; loaded before ticks come
 
         self._reader = reader
         self._epoch_ns = epoch_ns
@@ -118,7 +118,7 @@ class _View:
         self._thread.start()
 
     def close(self) -> None:
-        """Show the last tick, and stop."""
+        """Send the last tick, and stop."""
         self._over.set()
         self._thread.join()
 
@@ -128,7 +128,7 @@ class _View:
                 self._listen(PERIOD_S)
                 self._show()
             self._leave()
-        except Exception as error:  # noqa: BLE001  nothing of it may end the recording
+        except Exception as error:  # noqa: BLE001  a viewer must not end the recording
             print(f"inteco-abs: the live view has ended, and the run goes on: {error}", file=sys.stderr)  # noqa: T201
         finally:
             self._selector.close()
@@ -136,15 +136,15 @@ class _View:
                 one.close()
 
     def _listen(self, most_s: float) -> None:
-        """Take what viewers say in so many seconds, or a little longer."""
+        """Serve the viewers' requests for `most_s` or a little longer."""
         end = time.monotonic() + most_s
         while True:
             for key, _ in self._selector.select(max(0.0, end - time.monotonic())):
                 if key.data is None:
                     self._admit()
                 else:
-                    key.data.hear()
-            self._part()
+                    key.data.receive()
+            self._drop_gone()
             if time.monotonic() >= end:
                 return
 
@@ -161,8 +161,8 @@ class _View:
         self._viewers.add(viewer)
         self._selector.register(connection, selectors.EVENT_READ, viewer)
 
-    def _part(self) -> None:
-        """From viewers that have left, or have said nothing of use for too long; the others take what they have not."""
+    def _drop_gone(self) -> None:
+        """Send what still waits, and drop viewers that have left or have not completed the handshake in time."""
         for viewer in self._viewers:
             viewer.send()
         for viewer in [each for each in self._viewers if each.gone]:
@@ -171,7 +171,7 @@ class _View:
             viewer.socket.close()
 
     def _show(self) -> None:
-        """The newest tick, unless it was the one before."""
+        """Send the newest tick, unless it has been sent."""
         record = self._reader.newest()
         if record is None:
             return
@@ -191,7 +191,7 @@ class _View:
 
 
 class _Viewer:
-    """One connection, from its first byte on. The protocol is the library's; no call here waits for the other end."""
+    """One connection, from its first byte on, with the library's protocol; no call waits for the other end."""
 
     def __init__(self, connection: socket.socket, port: int, introduction: tuple[str, str]) -> None:
         from websockets.server import ServerProtocol  # noqa: PLC0415  an extra
@@ -209,12 +209,12 @@ class _Viewer:
 
     @property
     def gone(self) -> bool:
-        """Whether nothing is left to say to it."""
+        """Whether nothing is left to send to it."""
         late = not self._opened and time.monotonic() > self._patience_s
         return self._broken or late or (not self._untaken and self._protocol.close_expected())
 
-    def hear(self) -> None:
-        """Take and answer what has come."""
+    def receive(self) -> None:
+        """Read what has arrived, and answer it."""
         try:
             data = self.socket.recv(_LONGEST_REQUEST)
         except BlockingIOError:
@@ -231,11 +231,11 @@ class _Viewer:
             if not self._opened:
                 self._answer(event)
             elif getattr(event, "opcode", None) == 1:  # text
-                self._obey(event.data)
+                self._handle(event.data)
         self.send()
 
     def show(self, log_time_ns: int, record: bytes) -> None:
-        """One tick to each of its subscriptions, unless it takes them too slowly or is leaving."""
+        """Send one tick to each subscription, unless the viewer is too slow or is leaving."""
         if len(self._untaken) > _MOST_BEHIND or self._protocol.close_expected():
             self.send()
             return
@@ -244,7 +244,7 @@ class _Viewer:
         self.send()
 
     def leave(self) -> None:
-        """The run is over."""
+        """Close the connection: the run is over."""
         if self._opened:
             with suppress(Exception):  # it is closing already
                 self._protocol.send_close(1001)
@@ -253,11 +253,11 @@ class _Viewer:
             self._broken = True
 
     def _answer(self, request: Any) -> None:
-        """Accept or refuse it."""
+        """Accept or reject the handshake."""
         hosts = request.headers.get_all("Host")
         if len(hosts) == 1 and hosts[0] in self._hosts:
             response = self._protocol.accept(request)
-        else:  # a page whose own name leads to this computer
+        else:  # a page whose host name resolves to this computer
             response = self._protocol.reject(403, f"Connect to one of {', '.join(sorted(self._hosts))}.\n")
         self._protocol.send_response(response)
         if response.status_code == 101:  # switching protocols
@@ -265,21 +265,21 @@ class _Viewer:
             for text in self._introduction:
                 self._protocol.send_text(text.encode())
 
-    def _obey(self, data: bytes) -> None:
-        """Subscribe or unsubscribe; whatever else a viewer asks for is not offered."""
+    def _handle(self, data: bytes) -> None:
+        """Subscribe or unsubscribe; other operations are not offered."""
         try:
-            told = json.loads(data)
-            if told["op"] == "subscribe":
-                wanted = {each["id"] for each in told["subscriptions"] if each["channelId"] == _CHANNEL}
+            request = json.loads(data)
+            if request["op"] == "subscribe":
+                wanted = {each["id"] for each in request["subscriptions"] if each["channelId"] == _CHANNEL}
                 if all(type(each) is int and 0 <= each < 1 << 32 for each in wanted):
                     self._subscriptions = set(sorted(self._subscriptions | wanted)[:MOST_VIEWERS])
-            elif told["op"] == "unsubscribe":
-                self._subscriptions -= set(told["subscriptionIds"])
+            elif request["op"] == "unsubscribe":
+                self._subscriptions -= set(request["subscriptionIds"])
         except (ValueError, TypeError, LookupError, RecursionError):
             self._protocol.fail(1008, "not a message of this protocol")
 
     def send(self) -> None:
-        """As much as the other end takes now."""
+        """Send as much as the other end accepts now."""
         for data in self._protocol.data_to_send():
             self._untaken += data  # b"" asks for an end of sending, which closing gives
         try:
@@ -291,7 +291,7 @@ class _Viewer:
 
 
 def _introduction(session_id: str) -> tuple[str, str]:
-    """Who serves, and what: the first two messages to each viewer."""
+    """Return the first two messages to each viewer: server and channel."""
     info = {"op": "serverInfo", "name": "inteco-abs", "capabilities": [], "sessionId": session_id}
     channel = {
         "id": _CHANNEL,

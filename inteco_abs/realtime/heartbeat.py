@@ -1,4 +1,4 @@
-"""A sign of life from a thread of its own, for processes whose work may take its time."""
+"""A heartbeat from a thread, for processes whose main thread may block."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NO_MORE: Final = "end other programs, or raise the limit of processes (ulimit -u
 
 @contextmanager
 def repeating(act: Callable[[], object], every_s: float, tunings: Collection[Tuning] = ()) -> Iterator[None]:
-    """While inside, `act` so often in a thread with this tuning. Raises BoardError if no thread can be started."""
+    """Call `act` every `every_s` seconds in a thread with this tuning. Raises BoardError if no thread starts."""
     over = threading.Event()
 
     def repeat() -> None:
@@ -39,7 +39,7 @@ def repeating(act: Callable[[], object], every_s: float, tunings: Collection[Tun
 
 @contextmanager
 def beating(memory: RunMemory, word: Field, every_s: float, tunings: Collection[Tuning] = ()) -> Iterator[None]:
-    """While inside, note the time in `word` so often, from a thread as of `repeating`."""
+    """Write the monotonic time in ns to `word` every `every_s` seconds; see `repeating`."""
 
     def beat() -> None:
         memory.words[word] = time.monotonic_ns()

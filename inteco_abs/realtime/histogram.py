@@ -1,4 +1,4 @@
-"""How punctual a run is so far: counts per microsecond, in memory that a screen may read while they grow."""
+"""Histogram of lateness, 1 us a bin, in memory that a screen may read while it grows."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ _WORD: Final = 8
 
 
 class Histogram:
-    """Lateness in bins of 1 us up to 2047 us, with everything later in the last one, and the greatest value.
+    """Counts lateness in bins of 1 us; the last bin holds everything from 2047 us on. Keeps the greatest value.
 
-    Adding takes the same time whatever was added before. `memory` has `BYTES` bytes, zero at first; one process adds.
+    `memory` has `BYTES` bytes, zero at first; only one process may add.
     """
 
     BYTES: ClassVar[int] = _WORD * (_BINS + 2)
@@ -24,7 +24,7 @@ class Histogram:
         self._skipped = view[_WORD * (_BINS + 1) : self.BYTES].cast("q")
 
     def add(self, values_us: Iterable[float], skipped: int = 0) -> None:
-        """Count values in us, and periods that were left out between them."""
+        """Count values in us, and skipped periods."""
         self._skipped[0] += skipped
         counts, greatest = self._counts, self._greatest[0]
         for value in values_us:
@@ -33,14 +33,14 @@ class Histogram:
         self._greatest[0] = greatest
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Reset all counts to zero."""
         for at in range(_BINS):
             self._counts[at] = 0
         self._greatest[0], self._skipped[0] = 0.0, 0
 
     @property
     def skipped(self) -> int:
-        """Periods left out so far."""
+        """Periods skipped so far."""
         return self._skipped[0]
 
     @property
@@ -49,7 +49,7 @@ class Histogram:
         return self._greatest[0]
 
     def quantiles_us(self, shares: Iterable[float]) -> list[float | None]:
-        """Upper edge of the bin below which each share, ascending in 0..1, of the values lies; None without values."""
+        """Return the upper bin edge for each share, ascending in 0..1, of the values, us; None without values."""
         counts = self._counts.tolist()
         total, seen, at, found = sum(counts), 0, -1, list[float | None]()
         for share in shares:
@@ -60,5 +60,5 @@ class Histogram:
         return found
 
     def sparse(self) -> dict[str, int]:
-        """Counts by lower edge of the bin in us, empty bins left out."""
+        """Return the counts by lower edge of the bin in us, without empty bins."""
         return {str(at): count for at, count in enumerate(self._counts.tolist()) if count}

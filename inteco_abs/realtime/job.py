@@ -1,4 +1,4 @@
-"""What the processes of a real-time run are told to do."""
+"""The job that the processes of a real-time run share."""
 
 from __future__ import annotations
 
@@ -17,40 +17,40 @@ _FILES: Final = ("controller_source", "profile")
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One run, as told by the supervisor to everybody else."""
+    """One run, as the supervisor describes it to the other processes."""
 
     out: str
     """Session file to write, absolute."""
     session: str
-    """The same as the user named it."""
+    """Session file as the user named it."""
     board: str
     """Address as the user gave it."""
     address: str
-    """Where the processes find that board."""
+    """Address at which the processes open that board."""
     seed: int
     session_id: str
     config: RigConfig
     controller_source: bytes
-    """Of a controller that does not ship: what a process runs if the configuration names it as file.py:Class."""
+    """Source of a controller that the configuration names as file.py:Class; else empty."""
     facts: Mapping[str, Mapping[str, str]]
     """Metadata: software and host."""
     wire: str = ""
-    """Capture to write, absolute: everything that passes between the loop and the board."""
+    """Capture file for all messages between loop and board, absolute; empty for none."""
     frames: bool = False
-    """Whether all that goes into the session, too."""
+    """Whether these messages also go into the session."""
     controller_package: str = ""
     """Name and version of the package that the controller comes from; empty if from none."""
     virtual: bool = False
-    """Whether the run has taken no time: its recorder was in the loop's process."""
+    """Whether the run was in virtual time, recorded in the loop's process."""
     profile: bytes = b""
     """The profile as it was written."""
     live_port: int | None = None
-    """Where to serve the run to viewers; 0 for any port that is free, None for not at all."""
+    """TCP port of the live view; 0 for any free port, None for no view."""
     faults: tuple[str, ...] = ()
-    """What the mock board is to do wrong, as it was typed."""
+    """Faults of the mock board, as they were typed."""
 
     def post(self, memory: RunMemory) -> None:
-        """Leave it for the others, which trust its configuration. Raises ConfigError for values out of range."""
+        """Check the configuration and post the job in `memory`. Raises ConfigError for values out of range."""
         files = {name: base64.b64encode(getattr(self, name)).decode() for name in _FILES}
         config = self.config.to_toml()
         parse_config(config)
@@ -58,12 +58,15 @@ class Job:
 
     @classmethod
     def of(cls, memory: RunMemory, config_of: Callable[[str], RigConfig] = trusted_config) -> Self:
-        """The job of a run. Who was not started by it hands in `parse_config`, which may raise ConfigError."""
-        told: dict[str, Any] | None = memory.note(Mailbox.JOB)
-        if told is None:
-            raise SessionError(f"{memory.path}: holds no job: the run died before it began; remove it")
-        told["config"] = config_of(told["config"])
-        return cls(**told | {name: base64.b64decode(told[name]) for name in _FILES})
+        """Return the job of the run in `memory`; raises SessionError if there is none.
+
+        Processes of the run trust its configuration; others pass `parse_config`, which may raise ConfigError.
+        """
+        note: dict[str, Any] | None = memory.note(Mailbox.JOB)
+        if note is None:
+            raise SessionError(f"{memory.path}: holds no job: the run ended before it began; remove the file")
+        note["config"] = config_of(note["config"])
+        return cls(**note | {name: base64.b64decode(note[name]) for name in _FILES})
 
     @property
     def path(self) -> Path:

@@ -1,4 +1,4 @@
-"""The loop: output first, then read, decide, record. Nothing else happens in it."""
+"""The loop: write outputs, read, decide, record, and nothing else."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from inteco_abs.realtime.ring import TickRing
 from inteco_abs.signals import Command, Reason, Timing
 
 
-class Stop(Protocol):
-    """Asked once a tick whether the run has to end."""
+class StopSource(Protocol):
+    """Says once a tick whether the run has to end."""
 
     def wanted(self, now_ns: int) -> Reason:
-        """Why the run must end now, or NONE."""
+        """Return why the run must end now, or NONE."""
         ...
 
 
-class StopWord:
-    """A request to end the run, set from a signal handler in the loop's own process. Never cleared."""
+class StopFlag:
+    """A request to stop, set by a signal handler in the loop's own process; never cleared."""
 
     __slots__ = ("_reason",)
 
@@ -32,15 +32,15 @@ class StopWord:
 
     @property
     def requested(self) -> bool:
-        """Whether the loop has been asked."""
+        """Whether a stop was requested."""
         return self._reason is not Reason.NONE
 
     def request(self, reason: Reason = Reason.OPERATOR_STOP) -> None:
-        """Ask the loop to stop at its next tick; the first reason stays."""
+        """Stop the loop at its next tick; the first reason stays."""
         self._reason = self._reason or reason
 
     def wanted(self, _now_ns: int) -> Reason:
-        """The reason once requested, or NONE."""
+        """Return the requested reason, or NONE."""
         return self._reason
 
 
@@ -50,9 +50,9 @@ class Loop:
     A tick writes the command of the tick before, reads the board, decides, records: one period of delay, always.
     """
 
-    def __init__(self, board: Board, pipeline: Pipeline, clock: Clock, ring: TickRing, stop: Stop) -> None:
+    def __init__(self, board: Board, pipeline: Pipeline, clock: Clock, ring: TickRing, stop: StopSource) -> None:
         self.skipped = 0
-        """Whole periods that passed without a tick."""
+        """Periods without a tick so far."""
         self._board = board
         self._pipeline = pipeline
         self._clock = clock
@@ -65,8 +65,7 @@ class Loop:
     def run(self, most: int | None = None) -> bool:
         """Run up to `most` ticks (None: to the end); True once the experiment is over.
 
-        The watchdog is fed meanwhile. No garbage is collected: a collection takes as long as ten ticks, and the loop
-        makes no cycles.
+        Feeds the watchdog. Collects no garbage: a collection takes as long as ten ticks, and the loop makes no cycles.
         """
         collecting = gc.isenabled()
         gc.disable()
@@ -99,7 +98,7 @@ class Loop:
 
 
 def detail_of(pipeline: Pipeline, board: Board) -> str:
-    """What the controller raised, or the link's last error, where the run ended for one of these; else empty."""
+    """Return the controller's or the link's last error if the run ended for it, else an empty text."""
     if pipeline.error is not None:
         return str(pipeline.error) if isinstance(pipeline.error, AbsError) else in_words(pipeline.error)
     if pipeline.reason is Reason.MISSED_EXCHANGES and board.last_error is not None:

@@ -1,6 +1,6 @@
-"""What the processes of one run share: words, notes, two rings. One file in memory, which outlives any of them.
+"""Shared memory of one run: words, notes and two rings, in one file in memory that outlives every process.
 
-Nobody takes a lock. Every word has one writer at a time; readers poll.
+There is no lock. Every word has one writer at a time; readers poll.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from inteco_abs.errors import SessionError
 from inteco_abs.realtime.histogram import Histogram
 from inteco_abs.realtime.ring import Pack, RingReader, TickRing, ring_bytes
 
-FOLDER: Final = Path("/dev/shm")  # noqa: S108  memory, not a place for temporary files; the name is unique
+FOLDER: Final = Path("/dev/shm")  # noqa: S108  shared memory; the name is unique
 SUFFIX: Final = ".ring"
 _PREFIX: Final = "inteco-abs-"
 _SOCKET: Final = ".board"
@@ -35,7 +35,7 @@ _MAGIC: Final = _KIND + b" 2\n"
 _HEADER: Final = struct.Struct("<32s4Q")
 _POLL_S: Final = 0.001
 _NO_PROCESS: Final = (errno.ESRCH, errno.EINVAL, errno.ENOENT)
-"""Of pidfd_open: there is none, or the number is that of a mere thread (ENOENT since Linux 6.9)."""
+"""Errors of pidfd_open for no process, or for a thread's number (ENOENT since Linux 6.9)."""
 _LARGEST_PID: Final = (1 << 31) - 1
 _START_TIME: Final = 19
 """Field of /proc/PID/stat, counted from 0 behind the name (proc(5): field 22)."""
@@ -44,22 +44,22 @@ _START_TIME: Final = 19
 class Field(IntEnum):
     """Eight-byte words, by their writer.
 
-    The drill comes before the loop, and the supervisor after a guardian that is gone: one takes the other's place.
+    The drill writes in the loop's place before the run, the supervisor in a dead guardian's place.
     """
 
     # the supervisor
     SUPERVISOR_PID = 0
     SUPERVISOR_BEAT_NS = auto()
     GUARDED_PID = auto()
-    """Process that the guardian is to watch."""
+    """Process that the guardian has to watch."""
     LOOP_PID = auto()
     RECORDER_PID = auto()
     STOP = auto()
-    """Reason for which the operator's side wants the run to end."""
+    """Reason of the operator's side for ending the run."""
     GO = auto()
-    """Everything is ready: the loop may begin."""
+    """1 once the loop may begin."""
     OVER = auto()
-    """Nothing is left to guard."""
+    """1 once nothing is left to guard."""
     # the process that holds the board: first the one of the drill, then the loop
     HOLDER_PID = auto()
     """Set before the board is opened, 0 again once SAFE has been read back."""
@@ -68,74 +68,74 @@ class Field(IntEnum):
     # the guardian
     GUARDIAN_BEAT_NS = auto()
     GUARDING_PID = auto()
-    """What the guardian watches by now."""
+    """Process that the guardian watches."""
     GUARDIAN_STOP = auto()
-    """Reason for which the guardian wants the run to end."""
+    """Reason of the guardian for ending the run."""
     RESCUED_PID = auto()
-    """Whose board the guardian has taken over last and made safe, or tried to: see the note RESCUE."""
+    """Process whose board was taken over last; the note RESCUE has the result."""
     SAVING = auto()
-    """1 while the loop's process, its board let go of, writes what was recorded of the wire."""
+    """1 while the loop's process, its board closed, writes the recorded messages."""
     # the recorder
     RECORDER_BEAT_NS = auto()
     RECORDING = auto()
-    """1 once everything that explains the run is on the disk."""
+    """1 once the session's header is on the disk."""
     FLUSHED = auto()
-    """Ticks that are in the file for sure."""
+    """Number of ticks that are safely in the file."""
     LIVE_PORT = auto()
-    """Where the run is served to viewers; 0 if it is not."""
+    """TCP port of the live view; 0 without one."""
     TROUBLES = auto()
-    """How often a disk has refused: see the note TROUBLES."""
+    """Number of refusals by a disk: see the note TROUBLES."""
     # the supervisor again
     KEPT = auto()
-    """1 once it has said that the ticks stay here."""
+    """1 once it has decided that the ticks stay here."""
     EPOCH_NS = auto()
-    """UNIX time of the monotonic clock's zero."""
+    """UNIX time of the monotonic clock's zero, ns."""
     UNRECORDED = auto()
-    """1 if its ticks are for a screen only, and to be kept by nobody."""
+    """1 if the ticks are for a screen only, and not recorded."""
     # the panel's screen
     REQUESTED_DRIVE = auto()
     """Duty, in millionths."""
     REQUESTED_BRAKE = auto()
     KEY_SEEN_NS = auto()
-    """When the key that keeps the outputs on was last seen."""
+    """Monotonic time at which the key that keeps the outputs on was last seen."""
     LOOKS_ASKED = auto()
-    """Readings of the whole board that it has asked for."""
-    # the process that holds the board for it
+    """Number of readings of the whole board that it has requested."""
+    # the process that holds the board for the panel
     LOOKS = auto()
-    """Which of them is in the note RESULT."""
-    # whoever comes first
+    """Number of the reading in the note RESULT."""
+    # the first process to warn
     ALARMED = auto()
-    """1 once the user has been told that nobody drives a board that is held."""
-    # when the processes that a run belongs to have started: a number may be given to another process later
+    """1 once the user was warned that the board is held without a loop that drives it."""
+    # start times of the run's processes, since the system may give their numbers to others later
     SUPERVISOR_STARTED = auto()
-    """Ticks of the system's clock since it was started, as in `start_time`; 0 if not known."""
+    """As `start_time` returns it; 0 if not known."""
     LOOP_STARTED = auto()
     RECORDER_STARTED = auto()
 
 
 class Mailbox(IntEnum):
-    """Texts and images that one process leaves for the others."""
+    """Texts and images that one process posts for the others."""
 
     JOB = 0
-    INTRODUCTION = auto()
+    HEADER = auto()
     SAFE_IMAGE = auto()
     DRILL = auto()
-    """What the guardian's drill showed."""
-    CONCLUSION = auto()
+    """Result of the guardian's drill."""
+    RUN_END = auto()
     FAILURE = auto()
-    """Of the loop: why it ended before or after the run."""
+    """Why the loop's process ended before or after the run."""
     RECORDER_FAILURE = auto()
     RESCUE = auto()
     RESULT = auto()
-    SURROUNDINGS = auto()
-    """Packages and changes of the source tree, which take the recorder too long to be gathered twice."""
+    ENVIRONMENT = auto()
+    """Packages and changes of the source tree, which take too long to be gathered twice."""
     INJECTED = auto()
     """How often each fault of the mock board has acted."""
     TROUBLES = auto()
-    """What the recorder has to say of its disks, and which file it writes by now."""
+    """The recorder's reports on its disks, and the file that it writes now."""
 
 
-_NOTE_BYTES: Final = {Mailbox.JOB: 2 << 20, Mailbox.SURROUNDINGS: 2 << 20}
+_NOTE_BYTES: Final = {Mailbox.JOB: 2 << 20, Mailbox.ENVIRONMENT: 2 << 20}
 _OTHER_NOTE_BYTES: Final = 64 << 10
 _WORDS_AT: Final = 4096
 _NOTES_AT: Final = 8192
@@ -144,7 +144,7 @@ _OWNERS: Final = {
     Field.LOOP_PID: Field.LOOP_STARTED,
     Field.RECORDER_PID: Field.RECORDER_STARTED,
 }
-"""Processes that a run belongs to: number, and start."""
+"""Words with the number and the start time of each process of the run."""
 
 
 def _note_places() -> tuple[dict[Mailbox, tuple[int, int]], int]:
@@ -161,12 +161,12 @@ _RINGS_AT: Final = -(-(_HISTOGRAM_AT + Histogram.BYTES) // 4096) * 4096
 
 
 def run_bytes(tick_bytes: int, tick_capacity: int, truth_bytes: int, truth_capacity: int) -> int:
-    """Size of the memory of a run with so many records of such sizes."""
+    """Return the size in bytes of the memory for rings of these record sizes and capacities."""
     return _RINGS_AT + ring_bytes(tick_bytes, tick_capacity) + ring_bytes(truth_bytes, truth_capacity)
 
 
 def require_room(size: int) -> None:
-    """Raise SessionError unless the system has so many bytes of shared memory now; takes none of it."""
+    """Raise SessionError unless `size` bytes of shared memory are free; takes none."""
     try:
         free = shutil.disk_usage(FOLDER).free
     except OSError as error:
@@ -199,13 +199,13 @@ class RunMemory:
 
     @classmethod
     def create(cls, tick_bytes: int, tick_capacity: int, truth_bytes: int, truth_capacity: int) -> Self:
-        """New memory for so many records of such sizes. Raises SessionError if there is not enough."""
+        """Create the memory of a new run. Raises SessionError if there is not enough."""
         size = run_bytes(tick_bytes, tick_capacity, truth_bytes, truth_capacity)
         path = FOLDER / f"{_PREFIX}{uuid.uuid4()}{SUFFIX}"
         try:
             file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
             try:
-                os.posix_fallocate(file, 0, size)  # now, rather than a bus error in mid-run
+                os.posix_fallocate(file, 0, size)  # now: later it would be a bus error
                 os.pwrite(file, _HEADER.pack(_MAGIC, tick_bytes, tick_capacity, truth_bytes, truth_capacity), 0)
             finally:
                 os.close(file)
@@ -222,20 +222,20 @@ class RunMemory:
 
     @classmethod
     def private(cls, tick_bytes: int, tick_capacity: int) -> Self:
-        """Memory of this process alone, without a file: for a board that is held here, in virtual time."""
+        """Create memory of this process alone, without a file, for a board held here in virtual time."""
         mapping = mmap.mmap(-1, run_bytes(tick_bytes, tick_capacity, 1, 1))
         _HEADER.pack_into(mapping, 0, _MAGIC, tick_bytes, tick_capacity, 1, 1)
         return cls(Path(), mapping)
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Memory of a run that exists; raises SessionError if it is none, or cannot be had."""
+        """Open the memory of a run; raises SessionError if `path` is another file or cannot be opened."""
         try:
             file = os.open(path, os.O_RDWR)
             try:
                 size = os.fstat(file).st_size
                 if size < _RINGS_AT or os.pread(file, len(_MAGIC), 0) != _MAGIC:
-                    raise SessionError(f"{path}: is not a tick ring of this version")
+                    raise SessionError(f"{path}: not a tick ring of this version")
                 # every page now: the loop must not meet a page fault
                 mapping = mmap.mmap(file, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
             finally:
@@ -244,83 +244,80 @@ class RunMemory:
             raise SessionError(f"{path}: {error.strerror or error}") from error
         _, tick_bytes, ticks, truth_bytes, truths = _HEADER.unpack_from(mapping)
         if size != _RINGS_AT + ring_bytes(tick_bytes, ticks) + ring_bytes(truth_bytes, truths):
-            raise SessionError(f"{path}: has {size} bytes, which is not what its header says: it was cut")
+            raise SessionError(f"{path}: has {size} bytes, not what its header says: the file was cut off")
         return cls(path, mapping)
 
     def keep(self) -> None:
-        """Make `remove` leave everything where it is: what it holds is nowhere else."""
+        """Make `remove` do nothing: the ticks are nowhere else."""
         self._kept = True
         self.words[Field.KEPT] = 1
         _unlink(self.socket)
 
     def remove(self) -> None:
-        """Give the memory back once everybody has left it; what it holds is in the file by now.
-
-        A copy that lies elsewhere is the user's own, and stays.
-        """
+        """Unlink the memory and the files beside it; a copy elsewhere is the user's own, and stays."""
         if self._kept or FOLDER.resolve() not in self.path.resolve().parents:
             return
         _unlink_all(self.path)
 
     @property
     def socket(self) -> Path:
-        """Where the mock board of this run listens, if it has one."""
+        """Socket at which the mock board of this run listens."""
         return self.path.with_suffix(_SOCKET)
 
     @property
     def frames(self) -> Path:
-        """Where the loop's process leaves what passed between it and the board, if that was asked for."""
+        """File in which the loop's process saves the raw frames, if the job asks for them."""
         return self.path.with_suffix(_FRAMES)
 
     def name(self, owner: Field, pid: int) -> None:
-        """Process `pid` is now the run's `owner`: SUPERVISOR_PID, LOOP_PID or RECORDER_PID."""
+        """Enter process `pid` as the run's `owner`: SUPERVISOR_PID, LOOP_PID or RECORDER_PID."""
         self.words[_OWNERS[owner]] = start_time(pid)
         self.words[owner] = pid
 
     def in_use(self) -> bool:
-        """Whether any process of the run may still need it."""
+        """Return whether any process of the run may still need the memory."""
         return _in_use(self.words)
 
     def post(self, note: Mailbox, content: Any) -> None:
-        """Leave a note: bytes, or anything that JSON can say."""
+        """Post a note: bytes, or what JSON can hold. Raises SessionError if it is too long."""
         data = content if isinstance(content, bytes) else json.dumps(content).encode()
         at, size = _NOTES[note]
         if len(data) > size - 8:
             raise SessionError(f"{note.name.lower()} of {len(data)} bytes is too long: at most {size - 8}")
         struct.pack_into("<Q", self._memory, at, 0)
         self._memory[at + 8 : at + 8 + len(data)] = data
-        struct.pack_into("<Q", self._memory, at, len(data) + 1)  # last: a note is there as a whole or not at all
+        struct.pack_into("<Q", self._memory, at, len(data) + 1)  # last: a note is there whole or not at all
 
     def image(self, note: Mailbox) -> bytes | None:
-        """A note's bytes; None if it was not left yet, or is just being replaced."""
+        """Return a note's bytes; None if it was not posted yet, or is just being replaced."""
         at, _ = _NOTES[note]
         (length,) = struct.unpack_from("<Q", self._memory, at)
         data = bytes(self._memory[at + 8 : at + 7 + length]) if length else None
         return data if struct.unpack_from("<Q", self._memory, at) == (length,) else None
 
     def note(self, note: Mailbox) -> Any:
-        """A note; None if it was not left yet."""
+        """Return a note; None if it was not posted yet."""
         data = self.image(note)
         return None if data is None else json.loads(data)
 
     def tick_ring(self, pack: Pack, first: int = 0) -> TickRing:
-        """The loop's end of the ticks, whose first record has that number."""
+        """Return the writer of the ticks, whose first record has the number `first`."""
         return TickRing(pack, self._tick_bytes, self.tick_capacity, self._ticks, first)
 
     def tick_reader(self) -> RingReader:
-        """A reader's end of the ticks."""
+        """Return a reader of the ticks."""
         return RingReader(self._ticks, self._tick_bytes, self.tick_capacity)
 
     def truth_ring(self, pack: Pack, first: int = 0) -> TickRing:
-        """The mock board's end of its own record, whose first record has that number."""
+        """Return the writer of the simulated rig's states, whose first record has the number `first`."""
         return TickRing(pack, self._truth_bytes, self._truth_capacity, self._truths, first)
 
     def truth_reader(self) -> RingReader:
-        """A reader's end of the mock board's record."""
+        """Return a reader of the simulated rig's states."""
         return RingReader(self._truths, self._truth_bytes, self._truth_capacity)
 
     def wait(self, condition: Callable[[], object], most_s: float) -> bool:
-        """Poll until `condition()` is true; False after `most_s`."""
+        """Poll until `condition()` is true; return False after `most_s`."""
         end = time.monotonic() + most_s
         while not condition():
             if time.monotonic() > end:
@@ -330,9 +327,9 @@ class RunMemory:
 
 
 def is_ring(path: Path) -> bool:
-    """Whether a file is what a run leaves in memory, of whatever version."""
+    """Return whether a file is the memory of a run, of any version."""
     try:
-        if not path.is_file():  # to open a pipe is to wait for who writes into it
+        if not path.is_file():  # opening a pipe would wait for its writer
             return False
         with path.open("rb") as file:
             return file.read(len(_KIND)) == _KIND
@@ -341,9 +338,9 @@ def is_ring(path: Path) -> bool:
 
 
 def left_rings(folder: Path = FOLDER) -> Iterator[Path]:
-    """Memories of this user's runs whose every process is gone before their file was complete.
+    """Yield the memories of this user's runs whose processes all ended before the session was complete.
 
-    Those without a tick, or with none to be kept, are removed. Looks at a few words of each, as a memory may be large.
+    Removes memories without ticks to be kept. Reads only the first words of each, as a memory may be large.
     """
     for path in sorted(folder.glob(f"{_PREFIX}*{SUFFIX}")):
         head = _head_of_own(path)
@@ -359,7 +356,7 @@ def left_rings(folder: Path = FOLDER) -> Iterator[Path]:
 
 
 def _head_of_own(path: Path) -> bytes:
-    """Beginning of a regular file of this user's; empty for anything else: all users may put pipes and links there."""
+    """Return the first bytes of this user's regular file, else nothing: all users may put pipes and links there."""
     try:
         file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
         try:
@@ -369,35 +366,35 @@ def _head_of_own(path: Path) -> bytes:
         finally:
             os.close(file)
     except OSError:
-        return b""  # gone meanwhile
+        return b""  # removed meanwhile
 
 
 def _in_use(words: memoryview) -> bool:
-    """Whether any process that the run belongs to has not ended; a kept memory needs none of them."""
+    """Return whether a process of the run still lives; a kept memory needs none."""
     return not words[Field.KEPT] and any(
         alive(words[pid]) and words[started] in {0, start_time(words[pid])} for pid, started in _OWNERS.items()
     )
 
 
 def _unlink_all(path: Path) -> None:
-    """The memory at `path`, and what lies beside it."""
+    """Unlink the memory at `path` and the files beside it."""
     for suffix in (SUFFIX, _SOCKET, _FRAMES, f"{_FRAMES}.part"):
         _unlink(path.with_suffix(suffix))
 
 
 def _unlink(path: Path) -> None:
-    with suppress(OSError):  # it may be gone, or the folder be read-only by now
+    with suppress(OSError):  # it may be gone, or the folder read-only
         path.unlink()
 
 
 def alive(pid: int) -> bool:
-    """Whether there is a process of that number that has not ended; True where the system cannot tell."""
+    """Return whether process `pid` exists and has not ended; True where the system cannot say."""
     if not 0 < pid <= _LARGEST_PID:
         return False
     try:
         end = os.pidfd_open(pid)
     except OSError as error:
-        # anything else, such as no descriptor left, does not mean that the process has ended
+        # another error, such as no descriptor left, does not mean that the process has ended
         return error.errno not in _NO_PROCESS and _exists(pid)
     try:
         return not has_ended(end)
@@ -406,25 +403,25 @@ def alive(pid: int) -> bool:
 
 
 def has_ended(process: int) -> bool:
-    """Whether the process of a pidfd has ended, even if its parent has not asked how yet."""
-    poller = select.poll()  # select.select takes no descriptor from 1024 on
+    """Return whether the process of a pidfd has ended, even if its parent has not waited for it."""
+    poller = select.poll()  # select.select accepts no descriptor from 1024 on
     poller.register(process, select.POLLIN)
     return bool(poller.poll(0))
 
 
 def _exists(pid: int) -> bool:
-    """The same without a descriptor: a process that has ended counts until its parent has asked how."""
+    """Return whether process `pid` exists; a zombie counts."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
-    except OSError:  # it is another user's
-        return True
+    except OSError:  # another user's
+        pass
     return True
 
 
 def start_time(pid: int) -> int:
-    """Ticks of the system's clock between its start and that of the process; 0 if that is not known."""
+    """Return when the process started, in clock ticks since boot; 0 if not known."""
     try:
         return int(Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[_START_TIME])
     except (OSError, IndexError, ValueError):

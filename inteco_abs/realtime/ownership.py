@@ -1,4 +1,4 @@
-"""What a process does that holds the board: be watched first, let go last, and say what went wrong."""
+"""Board ownership: a process is guarded before it opens the board, and reports why it failed."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ PATIENCE_S: Final = 60.0
 
 @contextmanager
 def holding(memory: RunMemory) -> Iterator[None]:
-    """Around opening, using and leaving the board, and watched by the guardian before that.
+    """Wait until the guardian watches this process, then mark it as the holder of the board inside the context.
 
-    A board that could not be made safe stays held, so that the guardian takes it when this process ends.
+    After UnsafeError the board stays held, so that the guardian takes it over when this process ends. Raises BoardError
+    if the guardian does not watch.
     """
     words, pid = memory.words, os.getpid()
     memory.wait(lambda: words[Field.GUARDING_PID] == pid or stopped(memory), PATIENCE_S)
@@ -35,12 +36,12 @@ def holding(memory: RunMemory) -> Iterator[None]:
 
 
 def stopped(memory: RunMemory) -> bool:
-    """Whether anybody wants the run to end, or nobody is left who could let it begin."""
+    """Return whether the run has to end, or its supervisor has died."""
     words = memory.words
     return bool(words[Field.STOP] or words[Field.GUARDIAN_STOP]) or not alive(words[Field.SUPERVISOR_PID])
 
 
-def tell_failure(memory: RunMemory, note: Mailbox, error: BaseException) -> None:
-    """Leave what went wrong for the supervisor, who raises it again."""
+def post_failure(memory: RunMemory, note: Mailbox, error: BaseException) -> None:
+    """Post an error for the supervisor, which raises it again."""
     text = str(error) if isinstance(error, AbsError) else in_words(error)
     memory.post(note, {"kind": type(error).__name__, "text": text, "notes": getattr(error, "__notes__", [])})

@@ -1,8 +1,7 @@
 """Memory for the records of one experiment, shared without a lock between one writer and its readers.
 
-A slot holds the record between two copies of its number, the first written before and the second after it, so that
-a reader tells a torn or overwritten record from a whole one. The writer makes no system call and waits for nobody;
-readers poll.
+A slot holds the record between two copies of its number, the first written before it and the second after it, so that
+a reader detects a torn or overwritten record. The writer makes no system call and never waits; readers poll.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import Any, Final
 
 _WORD: Final = 8
 _HEAD_WORDS: Final = 8
-"""Counters before the slots, with a cache line of their own."""
+"""Counters before the slots, in their own cache line."""
 _WRITTEN, _TAKEN = 0, 1
 
 Pack = Callable[[Any, int, Any], None]
@@ -21,7 +20,7 @@ Pack = Callable[[Any, int, Any], None]
 
 
 def ring_bytes(record_bytes: int, capacity: int) -> int:
-    """Size of the memory of a ring, a multiple of 8 bytes."""
+    """Return the memory size of a ring in bytes, a multiple of 8."""
     return _WORD * (_HEAD_WORDS + capacity * _slot_words(record_bytes))
 
 
@@ -32,8 +31,8 @@ def _slot_words(record_bytes: int) -> int:
 class TickRing:
     """The writer's end: `capacity` records of `record_bytes`, packed by `pack`.
 
-    `memory` is writable and zero, of `ring_bytes(record_bytes, capacity)`; by default the ring makes its own. The
-    first record has the number `first`: those before it are elsewhere.
+    `memory` is writable and zero, of `ring_bytes(record_bytes, capacity)` bytes; by default the ring allocates it. The
+    first record has the number `first`.
     """
 
     def __init__(
@@ -55,14 +54,14 @@ class TickRing:
         return self._written
 
     def reader(self) -> RingReader:
-        """A reader's end in the same process."""
+        """Return a reader in the same process."""
         return RingReader(self.memory, self._size, self._capacity)
 
     def append(self, record: Any) -> None:
-        """Pack one record. Raises BufferError rather than overwrite one that was not taken."""
+        """Pack one record. Raises BufferError rather than overwrite a record that was not taken."""
         words, number = self._words, self._written
         if number - words[_TAKEN] >= self._capacity:
-            raise BufferError(f"the ring is full: {self._capacity} records and nobody takes them")
+            raise BufferError(f"the ring is full: {self._capacity} records wait to be taken")
         at = _HEAD_WORDS + number % self._capacity * self._stride
         number += 1
         words[at] = number
@@ -72,11 +71,9 @@ class TickRing:
 
 
 class RingReader:
-    """A reader's end. The one that `take`s tells the writer so; any number may look at the `newest`."""
+    """The reader's end. One reader may `take` records; any number may `look` at them."""
 
     def __init__(self, memory: bytearray | memoryview, record_bytes: int, capacity: int) -> None:
-        self.lost = 0
-        """Records that were torn or overwritten before they were taken."""
         self._memory = memoryview(memory)
         self._words = self._memory.cast("Q")
         self._size = record_bytes
@@ -90,64 +87,52 @@ class RingReader:
 
     @property
     def taken(self) -> int:
-        """Number of records taken so far, lost ones included."""
+        """Number of records taken so far."""
         return self._words[_TAKEN]
 
     @property
     def room(self) -> int:
-        """Records that the writer can still append before it would have to overwrite one that was not taken."""
+        """Number of records that the writer can append before the ring is full."""
         return self._capacity - (self.written - self.taken)
 
     def held_from(self, spare: float = 0.0) -> int:
-        """Number of the oldest record that the ring still holds, from 0.
+        """Return the number of the oldest record that the ring holds, from 0.
 
-        With a `spare` share of the capacity, of the oldest that it still holds once the writer, which goes on, has
-        filled that.
+        `spare` is the share of the capacity that the writer may fill before the record is read.
         """
         return max(0, min(self.taken, self.written - round((1.0 - spare) * self._capacity)))
 
-    def rewind(self) -> int:
-        """Go back to the oldest record that the ring still holds; its number."""
-        oldest = self.held_from()
-        self.release(oldest)
-        return oldest
-
     def take(self, most: int | None = None) -> bytes:
-        """Up to `most` records that were not taken yet, oldest first, back to back."""
+        """Take up to `most` records, oldest first, and return them back to back."""
         records, end = self.look(self.taken, most)
         self.release(end)
         return records
 
     def look(self, first: int, most: int | None = None) -> tuple[bytes, int]:
-        """Up to `most` records from number `first` on, without taking any; and the number of the next one."""
+        """Return up to `most` whole records from number `first` on, and the number of the next; takes none."""
         end = self.written if most is None else min(self.written, first + most)
-        records = [self._record(number) for number in range(first, end)]
-        whole = [record for record in records if record is not None]
-        self.lost += len(records) - len(whole)
-        return b"".join(whole), end
+        records = (self._record(number) for number in range(first, end))
+        return b"".join(record for record in records if record is not None), end
 
     def sample(self, first: int, step: int) -> tuple[bytes, int]:
-        """Every `step`-th record from number `first` on, without taking any; and the number of the next one.
-
-        For a screen: what is gone by now is left out, and not counted as lost.
-        """
+        """Return every `step`-th record from number `first` on that the ring holds, and the number of the next."""
         behind = max(0, self.written - self._capacity - first)
         numbers = range(first + -(-behind // step) * step, self.written, step)
         records = (self._record(number) for number in numbers)
         return b"".join(record for record in records if record is not None), numbers.start + len(numbers) * step
 
     def release(self, end: int) -> None:
-        """Take what was looked at, up to number `end`: the writer may overwrite it."""
+        """Let the writer overwrite all records before number `end`."""
         self._words[_TAKEN] = end
 
     def newest(self) -> bytes | None:
-        """The newest record: a snapshot, for a screen. None if there is none, or it was just being overwritten."""
+        """Return the newest record; None if there is none, or it is just being overwritten."""
         written = self.written
         return self._record(written - 1) if written else None
 
     def _record(self, number: int) -> bytes | None:
         at = _HEAD_WORDS + number % self._capacity * self._stride
-        # against the writer's order, so that an overwrite that begins meanwhile is seen too
+        # in the opposite order of the writer, which detects an overwrite that begins meanwhile
         back = self._words[at + self._stride - 1]
         record = bytes(self._memory[_WORD * (at + 1) : _WORD * (at + 1) + self._size])
         front = self._words[at]

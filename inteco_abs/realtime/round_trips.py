@@ -1,4 +1,4 @@
-"""How long exchanges with a board take, and whether that allows a rate: measured, not read off."""
+"""Measures how long exchanges with a board take, and whether they allow a rate."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from inteco_abs.errors import BoardError
 from inteco_abs.signals import BoardFlags, Command
 
 _MOST_FAILURES_IN_A_ROW: Final = 20
-"""As many as the guard of a real board at 2 kHz allows."""
+"""As many as the guard allows on a real board at 2 kHz."""
 _TURNS, _TURN_TRIALS = 5, 100
-"""Of each engine; in turns, so that what comes and goes on the computer meets all of them."""
+"""Of each engine, in turns, so that a disturbance of the computer affects all of them."""
 _WORTH_IT: Final = 0.9
-"""Share of the usual engine's time that another must stay below to take its place."""
+"""Another engine replaces the usual one if it takes less than this share of its time."""
 _RATE_TRIALS: Final = 1000
 _RATE_MARGIN: Final = 1.2
 
 
 class Quantiles(NamedTuple):
-    """Of a set of times, us; each is one of them."""
+    """Nearest-rank quantiles of a set of times, us."""
 
     p50: float
     p99: float
@@ -34,16 +34,16 @@ class Quantiles(NamedTuple):
 
 
 def quantiles(times_us: Collection[float]) -> Quantiles:
-    """Nearest-rank quantiles of at least one time."""
+    """Return the nearest-rank quantiles of at least one time, us."""
     ordered = sorted(times_us)
     return Quantiles(*(ordered[-(-len(ordered) * permille // 1000) - 1] for permille in (500, 990, 999, 1000)))
 
 
 def round_trips(board: Board, count: int) -> list[float]:
-    """Exchange SAFE `count` times in a row with an entered board: how long each took, us; failed ones are left out.
+    """Exchange SAFE `count` times with an entered board; return how long each success took, us.
 
-    Call it in a process that has what the loop has, else it tells more of the process than of the board. What follows
-    on the board begins at tick 0. Raises BoardError once twenty exchanges in a row have failed.
+    Call it in a process with the loop's tuning, else it measures the process and not the board. The board then begins
+    again at tick 0. Raises BoardError after twenty failures in a row.
     """
     board.hurried = False
     try:
@@ -71,10 +71,10 @@ def _times_us(board: Board, count: int) -> list[float]:
 
 
 def choose_engine(board: Board) -> dict[str, str]:
-    """Time whole SAFE exchanges with each of the entered board's engines, and keep the one with the best 99 %.
+    """Time SAFE exchanges with each engine of an entered board, and choose the one with the best 99th percentile.
 
-    The usual one stays unless another is a tenth quicker. Facts for the user: the engine in use, and how long each
-    one's exchanges took; nothing for a board that has none to choose from. Raises BoardError if it answers with none.
+    The usual engine stays unless another is a tenth quicker. Returns the engine in use and the times of each as facts;
+    nothing for a board without engines. Raises BoardError if the board answers with none of them.
     """
     engines = board.engines
     if not engines:
@@ -88,20 +88,20 @@ def choose_engine(board: Board) -> dict[str, str]:
         except BoardError as error:
             tried, failure = [], error
         times_us[engine] += tried + [math.inf] * (_TURN_TRIALS - len(tried))
-    spreads = {engine: quantiles(times) for engine, times in times_us.items()}
+    measured = {engine: quantiles(times) for engine, times in times_us.items()}
     usual = engines[0]
-    best = min(engines, key=lambda engine: spreads[engine].p99)
-    if failure is not None and math.isinf(spreads[best].p50):
+    best = min(engines, key=lambda engine: measured[engine].p99)
+    if failure is not None and math.isinf(measured[best].p50):
         raise failure
-    board.engine = best if spreads[best].p99 < _WORTH_IT * spreads[usual].p99 else usual
-    return {"engine": board.engine, **{f"exchanges, {engine}": str(spread) for engine, spread in spreads.items()}}
+    board.engine = best if measured[best].p99 < _WORTH_IT * measured[usual].p99 else usual
+    return {"engine": board.engine, **{f"exchanges, {engine}": str(times) for engine, times in measured.items()}}
 
 
 def require_rate(board: Board, period_ns: int) -> dict[str, str]:
-    """Raise BoardError, naming the rate that can be kept, if exchanges with an entered board take longer than a period.
+    """Raise BoardError with a possible rate if exchanges with an entered board take longer than a period.
 
-    Chooses the engine first. Judged by the 99th percentile of a thousand, failed ones among them, with all outputs
-    off: a run survives that one exchange in a hundred is lost or late, and says so. Facts for the session.
+    Chooses the engine first. The 99th percentile of a thousand exchanges decides, failed ones included, with all
+    outputs off: a run survives one lost or late exchange in a hundred. Returns facts for the session.
     """
     facts = choose_engine(board)
     times_us = round_trips(board, _RATE_TRIALS)
@@ -118,5 +118,5 @@ def require_rate(board: Board, period_ns: int) -> dict[str, str]:
     raise BoardError(
         f"the board's exchanges take up to {spread.p99:.0f} us (99 % of {_RATE_TRIALS}), longer than the period of "
         f"{period_us:g} us. If this computer is busy, try again; else set loop.rate_hz to {rate_hz} or less, with "
-        f"an estimator.window_s of at least one period. inteco-abs doctor --board tells more ({seen})"
+        f"an estimator.window_s of at least one period. see inteco-abs doctor --board ({seen})"
     )

@@ -1,6 +1,6 @@
-"""Who does what once a process of a run has died or stands still, decided from one look at the others.
+"""The rules by which guardian and supervisor react when a process of a run dies or hangs.
 
-Guardian and supervisor act on these, and `tests/faults/protocol.py` searches every state that they lead to.
+`tests/faults/protocol.py` searches every state that they lead to.
 """
 
 from __future__ import annotations
@@ -9,30 +9,30 @@ from enum import Flag, auto
 from typing import Final
 
 POLL_NS: Final = 5_000_000
-"""Of everybody who has to be quick."""
+"""Polling interval of guardian and supervisor."""
 POLL_S: Final = POLL_NS * 1e-9
 GUARDIAN_WINDOW_NS: Final = 150_000_000
-"""After which the supervisor takes a silent guardian for lost."""
+"""Silence after which the supervisor considers the guardian lost."""
 LOOPS_WINDOW_NS: Final = 200_000_000
-"""After which the loop does, in case that the supervisor is gone, too."""
+"""Silence after which the loop considers it lost, in case the supervisor is gone too."""
 SUPERVISOR_WINDOW_NS: Final = 200_000_000
-"""After which the guardian takes a silent supervisor for lost."""
+"""Silence after which the guardian considers the supervisor lost."""
 
 
 class Action(Flag):
-    """What has to be done now."""
+    """What to do now."""
 
     NONE = 0
     STOP = auto()
-    """Tell the loop to end the run in SAFE."""
+    """Have the loop end the run in SAFE."""
     KILL_LOOP = auto()
     KILL_GUARDIAN = auto()
     RESCUE = auto()
-    """Take the board and write SAFE: only ever after the end of everybody else who might write to it."""
+    """Take the board and write SAFE; only after every other process that might write to it has ended."""
 
 
 def guardian_does(*, held: bool, loop_ended: bool, loop_silent: bool) -> Action:
-    """Of a guardian that watches. `held`: the loop has the board, and nobody has taken it since."""
+    """Return the guardian's action. `held`: the loop has the board, and it was not taken over since."""
     if loop_ended:
         return Action.RESCUE if held else Action.NONE
     return Action.KILL_LOOP if loop_silent else Action.NONE
@@ -41,21 +41,21 @@ def guardian_does(*, held: bool, loop_ended: bool, loop_silent: bool) -> Action:
 def supervisor_does(
     *, held: bool, loop_ended: bool, loop_silent: bool, guardian_ended: bool, guardian_silent: bool
 ) -> Action:
-    """Of the supervisor, which takes the guardian's place only once that is lost."""
+    """Return the supervisor's action; it replaces the guardian only once that is lost."""
     if not (guardian_ended or guardian_silent) or (loop_ended and not held):
         return Action.NONE
     if not held or not (loop_ended or loop_silent):
         return Action.STOP
     if loop_ended and guardian_ended:
         return Action.RESCUE
-    return Action.STOP | Action.KILL_LOOP | Action.KILL_GUARDIAN  # a guardian that wakes up must not be a second host
+    return Action.STOP | Action.KILL_LOOP | Action.KILL_GUARDIAN  # else a guardian that wakes up would be a second host
 
 
 class Silence:
-    """How long a count has not moved, by the time in which this process was awake to see it.
+    """How long a count has stood still, as far as this process was awake to see it.
 
-    A computer that stalls makes everybody silent; what passed while this process did not run counts as two polls
-    at most, so that a healthy process gets its window again.
+    A stalled computer makes every process silent: time in which this process did not run counts as two polls at most,
+    so that a healthy process gets its whole window.
     """
 
     def __init__(self, window_ns: int, poll_ns: int = POLL_NS) -> None:
@@ -65,7 +65,7 @@ class Silence:
         self._silent_ns = 0
 
     def lasts(self, count: int, passed_ns: int) -> bool:
-        """Whether `count` has not changed for longer than the window; `passed_ns` since the call before."""
+        """Return whether `count` has stood still for longer than the window; `passed_ns` is since the last call."""
         if count != self._count:
             self._count, self._silent_ns = count, 0
         else:
@@ -73,5 +73,5 @@ class Silence:
         return self._silent_ns > self._window_ns
 
     def forget(self) -> None:
-        """Begin anew."""
+        """Start the window again."""
         self._silent_ns = 0

@@ -1,4 +1,4 @@
-"""What a run shows of itself while it lasts, and to whom."""
+"""Screens: what a run shows while it lasts."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from inteco_abs.realtime.ring import RingReader
 from inteco_abs.signals import Phase
 
 _POINTS_PER_S: Final = 200
-"""More than the columns of dots that any terminal has for a second."""
+"""More than a terminal has dots for a second."""
 
 
-class Check(Enum):
-    """What has to be seen before the drive is switched on, in this order."""
+class StartCheck(Enum):
+    """Checks before the drive is switched on, in this order."""
 
     BOARD = "board opened and identified"
     GUARDIAN = "guardian drilled"
@@ -26,7 +26,7 @@ class Check(Enum):
 
 
 class Point(NamedTuple):
-    """What is drawn of a tick; the fields are columns of TICK, in its order."""
+    """The drawn columns of a tick, in the order of TICK."""
 
     time_ns: int
     wheel_speed_rad_s: float
@@ -36,12 +36,12 @@ class Point(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """What a screen shows of a run; read from the rings, at no cost to the loop."""
+    """State of a run for a screen, read from the rings at no cost to the loop."""
 
     phase: Phase
     ticks: int
     time_s: float
-    """Since the first tick."""
+    """Seconds since the first tick."""
     wheel_speed_rad_s: float
     road_speed_rad_s: float
     slip: float
@@ -49,118 +49,118 @@ class Snapshot(NamedTuple):
     brake: float
     overruns: int
     late_us: tuple[float | None, ...]
-    """Lateness so far: p50, p99, p99.9 and the greatest."""
+    """Lateness so far, us: p50, p99, p99.9 and the greatest; None before the first tick."""
     recent: tuple[Point, ...] = ()
-    """200 points a second since the snapshot before."""
+    """200 points a second since the last snapshot."""
 
 
 class Screen(Protocol):
-    """Who shows a run to the user; called from the process that the user started, never from the loop's."""
+    """Shows a run to the user, in the process that the user started, never in the loop's."""
 
     def listening(self, stop: Callable[[], None]) -> AbstractContextManager[None]:
-        """While inside, the user's keys may call `stop`."""
+        """Return a context in which the user's keys may call `stop`."""
         ...
 
-    def passed(self, check: Check, told: str = "") -> None:
-        """The start has come so far; `told` says how."""
+    def passed(self, check: StartCheck, detail: str = "") -> None:
+        """Show that a check has passed, with its `detail`."""
         ...
 
     def show(self, snapshot: Snapshot) -> None:
-        """Ten times a second."""
+        """Show the state; called ten times a second."""
         ...
 
     def note(self, text: str) -> None:
-        """What is good to know."""
+        """Show a remark."""
         ...
 
     def warn(self, text: str) -> None:
-        """What cannot wait until the run is over."""
+        """Show what cannot wait until the run is over."""
         ...
 
 
 class SafeScreen:
-    """A screen whose trouble is not the run's: a terminal may be closed at any time."""
+    """A screen whose failure does not end the run, such as a closed terminal; after one it shows nothing."""
 
     def __init__(self, screen: Screen) -> None:
         self._screen = screen
 
     def listening(self, stop: Callable[[], None]) -> AbstractContextManager[None]:
-        """The screen's own; it keeps its trouble to itself."""
+        """Return the screen's own context."""
         return self._screen.listening(stop)
 
-    def passed(self, check: Check, told: str = "") -> None:
-        """Tick it off, or from now on show nothing."""
-        self._try(lambda: self._screen.passed(check, told))
+    def passed(self, check: StartCheck, detail: str = "") -> None:
+        """Show that a check has passed."""
+        self._try(lambda: self._screen.passed(check, detail))
 
     def show(self, snapshot: Snapshot) -> None:
-        """Show it, or from now on nothing."""
+        """Show the state."""
         self._try(lambda: self._screen.show(snapshot))
 
     def note(self, text: str) -> None:
-        """Say it, or from now on nothing."""
+        """Show a remark."""
         self._try(lambda: self._screen.note(text))
 
     def warn(self, text: str) -> None:
-        """Say it, or from now on nothing."""
+        """Show a warning."""
         self._try(lambda: self._screen.warn(text))
 
     def shown(self, text: str) -> bool:
-        """Warn; whether there still is somebody who shows it."""
+        """Show a warning; return whether a screen is still there."""
         self.warn(text)
         return type(self._screen) is not NoScreen
 
     def _try(self, act: Callable[[], None]) -> None:
         try:
             act()
-        except Exception:  # noqa: BLE001  whoever drew or said it
+        except Exception:  # noqa: BLE001  of any screen
             self._screen = NoScreen()
 
 
 class NoScreen:
-    """For runs that nobody looks at."""
+    """A screen that shows nothing."""
 
     def listening(self, stop: Callable[[], None]) -> AbstractContextManager[None]:  # noqa: ARG002  there are no keys
-        """To nobody."""
+        """Return an empty context."""
         return nullcontext()
 
-    def passed(self, check: Check, told: str = "") -> None:
-        """Nothing."""
+    def passed(self, check: StartCheck, detail: str = "") -> None:
+        """Ignore the check."""
 
     def show(self, snapshot: Snapshot) -> None:
-        """Nothing."""
+        """Ignore the state."""
 
     def note(self, text: str) -> None:
-        """Nothing."""
+        """Ignore the remark."""
 
     def warn(self, text: str) -> None:
-        """Nothing: the account says it too."""
+        """Ignore the warning: the result has it too."""
 
 
 class Lines(NoScreen):
-    """Where there is no terminal: a log is no place for ten lines a second, but for what has to be said."""
+    """A screen for a log: remarks and warnings only, one line each."""
 
     def __init__(
         self, say: Callable[[str], None], *, noting: bool = True, begun: Callable[[], None] = lambda: None
     ) -> None:
         self._say, self._noting, self._begun = say, noting, begun
 
-    def passed(self, check: Check, told: str = "") -> None:  # noqa: ARG002  a log needs no more than that it goes on
-        """With the board's answer there is a run; what is refused before never began."""
-        if check is Check.BOARD:
+    def passed(self, check: StartCheck, detail: str = "") -> None:  # noqa: ARG002  a log does not need it
+        """Call `begun` once the board has answered: what is refused before is not a run."""
+        if check is StartCheck.BOARD:
             self._begun()
 
     def note(self, text: str) -> None:
-        """One line, unless warnings only are wanted."""
+        """Print one line, if remarks are wanted."""
         if self._noting:
             self._say(text)
 
     def warn(self, text: str) -> None:
-        """One line."""
+        """Print one line."""
         self._say(text)
 
 
 class SnapshotSource:
-    """Makes snapshots of the ticks in a ring, taking none of them."""
+    """Makes snapshots of the ticks in a ring, and takes none of them."""
 
     def __init__(self, ticks: RingReader, histogram: Histogram, rate_hz: float) -> None:
         self._ticks, self._histogram = ticks, histogram
@@ -169,7 +169,7 @@ class SnapshotSource:
         self._first_ns = 0
 
     def look(self) -> Snapshot | None:
-        """The newest tick, what came before it, and the timing so far; None before the first."""
+        """Return the newest tick, the points before it, and the timing so far; None before the first tick."""
         record = self._ticks.newest()
         if record is None:
             return None
@@ -180,20 +180,10 @@ class SnapshotSource:
         )
         recent = self._recent()
         self._first_ns = self._first_ns or (recent[0].time_ns if recent else now_ns)
-        histogram = self._histogram
-        return Snapshot(
-            Phase(int(tick["phase"])),
-            self._ticks.written,
-            (now_ns - self._first_ns) * 1e-9,
-            wheel,
-            road,
-            slip,
-            drive,
-            brake,
-            histogram.skipped,
-            (*histogram.quantiles_us((0.5, 0.99, 0.999)), histogram.greatest_us),
-            recent,
-        )
+        phase, time_s, histogram = Phase(int(tick["phase"])), (now_ns - self._first_ns) * 1e-9, self._histogram
+        late_us = (*histogram.quantiles_us((0.5, 0.99, 0.999)), histogram.greatest_us)
+        state = (wheel, road, slip, drive, brake)
+        return Snapshot(phase, self._ticks.written, time_s, *state, histogram.skipped, late_us, recent)
 
     def _recent(self) -> tuple[Point, ...]:
         records, self._next = self._ticks.sample(self._next, self._step)

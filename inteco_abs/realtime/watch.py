@@ -1,4 +1,4 @@
-"""The supervisor's eyes on loop and guardian, in a thread that no screen keeps waiting: the last resort of software."""
+"""Watches loop and guardian for the supervisor, in a thread that no screen can block: software's last resort."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
+from inteco_abs.errors import in_words
 from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.heartbeat import repeating
 from inteco_abs.realtime.job import Job
@@ -18,19 +19,21 @@ from inteco_abs.realtime.tuning import watch_tuning
 from inteco_abs.signals import Reason
 
 _MAIN_WINDOW_NS: Final = 1_000_000_000
-"""A supervisor whose main thread does not come round for so long hears its user no more."""
+"""A main thread that is silent for so long does not react to its user any more."""
 _RESCUE_NS: Final = 8_000_000_000
-"""Longer than the guardian tries."""
+"""Longer than the guardian tries to rescue."""
 
 
 class Watch:
-    """Beats for the supervisor, and takes the guardian's place once that is lost. Each `look` is short but a rescue."""
+    """Beats for the supervisor, and replaces a lost guardian. Each `look` is short, unless it rescues."""
 
     def __init__(self, memory: RunMemory, job: Job, loop_pid: int, guardian_pid: int) -> None:
         self.judging = False
-        """Whether the run has come so far that loop and guardian must both be there."""
+        """Whether loop and guardian must both be alive now."""
         self.main_ns: int | None = None
-        """When the main thread last came round; None where it may take its time."""
+        """Monotonic time of the main thread's last round; None where it may block."""
+        self.failure = ""
+        """What ended the watching thread; empty while it runs."""
         self._memory, self._job, self._words = memory, job, memory.words
         self._ticks = memory.tick_reader()
         self._loop_pid = loop_pid
@@ -44,16 +47,23 @@ class Watch:
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """While inside, look every 5 ms. Raises BoardError if no thread can be started for that."""
+        """Look every 5 ms inside the context. Raises BoardError if no thread can be started."""
         try:
-            with repeating(self.look, POLL_S, watch_tuning()):
+            with repeating(self._look_or_report, POLL_S, watch_tuning()):
                 yield
         finally:
             os.close(self._loop)
             os.close(self._guardian)
 
+    def _look_or_report(self) -> None:
+        try:
+            self.look()
+        except Exception as error:
+            self.failure = in_words(error)
+            raise  # ends the thread and its beat, so the guardian ends the run
+
     def look(self) -> None:
-        """Beat, look at the others, act."""
+        """Beat, check the others, act."""
         now_ns = time.monotonic_ns()
         passed_ns, self._before_ns = now_ns - self._before_ns, now_ns
         if self.main_ns is None or now_ns - self.main_ns <= _MAIN_WINDOW_NS:
@@ -80,13 +90,13 @@ class Watch:
             guardian_silent=silent or self._rescue_silence.lasts(0, passed_ns),
         )
 
-    def _do(self, deed: Action) -> None:
-        if Action.STOP in deed:
+    def _do(self, action: Action) -> None:
+        if Action.STOP in action:
             self._words[Field.STOP] = self._words[Field.STOP] or Reason.GUARDIAN_LOST
-        if Action.KILL_GUARDIAN in deed:
+        if Action.KILL_GUARDIAN in action:
             kill(self._guardian)
-        if Action.KILL_LOOP in deed and not has_ended(self._loop):
+        if Action.KILL_LOOP in action and not has_ended(self._loop):
             self._killed = True
             kill(self._loop)
-        if Action.RESCUE in deed:
+        if Action.RESCUE in action:
             take_over(self._memory, self._job, self._loop_pid, "hung" if self._killed else "died", "supervisor")

@@ -1,4 +1,4 @@
-"""The proof, before each run, that the one-shot in the emergency chain closes when it is fed, and opens when not.
+"""Proves before each run that the one-shot in the emergency chain closes when it is fed, and opens when not.
 
 Protections fail by not being armed, not by not firing (docs/facts/hazards.md#findings, 9).
 """
@@ -13,20 +13,20 @@ from inteco_abs.errors import BoardError
 from inteco_abs.signals import BoardFlags, Command
 
 MOST_S: Final = 0.1
-"""In which the contact has to follow: a one-shot of 50 ms, and a relay's release."""
+"""Time in which the contact has to follow: a one-shot of 50 ms and a relay's release."""
 _LEAST_PERIODS: Final = 5
 _SEE: Final = "see docs/watchdog.md, or set board.watchdog_pin and board.watchdog_contact_pin to -1 to do without it"
 
 
 def prove_watchdog(board: Board, period_ns: int, wait: Callable[[float], None]) -> dict[str, str]:
-    """See the contact of an entered board's watchdog open, close and open; facts for the session, none without one.
+    """Check that the contact of an entered board's watchdog opens, closes and opens; return facts for the session.
 
-    All outputs are off. `wait` lets so many seconds pass. Takes up to three times `MOST_S`. What follows on the board
-    begins at tick 0. Raises BoardError if the contact does not follow in time.
+    Does nothing without a watchdog. All outputs are off. `wait` lets its argument pass, in seconds. Takes up to three
+    times `MOST_S`. The board then begins again at tick 0. Raises BoardError if the contact does not follow in time.
     """
     if board.watchdog_closed is None:
         return {}
-    watch = _Watch(board, period_ns, wait)
+    watch = _ContactWatch(board, period_ns, wait)
     if not watch.sees(closed=False):
         raise BoardError(f"the watchdog's contact stays closed although nothing feeds it: is it welded? {_SEE}")
     if not watch.sees(closed=True, fed=True):
@@ -42,18 +42,18 @@ def prove_watchdog(board: Board, period_ns: int, wait: Callable[[float], None]) 
     return {"watchdog_opened_ms": f"{opened_ns * 1e-6:.1f}"}
 
 
-class _Watch:
+class _ContactWatch:
     """Exchanges of SAFE, one each period."""
 
     def __init__(self, board: Board, period_ns: int, wait: Callable[[float], None]) -> None:
         self.time_ns = 0
-        """Of the newest exchange."""
+        """Time of the newest exchange, ns."""
         self._board = board
         self._period_s = period_ns * 1e-9
         self._wait = wait
 
     def sees(self, *, closed: bool, fed: bool = False) -> bool:
-        """Whether the contact is seen like that within `MOST_S`, while the watchdog is fed or not."""
+        """Return whether the contact gets `closed` within `MOST_S`, while the watchdog is fed or not."""
         board = self._board
         board.armed = fed
         try:

@@ -1,4 +1,4 @@
-"""The newest part of a run: what its two rings hold, of which the session file is told piece by piece."""
+"""The newest part of a run, which its two rings hold, for the session file to take block by block."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from inteco_abs.realtime.ring import RingReader
 
 _BLOCK: Final = 4096
 _SPARE: Final = 0.125
-"""Share of a ring that the loop may fill while it is read: seconds, where reading takes tenths."""
+"""Share of a ring that the loop may fill while it is read: seconds, while reading takes tenths of one."""
 
 
 class Window:
-    """Ticks, and states of the simulated rig, that are in memory: while they come, or when the run is `over`."""
+    """Ticks and states of the simulated rig in memory, during the run or when it is `over`."""
 
     def __init__(self, ticks: RingReader, truths: RingReader, *, over: bool = False) -> None:
         self._ticks, self._truths = ticks, truths
@@ -24,42 +24,42 @@ class Window:
 
     @property
     def room(self) -> int:
-        """Ticks that still come in before one is refused."""
+        """Number of ticks before a ring is full."""
         return min(self._ticks.room, self._truths.room)
 
     @property
     def waiting(self) -> int:
-        """Ticks that were handed over and not released."""
+        """Number of ticks that were returned by `more` and not released."""
         return self._end - self._ticks.taken
 
     def more(self) -> tuple[bytes, bytes]:
-        """Ticks and states that came since the call before, to be handed over; they stay here until `release`."""
+        """Return the ticks and states since the last call; they stay in memory until `release`."""
         ticks, self._end = self._ticks.look(self._end)
-        truths, self._truths_end = self._truths.look(self._truths_end)  # behind the ticks: all that these have seen
+        truths, self._truths_end = self._truths.look(self._truths_end)  # after the ticks: all states before them
         return ticks, truths
 
     def skip_truths(self) -> None:
-        """Leave out the states that came before now."""
+        """Drop the states so far."""
         self._first_truth = self._truths_end = self._truths.written
         self._truths.release(self._truths_end)
 
     def release(self) -> None:
-        """What was handed over is in a file: its place may be used again."""
+        """Free the place of what `more` has returned: it is in a file."""
         self._ticks.release(self._end)
         self._truths.release(self._truths_end)
 
     @property
     def ticks(self) -> range:
-        """Numbers of the ticks that were handed over and are still here, released or not."""
+        """Numbers of the ticks that `more` has returned and that are still in memory, released or not."""
         return range(self._ticks.held_from(self._spare), self._end)
 
     @property
     def truths(self) -> range:
-        """The same of the states."""
+        """Numbers of the states likewise."""
         return range(max(self._truths.held_from(self._spare), self._first_truth), self._truths_end)
 
     def held(self) -> Iterator[tuple[bytes, bytes]]:
-        """All of these in blocks: ticks, each with the states that they have seen or that came in a block before."""
+        """Yield all of these in blocks of ticks, with the states up to their time."""
         truth, truths_end, newest_ns = self.truths.start, self.truths.stop, -1
         for number in self.ticks[::_BLOCK]:
             ticks, _ = self._ticks.look(number, min(_BLOCK, self._end - number))

@@ -21,7 +21,7 @@ from inteco_abs.sessions.container import (
 )
 from inteco_abs.sessions.content import Content
 from inteco_abs.sessions.reader import opened
-from inteco_abs.wire import Capture, Kind, Record
+from inteco_abs.wire import Capture, Record, RecordKind
 
 Frames = Callable[[], AbstractContextManager[tuple[Capture, Iterable[Record]]]]
 """Opens the recording: without its records, and these one by one. Raises CaptureError where there is none."""
@@ -89,7 +89,7 @@ def _capture(path: Path, content: Content, messages: Iterable[bytes], missing: s
         raise DamagedError(f"its raw frames cannot be read: {error}") from error
     if missing:
         text = f"more messages may have passed, and are not in the session: {missing}"
-        records.append(Record(records[-1].t_s if records else 0.0, Kind.WARNING, text=text))
+        records.append(Record(records[-1].t_s if records else 0.0, RecordKind.WARNING, text=text))
     return Capture(board, recorded_by, clock, tuple(records), str(path), start_ns)
 
 
@@ -98,10 +98,10 @@ def _record(frame: IoFrame, start_ns: int) -> Record:
     return Record(t_s, _KINDS[frame.direction], None, frame.data, frame.text, frame.of)
 
 
-_DIRECTIONS: Final[Mapping[Kind, Direction]] = {
-    Kind.OUT: Direction.OUT,
-    Kind.IN: Direction.IN,
-    Kind.ERROR: Direction.ERROR,
-    Kind.WARNING: Direction.WARNING,
+_DIRECTIONS: Final[Mapping[RecordKind, Direction]] = {
+    RecordKind.OUT: Direction.OUT,
+    RecordKind.IN: Direction.IN,
+    RecordKind.ERROR: Direction.ERROR,
+    RecordKind.WARNING: Direction.WARNING,
 }
 _KINDS: Final = {direction: kind for kind, direction in _DIRECTIONS.items()}

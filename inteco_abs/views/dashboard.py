@@ -19,7 +19,7 @@ from rich.live import Live
 from rich.text import Text
 
 from inteco_abs.config import RigConfig
-from inteco_abs.realtime import Check, Snapshot
+from inteco_abs.realtime import Snapshot, StartCheck
 from inteco_abs.signals import Phase
 from inteco_abs.views.keys import stop_keys
 from inteco_abs.views.plot import Axes, Curve, plot
@@ -71,7 +71,7 @@ class Dashboard:
         self._virtual = virtual
         self._only_line = line
         self._trace = RunTrace(config.experiment.start_speed_rad_s)
-        self._passed: dict[Check, str] = {}
+        self._passed: dict[StartCheck, str] = {}
         self._snapshot: Snapshot | None = None
         self._hint = CTRL_C
         self._size = console.size
@@ -106,7 +106,7 @@ class Dashboard:
         width, height = self._console.size
         return self._only_line or width < LEAST[0] or height < LEAST[1]
 
-    def passed(self, check: Check, text: str = "") -> None:
+    def passed(self, check: StartCheck, text: str = "") -> None:
         """Tick off a check of the start."""
         self._passed[check] = text if text.isprintable() else ascii(text)[1:-1]
         self._draw()
@@ -116,7 +116,7 @@ class Dashboard:
         self._trace.add(snapshot.recent)
         self._snapshot = snapshot
         if snapshot.phase in _AT_REST:
-            self._passed.setdefault(Check.REST, "")
+            self._passed.setdefault(StartCheck.REST, "")
         self._draw()
 
     def note(self, text: str) -> None:
@@ -139,11 +139,11 @@ class Dashboard:
         check = self._awaited()
         return one_line([(f"starting: {check.value}?" if check else "starting", "bold"), (f", {self._hint}", "")])
 
-    def _awaited(self) -> Check | None:
+    def _awaited(self) -> StartCheck | None:
         return next((check for check in self._checks() if check not in self._passed), None)
 
-    def _checks(self) -> list[Check]:
-        return [check for check in Check if not (self._virtual and check is Check.GUARDIAN)]
+    def _checks(self) -> list[StartCheck]:
+        return [check for check in StartCheck if not (self._virtual and check is StartCheck.GUARDIAN)]
 
     def lines(self) -> list[Line]:
         """All lines, at most one fewer than the terminal's rows."""

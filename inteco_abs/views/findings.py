@@ -9,15 +9,15 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from inteco_abs.host import Finding, Verdict, worst
+from inteco_abs.host import CheckResult, Rating, worst
 
-_COLOURS: Final = {Verdict.GREEN: "green", Verdict.AMBER: "yellow", Verdict.RED: "red"}
+_COLOURS: Final = {Rating.GREEN: "green", Rating.AMBER: "yellow", Rating.RED: "red"}
 _BINS_A_PERIOD: Final = 20
 _LAST_BIN: Final = 2 * _BINS_A_PERIOD
 _BAR: Final = 40
 
 
-def render_findings(findings: Sequence[Finding]) -> RenderableType:
+def render_findings(findings: Sequence[CheckResult]) -> RenderableType:
     """Table of names, verdicts, findings and what to do, with a summary."""
     table = Table.grid(padding=(0, 2))
     table.add_column(no_wrap=True)
@@ -27,7 +27,7 @@ def render_findings(findings: Sequence[Finding]) -> RenderableType:
         table.add_row(Text(finding.name), _word(finding.verdict), Text(finding.found))
         for line in filter(None, finding.fix.splitlines()):
             table.add_row("", "", Text(f"-> {line}", style="dim"))
-    counts = ", ".join(f"{sum(one.verdict is verdict for one in findings)} {verdict}" for verdict in Verdict)
+    counts = ", ".join(f"{sum(one.verdict is verdict for one in findings)} {verdict}" for verdict in Rating)
     return Group(table, Text(), Text.assemble(_word(worst(findings)), f"  {counts}"))
 
 
@@ -43,11 +43,11 @@ def render_histogram(times_us: Sequence[float], period_us: float) -> RenderableT
     table.add_column(no_wrap=True)
     for number, count in enumerate(counts):
         if count:
-            colour = _COLOURS[Verdict.GREEN if number < _BINS_A_PERIOD else Verdict.RED]
+            colour = _COLOURS[Rating.GREEN if number < _BINS_A_PERIOD else Rating.RED]
             bar = "#" * max(round(_BAR * count / max(counts)), 1)  # rare values stay visible
             table.add_row(f"from {number * width_us:.0f} us", str(count), Text(bar, colour))
     return table
 
 
-def _word(verdict: Verdict) -> Text:
+def _word(verdict: Rating) -> Text:
     return Text(verdict, style=f"bold {_COLOURS[verdict]}")

@@ -1,16 +1,24 @@
 """Captures of what passes between host and board: recorded, imported, compared and played back."""
 
-from inteco_abs.wire.capture import Capture, Kind, Record, check_target, opened_capture, read_capture, write_capture
+from inteco_abs.wire.capture import (
+    Capture,
+    Record,
+    RecordKind,
+    check_target,
+    opened_capture,
+    read_capture,
+    write_capture,
+)
 from inteco_abs.wire.changed_words import compare_sends, moved_words
 from inteco_abs.wire.pcap import import_pcap
-from inteco_abs.wire.recording import Recording, check_recordable, recording
+from inteco_abs.wire.recording import Recording, check_recordable, record_wire
 from inteco_abs.wire.replay import profile_for, replay_wire
 from inteco_abs.wire.summary import caution, summarize
 
 __all__ = [
     "Capture",
-    "Kind",
     "Record",
+    "RecordKind",
     "Recording",
     "caution",
     "check_recordable",
@@ -21,7 +29,7 @@ __all__ = [
     "opened_capture",
     "profile_for",
     "read_capture",
-    "recording",
+    "record_wire",
     "replay_wire",
     "summarize",
     "write_capture",

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, SEND_AND_READ_COMMAND, SEND_COMMAND
-from inteco_abs.wire.capture import Kind, Record
+from inteco_abs.wire.capture import Record, RecordKind
 
 _OUT, _IN = 0x02, 0x81
 """Endpoints of the chip."""
@@ -22,7 +22,7 @@ _SHORT: Final = (DUMMY[0], READ_REQUEST[0])
 _LONG: Final = (SEND_COMMAND, SEND_AND_READ_COMMAND)
 
 
-class ByteStream:
+class MessageCutter:
     """Joins and cuts the bytes of both directions; a message has the time of the transfer that completed it.
 
     Bytes that belong to no message, such as those that program the FPGA, are left out with a warning.
@@ -37,10 +37,10 @@ class ByteStream:
     def messages(self, transfers: Iterable[Record]) -> list[Record]:
         """The same capture, with whole messages in place of the transfers that carry them."""
         for record in transfers:
-            if record.kind is Kind.OUT:
+            if record.kind is RecordKind.OUT:
                 self._out += record.data
                 self._cut_out(record.t_s)
-            elif record.kind is Kind.IN:
+            elif record.kind is RecordKind.IN:
                 self._in += without_status(record.data)
                 self._cut_in(record.t_s)
             else:
@@ -73,11 +73,11 @@ class ByteStream:
             # the vendor's library drops what an earlier answer has left
             self._drop(t_s, self._in, "from the board before a request")
             self._awaited = True
-        self._records.append(Record(t_s, Kind.OUT, _OUT, message))
+        self._records.append(Record(t_s, RecordKind.OUT, _OUT, message))
 
     def _cut_in(self, t_s: float) -> None:
         if self._awaited and len(self._in) >= FRAME_BYTES:
-            self._records.append(Record(t_s, Kind.IN, _IN, bytes(self._in[:FRAME_BYTES])))
+            self._records.append(Record(t_s, RecordKind.IN, _IN, bytes(self._in[:FRAME_BYTES])))
             del self._in[:FRAME_BYTES]
             self._awaited = False
 
@@ -85,12 +85,12 @@ class ByteStream:
         count = len(stream) if length is None else length
         del stream[:count]
         if count:
-            self._records.append(Record(t_s, Kind.WARNING, text=f"{count} bytes {what} are left out"))
+            self._records.append(Record(t_s, RecordKind.WARNING, text=f"{count} bytes {what} are left out"))
 
 
 def whole_messages(transfers: Iterable[Record]) -> list[Record]:
     """A capture with whole messages in place of the transfers that carry them."""
-    return ByteStream().messages(transfers)
+    return MessageCutter().messages(transfers)
 
 
 def without_status(transfer: bytes) -> bytes:

@@ -38,7 +38,7 @@ _LARGEST_ENDPOINT: Final = 0xFF
 _LATEST_NS: Final = (1 << 63) - 1
 
 
-class Kind(StrEnum):
+class RecordKind(StrEnum):
     """What happened."""
 
     OUT = "out"
@@ -53,7 +53,7 @@ class Record(NamedTuple):
 
     t_s: float
     """Since the capture began."""
-    kind: Kind
+    kind: RecordKind
     endpoint: int | None = None
     """USB address, with bit 7 for IN; None if the link has no endpoints."""
     data: bytes = b""
@@ -82,7 +82,7 @@ class Capture(NamedTuple):
     @property
     def messages(self) -> int:
         """Messages in either direction, without failures and notes."""
-        return sum(record.kind in {Kind.OUT, Kind.IN} for record in self.records)
+        return sum(record.kind in {RecordKind.OUT, RecordKind.IN} for record in self.records)
 
 
 def check_target(path: Path) -> None:
@@ -187,13 +187,13 @@ def _line(record: Record) -> str:
     line: dict[str, Any] = {"t": round(record.t_s, 9), "dir": record.kind}
     if record.of:
         line["of"] = record.of
-    if record.kind in {Kind.OUT, Kind.IN, Kind.CONTROL}:
+    if record.kind in {RecordKind.OUT, RecordKind.IN, RecordKind.CONTROL}:
         line["ep"] = record.endpoint
-    if record.kind is Kind.CONTROL:
+    if record.kind is RecordKind.CONTROL:
         line["setup"] = record.setup.hex()
-    if record.data or record.kind in {Kind.OUT, Kind.IN, Kind.CONTROL}:
+    if record.data or record.kind in {RecordKind.OUT, RecordKind.IN, RecordKind.CONTROL}:
         line["hex"] = record.data.hex()
-    if record.kind in {Kind.ERROR, Kind.WARNING}:
+    if record.kind in {RecordKind.ERROR, RecordKind.WARNING}:
         line["text"] = record.text
     return json.dumps(line) + "\n"
 
@@ -233,8 +233,8 @@ def _report(table: object, place: str) -> BoardReport:
 
 def _record(line: dict[str, Any], place: str) -> Record:
     kind, t_s, endpoint = line.get("dir"), line.get("t"), line.get("ep")
-    if kind not in list(Kind):
-        raise CaptureError(f"{place}: dir = {kind!r}, must be one of {', '.join(Kind)}")
+    if kind not in list(RecordKind):
+        raise CaptureError(f"{place}: dir = {kind!r}, must be one of {', '.join(RecordKind)}")
     if not isinstance(t_s, int | float) or isinstance(t_s, bool) or not math.isfinite(t_s):
         raise CaptureError(f"{place}: t = {t_s!r}, must be a number of seconds")
     if endpoint is not None and (type(endpoint) is not int or not 0 <= endpoint <= _LARGEST_ENDPOINT):
@@ -242,11 +242,11 @@ def _record(line: dict[str, Any], place: str) -> Record:
     text, of = line.get("text", ""), line.get("of", "")
     if not isinstance(text, str):
         raise CaptureError(f"{place}: text = {text!r}, must be text")
-    if kind == Kind.ERROR and of not in {"out", "in", "exchange"}:
+    if kind == RecordKind.ERROR and of not in {"out", "in", "exchange"}:
         raise CaptureError(f"{place}: of = {of!r}, must be out, in or exchange")
-    needed = kind in {Kind.OUT, Kind.IN}
+    needed = kind in {RecordKind.OUT, RecordKind.IN}
     data = _bytes(line.get("hex", None if needed else ""), "hex", place)
-    return Record(float(t_s), Kind(kind), endpoint, data, text, of, _bytes(line.get("setup", ""), "setup", place))
+    return Record(float(t_s), RecordKind(kind), endpoint, data, text, of, _bytes(line.get("setup", ""), "setup", place))
 
 
 def _bytes(digits: Any, key: str, place: str) -> bytes:

@@ -10,8 +10,18 @@ from operator import or_
 from typing import Final, NamedTuple
 
 from firmware_protocol.fields import FrameTable
-from inteco_abs.boards import UNKNOWN, Protocol, Role, byte_offset, label, masks_of, names_at, protocol_of, words_of
-from inteco_abs.wire.capture import Capture, Kind
+from inteco_abs.boards import (
+    UNKNOWN,
+    BoardProtocol,
+    MessageRole,
+    byte_offset,
+    label,
+    masks_of,
+    names_at,
+    protocol_of,
+    words_of,
+)
+from inteco_abs.wire.capture import Capture, RecordKind
 from inteco_abs.wire.playback import differing_words
 
 _RESTLESS: Final = 0.5
@@ -20,7 +30,7 @@ _FEWEST_STEPS: Final = 8
 """With fewer, nothing is called restless."""
 
 
-class Frames(NamedTuple):
+class FrameColumns(NamedTuple):
     """All frames of one direction, in words, and when they passed."""
 
     table: FrameTable
@@ -55,12 +65,12 @@ class ChangedWord(NamedTuple):
     """Named by the tables; "unknown" stands for bits that they do not name."""
 
 
-def frames_of(capture: Capture, role: Role) -> Frames:
+def frame_columns(capture: Capture, role: MessageRole) -> FrameColumns:
     """SEND frames or READ answers of the capture. Raises ConfigError for a board that has no tables."""
     protocol = protocol_of(capture.board)
-    table = protocol.send if role is Role.SEND else protocol.read
+    table = protocol.send if role is MessageRole.SEND else protocol.read
     found = [record for record in capture.records if _role(protocol, record.kind, record.data) is role]
-    return Frames(table, [record.t_s for record in found], [words_of(table, record.data) for record in found])
+    return FrameColumns(table, [record.t_s for record in found], [words_of(table, record.data) for record in found])
 
 
 def moved_words(capture: Capture) -> list[ChangedWord]:
@@ -70,18 +80,18 @@ def moved_words(capture: Capture) -> list[ChangedWord]:
     """
     return [
         word
-        for direction, role in (("SEND", Role.SEND), ("READ", Role.READ))
-        for word in _ranked(direction, frames_of(capture, role))
+        for direction, role in (("SEND", MessageRole.SEND), ("READ", MessageRole.READ))
+        for word in _ranked(direction, frame_columns(capture, role))
     ]
 
 
-def _role(protocol: Protocol, kind: Kind, data: bytes) -> Role | None:
-    if kind is Kind.OUT:
+def _role(protocol: BoardProtocol, kind: RecordKind, data: bytes) -> MessageRole | None:
+    if kind is RecordKind.OUT:
         return protocol.role_out(data)
-    return protocol.role_in(data) if kind is Kind.IN else None
+    return protocol.role_in(data) if kind is RecordKind.IN else None
 
 
-def _ranked(direction: str, frames: Frames) -> list[ChangedWord]:
+def _ranked(direction: str, frames: FrameColumns) -> list[ChangedWord]:
     columns = {word: values for word, values in enumerate(zip(*frames.words, strict=True)) if len(set(values)) > 1}
     steps = {word: _steps(values) for word, values in columns.items()}
     count = len(frames.words) - 1
@@ -178,5 +188,5 @@ def compare_sends(first: Capture, second: Capture, ignored: Sequence[str] = ()) 
     return SendComparison(len(one), len(other), differing, named)
 
 
-def _is_send(protocol: Protocol, kind: Kind, data: bytes) -> bool:
-    return kind is Kind.OUT and protocol.role_out(data) is Role.SEND
+def _is_send(protocol: BoardProtocol, kind: RecordKind, data: bytes) -> bool:
+    return kind is RecordKind.OUT and protocol.role_out(data) is MessageRole.SEND

@@ -18,8 +18,8 @@ from inteco_abs.config import load_config
 from inteco_abs.entry_points import attribute
 from inteco_abs.errors import CaptureError, ConfigError, ConfigIssue
 from inteco_abs.version import __version__
-from inteco_abs.wire.capture import Capture, Kind, Record
-from inteco_abs.wire.usbmon import IN, LINK_TYPES, Transfer, Urb, decode
+from inteco_abs.wire.capture import Capture, Record, RecordKind
+from inteco_abs.wire.usbmon import IN, LINK_TYPES, MonitoredUrb, Transfer, decode
 
 _LITTLE_PCAP: Final = (b"\xd4\xc3\xb2\xa1", b"\x4d\x3c\xb2\xa1", b"\x34\xcd\xb2\xa1")
 """First bytes of little-endian pcap files: microseconds, nanoseconds, and one with longer packet headers."""
@@ -33,7 +33,7 @@ class Packet(NamedTuple):
     """A decoded packet and when it was captured, s."""
 
     time_s: float
-    urb: Urb
+    urb: MonitoredUrb
 
 
 def import_pcap(path: Path, board: str | None = None, *, device: str = "") -> Capture:
@@ -56,7 +56,7 @@ def import_pcap(path: Path, board: str | None = None, *, device: str = "") -> Ca
         raise CaptureError(f"{path}: nothing of device {chosen}; {_seen(packets)}")
     start_s = packets[0].time_s
     records = _Messages(start_s, traffic).collect(own)
-    if not any(record.kind in {Kind.OUT, Kind.IN} for record in records):
+    if not any(record.kind in {RecordKind.OUT, RecordKind.IN} for record in records):
         raise CaptureError(
             f"{path}: device {chosen} exchanges nothing with a host as this board does; {_seen(packets)}"
         )
@@ -169,40 +169,44 @@ class _Messages:
         whole: list[Record] = attribute(traffic.messages)(self._records)
         return whole
 
-    def _message(self, t_s: float, urb: Urb) -> None:
+    def _message(self, t_s: float, urb: MonitoredUrb) -> None:
         key = urb.number, urb.endpoint
         if not urb.done:
             if urb.length and not urb.data:
                 self._warn(t_s, f"{urb.length} bytes were sent here, and the monitor did not keep them")
                 return
             self._under_way[key] = len(self._records)
-            self._records.append(Record(t_s, Kind.OUT, urb.endpoint, urb.data))
+            self._records.append(Record(t_s, RecordKind.OUT, urb.endpoint, urb.data))
         elif (place := self._under_way.pop(key, None)) is not None and urb.failure:
             sent = self._records[place]
-            self._records[place] = sent._replace(kind=Kind.ERROR, text=f"transfer failed: {urb.failure}", of="out")
+            self._records[place] = sent._replace(
+                kind=RecordKind.ERROR, text=f"transfer failed: {urb.failure}", of="out"
+            )
 
-    def _answer(self, t_s: float, urb: Urb) -> None:
+    def _answer(self, t_s: float, urb: MonitoredUrb) -> None:
         if not urb.done:
             return
         if urb.failure and not urb.data:
-            self._records.append(Record(t_s, Kind.ERROR, urb.endpoint, text=f"transfer failed: {urb.failure}", of="in"))
+            self._records.append(
+                Record(t_s, RecordKind.ERROR, urb.endpoint, text=f"transfer failed: {urb.failure}", of="in")
+            )
         elif urb.length and not urb.data:
             self._warn(t_s, f"{urb.length} bytes were received here, and the monitor did not keep them")
         else:
-            self._records.append(Record(t_s, Kind.IN, urb.endpoint, urb.data))
+            self._records.append(Record(t_s, RecordKind.IN, urb.endpoint, urb.data))
 
-    def _control(self, t_s: float, urb: Urb) -> None:
+    def _control(self, t_s: float, urb: MonitoredUrb) -> None:
         """One record a transfer: with its data where it takes some to the device, else when it comes back."""
         key = urb.number, urb.endpoint & ~IN
         if urb.setup:
             if urb.setup[0] & IN:
                 self._requests[key] = urb.setup
             else:
-                self._records.append(Record(t_s, Kind.CONTROL, 0, urb.data, setup=urb.setup))
+                self._records.append(Record(t_s, RecordKind.CONTROL, 0, urb.data, setup=urb.setup))
         elif urb.done and (setup := self._requests.pop(key, None)) is not None:
-            self._records.append(Record(t_s, Kind.CONTROL, 0, urb.data, setup=setup))
+            self._records.append(Record(t_s, RecordKind.CONTROL, 0, urb.data, setup=setup))
 
-    def _warn_of_jtag(self, t_s: float, urb: Urb) -> None:
+    def _warn_of_jtag(self, t_s: float, urb: MonitoredUrb) -> None:
         if not self._jtag[urb.endpoint]:
             self._warn(
                 t_s,
@@ -211,4 +215,4 @@ class _Messages:
         self._jtag[urb.endpoint] += 1
 
     def _warn(self, t_s: float, text: str) -> None:
-        self._records.append(Record(t_s, Kind.WARNING, text=text))
+        self._records.append(Record(t_s, RecordKind.WARNING, text=text))

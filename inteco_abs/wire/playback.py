@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from firmware_protocol.fields import FrameTable, Layout
-from inteco_abs.boards import Role, byte_offset, label, masks_of, names_at, protocol_of, words_of
+from inteco_abs.boards import MessageRole, byte_offset, label, masks_of, names_at, protocol_of, words_of
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.errors import CaptureError, LinkError
-from inteco_abs.wire.capture import Capture, Kind, Record
+from inteco_abs.wire.capture import Capture, Record, RecordKind
 
 MOST_DIFFERENCES: Final = 10_000
 """Kept in full; further ones are only counted."""
 
 
-class Difference(NamedTuple):
+class FrameDifference(NamedTuple):
     """One word in which a message of ours is not the captured one, or a whole message out of place."""
 
     message: int
@@ -47,7 +47,7 @@ class CaptureLink(Link):
     """
 
     def __init__(self, capture: Capture, *, strict: bool = False, numbering: str = "") -> None:
-        self.differences: list[Difference] = []
+        self.differences: list[FrameDifference] = []
         self.differing = 0
         """Differences in all, those beyond the list too."""
         self._capture = capture
@@ -56,9 +56,9 @@ class CaptureLink(Link):
         names = self._protocol.fields([numbering] if numbering else [])
         self._numbering = _Numbering(self._protocol.send, self._protocol.read, numbering) if numbering else None
         self._ignored = masks_of(self._protocol.send, names)
-        self._lanes: dict[Role | None, deque[tuple[int, Record]]] = {}  # answers, good or not, are those of None
+        self._lanes: dict[MessageRole | None, deque[tuple[int, Record]]] = {}  # answers, good or not, are those of None
         for index, record in enumerate(capture.records):
-            if record.kind in {Kind.OUT, Kind.IN, Kind.ERROR}:
+            if record.kind in {RecordKind.OUT, RecordKind.IN, RecordKind.ERROR}:
                 self._lanes.setdefault(self._lane(record), deque()).append((index, record))
         self._written = 0
         self._newest_s = 0.0
@@ -83,22 +83,22 @@ class CaptureLink(Link):
         role = self._protocol.role_out(ours)
         index, captured = self._next(role, role)
         found = [*self._order(index, role), *self._compare(captured.data, ours)]
-        if self._numbering is not None and role is Role.SEND:
+        if self._numbering is not None and role is MessageRole.SEND:
             self._numbering.note(ours)
         first = self.differing == 0
         self.differing += len(found)
         self.differences += found[: MOST_DIFFERENCES - len(self.differences)]
         if found and first and self._strict:  # once: what follows makes the board safe and must go through
             raise CaptureError(f"{self._capture.name}: {found[0]}")
-        if captured.kind is Kind.ERROR:
+        if captured.kind is RecordKind.ERROR:
             raise LinkError(f"as captured: {captured.text}")
 
     def read(self, length: int) -> bytes:
         """The next captured answer."""
         _, captured = self._next(None, "answers")
-        if captured.kind is Kind.ERROR:
+        if captured.kind is RecordKind.ERROR:
             raise LinkError(f"as captured: {captured.text}")
-        if self._numbering is not None and self._protocol.role_in(captured.data) is Role.READ:
+        if self._numbering is not None and self._protocol.role_in(captured.data) is MessageRole.READ:
             return self._numbering.put_into(captured.data)[:length]
         return captured.data[:length]
 
@@ -109,11 +109,11 @@ class CaptureLink(Link):
         """Nothing more is answered."""
         self._closed = True
 
-    def _lane(self, record: Record) -> Role | None:
-        is_answer = record.kind is Kind.IN or (record.kind is Kind.ERROR and record.of != "out")
+    def _lane(self, record: Record) -> MessageRole | None:
+        is_answer = record.kind is RecordKind.IN or (record.kind is RecordKind.ERROR and record.of != "out")
         return None if is_answer else self._protocol.role_out(record.data)
 
-    def _next(self, lane: Role | None, wanted: str) -> tuple[int, Record]:
+    def _next(self, lane: MessageRole | None, wanted: str) -> tuple[int, Record]:
         if self._closed:
             raise LinkError("the capture is closed")
         waiting = self._lanes.get(lane)
@@ -128,24 +128,24 @@ class CaptureLink(Link):
         self._furthest = max(self._furthest, index)
         return index, record
 
-    def _order(self, index: int, role: Role) -> list[Difference]:
+    def _order(self, index: int, role: MessageRole) -> list[FrameDifference]:
         if not (self._ahead and self._ordered):
             return []
         self._ordered = False
         first_line = 2  # behind the header
         captured, ours = f"line {index + first_line}, a {role}", f"only after line {self._furthest + first_line}"
-        return [Difference(self._written, "order", 0, (), captured, ours)]
+        return [FrameDifference(self._written, "order", 0, (), captured, ours)]
 
-    def _compare(self, captured: bytes, ours: bytes) -> list[Difference]:
+    def _compare(self, captured: bytes, ours: bytes) -> list[FrameDifference]:
         table = self._protocol.send
         if len(captured) != len(ours):
-            return [Difference(self._written, "length", 0, (), f"{len(captured)} bytes", f"{len(ours)} bytes")]
+            return [FrameDifference(self._written, "length", 0, (), f"{len(captured)} bytes", f"{len(ours)} bytes")]
         if captured == ours:
             return []
-        if self._protocol.role_out(ours) is not Role.SEND:
-            return [Difference(self._written, "message", 0, (), captured.hex(), ours.hex())]
+        if self._protocol.role_out(ours) is not MessageRole.SEND:
+            return [FrameDifference(self._written, "message", 0, (), captured.hex(), ours.hex())]
         return [
-            Difference(
+            FrameDifference(
                 self._written,
                 label(table, word),
                 byte_offset(table, word),

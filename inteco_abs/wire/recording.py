@@ -13,9 +13,9 @@ from inteco_abs.boards.transports.links import Link
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import CaptureError, ConfigError, ConfigIssue
 from inteco_abs.version import __version__
-from inteco_abs.wire.capture import Capture, Kind, Record, check_target, write_capture
+from inteco_abs.wire.capture import Capture, Record, RecordKind, check_target, write_capture
 
-_OUT, _IN, _ERROR = (kind.value for kind in (Kind.OUT, Kind.IN, Kind.ERROR))
+_OUT, _IN, _ERROR = (kind.value for kind in (RecordKind.OUT, RecordKind.IN, RecordKind.ERROR))
 MOST_MESSAGES: Final = 300_000
 """A hundred thousand ticks of three messages; about 150 MB of memory with the frames of an RT-DAC/USB2."""
 
@@ -128,12 +128,12 @@ class RecordingLink(Link):
     def capture(self) -> Capture:
         """What was kept so far."""
         records = [
-            Record((at_ns - self._start_ns) * 1e-9, Kind(kind), self._endpoints.get(kind), data, text, of)
+            Record((at_ns - self._start_ns) * 1e-9, RecordKind(kind), self._endpoints.get(kind), data, text, of)
             for at_ns, kind, data, text, of in self._kept
         ]
         if self.dropped:
             text = f"{self.dropped} more messages passed and were not kept: {self._most} are the most"
-            records.append(Record(records[-1].t_s if records else 0.0, Kind.WARNING, text=text))
+            records.append(Record(records[-1].t_s if records else 0.0, RecordKind.WARNING, text=text))
         recorded_by = f"inteco-abs {__version__}"
         name = str(self._path or "the recording")
         return Capture(self._board, recorded_by, "monotonic", tuple(records), name, self._start_ns)
@@ -176,7 +176,7 @@ class Recording:
 
 
 @contextmanager
-def recording(
+def record_wire(
     path: Path | None, config: RigConfig, now_ns: Callable[[], int] = time.monotonic_ns, *, keep: bool = False
 ) -> Iterator[Recording]:
     """Gives what puts a recording around a link, and saves it at `path` in the end; without a path, it is only kept.

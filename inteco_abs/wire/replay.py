@@ -8,12 +8,12 @@ from typing import Any, Final, NamedTuple
 
 from firmware_protocol import FrameTable, ProtocolError
 from firmware_protocol.pwm import PWM_FULL_WIDTH
-from inteco_abs.boards import Role, board_behind, family_speaking, protocol_name, protocol_of
+from inteco_abs.boards import MessageRole, board_behind, family_speaking, protocol_name, protocol_of
 from inteco_abs.config import BoardConfig, RigConfig, load_config, profiles
 from inteco_abs.errors import BoardError, CaptureError, ConfigError, ConfigIssue
 from inteco_abs.signals import BoardFlags, Command
-from inteco_abs.wire.capture import Capture, Kind
-from inteco_abs.wire.playback import CaptureLink, Difference
+from inteco_abs.wire.capture import Capture, RecordKind
+from inteco_abs.wire.playback import CaptureLink, FrameDifference
 
 _MODES: Final = ("8-bit", "12-bit")
 
@@ -25,7 +25,7 @@ class WireReplay(NamedTuple):
     failed: int
     differing: int
     """Words in which what we wrote is not what the capture holds, in all."""
-    differences: list[Difference]
+    differences: list[FrameDifference]
     ended: str
     """Why it ended before the capture did; empty if it did not."""
 
@@ -75,7 +75,7 @@ def _as_signed(capture: Capture) -> dict[str, Any]:
     """The profile's keys as if the lab had signed for the captured board."""
     protocol = protocol_of(capture.board)
     for record in capture.records:
-        if record.kind is Kind.IN and protocol.role_in(record.data) is Role.READ:
+        if record.kind is RecordKind.IN and protocol.role_in(record.data) is MessageRole.READ:
             header = protocol.header(record.data)
             break
     else:
@@ -115,7 +115,7 @@ def _commands(capture: Capture, wiring: BoardConfig) -> Iterator[Command | None]
 
 def _sends(capture: Capture) -> list[bytes]:
     size = protocol_of(capture.board).send.size
-    return [record.data for record in capture.records if record.kind is Kind.OUT and len(record.data) == size]
+    return [record.data for record in capture.records if record.kind is RecordKind.OUT and len(record.data) == size]
 
 
 def _holds_timer(table: FrameTable, frame: bytes, wiring: BoardConfig) -> bool:

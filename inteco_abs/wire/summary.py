@@ -8,8 +8,8 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from firmware_protocol.fields import ProtocolError
-from inteco_abs.boards import Protocol, Role, protocol_of
-from inteco_abs.wire.capture import Capture, Kind
+from inteco_abs.boards import BoardProtocol, MessageRole, protocol_of
+from inteco_abs.wire.capture import Capture, RecordKind
 
 
 class Traffic(NamedTuple):
@@ -22,7 +22,7 @@ class Traffic(NamedTuple):
     longest_interval_s: float | None
 
 
-class Summary(NamedTuple):
+class CaptureSummary(NamedTuple):
     """Whole capture."""
 
     board: str
@@ -41,27 +41,27 @@ class Summary(NamedTuple):
     """Says when the tables that name the fields were made for another logic."""
 
 
-def summarize(capture: Capture) -> Summary:
+def summarize(capture: Capture) -> CaptureSummary:
     """Counts, rates, errors, and which board it was. Raises ConfigError for a board that has no tables."""
     protocol = protocol_of(capture.board)
     times_s: dict[str, list[float]] = {}
     for record in capture.records:
-        if record.kind is Kind.OUT:
+        if record.kind is RecordKind.OUT:
             times_s.setdefault(protocol.role_out(record.data), []).append(record.t_s)
-        elif record.kind is Kind.IN:
+        elif record.kind is RecordKind.IN:
             role = protocol.role_in(record.data)
-            times_s.setdefault("other answer" if role is Role.OTHER else role, []).append(record.t_s)
+            times_s.setdefault("other answer" if role is MessageRole.OTHER else role, []).append(record.t_s)
     version, name = _identity(capture, protocol)
     at_s = [record.t_s for record in capture.records]
-    return Summary(
+    return CaptureSummary(
         capture.board,
         capture.recorded_by,
         capture.clock,
         max(at_s) - min(at_s) if at_s else 0.0,
         {role: _traffic(found) for role, found in times_s.items()},
-        dict(Counter(record.text for record in capture.records if record.kind is Kind.ERROR)),
-        sum(record.kind is Kind.CONTROL for record in capture.records),
-        tuple(record.text for record in capture.records if record.kind is Kind.WARNING),
+        dict(Counter(record.text for record in capture.records if record.kind is RecordKind.ERROR)),
+        sum(record.kind is RecordKind.CONTROL for record in capture.records),
+        tuple(record.text for record in capture.records if record.kind is RecordKind.WARNING),
         version,
         name,
         caution(capture),
@@ -80,14 +80,14 @@ def caution(capture: Capture) -> str:
     )
 
 
-def _identity(capture: Capture, protocol: Protocol) -> tuple[int | None, str]:
+def _identity(capture: Capture, protocol: BoardProtocol) -> tuple[int | None, str]:
     for record in capture.records:
-        if record.kind is Kind.IN and protocol.role_in(record.data) is Role.READ:
+        if record.kind is RecordKind.IN and protocol.role_in(record.data) is MessageRole.READ:
             return _header(record.data, protocol)
     return None, ""
 
 
-def _header(frame: bytes, protocol: Protocol) -> tuple[int, str]:
+def _header(frame: bytes, protocol: BoardProtocol) -> tuple[int, str]:
     version = int.from_bytes(frame[:2], "little")  # words or bytes 0 and 1 in every logic of every board
     try:
         values: dict[str, Any] = protocol.read.decode_some(frame, ["application_name"])

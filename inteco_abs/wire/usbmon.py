@@ -51,7 +51,7 @@ class Transfer(IntEnum):
     BULK = 3
 
 
-class Urb(NamedTuple):
+class MonitoredUrb(NamedTuple):
     """A transfer as it is handed to the host controller, or as it comes back."""
 
     bus: int
@@ -78,7 +78,7 @@ class Urb(NamedTuple):
         return f"{self.bus}.{self.address}"
 
 
-def decode(packet: bytes, link_type: int, *, big_endian: bool = False) -> Urb:
+def decode(packet: bytes, link_type: int, *, big_endian: bool = False) -> MonitoredUrb:
     """What the packet says. Raises CaptureError for one that is cut off or from no USB monitor."""
     if link_type == USBPCAP:
         return _usbpcap(packet)
@@ -87,7 +87,7 @@ def decode(packet: bytes, link_type: int, *, big_endian: bool = False) -> Urb:
     )
 
 
-def _usbmon(packet: bytes, header: int, order: str) -> Urb:
+def _usbmon(packet: bytes, header: int, order: str) -> MonitoredUrb:
     if len(packet) < header:
         raise CaptureError(f"has {len(packet)} bytes, a usbmon header has {header}")
     (number, kind, transfer, endpoint, address, bus, no_setup, no_data, _, _, status, length, captured, setup) = (
@@ -108,10 +108,12 @@ def _usbmon(packet: bytes, header: int, order: str) -> Urb:
     done = kind != _SUBMITTED
     good = status in {0, _SHORT} or (status == _IN_PROGRESS and not done)
     failure = "" if good else f"status {status}"
-    return Urb(bus, address, endpoint, transfer, number, done, failure, length, data, b"" if no_setup else setup)
+    return MonitoredUrb(
+        bus, address, endpoint, transfer, number, done, failure, length, data, b"" if no_setup else setup
+    )
 
 
-def _usbpcap(packet: bytes) -> Urb:
+def _usbpcap(packet: bytes) -> MonitoredUrb:
     if len(packet) < _USBPCAP.size:
         raise CaptureError(f"has {len(packet)} bytes, a USBPcap header has at least {_USBPCAP.size}")
     header, number, status, _, info, bus, address, endpoint, transfer, length = _USBPCAP.unpack_from(packet)
@@ -128,7 +130,7 @@ def _usbpcap(packet: bytes) -> Urb:
     if staged and packet[_USBPCAP.size] == _SETUP_STAGE:
         setup, data = data[:_SETUP_BYTES], data[_SETUP_BYTES:]
     failure = f"USBD status 0x{status:08X}" if done and status else ""
-    return Urb(bus, address, endpoint, transfer, number, done, failure, len(data), data, setup)
+    return MonitoredUrb(bus, address, endpoint, transfer, number, done, failure, len(data), data, setup)
 
 
 def _cut(found: int, length: int) -> str:

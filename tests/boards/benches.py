@@ -15,7 +15,7 @@ from inteco_abs.boards.families.usb.mock import ByteStream
 from inteco_abs.boards.transports.serial_link import SerialLink
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.errors import LinkError
-from inteco_abs.mock_board import Device, FrontEnd, PtyServer, SocketServer, face_of
+from inteco_abs.mock_board import Device, FrontEnd, PtyServer, SocketServer, front_end_of
 from inteco_abs.rig import Plant
 from inteco_abs.signals import Command, Sample
 
@@ -74,9 +74,9 @@ class SteeredDevice(Device):
 class MoodyFace:
     """The mock's face. Deaf, it ignores settings; an answer can come late, even later, or twice."""
 
-    def __init__(self, face: FrontEnd, request: bytes) -> None:
-        self.face = face
-        self.device = face.device
+    def __init__(self, front_end: FrontEnd, request: bytes) -> None:
+        self.front_end = front_end
+        self.device = front_end.device
         self.rejected = 0
         self.deaf = False
         self.ignored = 0
@@ -92,11 +92,11 @@ class MoodyFace:
         if self.deaf and len(data) > len(self._request):
             self.ignored += 1
         else:
-            self.face.bulk_out(data)
+            self.front_end.bulk_out(data)
 
     def bulk_in(self, length: int) -> bytes:
         mood, self.next_answer = self.next_answer, "in time"
-        answer = self.face.bulk_in(length)
+        answer = self.front_end.bulk_in(length)
         if mood == "after the next request":
             self._held.append(answer)
         elif answer:
@@ -235,10 +235,10 @@ class FrameBench:
         self.clock = HandClock()
         board = replace(self.config.board, logic_version=own.logic_version)
         self.device = SteeredDevice(replace(self.config, board=board), self.clock.now_ns, seed)
-        face = face_of(self.device)
+        front_end = front_end_of(self.device)
         if earlier is not None:
-            face.bulk_out(self.encode(earlier))
-        self.face = MoodyFace(face, self.request)
+            front_end.bulk_out(self.encode(earlier))
+        self.front_end = MoodyFace(front_end, self.request)
         self.plug_in()
 
     @staticmethod
@@ -261,7 +261,7 @@ class FrameBench:
         self.link.close()
 
     def _connect(self) -> Link:
-        return InProcessLink(self.face)
+        return InProcessLink(self.front_end)
 
     @property
     def acts(self) -> list[str]:
@@ -294,7 +294,7 @@ class FrameBench:
 
     def read_along(self) -> None:
         """Another program asks the device, and nobody fetches the answer."""
-        self.face.bulk_out(self.request)
+        self.front_end.bulk_out(self.request)
 
     def exchange(self, drive: float = 0.0, brake: float = 0.0, periods: float = 1.0) -> Sample:
         """One exchange, `periods` after the last one."""
@@ -339,7 +339,7 @@ class FrameBench:
 
     def ignore_commands(self) -> None:
         """From now on the device answers and does not do what it is told."""
-        self.face.deaf = True
+        self.front_end.deaf = True
 
 
 def _untrusted(
@@ -451,7 +451,7 @@ class SocketBench(Usb2Bench):
     def _connect(self) -> Link:
         if not hasattr(self, "server"):
             self._path = f"\0inteco-abs-{os.getpid()}-{next(self._numbers)}"  # a name without a file
-            self.server = SocketServer(self.face, self._path)
+            self.server = SocketServer(self.front_end, self._path)
         link = PumpedLink(self._path, self.server)
         self._open.append((self.server, link))
         self.close_all_but(BENCHES_OF_A_TEST)
@@ -499,7 +499,7 @@ class PtyBench(Usb0111Bench):
 
     def _connect(self) -> Link:
         if not hasattr(self, "server"):
-            self.stream = CountingStream(self.face)
+            self.stream = CountingStream(self.front_end)
             self.server = PtyServer(self.stream)
             self._links: list[SerialLink] = []
             self._open.append((self.server, self._links))

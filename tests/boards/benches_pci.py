@@ -25,9 +25,9 @@ ALL_ONES = 0xFFFFFFFF
 class MoodyRegisters:
     """The mock's registers. Deaf, they take no setting; the index registers, which reading needs, go on working."""
 
-    def __init__(self, face: PciFrontEnd) -> None:
-        self.face = face
-        self.device = face.device
+    def __init__(self, front_end: PciFrontEnd) -> None:
+        self.front_end = front_end
+        self.device = front_end.device
         self.deaf = False
         self._ignored_widths = 0
 
@@ -41,10 +41,10 @@ class MoodyRegisters:
         if self.deaf:
             self._ignored_widths += sum(is_width(step) for step in steps)
             steps = [step for step in steps if not is_setting(step)]
-        self.face.bulk_out(encode_request(number, steps))
+        self.front_end.bulk_out(encode_request(number, steps))
 
     def bulk_in(self, length: int) -> bytes:
-        return self.face.bulk_in(length)
+        return self.front_end.bulk_in(length)
 
 
 def is_index(step: Write | int) -> bool:
@@ -162,12 +162,12 @@ class PciBench:
         self.device = SteeredDevice(self.config, self.clock.now_ns, seed)
         own = {f"pwm{i}_{name}" for i in range(2) for name in ("mode", "prescaler", "width")} | {ENCODER_RESET.name}
         self.device.write({name: value for name, value in (earlier or {}).items() if name in own})
-        self.face = MoodyRegisters(PciFrontEnd(self.device))
+        self.front_end = MoodyRegisters(PciFrontEnd(self.device))
         self.plug_in()
 
     def plug_in(self) -> None:
         """A new host: carrier and board of its own; the device stays as it is."""
-        self.link = RegisterLink(InProcessLink(self.face))
+        self.link = RegisterLink(InProcessLink(self.front_end))
         self.board = RtdacPci(self._carrier(), self.config.board, self.clock.now_ns, self.config.period_ns)
 
     def die(self) -> None:
@@ -220,7 +220,7 @@ class PciBench:
 
     def read_along(self) -> None:
         """Another program asks the device, and nobody fetches the answer."""
-        self.face.bulk_out(encode_request(0, [LOGIC.offset]))
+        self.front_end.bulk_out(encode_request(0, [LOGIC.offset]))
 
     exchange = FrameBench.exchange
     roll = FrameBench.roll

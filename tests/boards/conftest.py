@@ -95,14 +95,14 @@ class MockBoard:
     def __init__(self, *settings: str, seed: int = 0, **device) -> None:
         self.clock = HandClock()
         self.device = Device(load_config(settings=settings), self.clock.now_ns, seed, **device)
-        self.face = Usb2FrontEnd(self.device)
+        self.front_end = Usb2FrontEnd(self.device)
 
     def send(self, **settings: int) -> None:
-        self.face.bulk_out(encode_send(settings))
+        self.front_end.bulk_out(encode_send(settings))
 
     def read(self) -> bytes:
-        self.face.bulk_out(READ_REQUEST)
-        return self.face.bulk_in(FRAME_BYTES)
+        self.front_end.bulk_out(READ_REQUEST)
+        return self.front_end.bulk_in(FRAME_BYTES)
 
     def run(self, duration_s: float) -> None:
         """Let the rig move on, at the rate at which a loop would look at it."""

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from inteco_abs.errors import CaptureError
 from inteco_abs.wire.capture import (
     Capture,
-    Kind,
     Record,
+    RecordKind,
     check_target,
     opened_capture,
     parse_capture,
@@ -19,17 +19,17 @@ from inteco_abs.wire.capture import (
 
 HEAD = {"format": "inteco-abs wire", "version": 1, "board": "usb2", "recorded_by": "a test", "clock": "none"}
 RECORDS = (
-    Record(0.0, Kind.OUT, 2, b"\xff\x8f\x00\x00"),
-    Record(0.00125, Kind.IN, 0x84, bytes(504)),
-    Record(0.002, Kind.OUT, None, b""),
-    Record(0.0125, Kind.ERROR, text="the board did not answer", of="in"),
-    Record(0.02, Kind.ERROR, data=b"\x0f\x8f", text="unplugged: Größe", of="out"),
-    Record(0.03, Kind.ERROR, text="unplugged", of="exchange"),
-    Record(0.04, Kind.CONTROL, 0, b"12", setup=bytes(8)),
-    Record(0.05, Kind.WARNING, text="something"),
+    Record(0.0, RecordKind.OUT, 2, b"\xff\x8f\x00\x00"),
+    Record(0.00125, RecordKind.IN, 0x84, bytes(504)),
+    Record(0.002, RecordKind.OUT, None, b""),
+    Record(0.0125, RecordKind.ERROR, text="the board did not answer", of="in"),
+    Record(0.02, RecordKind.ERROR, data=b"\x0f\x8f", text="unplugged: Größe", of="out"),
+    Record(0.03, RecordKind.ERROR, text="unplugged", of="exchange"),
+    Record(0.04, RecordKind.CONTROL, 0, b"12", setup=bytes(8)),
+    Record(0.05, RecordKind.WARNING, text="something"),
 )
 times = st.integers(0, 10**13).map(lambda ns: ns * 1e-9)
-directions = st.sampled_from([Kind.OUT, Kind.IN])
+directions = st.sampled_from([RecordKind.OUT, RecordKind.IN])
 endpoints = st.none() | st.integers(0, 255)
 messages = st.tuples(times, directions, endpoints, st.binary(max_size=40)).map(lambda parts: Record(*parts))
 
@@ -122,7 +122,12 @@ def test_any_line_is_a_record_or_one_clear_error(line):
     st.fixed_dictionaries(
         {},
         optional={
-            key: st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=9) | st.sampled_from(Kind)
+            key: st.none()
+            | st.booleans()
+            | st.integers()
+            | st.floats()
+            | st.text(max_size=9)
+            | st.sampled_from(RecordKind)
             for key in ("t", "dir", "ep", "hex", "text", "of", "setup")
         },
     )

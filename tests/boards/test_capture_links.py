@@ -8,9 +8,9 @@ from inteco_abs.boards.family import protocol_name
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, CaptureError, ConfigError, LinkError, UnsafeError
 from inteco_abs.signals import BoardFlags, Command
-from inteco_abs.wire.capture import Capture, Kind, Record, read_capture
+from inteco_abs.wire.capture import Capture, Record, RecordKind, read_capture
 from inteco_abs.wire.playback import CaptureLink
-from inteco_abs.wire.recording import RecordingLink, recording
+from inteco_abs.wire.recording import RecordingLink, record_wire
 
 NUMBERING = "pwm7_prescaler"
 
@@ -167,7 +167,7 @@ def test_strict_raises_the_first_difference_and_no_other():
 
 def test_a_capture_that_is_used_up_says_how_many_messages_it_held(bench, recorded):
     _, capture = recorded(RAMP[:3])
-    held = sum(record.kind in {Kind.OUT, Kind.IN} for record in capture.records)
+    held = sum(record.kind in {RecordKind.OUT, RecordKind.IN} for record in capture.records)
     link = CaptureLink(capture)
     with pytest.raises(UnsafeError, match=f"no more SEND: it held {held} messages"):
         drive(bench, link, RAMP)
@@ -181,11 +181,11 @@ def test_an_empty_capture_answers_nothing_and_compares_nothing(read):
 
 
 def out(data):
-    return Record(0.0, Kind.OUT, 2, data)
+    return Record(0.0, RecordKind.OUT, 2, data)
 
 
 def into(data):
-    return Record(0.0, Kind.IN, 0x84, data)
+    return Record(0.0, RecordKind.IN, 0x84, data)
 
 
 def capture_of(*records, board="usb2"):
@@ -231,7 +231,7 @@ def test_words_of_the_first_generation_are_named_by_data_byte():
 
 
 def test_notes_and_control_transfers_are_not_replayed():
-    notes = Record(0.0, Kind.CONTROL, 0, b"x", setup=bytes(8)), Record(0.0, Kind.WARNING, text="x")
+    notes = Record(0.0, RecordKind.CONTROL, 0, b"x", setup=bytes(8)), Record(0.0, RecordKind.WARNING, text="x")
     link = CaptureLink(capture_of(*notes, into(b"answer"), *notes))
     assert link.left == 1
     assert link.read(3) == b"ans"
@@ -247,7 +247,7 @@ def test_differences_beyond_the_list_are_counted():
 
 def test_a_message_that_was_not_taken_then_is_compared_and_fails_again():
     send = encode_send({"pwm0_width": 7})
-    failed = Record(0.0, Kind.ERROR, 2, send, "the cable is unplugged", "out")
+    failed = Record(0.0, RecordKind.ERROR, 2, send, "the cable is unplugged", "out")
     link = CaptureLink(capture_of(failed, out(send)))
     with pytest.raises(LinkError, match="as captured: the cable is unplugged"):
         link.write(send)
@@ -318,8 +318,13 @@ def test_the_inner_links_own_ways_are_used(path):
     link.discard(9)
     link.close()
     assert inner.used == ["write", "read", "exchange", "discard", "close"]
-    expected = [(Kind.OUT, "", b"w"), (Kind.IN, "", b"\0"), (Kind.OUT, "", b"a"), (Kind.OUT, "", b"b")]
-    assert kinds(link) == [*expected, (Kind.IN, "", b"\0\0")]
+    expected = [
+        (RecordKind.OUT, "", b"w"),
+        (RecordKind.IN, "", b"\0"),
+        (RecordKind.OUT, "", b"a"),
+        (RecordKind.OUT, "", b"b"),
+    ]
+    assert kinds(link) == [*expected, (RecordKind.IN, "", b"\0\0")]
 
 
 @pytest.mark.parametrize("error", [LinkError("unplugged"), KeyboardInterrupt()], ids=["failure", "Ctrl-C"])
@@ -331,11 +336,11 @@ def test_every_failure_passes_and_is_kept(path, error):
         with pytest.raises(type(error)):
             use()
     assert kinds(link) == [
-        (Kind.ERROR, "out", b"w"),
-        (Kind.ERROR, "in", b""),
-        (Kind.OUT, "", b"a"),
-        (Kind.OUT, "", b"b"),
-        (Kind.ERROR, "exchange", b""),
+        (RecordKind.ERROR, "out", b"w"),
+        (RecordKind.ERROR, "in", b""),
+        (RecordKind.OUT, "", b"a"),
+        (RecordKind.OUT, "", b"b"),
+        (RecordKind.ERROR, "exchange", b""),
     ]
     assert {record.text for record in link.capture().records} == {"", str(error) or "KeyboardInterrupt"}
 
@@ -345,7 +350,7 @@ def test_a_message_may_be_reused_by_its_writer(path):
     message = bytearray(b"one")
     link.write(message)
     message[:] = b"two"
-    assert kinds(link) == [(Kind.OUT, "", b"one")]
+    assert kinds(link) == [(RecordKind.OUT, "", b"one")]
 
 
 def test_nothing_is_written_until_it_is_saved_and_closing_does_not_wait_for_that(path):
@@ -362,18 +367,18 @@ def test_nothing_is_written_until_it_is_saved_and_closing_does_not_wait_for_that
 
 class TestRecording:
     def test_what_passes_is_saved_in_the_end(self, path):
-        with recording(path, load_config()) as around:
+        with record_wire(path, load_config()) as around:
             around(Inner()).write(b"w")
             assert not path.exists()
         assert read_capture(path).messages == 1
 
     def test_without_a_path_nothing_is_put_around_the_link(self):
         inner = Inner()
-        with recording(None, load_config()) as around:
+        with record_wire(None, load_config()) as around:
             assert around(inner) is inner
 
     def test_without_a_path_it_may_be_kept_for_another_place(self, tmp_path):
-        with recording(None, load_config(), now_ns=lambda: 7, keep=True) as around:
+        with record_wire(None, load_config(), now_ns=lambda: 7, keep=True) as around:
             assert around.capture() is None
             around(Inner()).write(b"w")
             capture = around.capture()
@@ -381,7 +386,7 @@ class TestRecording:
         assert not list(tmp_path.iterdir())
 
     def fail(self, path, then=lambda: None):
-        with recording(path, load_config()) as around:
+        with record_wire(path, load_config()) as around:
             around(Inner()).write(b"w")
             then()
             raise LinkError("gone")
@@ -400,7 +405,7 @@ class TestRecording:
 
     def test_a_target_that_exists_is_refused_before_the_board_is_opened(self, path):
         path.write_text("precious")
-        with pytest.raises(CaptureError, match="never overwritten"), recording(path, load_config()):
+        with pytest.raises(CaptureError, match="never overwritten"), record_wire(path, load_config()):
             raise AssertionError
 
 

@@ -10,7 +10,7 @@ def test_a_trusted_board_is_read_and_nothing_is_written_to_it(new_bench, both_on
     bench = new_bench(earlier=both_on)
     before = dict(bench.device.settings)
     with bench.board.reading() as board:
-        assert board.insist()[:3] == bench.identity
+        assert board.require_writable()[:3] == bench.identity
         board.survey()
         board.survey(["encoder0_count"])
     assert bench.only_read
@@ -33,7 +33,7 @@ def test_a_board_that_is_not_trusted_says_so_as_it_does_to_a_run(new_bench):
     settings, words = new_bench.untrusted["an unsigned profile"]
     bench = new_bench(*settings)
     with bench.board.reading() as board, pytest.raises(ReadOnlyError) as refusal:
-        board.insist()
+        board.require_writable()
     assert all(word in str(refusal.value) for word in words)
     assert bench.only_read
 

@@ -124,7 +124,7 @@ class TestLeaving:
         bench = new_bench()
         with pytest.raises(UnsafeError, match=r"SAFE could not be confirmed.*emergency switch"):
             ignored_at_the_end(bench, 1.0, 0.6)
-        assert bench.face.ignored == 3 * bench.sends_of_safe
+        assert bench.front_end.ignored == 3 * bench.sends_of_safe
         assert bench.link.closed
         assert bench.device.duties == (1.0, 0.6)
 

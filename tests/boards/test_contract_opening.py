@@ -96,7 +96,7 @@ class TestOpening:
         bench.ignore_commands()
         with pytest.raises(UnsafeError, match="emergency switch"):
             bench.board.__enter__()
-        assert bench.face.ignored
+        assert bench.front_end.ignored
         assert bench.link.closed
 
     def test_an_exchange_on_a_board_that_was_never_opened_is_refused(self, new_bench):

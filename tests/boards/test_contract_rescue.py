@@ -105,7 +105,7 @@ class TestRescue:
         wreck.ignore_commands()
         with pytest.raises(UnsafeError, match="emergency switch"):
             wreck.board.rescue(wreck.image)
-        assert wreck.face.ignored == 3 * wreck.sends_of_safe
+        assert wreck.front_end.ignored == 3 * wreck.sends_of_safe
         assert wreck.device.duties == BOTH
 
     def test_a_failure_that_passes_is_tried_again(self, wreck, way):
@@ -166,7 +166,7 @@ class TestRescue:
         wreck.ignore_commands()
         with suppress(UnsafeError):
             wreck.board.rescue(wreck.image)
-        wreck.face.deaf = False
+        wreck.front_end.deaf = False
         wreck.plug_in()
         wreck.board.rescue(wreck.image)
         assert wreck.device.duties == OFF

@@ -53,8 +53,8 @@ class Served:
     def __init__(self, path):
         self.config = load_config()
         self.device = Device(self.config, time.monotonic_ns, 1)
-        self.face = Usb2FrontEnd(self.device)
-        self.server = SocketServer(self.face, path)
+        self.front_end = Usb2FrontEnd(self.device)
+        self.server = SocketServer(self.front_end, path)
         self.path = path
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._serve)
@@ -160,7 +160,7 @@ class TestOpening:
             assert served.path in str(refusal.value)
             assert not isinstance(refusal.value, LinkError)
             assert len(answer_of(link)) == FRAME_BYTES
-        assert served.face.rejected == 0
+        assert served.front_end.rejected == 0
 
     def test_where_nobody_listens_there_is_no_board(self, path):
         with pytest.raises(BoardError, match=r"no board at .*No such file"):
@@ -389,7 +389,7 @@ class TestTheHostGoesAway:
     def test_what_is_no_frame_is_dropped_and_the_next_is_answered(self, served, link):
         link.write(b"nonsense")
         assert len(answer_of(link)) == FRAME_BYTES
-        assert served.face.rejected == 1
+        assert served.front_end.rejected == 1
 
 
 def test_the_rig_moves_on_while_nobody_asks(served):

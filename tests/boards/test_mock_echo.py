@@ -42,7 +42,7 @@ def test_the_header_names_logic_application_date_and_channels(mock):
 
 def test_the_header_is_the_same_whatever_was_written(mock, wire):
     before = mock.read()[:18]
-    mock.face.bulk_out(wire.frame(dict.fromkeys(range(1, 252), 0x7FFF)))
+    mock.front_end.bulk_out(wire.frame(dict.fromkeys(range(1, 252), 0x7FFF)))
     assert mock.read()[:18] == before
 
 
@@ -57,7 +57,7 @@ def test_settings_are_echoed_in_the_encoding_of_the_read_frame(mock, wire, pair)
     expected = wire.words(mock.read())
     for index, value in reported.items():
         expected[index] = value
-    mock.face.bulk_out(wire.frame(sent))
+    mock.front_end.bulk_out(wire.frame(sent))
     answer = wire.words(mock.read())
     counters = range(53, 57)  # hold-and-release of a counter is tested elsewhere
     assert {i: word for i, word in enumerate(answer) if i not in counters} == {
@@ -69,35 +69,35 @@ def test_settings_are_echoed_in_the_encoding_of_the_read_frame(mock, wire, pair)
 @given(words=st.lists(st.integers(0, 0x7FFF), min_size=251, max_size=251))
 def test_every_setting_of_any_frame_is_echoed(new_mock, wire, words):
     mock, frame = new_mock(), wire.frame(dict(enumerate(words, 1)))
-    mock.face.bulk_out(frame)
+    mock.front_end.bulk_out(frame)
     sent, reported = decode_send(frame), decode_read(mock.read())
     assert {name: reported[name] for name in ECHOED} == {name: sent[name] for name in ECHOED}
     assert reported["pin_input"] == sent["pin_output"] & ~sent["pin_direction"]
 
 
 def test_a_read_without_a_request_gives_no_answer(mock):
-    assert mock.face.bulk_in(504) == b""
+    assert mock.front_end.bulk_in(504) == b""
     mock.read()
-    assert mock.face.bulk_in(504) == b""
+    assert mock.front_end.bulk_in(504) == b""
 
 
 def test_a_frame_with_settings_is_not_answered(mock):
     mock.send(pwm0_width=1)
-    assert mock.face.bulk_in(504) == b""
+    assert mock.front_end.bulk_in(504) == b""
 
 
 def test_every_request_has_one_answer_in_order_as_of_the_request(mock):
     for width in (1, 2, 3):
         mock.send(pwm0_width=width)
-        mock.face.bulk_out(READ_REQUEST)
-    widths = [decode_read(mock.face.bulk_in(504))["pwm0_width"] for _ in range(3)]
+        mock.front_end.bulk_out(READ_REQUEST)
+    widths = [decode_read(mock.front_end.bulk_in(504))["pwm0_width"] for _ in range(3)]
     assert widths == [1, 2, 3]
-    assert mock.face.bulk_in(504) == b""
+    assert mock.front_end.bulk_in(504) == b""
 
 
 def test_an_answer_is_cut_to_the_length_asked_for(mock):
-    mock.face.bulk_out(READ_REQUEST)
-    assert len(mock.face.bulk_in(64)) == 64
+    mock.front_end.bulk_out(READ_REQUEST)
+    assert len(mock.front_end.bulk_in(64)) == 64
 
 
 def test_answers_do_not_change_once_they_were_given(mock):

@@ -47,17 +47,17 @@ def test_a_face_that_remembers_answers_as_one_that_decodes_every_frame_anew(new_
     mock, twin = new_mock(cable=cable), new_mock(cable=cable)
     rejected = 0
     for frame, good, elapsed_ns in frames_of(wire, script):
-        mock.face.bulk_out(frame)
+        mock.front_end.bulk_out(frame)
         if good:
-            twin.face = Usb2FrontEnd(twin.device)  # knows nothing of earlier frames
-            twin.face.bulk_out(frame)
+            twin.front_end = Usb2FrontEnd(twin.device)  # knows nothing of earlier frames
+            twin.front_end.bulk_out(frame)
         rejected += not good
         assert mock.read() == twin.read()
         assert mock.device.duties == twin.device.duties
         mock.clock.advance(elapsed_ns)
         twin.clock.advance(elapsed_ns)
         assert mock.read() == twin.read()
-    assert mock.face.rejected == rejected
+    assert mock.front_end.rejected == rejected
 
 
 @pytest.mark.untraced
@@ -66,13 +66,13 @@ def test_a_face_that_remembers_answers_as_one_that_decodes_every_frame_anew(new_
 def test_the_settings_are_those_of_the_last_good_frame_alone(new_mock, wire, script):
     mock, last = new_mock(), None
     for frame, good, _ in frames_of(wire, script):
-        mock.face.bulk_out(frame)
+        mock.front_end.bulk_out(frame)
         last = frame if good else last
     if last is None:
         assert mock.device.settings == {}
         return
     fresh = new_mock()
-    fresh.face.bulk_out(last)
+    fresh.front_end.bulk_out(last)
     assert mock.device.settings == fresh.device.settings == decode_send(last)
     assert mock.device.duties == fresh.device.duties
     reported, anew = decode_read(mock.read()), decode_read(fresh.read())
@@ -83,12 +83,12 @@ def test_the_settings_are_those_of_the_last_good_frame_alone(new_mock, wire, scr
 
 def test_a_buffer_that_the_host_changes_after_writing_is_not_remembered_by_reference(mock, wire):
     buffer = bytearray(wire.frame({10: 0b100100, 22: 10}))
-    mock.face.bulk_out(buffer)
+    mock.front_end.bulk_out(buffer)
     buffer[44] = 200
-    mock.face.bulk_out(buffer)
+    mock.front_end.bulk_out(buffer)
     assert mock.device.duties[0] == 200 / 255
     buffer[28] = 1
-    mock.face.bulk_out(buffer)
+    mock.front_end.bulk_out(buffer)
     assert decode_read(mock.read())["pin_output"] == 1
 
 
@@ -97,7 +97,7 @@ def test_a_frame_that_is_dropped_does_not_change_the_number_that_is_echoed(new_m
     mock.send(pwm7_prescaler=5)
     image = bytearray(encode_send({"pwm7_prescaler": 6}))
     image[101] |= 0x80  # a data word with the command bit
-    mock.face.bulk_out(bytes(image))
+    mock.front_end.bulk_out(bytes(image))
     assert decode_read(mock.read())["pwm7_prescaler"] == 5
     mock.send(pwm7_prescaler=7)
     assert decode_read(mock.read())["pwm7_prescaler"] == 7

@@ -8,10 +8,10 @@ DRIVING = {"pin_mode": 0b100100, "pwm0_width": 200, "pwm1_width": 30, "pin_outpu
 
 
 def assert_rejected(mock, message):
-    before, duties, rejected = mock.read(), mock.device.duties, mock.face.rejected
-    mock.face.bulk_out(message)
-    assert mock.face.rejected == rejected + 1
-    assert mock.face.bulk_in(504) == b""
+    before, duties, rejected = mock.read(), mock.device.duties, mock.front_end.rejected
+    mock.front_end.bulk_out(message)
+    assert mock.front_end.rejected == rejected + 1
+    assert mock.front_end.bulk_in(504) == b""
     assert mock.read() == before
     assert mock.device.duties == duties
 
@@ -38,7 +38,7 @@ def test_a_frame_with_bit_15_in_a_data_word_changes_nothing(driving, wire, word)
 
 
 def test_a_frame_whose_widths_alone_have_bit_15_changes_nothing(mock, wire):
-    mock.face.bulk_out(wire.frame({10: 0b100100, 22: 200}))
+    mock.front_end.bulk_out(wire.frame({10: 0b100100, 22: 200}))
     assert_rejected(mock, wire.frame({10: 0b100100, 22: 0x8000 | 200}))
     assert_rejected(mock, wire.frame({10: 0b100100, 22: 200, 25: 0x8000}))
 
@@ -51,13 +51,13 @@ def test_four_bytes_that_are_no_request_change_nothing(new_mock, message):
 
 
 def test_a_good_frame_after_a_bad_one_is_taken(driving, wire):
-    driving.face.bulk_out(wire.frame({22: 0x8000}, SEND_COMMAND))
+    driving.front_end.bulk_out(wire.frame({22: 0x8000}, SEND_COMMAND))
     driving.send(**{**DRIVING, "pwm0_width": 51})
-    assert driving.face.rejected == 1
+    assert driving.front_end.rejected == 1
     assert driving.device.duties[0] == 0.2
 
 
 def test_good_messages_are_not_counted_as_rejected(driving):
     driving.read()
     driving.send(**DRIVING)
-    assert driving.face.rejected == 0
+    assert driving.front_end.rejected == 0

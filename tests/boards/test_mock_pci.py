@@ -33,8 +33,8 @@ class Mock:
         self.truths = []
         config = load_config(profile="sim_pci")
         self.device = Device(config, lambda: self.time_ns, seed, self.truths.append, cable)
-        self.face = PciFrontEnd(self.device)
-        self.read, self.write = self.face.read, self.face.write
+        self.front_end = PciFrontEnd(self.device)
+        self.read, self.write = self.front_end.read, self.front_end.write
 
     def width(self, channel, width):
         self.write(PWM_INDEX, channel)
@@ -45,8 +45,8 @@ class Mock:
         return self.read(ENCODER_COUNT)
 
     def ask(self, *steps):
-        self.face.bulk_out(encode_request(9, steps))
-        answer = self.face.bulk_in(4096)
+        self.front_end.bulk_out(encode_request(9, steps))
+        answer = self.front_end.bulk_in(4096)
         return decode_answer(answer) if answer else None
 
 
@@ -84,7 +84,7 @@ def test_what_nobody_has_described_reads_zero(mock, offset):
 def test_writes_to_what_no_source_writes_are_dropped_and_counted(mock, offset):
     before = [mock.read(one) for one in OFFSETS]
     mock.write(offset, 0xFFFFFFFF)
-    assert mock.face.rejected == 1
+    assert mock.front_end.rejected == 1
     assert [mock.read(one) for one in OFFSETS] == before
 
 
@@ -92,7 +92,7 @@ def test_writes_to_what_no_source_writes_are_dropped_and_counted(mock, offset):
 def test_an_index_without_a_channel_is_dropped_and_counted(mock, index, channels):
     mock.write(index, channels - 1)
     mock.write(index, channels)
-    assert mock.face.rejected == 1
+    assert mock.front_end.rejected == 1
     assert mock.read(index) == channels - 1
 
 
@@ -106,7 +106,7 @@ def test_each_pwm_channel_keeps_its_settings_within_their_bits(channel, mode, pr
     assert kept == [mode & 1, prescaler & 0xFFFF, width & 0xFFF]
     mock.write(PWM_INDEX, 1 - channel)
     assert [mock.read(offset) for offset in (PWM_MODE, PWM_PRESCALER, PWM_WIDTH)] == [0, 0, 0]
-    assert mock.face.rejected == 0
+    assert mock.front_end.rejected == 0
 
 
 def test_widths_reach_the_motors(mock):
@@ -183,9 +183,9 @@ def test_a_command_is_shown_once_to_who_watches_the_rig(mock):
 
 @pytest.mark.parametrize("length", [0, 1, 3, 5, 8, 11, 13, 16])
 def test_a_malformed_message_is_dropped_and_counted(mock, length):
-    mock.face.bulk_out(encode_request(1, [Write(PWM_WIDTH, 99), Write(PWM_WIDTH, 98)])[:length])
-    assert mock.face.rejected == 1
-    assert mock.face.bulk_in(4096) == b""
+    mock.front_end.bulk_out(encode_request(1, [Write(PWM_WIDTH, 99), Write(PWM_WIDTH, 98)])[:length])
+    assert mock.front_end.rejected == 1
+    assert mock.front_end.bulk_in(4096) == b""
     assert mock.read(PWM_WIDTH) == 0
 
 
@@ -201,10 +201,10 @@ def test_messages_do_what_single_accesses_do(steps):
     answer = other.ask(*steps)
     assert answer == ((9, tuple(values)) if values else None)
     assert other.device.settings == one.device.settings
-    assert other.face.rejected == one.face.rejected
+    assert other.front_end.rejected == one.front_end.rejected
 
 
 def test_a_host_that_takes_less_than_an_answer_gets_its_beginning(mock):
-    mock.face.bulk_out(encode_request(9, [VERSION]))
-    assert mock.face.bulk_in(5) == bytes.fromhex("09000000 0f")
-    assert mock.face.bulk_in(5) == b""
+    mock.front_end.bulk_out(encode_request(9, [VERSION]))
+    assert mock.front_end.bulk_in(5) == bytes.fromhex("09000000 0f")
+    assert mock.front_end.bulk_in(5) == b""

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.rtdac_usb2 import READ_REQUEST, encode_read, encode_send
 from inteco_abs.errors import ConfigError
-from inteco_abs.wire.capture import Capture, Kind, Record
+from inteco_abs.wire.capture import Capture, Record, RecordKind
 from inteco_abs.wire.changed_words import compare_sends, moved_words
 from inteco_abs.wire.summary import summarize
 
@@ -15,7 +15,7 @@ def with_word(frame, word, value):
     return frame[: 2 * word] + value.to_bytes(2, "little") + frame[2 * word + 2 :]
 
 
-def capture(frames, kind=Kind.OUT, board="usb2"):
+def capture(frames, kind=RecordKind.OUT, board="usb2"):
     return Capture(board, "", "", tuple(Record(0.01 * n, kind, None, frame) for n, frame in enumerate(frames)))
 
 
@@ -51,13 +51,13 @@ def test_of_two_equal_candidates_the_unknown_one_comes_first():
 
 def test_a_counter_that_wraps_is_seen_to_rise_and_its_reverse_to_fall():
     up = [encode_read({"encoder0_count": 65500 + 7 * number}) for number in range(20)]
-    assert [word.course for word in moved_words(capture(up, Kind.IN))] == ["rises", "rises"]
-    assert [word.course for word in moved_words(capture(up[::-1], Kind.IN))] == ["falls", "falls"]
+    assert [word.course for word in moved_words(capture(up, RecordKind.IN))] == ["rises", "rises"]
+    assert [word.course for word in moved_words(capture(up[::-1], RecordKind.IN))] == ["falls", "falls"]
 
 
 def test_a_word_that_goes_to_and_fro_goes_both_ways():
     frames = [encode_read({"ad0_result": value}) for value in (0, 5, 3)]
-    (word,) = moved_words(capture(frames, Kind.IN))
+    (word,) = moved_words(capture(frames, RecordKind.IN))
     assert (word.direction, word.course, word.bits, word.fields) == ("READ", "both ways", 0x7, ("ad0_result",))
 
 
@@ -129,10 +129,10 @@ def test_a_summary_counts_messages_and_their_rates():
     records = []
     for number in range(11):
         records += [
-            Record(0.01 * number, Kind.OUT, 2, READ_REQUEST),
-            Record(0.01 * number + 0.001, Kind.IN, 0x84, frame),
+            Record(0.01 * number, RecordKind.OUT, 2, READ_REQUEST),
+            Record(0.01 * number + 0.001, RecordKind.IN, 0x84, frame),
         ]
-    records.append(Record(0.2, Kind.ERROR, text="no answer", of="in"))
+    records.append(Record(0.2, RecordKind.ERROR, text="no answer", of="in"))
     summary = summarize(Capture("usb2", "", "", tuple(records)))
     request = summary.traffic["READ request"]
     assert (request.messages, request.rate_hz) == (11, pytest.approx(100))
@@ -146,7 +146,7 @@ def test_a_summary_counts_messages_and_their_rates():
     ("board", "frame"), [("usb2", b"\x05\x02" + bytes(502)), ("usb1-111", b"\x05\x02" + bytes(148))]
 )
 def test_another_logic_than_the_tables_is_warned_of(board, frame):
-    summary = summarize(capture([frame], Kind.IN, board))
+    summary = summarize(capture([frame], RecordKind.IN, board))
     assert summary.logic_version == 0x0205
     assert "logic 0x0205" in summary.caution
 

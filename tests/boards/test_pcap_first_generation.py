@@ -4,8 +4,8 @@ from hypothesis import strategies as st
 from usb_monitor import Usbmon, UsbPcap, pcap
 
 from inteco_abs.errors import CaptureError
-from inteco_abs.wire.byte_stream import ByteStream
-from inteco_abs.wire.capture import Kind, Record
+from inteco_abs.wire.byte_stream import MessageCutter
+from inteco_abs.wire.capture import Record, RecordKind
 from inteco_abs.wire.pcap import import_pcap
 
 DUMMY, REQUEST = b"\x80", b"\x82"
@@ -29,15 +29,15 @@ def cut(data, sizes):
 
 
 def out(data, t_s=0.0):
-    return Record(t_s, Kind.OUT, 2, data)
+    return Record(t_s, RecordKind.OUT, 2, data)
 
 
 def into(payload, t_s=0.0):
-    return Record(t_s, Kind.IN, 0x81, ftdi(payload))
+    return Record(t_s, RecordKind.IN, 0x81, ftdi(payload))
 
 
 def messages(*transfers):
-    return [(record.kind, record.data or record.text) for record in ByteStream().messages(transfers)]
+    return [(record.kind, record.data or record.text) for record in MessageCutter().messages(transfers)]
 
 
 @pytest.mark.parametrize("monitor", [Usbmon(), UsbPcap()], ids=["usbmon", "usbpcap"])
@@ -56,10 +56,10 @@ def test_messages_of_a_first_generation_board_are_put_together(tmp_path, monitor
     path.write_bytes(pcap(packets, monitor.link_type))
     capture = import_pcap(path, board=board)
     assert [(record.kind, record.data) for record in capture.records] == [
-        (Kind.OUT, DUMMY),
-        (Kind.OUT, SEND),
-        (Kind.OUT, REQUEST),
-        (Kind.IN, ANSWER),
+        (RecordKind.OUT, DUMMY),
+        (RecordKind.OUT, SEND),
+        (RecordKind.OUT, REQUEST),
+        (RecordKind.IN, ANSWER),
     ]
     assert capture.board == board
 
@@ -77,77 +77,77 @@ def test_a_second_generation_board_is_not_taken_for_one_of_the_first(tmp_path):
 )
 def test_messages_to_the_board_survive_any_cutting(sent, sizes):
     pieces = cut(b"".join(sent), sizes)
-    assert messages(*map(out, pieces)) == [(Kind.OUT, message) for message in sent]
+    assert messages(*map(out, pieces)) == [(RecordKind.OUT, message) for message in sent]
 
 
 @given(st.binary(min_size=150, max_size=150), st.lists(st.integers(1, 70), max_size=10))
 def test_an_answer_survives_any_cutting(answer, sizes):
     found = messages(out(REQUEST), *map(into, cut(answer, sizes)))
-    assert found == [(Kind.OUT, REQUEST), (Kind.IN, answer)]
+    assert found == [(RecordKind.OUT, REQUEST), (RecordKind.IN, answer)]
 
 
 def test_send_and_read_is_one_message_that_is_answered():
     both = b"\x83" + SEND[1:]
-    assert messages(out(both), into(ANSWER)) == [(Kind.OUT, both), (Kind.IN, ANSWER)]
+    assert messages(out(both), into(ANSWER)) == [(RecordKind.OUT, both), (RecordKind.IN, ANSWER)]
 
 
 def test_a_message_has_the_time_at_which_it_was_whole():
-    found = ByteStream().messages([out(SEND[:10], 1.0), out(SEND[10:], 2.0)])
+    found = MessageCutter().messages([out(SEND[:10], 1.0), out(SEND[10:], 2.0)])
     assert [record.t_s for record in found] == [2.0]
 
 
 def test_what_an_answer_has_left_is_dropped_at_the_next_request():
     found = messages(out(REQUEST), into(ANSWER[:40]), out(REQUEST), into(ANSWER))
     assert found == [
-        (Kind.OUT, REQUEST),
-        (Kind.WARNING, "40 bytes from the board before a request are left out"),
-        (Kind.OUT, REQUEST),
-        (Kind.IN, ANSWER),
+        (RecordKind.OUT, REQUEST),
+        (RecordKind.WARNING, "40 bytes from the board before a request are left out"),
+        (RecordKind.OUT, REQUEST),
+        (RecordKind.IN, ANSWER),
     ]
 
 
 def test_bytes_that_nobody_asked_for_are_no_answer():
     assert messages(out(REQUEST), into(ANSWER), into(ANSWER)) == [
-        (Kind.OUT, REQUEST),
-        (Kind.IN, ANSWER),
-        (Kind.WARNING, "150 bytes from the board at the end of the capture are left out"),
+        (RecordKind.OUT, REQUEST),
+        (RecordKind.IN, ANSWER),
+        (RecordKind.WARNING, "150 bytes from the board at the end of the capture are left out"),
     ]
 
 
 def test_bytes_before_a_command_are_left_out():
     assert messages(out(b"\x01\x02\x03" + REQUEST)) == [
-        (Kind.WARNING, "3 bytes to the board before a command are left out"),
-        (Kind.OUT, REQUEST),
+        (RecordKind.WARNING, "3 bytes to the board before a command are left out"),
+        (RecordKind.OUT, REQUEST),
     ]
 
 
 def test_a_message_that_another_one_interrupts_is_left_out():
     assert messages(out(SEND[:50] + REQUEST)) == [
-        (Kind.WARNING, "50 bytes of a message to the board that another one interrupts are left out"),
-        (Kind.OUT, REQUEST),
+        (RecordKind.WARNING, "50 bytes of a message to the board that another one interrupts are left out"),
+        (RecordKind.OUT, REQUEST),
     ]
 
 
 def test_failures_and_control_transfers_stay_in_their_place():
-    reset = Record(0.0, Kind.CONTROL, 0, setup=bytes.fromhex("4000000000000000"))
-    failure = Record(0.0, Kind.ERROR, 0x81, text="transfer failed", of="in")
-    found = ByteStream().messages([reset, out(REQUEST), failure, into(ANSWER)])
-    assert [record.kind for record in found] == [Kind.CONTROL, Kind.OUT, Kind.ERROR, Kind.IN]
+    reset = Record(0.0, RecordKind.CONTROL, 0, setup=bytes.fromhex("4000000000000000"))
+    failure = Record(0.0, RecordKind.ERROR, 0x81, text="transfer failed", of="in")
+    found = MessageCutter().messages([reset, out(REQUEST), failure, into(ANSWER)])
+    assert [record.kind for record in found] == [RecordKind.CONTROL, RecordKind.OUT, RecordKind.ERROR, RecordKind.IN]
 
 
 def test_an_unfinished_end_is_warned_of():
     assert messages(out(REQUEST), into(ANSWER[:9]), out(SEND[:50])) == [
-        (Kind.OUT, REQUEST),
-        (Kind.WARNING, "50 bytes to the board at the end of the capture are left out"),
-        (Kind.WARNING, "9 bytes from the board at the end of the capture are left out"),
+        (RecordKind.OUT, REQUEST),
+        (RecordKind.WARNING, "50 bytes to the board at the end of the capture are left out"),
+        (RecordKind.WARNING, "9 bytes from the board at the end of the capture are left out"),
     ]
 
 
 @given(st.lists(st.tuples(st.booleans(), st.binary(max_size=200)), max_size=20))
 def test_any_bytes_give_whole_messages_or_warnings(transfers):
-    records = [Record(0.0, Kind.IN if inward else Kind.OUT, 2, data) for inward, data in transfers]
-    for record in ByteStream().messages(records):
-        if record.kind is Kind.OUT:
+    records = [Record(0.0, RecordKind.IN if inward else RecordKind.OUT, 2, data) for inward, data in transfers]
+    for record in MessageCutter().messages(records):
+        if record.kind is RecordKind.OUT:
             assert len(record.data) == (150 if record.data[0] in b"\x81\x83" else 1)
-        elif record.kind is Kind.IN:
+        elif record.kind is RecordKind.IN:
             assert len(record.data) == 150

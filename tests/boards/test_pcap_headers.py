@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from usb_monitor import BULK, CONTROL, LINUX_USB, LINUX_USB_MMAPPED, USBPCAP, Usbmon, UsbPcap
 
 from inteco_abs.errors import CaptureError
-from inteco_abs.wire.usbmon import LINK_TYPES, Urb, decode
+from inteco_abs.wire.usbmon import LINK_TYPES, MonitoredUrb, decode
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -28,12 +28,16 @@ def decoded(packet, link_type, **options):
 
 def test_a_header_of_a_real_usbmon_is_understood():
     urb = decode(REAL_USBMON, LINUX_USB_MMAPPED)
-    assert urb == Urb(2, 40, 0x80, CONTROL, 0xFFFF880151D719C0, False, "", 18, b"", bytes.fromhex("8006000100001200"))
+    assert urb == MonitoredUrb(
+        2, 40, 0x80, CONTROL, 0xFFFF880151D719C0, False, "", 18, b"", bytes.fromhex("8006000100001200")
+    )
 
 
 def test_a_header_of_a_real_usbpcap_is_understood():
     urb = decode(REAL_USBPCAP, USBPCAP)
-    assert urb == Urb(1, 1, 0x00, CONTROL, 0xFFFFFFFF84D64008, False, "", 0, b"", bytes.fromhex("8006000100001200"))
+    assert urb == MonitoredUrb(
+        1, 1, 0x00, CONTROL, 0xFFFFFFFF84D64008, False, "", 0, b"", bytes.fromhex("8006000100001200")
+    )
 
 
 @pytest.mark.parametrize("mmapped", [True, False])
@@ -48,7 +52,7 @@ def test_usbmon_gives_back_what_was_put_in(mmapped, big_endian, number, device, 
     monitor = Usbmon(mmapped=mmapped, big_endian=big_endian)
     packet = monitor.packet(number, "C", endpoint, data, device=device)
     urb = decode(packet, monitor.link_type, big_endian=big_endian)
-    assert urb == Urb(*device, endpoint, BULK, number, True, "", len(data), data)
+    assert urb == MonitoredUrb(*device, endpoint, BULK, number, True, "", len(data), data)
 
 
 @given(
@@ -59,7 +63,7 @@ def test_usbmon_gives_back_what_was_put_in(mmapped, big_endian, number, device, 
 )
 def test_usbpcap_gives_back_what_was_put_in(number, device, endpoint, data):
     urb = decode(UsbPcap().packet(number, 1, endpoint, data, device=device), USBPCAP)
-    assert urb == Urb(*device, endpoint, BULK, number, True, "", len(data), data)
+    assert urb == MonitoredUrb(*device, endpoint, BULK, number, True, "", len(data), data)
 
 
 @given(packet=st.binary(max_size=700), link_type=st.sampled_from(sorted(LINK_TYPES)), big_endian=st.booleans())

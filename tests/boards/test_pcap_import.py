@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from usb_monitor import LINUX_USB_MMAPPED, Usbmon, UsbPcap, pcap, pcapng
 
 from inteco_abs.errors import CaptureError, ConfigError
-from inteco_abs.wire.capture import Kind, read_capture, write_capture
+from inteco_abs.wire.capture import RecordKind, read_capture, write_capture
 from inteco_abs.wire.pcap import import_pcap
 
 SEND = b"\x0f\x8f" + bytes(502)
@@ -60,7 +60,7 @@ def seen(capture):
 
 def test_a_ticks_three_messages_come_out_of_every_monitor_and_container(imported, monitor, container):
     capture = imported(tick(monitor), monitor, container)
-    assert seen(capture) == [(Kind.OUT, 2, SEND), (Kind.OUT, 2, REQUEST), (Kind.IN, 0x84, ANSWER)]
+    assert seen(capture) == [(RecordKind.OUT, 2, SEND), (RecordKind.OUT, 2, REQUEST), (RecordKind.IN, 0x84, ANSWER)]
 
 
 def test_a_message_out_has_the_time_of_handing_over_and_an_answer_that_of_coming_back(imported, monitor, container):
@@ -117,13 +117,18 @@ def test_an_unknown_protocol_is_wrong_usage(imported):
 
 def test_a_failed_message_out_becomes_an_error_in_its_place(imported, monitor):
     capture = imported([*tick(monitor), *monitor.out(0x02, SEND, status=-32 % (1 << 31))], monitor)
-    assert [record.kind for record in capture.records] == [Kind.OUT, Kind.OUT, Kind.IN, Kind.ERROR]
+    assert [record.kind for record in capture.records] == [
+        RecordKind.OUT,
+        RecordKind.OUT,
+        RecordKind.IN,
+        RecordKind.ERROR,
+    ]
     assert (capture.records[-1].of, capture.records[-1].data) == ("out", SEND)
 
 
 def test_an_answer_that_failed_becomes_an_error(imported, monitor):
     capture = imported([*tick(monitor), *monitor.into(0x84, b"", status=5)], monitor)
-    assert (capture.records[-1].kind, capture.records[-1].of) == (Kind.ERROR, "in")
+    assert (capture.records[-1].kind, capture.records[-1].of) == (RecordKind.ERROR, "in")
 
 
 def test_transfer_numbers_are_used_again(imported):
@@ -136,28 +141,31 @@ def test_a_failure_whose_message_was_not_captured_is_not_laid_on_an_earlier_one(
     monitor = Usbmon()
     monitor.numbers = iter([7] * 10)
     capture = imported([*tick(monitor), monitor.packet(7, "C", 0x02, status=-32)], monitor)
-    assert [record.kind for record in capture.records] == [Kind.OUT, Kind.OUT, Kind.IN]
+    assert [record.kind for record in capture.records] == [RecordKind.OUT, RecordKind.OUT, RecordKind.IN]
 
 
 def test_data_that_arrived_before_a_failure_are_kept(imported, monitor):
     capture = imported([*tick(monitor), *monitor.into(0x84, b"some", status=5)], monitor)
-    assert seen(capture)[-1] == (Kind.IN, 0x84, b"some")
+    assert seen(capture)[-1] == (RecordKind.IN, 0x84, b"some")
 
 
 def test_programming_the_fpga_is_noted_once_and_never_kept(imported, monitor):
     jtag = [*monitor.out(0x06, b"bits"), *monitor.out(0x06, b"bits"), *monitor.into(0x88, b"bits")]
     capture = imported([*jtag, *tick(monitor)], monitor)
-    warnings = [record.text for record in capture.records if record.kind is Kind.WARNING]
+    warnings = [record.text for record in capture.records if record.kind is RecordKind.WARNING]
     assert [text[:13] for text in warnings] == ["endpoint 0x06", "endpoint 0x88"]
     assert not any(b"bits" in record.data for record in capture.records)
-    assert {record.endpoint for record in capture.records if record.kind in {Kind.OUT, Kind.IN}} == {0x02, 0x84}
+    assert {record.endpoint for record in capture.records if record.kind in {RecordKind.OUT, RecordKind.IN}} == {
+        0x02,
+        0x84,
+    }
 
 
 def test_control_transfers_are_kept_with_request_and_data(imported, monitor):
     asked = bytes.fromhex("c0d9000000000600")
     blink = bytes.fromhex("40df000000000000")
     capture = imported([*monitor.control(asked, b"123456"), *monitor.control(blink, b""), *tick(monitor)], monitor)
-    assert [(record.setup, record.data) for record in capture.records if record.kind is Kind.CONTROL] == [
+    assert [(record.setup, record.data) for record in capture.records if record.kind is RecordKind.CONTROL] == [
         (asked, b"123456"),
         (blink, b""),
     ]

@@ -54,13 +54,13 @@ class Bench:
         config = configured("sim_usb2", (*(WIRINGS[logic] if wiring is None else wiring), *more))
         self.clock = HandClock()
         self.device = Device(config, self.clock.now_ns)
-        self.face = Usb2FrontEnd(self.device, frame(image))
+        self.front_end = Usb2FrontEnd(self.device, frame(image))
         self.config = config
         self.period_ns = config.period_ns
         self.plug_in()
 
     def plug_in(self):
-        self.link = FaultyLink(InProcessLink(self.face), rtdac_usb2.READ_REQUEST)
+        self.link = FaultyLink(InProcessLink(self.front_end), rtdac_usb2.READ_REQUEST)
         self.board = board_behind(self.link, self.config, self.clock.now_ns)
 
     def exchange(self, drive, brake):
@@ -229,8 +229,8 @@ def test_the_first_generation_keeps_its_unknown_bytes_too(profile, version):
     image = bytearray(at * 37 % 128 for at in range(150))
     image[:8] = logic.read.encode({})[:8]
     clock = HandClock()
-    face = UsbFrontEnd(Device(config, clock.now_ns), bytes(image))
-    link = FaultyLink(InProcessLink(face), rtdac_usb.READ_REQUEST)
+    front_end = UsbFrontEnd(Device(config, clock.now_ns), bytes(image))
+    link = FaultyLink(InProcessLink(front_end), rtdac_usb.READ_REQUEST)
     with board_behind(link, config, clock.now_ns) as board:
         board.exchange(Command(0.5, 0.5))
     unnamed = [at for at in range(149) if not logic.read.named_bits[at] | logic.send.named_bits[at + 1]]

@@ -71,7 +71,7 @@ class TestExchange:
 
             def interfere(number):
                 if number == operation:
-                    bench.face.face.write(*DRIVE)
+                    bench.front_end.front_end.write(*DRIVE)
 
             bench.link.before_operation = interfere
             sample = bench.exchange(0.4, 0.2)
@@ -83,8 +83,8 @@ class TestExchange:
         with bench.board as board:
             bench.exchange(0.2, 0.4)
             for channel, width in zip((DRIVE, BRAKE), widths, strict=True):
-                bench.face.face.write(*channel)
-                bench.face.face.write(WIDTH, width)
+                bench.front_end.front_end.write(*channel)
+                bench.front_end.front_end.write(WIDTH, width)
             sample = bench.exchange(0.4, 0.2)
             assert sample.board_flags is BoardFlags.STALE
             assert f"the board had PWM widths {widths}, last written were (51, 102)" in str(board.last_error)
@@ -115,8 +115,8 @@ class TestExchange:
         with bench.board as board:
             board.make_safe()
             for channel, width in zip((DRIVE, BRAKE), widths, strict=True):
-                bench.face.face.write(*channel)
-                bench.face.face.write(WIDTH, width)
+                bench.front_end.front_end.write(*channel)
+                bench.front_end.front_end.write(WIDTH, width)
             assert bench.exchange().board_flags is BoardFlags.STALE
 
     @pytest.mark.parametrize(("raw", "text"), [(ALL_ONES, "no board answers"), (0x50E, "0x050E"), (0, "0x0000")])

@@ -56,7 +56,7 @@ def test_no_answer_is_taken_for_a_newer_one_when_it_comes(new_usb2_bench, mood):
     road_start, wheel_start = bench.device.counts()
     with bench.board:
         bench.roll()
-        bench.face.next_answer = mood
+        bench.front_end.next_answer = mood
         wrong = []
         for _ in range(20):
             sample = bench.exchange(1.0)
@@ -72,7 +72,7 @@ def test_an_answer_that_came_too_late_for_safe_is_not_taken_for_the_next_exchang
     road_start, wheel_start = bench.device.counts()
     with bench.board as board:
         bench.roll()
-        bench.face.next_answer = "after its time"
+        bench.front_end.next_answer = "after its time"
         board.make_safe()
         sample = bench.exchange(0.0, 0.0, periods=50)
         road, wheel = bench.device.counts()

@@ -77,7 +77,7 @@ def test_no_answer_is_taken_for_the_one_to_a_later_request(mood):
     road_start, wheel_start = bench.device.counts()
     with bench.board:
         bench.roll()
-        bench.face.next_answer = mood
+        bench.front_end.next_answer = mood
         for _ in range(20):
             sample = bench.exchange(1.0)
             road, wheel = bench.device.counts()
@@ -116,7 +116,7 @@ def test_an_answer_that_has_come_too_late_is_not_taken_for_the_next_one(new_usb_
     bench.device.show(1000, 2000)
     with bench.board:
         bench.exchange(0.5)
-        bench.face.next_answer = "after the deadline"
+        bench.front_end.next_answer = "after the deadline"
         assert bench.exchange(0.5).board_flags is BoardFlags.STALE
         bench.device.show(1070, 2030)
         sample = bench.exchange(0.5)

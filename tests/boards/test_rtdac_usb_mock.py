@@ -9,7 +9,7 @@ from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, decode
 from inteco_abs.boards.families.usb.mock import ByteStream, UsbFrontEnd
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError
-from inteco_abs.mock_board import Device, face_of
+from inteco_abs.mock_board import Device, front_end_of
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -24,14 +24,14 @@ class Mock:
         self.logic = logic
         self.clock = HandClock()
         self.device = Device(load_config(settings=[*LOGICS[logic], *settings]), self.clock.now_ns)
-        self.face = face_of(self.device)
+        self.front_end = front_end_of(self.device)
 
     def send(self, **settings):
-        self.face.bulk_out(encode_send(settings, logic=self.logic))
+        self.front_end.bulk_out(encode_send(settings, logic=self.logic))
 
     def answer(self):
-        self.face.bulk_out(READ_REQUEST)
-        return self.face.bulk_in(FRAME_BYTES)
+        self.front_end.bulk_out(READ_REQUEST)
+        return self.front_end.bulk_in(FRAME_BYTES)
 
     def read(self):
         return decode_read(self.answer(), logic=self.logic)
@@ -69,7 +69,7 @@ def test_widths_and_mode_come_back_in_the_encoding_of_the_read_frame():
     frame = bytearray(FRAME_BYTES)
     frame[0] = 0x81
     frame[1 + 21 : 1 + 26] = bytes.fromhex("02 00 40 7f 1f")  # prescaler 2, 12-bit, width 4095
-    mock.face.bulk_out(frame)
+    mock.front_end.bulk_out(frame)
     assert mock.answer()[21:26] == bytes.fromhex("02 00 01 ff 0f")
 
 
@@ -122,31 +122,31 @@ def test_timers_run_at_20_mhz_in_timer_mode_alone():
 def test_what_is_no_message_is_dropped_and_counted(mock, message):
     mock.send(pin_mode=0b11, pwm0_width=200)
     before = mock.answer()
-    mock.face.bulk_out(message)
-    assert mock.face.rejected == 1
-    assert mock.face.bulk_in(FRAME_BYTES) == b""
+    mock.front_end.bulk_out(message)
+    assert mock.front_end.rejected == 1
+    assert mock.front_end.bulk_in(FRAME_BYTES) == b""
     assert mock.answer() == before
 
 
 def test_the_dummy_changes_nothing_and_is_not_answered(mock):
     before = mock.answer()
-    mock.face.bulk_out(DUMMY)
-    assert mock.face.bulk_in(FRAME_BYTES) == b""
-    assert (mock.answer(), mock.face.rejected) == (before, 0)
+    mock.front_end.bulk_out(DUMMY)
+    assert mock.front_end.bulk_in(FRAME_BYTES) == b""
+    assert (mock.answer(), mock.front_end.rejected) == (before, 0)
 
 
 def test_each_request_has_its_answer_in_order(mock):
     for width in (1, 2, 3):
         mock.send(pwm0_width=width)
-        mock.face.bulk_out(READ_REQUEST)
-    answers = [decode_read(mock.face.bulk_in(FRAME_BYTES), logic=mock.logic)["pwm0_width"] for _ in range(3)]
+        mock.front_end.bulk_out(READ_REQUEST)
+    answers = [decode_read(mock.front_end.bulk_in(FRAME_BYTES), logic=mock.logic)["pwm0_width"] for _ in range(3)]
     assert answers == [1, 2, 3]
 
 
 def test_a_logic_without_tables_is_no_mock_board():
     config = load_config(settings=["profile=sim_usb", "board.logic_version=0x0999"])
     with pytest.raises(ConfigError, match="0x0111, 0x0112"):
-        face_of(Device(config, HandClock().now_ns))
+        front_end_of(Device(config, HandClock().now_ns))
 
 
 def send_frame(width):
@@ -164,40 +164,40 @@ messages = st.one_of(
 class TestByteStream:
     @given(script=st.lists(messages, max_size=12), cuts=st.lists(st.integers(1, 200), max_size=40))
     def test_the_cuts_do_not_matter(self, script, cuts):
-        whole, cut = (ByteStream(Mock().face) for _ in range(2))
+        whole, cut = (ByteStream(Mock().front_end) for _ in range(2))
         data = b"".join(script)
         expected, received = whole.feed(data), b""
         for length in [*cuts, len(data)]:
             received += cut.feed(data[:length])
             data = data[length:]
         assert received == expected
-        assert cut.face.rejected == whole.face.rejected
-        assert cut.face.device.settings == whole.face.device.settings
+        assert cut.front_end.rejected == whole.front_end.rejected
+        assert cut.front_end.device.settings == whole.front_end.device.settings
 
     @given(script=st.lists(whole_messages))
     def test_whole_messages_arrive_as_they_were_sent(self, script):
-        twin, stream = Mock().face, ByteStream(Mock().face)
+        twin, stream = Mock().front_end, ByteStream(Mock().front_end)
         for message in script:
             twin.bulk_out(message)
         assert stream.feed(b"".join(script)) == b"".join(iter(lambda: twin.bulk_in(FRAME_BYTES), b""))
-        assert stream.face.rejected == 0
+        assert stream.front_end.rejected == 0
 
     @given(junk=st.binary(max_size=400))
     def test_after_any_junk_a_command_byte_begins_a_message(self, junk):
-        stream = ByteStream(Mock().face)
+        stream = ByteStream(Mock().front_end)
         stream.feed(junk)
         answer = stream.feed(send_frame(77) + READ_REQUEST)
         assert decode_read(answer[-FRAME_BYTES:], logic=0x0111)["pwm0_width"] == 77
 
     def test_a_frame_that_is_cut_short_by_a_command_is_dropped(self):
-        stream = ByteStream(Mock().face)
+        stream = ByteStream(Mock().front_end)
         answer = stream.feed(send_frame(5)[:100] + READ_REQUEST)
         assert decode_read(answer, logic=0x0111)["pwm0_width"] == 0
-        assert stream.face.rejected == 1
+        assert stream.front_end.rejected == 1
 
     def test_send_and_read_in_one_command_is_not_understood(self):
-        stream = ByteStream(Mock().face)
+        stream = ByteStream(Mock().front_end)
         assert stream.feed(b"\x83" + send_frame(5)[1:]) == b""
-        assert stream.face.rejected == 1
-        assert isinstance(stream.face, UsbFrontEnd)
-        assert stream.face.device.settings == {}
+        assert stream.front_end.rejected == 1
+        assert isinstance(stream.front_end, UsbFrontEnd)
+        assert stream.front_end.device.settings == {}

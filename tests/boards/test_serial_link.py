@@ -24,7 +24,7 @@ from inteco_abs.boards.transports import serial_link, serial_ports
 from inteco_abs.boards.transports.serial_link import SerialLink
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, LinkError, UnsafeError
-from inteco_abs.mock_board import Device, PtyServer, face_of
+from inteco_abs.mock_board import Device, PtyServer, front_end_of
 from inteco_abs.realtime import round_trips
 from inteco_abs.signals import Command
 from inteco_abs.wire.recording import RecordingLink
@@ -85,7 +85,7 @@ class SlowServer(PtyServer):
 def served():
     """The mock behind a terminal in a thread."""
     config = load_config(profile="sim_usb")
-    server = SlowServer(ByteStream(face_of(Device(config, time.monotonic_ns))))
+    server = SlowServer(ByteStream(front_end_of(Device(config, time.monotonic_ns))))
     thread = threading.Thread(target=server.serve)
     thread.start()
     yield config, server
@@ -354,7 +354,7 @@ class TestLatencyTimer:
 
     def test_a_board_that_is_too_slow_is_not_opened_but_is_rescued(self, monkeypatch, served):
         config, server = served
-        device = server._stream.face.device  # the mock's own state
+        device = server._stream.front_end.device  # the mock's own state
         header = encode_read({"application_name": "ABSIM"}, logic=0x0111)[:8]
         image = header + encode_send({"pin_mode": 0b11}, logic=0x0111)
         device.write({"pin_mode": 0b11, "pwm0_width": 255})
@@ -448,7 +448,7 @@ class TestWithTheMock:
         link.close()
 
     def test_a_link_to_the_port_is_made_replaced_and_taken_away(self, tmp_path):
-        stream = ByteStream(face_of(Device(load_config(profile="sim_usb"), time.monotonic_ns)))
+        stream = ByteStream(front_end_of(Device(load_config(profile="sim_usb"), time.monotonic_ns)))
         path = tmp_path / "port"
         path.symlink_to("/dev/pts/99999")
         server = PtyServer(stream, path)

@@ -16,7 +16,7 @@ from inteco_abs.commissioning.board_from_report import ReportedBoard
 from inteco_abs.config import load_config
 from inteco_abs.errors import AbsError, CaptureError, ConfigError
 from inteco_abs.mock_board import Device, UsbBoard, UsbIdentity, ftdi_identity, rig_check
-from inteco_abs.mock_board.usbip.usb_device import Setup
+from inteco_abs.mock_board.usbip.usb_device import SetupPacket
 from inteco_abs.signals import Command
 from inteco_abs.wire.capture import read_capture, write_capture
 
@@ -61,25 +61,25 @@ def mocked(seen):
     """Mock board of a report and its configuration."""
     config = load_config(settings=seen.settings, checks=[rig_check], profile=seen.profile)
     clock = [0]
-    return config, seen.face(Device(config, lambda: clock[0], 7)), clock
+    return config, seen.front_end(Device(config, lambda: clock[0], 7)), clock
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_mock_made_of_the_report_begins_as_the_board_that_was_seen_and_has_the_rig_behind_it(reported, kind):
     seen = ReportedBoard(reported(kind))
     first = read_capture(seen.path).records
-    config, face, clock = mocked(seen)
-    board = board_behind(InProcessLink(face), config, lambda: clock[0])
+    config, front_end, clock = mocked(seen)
+    board = board_behind(InProcessLink(front_end), config, lambda: clock[0])
     with board.reading():
         raw = board.survey().raw
     assert raw == next(one.data for one in first if one.kind == "in")
-    with board_behind(InProcessLink(face), config, lambda: clock[0]) as board:
-        board.insist()
+    with board_behind(InProcessLink(front_end), config, lambda: clock[0]) as board:
+        board.require_writable()
         for _ in range(400):
             clock[0] += 1_000_000
             sample = board.exchange(Command(0.5, 0.0))
     assert sample.road_count > 100
-    assert face.device.duties == (0.0, 0.0)
+    assert front_end.device.duties == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(("raw", "like"), [(ODD, UsbIdentity()), (FTDI, ftdi_identity())], ids=["usb2", "ftdi"])
@@ -95,9 +95,9 @@ def test_its_descriptors_are_those_of_the_board_and_its_serial_number_is_a_mocks
 
 def test_a_host_reads_them_from_the_mock(reported):
     seen = ReportedBoard(reported(told={"descriptors": ODD.hex(), "manufacturer": "InTeCo", "speed": "480"}))
-    _, face, _ = mocked(seen)
-    device = UsbBoard(face, seen.identity(UsbIdentity()))
-    assert device.control(Setup(0x80, 6, 0x0100, 0, 18)) == ODD[:18]
+    _, front_end, _ = mocked(seen)
+    device = UsbBoard(front_end, seen.identity(UsbIdentity()))
+    assert device.control(SetupPacket(0x80, 6, 0x0100, 0, 18)) == ODD[:18]
 
 
 def test_what_was_seen_is_in_it(lab, reported):

@@ -13,8 +13,8 @@ from inteco_abs.mock_board import FrontEnd
 class Overheard(InProcessLink):
     """Keeps every message to the board; an answer comes after `wait`."""
 
-    def __init__(self, face: FrontEnd, wait) -> None:
-        super().__init__(face)
+    def __init__(self, front_end: FrontEnd, wait) -> None:
+        super().__init__(front_end)
         self._wait = wait
         self.written = []
 
@@ -36,7 +36,7 @@ class WatchedRig(MockRigAccess):
         self.links = []
 
     def link(self):
-        link = Overheard(self._face, lambda: self.pause(self._read_s))
+        link = Overheard(self._front_end, lambda: self.pause(self._read_s))
         self.links.append(link)
         return link
 

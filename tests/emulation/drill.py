@@ -26,8 +26,8 @@ class Drill(IntEnum):
 
 
 class DrillBoard(UsbBoard):
-    def __init__(self, face, identity):
-        super().__init__(face, identity)
+    def __init__(self, front_end, identity):
+        super().__init__(front_end, identity)
         self.host = None
         self._held = set()
         self._kept = b""

@@ -10,7 +10,7 @@ from usb.backend import IBackend
 from usb.core import USBError, USBTimeoutError
 from usb_core import UsbCore, really_wait
 
-from inteco_abs.mock_board.usbip.usb_device import Setup
+from inteco_abs.mock_board.usbip.usb_device import SetupPacket
 
 _IO, _ACCESS, _NO_DEVICE, _NOT_FOUND, _BUSY, _TIMEOUT, _OVERFLOW, _PIPE, _OTHER = -1, -3, -4, -5, -6, -7, -8, -9, -99
 _CODES = {
@@ -150,7 +150,7 @@ class BusBackend(IBackend):
     intr_read = iso_read = bulk_read
 
     def ctrl_transfer(self, dev_handle, bmRequestType, bRequest, wValue, wIndex, data, timeout):
-        setup = Setup(bmRequestType, bRequest, wValue, wIndex, len(data) * data.itemsize)
+        setup = SetupPacket(bmRequestType, bRequest, wValue, wIndex, len(data) * data.itemsize)
         out = b"" if setup.reads else data.tobytes()
         urb = self._transfer(
             dev_handle, 0x80 if setup.reads else 0, timeout, setup=setup, data=out, length=setup.length

@@ -19,8 +19,8 @@ from inteco_abs.boards.transports.usb import UsbLink
 from inteco_abs.config import load_config
 from inteco_abs.control import build_pipeline
 from inteco_abs.format import TICK, pack_tick
-from inteco_abs.mock_board import Device, TcpAddress, UsbBoard, UsbHost, UsbIpServer, face_of
-from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
+from inteco_abs.mock_board import Device, TcpAddress, UsbBoard, UsbHost, UsbIpServer, front_end_of
+from inteco_abs.realtime import Loop, StopFlag, TickRing, VirtualClock
 
 TIMEOUT_MS = 10_000
 """A busy computer must not make an answer late: that would be another stop."""
@@ -28,18 +28,18 @@ _MOST_TICKS = 60_000
 
 
 @contextmanager
-def in_process(face, _ids):
-    yield InProcessLink(face)
+def in_process(front_end, _ids):
+    yield InProcessLink(front_end)
 
 
 @contextmanager
-def over_pyusb(face, ids):
-    yield UsbLink("", ids, BusBackend(UsbHost(UsbBoard(face))), TIMEOUT_MS)
+def over_pyusb(front_end, ids):
+    yield UsbLink("", ids, BusBackend(UsbHost(UsbBoard(front_end))), TIMEOUT_MS)
 
 
 @contextmanager
-def over_usbip(face, ids):
-    server = UsbIpServer(UsbHost(UsbBoard(face)), TcpAddress(port=0))
+def over_usbip(front_end, ids):
+    server = UsbIpServer(UsbHost(UsbBoard(front_end)), TcpAddress(port=0))
     address = tuple(server.bind().address)
     thread = threading.Thread(target=server.serve)
     thread.start()
@@ -53,8 +53,8 @@ def over_usbip(face, ids):
 
 
 @contextmanager
-def _over_libusb(face):
-    tree = UsbfsTree(UsbHost(UsbBoard(face)))
+def _over_libusb(front_end):
+    tree = UsbfsTree(UsbHost(UsbBoard(front_end)))
     os.environ["UMOCKDEV_DIR"] = str(tree.path)
     try:
         yield
@@ -63,16 +63,16 @@ def _over_libusb(face):
 
 
 @contextmanager
-def over_libusb(face, ids):
-    with _over_libusb(face):
+def over_libusb(front_end, ids):
+    with _over_libusb(front_end):
         yield UsbLink("", ids, timeout_ms=TIMEOUT_MS)
 
 
 @contextmanager
-def over_libusb_queued(face, ids):
+def over_libusb_queued(front_end, ids):
     from inteco_abs.boards.transports.usb_async import QueuedUsbLink
 
-    with _over_libusb(face):
+    with _over_libusb(front_end):
         yield QueuedUsbLink("", ids, TIMEOUT_MS)
 
 
@@ -89,11 +89,11 @@ def stop(link, seed, settings=()):
     """Packed ticks of one stop."""
     config = load_config(settings=settings)
     clock = VirtualClock(config.period_ns)
-    face = face_of(Device(config, clock.now_ns, seed))
+    front_end = front_end_of(Device(config, clock.now_ns, seed))
     ring = TickRing(pack_tick, TICK.size, _MOST_TICKS)
-    with LINKS[link](face, config.usb) as opened, board_behind(opened, config, clock.now_ns) as board:
+    with LINKS[link](front_end, config.usb) as opened, board_behind(opened, config, clock.now_ns) as board:
         board.hurried = False  # what takes real time takes none of the run's
-        Loop(board, build_pipeline(config), clock, ring, StopWord()).run()
+        Loop(board, build_pipeline(config), clock, ring, StopFlag()).run()
     return ring.reader().take()
 
 

@@ -14,7 +14,7 @@ from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, decode
 from inteco_abs.boards.families.usb.mock import ByteStream, UsbFrontEnd
 from inteco_abs.config import load_config
 from inteco_abs.mock_board import Device, FtdiBoard, Speed, UsbHost
-from inteco_abs.mock_board.usbip.usb_device import Handshake, Setup
+from inteco_abs.mock_board.usbip.usb_device import Handshake, SetupPacket
 
 IN, OUT = 0x81, 0x02
 DRIVING = encode_send({"pin_mode": 0b11, "pwm0_width": 255, "pwm3_prescaler": 77}, logic=0x0111)
@@ -47,7 +47,7 @@ def clock():
 @pytest.fixture
 def board(clock):
     board = new_board(clock)
-    board.control(Setup(0, 9, 1, 0, 0))
+    board.control(SetupPacket(0, 9, 1, 0, 0))
     return board
 
 
@@ -89,8 +89,8 @@ def test_settings_and_answers_travel_in_packets(device, board):
     device.write(OUT, DRIVING + READ_REQUEST)
     frame = decode_read(read(device, FRAME_BYTES), logic=0x0111)
     assert (frame["application_name"], frame["pwm0_width"], frame["pwm3_prescaler"]) == ("ABSIM", 255, 77)
-    assert board.stream.face.device.duties == (1.0, 0.0)
-    assert board.stream.face.rejected == 0
+    assert board.stream.front_end.device.duties == (1.0, 0.0)
+    assert board.stream.front_end.rejected == 0
 
 
 def test_only_the_end_of_an_answer_waits_for_the_latency_timer(board, clock):
@@ -107,8 +107,8 @@ def test_only_the_end_of_an_answer_waits_for_the_latency_timer(board, clock):
 
 @pytest.mark.parametrize("latency_ms", [1, 2, 16, 255])
 def test_without_data_the_status_comes_each_time_that_the_timer_runs_out(board, clock, latency_ms):
-    assert board.control(Setup(0x40, 9, latency_ms, 0, 0)) is Handshake.ACK
-    assert board.control(Setup(0xC0, 10, 0, 0, 1)) == bytes([latency_ms])
+    assert board.control(SetupPacket(0x40, 9, latency_ms, 0, 0)) is Handshake.ACK
+    assert board.control(SetupPacket(0xC0, 10, 0, 0, 1)) == bytes([latency_ms])
     fetched(board)
     packets, start_ns = 0, clock.time_ns
     while packets < 5:
@@ -152,14 +152,14 @@ def test_the_event_character_sends_what_waits_at_once(board):
     fetched(board)
     board.packet_out(OUT, READ_REQUEST)
     assert len(fetched(board)) == 2
-    board.control(Setup(0x40, 6, 0x100, 0, 0))  # a zero, of which the end of the answer has many
+    board.control(SetupPacket(0x40, 6, 0x100, 0, 0))  # a zero, of which the end of the answer has many
     assert len(fetched(board)) == 1
 
 
 @pytest.mark.parametrize(("value", "left"), [(0, 0), (1, 0), (2, 150)])
 def test_a_reset_or_purge_drops_what_was_not_fetched(board, clock, value, left):
     board.packet_out(OUT, READ_REQUEST)
-    assert board.control(Setup(0x40, 0, value, 0, 0)) is Handshake.ACK
+    assert board.control(SetupPacket(0x40, 0, value, 0, 0)) is Handshake.ACK
     received = b""
     for _ in range(4):
         clock.time_ns += 16 * MS
@@ -190,21 +190,21 @@ def test_answers_that_nobody_fetches_do_not_fill_the_memory(board):
 
 def test_a_halted_endpoint_stalls_until_it_is_cleared(board):
     for endpoint in (IN, OUT):
-        board.control(Setup(0x02, 3, 0, endpoint, 0))
+        board.control(SetupPacket(0x02, 3, 0, endpoint, 0))
     assert board.packet_in(IN) is board.packet_out(OUT, b"") is Handshake.STALL
     for endpoint in (IN, OUT):
-        board.control(Setup(0x02, 1, 0, endpoint, 0))
+        board.control(SetupPacket(0x02, 1, 0, endpoint, 0))
     assert board.packet_out(OUT, READ_REQUEST) is Handshake.ACK
 
 
 def test_a_bus_reset_leaves_outputs_and_timer_alone(board):
-    board.control(Setup(0x40, 9, 3, 0, 0))
+    board.control(SetupPacket(0x40, 9, 3, 0, 0))
     for at in range(0, FRAME_BYTES, 64):
         board.packet_out(OUT, DRIVING[at : at + 64])
     board.packet_out(OUT, READ_REQUEST)
     board.reset()
     assert board.endpoints == ()
-    assert board.stream.face.device.duties == (1.0, 0.0)
+    assert board.stream.front_end.device.duties == (1.0, 0.0)
     assert board.latency_ms == 3
 
 

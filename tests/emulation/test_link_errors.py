@@ -28,7 +28,7 @@ from inteco_abs.control import build_pipeline
 from inteco_abs.errors import BoardError, LinkError, UnsafeError
 from inteco_abs.format import TICK, pack_tick
 from inteco_abs.mock_board import Device, Speed, UsbBoard, UsbHost
-from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
+from inteco_abs.realtime import Loop, StopFlag, TickRing, VirtualClock
 from inteco_abs.realtime.loop import detail_of
 from inteco_abs.signals import BoardFlags, Reason
 
@@ -159,7 +159,7 @@ class Run:
         self.board = RtdacUsb2(link, self.config.board, self.clock.now_ns, self.config.period_ns)
         self.pipeline = build_pipeline(self.config)
         self.ring = TickRing(pack_tick, TICK.size, 10_000)
-        self.loop = Loop(self.board, self.pipeline, self.clock, self.ring, StopWord())
+        self.loop = Loop(self.board, self.pipeline, self.clock, self.ring, StopFlag())
 
 
 def test_a_run_that_loses_its_board_ends_and_says_that_motor_power_may_be_on():

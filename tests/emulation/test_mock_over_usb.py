@@ -14,7 +14,7 @@ from pyusb_backend import BusBackend
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, encode_send
 from inteco_abs.mock_board import Speed, UsbBoard, UsbIdentity
 from inteco_abs.mock_board.usbip.usb_descriptors import MOCK_SERIALS
-from inteco_abs.mock_board.usbip.usb_device import Handshake, Setup
+from inteco_abs.mock_board.usbip.usb_device import Handshake, SetupPacket
 
 DRIVING = {"pin_mode": 0b100100, "pwm0_mode": 1, "pwm0_width": 4095, "pwm0_prescaler": 0xFFFF}
 
@@ -34,7 +34,7 @@ def test_frames_are_those_of_the_face(real_board, clock):
             assert device.write(0x02, READ_REQUEST) == 4
             twin.bulk_out(READ_REQUEST)
             assert bytes(device.read(0x84, FRAME_BYTES)) == twin.bulk_in(FRAME_BYTES)
-    assert board.face.rejected == 0
+    assert board.front_end.rejected == 0
 
 
 def test_whole_answer_into_a_larger_buffer(real_board):
@@ -54,7 +54,7 @@ def test_wrong_messages_are_dropped(real_board):
         device.write(0x02, message)
     device.write(0x02, READ_REQUEST)
     assert len(device.read(0x84, FRAME_BYTES)) == FRAME_BYTES
-    assert board.face.rejected == 3
+    assert board.front_end.rejected == 3
 
 
 def test_endless_message_fills_no_memory(real_board):
@@ -62,7 +62,7 @@ def test_endless_message_fills_no_memory(real_board):
     for _ in range(20):
         device.write(0x02, bytes(1 << 16))
     device.write(0x02, b"end")
-    assert board.face.rejected == 1
+    assert board.front_end.rejected == 1
     device.write(0x02, READ_REQUEST)
     assert len(device.read(0x84, FRAME_BYTES)) == FRAME_BYTES
 
@@ -120,7 +120,7 @@ def test_outputs_survive_a_bus_reset(real_board, level):
     if level == "L2":
         device.reset()
         assert fails(errno.ETIMEDOUT, device.read, 0x84, FRAME_BYTES, 30)  # the answer did not
-    assert board.face.device.duties[0] == 1.0
+    assert board.front_end.device.duties[0] == 1.0
 
 
 def test_bound_driver_missing_permission_and_another_board(clock):
@@ -169,15 +169,15 @@ def test_identity_must_be_a_mocks():
 )
 def test_requests_that_stall(request_bytes):
     board = UsbBoard(new_face())
-    board.control(Setup(0, 9, 1, 0, 0))
-    assert board.control(Setup.unpack(bytes.fromhex(request_bytes))) is Handshake.STALL
+    board.control(SetupPacket(0, 9, 1, 0, 0))
+    assert board.control(SetupPacket.unpack(bytes.fromhex(request_bytes))) is Handshake.STALL
 
 
 def test_standard_requests():
     board = UsbBoard(new_face())
 
     def ask(text):
-        return board.control(Setup.unpack(bytes.fromhex(text)))
+        return board.control(SetupPacket.unpack(bytes.fromhex(text)))
 
     assert ask("81 0a 0000 0000 0100") is Handshake.STALL  # there is no interface yet
     assert ask("00 05 0700 0000 0000") is Handshake.ACK
@@ -220,20 +220,20 @@ messages = st.binary(max_size=4000) | st.sampled_from([64, 128, 504, 512, 1024, 
 @given(speed=speeds, sent=st.lists(messages, max_size=5))
 def test_messages_survive_any_packet_size(speed, sent):
     """Whatever their length, messages reach the board as they were written; the empty packet ends full ones."""
-    face = Recorder()
-    board = UsbBoard(face, UsbIdentity(speed=speed))
+    front_end = Recorder()
+    board = UsbBoard(front_end, UsbIdentity(speed=speed))
     size = speed.packet_bytes
     for message in sent:
         for at in range(0, len(message) + 1, size):
             assert board.packet_out(0x02, message[at : at + size]) is Handshake.ACK
-    assert face.got == sent
+    assert front_end.got == sent
 
 
 @given(speed=speeds, answers=st.lists(st.binary(min_size=1, max_size=504), max_size=8))
 def test_answers_survive_any_packet_size(speed, answers):
-    face = Recorder()
-    board = UsbBoard(face, UsbIdentity(speed=speed))
-    face.answers = list(answers)
+    front_end = Recorder()
+    board = UsbBoard(front_end, UsbIdentity(speed=speed))
+    front_end.answers = list(answers)
     board.packet_out(0x02, b"go")
     received, arriving = [], b""
     while (packet := board.packet_in(0x84)) is not Handshake.NAK:
@@ -249,7 +249,7 @@ def test_answers_survive_any_packet_size(speed, answers):
 def test_writes_through_pyusb_survive_any_packet_size(speed, sent, zero):
     """As above through host and pyusb, which sends no empty packet: a full last packet runs into the next message."""
     host = new_host(speed, drill=False)
-    host.device.face = face = Recorder()
+    host.device.front_end = front_end = Recorder()
     device = usb.core.find(backend=BusBackend(host, HandClock().wait))
     expected, running = [], b""
     for message in sent:
@@ -261,4 +261,4 @@ def test_writes_through_pyusb_survive_any_packet_size(speed, sent, zero):
         if not full or zero:
             expected.append(running[:4096])
             running = b""
-    assert face.got == expected
+    assert front_end.got == expected

@@ -55,7 +55,7 @@ def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_i
     reads = json.loads(third.stdout)["steps"][2]
     # a busy computer may be too slow for any rate, and then it says so
     assert reads["outcome"] == "done" or "too slow for any rate" in reads["problem"]
-    assert host.device.face.device.settings == {}
+    assert host.device.front_end.device.settings == {}
     report = read_capture(tmp_path / "board.jsonl").report
     assert bytes.fromhex(report.bus.descriptors) == b"".join(
         host.device.identity.descriptor(kind, 0) for kind in (1, 2)

@@ -286,5 +286,5 @@ def driving(commissioning, mock):
 def holder(pid):
     """Process that holds the board for the commissioning in the process `pid`."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    (found,) = [one for one in children if b"by-hand" in Path(f"/proc/{one}/cmdline").read_bytes().split(b"\0")]
+    (found,) = [one for one in children if b"manual" in Path(f"/proc/{one}/cmdline").read_bytes().split(b"\0")]
     return int(found)

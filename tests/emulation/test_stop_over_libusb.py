@@ -47,7 +47,7 @@ class TroubledBoard(UsbBoard):
         self._late = []
 
     def _send(self, endpoint, message):
-        self._answers += any(self.face.device.duties) or bool(self._answers)
+        self._answers += any(self.front_end.device.duties) or bool(self._answers)
         fates = [fate for fate, every in self._every.items() if every and self._answers % every == every - 1]
         self.struck += bool(fates)
         if "lost" in fates:

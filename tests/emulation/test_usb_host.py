@@ -7,9 +7,9 @@ import pytest
 from drill import Drill, new_host
 
 from inteco_abs.mock_board import Speed, Urb
-from inteco_abs.mock_board.usbip.usb_device import Setup
+from inteco_abs.mock_board.usbip.usb_device import SetupPacket
 
-CONFIGURE = Setup(0x00, 9, 1, 0, 0)
+CONFIGURE = SetupPacket(0x00, 9, 1, 0, 0)
 
 
 class Log(list):
@@ -37,7 +37,7 @@ def host(log):
 
 
 def drill(host, log, request, value=0, index=0, data=b""):
-    host.submit(log.urb(0, setup=Setup(0x40, request, value, index, len(data)), data=data))
+    host.submit(log.urb(0, setup=SetupPacket(0x40, request, value, index, len(data)), data=data))
     return log.pop()
 
 
@@ -111,7 +111,7 @@ def test_fault_on_control(host, log):
 
 
 def test_short_control_answer_that_must_not_be(host, log):
-    host.submit(log.urb(0x80, setup=Setup(0x80, 6, 0x0100, 0, 64), length=64, short_not_ok=True))
+    host.submit(log.urb(0x80, setup=SetupPacket(0x80, 6, 0x0100, 0, 64), length=64, short_not_ok=True))
     assert (log[0].status, log[0].actual) == (-errno.EREMOTEIO, 18)
 
 

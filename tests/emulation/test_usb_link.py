@@ -6,11 +6,11 @@ from trouble import halt_of
 
 from inteco_abs.boards.families.usb2 import RtdacUsb2
 from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
-from inteco_abs.boards.transports.usb import ENDPOINTS, UsbLink, boards
+from inteco_abs.boards.transports.usb import ENDPOINTS, UsbLink, usb_boards
 from inteco_abs.config import UsbConfig, load_config
 from inteco_abs.errors import BoardError, LinkError
 from inteco_abs.mock_board import Device, Speed, Urb, UsbBoard, UsbHost, UsbIdentity
-from inteco_abs.mock_board.usbip.usb_device import Setup
+from inteco_abs.mock_board.usbip.usb_device import SetupPacket
 from inteco_abs.signals import BoardFlags, Command
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -40,7 +40,7 @@ class Bus:
 
     def status(self, endpoint):
         """What the device answers to GET_STATUS: bit 0 of an endpoint's first byte is its halt."""
-        urb = Urb(0x80, lambda _urb: None, setup=Setup(0x82, 0, 0, endpoint, 2), length=2)
+        urb = Urb(0x80, lambda _urb: None, setup=SetupPacket(0x82, 0, 0, endpoint, 2), length=2)
         self.host.submit(urb)
         return bytes(urb.received)
 
@@ -57,7 +57,7 @@ def bus(request):
 
 
 def test_the_board_is_found_by_its_maker_and_serial_number(bus):
-    (seen,) = boards(bus.config.usb, bus.backend)
+    (seen,) = usb_boards(bus.config.usb, bus.backend)
     assert (seen.manufacturer, seen.serial) == ("InTeCo", str(SERIAL))
     bus.link().close()
     bus.link(str(SERIAL)).close()

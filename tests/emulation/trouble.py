@@ -17,7 +17,7 @@ from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, UnsafeError
 from inteco_abs.mock_board import Device, Speed, Urb, UsbBoard, UsbHost, UsbIdentity
-from inteco_abs.mock_board.usbip.usb_device import Handshake, Setup
+from inteco_abs.mock_board.usbip.usb_device import Handshake, SetupPacket
 from inteco_abs.signals import BoardFlags, Command
 
 SERIAL = 900_000_321
@@ -79,8 +79,8 @@ class Bench:
         self.config = load_config()
         self.clock = HandClock()
         self.device = Device(self.config, self.clock.now_ns, 1)
-        self.face = MoodyFace(self.device)
-        self.board = MoodyBoard(self.face, UsbIdentity(serial=serial, speed=speed))
+        self.front_end = MoodyFace(self.device)
+        self.board = MoodyBoard(self.front_end, UsbIdentity(serial=serial, speed=speed))
         self.host = UsbHost(self.board)
         self.driver = None
 
@@ -111,7 +111,7 @@ class Bench:
         self.host.submit(halt_of(endpoint))
 
     def change(self, change):
-        self.face.change = change
+        self.front_end.change = change
 
     def plug_in_again(self):
         eventually(lambda: self.find() is None)
@@ -121,7 +121,7 @@ class Bench:
 
 def halt_of(endpoint):
     """The transfer that stalls an endpoint."""
-    return Urb(0, lambda _urb: None, setup=Setup(*_SET_HALT, endpoint, 0))
+    return Urb(0, lambda _urb: None, setup=SetupPacket(*_SET_HALT, endpoint, 0))
 
 
 def eventually(condition):

@@ -10,7 +10,7 @@ import threading
 from types import SimpleNamespace
 
 from inteco_abs.mock_board import Urb
-from inteco_abs.mock_board.usbip.usb_device import Setup
+from inteco_abs.mock_board.usbip.usb_device import SetupPacket
 
 _DEVICE_FIELDS = [
     "bLength",
@@ -73,9 +73,9 @@ class UsbCore:
         self._lock = threading.RLock()
         self._owner = None
         self.on_configuration = lambda _value: None
-        self.descriptors = self.control(Setup(0x80, 6, 0x0100, 0, 18))
-        (total,) = struct.unpack_from("<2xH", self.control(Setup(0x80, 6, 0x0200, 0, 9)))
-        self.descriptors += self.control(Setup(0x80, 6, 0x0200, 0, total))
+        self.descriptors = self.control(SetupPacket(0x80, 6, 0x0100, 0, 18))
+        (total,) = struct.unpack_from("<2xH", self.control(SetupPacket(0x80, 6, 0x0200, 0, 9)))
+        self.descriptors += self.control(SetupPacket(0x80, 6, 0x0200, 0, total))
         self.device = _fields(_DEVICE_FIELDS, "<BBHBBBBHHHBBBB", self.descriptors)
         self._parse(self.descriptors[18:])
         self._set_configuration(self.configuration_descriptor.bConfigurationValue)
@@ -155,12 +155,12 @@ class UsbCore:
     def set_interface(self, interface, alternate):
         if interface or alternate:
             raise OSError(errno.EINVAL, "no such setting")
-        self.control(Setup(0x01, 11, alternate, interface, 0))
+        self.control(SetupPacket(0x01, 11, alternate, interface, 0))
 
     def clear_halt(self, endpoint):
         if endpoint not in {e.bEndpointAddress for e in self.endpoint_descriptors}:
             raise OSError(errno.ENOENT, "no such endpoint")
-        self.control(Setup(0x02, 1, 0, endpoint, 0))
+        self.control(SetupPacket(0x02, 1, 0, endpoint, 0))
 
     def reset(self):
         """Port reset; the kernel sets the configuration again."""
@@ -169,7 +169,7 @@ class UsbCore:
         self._set_configuration(self.configuration)
 
     def _set_configuration(self, value):
-        self.control(Setup(0x00, 9, value, 0, 0))
+        self.control(SetupPacket(0x00, 9, value, 0, 0))
         self.configuration = value
         self.on_configuration(value)
 

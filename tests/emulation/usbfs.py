@@ -22,7 +22,7 @@ from usb_core import UsbCore
 from usbip_client import receive
 
 from inteco_abs.mock_board import Speed, Urb
-from inteco_abs.mock_board.usbip.usb_device import Setup
+from inteco_abs.mock_board.usbip.usb_device import SetupPacket
 
 PRELOAD = "libumockdev-preload.so.0"
 
@@ -150,7 +150,7 @@ class Handle:
             self._core.claim(self, 0)
         setup, reads = None, endpoint & 0x80
         if kind == _CONTROL_TYPE:
-            setup = Setup.unpack(self._read(buffer, 8))
+            setup = SetupPacket.unpack(self._read(buffer, 8))
             reads, buffer, length, endpoint = setup.reads, buffer + 8, length - 8, 0x80 * setup.reads
         urb = Urb(
             endpoint,

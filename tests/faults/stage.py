@@ -14,12 +14,12 @@ from inteco_abs.mock_board import (
     FaultyFrontEnd,
     Schedule,
     Truth,
-    face_of,
+    front_end_of,
     parse_faults,
     require_possible,
 )
 from inteco_abs.realtime.clock import VirtualClock
-from inteco_abs.realtime.loop import Loop, StopWord
+from inteco_abs.realtime.loop import Loop, StopFlag
 from inteco_abs.signals import Phase, Reason, Tick
 
 AS_ON_A_REAL_BOARD = ("guard.missed_in_a_row=4", "guard.bucket_limit=30")
@@ -97,14 +97,14 @@ def ride(
     schedule = Schedule(parsed, clock.now_ns, seed)
     result = Ride(config.period_ns)
     device = FaultyDevice(config, clock.now_ns, seed, result.truths.append, schedule=schedule)
-    face = FaultyFrontEnd(
-        face_of,
+    front_end = FaultyFrontEnd(
+        front_end_of,
         device,
         lambda seconds: clock.pass_ns(round(seconds * 1e9)),
         lambda seconds: clock.oversleep_ns(round(seconds * 1e9)),
     )
-    board = board_behind(InProcessLink(face), config, clock.now_ns)
-    pipeline, rows, stop = build_pipeline(config), Rows(), StopWord()
+    board = board_behind(InProcessLink(front_end), config, clock.now_ns)
+    pipeline, rows, stop = build_pipeline(config), Rows(), StopFlag()
     try:
         with board:
             loop = Loop(board, pipeline, clock, rows, stop)

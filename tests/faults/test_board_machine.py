@@ -17,7 +17,7 @@ from hypothesis.stateful import (
 
 from inteco_abs.boards import Link, board_behind
 from inteco_abs.errors import BoardError, LinkError, UnsafeError
-from inteco_abs.mock_board import Device, face_of
+from inteco_abs.mock_board import Device, front_end_of
 from inteco_abs.rig import plant
 from inteco_abs.signals import BoardFlags, Command
 from tests.faults.stage import configured
@@ -37,7 +37,7 @@ PROFILES = ("sim_usb2", "sim_usb", "sim_pci")
 class Wire:
     """The cable, which outlives whoever uses it, and with it what is on its way."""
 
-    def __init__(self, face):
+    def __init__(self, front_end):
         self.plugged = True
         self.deaf = 0
         """Messages of the host's that will not arrive."""
@@ -45,7 +45,7 @@ class Wire:
         """Answers that will not arrive."""
         self.late = 0
         """Answers that will arrive, but only when the next is asked for."""
-        self._face = face
+        self._front_end = front_end
         self._waiting = deque()
 
     def out(self, data):
@@ -53,13 +53,13 @@ class Wire:
         if self.deaf:
             self.deaf -= 1
         else:
-            self._face.bulk_out(data)
+            self._front_end.bulk_out(data)
 
     def back(self, length):
         self._insist()
         if self._waiting:
             return self._waiting.popleft()[:length]
-        answer = self._face.bulk_in(length)
+        answer = self._front_end.bulk_in(length)
         if self.losing and answer:
             self.losing -= 1
             answer = b""
@@ -110,7 +110,7 @@ class BoardMachine(RuleBasedStateMachine):
         self.config = configured(profile=self.profile)
         self.time_ns = 0
         self.device = Device(self.config, lambda: self.time_ns, seed)
-        self.wire = Wire(face_of(self.device))
+        self.wire = Wire(front_end_of(self.device))
         self.board = None
         self.image = None
         """What makes safe the board of a program that died."""

@@ -4,7 +4,7 @@ import pytest
 
 from inteco_abs.boards import InProcessLink, board_behind
 from inteco_abs.errors import ConfigError
-from inteco_abs.mock_board import FaultyDevice, FaultyFrontEnd, Schedule, face_of, parse_faults
+from inteco_abs.mock_board import FaultyDevice, FaultyFrontEnd, Schedule, front_end_of, parse_faults
 from inteco_abs.mock_board.faults.kinds import KINDS, ON_THE_HOST, ON_THE_RIG, ON_THE_WIRE
 from inteco_abs.signals import BoardFlags, Phase, Reason
 from tests.faults.stage import configured, ride
@@ -94,7 +94,7 @@ def test_what_the_board_measures_is_told_by_its_driver(fault):
     schedule = Schedule(parse_faults([f"{fault}@start"]), lambda: 0, 0)
     device = FaultyDevice(config, lambda: 0, schedule=schedule)
     with board_behind(
-        InProcessLink(FaultyFrontEnd(face_of, device, pytest.fail, pytest.fail)), config, lambda: 0
+        InProcessLink(FaultyFrontEnd(front_end_of, device, pytest.fail, pytest.fail)), config, lambda: 0
     ) as board:
         told = {reading.name: reading.value for reading in board.readings()}
     assert told["supply"] == pytest.approx(float(value) if name == "supply" else 24.0, abs=0.01)

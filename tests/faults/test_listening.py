@@ -12,7 +12,7 @@ import inteco_abs
 from inteco_abs.config import load_config
 from inteco_abs.control import control_check
 from inteco_abs.errors import AbsError
-from inteco_abs.mock_board import Device, UsbBoard, UsbHost, UsbIdentity, UsbIpServer, face_of, parse_address
+from inteco_abs.mock_board import Device, UsbBoard, UsbHost, UsbIdentity, UsbIpServer, front_end_of, parse_address
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -38,8 +38,8 @@ def listening_sockets():
 
 @pytest.mark.parametrize("address", ["", ":0"])
 def test_the_mock_board_on_usbip_listens_on_the_loopback_interface(address):
-    face = face_of(Device(load_config(), lambda: 0))
-    server = UsbIpServer(UsbHost(UsbBoard(face, UsbIdentity())), parse_address(address)._replace(port=0))
+    front_end = front_end_of(Device(load_config(), lambda: 0))
+    server = UsbIpServer(UsbHost(UsbBoard(front_end, UsbIdentity())), parse_address(address)._replace(port=0))
     before = list(listening_sockets())
     server.bind()
     try:

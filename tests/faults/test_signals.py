@@ -70,7 +70,7 @@ class TestInRealTime:
         return live
 
     def test_who_interrupts_just_before_the_loop_is_let_go_is_told_so(self, strike):
-        life, problem = strike(line_of(Supervisor._let_go, "prepare("), "SIGINT")
+        life, problem = strike(line_of(Supervisor._start_loop, "prepare("), "SIGINT")
         assert not problem
         assert (life.struck, life.code) == (True, INTERRUPTED)
 

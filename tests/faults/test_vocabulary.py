@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inteco_abs.errors import ConfigError
-from inteco_abs.mock_board.faults import KINDS, Event, Fault, Span, parse_fault, parse_faults
+from inteco_abs.mock_board.faults import KINDS, Fault, FaultEvent, Span, parse_fault, parse_faults
 
 SPANS = st.one_of(
     st.builds(Span, exchanges=st.just(0), ns=st.integers(0, 10**14)),
@@ -29,7 +29,7 @@ def any_fault(draw):
     kind = KINDS[name]
     some = SPANS.filter(any)
     lasts = draw(st.one_of(st.none(), some) if kind.lasting else some)
-    return Fault(name, draw(st.sampled_from(Event)), draw(SPANS), lasts, draw(values_of(kind)))
+    return Fault(name, draw(st.sampled_from(FaultEvent)), draw(SPANS), lasts, draw(values_of(kind)))
 
 
 @given(any_fault())
@@ -42,11 +42,11 @@ def test_what_is_said_of_a_fault_is_read_as_the_same_fault(fault):
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("lose@brake+20ms", Fault("lose", Event.BRAKE, Span(ns=20_000_000), Span(exchanges=1))),
-        ("road-stuck@3.5s", Fault("road-stuck", Event.START, Span(ns=3_500_000_000))),
-        ("late=2@drive+#100/#5", Fault("late", Event.DRIVE, Span(exchanges=100), Span(exchanges=5), 2.0)),
-        ("stall@coast/500us", Fault("stall", Event.COAST, Span(), Span(ns=500_000))),
-        ("reset=held@brake", Fault("reset", Event.BRAKE, Span(), Span(exchanges=1), 1.0)),
+        ("lose@brake+20ms", Fault("lose", FaultEvent.BRAKE, Span(ns=20_000_000), Span(exchanges=1))),
+        ("road-stuck@3.5s", Fault("road-stuck", FaultEvent.START, Span(ns=3_500_000_000))),
+        ("late=2@drive+#100/#5", Fault("late", FaultEvent.DRIVE, Span(exchanges=100), Span(exchanges=5), 2.0)),
+        ("stall@coast/500us", Fault("stall", FaultEvent.COAST, Span(), Span(ns=500_000))),
+        ("reset=held@brake", Fault("reset", FaultEvent.BRAKE, Span(), Span(exchanges=1), 1.0)),
     ],
 )
 def test_a_fault_is_read(text, fault):

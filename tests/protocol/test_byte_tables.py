@@ -1,6 +1,6 @@
 import pytest
 
-from firmware_protocol import Field, FrameTable, Kind, ProtocolError, TableError
+from firmware_protocol import Field, FrameTable, ProtocolError, TableError, ValueKind
 from firmware_protocol.fields import Bits, CutCodec, bits, words
 
 
@@ -9,7 +9,7 @@ def field(name, **options):
 
 
 def table(*places, size=8, kinds=(), **options):
-    fields = [(field(name, kind=dict(kinds).get(name, Kind.UNSIGNED)), layout) for name, layout in places]
+    fields = [(field(name, kind=dict(kinds).get(name, ValueKind.UNSIGNED)), layout) for name, layout in places]
     return FrameTable("test frame", fields, size=size, word_bits=8, **options)
 
 
@@ -93,14 +93,14 @@ def test_a_fixed_field_must_be_declared():
 @pytest.mark.parametrize(
     ("layout", "kind", "value", "carried"),
     [
-        (bits(1, 0, 8), Kind.UNSIGNED, 0xAB, "AB"),
-        (bits(1, 0, 3), Kind.UNSIGNED, 5, "05"),
-        (words(1, 8, 8), Kind.UNSIGNED, 0xABCD, "CD AB"),
-        (words(1, 8, 8), Kind.SIGNED, -2, "FE FF"),
-        (words(1, 8, 8, 8, 8), Kind.UNSIGNED, 0x89ABCDEF, "EF CD AB 89"),
-        (words(1, 8, 8, 8, 8), Kind.SIGNED, -2, "FE FF FF FF"),
-        (words(1, 8, 4), Kind.UNSIGNED, 0xABC, "BC 0A"),
-        (words(1, 7, 7, 7, 5), Kind.UNSIGNED, 0x2ABCDEF, "6F 1B 2F 15"),
+        (bits(1, 0, 8), ValueKind.UNSIGNED, 0xAB, "AB"),
+        (bits(1, 0, 3), ValueKind.UNSIGNED, 5, "05"),
+        (words(1, 8, 8), ValueKind.UNSIGNED, 0xABCD, "CD AB"),
+        (words(1, 8, 8), ValueKind.SIGNED, -2, "FE FF"),
+        (words(1, 8, 8, 8, 8), ValueKind.UNSIGNED, 0x89ABCDEF, "EF CD AB 89"),
+        (words(1, 8, 8, 8, 8), ValueKind.SIGNED, -2, "FE FF FF FF"),
+        (words(1, 8, 4), ValueKind.UNSIGNED, 0xABC, "BC 0A"),
+        (words(1, 7, 7, 7, 5), ValueKind.UNSIGNED, 0x2ABCDEF, "6F 1B 2F 15"),
     ],
 )
 def test_a_field_with_bytes_of_its_own_has_a_place(layout, kind, value, carried):
@@ -127,10 +127,10 @@ def test_a_place_behind_a_command_counts_from_the_start_of_the_frame():
         ([("own", bits(1, 0, 3)), ("other", bits(1, 3, 1))], {}),
         ([("own", words(1, 7, 7)), ("other", bits(2, 7, 1))], {}),
         ([("own", (Bits(1, 0, 8, 0), Bits(3, 0, 8, 8)))], {}),
-        ([("own", words(1, 8, 4))], {"own": Kind.SIGNED}),
-        ([("own", words(1, 8, 8))], {"own": Kind.TEXT}),
-        ([("own", words(1, 8, 8))], {"own": Kind.HEX}),
-        ([("own", bits(1, 0, 8))], {"own": Kind.SIGNED}),
+        ([("own", words(1, 8, 4))], {"own": ValueKind.SIGNED}),
+        ([("own", words(1, 8, 8))], {"own": ValueKind.TEXT}),
+        ([("own", words(1, 8, 8))], {"own": ValueKind.HEX}),
+        ([("own", bits(1, 0, 8))], {"own": ValueKind.SIGNED}),
     ],
 )
 def test_a_field_that_needs_decoding_has_no_place(places, kinds):
@@ -150,7 +150,7 @@ def test_a_cut_value_is_read_without_the_unnamed_bits_above_it():
     assert CutCodec((7, 5)).unpack_from(b"\xff\xff", 0) == (4095,)
 
 
-@pytest.mark.parametrize(("kind", "layout"), [(Kind.TEXT, words(0, 8, 4)), (Kind.HEX, words(0, 8, 2))])
+@pytest.mark.parametrize(("kind", "layout"), [(ValueKind.TEXT, words(0, 8, 4)), (ValueKind.HEX, words(0, 8, 2))])
 def test_text_needs_whole_characters(kind, layout):
     with pytest.raises(TableError, match=r"torn has 1[02] bits, must be a multiple of [84]"):
         table(("torn", layout), kinds={"torn": kind})

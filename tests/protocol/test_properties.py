@@ -4,7 +4,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol import Kind, ProtocolError
+from firmware_protocol import ProtocolError, ValueKind
 from firmware_protocol.rtdac_usb2 import READ, SEND, decode_read, decode_send, encode_read, encode_send
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -16,9 +16,9 @@ frames = st.binary(min_size=504, max_size=504)
 
 def values_of(table):
     def value(field, layout):
-        if field.kind is Kind.TEXT:
+        if field.kind is ValueKind.TEXT:
             return st.text(st.characters(min_codepoint=1, max_codepoint=127), max_size=6)
-        if field.kind is Kind.HEX:
+        if field.kind is ValueKind.HEX:
             return st.integers(0, 2**32 - 1).map("{:08X}".format)
         return st.integers(*field.range(layout))
 

@@ -1,6 +1,6 @@
 import pytest
 
-from firmware_protocol import Access, Conversion, Kind, ProtocolError, Register, RegisterMap, TableError, Write
+from firmware_protocol import Access, Conversion, ProtocolError, Register, RegisterMap, TableError, ValueKind, Write
 
 
 def register(name, offset=0, **options):
@@ -17,7 +17,7 @@ def table(*registers, size=16):
 
 INDEX = both("index", 0, channels=3)
 DATA = both("data", 4, width=12, index=INDEX)
-COUNT = register("count", 8, kind=Kind.SIGNED, index=INDEX)
+COUNT = register("count", 8, kind=ValueKind.SIGNED, index=INDEX)
 FLAG = register("flag", 12, low=1, width=1)
 PLAIN = register("plain", 12, low=4, width=8, conversion=Conversion("V", "plain / 2", lambda n: n / 2, ("plain",)))
 MAP = table(INDEX, DATA, COUNT, FLAG, PLAIN)
@@ -157,7 +157,7 @@ def test_what_is_written_has_its_32_bits_for_itself(one, other):
         table(one("low", 4, width=8), other("high", 4, low=8, width=8))
 
 
-@pytest.mark.parametrize("kind", [Kind.TEXT, Kind.HEX])
+@pytest.mark.parametrize("kind", [ValueKind.TEXT, ValueKind.HEX])
 def test_a_register_is_a_number(kind):
     with pytest.raises(TableError, match="named is not a number"):
         table(register("named", kind=kind))

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol import Access, Kind, ProtocolError, Status, Write, rtdac_pci
+from firmware_protocol import Access, ProtocolError, Status, ValueKind, Write, rtdac_pci
 from firmware_protocol.rtdac_pci import (
     ABS,
     COLLISIONS,
@@ -92,7 +92,7 @@ def test_the_constants_are_the_registers_of_the_map():
 
 
 def test_only_the_encoder_count_is_signed():
-    signed = [register.name for register in ABS.registers.values() if register.kind is Kind.SIGNED]
+    signed = [register.name for register in ABS.registers.values() if register.kind is ValueKind.SIGNED]
     assert signed == ["encoder_count"]
 
 

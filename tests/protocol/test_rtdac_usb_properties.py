@@ -4,7 +4,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol import Kind, ProtocolError
+from firmware_protocol import ProtocolError, ValueKind
 from firmware_protocol.rtdac_usb import LOGICS, decode_read, decode_send, encode_read, encode_send, logic_of
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -19,7 +19,7 @@ def values_of(table):
     def value(field, layout):
         if field.name in table.fixed:
             return st.just(table.fixed[field.name])
-        if field.kind is Kind.TEXT:
+        if field.kind is ValueKind.TEXT:
             return st.text(st.characters(min_codepoint=1, max_codepoint=127), max_size=5)
         return st.integers(*field.range(layout))
 

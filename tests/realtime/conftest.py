@@ -18,7 +18,7 @@ from inteco_abs.config import load_config
 from inteco_abs.control import build_pipeline
 from inteco_abs.errors import LinkError
 from inteco_abs.mock_board import Device
-from inteco_abs.realtime import Clock, Loop, StopWord, TickRing, VirtualClock, clock
+from inteco_abs.realtime import Clock, Loop, StopFlag, TickRing, VirtualClock, clock
 from inteco_abs.realtime import memory as shared
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import RunMemory
@@ -152,7 +152,7 @@ class ScriptedLoop:
 
         self.events: list[tuple[str, int]] = []
         self.ticks: list[Tick] = []
-        self.stop = StopWord()
+        self.stop = StopFlag()
         beats = VirtualClock(PERIOD_NS) if beats is None else beats
         self.board = ScriptedBoard(beats.now_ns, noted("exchange", io))
         self.pipeline = ScriptedPipeline(script, noted("decide", decide))
@@ -198,7 +198,7 @@ class Stack:
         self.link = FlakyLink(InProcessLink(Usb2FrontEnd(self.device)))
         self.board = RtdacUsb2(self.link, self.config.board, beats.now_ns, self.config.period_ns)
         self.ring = TickRing(pack_tick, TICK.size, capacity)
-        self.stop = StopWord()
+        self.stop = StopFlag()
         self._beats = beats
 
     def loop(self, pipeline=None) -> Loop:

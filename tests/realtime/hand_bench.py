@@ -3,8 +3,8 @@
 from inteco_abs.boards import InProcessLink, Link, board_behind
 from inteco_abs.config import load_config
 from inteco_abs.errors import LinkError
-from inteco_abs.mock_board import Device, face_of
-from inteco_abs.realtime import StopWord, VirtualClock
+from inteco_abs.mock_board import Device, front_end_of
+from inteco_abs.realtime import StopFlag, VirtualClock
 from inteco_abs.realtime.processes.manual import RATE_HZ, DriveLoop, ManualClient, WatchLoop
 
 AS_ON_A_REAL_BOARD = ("guard.missed_in_a_row=4", "guard.bucket_limit=30", "guard.brake_limit=0.7")
@@ -42,14 +42,14 @@ class Bench:
         self._beats = iter(self.clock)
         next(self._beats)
         self.device = Device(self.config, self.clock.now_ns, 3)
-        self._face = face_of(self.device)
+        self._front_end = front_end_of(self.device)
         self.take(memory)
 
     def take(self, memory):
         """Be about to open the board for the first time, or anew: the rig is as it is."""
-        self.link = WatchedLink(InProcessLink(self._face))
+        self.link = WatchedLink(InProcessLink(self._front_end))
         self.board = board_behind(self.link, self.config, self.clock.now_ns)
-        self.stop = StopWord()
+        self.stop = StopFlag()
         self.memory = memory
         self.side = ManualClient(memory)
         self.hand = None

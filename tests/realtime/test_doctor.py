@@ -8,7 +8,7 @@ import pytest
 
 from inteco_abs.errors import ConfigError
 from inteco_abs.host import doctor
-from inteco_abs.host.checks import Computer, Finding, Verdict, as_facts, worst
+from inteco_abs.host.checks import CheckResult, Computer, Rating, as_facts, worst
 from inteco_abs.host.doctor import PythonBuild, examine, judge_python, judge_write_speed, python_build, write_speed
 from inteco_abs.host.permissions import LIMITS_FILE, UDEV_FILE, check_serial, limits, serial_group, udev_rules
 
@@ -294,7 +294,7 @@ def test_the_cases_cover_every_check_and_the_good_computer_is_green(new_root, tm
     names = [finding.name for finding in findings]
     assert len(set(names)) == len(names)
     assert set(names) - {"free space", "shared memory", "Python"} == {name for name, *_ in CASES}
-    assert {finding.verdict for finding in findings if finding.name != "Python"} == {Verdict.GREEN}
+    assert {finding.verdict for finding in findings if finding.name != "Python"} == {Rating.GREEN}
 
 
 def test_a_system_without_proc_and_sys_is_not_known_and_no_error(tmp_path):
@@ -302,7 +302,7 @@ def test_a_system_without_proc_and_sys_is_not_known_and_no_error(tmp_path):
     empty.mkdir()
     findings = examine(tmp_path, empty)
     of_linux = [finding for finding in findings if finding.name not in {"free space", "Python"}]
-    assert {finding.verdict for finding in of_linux} == {Verdict.AMBER}
+    assert {finding.verdict for finding in of_linux} == {Rating.AMBER}
     assert {finding.found for finding in of_linux} == {NOT_KNOWN}
     assert len(of_linux) >= 14
 
@@ -450,7 +450,7 @@ def test_findings_become_facts_of_a_session(new_root, tmp_path):
     ],
 )
 def test_the_worst_verdict_is_the_whole_one(verdicts, expected):
-    assert worst(Finding("x", Verdict(word), "") for word in verdicts.split()) == expected
+    assert worst(CheckResult("x", Rating(word), "") for word in verdicts.split()) == expected
 
 
 @pytest.mark.parametrize(("groups", "name"), [("dialout:x:20:", "dialout"), ("uucp:x:14:", "uucp"), ("", "dialout")])

@@ -7,21 +7,21 @@ import pytest
 
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.errors import CaptureError, LinkError
-from inteco_abs.realtime.frames import frames_of, leaving_frames
+from inteco_abs.realtime.frame_spool import saving_frames, spooled_frames
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.realtime.processes.recorder import rebuild, recover_run
-from inteco_abs.realtime.spool import stow
+from inteco_abs.realtime.spool import spool_run
 from inteco_abs.realtime.window import Window
 from inteco_abs.sessions import TICK, RunEnd, RunHeader, pack_tick, read_frames, read_session
 from inteco_abs.signals import Reason
-from inteco_abs.wire.capture import Capture, Kind, Record, write_capture
-from inteco_abs.wire.recording import recording
+from inteco_abs.wire.capture import Capture, Record, RecordKind, write_capture
+from inteco_abs.wire.recording import record_wire
 
 CAPTURE = Capture(
     "usb2",
     "inteco-abs",
     "monotonic",
-    (Record(0.0, Kind.OUT, None, b"request"), Record(0.0001, Kind.ERROR, None, b"", "no answer", "in")),
+    (Record(0.0, RecordKind.OUT, None, b"request"), Record(0.0001, RecordKind.ERROR, None, b"", "no answer", "in")),
     "",
     10**9,
 )
@@ -50,8 +50,8 @@ def ended(new_memory, job_of):
     job = replace(job_of(memory), frames=True)
     job.post(memory)
     told = {"identity": {}, "gains": {}, "internals": [], "settings": []}
-    memory.post(Mailbox.INTRODUCTION, told)
-    memory.post(Mailbox.CONCLUSION, {"reason": 0, "detail": "", "cost": {}})
+    memory.post(Mailbox.HEADER, told)
+    memory.post(Mailbox.RUN_END, {"reason": 0, "detail": "", "cost": {}})
     ring = memory.tick_ring(pack_tick)
     for number in range(8):
         ring.append([number if column.name in {"tick", "time_ns"} else 0 for column in TICK.columns])
@@ -89,7 +89,7 @@ def test_a_loop_that_had_no_room_for_them_is_quoted(ended):
 
 def test_frames_that_nobody_wanted_are_not_missed(ended):
     memory, job = ended
-    assert frames_of(memory, replace(job, frames=False)) is None
+    assert spooled_frames(memory, replace(job, frames=False)) is None
     assert rebuild(memory, replace(job, frames=False), job.path).trouble == ""
 
 
@@ -112,7 +112,7 @@ class TestLeaving:
         memory, job = ended
 
         def run(then=lambda: None):
-            with recording(None, job.config, keep=True) as around, leaving_frames(memory, job, around):
+            with record_wire(None, job.config, keep=True) as around, saving_frames(memory, job, around):
                 around(Inner()).write(b"safe")
                 then()
 
@@ -123,12 +123,12 @@ class TestLeaving:
 
     def test_what_passed_lies_beside_the_ring_in_the_end(self, loop, ended):
         loop()
-        with frames_of(*ended)() as (head, records):
+        with spooled_frames(*ended)() as (head, records):
             assert (head.board, [record.data for record in records]) == ("usb2", [b"safe"])
 
     def test_where_no_board_was_opened_nothing_lies_there(self, ended):
         memory, job = ended
-        with recording(None, job.config, keep=True) as around, leaving_frames(memory, job, around):
+        with record_wire(None, job.config, keep=True) as around, saving_frames(memory, job, around):
             pass
         assert not memory.frames.exists()
 
@@ -153,5 +153,5 @@ def test_a_run_that_is_stowed_without_room_for_its_frames_is_stowed(ended, memor
     monkeypatch.setattr(RunMemory, "frames", memory_folder / "missing" / "x.frames")
     end = RunEnd(Reason.NONE, 1, frames=lambda: nullcontext((CAPTURE, CAPTURE.records)))
     introduction = RunHeader("sim:", {}, virtual=True, gains={}, internals=[], controller_source=b"")
-    ring = stow(job, introduction, end, window, job.path)
+    ring = spool_run(job, introduction, end, window, job.path)
     assert RunMemory.open(ring).tick_reader().written == memory.tick_reader().written > 0

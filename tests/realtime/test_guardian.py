@@ -37,9 +37,9 @@ SAFE = encode_send(PINS)
 
 def header_of_the_mock():
     """What each of its answers begins with."""
-    face = Usb2FrontEnd(Device(load_config(), lambda: 0))
-    face.bulk_out(READ_REQUEST)
-    return face.bulk_in(FRAME_BYTES)[:HEADER_BYTES]
+    front_end = Usb2FrontEnd(Device(load_config(), lambda: 0))
+    front_end.bulk_out(READ_REQUEST)
+    return front_end.bulk_in(FRAME_BYTES)[:HEADER_BYTES]
 
 
 IMAGE = header_of_the_mock() + SAFE
@@ -135,8 +135,8 @@ class Run:
         self.memory, self.job, self.words = memory, job, memory.words
         self._until = until
         self.device = Device(job.config, time.monotonic_ns, 1)
-        self.face = NotedFace(self.device)
-        self.server = SocketServer(self.face, str(memory.socket))
+        self.front_end = NotedFace(self.device)
+        self.server = SocketServer(self.front_end, str(memory.socket))
         self.pool = ThreadPoolExecutor(2)
         self.stopping = threading.Event()
         self.words[Field.SUPERVISOR_PID] = os.getpid()
@@ -175,7 +175,7 @@ class Run:
         self.until(lambda: self.device.duties == BOTH, "the outputs are on")
         link.close()
         self.until(lambda: not self.server.busy, "the board is free again")
-        self.face.written.clear()
+        self.front_end.written.clear()
 
     def host(self):
         """A connection to the board, as a socket."""
@@ -246,8 +246,8 @@ class TestDeath:
         run.hold(process.pid)
         process.kill()
         run.until_rescued(process.pid)
-        assert unnumbered(run.face.written[0]) == SAFE
-        assert DRIVING not in run.face.written
+        assert unnumbered(run.front_end.written[0]) == SAFE
+        assert DRIVING not in run.front_end.written
 
     def test_a_board_that_the_dead_process_had_open_is_taken_once_the_kernel_lets_go(self, run, child):
         run.leave_driving()
@@ -308,7 +308,7 @@ class TestDeath:
         run.words[Field.HOLDER_PID] = 0
         process.kill()
         run.until_polled(5)
-        assert run.face.written == []
+        assert run.front_end.written == []
         assert run.memory.note(Mailbox.RESCUE) is None
         assert run.words[Field.RESCUED_PID] == 0
         assert run.device.duties == BOTH
@@ -320,7 +320,7 @@ class TestDeath:
         run.guard(process.pid)
         process.kill()
         assert run.until_rescued(process.pid)["failure"] == ""
-        assert run.face.written == []
+        assert run.front_end.written == []
 
     def test_one_that_was_dead_before_the_guardian_looked_has_its_board_made_safe_too(self, run, child):
         process = child()

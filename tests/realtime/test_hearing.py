@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from inteco_abs.realtime.signal_handlers import heard_signals, hearing
+from inteco_abs.realtime.signal_handlers import handle_signals, handled_signals
 
 WITH_A_REASON_NOT_TO = {
     "SIGKILL", "SIGSTOP", "SIGCHLD", "SIGCONT", "SIGURG", "SIGWINCH", "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL",
@@ -21,7 +21,7 @@ DEFAULT = "import signal, sys; signal.signal(int(sys.argv[1]), signal.SIG_DFL); 
 def test_every_signal_that_would_end_or_stop_the_program_is_heard_instead_and_only_meanwhile():
     assert {signal.SIGVTALRM, signal.SIGPROF, signal.SIGIO, signal.SIGPWR, signal.SIGRTMIN} < set(NUMBERS)
     before, heard = {number: signal.getsignal(number) for number in NUMBERS}, []
-    with hearing(lambda: heard.append(True)):
+    with handle_signals(lambda: heard.append(True)):
         for number in NUMBERS:
             assert signal.getsignal(number) not in (signal.SIG_DFL, before[number]), number
             signal.raise_signal(number)
@@ -32,7 +32,7 @@ def test_every_signal_that_would_end_or_stop_the_program_is_heard_instead_and_on
 @pytest.mark.parametrize("name", ["SIGCHLD", "SIGCONT", "SIGURG", "SIGWINCH"])
 def test_what_is_not_heard_as_it_ends_nothing_ends_nothing(name):
     number = getattr(signal, name)
-    assert number not in heard_signals()
+    assert number not in handled_signals()
     assert subprocess.run([sys.executable, "-c", DEFAULT, str(int(number))], check=False).returncode == 0
 
 
@@ -40,7 +40,7 @@ def test_a_write_into_a_closed_pipe_still_raises_and_stops_no_run():
     heard = []
     reader, writer = os.pipe()
     os.close(reader)
-    with hearing(lambda: heard.append(True)), pytest.raises(BrokenPipeError):
+    with handle_signals(lambda: heard.append(True)), pytest.raises(BrokenPipeError):
         os.write(writer, b"x")
     os.close(writer)
     assert heard == []
@@ -50,7 +50,7 @@ def test_in_another_thread_nothing_is_changed():
     before, seen = signal.getsignal(signal.SIGTERM), []
 
     def listen():
-        with hearing(lambda: None):
+        with handle_signals(lambda: None):
             seen.append(signal.getsignal(signal.SIGTERM))
 
     thread = threading.Thread(target=listen)

@@ -7,7 +7,7 @@ import pytest
 from inteco_abs.errors import BoardError, LinkError, ReadOnlyError, SessionError, UnsafeError
 from inteco_abs.realtime import ownership as holder
 from inteco_abs.realtime.memory import Field, Mailbox
-from inteco_abs.realtime.ownership import holding, stopped, tell_failure
+from inteco_abs.realtime.ownership import holding, post_failure, stopped
 from inteco_abs.signals import Reason
 
 
@@ -104,10 +104,10 @@ def test_a_run_without_a_supervisor_is_to_end(memory):
 )
 def test_what_went_wrong_is_left_with_its_kind_its_text_and_its_notes(memory, error, kind, text):
     error.add_note("and then")
-    tell_failure(memory, Mailbox.FAILURE, error)
+    post_failure(memory, Mailbox.FAILURE, error)
     assert memory.note(Mailbox.FAILURE) == {"kind": kind, "text": text, "notes": ["and then"]}
 
 
 def test_an_error_of_any_length_is_left(memory):
-    tell_failure(memory, Mailbox.FAILURE, ValueError("x" * 100_000))
+    post_failure(memory, Mailbox.FAILURE, ValueError("x" * 100_000))
     assert memory.note(Mailbox.FAILURE)["kind"] == "ValueError"

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inteco_abs.realtime import StopWord
+from inteco_abs.realtime import StopFlag
 from inteco_abs.signals import BoardFlags, Command, Phase, Reason
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -59,7 +59,7 @@ def test_a_slice_that_ends_with_the_last_tick_is_over(scripted_loop):
 
 
 def test_a_stop_word_is_not_set_until_it_is_and_then_for_good():
-    stop = StopWord()
+    stop = StopFlag()
     assert not stop.requested
     for _ in range(2):
         stop.request()

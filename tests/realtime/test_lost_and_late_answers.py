@@ -10,8 +10,8 @@ from inteco_abs.config import load_config
 from inteco_abs.control import build_pipeline
 from inteco_abs.errors import NoAnswerError
 from inteco_abs.format import TICK, pack_tick
-from inteco_abs.mock_board import Device, face_of
-from inteco_abs.realtime import Loop, StopWord, TickRing, VirtualClock
+from inteco_abs.mock_board import Device, front_end_of
+from inteco_abs.realtime import Loop, StopFlag, TickRing, VirtualClock
 from inteco_abs.signals import BoardFlags, Reason
 
 REAL = load_config(profile="usb2_generic_0103").guard
@@ -29,7 +29,7 @@ class BusyBus(Link):
     """A bus on which answers take their time, `draw()` of them "lost" or "late"; they never overtake each other."""
 
     def __init__(self, device, clock, draw):
-        self._board = InProcessLink(face_of(device))
+        self._board = InProcessLink(front_end_of(device))
         self._clock = clock
         self._draw = draw
         self._coming = deque()
@@ -81,7 +81,7 @@ class Ride:
         self.board = board_behind(BusyBus(device, clock, fate), config, clock.now_ns)
         pipeline = build_pipeline(config)
         ring = TickRing(pack_tick, TICK.size, 100_000)
-        loop = Loop(self.board, pipeline, clock, ring, StopWord())
+        loop = Loop(self.board, pipeline, clock, ring, StopFlag())
         with self.board:
             self.began = True
             while not loop.run(1000):

@@ -19,7 +19,7 @@ from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.control import build_pipeline, gains_in_force
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.mock_board import Device
-from inteco_abs.realtime import Loop, StopWord, VirtualClock
+from inteco_abs.realtime import Loop, StopFlag, VirtualClock
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.realtime.processes.recorder import conclusion, describe_board, rebuild, recover_run
 from inteco_abs.sessions import TICK, TRUTH, FileWriter, RunHeader, SessionWriter, pack_tick, read_session, result_card
@@ -47,7 +47,7 @@ class Filled:
         with board:
             memory.truth_reader().take()
             self.introduction = {
-                "identity": board.insist().facts(),
+                "identity": board.require_writable().facts(),
                 "gains": gains_in_force(config),
                 "internals": [],
                 "settings": [
@@ -55,8 +55,8 @@ class Filled:
                     {"name": "memory", "value": "default", "refused": "no right: raise memlock"},
                 ],
             }
-            memory.post(Mailbox.INTRODUCTION, self.introduction)
-            loop = Loop(board, pipeline, clock, ring, StopWord())
+            memory.post(Mailbox.HEADER, self.introduction)
+            loop = Loop(board, pipeline, clock, ring, StopFlag())
             over = False
             while not over:
                 over = loop.run(100)
@@ -65,17 +65,16 @@ class Filled:
 
     def conclude(self, reason=Reason.NONE, detail=""):
         told = {**NORMAL, "reason": int(reason), "detail": detail}
-        self.memory.post(Mailbox.CONCLUSION, {**told, "written": self.ticks})
+        self.memory.post(Mailbox.RUN_END, {**told, "written": self.ticks})
 
 
 def in_ring(memory):
     """Ticks that the ring holds, as bytes; what was taken stays taken."""
     reader = memory.tick_reader()
     taken = reader.taken
-    reader.rewind()
+    reader.release(reader.held_from())
     payload = reader.take()
-    memory.tick_reader().rewind()
-    memory.tick_reader().take(taken)
+    memory.tick_reader().release(taken)
     return payload
 
 
@@ -190,7 +189,7 @@ class TestRebuild:
     def test_a_run_without_ticks_or_without_a_beginning_makes_no_session(self, memory, job_of, tmp_path):
         job = job_of(memory)
         assert rebuild(memory, job, job.path) is None
-        memory.post(Mailbox.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
+        memory.post(Mailbox.HEADER, {"identity": {}, "gains": {}, "internals": [], "settings": []})
         assert rebuild(memory, job, job.path) is None
         assert not list(tmp_path.iterdir())
 
@@ -334,7 +333,7 @@ DEATHS = {
 
 class TestConclusion:
     def test_a_normal_end_is_told_as_the_loop_told_it(self, dead):
-        dead.post(Mailbox.CONCLUSION, {**NORMAL, "reason": int(Reason.OVER_SPEED), "detail": "far too fast"})
+        dead.post(Mailbox.RUN_END, {**NORMAL, "reason": int(Reason.OVER_SPEED), "detail": "far too fast"})
         dead.histogram.add([3.5, 3.6])
         end = conclusion(dead)
         assert (end.reason, end.detail, end.aborted, end.written) == (Reason.OVER_SPEED, "far too fast", "", 8)
@@ -362,7 +361,7 @@ class TestConclusion:
         assert ", ".join(conclusion(dead).died) == names
 
     def test_of_a_run_that_ended_as_it_should_nobody_died(self, dead, ended):
-        dead.post(Mailbox.CONCLUSION, NORMAL)
+        dead.post(Mailbox.RUN_END, NORMAL)
         dead.words[Field.RECORDER_PID] = dead.words[Field.SUPERVISOR_PID] = os.getpid()
         assert conclusion(dead).died == []
         dead.words[Field.RECORDER_PID] = ended
@@ -461,7 +460,7 @@ class Recording:
         self.process = child(sys.executable, *role, memory.path)
 
     def ready(self):
-        self.memory.post(Mailbox.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
+        self.memory.post(Mailbox.HEADER, {"identity": {}, "gains": {}, "internals": [], "settings": []})
         self.words[Field.READY] = self.loop.pid
         self.until(lambda: self.words[Field.RECORDING], "it records")
 
@@ -500,14 +499,14 @@ class TestRecorderProcess:
     def test_everything_that_the_loop_leaves_is_in_the_file_when_it_has_ended(self, recording, until):
         recording.ready()
         assert recording.job.path.exists()
-        until(lambda: recording.memory.note(Mailbox.SURROUNDINGS), "it has looked around")
+        until(lambda: recording.memory.note(Mailbox.ENVIRONMENT), "it has looked around")
         beat = recording.words[Field.RECORDER_BEAT_NS]
         recording.ticks(300)
         until(lambda: recording.words[Field.FLUSHED] == 300, "they are on the disk")
         assert recording.words[Field.RECORDER_BEAT_NS] > beat
         assert len(recording.session().ticks) == 300
         recording.ticks(300)  # more than there is room for without a recorder that takes
-        recording.memory.post(Mailbox.CONCLUSION, NORMAL)
+        recording.memory.post(Mailbox.RUN_END, NORMAL)
         recording.loop.kill()
         result = recording.end()
         assert (result["outcome"], result["card"]["ticks"], result["card"]["lost_ticks"]) == ("completed", 600, 0)
@@ -551,7 +550,7 @@ class TestRecorderProcess:
         recording.ready()
         recording.ticks(20)
         supervisor.kill()
-        recording.memory.post(Mailbox.CONCLUSION, NORMAL)
+        recording.memory.post(Mailbox.RUN_END, NORMAL)
         recording.loop.kill()
         assert recording.end()["card"]["ticks"] == 20
         assert not recording.memory.path.exists()
@@ -559,7 +558,7 @@ class TestRecorderProcess:
 
     def test_a_file_that_cannot_be_made_is_told_and_ends_it(self, recording):
         recording.job.path.mkdir()
-        recording.memory.post(Mailbox.INTRODUCTION, {"identity": {}, "gains": {}, "internals": [], "settings": []})
+        recording.memory.post(Mailbox.HEADER, {"identity": {}, "gains": {}, "internals": [], "settings": []})
         recording.words[Field.READY] = recording.loop.pid
         assert recording.process.wait(30) != 0
         assert "is a folder" in recording.memory.note(Mailbox.RECORDER_FAILURE)["text"]
@@ -572,7 +571,7 @@ class TestRecorderProcess:
         recording.process.kill()
         recording.process.wait()
         recording.ticks(400)
-        recording.memory.post(Mailbox.CONCLUSION, NORMAL)
+        recording.memory.post(Mailbox.RUN_END, NORMAL)
         recording.loop.kill()
         account = rebuild(recording.memory, recording.job, recording.job.path)
         assert (account.card["ticks"], account.card["lost_ticks"]) == (1150, 0)
@@ -617,7 +616,7 @@ class TestDisk:
         assert memory.words[Field.FLUSHED] == 0
         slow.ticks(200)
         until(lambda: memory.words[Field.FLUSHED] == 300, "the disk has taken it all")
-        memory.post(Mailbox.CONCLUSION, NORMAL)
+        memory.post(Mailbox.RUN_END, NORMAL)
         slow.loop.kill()
         assert slow.end()["card"]["lost_ticks"] == 0
         assert slow.session().payload == slow.payload
@@ -640,7 +639,7 @@ class TestDisk:
         time.sleep(0.2)
         assert recording.memory.tick_reader().taken == 100
         assert recording.process.poll() is None
-        recording.memory.post(Mailbox.CONCLUSION, NORMAL)
+        recording.memory.post(Mailbox.RUN_END, NORMAL)
         recording.loop.kill()
         result = recording.end()
         assert (result["outcome"], result["card"]["ticks"]) == ("completed", 300)
@@ -654,7 +653,7 @@ class TestDisk:
         recording.ticks(100)
         told = self.vanish(recording, until)
         recording.job.path.write_bytes(b"somebody else's")
-        recording.memory.post(Mailbox.CONCLUSION, NORMAL)
+        recording.memory.post(Mailbox.RUN_END, NORMAL)
         recording.loop.kill()
         recording.end(code=1)
         assert "nor could the file be made anew" in recording.memory.note(Mailbox.RECORDER_FAILURE)["text"]
@@ -683,7 +682,7 @@ class TestDisk:
             recording.process.kill()
             recording.process.wait()
         recording.ticks(100)
-        recording.memory.post(Mailbox.CONCLUSION, NORMAL)
+        recording.memory.post(Mailbox.RUN_END, NORMAL)
         recording.loop.kill()
         if killed:
             rebuild(memory, recording.job, spilt)

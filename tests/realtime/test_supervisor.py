@@ -21,9 +21,9 @@ from inteco_abs.errors import (
 )
 from inteco_abs.errors import SessionError as SessionTrouble
 from inteco_abs.realtime.memory import Field, Mailbox
-from inteco_abs.realtime.ownership import tell_failure
+from inteco_abs.realtime.ownership import post_failure
 from inteco_abs.realtime.processes import supervisor as supervisor_module
-from inteco_abs.realtime.processes.supervisor import Supervisor, raised_again
+from inteco_abs.realtime.processes.supervisor import Supervisor, restored_error
 from inteco_abs.realtime.screen import NoScreen, Point, SafeScreen, Snapshot
 from inteco_abs.sessions import TICK, pack_tick
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
@@ -50,8 +50,8 @@ class TestRaisedAgain:
         error = kind("the board µ is gone\nfor good")
         for note in notes:
             error.add_note(note)
-        tell_failure(memory, Mailbox.FAILURE, error)
-        again = raised_again(memory.note(Mailbox.FAILURE))
+        post_failure(memory, Mailbox.FAILURE, error)
+        again = restored_error(memory.note(Mailbox.FAILURE))
         assert type(again) is kind
         assert str(again) == str(error)
         assert again.exit_code == error.exit_code
@@ -63,14 +63,14 @@ class TestRaisedAgain:
 
     @pytest.mark.parametrize("kind", ["ValueError", "Mistake", "near_match", "Path", "__name__", "", "no such thing"])
     def test_what_is_no_error_of_ours_becomes_a_board_error(self, kind):
-        again = raised_again({"kind": kind, "text": "what happened", "notes": ["where"]})
+        again = restored_error({"kind": kind, "text": "what happened", "notes": ["where"]})
         assert type(again) is BoardError
         assert (str(again), again.__notes__) == ("what happened", ["where"])
 
     def test_a_mistake_in_the_configuration_keeps_its_text(self, memory):
         error = ConfigError([ConfigIssue("controller.name", "cannot be made"), ConfigIssue("board", "is missing")])
-        tell_failure(memory, Mailbox.FAILURE, error)
-        again = raised_again(memory.note(Mailbox.FAILURE))
+        post_failure(memory, Mailbox.FAILURE, error)
+        again = restored_error(memory.note(Mailbox.FAILURE))
         assert isinstance(again, AbsError)
         assert str(again) == str(error)
 

@@ -26,7 +26,7 @@ from inteco_abs.sessions import (
 )
 from inteco_abs.sessions.frames import frame_facts, packed_frames
 from inteco_abs.signals import Phase, Reason
-from inteco_abs.wire.capture import Capture, Kind, Record, read_capture
+from inteco_abs.wire.capture import Capture, Record, RecordKind, read_capture
 
 TOPIC = "/rig/io"
 SETTINGS = ("experiment.start_speed_rad_s=20.0", "experiment.idle_s=0.02", "experiment.hold_s=0.05")
@@ -160,7 +160,7 @@ class TestDamage:
         assert "the file did not say any more" in again.records[-1].text
         *before, warning = read_frames(cut).records
         assert tuple(before) == capture.records[:kept]
-        assert (warning.kind, warning.t_s) == (Kind.WARNING, before[-1].t_s)
+        assert (warning.kind, warning.t_s) == (RecordKind.WARNING, before[-1].t_s)
         assert warning.text == "more messages may have passed, and are not in the session: the file ends early"
         session = read_session(tmp_path / "out.mcap")
         assert session.ticks.tobytes() == framed.session.ticks.tobytes()
@@ -275,7 +275,7 @@ def test_without_a_recording_the_session_is_whole_and_says_why_it_has_no_frames(
 
 def test_a_recording_that_breaks_off_gives_the_frames_before_that(concluded, tmp_path):
     head = Capture("usb2", "by hand", "monotonic", (), "x", 5)
-    records = (Record(0.0, Kind.OUT, None, b"o"), Record(1e-9, Kind.IN, None, b"i"))
+    records = (Record(0.0, RecordKind.OUT, None, b"o"), Record(1e-9, RecordKind.IN, None, b"i"))
     account = concluded(failing(head, records, "line 4 is wrong"))
     assert "line 4 is wrong" in account.trouble
     *before, warning = read_frames(tmp_path / "told.mcap").records
@@ -329,6 +329,6 @@ def test_a_frame_is_what_the_official_library_makes_of_it(official, frame):
 @given(start_ns=TIMES, times=st.lists(TIMES))
 def test_times_come_back_to_the_nanosecond(start_ns, times):
     head = Capture("usb2", "", "", (), "", start_ns)
-    records = [Record(round(time_ns * 1e-9, 9), Kind.OUT) for time_ns in times]
+    records = [Record(round(time_ns * 1e-9, 9), RecordKind.OUT) for time_ns in times]
     assert frame_facts(head)["start_ns"] == str(start_ns)
     assert [time_ns - start_ns for time_ns, _ in packed_frames(head, records)] == times

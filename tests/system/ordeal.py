@@ -152,10 +152,11 @@ def words(pid):
 def remembered(run):
     """How many records the loop packed, those that the ring holds, and the times of the board's newest exchanges."""
     ticks, truths = run.memory.tick_reader(), run.memory.truth_reader()
-    ticks.rewind()
-    truths.rewind()
+    first, first_truth = ticks.held_from(), truths.held_from()
+    ticks.release(first)
+    truths.release(first_truth)
     held, exchanges = rows(ticks.take()), TRUTH.array(truths.take())
-    assert ticks.lost == truths.lost == 0
+    assert (len(held), len(exchanges)) == (ticks.written - first, truths.written - first_truth)
     return ticks.written, held, exchanges["time_ns"].astype(np.int64)
 
 

@@ -152,7 +152,7 @@ def state_of(pid):
 def turned_off(run, struck_ns):
     """Whether an output was on at the strike or after it, and how much later both went off for good, ms."""
     reader = run.memory.truth_reader()
-    reader.rewind()
+    reader.release(reader.held_from())
     rows = TRUTH.array(reader.take())
     times = rows["time_ns"].astype(np.int64)
     on = (rows["drive"] > 0.0) | (rows["brake"] > 0.0)

@@ -30,7 +30,7 @@ class Stage:
         self.memory = memory
         self.words = memory.words
         self.words[Field.LOOP_PID] = os.getpid()
-        memory.post(Mailbox.INTRODUCTION, {"identity": "logic 0x0103 'ABSSIM'", "read_only_because": because})
+        memory.post(Mailbox.HEADER, {"identity": "logic 0x0103 'ABSSIM'", "read_only_because": because})
         memory.post(Mailbox.RESULT, LOOK)
         self._ring = memory.tick_ring(pack_tick)
         self.side = ManualClient(memory)

@@ -4,7 +4,7 @@ import pytest
 
 from inteco_abs.cli.screens import ascii_wanted, screen_of
 from inteco_abs.config import load_config
-from inteco_abs.realtime.screen import Check, Lines, NoScreen, SafeScreen
+from inteco_abs.realtime.screen import Lines, NoScreen, SafeScreen, StartCheck
 
 
 @pytest.fixture
@@ -13,7 +13,7 @@ def said(capsys):
 
     def run(choice=None, *, virtual=False, quiet=False):
         with screen_of(load_config(), choice, virtual=virtual, quiet=quiet) as screen:
-            screen.passed(Check.BOARD)
+            screen.passed(StartCheck.BOARD)
             screen.note("good to know")
             screen.warn("cannot wait")
         said = capsys.readouterr()

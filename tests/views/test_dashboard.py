@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from rich.console import Console, Group
 
 from inteco_abs.config import load_config
-from inteco_abs.realtime.screen import Check, Point, Snapshot
+from inteco_abs.realtime.screen import Point, Snapshot, StartCheck
 from inteco_abs.signals import Phase
 from inteco_abs.views.dashboard import CTRL_C, Dashboard, in_one_line
 
@@ -122,7 +122,7 @@ class TestBefore:
         return lines[max(at for at, line in enumerate(lines) if "reaching-law" in line) :]
 
     def test_what_was_passed_is_ticked_off_and_says_how(self):
-        lines = self.picture((Check.BOARD, "sim:"), (Check.GUARDIAN, "SAFE 12.3 ms after the kill"))
+        lines = self.picture((StartCheck.BOARD, "sim:"), (StartCheck.GUARDIAN, "SAFE 12.3 ms after the kill"))
         assert "✓" in line_with(lines, "board opened and identified", "sim:")
         assert "✓" in line_with(lines, "guardian drilled", "SAFE 12.3 ms after the kill")
         assert "waiting" in line_with(lines, "▶ recorder ready")
@@ -135,7 +135,7 @@ class TestBefore:
             assert ("✓" in line_with(lines, "wheels at rest")) == at_rest
 
     def test_in_virtual_time_there_is_no_guardian(self):
-        assert not [line for line in self.picture((Check.BOARD,), virtual=True) if "guardian" in line]
+        assert not [line for line in self.picture((StartCheck.BOARD,), virtual=True) if "guardian" in line]
 
     @pytest.mark.parametrize(("speed", "filled"), [(0.0, 0), (90.0, 27), (180.0, 54), (500.0, 54), (-20.0, 0)])
     def test_spinning_up_is_a_bar_with_its_time(self, speed, filled):
@@ -145,7 +145,7 @@ class TestBefore:
         assert line_with(lines, "of 180 rad/s").count("█") == filled
 
     def test_a_text_from_elsewhere_moves_no_cursor(self):
-        assert "\\x1b[2J" in "".join(self.picture((Check.RECORDER, "\x1b[2J.mcap")))
+        assert "\\x1b[2J" in "".join(self.picture((StartCheck.RECORDER, "\x1b[2J.mcap")))
 
 
 class TestDuring:
@@ -302,7 +302,7 @@ class TestLine:
 
     def test_before_the_first_tick_it_says_what_is_waited_for(self):
         shown = Shown((70, 20))
-        assert "starting: guardian drilled?" in shown.after(lambda board: board.passed(Check.BOARD))
+        assert "starting: guardian drilled?" in shown.after(lambda board: board.passed(StartCheck.BOARD))
 
 
 class TestDashboard:

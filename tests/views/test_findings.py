@@ -4,14 +4,14 @@ import re
 import pytest
 from rich.console import Console
 
-from inteco_abs.host.checks import Finding, Verdict
+from inteco_abs.host.checks import CheckResult, Rating
 from inteco_abs.views.findings import render_findings, render_histogram
 
 FINDINGS = [
-    Finding("clock source", Verdict.GREEN, "tsc"),
-    Finding("board", Verdict.AMBER, "no [red]board[/red]", "plug it in"),
-    Finding(
-        "loop settings", Verdict.RED, "refused: scheduler, memory", "scheduler: raise rtprio\nmemory: raise memlock"
+    CheckResult("clock source", Rating.GREEN, "tsc"),
+    CheckResult("board", Rating.AMBER, "no [red]board[/red]", "plug it in"),
+    CheckResult(
+        "loop settings", Rating.RED, "refused: scheduler, memory", "scheduler: raise rtprio\nmemory: raise memlock"
     ),
 ]
 
@@ -48,7 +48,7 @@ def test_the_last_line_is_the_worst_verdict(count, last):
 def test_verdicts_have_colours_of_their_own_and_none_in_a_file(monkeypatch):
     monkeypatch.delenv("NO_COLOR", raising=False)
     text = text_of(render_findings(FINDINGS), force_terminal=True, color_system="standard")
-    assert {word: re.search(rf"\x1b\[1;(\d+)m{word}", text).group(1) for word in Verdict} == {
+    assert {word: re.search(rf"\x1b\[1;(\d+)m{word}", text).group(1) for word in Rating} == {
         "green": "32",
         "amber": "33",
         "red": "31",
@@ -58,7 +58,7 @@ def test_verdicts_have_colours_of_their_own_and_none_in_a_file(monkeypatch):
 
 def test_long_commands_are_wrapped_and_not_cut():
     command = "echo on | sudo tee /sys/" + "a-long-folder/" * 20 + "control"
-    text = text_of(render_findings([Finding("board", Verdict.AMBER, "x", command)]))
+    text = text_of(render_findings([CheckResult("board", Rating.AMBER, "x", command)]))
     assert max(map(len, text.splitlines())) <= 80
     assert re.sub(r"\s+", "", command) in re.sub(r"\s+", "", text)
 

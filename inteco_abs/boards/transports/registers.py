@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from firmware_protocol import ProtocolError
-from firmware_protocol.register_messages import NUMBERS, Step, answer_bytes, decode_answer, encode_request
+from firmware_protocol.register_messages import NUMBERS, RegisterAccess, answer_bytes, decode_answer, encode_request
 from firmware_protocol.registers import Write
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.errors import LinkError
@@ -31,7 +31,7 @@ class Registers(ABC):
     def write(self, offset: int, value: int) -> None:
         """Write the 32 bits `value` at `offset`."""
 
-    def run(self, steps: Sequence[Step]) -> Sequence[int]:
+    def run(self, steps: Sequence[RegisterAccess]) -> Sequence[int]:
         """Make these accesses in order, and no more after one that fails; what was read.
 
         Carriers that can hand them over together do.
@@ -67,7 +67,7 @@ class LinkedRegisters(Registers):
         """Write the 32 bits `value` at `offset`; nothing answers."""
         self.run((Write(offset, value),))
 
-    def run(self, steps: Sequence[Step]) -> Sequence[int]:
+    def run(self, steps: Sequence[RegisterAccess]) -> Sequence[int]:
         """Send these accesses, and receive what was read if there is any."""
         self._number = (self._number + 1) % NUMBERS
         self._link.write(encode_request(self._number, steps))

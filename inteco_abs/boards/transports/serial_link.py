@@ -16,7 +16,7 @@ import serial
 
 from firmware_protocol.rtdac_usb import DUMMY
 from inteco_abs.boards.transports.links import Link
-from inteco_abs.boards.transports.serial_ports import ftdi_ports, in_words, quicken
+from inteco_abs.boards.transports.serial_ports import describe_ports, ftdi_ports, quicken
 from inteco_abs.errors import BoardError, LinkError
 
 TIMEOUT_S: Final = 0.010
@@ -138,7 +138,7 @@ def _open(path: str, timeout_s: float) -> Any:
 def _why(path: str, error: OSError | termios.error) -> str:
     number = getattr(error, "errno", None)
     if number in {errno.ENOENT, errno.ENXIO, errno.ENODEV}:
-        return f"there is no such port; {in_words(ftdi_ports())}"
+        return f"there is no such port; {describe_ports(ftdi_ports())}"
     if number in {errno.EACCES, errno.EPERM}:
         group = _group(path)
         return f"no permission: its group is {group}; sudo usermod -aG {group} $USER, then log in again"

@@ -24,9 +24,11 @@ def only_port() -> str:
         return next(iter(seen))
     if seen:
         raise BoardError(
-            f"{len(seen)} ports may be the board: name one, as in usb:{next(iter(seen))}. {in_words(seen)}"
+            f"{len(seen)} ports may be the board: name one, as in usb:{next(iter(seen))}. {describe_ports(seen)}"
         )
-    raise BoardError(f"no RT-DAC/USB: {in_words(seen)}. Is it plugged in, and the kernel's module ftdi_sio loaded?")
+    raise BoardError(
+        f"no RT-DAC/USB: {describe_ports(seen)}. Is it plugged in, and the kernel's module ftdi_sio loaded?"
+    )
 
 
 def ftdi_ports() -> dict[str, str]:
@@ -35,7 +37,7 @@ def ftdi_ports() -> dict[str, str]:
     return {port.device: f"{port.device} ({port.description}, serial number {port.serial_number})" for port in found}
 
 
-def in_words(seen: dict[str, str]) -> str:
+def describe_ports(seen: dict[str, str]) -> str:
     """`ftdi_ports` for a message."""
     return f"seen: {'; '.join(seen.values())}" if seen else f"no serial port with vendor id {_FTDI:04x} is there"
 

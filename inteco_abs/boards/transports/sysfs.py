@@ -39,8 +39,8 @@ class SysfsRegisters(Registers):
     """
 
     def __init__(self, address: str = "", root: Path = Path("/sys")) -> None:
-        folder = find_one(address, root)
-        _insist_on_enabled(folder)
+        folder = find_pci_board(address, root)
+        _require_enabled(folder)
         in_memory = _in_memory(folder)
         self._fd = _own(folder / _REGISTERS)
         self._words: memoryview | None = None
@@ -85,9 +85,9 @@ class SysfsRegisters(Registers):
             os.close(fd)
 
 
-def find_one(address: str, root: Path) -> Path:
+def find_pci_board(address: str, root: Path) -> Path:
     """Folder of the board at `address`, or of the only board; raises BoardError."""
-    found = boards(root)
+    found = pci_boards(root)
     short = address.lower()
     wanted = [folder for folder in found if not short or folder.name in (short, f"0000:{short}")]
     if len(wanted) == 1:
@@ -102,7 +102,7 @@ def find_one(address: str, root: Path) -> Path:
     )
 
 
-def boards(root: Path = Path("/sys")) -> list[Path]:
+def pci_boards(root: Path = Path("/sys")) -> list[Path]:
     """Folders of all boards in this computer."""
     ids = f"0x{VENDOR_ID:04x}", f"0x{DEVICE_ID:04x}"
     folders = sorted((root / "bus/pci/devices").glob("*"))
@@ -117,7 +117,7 @@ def _text(file: Path) -> str:
         return ""
 
 
-def _insist_on_enabled(folder: Path) -> None:
+def _require_enabled(folder: Path) -> None:
     """No driver of the kernel's switches this board on; registers that are off read as all ones."""
     if _text(folder / "enable") == "0":
         raise BoardError(

@@ -21,7 +21,7 @@ import usb.util
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT, FRAME_BYTES
 from firmware_protocol.rtdac_usb2_bridge import ENDPOINT_JTAG_IN, ENDPOINT_JTAG_OUT, VENDOR_ID
 from inteco_abs.boards.transports.links import Link
-from inteco_abs.boards.transports.usb_errors import AT_ONCE_MS, RULES, TIMEOUT_MS, failure, in_words
+from inteco_abs.boards.transports.usb_errors import AT_ONCE_MS, RULES, TIMEOUT_MS, describe_usb_error, failure
 from inteco_abs.config import UsbConfig
 from inteco_abs.errors import BoardError, LinkError
 
@@ -64,12 +64,12 @@ class UsbLink(Link):
     engine = ONE_BY_ONE
 
     def __init__(self, serial: str, ids: UsbConfig, backend: Any = None, timeout_ms: int = TIMEOUT_MS) -> None:
-        self._device = find_one(serial, ids, backend)
+        self._device = find_usb_board(serial, ids, backend)
         try:
             usb.util.claim_interface(self._device, INTERFACE)
         except usb.core.USBError as error:
             usb.util.dispose_resources(self._device)
-            raise BoardError(f"the board cannot be opened: {in_words(error.errno, error)}") from error
+            raise BoardError(f"the board cannot be opened: {describe_usb_error(error.errno, error)}") from error
         self._write, self._read = self._device.write, self._device.read
         self._buffer = array("B", bytes(FRAME_BYTES))
         self.timeout_s = timeout_ms * 1e-3
@@ -132,10 +132,10 @@ class UsbLink(Link):
             for endpoint in endpoints:
                 self._device.clear_halt(endpoint)
         except usb.core.USBError as error:
-            raise LinkError(in_words(error.errno, error)) from error
+            raise LinkError(describe_usb_error(error.errno, error)) from error
 
 
-def boards(ids: UsbConfig, backend: Any = None) -> Iterator[UsbMatch]:
+def usb_boards(ids: UsbConfig, backend: Any = None) -> Iterator[UsbMatch]:
     """Devices that may be the board: of its maker, or of an id that is configured or the bridge's own.
 
     The vendor's software knows the board by its maker's name alone, so does this, upper and lower case aside. Raises
@@ -175,16 +175,16 @@ def _kernels_word(device: Any, name: str) -> str:
         return ""
 
 
-def find_one(serial: str, ids: UsbConfig, backend: Any = None) -> Any:
+def find_usb_board(serial: str, ids: UsbConfig, backend: Any = None) -> Any:
     """Pyusb's device of the one board with that serial number, or of the only board, free of kernel drivers.
 
     Raises BoardError.
     """
-    seen = list(boards(ids, backend))
+    seen = list(usb_boards(ids, backend))
     found = [one for one in seen if one.of(ids) and not one.denied and (not serial or _same(one.serial, serial))]
     if len(found) == 1:
         device = found[0].device
-        _insist_on_endpoints(device)
+        _require_endpoints(device)
         _free(device)
         return device
     named = f" with serial number {serial}" if serial else ""
@@ -205,7 +205,7 @@ def _looked_for(ids: UsbConfig) -> str:
     return words
 
 
-def _insist_on_endpoints(device: Any) -> None:
+def _require_endpoints(device: Any) -> None:
     """Raise BoardError for a device that has not the four endpoints of the board in its first setting."""
     there = {endpoint.bEndpointAddress for endpoint in device[0][INTERFACE, 0]}
     missing = [f"0x{address:02x}" for address in ENDPOINTS if address not in there]
@@ -236,7 +236,7 @@ def _free(device: Any) -> None:
     except usb.core.USBError as error:
         usb.util.dispose_resources(device)
         raise BoardError(
-            f"a kernel driver holds the board and cannot be detached ({in_words(error.errno, error)}): "
+            f"a kernel driver holds the board and cannot be detached ({describe_usb_error(error.errno, error)}): "
             "`lsusb -t` names it, `sudo modprobe -r NAME` removes it"
         ) from error
     _LOG.warning("a kernel driver held the board and was detached from it until it is plugged in again")

@@ -16,8 +16,8 @@ import usb1
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
 from inteco_abs.boards.transports.links import Link
-from inteco_abs.boards.transports.usb import ENDPOINTS, INTERFACE, ONE_BY_ONE, find_one
-from inteco_abs.boards.transports.usb_errors import TIMEOUT_MS, failure, in_words
+from inteco_abs.boards.transports.usb import ENDPOINTS, INTERFACE, ONE_BY_ONE, find_usb_board
+from inteco_abs.boards.transports.usb_errors import TIMEOUT_MS, describe_usb_error, failure
 from inteco_abs.config import UsbConfig
 from inteco_abs.errors import BoardError, LinkError
 
@@ -57,7 +57,7 @@ class QueuedUsbLink(Link):
     engines: tuple[str, ...] = (QUEUED, ONE_BY_ONE)
 
     def __init__(self, serial: str, ids: UsbConfig, timeout_ms: int = TIMEOUT_MS) -> None:
-        found = find_one(serial, ids)
+        found = find_usb_board(serial, ids)
         self._context = usb1.USBContext()
         self._context.open()
         try:
@@ -179,4 +179,4 @@ class QueuedUsbLink(Link):
 
 
 def _in_words(error: usb1.USBError) -> str:
-    return in_words(_REFUSED.get(error.value), error)
+    return describe_usb_error(_REFUSED.get(error.value), error)

@@ -28,12 +28,12 @@ _WORDS: Final = {
 
 
 def failure(number: int | None, told: object, timeout_ms: float = TIMEOUT_MS) -> LinkError:
-    """Error of a transfer that ended with the errno `number`; the arguments are those of `in_words`."""
+    """Error of a transfer that ended with the errno `number`; the arguments are those of `describe_usb_error`."""
     kind = NoAnswerError if number == errno.ETIMEDOUT else LinkError
-    return kind(in_words(number, told, timeout_ms))
+    return kind(describe_usb_error(number, told, timeout_ms))
 
 
-def in_words(number: int | None, told: object, timeout_ms: float = TIMEOUT_MS) -> str:
+def describe_usb_error(number: int | None, told: object, timeout_ms: float = TIMEOUT_MS) -> str:
     """Text for the errno `number`; `told` is what the library says, for what has no text here."""
     if number == errno.ETIMEDOUT:
         return f"the board did not answer within {timeout_ms:g} ms: check its cable and power"

@@ -1,7 +1,7 @@
 """What may go wrong between host, board and rig: one vocabulary, for tests and for `--inject` of run and panel."""
 
 from inteco_abs.mock_board.faults.device import FaultyDevice
-from inteco_abs.mock_board.faults.fault import Event, Fault, Span, parse_fault, parse_faults, require_possible
+from inteco_abs.mock_board.faults.fault import Fault, FaultEvent, Span, parse_fault, parse_faults, require_possible
 from inteco_abs.mock_board.faults.frontend import FaultyFrontEnd
 from inteco_abs.mock_board.faults.host import FaultyHost
 from inteco_abs.mock_board.faults.kinds import BY_PROCESS, CLOCK_STEP, KINDS, ON_THE_HOST, FaultKind
@@ -12,8 +12,8 @@ __all__ = [
     "CLOCK_STEP",
     "KINDS",
     "ON_THE_HOST",
-    "Event",
     "Fault",
+    "FaultEvent",
     "FaultKind",
     "FaultyDevice",
     "FaultyFrontEnd",

@@ -57,7 +57,7 @@ class FaultyDevice(Device):
         """So much time passes here, and none on the host's clock."""
         self._slept_ns += round(seconds * 1e9)
 
-    def start_anew(self, settings: dict[str, int]) -> None:
+    def restart(self, settings: dict[str, int]) -> None:
         """A brown-out: both counters at zero, and `settings` in force."""
         self.catch_up()
         self._off = [-count for count in super().counts()]

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.mock_board.family import mock_family
-from inteco_abs.mock_board.faults.kinds import KINDS, FaultKind, Value
+from inteco_abs.mock_board.faults.kinds import KINDS, FaultKind, FaultValue
 
 _FORM: Final = re.compile(r"(?P<kind>[^=@/]+)(?:=(?P<value>[^@/]*))?@(?P<when>[^/]+)(?:/(?P<lasts>.+))?")
 _SPAN: Final = re.compile(
@@ -23,7 +23,7 @@ _LONGEST_NS: Final = 100_000 * 10**9
 _EXAMPLE: Final = "as in lose@brake+20ms, road-stuck@3.5s, late=2@drive+#100/#5"
 
 
-class Event(Enum):
+class FaultEvent(Enum):
     """From when on a fault is timed."""
 
     START = "start"
@@ -54,7 +54,7 @@ class Fault:
     """
 
     name: str
-    event: Event = Event.START
+    event: FaultEvent = FaultEvent.START
     after: Span = _AT_ONCE
     lasts: Span | None = None
     value: float = math.nan
@@ -126,17 +126,17 @@ def parse_fault(text: str) -> Fault:
     return Fault(name, event, after, lasts, _value_of(kind, name, form["value"]))
 
 
-def _moment(text: str) -> tuple[Event, Span]:
+def _moment(text: str) -> tuple[FaultEvent, Span]:
     word, plus, rest = text.partition("+")
-    events = ", ".join(each.value for each in Event)
-    if plus or word in {event.value for event in Event}:
+    events = ", ".join(each.value for each in FaultEvent)
+    if plus or word in {event.value for event in FaultEvent}:
         try:
-            event = Event(word)
+            event = FaultEvent(word)
         except ValueError:
             raise ValueError(f"nothing is timed from {word!r}, only from: {events}") from None
         return event, _span(rest) if plus else Span()
     try:
-        return Event.START, _span(text)
+        return FaultEvent.START, _span(text)
     except ValueError as error:
         raise ValueError(f"{error}; and the events are: {events}") from None
 
@@ -176,7 +176,7 @@ def _value_of(kind: FaultKind, name: str, text: str | None) -> float:
     return number
 
 
-def _example(value: Value) -> str:
+def _example(value: FaultValue) -> str:
     return "0.5" if value.high <= 1.0 else f"{min(20.0, value.high):g}"
 
 

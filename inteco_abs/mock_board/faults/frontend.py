@@ -21,7 +21,7 @@ _PWM_BITS: Final = 16
 
 
 class FaultyFrontEnd:
-    """What `schedule` lets through of what a host and the board `make_face(device)` say to each other.
+    """What `schedule` lets through of what a host and the board `make_front_end(device)` say to each other.
 
     `wait` lets so many seconds pass in an exchange, `pause` lets the host stand still for so many after it; `begun` is
     told that one begins. An exchange is what the host sends and the answer that it then takes. Raises LinkError where
@@ -30,7 +30,7 @@ class FaultyFrontEnd:
 
     def __init__(
         self,
-        make_face: Callable[[FaultyDevice], FrontEnd],
+        make_front_end: Callable[[FaultyDevice], FrontEnd],
         device: FaultyDevice,
         wait: Callable[[float], None],
         pause: Callable[[float], None],
@@ -40,8 +40,8 @@ class FaultyFrontEnd:
         self.rejected = 0
         self._faulty = device
         self._schedule: Schedule = device.schedule
-        self._make_face = make_face
-        self._face = make_face(device)
+        self._make_front_end = make_front_end
+        self._front_end = make_front_end(device)
         self._wait, self._pause, self._begun = wait, pause, begun
         self._identity_at = mock_family(device.kind).identity_at or 0
         self._answered = True
@@ -71,11 +71,11 @@ class FaultyFrontEnd:
             return
         if command and (fault := self._schedule.acting("corrupt-command")):
             data = self._flipped(data, fault)
-        self._face.bulk_out(data)
-        answer = self._face.bulk_in(_MOST_BYTES)
+        self._front_end.bulk_out(data)
+        answer = self._front_end.bulk_in(_MOST_BYTES)
         if command:
             self._overhear(bytes(data))
-        self.rejected = self._face.rejected
+        self.rejected = self._front_end.rejected
         if answer:
             self._answered = True
             sent, self._before = self._spoilt(answer), answer
@@ -101,7 +101,7 @@ class FaultyFrontEnd:
         if fault := schedule.acting("late"):
             self._wait(fault.value * 1e-3)
         if fault := schedule.once("reset"):
-            self._start_anew(fault)
+            self._restart(fault)
 
     def _reachable(self) -> bool:
         """Whether the board hears and answers; raises LinkError if it is not there at all."""
@@ -154,18 +154,18 @@ class FaultyFrontEnd:
         if sum(self.device.duties) > strength:
             self._strongest = sum(self.device.duties), command
         elif strongest and self._schedule.acting("master"):
-            self._face.bulk_out(strongest)
-            self._face.bulk_in(_MOST_BYTES)  # its answer, if it asked for one, is its own
+            self._front_end.bulk_out(strongest)
+            self._front_end.bulk_in(_MOST_BYTES)  # its answer, if it asked for one, is its own
 
-    def _start_anew(self, fault: Fault) -> None:
+    def _restart(self, fault: Fault) -> None:
         """A brown-out: what waits is lost, and the settings are zero, as they were, or anything."""
         word, settings = fault.word, dict(self.device.settings)
         if word != "held":
-            self._face = self._make_face(self._faulty)
+            self._front_end = self._make_front_end(self._faulty)
         if word == "zero":
             settings.clear()
         elif word == "random":
             settings = {name: self._schedule.random.getrandbits(_PWM_BITS) for name in settings}
             settings.update(encoder_reset=0, timer_reset=0, **{f"pwm{i}_mode": 1 for i in range(2)})
-        self._faulty.start_anew(settings)
+        self._faulty.restart(settings)
         self._before = b""

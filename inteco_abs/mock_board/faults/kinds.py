@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 _COUNTS: Final = float(1 << 31)
 
 
-class Value(NamedTuple):
+class FaultValue(NamedTuple):
     """The number after a fault's name, or one of a few words."""
 
     unit: str
@@ -41,20 +41,20 @@ class FaultKind(NamedTuple):
     """One kind of fault."""
 
     meaning: str
-    value: Value | None = None
+    value: FaultValue | None = None
     lasting: bool = False
     """Whether it lasts for good unless told otherwise; else for one exchange."""
 
 
-_BIT: Final = Value("bit", 0, 1 << 14, default=-1)
-_SHARE: Final = Value("", 0.0, 1.0)
-_NOISE: Final = Value("counts", 1, _COUNTS)
-_JUMP: Final = Value("counts", -_COUNTS, _COUNTS)
-_TIME: Final = Value("ms", 0.001, 60_000.0)
-_STEP: Final = Value("s", -1e9, 1e9)
-_SUPPLY: Final = Value("V", 0.0, 30.0)
-_HEAT: Final = Value("degC", -40.0, 150.0)
-_ALARMS: Final = Value("bits", 1, 7)
+_BIT: Final = FaultValue("bit", 0, 1 << 14, default=-1)
+_SHARE: Final = FaultValue("", 0.0, 1.0)
+_NOISE: Final = FaultValue("counts", 1, _COUNTS)
+_JUMP: Final = FaultValue("counts", -_COUNTS, _COUNTS)
+_TIME: Final = FaultValue("ms", 0.001, 60_000.0)
+_STEP: Final = FaultValue("s", -1e9, 1e9)
+_SUPPLY: Final = FaultValue("V", 0.0, 30.0)
+_HEAT: Final = FaultValue("degC", -40.0, 150.0)
+_ALARMS: Final = FaultValue("bits", 1, 7)
 
 ON_THE_WIRE: Final[dict[str, FaultKind]] = {
     "lose": FaultKind("the answer is lost"),
@@ -66,14 +66,16 @@ ON_THE_WIRE: Final[dict[str, FaultKind]] = {
     "stale": FaultKind("the answer is the one before again"),
     "corrupt": FaultKind("one bit of the answer flips; without a number, any", _BIT),
     "corrupt-command": FaultKind("one bit of what the host sends flips", _BIT),
-    "cut": FaultKind("the answer ends after so many bytes", Value("bytes", 0, 2048)),
-    "splice": FaultKind("so many bytes of the answer are new, the rest is of the one before", Value("bytes", 1, 2048)),
+    "cut": FaultKind("the answer ends after so many bytes", FaultValue("bytes", 0, 2048)),
+    "splice": FaultKind(
+        "so many bytes of the answer are new, the rest is of the one before", FaultValue("bytes", 1, 2048)
+    ),
     "identity": FaultKind("another board's answer: its header is not the one that was identified", lasting=True),
     "stall": FaultKind("the board neither hears nor answers, and holds its outputs", lasting=True),
     "unplug": FaultKind("the cable is pulled, and the board holds its outputs", lasting=True),
     "reset": FaultKind(
         "the board starts anew: counters at zero, outputs as told",
-        Value("", default=0.0, words=("zero", "held", "random")),
+        FaultValue("", default=0.0, words=("zero", "held", "random")),
     ),
     "master": FaultKind("another program repeats the strongest command it has heard, between ours", lasting=True),
     "pause": FaultKind("the computer stands still for so long, between two exchanges", _TIME),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Sequence
 
-from inteco_abs.mock_board.faults.fault import Event, Fault
+from inteco_abs.mock_board.faults.fault import Fault, FaultEvent
 
 
 class Schedule:
@@ -27,16 +27,16 @@ class Schedule:
         self._began: dict[int, tuple[int, int]] = {}
         self._over: set[int] = set()
         self._now_ns = now_ns
-        self._events = {Event.START: (now_ns(), 0)}
+        self._events = {FaultEvent.START: (now_ns(), 0)}
 
     def outputs(self, drive: float, brake: float) -> None:
         """What the board puts out now, as duties."""
         if drive > 0.0:
-            self._note(Event.DRIVE)
-        elif Event.DRIVE in self._events:
-            self._note(Event.COAST)
+            self._note(FaultEvent.DRIVE)
+        elif FaultEvent.DRIVE in self._events:
+            self._note(FaultEvent.COAST)
         if brake > 0.0:
-            self._note(Event.BRAKE)
+            self._note(FaultEvent.BRAKE)
 
     def acting(self, *names: str) -> Fault | None:
         """The first fault of one of these kinds that acts now, counted as seen; None if there is none."""
@@ -57,7 +57,7 @@ class Schedule:
         """Whether a fault that has begun `once` is not over yet."""
         return any(fault.name == name and i in self._began and self._acts(i, fault) for i, fault in self._numbered)
 
-    def told(self) -> dict[str, str]:
+    def acted(self) -> dict[str, str]:
         """How often each fault has acted, as text."""
         return {name: str(times) for name, times in self.times.items()}
 
@@ -80,6 +80,6 @@ class Schedule:
             return True
         return now[1] < began[1] + lasts.exchanges if lasts.exchanges else now[0] < began[0] + lasts.ns
 
-    def _note(self, event: Event) -> None:
+    def _note(self, event: FaultEvent) -> None:
         if event not in self._events:
             self._events[event] = self._now_ns(), self.exchange

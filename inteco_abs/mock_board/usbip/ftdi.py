@@ -13,7 +13,7 @@ from typing import Final
 
 from inteco_abs.mock_board.frontend import Stream
 from inteco_abs.mock_board.usbip.usb_descriptors import MOCK_SERIALS, Speed, UsbIdentity
-from inteco_abs.mock_board.usbip.usb_device import Answer, Handshake, Setup, UsbDevice
+from inteco_abs.mock_board.usbip.usb_device import Handshake, SetupPacket, UsbAnswer, UsbDevice
 
 ENDPOINT_IN, ENDPOINT_OUT = 0x81, 0x02
 _STATUS: Final = bytes((0x31, 0x60))
@@ -85,9 +85,9 @@ class FtdiBoard(UsbDevice):
     def catch_up(self) -> None:
         """Move the rig on, so that little is left to do when the host waits for an answer."""
         self._awaited = False  # a host that still waits asks again at once; one that has closed the port does not
-        self.stream.face.device.catch_up()
+        self.stream.front_end.device.catch_up()
 
-    def packet_in(self, endpoint: int) -> Answer:
+    def packet_in(self, endpoint: int) -> UsbAnswer:
         """One packet: status, and the oldest bytes."""
         if endpoint in self._halted:
             return Handshake.STALL
@@ -114,7 +114,7 @@ class FtdiBoard(UsbDevice):
             self._unread += answer
         self.kick()
 
-    def _vendor(self, setup: Setup, data: bytes) -> Answer:
+    def _vendor(self, setup: SetupPacket, data: bytes) -> UsbAnswer:
         if setup.request_type == _FROM_DEVICE:
             if setup.request == _GET_LATENCY:
                 return bytes((self.latency_ms,))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from typing import Final, NamedTuple
 
-from inteco_abs.mock_board.usbip.usb_device import Setup
+from inteco_abs.mock_board.usbip.usb_device import SetupPacket
 
 _VERSION: Final = 0x0111
 _REQUEST_DEVICES, _REPLY_DEVICES = 0x8005, 0x0005
@@ -53,7 +53,7 @@ class Submit(NamedTuple):
     endpoint: int
     """Number, without direction."""
     length: int
-    setup: Setup
+    setup: SetupPacket
     short_not_ok: bool
     zero_packet: bool
     data: bytes
@@ -67,7 +67,7 @@ class Unlink(NamedTuple):
     victim: int
 
 
-class Record(NamedTuple):
+class DeviceRecord(NamedTuple):
     """What a server says about a device, apart from its interfaces; `speed` is 2 for full, 3 for high."""
 
     path: bytes
@@ -128,10 +128,12 @@ def take_command(stream: bytearray) -> Submit | Unlink | None:
     data = bytes(stream[_COMMAND.size : whole])
     del stream[:whole]
     short_not_ok, zero_packet = bool(flags & _SHORT_NOT_OK), bool(flags & _ZERO_PACKET)
-    return Submit(sequence, device_id, reads, endpoint, length, Setup.unpack(setup), short_not_ok, zero_packet, data)
+    return Submit(
+        sequence, device_id, reads, endpoint, length, SetupPacket.unpack(setup), short_not_ok, zero_packet, data
+    )
 
 
-def devices_reply(devices: list[tuple[Record, list[tuple[int, int, int]]]]) -> bytes:
+def devices_reply(devices: list[tuple[DeviceRecord, list[tuple[int, int, int]]]]) -> bytes:
     """OP_REP_DEVLIST: each device with class, subclass and protocol of its interfaces."""
     reply = _HEADER.pack(_VERSION, _REPLY_DEVICES, 0) + len(devices).to_bytes(4, "big")
     for record, interfaces in devices:
@@ -139,7 +141,7 @@ def devices_reply(devices: list[tuple[Record, list[tuple[int, int, int]]]]) -> b
     return reply
 
 
-def import_reply(record: Record | None) -> bytes:
+def import_reply(record: DeviceRecord | None) -> bytes:
     """OP_REP_IMPORT; None refuses."""
     if record is None:
         return _HEADER.pack(_VERSION, _REPLY_IMPORT, _REFUSED)

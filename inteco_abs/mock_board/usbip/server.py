@@ -19,9 +19,9 @@ from inteco_abs.mock_board.usbip.address import USBIP_PORT, TcpAddress, UnixAddr
 from inteco_abs.mock_board.usbip.attachment import Attachment
 from inteco_abs.mock_board.usbip.connection import Connection
 from inteco_abs.mock_board.usbip.messages import (
+    DeviceRecord,
     DevicesRequest,
     MalformedError,
-    Record,
     devices_reply,
     import_reply,
     take_command,
@@ -44,7 +44,7 @@ _PATIENCE_S: Final = 10.0
 _MOST_VISITORS: Final = 16
 
 
-class Facts(NamedTuple):
+class AttachFacts(NamedTuple):
     """What somebody needs who wants to attach the board."""
 
     bus_id: str
@@ -88,7 +88,7 @@ class UsbIpServer:
         """Whether the board is imported."""
         return self._importer is not None
 
-    def bind(self) -> Facts:
+    def bind(self) -> AttachFacts:
         """Listen from now on. Raises BoardError if the address is taken."""
         self._listener = self._address.listen()
         self._listener.setblocking(False)
@@ -98,7 +98,7 @@ class UsbIpServer:
         return self.facts
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> AttachFacts:
         """What to tell the user."""
         identity, address = self._host.device.identity, self._address
         attach: tuple[str, ...] = ()
@@ -108,7 +108,7 @@ class UsbIpServer:
             usbip = "usbip" if address.port == USBIP_PORT else f"usbip --tcp-port {address.port}"
             attach = ("modprobe vhci-hcd", f"{usbip} attach -r {name} -b {BUS_ID}")
             detach = ("usbip port", "usbip detach -p 00")
-        return Facts(
+        return AttachFacts(
             BUS_ID,
             identity.vendor_id,
             identity.product_id,
@@ -213,10 +213,10 @@ class UsbIpServer:
         if not self._host.plugged:  # unplugged by another thread in this very moment
             visitor.cut()
 
-    def _record(self) -> Record:
+    def _record(self) -> DeviceRecord:
         device = self._host.device
         identity = device.identity
-        return Record(
+        return DeviceRecord(
             _PATH,
             BUS_ID.encode(),
             BUS,

@@ -17,7 +17,7 @@ from firmware_protocol.rtdac_usb2_bridge import (
 )
 from inteco_abs.mock_board.frontend import FrontEnd
 from inteco_abs.mock_board.usbip.usb_descriptors import UsbIdentity
-from inteco_abs.mock_board.usbip.usb_device import Answer, Handshake, Setup, UsbDevice
+from inteco_abs.mock_board.usbip.usb_device import Handshake, SetupPacket, UsbAnswer, UsbDevice
 
 _COMPILED_AT: Final = 0x1000
 _RELEASED_AT: Final = 0x1040
@@ -31,15 +31,15 @@ _MOST_UNREAD: Final = 8
 
 
 class UsbBoard(UsbDevice):
-    """The board that `face` is the FPGA of.
+    """The board that `front_end` is the FPGA of.
 
     What the real board does with a message that is not a frame, with a full queue and with a date's wrong address is
-    UNKNOWN; here the first is dropped and counted by the face, the second and third are described below.
+    UNKNOWN; here the first is dropped and counted by the front end, the second and third are described below.
     """
 
-    def __init__(self, face: FrontEnd, identity: UsbIdentity | None = None) -> None:
+    def __init__(self, front_end: FrontEnd, identity: UsbIdentity | None = None) -> None:
         super().__init__(identity or UsbIdentity())
-        self.face = face
+        self.front_end = front_end
         self.led = False
         self.jtag_transfers = 0
         """Tries to use the endpoints that program the FPGA: each one is a mistake of the host."""
@@ -48,9 +48,9 @@ class UsbBoard(UsbDevice):
 
     def catch_up(self) -> None:
         """Move the rig on, so that little is left to do when the host waits for an answer."""
-        self.face.device.catch_up()
+        self.front_end.device.catch_up()
 
-    def packet_in(self, endpoint: int) -> Answer:
+    def packet_in(self, endpoint: int) -> UsbAnswer:
         """One packet from the FPGA; never anything from JTAG."""
         return self._refuse(endpoint) if endpoint == ENDPOINT_JTAG_IN else super().packet_in(endpoint)
 
@@ -64,15 +64,15 @@ class UsbBoard(UsbDevice):
         return Handshake.STALL
 
     def _take(self, message: bytes) -> None:
-        self.face.bulk_out(message)
+        self.front_end.bulk_out(message)
         room = _MOST_UNREAD * (FRAME_BYTES // self.identity.speed.packet_bytes + 1)
-        while answer := self.face.bulk_in(FRAME_BYTES):
+        while answer := self.front_end.bulk_in(FRAME_BYTES):
             if self._waiting(ENDPOINT_IN) >= room:
                 self.lost_answers += 1
             else:
                 self._send(ENDPOINT_IN, answer)
 
-    def _vendor(self, setup: Setup, data: bytes) -> Answer:
+    def _vendor(self, setup: SetupPacket, data: bytes) -> UsbAnswer:
         asked = setup.request_type, setup.request
         if asked == (_FROM_DEVICE, REQUEST_DATE_ADDRESSES) and setup.value == 0:
             return _ADDRESSES

@@ -37,12 +37,12 @@ class Handshake(Enum):
     STALL = "refused"
 
 
-Answer = bytes | Handshake
+UsbAnswer = bytes | Handshake
 """Data to the host, or a handshake."""
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class SetupPacket:
     """The eight bytes that begin a control transfer."""
 
     request_type: int
@@ -52,7 +52,7 @@ class Setup:
     length: int
 
     @classmethod
-    def unpack(cls, data: bytes) -> Setup:
+    def unpack(cls, data: bytes) -> SetupPacket:
         """The fields of eight bytes; raises ValueError for any other number of bytes."""
         if len(data) != _SETUP.size:
             raise ValueError(f"a setup packet has {_SETUP.size} bytes, not {len(data)}")
@@ -98,7 +98,7 @@ class UsbDevice(ABC):
         self._arriving.clear()
         self._departing.clear()
 
-    def control(self, setup: Setup, data: bytes = b"") -> Answer:
+    def control(self, setup: SetupPacket, data: bytes = b"") -> UsbAnswer:
         """One control transfer; `data` is what the host sends. Data, ACK for done without data, NAK or STALL."""
         kind = setup.request_type & _KIND_MASK
         if kind == _STANDARD:
@@ -111,7 +111,7 @@ class UsbDevice(ABC):
             return answer[: setup.length] if setup.reads else Handshake.STALL
         return answer
 
-    def packet_in(self, endpoint: int) -> Answer:
+    def packet_in(self, endpoint: int) -> UsbAnswer:
         """The host asks bulk endpoint `endpoint` for one packet."""
         if endpoint in self._halted:
             return Handshake.STALL
@@ -148,7 +148,7 @@ class UsbDevice(ABC):
         """The firmware gets a whole message of the bulk OUT endpoint."""
 
     @abstractmethod
-    def _vendor(self, setup: Setup, data: bytes) -> Answer:
+    def _vendor(self, setup: SetupPacket, data: bytes) -> UsbAnswer:
         """The firmware gets a vendor request."""
 
     def _send(self, endpoint: int, message: bytes) -> None:
@@ -167,7 +167,7 @@ class UsbDevice(ABC):
     def _halt(self, endpoint: int) -> None:
         self._halted.add(endpoint)
 
-    def _standard(self, setup: Setup) -> Answer:
+    def _standard(self, setup: SetupPacket) -> UsbAnswer:
         recipient = setup.request_type & ~_IN
         if recipient == _TO_DEVICE:
             return self._asked(setup) if setup.reads else self._told(setup)
@@ -177,7 +177,7 @@ class UsbDevice(ABC):
             return self._endpoint(setup)
         return Handshake.STALL
 
-    def _asked(self, setup: Setup) -> Answer:
+    def _asked(self, setup: SetupPacket) -> UsbAnswer:
         if setup.request == _GET_DESCRIPTOR:
             found = self.identity.descriptor(setup.value >> 8, setup.value & 0xFF)
             return Handshake.STALL if found is None else found
@@ -185,12 +185,12 @@ class UsbDevice(ABC):
             return bytes((self.configuration,))
         return _NO_STATUS if setup.request == _GET_STATUS else Handshake.STALL
 
-    def _told(self, setup: Setup) -> Handshake:
+    def _told(self, setup: SetupPacket) -> Handshake:
         if setup.request == _SET_CONFIGURATION:
             return self._configure(setup.value)
         return Handshake.ACK if setup.request == _SET_ADDRESS else Handshake.STALL
 
-    def _interface(self, setup: Setup) -> Answer:
+    def _interface(self, setup: SetupPacket) -> UsbAnswer:
         if setup.reads:
             return {_GET_INTERFACE: b"\0", _GET_STATUS: _NO_STATUS}.get(setup.request, Handshake.STALL)
         if setup.request == _SET_INTERFACE and setup.value == 0:
@@ -198,7 +198,7 @@ class UsbDevice(ABC):
             return Handshake.ACK
         return Handshake.STALL
 
-    def _endpoint(self, setup: Setup) -> Answer:
+    def _endpoint(self, setup: SetupPacket) -> UsbAnswer:
         if setup.reads:
             halted = bytes((setup.index in self._halted, 0))
             return halted if setup.request == _GET_STATUS else Handshake.STALL

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Final
 
 from inteco_abs.mock_board.usbip.usb_descriptors import ENDPOINT_DIRECTION_IN
-from inteco_abs.mock_board.usbip.usb_device import Handshake, Setup, UsbDevice
+from inteco_abs.mock_board.usbip.usb_device import Handshake, SetupPacket, UsbDevice
 
 _FIRST_ADDRESS: Final = 2
 """Device numbers count from here; 1 is the hub at the root."""
@@ -34,7 +34,7 @@ class Urb:
     data: bytes = b""
     """What the host sends."""
     length: int = 0
-    setup: Setup | None = None
+    setup: SetupPacket | None = None
     short_not_ok: bool = False
     """Less IN data than `length` is an error, -EREMOTEIO."""
     zero_packet: bool = False
@@ -205,7 +205,7 @@ class UsbHost:
             return self._control(urb, urb.setup)
         return self._in(urb) if urb.endpoint & ENDPOINT_DIRECTION_IN else self._out(urb)
 
-    def _control(self, urb: Urb, setup: Setup) -> int | None:
+    def _control(self, urb: Urb, setup: SetupPacket) -> int | None:
         answer = self.device.control(setup, urb.data)
         if answer is Handshake.NAK:
             return None

@@ -3,4 +3,4 @@
 from typing import Final
 
 ENTRY: Final = __name__
-"""What `python -m` starts them by, with role and memory as arguments."""
+"""Module for `python -m`, with role and memory as arguments."""

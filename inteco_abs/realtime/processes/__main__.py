@@ -5,7 +5,7 @@ from importlib import import_module
 from typing import Final
 
 ROLES: Final = {
-    "by-hand": "manual",
+    "manual": "manual",
     "controller": "controller",
     "loop": "loop",
     "drill": "drill",
@@ -16,5 +16,5 @@ ROLES: Final = {
 
 if __name__ == "__main__":
     role, memory = sys.argv[1:]
-    # each process loads its own part only: the guardian is to be small
+    # each process loads its own part only: the guardian must be small
     sys.exit(import_module(f"inteco_abs.realtime.processes.{ROLES[role]}").main(memory))

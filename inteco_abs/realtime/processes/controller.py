@@ -1,8 +1,8 @@
-"""A controller of the user's own, in a process of its own: it answers the loop, and reaches neither board nor guard.
+"""Runs a user's controller in its own process: it answers the loop, and reaches neither board nor guard.
 
-The loop asks and waits, once a tick. What comes back is numbers in fixed places, never code. The two share a CPU, the
-controller's priority just below the loop's: a pipe between them is quickest there (`tools/bench_isolation`), and the
-loop's wait ends in time whatever the controller does.
+The loop asks and waits once a tick. The answer is numbers in fixed places, never code. The two share a CPU, with the
+controller's priority just below the loop's: a pipe is quickest there (`tools/bench_isolation`), and the loop's wait
+ends in time whatever the controller does.
 """
 
 from __future__ import annotations
@@ -39,30 +39,30 @@ _LOOKS: Final = range(4)
 """Of 5 ms each: 20 ms are less than half of the guardian's window, which would kill the loop for the silence, and a
 thousand times what a law needs. A pause of the computer uses up one look only."""
 _PATIENCE_S: Final = 60.0
-"""For loading and making it: its code may compile something."""
+"""Time to load and make the controller: its code may compile something."""
 _DYING_S: Final = 0.005
-"""From the end of its pipe to that of its process."""
+"""Time from the end of its pipe to the end of its process."""
 _LEAVING_S: Final = 0.5
 
 _ESTIMATE: Final = struct.Struct("<2q4d?")
 """Number of the request, of the controller that is asked; time since the last sample, estimate."""
 _OBSERVED: Final = struct.Struct("<2q4d?10d")
-"""The same with an outlook."""
+"""As `_ESTIMATE`, with a prediction."""
 _COPY: Final = struct.Struct("<2q")
-"""Number of the request, of the controller that is to be copied."""
+"""Number of the request, of the controller to copy."""
 _REPLY: Final = struct.Struct("<q7d")
 """Number of the request, demand."""
 _NUMBER: Final = struct.Struct("<q")
-"""Minus the number of the request that failed; an error's text follows."""
+"""Minus the number of the failed request; the text of the error follows."""
 _MOST_BYTES: Final = select.PIPE_BUF
-"""Of a message in a run: a pipe takes so much as a whole."""
+"""Largest message in a run, which a pipe takes whole."""
 _NO_NUMBERS: Final = (0.0,) * 6
 
 
 class IsolatedController:
-    """Stands in the loop's process for the class of a controller that runs in another: calling it makes one.
+    """The class of a controller that runs in another process; calling it makes a controller there.
 
-    Raises ConfigError if the code gives no controller. Be sure to `close` it.
+    Raises ConfigError if the code defines no controller. `close` it in the end.
     """
 
     def __init__(self, name: str, source: bytes, run: Path) -> None:
@@ -75,25 +75,25 @@ class IsolatedController:
         poller.register(self._replies, select.POLLIN)
         self._poll = poller.poll
         try:
-            told = self._told((name, source))
+            declared = self._order((name, source))
         except BaseException:
             self.close()
             raise
-        self.gains = tuple(Gain(*gain) for gain in told["gains"])
-        self.internals: tuple[str, ...] = tuple(told["internals"])
+        self.gains = tuple(Gain(*gain) for gain in declared["gains"])
+        self.internals: tuple[str, ...] = tuple(declared["internals"])
 
     def __call__(self, setup: Setup, **gains: float) -> Controller:
-        """Make the controller, by its constructor. Raises ControllerError with what that raises."""
-        self._told((setup, gains))
+        """Make the controller. Raises ControllerError with what its constructor raises."""
+        self._order((setup, gains))
         return cast("Controller", _Proxy(self, 0))
 
     def answer(self, request: Callable[..., bytes], *what: object) -> list[float]:
-        """Its answer within 20 ms; raises ControllerError without one, and ends the process then."""
+        """Return its answer within 20 ms; without one, end its process and raise ControllerError."""
         self._number = number = self._number + 1
         try:  # noqa: SIM105  a context manager takes longer
             os.write(self._requests, request(number, *what))
         except BrokenPipeError:
-            pass  # it has ended, and may have left the reason
+            pass  # it has ended, and may have written the reason
         for _ in _LOOKS:
             if self._poll(_LOOK_MS):
                 break
@@ -101,13 +101,13 @@ class IsolatedController:
             raise self._given_up(f"has not answered for {len(_LOOKS) * _LOOK_MS} ms")
         reply = os.read(self._replies, _MOST_BYTES)
         if len(reply) == _REPLY.size:
-            told, *demand = _REPLY.unpack(reply)
-            if told == number:
+            answered, *demand = _REPLY.unpack(reply)
+            if answered == number:
                 return demand
         raise self._failure(reply, number)
 
     def _failure(self, reply: bytes, number: int) -> ControllerError:
-        """What a reply means that is not an answer."""
+        """Return the error for a reply that is not an answer."""
         if not reply:
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_DYING_S)
@@ -124,10 +124,10 @@ class IsolatedController:
         self._process.kill()  # it may be busy, on the loop's own CPU
         return ControllerError(f"{self._name} {what}")
 
-    def _told(self, what: object) -> dict[str, Any]:
-        """Its answer to an order, before the run; raises the ConfigError that it tells, or ControllerError."""
+    def _order(self, order: object) -> dict[str, Any]:
+        """Return its answer to an order before the run; raises its ConfigError or ControllerError."""
         with suppress(BrokenPipeError):
-            pickle.dump(what, self._orders)
+            pickle.dump(order, self._orders)
             self._orders.flush()
         line, end = b"", time.monotonic() + _PATIENCE_S
         while not line.endswith(b"\n"):
@@ -137,17 +137,17 @@ class IsolatedController:
             if not part:
                 raise self._failure(b"", 0)
             line += part
-        told: dict[str, Any] = json.loads(line)
-        if "mistakes" in told:
-            raise ConfigError([ConfigIssue(*mistake) for mistake in told["mistakes"]])
-        if "error" in told:
-            raise ControllerError(told["error"])
-        return told
+        answer: dict[str, Any] = json.loads(line)
+        if "mistakes" in answer:
+            raise ConfigError([ConfigIssue(*mistake) for mistake in answer["mistakes"]])
+        if "error" in answer:
+            raise ControllerError(answer["error"])
+        return answer
 
     def close(self) -> None:
-        """End its process."""
+        """End the process."""
         with suppress(BrokenPipeError):
-            self._orders.close()  # it takes this for the end of its work
+            self._orders.close()  # the process ends then
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_LEAVING_S)
         self._process.kill()
@@ -158,7 +158,7 @@ class IsolatedController:
 def _started(run: Path) -> subprocess.Popen[bytes]:
     try:
         return subprocess.Popen(  # noqa: S603  our own module
-            # named like the other processes of the run; it is not to open that file
+            # named like the other processes of the run; it does not open that file
             [sys.executable, "-P", "-m", ENTRY, "controller", str(run)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -169,29 +169,29 @@ def _started(run: Path) -> subprocess.Popen[bytes]:
 
 
 class _Proxy:
-    """One controller of that process."""
+    """One controller of the process."""
 
     def __init__(self, process: IsolatedController, which: int) -> None:
         self._process = process
         self._which = which
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
-        wheel, road, slip, valid, outlook = estimate
-        if outlook is None:
+        wheel, road, slip, valid, prediction = estimate
+        if prediction is None:
             answer = self._process.answer(_ESTIMATE.pack, self._which, dt_s, wheel, road, slip, valid)
         else:
-            answer = self._process.answer(_OBSERVED.pack, self._which, dt_s, wheel, road, slip, valid, *outlook)
+            answer = self._process.answer(_OBSERVED.pack, self._which, dt_s, wheel, road, slip, valid, *prediction)
         brake, torque, switching, c0, c1, c2, c3 = answer
         return BrakeDemand(brake, torque, switching, (c0, c1, c2, c3))
 
     def __deepcopy__(self, _memo: object) -> _Proxy:
-        """The copy is made in that process, which then forgets all others but these two."""
+        """Copy the controller in its process, which then keeps only these two."""
         return _Proxy(self._process, int(self._process.answer(_COPY.pack, self._which)[0]))
 
 
 @contextmanager
 def controllers_of(job: Job, run: Path) -> Iterator[Mapping[str, type[Controller]]]:
-    """Controllers for the loop's process: those that ship, or the user's own, which runs in a process of its own."""
+    """Yield the controllers for the loop's process: those that ship, or a user's, which runs in its own process."""
     name = job.config.controller.name
     if name in CONTROLLERS:
         yield CONTROLLERS
@@ -204,10 +204,10 @@ def controllers_of(job: Job, run: Path) -> Iterator[Mapping[str, type[Controller
 
 
 def main(_path: str) -> int:
-    """Load the controller that the parent names, make it, and answer; ends when the parent does."""
+    """Load the controller that the parent names, make it, and answer; end when the parent does."""
     end_with_parent()
     requests, replies = os.dup(0), os.dup(1)
-    with open(os.devnull, "rb") as nothing:  # noqa: PTH123  a controller that reads or prints must not do so there
+    with open(os.devnull, "rb") as nothing:  # noqa: PTH123  a controller must not read or print there
         os.dup2(nothing.fileno(), 0)
     os.dup2(2, 1)
     os.register_at_fork(after_in_child=lambda: os._exit(1))  # two would answer
@@ -220,7 +220,7 @@ def main(_path: str) -> int:
     finally:
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(code)  # at once: threads that a controller has left would be waited for, for ever
+        os._exit(code)  # at once: Python would wait for a controller's threads, for ever
 
 
 def _serve(requests: int, replies: int) -> None:
@@ -229,31 +229,31 @@ def _serve(requests: int, replies: int) -> None:
         return
     prepare(controller_tuning())
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))  # without root's rights nothing here rises above the loop
-    _tell(replies, {})
+    _write(replies, {})
     _answer(requests, replies, controller)
 
 
 def _made(requests: int, replies: int) -> Controller | None:
-    """The controller that is asked for; None if there is none to answer, which has been told."""
+    """Return the requested controller; None after an error, which was written as the answer."""
     with os.fdopen(requests, "rb", closefd=False) as orders:
         try:
-            kind: Any = _loaded(*pickle.load(orders))  # noqa: S301  it comes from the process that is trusted
-            _tell(replies, {"gains": kind.gains, "internals": kind.internals})
+            kind: Any = _loaded(*pickle.load(orders))  # noqa: S301  it comes from the trusted parent
+            _write(replies, {"gains": kind.gains, "internals": kind.internals})
             setup, gains = pickle.load(orders)  # noqa: S301
             controller: Controller = kind(setup, **gains)
         except EOFError:  # the parent has ended
             return None
         except ConfigError as error:
-            _tell(replies, {"mistakes": error.mistakes})
+            _write(replies, {"mistakes": error.mistakes})
             return None
         except BaseException as error:  # noqa: BLE001  the top of a process, with a user's code in it
-            _tell(replies, {"error": in_words(error)})
+            _write(replies, {"error": in_words(error)})
             return None
     return controller
 
 
 def _answer(requests: int, replies: int, controller: Controller) -> None:
-    """Answer until the parent ends, or the controller fails."""
+    """Answer until the parent ends or the controller fails."""
     read, write, pack = os.read, os.write, _REPLY.pack
     controllers, number = {0: controller}, 0
     try:
@@ -262,10 +262,9 @@ def _answer(requests: int, replies: int, controller: Controller) -> None:
                 number, which, dt_s, wheel, road, slip, valid = _ESTIMATE.unpack(request)
                 answer = _demand(controllers[which].update(Estimate(wheel, road, slip, valid), dt_s))
             elif len(request) == _OBSERVED.size:
-                number, which, dt_s, wheel, road, slip, valid, *outlook = _OBSERVED.unpack(request)
-                answer = _demand(
-                    controllers[which].update(Estimate(wheel, road, slip, valid, Prediction(*outlook)), dt_s)
-                )
+                number, which, dt_s, wheel, road, slip, valid, *prediction = _OBSERVED.unpack(request)
+                estimate = Estimate(wheel, road, slip, valid, Prediction(*prediction))
+                answer = _demand(controllers[which].update(estimate, dt_s))
             else:
                 number, which = _COPY.unpack(request)
                 controllers = {which: controllers[which], number: deepcopy(controllers[which])}
@@ -279,11 +278,11 @@ def _loaded(name: str, source: bytes) -> type[Controller]:
     return load_controller(name, source)[0] if FROM_FILE in name else Controllers()[name]
 
 
-def _tell(replies: int, what: object) -> None:
-    os.write(replies, json.dumps(what, default=float).encode() + b"\n")
+def _write(replies: int, answer: object) -> None:
+    os.write(replies, json.dumps(answer, default=float).encode() + b"\n")
 
 
-def _demand(given: BrakeDemand) -> tuple[float, ...]:
-    brake, torque, switching, (c0, c1, c2, c3) = recordable(given)
-    # what is not a number comes to the guard as such, and is judged there
+def _demand(demand: BrakeDemand) -> tuple[float, ...]:
+    brake, torque, switching, (c0, c1, c2, c3) = recordable(demand)
+    # the guard judges what is not a number
     return brake if type(brake) is float else math.nan, torque, switching, c0, c1, c2, c3

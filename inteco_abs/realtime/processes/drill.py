@@ -1,4 +1,4 @@
-"""A process that opens the board, holds it safe, and waits to be killed, so that the guardian proves itself.
+"""Opens the board, holds it safe, and waits to be killed, to prove that the guardian takes over.
 
 Protections fail by not being armed, not by not firing (docs/facts/hazards.md#findings, 9).
 """
@@ -14,7 +14,7 @@ from inteco_abs.boards import open_board
 from inteco_abs.errors import AbsError
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
-from inteco_abs.realtime.ownership import holding, stopped, tell_failure
+from inteco_abs.realtime.ownership import holding, post_failure, stopped
 from inteco_abs.signals import Command
 
 _LONGEST_S: Final = 20.0
@@ -22,19 +22,19 @@ _PERIOD_S: Final = 0.001
 
 
 def main(path: str) -> int:
-    """Hold the board of the job in the memory at `path` until killed, and not for ever."""
+    """Hold the board of the job in the memory at `path` until killed, for 20 s at most."""
     memory = RunMemory.open(Path(path))
     try:
         _hold(memory, Job.of(memory))
     except AbsError as error:
-        tell_failure(memory, Mailbox.FAILURE, error)
+        post_failure(memory, Mailbox.FAILURE, error)
         return error.exit_code
     return 0
 
 
 def _hold(memory: RunMemory, job: Job) -> None:
     with holding(memory), open_board(job.address, job.config, time.monotonic_ns) as board:
-        board.insist()
+        board.require_writable()
         memory.post(Mailbox.SAFE_IMAGE, board.safe_image)
         memory.words[Field.READY] = os.getpid()
         end = time.monotonic() + _LONGEST_S

@@ -1,7 +1,7 @@
-"""The guardian's process: when the one that holds the board dies or hangs, it takes the board and writes SAFE.
+"""The guardian's process: it takes the board and writes SAFE when the process that holds the board dies or hangs.
 
-It is no help when the computer dies or the cable is pulled, or when it is killed together with the loop: no RT-DAC
-board is known to drop its outputs by itself, so then only the emergency switch stops the motor.
+It cannot help when the computer dies, the cable is pulled, or loop and guardian are killed together: no RT-DAC board is
+known to switch its outputs off by itself, so only the emergency switch stops the motor then.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _AGAIN_S: Final = 0.002
 
 
 class Guardian:
-    """Watches over the process that the supervisor names, until the supervisor says that all is over."""
+    """Watches the process that the supervisor names, until the supervisor ends the run."""
 
     def __init__(self, memory: RunMemory, job: Job) -> None:
         self._memory = memory
@@ -42,7 +42,7 @@ class Guardian:
         self._ticks = memory.tick_reader()
         self._poller = select.poll()
         self._guarded = 0
-        self._left = 0  # guarded before, and gone
+        self._left = 0  # the process guarded before, which has ended
         self._killed = False
         self._end = -1  # file descriptor that becomes readable when the guarded process ends
         self._loop = Silence(loop_window_ns(job.config))
@@ -64,12 +64,12 @@ class Guardian:
         self._words[Field.GUARDIAN_BEAT_NS] = now_ns
         silent = self._hangs(passed_ns) or self._goes_on_after_stop(passed_ns)
         held = self._words[Field.HOLDER_PID] == self._guarded != 0
-        deed = guardian_does(held=held, loop_ended=ended, loop_silent=silent)
-        if Action.KILL_LOOP in deed:
+        action = guardian_does(held=held, loop_ended=ended, loop_silent=silent)
+        if Action.KILL_LOOP in action:
             self._kill()
         if ended:
-            self._leave(rescue=Action.RESCUE in deed)
-        self._look_after_the_others(passed_ns)
+            self._leave(rescue=Action.RESCUE in action)
+        self._check_the_others(passed_ns)
         self._alarm.look()
         self._follow()
 
@@ -82,51 +82,50 @@ class Guardian:
         return bool(words[Field.OVER]) or left_alone
 
     def _follow(self) -> None:
-        """Guard whom the supervisor names now."""
+        """Guard the process that the supervisor names now."""
         pid = self._words[Field.GUARDED_PID]
         if self._guarded or pid in (0, self._left):
             return
-        with suppress(ProcessLookupError):  # it has ended already, without having opened the board
+        with suppress(ProcessLookupError):  # it has ended without opening the board
             self._end = os.pidfd_open(pid)
             self._poller.register(self._end, select.POLLIN)
             self._guarded, self._killed = pid, False
             self._words[Field.GUARDING_PID] = pid
 
     def _hangs(self, passed_ns: int) -> bool:
-        """Whether the guarded process drives and has not completed a tick for too long."""
+        """Return whether the guarded process drives and has completed no tick for too long."""
         if not self._guarded or self._words[Field.HOLDER_PID] != self._guarded or not self._ticks.written:
             self._loop.forget()
             return False
         return self._loop.lasts(self._ticks.written, passed_ns)
 
     def _goes_on_after_stop(self, passed_ns: int) -> bool:
-        """Whether the guarded process is still there long after this one wanted the run to end."""
+        """Return whether the guarded process still runs long after the guardian has stopped the run."""
         if not self._guarded or not self._words[Field.GUARDIAN_STOP]:
             return False
         return self._patience.lasts(0, passed_ns)
 
     def _kill(self) -> None:
-        """Have the guarded process end. Its board is taken only once it has: two hosts must not write to it."""
+        """Kill the guarded process. Its board is taken only after its end: two hosts must not write to it."""
         self._killed = True
         kill(self._end)
 
     def _leave(self, *, rescue: bool) -> None:
-        """The guarded process is gone."""
+        """Stop guarding a process that has ended; take over its board if it held one."""
         pid, self._guarded = self._guarded, 0
         self._poller.unregister(self._end)
         os.close(self._end)
         if rescue:
             with ExitStack() as stack:
-                with suppress(
-                    BoardError
-                ):  # no more threads: the supervisor may take this process for hung, and its place
+                # no thread left: the supervisor may consider this process hung, and replace it
+                with suppress(BoardError):
                     beat = beating(self._memory, Field.GUARDIAN_BEAT_NS, POLL_S, watch_tuning(GUARDIAN_PRIORITY))
                     stack.enter_context(beat)
                 take_over(self._memory, self._job, pid, "hung" if self._killed else "died", "guardian")
         self._left = pid
 
-    def _look_after_the_others(self, passed_ns: int) -> None:
-        """End the run when nobody could stop it, or nobody records it, any more."""
+    def _check_the_others(self, passed_ns: int) -> None:
+        """End the run if the supervisor or the recorder is lost."""
         words = self._words
         if words[Field.GUARDIAN_STOP]:
             return
@@ -142,18 +141,18 @@ class Guardian:
 
 
 def kill(process: int) -> None:
-    """Kill the process of this file descriptor, never another that has its number by now."""
+    """Kill the process of a pidfd, never another that has its number now."""
     with suppress(ProcessLookupError):
         signal.pidfd_send_signal(process, signal.SIGKILL)
 
 
 def loop_window_ns(config: RigConfig) -> int:
-    """How long a loop that drives may be silent, ns."""
+    """Return how long a driving loop may be silent, ns."""
     return max(round(config.guard.silence_s * 1e9), 5 * config.period_ns)
 
 
 def take_over(memory: RunMemory, job: Job, pid: int, cause: str, by: str) -> None:
-    """Make the board safe that the process `pid`, which is gone, had held, and tell how that went."""
+    """Make the board of the dead process `pid` safe, and post the result."""
     seen_ns = time.monotonic_ns()
     failure = _make_safe(memory, job)
     report = {"cause": cause, "seen_ns": seen_ns, "done_ns": time.monotonic_ns(), "failure": failure, "by": by}
@@ -162,12 +161,12 @@ def take_over(memory: RunMemory, job: Job, pid: int, cause: str, by: str) -> Non
 
 
 def _make_safe(memory: RunMemory, job: Job) -> str:
-    """Write SAFE and read it back, trying again for a while; empty, or why it did not succeed."""
+    """Write SAFE and read it back, for up to 5 s; return an empty text, or why it failed."""
     end = time.monotonic() + _TRY_S
     while True:
         try:
             rescue(memory, job)
-        except Exception as error:  # noqa: BLE001  the kernel may not have let go of the board yet; nothing may end this
+        except Exception as error:  # noqa: BLE001  the kernel may still hold the board; nothing may end this
             if time.monotonic() > end:
                 return str(error)
             time.sleep(_AGAIN_S)
@@ -176,11 +175,11 @@ def _make_safe(memory: RunMemory, job: Job) -> str:
 
 
 def rescue(memory: RunMemory, job: Job) -> None:
-    """Take the board of a process that is gone and write the SAFE image that it left; raises BoardError."""
+    """Open the board of a dead process and write the SAFE image that it posted; raises BoardError."""
     image = memory.image(Mailbox.SAFE_IMAGE)
     if image is None:
-        return  # it had not finished opening the board, and nothing but zero duties was ever written
-    # motors are on: no time to measure which engine is quicker
+        return  # it had not finished opening the board, so only zero duties were written
+    # motors may be on: no time to compare engines
     usb = replace(job.config.usb, engine="one-by-one")
     open_board(job.address, replace(job.config, usb=usb), time.monotonic_ns).rescue(image)
 

@@ -1,4 +1,4 @@
-"""The loop's process: owns the board, decides, fills the ring, and does nothing else."""
+"""The loop's process: it owns the board, decides, fills the ring, and does nothing else."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from inteco_abs.control import Controller, build_pipeline, gains_in_force
 from inteco_abs.errors import AbsError
 from inteco_abs.format import pack_tick
 from inteco_abs.realtime.clock import PacedClock
-from inteco_abs.realtime.frames import leaving_frames
+from inteco_abs.realtime.frame_spool import saving_frames
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.loop import Loop, detail_of
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
-from inteco_abs.realtime.ownership import PATIENCE_S, holding, stopped, tell_failure
+from inteco_abs.realtime.ownership import PATIENCE_S, holding, post_failure, stopped
 from inteco_abs.realtime.processes.controller import controllers_of
 from inteco_abs.realtime.round_trips import require_rate
 from inteco_abs.realtime.rules import LOOPS_WINDOW_NS
 from inteco_abs.realtime.tuning import loop_tuning, prepare
 from inteco_abs.realtime.watchdog import prove_watchdog
 from inteco_abs.signals import Reason
-from inteco_abs.wire import recording
+from inteco_abs.wire import record_wire
 
 _NONE: Final = Reason.NONE
 _STALL_NS: Final = 100_000_000
-"""A tick so late is a pause of the computer: as long as five periods of the slowest loop, well within the window."""
+"""A tick this late is a pause of the computer: five periods of the slowest loop, well within the window."""
 _NAP_NS: Final = 50_000_000
-"""No suspension is so short."""
+"""Shorter than any suspension."""
 _STOP, _GUARDIAN_STOP, _GUARDIAN_BEAT = int(Field.STOP), int(Field.GUARDIAN_STOP), int(Field.GUARDIAN_BEAT_NS)
 _REASONS: Final = {int(reason): reason for reason in Reason}
 
 
 def asleep_ns() -> int:
-    """How long the computer has been suspended so far: the monotonic clock stands still meanwhile, the other does not.
+    """Return how long the computer has been suspended so far, ns: only the monotonic clock stands still meanwhile.
 
     A pause between the two readings makes it less, never more.
     """
@@ -47,9 +47,9 @@ def asleep_ns() -> int:
 
 
 class SharedStop:
-    """What the other processes want of the loop: the supervisor's word, the guardian's, and a guardian alive.
+    """Stops the loop for the supervisor, for the guardian, or if the guardian is silent.
 
-    A computer that was suspended has missed exchanges, though no clock of the loop's has seen it.
+    A suspended computer has missed exchanges, although the loop's clock does not show it.
     """
 
     def __init__(self, memory: RunMemory, asleep_ns: Callable[[], int] = asleep_ns) -> None:
@@ -60,14 +60,14 @@ class SharedStop:
         self._trusted_ns = 0
 
     def wanted(self, now_ns: int) -> Reason:
-        """Why the run must end now, or NONE."""
+        """Return why the run must end now, or NONE."""
         words = self._words
         word = words[_STOP] or words[_GUARDIAN_STOP]
         if word:
             return _REASONS[word]
         if self._asleep_ns() > self._may_sleep_ns:
             return Reason.MISSED_EXCHANGES
-        if now_ns - self._before_ns > _STALL_NS:  # the computer stood still, and the guardian with it
+        if now_ns - self._before_ns > _STALL_NS:  # the computer paused, and the guardian with it
             self._trusted_ns = now_ns
         self._before_ns = now_ns
         silent_ns = now_ns - max(words[_GUARDIAN_BEAT], self._trusted_ns)
@@ -75,17 +75,17 @@ class SharedStop:
 
 
 def main(path: str) -> int:
-    """Run the job in the memory at `path`; exit code 0 if it came to an end, whatever the end."""
+    """Run the job in the memory at `path`; exit code 0 if the run came to an end of any kind."""
     memory = RunMemory.open(Path(path))
     code = 0
     try:
         _run(memory, Job.of(memory))
     except AbsError as error:
-        tell_failure(memory, Mailbox.FAILURE, error)
+        post_failure(memory, Mailbox.FAILURE, error)
         code = error.exit_code
     except BaseException as error:  # noqa: BLE001  the top of a process: its end must explain itself
         traceback.print_exc()
-        tell_failure(memory, Mailbox.FAILURE, error)
+        post_failure(memory, Mailbox.FAILURE, error)
         code = 1
     sys.stderr.flush()
     os._exit(code)  # at once: the guardian may wait for it to take the board
@@ -95,13 +95,13 @@ def _run(memory: RunMemory, job: Job) -> None:
     wire = Path(job.wire) if job.wire else None
     with (
         controllers_of(job, memory.path) as controllers,
-        recording(wire, job.config, keep=job.frames) as around,
-        leaving_frames(memory, job, around),
+        record_wire(wire, job.config, keep=job.frames) as around,
+        saving_frames(memory, job, around),
     ):
         try:
             _hold(memory, job, around, controllers)
         finally:
-            memory.words[Field.SAVING] = bool(job.wire) or job.frames  # with the board let go of, and all said
+            memory.words[Field.SAVING] = bool(job.wire) or job.frames  # with the board closed, and everything posted
 
 
 def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, type[Controller]]) -> None:
@@ -111,33 +111,31 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
     clock = PacedClock(config.period_ns)
     cost: dict[str, str] = {}
     with holding(memory), open_board(job.address, config, clock.now_ns, around) as board:
-        identity = board.insist()
+        identity = board.require_writable()
         memory.post(Mailbox.SAFE_IMAGE, board.safe_image)
         loop = Loop(board, pipeline, clock, ring, SharedStop(memory))
         settings = prepare(loop_tuning())
         pace = {} if simulated(job.board) else require_rate(board, config.period_ns)
         watchdog = prove_watchdog(board, config.period_ns, time.sleep)
-        memory.post(
-            Mailbox.INTRODUCTION,
-            {
-                "identity": identity.facts() | watchdog,
-                "gains": gains_in_force(config, controllers),
-                "internals": list(controllers[config.controller.name].internals),
-                "settings": [setting._asdict() for setting in settings],
-                "pace": pace,
-            },
-        )
+        header = {
+            "identity": identity.facts() | watchdog,
+            "gains": gains_in_force(config, controllers),
+            "internals": list(controllers[config.controller.name].internals),
+            "settings": [setting._asdict() for setting in settings],
+            "pace": pace,
+        }
+        memory.post(Mailbox.HEADER, header)
         words[Field.READY] = os.getpid()
         memory.wait(lambda: words[Field.GO] or stopped(memory), PATIENCE_S)
         if words[Field.GO]:
             cost = _drive(loop, clock)
     if cost:
         end = {"reason": int(pipeline.reason), "detail": detail_of(pipeline, board), "cost": cost}
-        memory.post(Mailbox.CONCLUSION, end)
+        memory.post(Mailbox.RUN_END, end)
 
 
 def _drive(loop: Loop, clock: PacedClock) -> dict[str, str]:
-    """Run the loop; what it cost this process."""
+    """Run the loop; return what it cost this process."""
     before, start = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
     loop.run()
     after = resource.getrusage(resource.RUSAGE_SELF)

@@ -1,7 +1,7 @@
-"""Outputs by hand: a process that holds the board, and applies what a screen requests while a key is held there.
+"""Manual control: a process that holds the board, and applies what a screen requests while a key is held.
 
-The screen is another process. A request is good for half a second from when the key was last seen, by this process's
-own reckoning: a screen that hangs, dies or is no longer looked at takes the outputs away by doing nothing.
+The screen is another process. A request is valid for half a second after the key was last seen, on this process's
+clock, so the outputs go off when the screen hangs or dies.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from inteco_abs.errors import AbsError, BoardError, LinkError
 from inteco_abs.format import TICK, pack_tick
 from inteco_abs.realtime.clock import PacedClock
 from inteco_abs.realtime.job import Job
-from inteco_abs.realtime.loop import Stop
+from inteco_abs.realtime.loop import StopSource
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
-from inteco_abs.realtime.ownership import holding, tell_failure
+from inteco_abs.realtime.ownership import holding, post_failure
 from inteco_abs.realtime.processes.loop import SharedStop
 from inteco_abs.realtime.round_trips import require_rate
 from inteco_abs.realtime.tuning import loop_tuning, prepare
@@ -35,38 +35,38 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 HELD_NS: Final = 500_000_000
-"""How long a request is good after the key was last seen."""
+"""Time for which a request is valid after the key was last seen."""
 RATE_HZ: Final = 100.0
-"""Often enough for slow wheels: a guard's speed window of five such periods still sees a wheel stand or race."""
+"""Enough for slow wheels: the guard's speed window of five periods still detects a wheel that stands or races."""
 ONLY_WATCHED: Final = "this panel only watches"
 _SCALE: Final = 1_000_000
-"""Duties travel as whole millionths."""
+"""Duties are shared as whole millionths."""
 _WINDOW_S: Final = 0.1
 _LOOK_S: Final = 0.002
-"""Between two looks for new ticks: a fifth of a period."""
+"""Polling interval for new ticks: a fifth of a period."""
 _MOST_FAILURES: Final = 100
-"""Readings in a row, a second of them; nothing is energised meanwhile."""
+"""Failed readings in a row, one second; nothing is energised meanwhile."""
 _NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
 
 
 class HeldRequest:
-    """Duties that a screen requests, in the shared words."""
+    """Duties that a screen requests, in shared memory."""
 
     def __init__(self, memory: RunMemory) -> None:
         self._words = memory.words
 
     def keep_on(self, request: Command, seen_ns: int) -> None:
-        """Request these duties; the key was seen at `seen_ns`, on the system's monotonic clock."""
+        """Request duties; the key was seen at `seen_ns` on the monotonic clock."""
         self._words[Field.REQUESTED_DRIVE] = int(request.drive * _SCALE)
         self._words[Field.REQUESTED_BRAKE] = int(request.brake * _SCALE)
-        self._words[Field.KEY_SEEN_NS] = seen_ns  # last: it is what makes the duties count
+        self._words[Field.KEY_SEEN_NS] = seen_ns  # last: it makes the duties valid
 
     def take_away(self) -> None:
-        """Request both outputs off, at once."""
+        """Request both outputs off at once."""
         self._words[Field.KEY_SEEN_NS] = -HELD_NS
 
     def at(self, now_ns: int) -> Command:
-        """What is requested now; SAFE unless the key was seen within the last half a second."""
+        """Return the request now; SAFE unless the key was seen within the last half second."""
         words = self._words
         if abs(now_ns - words[Field.KEY_SEEN_NS]) >= HELD_NS:
             return Command.SAFE
@@ -74,9 +74,9 @@ class HeldRequest:
 
 
 class ManualLoop(ABC):
-    """Beats of an entered board, each shown in the ring of the memory; looks at everything when asked to."""
+    """Exchanges with a board, one a beat, each recorded in the ring; reads the whole board on request."""
 
-    def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: Stop) -> None:
+    def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: StopSource) -> None:
         self._board = board
         self._memory = memory
         self._stop = stop
@@ -87,34 +87,19 @@ class ManualLoop(ABC):
 
     @abstractmethod
     def beat(self) -> bool:
-        """Exchange or read once; False once this has to end."""
+        """Exchange or read once; return False once the loop has to end."""
 
     def _show(self, sample: Sample, request: Command, command: Command, reason: Reason, stop: Reason) -> None:
         wheel = self._wheel.update(sample.time_ns, sample.wheel_count)
         road = self._road.update(sample.time_ns, sample.road_count)
         inputs = (sample.time_ns, sample.tick, sample.dt_s, sample.wheel_count, sample.road_count, sample.board_flags)
-        estimate = (wheel, road, 0.0, False)
-        self._ring.append(
-            Tick(
-                *inputs,
-                stop,
-                *estimate,
-                Phase.UNKNOWN,
-                0.0,
-                0.0,
-                0.0,
-                request.drive,
-                request.brake,
-                command.drive,
-                command.brake,
-                reason,
-                *(0.0, 0.0, 0.0, 0.0),
-                *UNTIMED,
-            )
-        )
+        estimate, demand = (wheel, road, 0.0, False), (Phase.UNKNOWN, 0.0, 0.0, 0.0)
+        duties = (request.drive, request.brake, command.drive, command.brake)
+        internals = (0.0, 0.0, 0.0, 0.0)
+        self._ring.append(Tick(*inputs, stop, *estimate, *demand, *duties, reason, *internals, *UNTIMED))
 
     def look(self) -> None:
-        """Leave one whole reading of the board, if the screen has asked for another."""
+        """Post a reading of the whole board if the screen has requested one."""
         words = self._memory.words
         asked = words[Field.LOOKS_ASKED]
         if asked != words[Field.LOOKS]:
@@ -123,9 +108,9 @@ class ManualLoop(ABC):
 
 
 class DriveLoop(ManualLoop):
-    """A board entered for output. Each command passes the guard, and goes out with the beat after."""
+    """Drives an entered board. Each command passes the guard, and is written at the next beat."""
 
-    def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: Stop) -> None:
+    def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: StopSource) -> None:
         super().__init__(board, config, memory, stop)
         self._request = HeldRequest(memory)
         self._guard = Guard(config)
@@ -134,7 +119,7 @@ class DriveLoop(ManualLoop):
         self._always = family_of(config.board.kind).read_costs_little
 
     def beat(self) -> bool:
-        """One exchange; once the guard has tripped, with SAFE, which is then read back. Raises UnsafeError if not."""
+        """Exchange once. When the guard trips, write SAFE and read it back; raises UnsafeError if that fails."""
         if self._always or self._command == Command.SAFE:
             self.look()
         self._board.armed = self._guard.reason is Reason.NONE
@@ -152,9 +137,9 @@ class DriveLoop(ManualLoop):
 
 
 class WatchLoop(ManualLoop):
-    """A board entered for reading: its encoders alone, and nothing is written to it but requests."""
+    """Reads the encoders of a board that must not be driven."""
 
-    def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: Stop) -> None:
+    def __init__(self, board: Board, config: RigConfig, memory: RunMemory, stop: StopSource) -> None:
         super().__init__(board, config, memory, stop)
         wiring = config.board
         self._fields = {
@@ -167,7 +152,7 @@ class WatchLoop(ManualLoop):
         self._failures = 0
 
     def beat(self) -> bool:
-        """One reading. Raises LinkError after a hundred failures in a row."""
+        """Read once. Raises LinkError after a hundred failures in a row."""
         self.look()
         flags = BoardFlags.NONE
         try:
@@ -189,15 +174,13 @@ class WatchLoop(ManualLoop):
 
     def _move(self, raw: tuple[int, ...]) -> None:
         steps = (signed32(new - old) for new, old in zip(raw, self._raw or raw, strict=True))
-        moved = (
-            count + sign * step for count, sign, step in zip(self._counts, self._fields.values(), steps, strict=True)
-        )
-        wheel, road = moved
+        signed = zip(self._counts, self._fields.values(), steps, strict=True)
+        wheel, road = (count + sign * step for count, sign, step in signed)
         self._raw, self._counts = raw, (wheel, road)
 
 
 class ManualClient:
-    """The other end of the shared memory: what a screen sees of the board, and what it requests."""
+    """The screen's end of manual control: ticks and readings of the board, and requests."""
 
     def __init__(self, memory: RunMemory) -> None:
         self.request = HeldRequest(memory)
@@ -207,54 +190,53 @@ class ManualClient:
     @property
     def introduction(self) -> dict[str, str]:
         """`identity` of the board, and `read_only_because`: empty if its outputs may be used."""
-        told: dict[str, str] = self._memory.note(Mailbox.INTRODUCTION)
-        return told
+        header: dict[str, str] = self._memory.note(Mailbox.HEADER)
+        return header
 
     def now_ns(self) -> int:
-        """Time on the clock of the process that holds the board."""
+        """Return the time on the clock of the process that holds the board, ns."""
         return time.monotonic_ns()
 
     def ticks(self) -> npt.NDArray[np.void]:
-        """Everything since the call before, oldest first."""
+        """Return all ticks since the last call, oldest first."""
         return TICK.array(self._ticks.take())
 
     def next_ticks(self) -> npt.NDArray[np.void]:
-        """Wait for at least one tick since the call before; none only if the board is held no longer."""
+        """Wait for at least one tick since the last call; return none only if the board is not held any more."""
         while not len(ticks := self.ticks()) and not self.over:
             time.sleep(_LOOK_S)
         return ticks
 
     def ask(self) -> None:
-        """Have the whole board read once more; on a USB board that waits until the outputs are off."""
+        """Request a reading of the whole board; a USB board waits until the outputs are off."""
         self._memory.words[Field.LOOKS_ASKED] += 1
 
     @property
     def answered(self) -> bool:
-        """Whether the newest reading is the one that was asked for last."""
+        """Whether the newest reading is the one that was requested last."""
         words = self._memory.words
         return words[Field.LOOKS] == words[Field.LOOKS_ASKED]
 
     @property
     def look(self) -> dict[str, Any] | None:
         """The newest reading of the whole board; None while it is being replaced."""
-        told: dict[str, Any] | None = self._memory.note(Mailbox.RESULT)
-        return told
+        reading: dict[str, Any] | None = self._memory.note(Mailbox.RESULT)
+        return reading
 
     @property
     def over(self) -> bool:
-        """Whether the board is held no longer."""
-        words = self._memory.words
-        return not alive(words[Field.LOOP_PID])
+        """Whether the board is not held any more."""
+        return not alive(self._memory.words[Field.LOOP_PID])
 
     @property
     def reason(self) -> Reason:
-        """Why it was ended, by the user's side or the guardian's; NONE if by neither."""
+        """Why the user's side or the guardian ended it; NONE if neither did."""
         words = self._memory.words
         return Reason(words[Field.STOP] or words[Field.GUARDIAN_STOP])
 
 
 def slowed(config: RigConfig) -> RigConfig:
-    """The configuration at the rate of outputs by hand, or at its own if that is lower."""
+    """Return the configuration at the rate of manual control, or at its own rate if that is lower."""
     rate_hz = min(RATE_HZ, config.loop.rate_hz)
     window_s = max(config.estimator.window_s, 1.0 / rate_hz)  # no estimator runs, but both must fit
     loop = replace(config.loop, rate_hz=rate_hz)
@@ -263,7 +245,7 @@ def slowed(config: RigConfig) -> RigConfig:
 
 
 def read_all(board: Board) -> dict[str, Any]:
-    """Everything that a board tells, as JSON has it; or the problem with it."""
+    """Return a reading of the whole board for JSON, or the `problem` with it."""
     try:
         survey = board.survey()
         readings = board.readings()
@@ -274,15 +256,15 @@ def read_all(board: Board) -> dict[str, Any]:
 
 
 def main(path: str) -> int:
-    """Hold the board of the job in the memory at `path` until somebody wants it to end."""
+    """Hold the board of the job in the memory at `path` until it has to end."""
     memory = RunMemory.open(Path(path))
     try:
         _hold(memory, Job.of(memory))
     except AbsError as error:
-        tell_failure(memory, Mailbox.FAILURE, error)
+        post_failure(memory, Mailbox.FAILURE, error)
         return error.exit_code
     if not alive(memory.words[Field.SUPERVISOR_PID]):
-        memory.remove()  # nobody else will, and nothing in it was to be kept
+        memory.remove()  # no other process will, and nothing in it is to be kept
     return 0
 
 
@@ -291,7 +273,7 @@ def _hold(memory: RunMemory, job: Job) -> None:
     clock = PacedClock(config.period_ns)
     with holding(memory), open_board(job.address, config, clock.now_ns) as board:
         read_only = board.identity is None or board.identity.read_only_because
-        memory.post(Mailbox.INTRODUCTION, {"identity": str(board.identity), "read_only_because": read_only})
+        memory.post(Mailbox.HEADER, {"identity": str(board.identity), "read_only_because": read_only})
         if not read_only:
             memory.post(Mailbox.SAFE_IMAGE, board.safe_image)
             prepare(loop_tuning())
@@ -299,8 +281,8 @@ def _hold(memory: RunMemory, job: Job) -> None:
                 require_rate(board, config.period_ns)
             prove_watchdog(board, config.period_ns, time.sleep)
         memory.post(Mailbox.RESULT, read_all(board))
-        hand = (WatchLoop if read_only else DriveLoop)(board, config, memory, SharedStop(memory))
+        loop = (WatchLoop if read_only else DriveLoop)(board, config, memory, SharedStop(memory))
         memory.words[Field.READY] = os.getpid()
         for _ in clock:
-            if not hand.beat():
+            if not loop.beat():
                 return

@@ -1,7 +1,7 @@
-"""The recorder's process: drains the rings into the session file, and completes it however the run ends.
+"""The recorder's process: it drains the rings into the session file, and completes it however the run ends.
 
-The rings hold what is not in the file yet, so neither its own death nor a disk that refuses loses anything: `rebuild`
-makes the file anew.
+The rings hold what is not in the file yet, so neither its death nor a full disk loses anything: `rebuild` makes the
+file again.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from inteco_abs.config import parse_config
 from inteco_abs.errors import AbsError, SessionError
 from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.foxglove_server import live_view
-from inteco_abs.realtime.frames import frames_of
+from inteco_abs.realtime.frame_spool import spooled_frames
 from inteco_abs.realtime.heartbeat import beating
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
-from inteco_abs.realtime.ownership import tell_failure
+from inteco_abs.realtime.ownership import post_failure
 from inteco_abs.realtime.tuning import prepare, recorder_tuning
 from inteco_abs.realtime.window import Window
 from inteco_abs.sessions import (
@@ -68,77 +68,77 @@ def main(path: str) -> int:
         with live_view(memory, job):
             _record(memory, job)
     except AbsError as error:
-        tell_failure(memory, Mailbox.RECORDER_FAILURE, error)
+        post_failure(memory, Mailbox.RECORDER_FAILURE, error)
         return error.exit_code
     except Exception as error:  # noqa: BLE001  the top of a process: its end must explain itself
         traceback.print_exc()
-        tell_failure(memory, Mailbox.RECORDER_FAILURE, error)
+        post_failure(memory, Mailbox.RECORDER_FAILURE, error)
         return 1
     if not alive(memory.words[Field.SUPERVISOR_PID]):
-        memory.remove()  # in its place: the file holds everything
+        memory.remove()  # in the supervisor's place: the file holds everything
     return 0
 
 
 def _record(memory: RunMemory, job: Job) -> None:
     words = memory.words
     memory.wait(lambda: words[Field.READY] == words[Field.LOOP_PID] != 0 or _nobody_drives(memory), _LONGEST_START_S)
-    introduction = _introduction(memory, job)
-    if introduction is None:
+    header = _header(memory, job)
+    if header is None:
         return  # there was no run
-    opener = _opener(memory, job, introduction, time.monotonic_ns())
+    opener = _opener(memory, job, header, time.monotonic_ns())
     spill = spill_path(job.path, job.config, job.session_id)
     window = Window(memory.tick_reader(), memory.truth_reader())
-    with FailoverWriter(job.path, opener, window.held, spill, _Trouble(memory).tell) as keeper:
-        keeper.introduce(job.config, introduction, Path(job.session))
-        window.skip_truths()  # what the board did while it was opened belongs to no tick
+    with FailoverWriter(job.path, opener, window.held, spill, _Troubles(memory).report) as writer:
+        writer.introduce(job.config, header, Path(job.session))
+        window.skip_truths()  # states from before the first tick
         words[Field.RECORDER_BEAT_NS] = time.monotonic_ns()
-        # whatever the disk does: it may take seconds, and the rings have room for that
+        # a thread beats, as the disk may take seconds, for which the rings have room
         with beating(memory, Field.RECORDER_BEAT_NS, _FLUSH_S):
             words[Field.RECORDING] = 1
-            keeper.surround(surroundings())  # not before: it takes a tenth of a second, and the rings have room
-            memory.post(Mailbox.SURROUNDINGS, keeper.introduction.surroundings.as_note())
-            _Drain(memory, window, keeper).until_the_end()
-            if not keeper.ticks:
-                keeper.discard()
+            writer.surround(surroundings())  # not before: it takes a tenth of a second
+            memory.post(Mailbox.ENVIRONMENT, writer.introduction.surroundings.as_note())
+            _Drain(memory, window, writer).until_the_end()
+            if not writer.ticks:
+                writer.discard()
                 return
-            account = keeper.conclude(replace(conclusion(memory), frames=frames_of(memory, job)))
-    tell_result(memory, account)
+            result = writer.conclude(replace(run_end(memory), frames=spooled_frames(memory, job)))
+    post_result(memory, result)
 
 
-def _opener(memory: RunMemory, job: Job, introduction: RunHeader, start_ns: int) -> Opener:
+def _opener(memory: RunMemory, job: Job, header: RunHeader, start_ns: int) -> Opener:
     return partial(
         FileWriter,
         start_ns=start_ns,
-        controller_internals=introduction.internals,
+        controller_internals=header.internals,
         session_id=job.session_id,
         epoch_ns=memory.words[Field.EPOCH_NS],
         durable=True,
     )
 
 
-class _Trouble:
-    """What the recorder has to say of its disks, for the supervisor to show."""
+class _Troubles:
+    """Posts trouble with the disks for the supervisor to show."""
 
     def __init__(self, memory: RunMemory) -> None:
         self._memory = memory
         self._texts: list[str] = []
 
-    def tell(self, text: str, path: Path) -> None:
-        """One more; the session's file is at `path` by now."""
+    def report(self, text: str, path: Path) -> None:
+        """Add one trouble; the session's file is at `path` now."""
         self._texts.append(text)
         self._memory.post(Mailbox.TROUBLES, {"texts": self._texts, "file": str(path)})
         self._memory.words[Field.TROUBLES] = len(self._texts)
 
 
 class _Drain:
-    """From the rings to the keeper. What is not in a file stays in the rings, too."""
+    """Moves ticks from the rings to the writer; they stay in the rings until they are in a file."""
 
-    def __init__(self, memory: RunMemory, window: Window, keeper: FailoverWriter) -> None:
-        self._memory, self._window, self._keeper = memory, window, keeper
+    def __init__(self, memory: RunMemory, window: Window, writer: FailoverWriter) -> None:
+        self._memory, self._window, self._writer = memory, window, writer
         self._alarm = Alarm(memory, turn=3)
 
     def until_the_end(self) -> None:
-        """Return when the loop has ended and its board is safe, with everything handed over."""
+        """Return when the loop has ended, its board is safe, and everything was written."""
         flushed = time.monotonic()
         over = False
         while not over:
@@ -154,7 +154,7 @@ class _Drain:
                 time.sleep(_DRAIN_S)
 
     def _wait_for_the_rescue(self) -> None:
-        """After a loop that died holding the board: until somebody has done what can be done."""
+        """Wait until the board of a loop that died was taken over, for up to 20 s."""
         words = self._memory.words
         pid = words[Field.LOOP_PID]
 
@@ -167,19 +167,19 @@ class _Drain:
 
     def _hand_over(self) -> None:
         ticks, truths = self._window.more()
-        self._keeper.add(ticks, truths)
+        self._writer.add(ticks, truths)
         _count(self._memory, ticks)
 
     def _flush(self) -> None:
         began_ns = time.monotonic_ns()
-        self._keeper.flush()
+        self._writer.flush()
         took_s = (time.monotonic_ns() - began_ns) * 1e-9
         if took_s > _SLOW_S:
-            text = f"the disk took {took_s:.1f} s for what comes ten times a second; no tick was lost by that"
-            self._keeper.warn(self._memory.words[Field.EPOCH_NS] + began_ns, text)
-        if self._keeper.writing:
+            text = f"the disk took {took_s:.1f} s to flush, which comes ten times a second; no tick was lost"
+            self._writer.warn(self._memory.words[Field.EPOCH_NS] + began_ns, text)
+        if self._writer.writing:
             self._window.release()
-            self._memory.words[Field.FLUSHED] = self._keeper.ticks
+            self._memory.words[Field.FLUSHED] = self._writer.ticks
 
 
 def _count(memory: RunMemory, ticks: bytes) -> None:
@@ -196,46 +196,46 @@ def _loop_ended(memory: RunMemory) -> bool:
     return pid != 0 and not alive(pid)
 
 
-def _introduction(memory: RunMemory, job: Job) -> RunHeader | None:
-    told, around = memory.note(Mailbox.INTRODUCTION), memory.note(Mailbox.SURROUNDINGS)
-    if told is None:
+def _header(memory: RunMemory, job: Job) -> RunHeader | None:
+    header, environment = memory.note(Mailbox.HEADER), memory.note(Mailbox.ENVIRONMENT)
+    if header is None:
         return None
     settings = {
-        each["name"]: f"refused: {each['refused']}" if each["refused"] else each["value"] for each in told["settings"]
+        each["name"]: f"refused: {each['refused']}" if each["refused"] else each["value"] for each in header["settings"]
     }
     return RunHeader(
         board=job.board,
-        identity=told["identity"],
+        identity=header["identity"],
         virtual=job.virtual,
-        gains=told["gains"],
-        internals=told["internals"],
+        gains=header["gains"],
+        internals=header["internals"],
         controller_source=job.controller_source,
         controller_package=job.controller_package,
-        facts={**job.facts, "realtime": settings | told.get("pace", {}) | (memory.note(Mailbox.DRILL) or {})},
+        facts={**job.facts, "realtime": settings | header.get("pace", {}) | (memory.note(Mailbox.DRILL) or {})},
         profile=job.profile,
-        surroundings=Environment() if around is None else Environment.of(around),
+        surroundings=Environment() if environment is None else Environment.of(environment),
     )
 
 
-def conclusion(memory: RunMemory) -> RunEnd:
-    """How the run ended, as far as its memory tells."""
+def run_end(memory: RunMemory) -> RunEnd:
+    """Return how the run ended, as far as its memory shows."""
     written = memory.tick_reader().written
     timing = {"timing": {"late_us.histogram": json.dumps(memory.histogram.sparse())}}
     injected = memory.note(Mailbox.INJECTED)
     if injected:
         timing["injected"] = injected
-    told = memory.note(Mailbox.CONCLUSION)
-    # a loop that was taken for hung or dead has nothing more to say
-    if told is None or memory.words[Field.RESCUED_PID] == memory.words[Field.LOOP_PID] != 0:
+    note = memory.note(Mailbox.RUN_END)
+    # what a loop posts after the guardian has replaced it does not count
+    if note is None or memory.words[Field.RESCUED_PID] == memory.words[Field.LOOP_PID] != 0:
         died = ["loop", *_others_that_died(memory)]
         return RunEnd(_last_reason(memory), written, aborted=_how_it_died(memory), facts=timing, died=died)
-    timing["timing"] |= told["cost"]
-    reason, aborted, died = Reason(told["reason"]), told.get("aborted", ""), _others_that_died(memory)
-    return RunEnd(reason, written, told["detail"], aborted, facts=timing, died=died)
+    timing["timing"] |= note["cost"]
+    reason, aborted, died = Reason(note["reason"]), note.get("aborted", ""), _others_that_died(memory)
+    return RunEnd(reason, written, note["detail"], aborted, facts=timing, died=died)
 
 
 def _others_that_died(memory: RunMemory) -> list[str]:
-    """Processes beside the loop's that died, hung or were killed, as far as the run's memory tells."""
+    """Return the other processes that died, hung or were killed, as far as the memory shows."""
     words = memory.words
     reasons = {words[Field.GUARDIAN_STOP], words[Field.STOP], _last_reason(memory)}
     rescued = _rescue_of_the_loop(memory)
@@ -257,7 +257,7 @@ def _last_reason(memory: RunMemory) -> Reason:
 
 
 def _how_it_died(memory: RunMemory) -> str:
-    """For a loop that left no conclusion."""
+    """Describe the end of a loop that posted none."""
     words = memory.words
     failure = memory.note(Mailbox.FAILURE)
     how = "the loop's process gave up" if failure else "the loop's process died"
@@ -270,12 +270,12 @@ def _how_it_died(memory: RunMemory) -> str:
     if failure:
         how += f" ({failure['text'].removesuffix(f'. {STILL_ON}')})"
     if words[Field.HOLDER_PID] != words[Field.LOOP_PID]:
-        return f"{how}; its board was safe by then"
+        return f"{how}; its board was already safe"
     return f"{how}; {describe_rescue(report)}"
 
 
 def describe_board(memory: RunMemory) -> str:
-    """Whether the board was left safe, by whom."""
+    """Describe whether the board is safe, and which process made it so."""
     words = memory.words
     if words[Field.HOLDER_PID] != words[Field.LOOP_PID]:
         return "the run was stopped safely"
@@ -283,75 +283,75 @@ def describe_board(memory: RunMemory) -> str:
 
 
 def _rescue_of_the_loop(memory: RunMemory) -> Any:
-    """Report of who took the loop's board; None if nobody did: an older one is the drill's."""
+    """Return the report on the rescue of the loop's board; None without one: an older report is the drill's."""
     words = memory.words
     return memory.note(Mailbox.RESCUE) if words[Field.RESCUED_PID] == words[Field.LOOP_PID] else None
 
 
 def describe_rescue(report: Any) -> str:
-    """What became of the board of a process that died."""
+    """Describe the state of the board of a dead process."""
     if report is None:
-        return f"nobody took over its board. {STILL_ON}"
+        return f"no process took over its board. {STILL_ON}"
     if report["failure"]:
         return f"the {report['by']} could not make its board safe ({report['failure']}). {STILL_ON}"
     return f"the {report['by']} made its board safe in {(report['done_ns'] - report['seen_ns']) * 1e-6:.1f} ms"
 
 
-def tell_result(memory: RunMemory, account: RunResult) -> None:
-    """Leave the account for the supervisor."""
-    memory.post(Mailbox.RESULT, asdict(account) | {"reason": int(account.reason)})
+def post_result(memory: RunMemory, result: RunResult) -> None:
+    """Post the result for the supervisor."""
+    memory.post(Mailbox.RESULT, asdict(result) | {"reason": int(result.reason)})
 
 
 def recover_run(ring: Path, out: Path) -> RunResult:
-    """Session file of a run whose every process is gone, from its memory `ring`, which is then removed.
+    """Write the session file of a run whose processes have all ended from its memory `ring`, and remove the ring.
 
-    Raises SessionError if the run still goes on, if there is nothing in it, or if the file cannot be written.
+    Raises SessionError if the run is still going on, has no ticks, or if the file cannot be written.
     """
     check_output(out)
     memory = RunMemory.open(ring)
     if memory.in_use():
-        raise SessionError(f"{ring}: the run still goes on; stop it first")
+        raise SessionError(f"{ring}: the run is still going on; stop it first")
     job = Job.of(memory, parse_config)
-    account = rebuild(memory, job, out)
-    if account is None:
+    result = rebuild(memory, job, out)
+    if result is None:
         raise SessionError(f"{ring}: holds no ticks; remove it")
     memory.remove()
-    return account
+    return result
 
 
 def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None) -> RunResult | None:
-    """Make the session file from the rings, and from what a dead recorder has left in the file that it wrote.
+    """Make the session file from the rings and from what a dead recorder wrote.
 
-    It is written to `out`, which the user may call `session`. None if there was no tick. Raises ConfigError or
-    SessionError if it cannot be written, or if what the recorder left is damaged.
+    Writes to `out`, which the user may call `session`. Returns None if there was no tick. Raises ConfigError or
+    SessionError if it cannot be written, or if the recorder's file is damaged.
     """
-    introduction, ticks = _introduction(memory, job), memory.tick_reader()
-    if introduction is None or not ticks.written:
+    header, ticks = _header(memory, job), memory.tick_reader()
+    if header is None or not ticks.written:
         return None
     file, held_from = file_of(memory, job), ticks.held_from()
     gone = bool(held_from) and not _is_ours(file, job)
     rows = joined(lambda: () if gone else _rows_of(file), Window(ticks, memory.truth_reader(), over=True).held)
     begin = list[tuple[bytes, bytes]]()
-    while not begin or not begin[-1][0]:  # the first tick, which everything is dated by
+    while not begin or not begin[-1][0]:  # up to the first tick, which dates the session
         begin.append(next(rows))
-    opener = _opener(memory, job, introduction, int(TICK.array(begin[-1][0])["time_ns"][0]))
+    opener = _opener(memory, job, header, int(TICK.array(begin[-1][0])["time_ns"][0]))
     require_own_file(out, job.session_id)
-    with atomic_write(out) as part, opener(part) as recorder:
-        scribe = SessionWriter(recorder, job.config, introduction, session or out)
-        scribe.introduce()
+    with atomic_write(out) as part, opener(part) as file_writer:
+        writer = SessionWriter(file_writer, job.config, header, session or out)
+        writer.introduce()
         memory.histogram.clear()
         for records, states in chain(begin, rows):
-            scribe.add(records, states)
+            writer.add(records, states)
             _count(memory, records)
-        end = replace(conclusion(memory), frames=frames_of(memory, job))
-        anew = f"the session was made from what the run left in memory, {scribe.ticks} ticks"
+        end = replace(run_end(memory), frames=spooled_frames(memory, job))
+        note = f"the session was made from what the run left in memory, {writer.ticks} ticks"
         if gone:
-            anew += f"; those before tick {held_from} were in {file}, which is gone or another session's"
-        return scribe.conclude(replace(end, detail=f"{end.detail}; {anew}" if end.detail else anew))
+            note += f"; those before tick {held_from} were in {file}, which is missing or another session's"
+        return writer.conclude(replace(end, detail=f"{end.detail}; {note}" if end.detail else note))
 
 
 def _is_ours(file: Path, job: Job) -> bool:
-    """Whether the file is there, and no other run has written one of its name since."""
+    """Return whether the file exists and is this run's."""
     try:
         require_own_file(file, job.session_id)
     except SessionError:
@@ -365,6 +365,6 @@ def _rows_of(path: Path) -> Iterator[tuple[bytes, bytes]]:
 
 
 def file_of(memory: RunMemory, job: Job) -> Path:
-    """What the recorder wrote last."""
-    told = memory.note(Mailbox.TROUBLES)
-    return job.path if told is None else Path(told["file"])
+    """Return the file that the recorder wrote last."""
+    note = memory.note(Mailbox.TROUBLES)
+    return job.path if note is None else Path(note["file"])

@@ -1,4 +1,4 @@
-"""A process that measures how long exchanges with the board take, with all that the loop's process has."""
+"""Measures how long exchanges with the board take, in a process with the loop's tuning."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from inteco_abs.boards import open_board
 from inteco_abs.errors import AbsError
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Mailbox, RunMemory
-from inteco_abs.realtime.ownership import tell_failure
+from inteco_abs.realtime.ownership import post_failure
 from inteco_abs.realtime.round_trips import choose_engine, round_trips
 from inteco_abs.realtime.tuning import loop_tuning, prepare
 
@@ -18,17 +18,17 @@ COUNT: Final = 4000
 
 
 def main(path: str) -> int:
-    """Exchange SAFE with the board of the job in the memory at `path`; leaves the times, us, and what was tried."""
+    """Exchange SAFE with the board of the job in the memory at `path`; post the times, us, and the engines' facts."""
     memory = RunMemory.open(Path(path))
     job = Job.of(memory)
     try:
         with open_board(job.address, job.config, time.monotonic_ns) as board:
-            board.insist()
+            board.require_writable()
             prepare(loop_tuning())
             engines = choose_engine(board)
             times_us = round_trips(board, COUNT)
     except AbsError as error:
-        tell_failure(memory, Mailbox.FAILURE, error)
+        post_failure(memory, Mailbox.FAILURE, error)
         return error.exit_code
     memory.post(Mailbox.RESULT, {"times_us": [round(each, 1) for each in times_us], "engines": engines})
     return 0

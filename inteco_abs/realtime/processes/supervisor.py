@@ -1,6 +1,6 @@
-"""The supervisor: starts the processes of a run, proves the guardian, lets the loop go, watches, tells how it ended.
+"""The supervisor: it starts the processes of a run, drills the guardian, starts the loop, and reports the result.
 
-It is the process that the user started, and the only one that hears the user's signals.
+It is the process that the user started, and the only one that handles the user's signals.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from inteco_abs.realtime.heartbeat import NO_MORE
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.realtime.processes import ENTRY
-from inteco_abs.realtime.processes.recorder import conclusion, describe_board, rebuild
-from inteco_abs.realtime.screen import Check, NoScreen, SafeScreen, Screen, Snapshot, SnapshotSource
-from inteco_abs.realtime.signal_handlers import hearing
+from inteco_abs.realtime.processes.recorder import describe_board, rebuild, run_end
+from inteco_abs.realtime.screen import NoScreen, SafeScreen, Screen, Snapshot, SnapshotSource, StartCheck
+from inteco_abs.realtime.signal_handlers import handle_signals
 from inteco_abs.realtime.tuning import prepare, supervisor_tuning
 from inteco_abs.realtime.watch import Watch
 from inteco_abs.sessions import EXIT_CODES, LOSSES, RunResult, spill_path
@@ -37,21 +37,21 @@ _SCREEN_S: Final = 0.1
 _START_S: Final = 60.0
 _WATCHES_S: Final = 15.0
 _DRILL_S: Final = 8.0
-"""Longer than the guardian tries."""
+"""Longer than the guardian tries to rescue."""
 _RESCUE_S: Final = 20.0
 """The guardian tries for 5 s, and the watch after that."""
 _FINISH_S: Final = 30.0
 _END_S: Final = 3.0
 _PATIENCE_S: Final = 2.0
-"""For a loop that has to end, or to begin."""
+"""Time for a loop to end or to begin."""
 _SAVING_S: Final = 30.0
-"""For a loop's process that writes the capture of a long run; its board is safe and the session's end is told."""
-_BY_HAND: Final = ("by-hand", "loop")
-"""In the loop's place."""
+"""Time for the loop's process to write the capture of a long run, with its board safe."""
+_MANUAL: Final = ("manual", "loop")
+"""Role and name of the process in the loop's place."""
 
 
 class Supervisor:
-    """One real-time run in `memory`, whose job has been posted."""
+    """One real-time run in `memory`, whose job was posted."""
 
     def __init__(self, memory: RunMemory, job: Job) -> None:
         self._memory = memory
@@ -59,29 +59,29 @@ class Supervisor:
         self._words = memory.words
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._ticks = memory.tick_reader()
-        self._onlooker = SnapshotSource(memory.tick_reader(), memory.histogram, job.config.loop.rate_hz)
+        self._snapshots = SnapshotSource(memory.tick_reader(), memory.histogram, job.config.loop.rate_hz)
         self._alive_s = 0.0
         self._watch: Watch | None = None
         self._watching = ExitStack()
 
     def run(self, screen: Screen) -> RunResult:
-        """Do the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
+        """Run the job. Raises what kept it from starting; KeyboardInterrupt if the operator stopped it before."""
         screen = SafeScreen(screen)
         allowed = os.sched_getaffinity(0)
-        with hearing(self._stop), screen.listening(self._stop):
+        with handle_signals(self._stop), screen.listening(self._stop):
             try:
                 self._start()
                 watch = self._begin_watch()
                 self._drill(screen)
-                self._let_go(screen, watch)
+                self._start_loop(screen, watch)
                 self._until_the_loop_ends(screen, watch)
-                return self._account()
+                return self._result()
             finally:
                 self.end()
                 os.sched_setaffinity(0, allowed)
 
     def ask(self, role: str) -> Any:
-        """Run the process of one role alone, without guarding it; the note RESULT that it leaves."""
+        """Run the process of one role alone and unguarded; return the note RESULT that it posts."""
         try:
             self._await_the_mock()
             self.spawn(role, ENTRY, role, str(self._memory.path))
@@ -91,18 +91,18 @@ class Supervisor:
             self.end()
 
     @contextmanager
-    def by_hand(self, *, drill: bool) -> Iterator[None]:
-        """While inside, a process holds the board for a screen, guarded as a loop is; nothing is recorded.
+    def manual_control(self, *, drill: bool) -> Iterator[None]:
+        """Hold the board for a screen inside the context, in a guarded process; nothing is recorded.
 
-        `drill`: the guardian has to prove itself first, as it does before a run. Raises what kept the board from being
-        opened, or what became of it: UnsafeError if SAFE was not confirmed.
+        With `drill` the guardian has to prove itself first, as before a run. Raises what kept the board from being
+        opened or ended the process; UnsafeError if SAFE was not confirmed.
         """
         words = self._words
         words[Field.UNRECORDED] = 1
-        with hearing(self._stop):
+        with handle_signals(self._stop):
             try:
                 self._await_the_mock()
-                for role, name in (("guardian", "guardian"), *((("drill", "drill"),) if drill else ()), _BY_HAND):
+                for role, name in (("guardian", "guardian"), *((("drill", "drill"),) if drill else ()), _MANUAL):
                     self.spawn(name, ENTRY, role, str(self._memory.path))
                 loop = self._children["loop"]
                 self._memory.name(Field.LOOP_PID, loop.pid)
@@ -116,36 +116,36 @@ class Supervisor:
             finally:
                 self.end()
                 self._require_safe()
-        self._tell_of_the_end()
+        self._raise_failure()
 
     def _rescued(self) -> Any:
-        """Report of who took the board of the process that held it; None if nobody had to."""
+        """Return the report on the rescue of the held board; None without one."""
         words = self._words
         return self._memory.note(Mailbox.RESCUE) if words[Field.RESCUED_PID] == words[Field.LOOP_PID] != 0 else None
 
     def _require_safe(self) -> None:
-        """Raise UnsafeError if SAFE was not confirmed in the end, whatever else has happened."""
-        report, told = self._rescued(), self._memory.note(Mailbox.FAILURE)
+        """Raise UnsafeError if SAFE was not confirmed in the end."""
+        report, failure = self._rescued(), self._memory.note(Mailbox.FAILURE)
         if report is not None and report["failure"]:
             raise UnsafeError(f"the process that held the board {report['cause']}, and then: {report['failure']}")
-        if report is None and told is not None and told["kind"] == UnsafeError.__name__:
-            raise raised_again(told)
+        if report is None and failure is not None and failure["kind"] == UnsafeError.__name__:
+            raise restored_error(failure)
 
-    def _tell_of_the_end(self) -> None:
-        """Raise what the process that held the board has said in the end, or that it has died."""
-        report, told = self._rescued(), self._memory.note(Mailbox.FAILURE)
-        if told is not None:
-            raise raised_again(told)
+    def _raise_failure(self) -> None:
+        """Raise the last error of the process that held the board, or that it has died."""
+        report, failure = self._rescued(), self._memory.note(Mailbox.FAILURE)
+        if failure is not None:
+            raise restored_error(failure)
         if report is not None:
             written = self._memory.image(Mailbox.SAFE_IMAGE) is not None
             then = f"the {report['by']} has written SAFE and read it back" if written else "nothing had been written"
             raise BoardError(f"the process that held the board {report['cause']}; {then}")
 
     def spawn(self, name: str, module: str, *arguments: str) -> None:
-        """Start a process of the run. Raises BoardError if the system refuses."""
+        """Start a process of the run. Raises BoardError if the system refuses it."""
         try:
             self._children[name] = subprocess.Popen(  # noqa: S603  our own modules
-                # -P: a signal.py that lies in the user's folder is not the one that is meant
+                # -P: a signal.py in the user's folder must not replace the standard one
                 [sys.executable, "-P", "-m", module, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=_stderr(),  # what a controller prints must not mix with the result card
@@ -157,7 +157,7 @@ class Supervisor:
             raise BoardError(f"the {name} process cannot be started: {why}; {NO_MORE}") from error
 
     def _stop(self) -> None:
-        """The operator wants the run to end; whoever was first is the reason."""
+        """Stop the run for the operator; the first reason stays."""
         self._words[Field.STOP] = self._words[Field.STOP] or Reason.OPERATOR_STOP
 
     def _await_the_mock(self) -> None:
@@ -171,21 +171,21 @@ class Supervisor:
         self._memory.name(Field.LOOP_PID, self._children["loop"].pid)
 
     def _begin_watch(self) -> Watch:
-        """In a thread of its own: drawing a screen may take its time, and outputs do not wait for it."""
+        """Start the watch in its own thread, as drawing a screen may block."""
         watch = Watch(self._memory, self._job, self._children["loop"].pid, self._children["guardian"].pid)
         self._watching.enter_context(watch.watching())
         self._watch = watch
         return watch
 
     def _drill(self, screen: Screen) -> None:
-        """Before the loop may touch the board, kill a process that holds it: the guardian must be seen to take over."""
+        """Kill a process that holds the board, and require that the guardian takes over, before the loop may start."""
         words, drill = self._words, self._children["drill"]
         words[Field.GUARDED_PID] = drill.pid
         self._wait_for(lambda: words[Field.GUARDING_PID] == drill.pid, "the guardian watches", "guardian", _WATCHES_S)
         self._wait_for(lambda: words[Field.READY] == drill.pid, "the board opens", "drill", _START_S)
         if self._memory.image(Mailbox.SAFE_IMAGE) is None:
-            raise BoardError("the drill left nothing to make the board safe with; nothing was started")
-        screen.passed(Check.BOARD, self._job.board)
+            raise BoardError("the drill posted no SAFE image; nothing was started")
+        screen.passed(StartCheck.BOARD, self._job.board)
         drill.kill()
         killed_ns = time.monotonic_ns()
         self._children.pop("drill").wait()
@@ -194,22 +194,24 @@ class Supervisor:
         if report["failure"]:
             raise UnsafeError(f"the guardian failed its drill, so nothing was started: {report['failure']}")
         took_ms = (report["done_ns"] - killed_ns) * 1e-6
-        told = f"SAFE {took_ms:.1f} ms after the kill"
-        self._memory.post(Mailbox.DRILL, {"guardian drill": told})
-        screen.passed(Check.GUARDIAN, told)
+        detail = f"SAFE {took_ms:.1f} ms after the kill"
+        self._memory.post(Mailbox.DRILL, {"guardian drill": detail})
+        screen.passed(StartCheck.GUARDIAN, detail)
 
-    def _let_go(self, screen: Screen, watch: Watch) -> None:
+    def _start_loop(self, screen: Screen, watch: Watch) -> None:
         words, loop = self._words, self._children["loop"]
         words[Field.GUARDED_PID] = loop.pid
         self._wait_for(lambda: words[Field.READY] == loop.pid, "the loop is ready", "loop", _START_S)
         self._wait_for(lambda: words[Field.RECORDING], "the recorder is ready", "recorder", _START_S)
-        screen.passed(Check.RECORDER, self._job.session)
+        screen.passed(StartCheck.RECORDER, self._job.session)
         if words[Field.LIVE_PORT]:
             screen.note(f"live view: open the connection {address(words[Field.LIVE_PORT])} in Lichtblick or Foxglove")
-        told = self._memory.note(Mailbox.INTRODUCTION)
-        refused = [setting["name"] for setting in told["settings"] if setting["refused"]]
+        settings = self._memory.note(Mailbox.HEADER)["settings"]
+        refused = [setting["name"] for setting in settings if setting["refused"]]
         if refused:
-            screen.note(f"ticks will be late more often: refused were {', '.join(refused)}; see inteco-abs doctor")
+            screen.note(
+                f"ticks will be late more often: the system refused {', '.join(refused)}; see inteco-abs doctor"
+            )
         prepare(supervisor_tuning())  # not before: the processes would inherit it
         watch.judging = True
         words[Field.GO] = 1
@@ -227,15 +229,15 @@ class Supervisor:
             time.sleep(_POLL_S / 10)
 
     def _failure_of(self, name: str) -> AbsError:
-        """What a process said before it ended, as the error that it was."""
+        """Return the error that a process posted before it ended."""
         note = Mailbox.RECORDER_FAILURE if name == "recorder" else Mailbox.FAILURE
-        told = self._memory.note(note)
-        if told is None:
+        failure = self._memory.note(note)
+        if failure is None:
             ended = f"the {name} process ended before the run began (exit code {self._children[name].returncode})"
             reason = Reason(self._words[Field.GUARDIAN_STOP])
             why = f": {EXPLANATIONS[reason]}" if reason else ""
             return BoardError(f"{ended}{why}; nothing was started")
-        return raised_again(told)
+        return restored_error(failure)
 
     def _until_the_loop_ends(self, screen: SafeScreen, watch: Watch) -> None:
         loop = self._children["loop"]
@@ -248,21 +250,23 @@ class Supervisor:
             self._look_after("recorder", Reason.RECORDER_LOST)
             alarm.look()
             disk.look(screen)
-            self._end_what_goes_on()
+            self._kill_overdue_loop()
             if time.monotonic() - shown >= _SCREEN_S:
                 self._show(screen)
                 shown = time.monotonic()
             time.sleep(_POLL_S)
         watch.main_ns = None
         self._show(screen)  # how it ended
-        told = self._memory.note(Mailbox.FAILURE)
-        if told is not None and told["kind"] == UnsafeError.__name__:
-            screen.warn(told["text"])  # now: the guardian may try for seconds yet
+        if watch.failure:
+            screen.warn(f"the supervisor's watching thread failed: {watch.failure}; the guardian ended the run")
+        failure = self._memory.note(Mailbox.FAILURE)
+        if failure is not None and failure["kind"] == UnsafeError.__name__:
+            screen.warn(failure["text"])  # now: the guardian may still try for seconds
 
-    def _end_what_goes_on(self) -> None:
-        """Kill a loop that was told to stop, or never began, or let go of the board long ago, and is still there.
+    def _kill_overdue_loop(self) -> None:
+        """Kill a loop that is still there long after a stop, after it closed the board, or without having begun.
 
-        Its threads, its exit or a signal may hold it; the guardian makes the board safe if it still had it.
+        Its threads, its exit or a signal may block it; the guardian makes the board safe if the loop still held it.
         """
         words = self._words
         if words[Field.HOLDER_PID] and self._ticks.written and not (words[Field.STOP] or words[Field.GUARDIAN_STOP]):
@@ -281,34 +285,34 @@ class Supervisor:
 
     def snapshot(self) -> Snapshot | None:
         """The newest tick, what came since the last look, and the timing so far; None before the first."""
-        return self._onlooker.look()
+        return self._snapshots.look()
 
-    def _account(self) -> RunResult:
-        """How the run ended, from the recorder or, if that is gone, from the memory that it would have written."""
+    def _result(self) -> RunResult:
+        """Return the result from the recorder, or, if that is gone, from the session that this process rebuilds."""
         self._await_the_rescue()
         recorder, memory = self._children["recorder"], self._memory
         silent = self._words[Field.GUARDIAN_STOP] == Reason.RECORDER_LOST
         _gone_within(recorder, _END_S if silent else _FINISH_S)
-        told = memory.note(Mailbox.RESULT)
-        if told is not None:
-            return RunResult(**told | {"reason": Reason(told["reason"])})
+        result = memory.note(Mailbox.RESULT)
+        if result is not None:
+            return RunResult(**result | {"reason": Reason(result["reason"])})
         failure = memory.note(Mailbox.RECORDER_FAILURE)
         if recorder.poll() is None:
             recorder.kill()
             recorder.wait()
-        account = self._rebuild(failure["text"] if failure else "")
-        if account is None:
-            told = failure or memory.note(Mailbox.FAILURE)
-            if told is None and memory.words[Field.STOP] == Reason.OPERATOR_STOP:
-                raise KeyboardInterrupt  # who records had nothing to do any more, and went
+        rebuilt = self._rebuild(failure["text"] if failure else "")
+        if rebuilt is None:
+            failure = failure or memory.note(Mailbox.FAILURE)
+            if failure is None and memory.words[Field.STOP] == Reason.OPERATOR_STOP:
+                raise KeyboardInterrupt  # the recorder had nothing to record, and ended
             why = EXPLANATIONS[Reason(memory.words[Field.GUARDIAN_STOP] or memory.words[Field.STOP])]
-            raise raised_again(told) if told else SessionError(f"the run ended before its first tick: {why}")
-        return account
+            raise restored_error(failure) if failure else SessionError(f"the run ended before its first tick: {why}")
+        return rebuilt
 
     def _rebuild(self, failure: str) -> RunResult | None:
-        """The session made from memory, where it should be or else in the second place; None if there was no tick.
+        """Make the session from memory, at its path or else at the spill path; None if there was no tick.
 
-        `failure` is what kept the recorder from it, if that did not die. Raises SessionError if no disk takes it.
+        `failure` is the recorder's error, empty if it died. Raises SessionError if neither disk takes it.
         """
         job, memory = self._job, self._memory
         spill = spill_path(job.path, job.config, job.session_id)
@@ -317,23 +321,23 @@ class Supervisor:
             if place is None:
                 continue
             try:
-                account = rebuild(memory, job, place, session)
+                result = rebuild(memory, job, place, session)
             except AbsError as error:
                 refused.append(in_a_line(error))
                 continue
-            if account is None or (len(refused) == 1 and not failure):
-                return account
-            refused += filter(None, [account.trouble])
-            return replace(account, trouble=f"{'; '.join(refused)}; the whole session is in {session}")
+            if result is None or (len(refused) == 1 and not failure):
+                return result
+            refused += filter(None, [result.trouble])
+            return replace(result, trouble=f"{'; '.join(refused)}; the whole session is in {session}")
         trouble = SessionError(
             f"{describe_board(memory)}, but {'; '.join(refused)}. "
             f"The ticks are kept in {memory.path}: inteco-abs recover {memory.path} --out FILE"
         )
-        trouble.exit_code = EXIT_CODES.get(conclusion(memory).outcome, LOSSES)
+        trouble.exit_code = EXIT_CODES.get(run_end(memory).outcome, LOSSES)
         raise trouble
 
     def _await_the_rescue(self) -> None:
-        """Until a board that its dead holder had not let go of is safe, or cannot be made so."""
+        """Wait until the board of a dead holder is safe, or cannot be made so."""
         words = self._words
         pid = words[Field.LOOP_PID]
         self._memory.wait(
@@ -341,7 +345,7 @@ class Supervisor:
         )
 
     def end(self) -> None:
-        """Leave nothing behind: neither a process nor a held board. May be called again."""
+        """End all processes, with the board safe. May be called again."""
         words = self._words
         loop = self._children.get("loop")
         if self._watch is not None:
@@ -349,9 +353,9 @@ class Supervisor:
         if loop is not None and loop.poll() is None:
             self._stop()
             if not _gone_within(loop, _END_S):
-                loop.kill()  # the guardian sees to the board
+                loop.kill()  # the guardian makes the board safe
                 loop.wait()
-        self._await_the_rescue()  # before the guardian hears that all is over
+        self._await_the_rescue()  # before the guardian ends
         for name in ("drill", "recorder"):
             child = self._children.get(name)
             if child is not None and not _gone_within(child, _END_S):
@@ -371,15 +375,15 @@ def _stderr() -> int:
         return subprocess.DEVNULL
 
 
-def raised_again(told: Mapping[str, Any]) -> AbsError:
-    """Another process's error, of its own class."""
-    kind = getattr(errors, told["kind"], None)
+def restored_error(note: Mapping[str, Any]) -> AbsError:
+    """Return another process's error with its own class and notes."""
+    kind = getattr(errors, note["kind"], None)
     if isinstance(kind, type) and issubclass(kind, AbsError) and kind is not errors.ConfigError:
-        error: AbsError = kind(told["text"])
+        error: AbsError = kind(note["text"])
     else:
-        error = BoardError(told["text"])
-    for note in told["notes"]:
-        error.add_note(note)
+        error = BoardError(note["text"])
+    for text in note["notes"]:
+        error.add_note(text)
     return error
 
 

@@ -158,7 +158,7 @@ def driven(address):
     with open_board(address, UNSIGNED, time.monotonic_ns).reading() as board:
         identity = str(board.identity)
     with open_board(address, SIGNED, time.monotonic_ns) as board:
-        board.insist()
+        board.require_writable()
         flags = [int(board.exchange(Command.SAFE).board_flags) for _ in range(10)]
     return {"identity": identity, "flags": flags}
 

@@ -9,7 +9,7 @@ from typing import Final
 from firmware_protocol import ProtocolError, Register
 from firmware_protocol import rtdac_pci as pci
 from firmware_protocol.pwm import PWM_FULL_WIDTH
-from firmware_protocol.register_messages import Step
+from firmware_protocol.register_messages import RegisterAccess
 from firmware_protocol.registers import REGISTER_BYTES, Write
 from firmware_protocol.rtdac_pci import ABS, ENCODER_COUNT, LOGIC, PWM_WIDTH
 from inteco_abs.boards.authorization import read_only_reason
@@ -55,7 +55,7 @@ class RtdacPci(Board):
 
     def __init__(self, registers: Registers, wiring: BoardConfig, now_ns: Callable[[], int], period_ns: int) -> None:
         super().__init__(now_ns, period_ns)
-        _insist_on_channels(wiring)
+        _require_channels(wiring)
         self._registers = registers
         self._wiring = wiring
         self._mode = MODES.index(wiring.pwm_mode)
@@ -90,7 +90,7 @@ class RtdacPci(Board):
         if unknown:
             raise BoardError(f"{ABS.title} has no field {', '.join(unknown)}")
         chosen = {name: _FIELDS[name] for name in names or _FIELDS}
-        self._insist_on_logic()
+        self._require_logic()
         raw = self._registers.run([step for register, channel in chosen.values() for step in _read(register, channel)])
         values = {name: register.decode(bits) for (name, (register, _)), bits in zip(chosen.items(), raw, strict=True)}
         return BoardReading(values, b"".join(bits.to_bytes(4, "little") for bits in raw))
@@ -100,7 +100,7 @@ class RtdacPci(Board):
 
         Raises BoardError on a board with another logic, whose registers mean something else.
         """
-        self._insist_on_logic()
+        self._require_logic()
         registers = [*_SHOWN.values(), pci.TEMPERATURE_LOW]
         raw = {offset: self._registers.read(offset) for offset in sorted({one.offset for one in registers})}
         values = {one.name: one.decode(raw[one.offset]) for one in registers}
@@ -108,7 +108,7 @@ class RtdacPci(Board):
             Reading(name, _quantity(one, values), _unit(one), one.status, one.meaning) for name, one in _SHOWN.items()
         ]
 
-    def _insist_on_logic(self) -> None:
+    def _require_logic(self) -> None:
         """Nothing may be written to another logic, not even which channel is asked for."""
         version = self._own_version(self._registers.read(LOGIC.offset))
         if version != pci.LOGIC_VERSION:
@@ -254,13 +254,13 @@ def _width(channel: int, width: int) -> tuple[Write, Write]:
     return Write(pci.PWM_INDEX.offset, channel), Write(PWM_WIDTH.offset, width)
 
 
-def _exchanged(channel: int, width: int) -> tuple[Step, ...]:
+def _exchanged(channel: int, width: int) -> tuple[RegisterAccess, ...]:
     """What there was, and `width` in its place."""
     select, write = _width(channel, width)
     return select, PWM_WIDTH.offset, write
 
 
-def _read(register: Register, channel: int | None) -> tuple[Step, ...]:
+def _read(register: Register, channel: int | None) -> tuple[RegisterAccess, ...]:
     return (*ABS.select(register, channel), register.offset)
 
 
@@ -277,7 +277,7 @@ def _unit(register: Register) -> str:
     return register.conversion.unit if register.conversion is not None else register.unit
 
 
-def _insist_on_channels(wiring: BoardConfig) -> None:
+def _require_channels(wiring: BoardConfig) -> None:
     most = {
         "drive_pwm": pci.PWM_CHANNELS,
         "brake_pwm": pci.PWM_CHANNELS,

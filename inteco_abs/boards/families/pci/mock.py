@@ -13,7 +13,7 @@ from firmware_protocol.register_messages import decode_request, encode_answer
 from firmware_protocol.registers import REGISTER_BITS
 from firmware_protocol.rtdac_pci import PWM_WIDTH
 from inteco_abs.boards.families.pci.board import registers_of
-from inteco_abs.boards.frame_labels import Protocol
+from inteco_abs.boards.frame_labels import BoardProtocol
 from inteco_abs.mock_board import MAXIMUM_CELSIUS, MINIMUM_SUPPLY_V, Device, MockFamily
 
 _WORD: Final = (1 << REGISTER_BITS) - 1
@@ -159,7 +159,7 @@ def _lines(speed_rad_s: float) -> int:
     return int(abs(speed_rad_s) / (2.0 * math.pi) * pci.ENCODER_LINES * _WINDOW / pci.VELOCITY_CLOCK_HZ)
 
 
-def _reported(device: Device, _: Protocol | None, image: bytes) -> PciFrontEnd:
+def _reported(device: Device, _: BoardProtocol | None, image: bytes) -> PciFrontEnd:
     still: dict[int, int] = {}
     settings: dict[str, int] = {}
     counts: dict[str, int] = {}

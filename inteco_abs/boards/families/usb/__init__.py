@@ -8,7 +8,7 @@ from typing import Final
 from firmware_protocol.rtdac_usb import HEADER, LOGICS, READ_REQUEST, Logic
 from inteco_abs.boards.families.usb.board import RtdacUsb
 from inteco_abs.boards.family import BoardFamily, UsbTraffic
-from inteco_abs.boards.frame_labels import Protocol
+from inteco_abs.boards.frame_labels import BoardProtocol
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.config import RigConfig
 
@@ -17,8 +17,8 @@ __all__ = ["FAMILY", "RtdacUsb"]
 _FTDI_OUT, _FTDI_IN = 0x02, 0x81
 
 
-def _protocol(version: int, logic: Logic) -> Protocol:
-    return Protocol(
+def _protocol(version: int, logic: Logic) -> BoardProtocol:
+    return BoardProtocol(
         f"usb1-{version:x}",
         f"RT-DAC/USB, logic 0x{version:04X}",
         version,

@@ -98,11 +98,11 @@ class ByteStream:
     """The same board behind a FIFO: bytes arrive and leave in any cuts, and bit 7 marks where a message begins.
 
     A message is whole after its command byte (DUMMY, READ) or after a frame's length; a command byte in the midst of
-    one cuts it short, and the face drops what is not a message.
+    one cuts it short, and the front end drops what is not a message.
     """
 
-    def __init__(self, face: FrontEnd) -> None:
-        self.face = face
+    def __init__(self, front_end: FrontEnd) -> None:
+        self.front_end = front_end
         self._arriving = bytearray()
 
     def feed(self, data: bytes | bytearray) -> bytes:
@@ -113,12 +113,12 @@ class ByteStream:
             self._arriving.append(byte)
             if byte in _ALONE or len(self._arriving) == FRAME_BYTES:
                 self._deliver()
-        return b"".join(iter(lambda: self.face.bulk_in(FRAME_BYTES), b""))
+        return b"".join(iter(lambda: self.front_end.bulk_in(FRAME_BYTES), b""))
 
     def _deliver(self) -> None:
         """Hand over what has arrived, whole or not."""
         if self._arriving:
-            self.face.bulk_out(bytes(self._arriving))
+            self.front_end.bulk_out(bytes(self._arriving))
             self._arriving.clear()
 
 
@@ -132,6 +132,6 @@ MOCK: Final = MockFamily(
     reported=reported_frames(UsbFrontEnd),
     connected=lambda _wiring: _function_bit,
     identity_at=HEADER_BYTES - 1,
-    usb_device=lambda face, identity, serial: FtdiBoard(ByteStream(face), identity(ftdi_identity(serial))),
+    usb_device=lambda front_end, identity, serial: FtdiBoard(ByteStream(front_end), identity(ftdi_identity(serial))),
     stream=ByteStream,
 )

@@ -18,16 +18,16 @@ from firmware_protocol.rtdac_usb2 import (
 from firmware_protocol.rtdac_usb2_bridge import ENDPOINT_JTAG_IN, ENDPOINT_JTAG_OUT
 from inteco_abs.boards.families.usb2.board import RtdacUsb2
 from inteco_abs.boards.family import BoardFamily, UsbTraffic
-from inteco_abs.boards.frame_labels import Protocol
+from inteco_abs.boards.frame_labels import BoardProtocol
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.config import RigConfig
 
 __all__ = ["FAMILY", "RtdacUsb2"]
 
 
-def _protocol(logic: Logic) -> Protocol:
+def _protocol(logic: Logic) -> BoardProtocol:
     generic = logic.name == "generic"
-    return Protocol(
+    return BoardProtocol(
         "usb2" if generic else f"usb2-{logic.name}",
         f"RT-DAC/USB2, logic 0x{LOGIC_VERSION:04X}" if generic else f"RT-DAC/USB2, {logic.name} logic",
         LOGIC_VERSION if generic else None,
@@ -47,16 +47,16 @@ def _transport(serial: str, config: RigConfig) -> Link:
 
 def _bridge_facts(serial: str, config: RigConfig) -> dict[str, str]:
     from inteco_abs.boards.families.usb2.bridge import bridge_facts  # noqa: PLC0415  likewise
-    from inteco_abs.boards.transports.usb import find_one  # noqa: PLC0415  likewise
+    from inteco_abs.boards.transports.usb import find_usb_board  # noqa: PLC0415  likewise
 
-    return bridge_facts(find_one(serial, config.usb))
+    return bridge_facts(find_usb_board(serial, config.usb))
 
 
 def _identify_led(serial: str, config: RigConfig, on: bool) -> bool:
     from inteco_abs.boards.families.usb2.bridge import identify_led  # noqa: PLC0415  likewise
-    from inteco_abs.boards.transports.usb import find_one  # noqa: PLC0415  likewise
+    from inteco_abs.boards.transports.usb import find_usb_board  # noqa: PLC0415  likewise
 
-    return identify_led(find_one(serial, config.usb), on=on)
+    return identify_led(find_usb_board(serial, config.usb), on=on)
 
 
 FAMILY: Final = BoardFamily(

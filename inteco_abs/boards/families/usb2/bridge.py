@@ -21,7 +21,7 @@ from firmware_protocol.rtdac_usb2_bridge import (
     REQUEST_LED_OFF,
     REQUEST_LED_ON,
 )
-from inteco_abs.boards.transports.usb_errors import in_words
+from inteco_abs.boards.transports.usb_errors import describe_usb_error
 from inteco_abs.errors import LinkError
 
 NOT_TOLD: Final = "not told"
@@ -55,7 +55,7 @@ def identify_led(device: Any, *, on: bool) -> bool:
     except usb.core.USBError as error:
         if error.errno == errno.EPIPE:
             return False
-        raise LinkError(in_words(error.errno, error, _TIMEOUT_MS)) from error
+        raise LinkError(describe_usb_error(error.errno, error, _TIMEOUT_MS)) from error
     return True
 
 
@@ -87,4 +87,4 @@ def _ask(device: Any, request: int, value: int, length: int) -> bytes:
     except usb.core.USBError as error:
         if error.errno == errno.EPIPE:
             return b""
-        raise LinkError(in_words(error.errno, error, _TIMEOUT_MS)) from error
+        raise LinkError(describe_usb_error(error.errno, error, _TIMEOUT_MS)) from error

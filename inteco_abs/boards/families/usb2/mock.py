@@ -187,5 +187,5 @@ MOCK: Final = MockFamily(
     reported=reported_frames(Usb2FrontEnd),
     connected=_connected,
     identity_at=READ.place("logic_version").offset,
-    usb_device=lambda face, identity, serial: UsbBoard(face, identity(UsbIdentity(serial=serial))),
+    usb_device=lambda front_end, identity, serial: UsbBoard(front_end, identity(UsbIdentity(serial=serial))),
 )

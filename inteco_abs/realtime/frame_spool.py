@@ -1,4 +1,4 @@
-"""Raw frames of a run in real time: a file beside the ring brings them from the loop to whoever makes the session."""
+"""Raw frames of a run in real time: a file beside the ring carries them from the loop to the session's writer."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from inteco_abs.realtime.memory import Mailbox, RunMemory
 from inteco_abs.wire import Capture, Record, Recording, opened_capture, write_capture
 
 if TYPE_CHECKING:
-    from inteco_abs.sessions import Frames  # which the loop's process never needs, nor what it loads
+    from inteco_abs.sessions import Frames  # the loop's process must not load it
 
 
 @contextmanager
-def leaving_frames(memory: RunMemory, job: Job, around: Recording) -> Iterator[None]:
-    """In the end, with the board let go of, leave beside the ring what was recorded, if the job wants that.
+def saving_frames(memory: RunMemory, job: Job, around: Recording) -> Iterator[None]:
+    """On leaving, with the board closed, save the recorded frames beside the ring if the job asks for them.
 
-    Raises CaptureError if there is no room; where something else was wrong already, as a note of that.
+    Raises CaptureError if there is no room; if another exception is on its way, adds a note to that instead.
     """
     try:
         yield
@@ -38,14 +38,14 @@ def _leave(memory: RunMemory, job: Job, around: Recording) -> None:
         write_capture(memory.frames, capture)
 
 
-def stow_frames(memory: RunMemory, frames: Frames) -> None:
-    """Leave the frames of a run that another process than a loop's has recorded; without room, there will be none."""
+def spool_frames(memory: RunMemory, frames: Frames) -> None:
+    """Save the frames of a run in virtual time; without room they are lost."""
     with suppress(CaptureError), frames() as (head, records):
         write_capture(memory.frames, head._replace(records=tuple(records)))
 
 
-def frames_of(memory: RunMemory, job: Job) -> Frames | None:
-    """The raw frames of the run in `memory`; None if nobody asked for them."""
+def spooled_frames(memory: RunMemory, job: Job) -> Frames | None:
+    """Return what opens the raw frames of the run in `memory`; None if the job does not ask for them."""
     if not job.frames:
         return None
 
