@@ -46,7 +46,7 @@ class Status(Enum):
     UNKNOWN = "unknown"  # no source
 
 
-class Kind(Enum):
+class ValueKind(Enum):
     """How the bits of a field are read."""
 
     UNSIGNED = "unsigned"
@@ -55,7 +55,7 @@ class Kind(Enum):
     HEX = "hex digits"  # the number's hexadecimal digits are the text
 
 
-_WIDTH_UNITS: Final = {Kind.TEXT: 8, Kind.HEX: 4}
+_WIDTH_UNITS: Final = {ValueKind.TEXT: 8, ValueKind.HEX: 4}
 """Bits per character, for the kinds that are text."""
 
 
@@ -110,23 +110,23 @@ class Field:
     source: str
     read: Layout | None = None
     send: Layout | None = None
-    kind: Kind = Kind.UNSIGNED
+    kind: ValueKind = ValueKind.UNSIGNED
     status: Status = Status.CONFIRMED
 
     def range(self, layout: Layout) -> tuple[int, int]:
         """Smallest and largest integer that fits `layout`."""
         width = _width(layout)
-        if self.kind is Kind.SIGNED:
+        if self.kind is ValueKind.SIGNED:
             return -(1 << (width - 1)), (1 << (width - 1)) - 1
         return 0, (1 << width) - 1
 
     def to_bits(self, value: Value, layout: Layout) -> int:
         """Unsigned integer that carries `value`; raises ProtocolError with name, value and range."""
-        if self.kind is Kind.UNSIGNED and type(value) is int and not value >> _width(layout):
+        if self.kind is ValueKind.UNSIGNED and type(value) is int and not value >> _width(layout):
             return value  # most values by far
-        if self.kind is Kind.TEXT:
+        if self.kind is ValueKind.TEXT:
             return self._text_to_bits(value, layout)
-        if self.kind is Kind.HEX:
+        if self.kind is ValueKind.HEX:
             return self._hex_to_bits(value, layout)
         low, high = self.range(layout)
         if type(value) is not int or not low <= value <= high:
@@ -135,12 +135,12 @@ class Field:
 
     def from_bits(self, raw: int, layout: Layout) -> Value:
         """Value carried by the unsigned integer `raw`."""
-        if self.kind is Kind.UNSIGNED:
+        if self.kind is ValueKind.UNSIGNED:
             return raw
         width = _width(layout)
-        if self.kind is Kind.SIGNED:
+        if self.kind is ValueKind.SIGNED:
             return raw - (1 << width) if raw >> (width - 1) else raw
-        if self.kind is Kind.TEXT:
+        if self.kind is ValueKind.TEXT:
             return raw.to_bytes(width // 8, "big").rstrip(b"\0").decode("latin-1")
         return f"{raw:0{width // 4}X}"
 
@@ -389,9 +389,9 @@ class FrameTable:
     def _codec(self, field: Field, widths: tuple[int, ...]) -> Codec | None:
         """Codec for words that are the field's own and follow each other, None where there is none."""
         codes = _STRUCT_CODES[self.word_bits].get(widths)
-        if codes is not None and field.kind in {Kind.UNSIGNED, Kind.SIGNED}:
-            return struct.Struct(f"<{codes[field.kind is Kind.SIGNED]}")
-        if field.kind is not Kind.UNSIGNED:
+        if codes is not None and field.kind in {ValueKind.UNSIGNED, ValueKind.SIGNED}:
+            return struct.Struct(f"<{codes[field.kind is ValueKind.SIGNED]}")
+        if field.kind is not ValueKind.UNSIGNED:
             return None
         if len(widths) == 1:
             return struct.Struct("<B" if self.word_bits == BYTE_BITS else "<H")

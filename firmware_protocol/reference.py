@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from firmware_protocol import rtdac_pci, rtdac_usb, rtdac_usb2
-from firmware_protocol.fields import Field, Kind, Layout
+from firmware_protocol.fields import Field, Layout, ValueKind
 from firmware_protocol.registers import Register, RegisterMap
 
 PATH: Final = Path(__file__).with_name("PROTOCOL.md")
@@ -98,7 +98,7 @@ def where(layout: Layout | None, letter: str = "w") -> str:
 
 def _limits(field: Field) -> str:
     layout = field.read or field.send or ()
-    if field.kind not in {Kind.UNSIGNED, Kind.SIGNED}:
+    if field.kind not in {ValueKind.UNSIGNED, ValueKind.SIGNED}:
         return str(field.kind.value)
     low, high = field.range(layout)
     limits = f"{low}..{high}"

@@ -20,12 +20,12 @@ READ: Final = 1 << 31
 NUMBERS: Final = 1 << REGISTER_BITS
 """Requests are numbered 0..NUMBERS-1."""
 
-Step = Write | int
+RegisterAccess = Write | int
 """One access: a write, or the offset of a register that is read."""
 _STEP_WORDS: Final = 2
 
 
-def encode_request(number: int, steps: Sequence[Step]) -> bytes:
+def encode_request(number: int, steps: Sequence[RegisterAccess]) -> bytes:
     """A request; raises ProtocolError for a number, offset or value of more than 32 bits."""
     words = [number]
     for step in steps:
@@ -33,7 +33,7 @@ def encode_request(number: int, steps: Sequence[Step]) -> bytes:
     return _pack(words)
 
 
-def decode_request(message: bytes | bytearray) -> tuple[int, list[Step]]:
+def decode_request(message: bytes | bytearray) -> tuple[int, list[RegisterAccess]]:
     """Number and accesses of a request; raises ProtocolError if it is none."""
     words = _unpack(message)
     if len(words) % _STEP_WORDS != 1:

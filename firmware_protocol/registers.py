@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
-from firmware_protocol.fields import Kind, ProtocolError, Status, TableError, hint
+from firmware_protocol.fields import ProtocolError, Status, TableError, ValueKind, hint
 
 REGISTER_BITS: Final = 32
 REGISTER_BYTES: Final = 4
@@ -60,7 +60,7 @@ class Register:
     low: int = 0
     width: int = REGISTER_BITS
     access: Access = Access.READ
-    kind: Kind = Kind.UNSIGNED
+    kind: ValueKind = ValueKind.UNSIGNED
     channels: int = 0
     index: Register | None = None
     conversion: Conversion | None = None
@@ -76,7 +76,7 @@ class Register:
         """Smallest and largest value."""
         if self.channels:
             return 0, self.channels - 1
-        if self.kind is Kind.SIGNED:
+        if self.kind is ValueKind.SIGNED:
             return -(1 << (self.width - 1)), (1 << (self.width - 1)) - 1
         return 0, (1 << self.width) - 1
 
@@ -85,7 +85,7 @@ class Register:
         if type(raw) is not int or raw >> REGISTER_BITS:
             raise ProtocolError(f"{self.name}: read {raw!r}, must be an integer in 0..{(1 << REGISTER_BITS) - 1}")
         value = (raw & self.mask) >> self.low
-        return value - (1 << self.width) if self.kind is Kind.SIGNED and value >> (self.width - 1) else value
+        return value - (1 << self.width) if self.kind is ValueKind.SIGNED and value >> (self.width - 1) else value
 
     def encode(self, value: int) -> int:
         """The 32 bits that carry `value`, all others zero; raises ProtocolError with name, value and range."""
@@ -120,7 +120,7 @@ class RegisterMap:
         inside = 0 <= new.offset < self.size and new.offset % REGISTER_BYTES == 0
         if not inside or new.low < 0 or new.width <= 0 or new.low + new.width > REGISTER_BITS:
             raise TableError(f"{self.title}: {new.name} leaves the registers at 0x{new.offset:02X}")
-        if new.kind not in {Kind.UNSIGNED, Kind.SIGNED} or not 0 <= new.channels <= 1 << new.width:
+        if new.kind not in {ValueKind.UNSIGNED, ValueKind.SIGNED} or not 0 <= new.channels <= 1 << new.width:
             raise TableError(f"{self.title}: {new.name} is not a number, or cannot count its channels")
         for old in self.at(new.offset):
             if old.mask & new.mask:

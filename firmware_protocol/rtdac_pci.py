@@ -13,7 +13,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Final
 
-from firmware_protocol.fields import Kind, ProtocolError, Status
+from firmware_protocol.fields import ProtocolError, Status, ValueKind
 from firmware_protocol.registers import REGISTER_BYTES, Access, Conversion, Register, RegisterMap
 
 VENDOR_ID: Final = 0x10B5
@@ -104,7 +104,7 @@ ENCODER_RESET: Final = _writable(
     "encoder_reset", 0x84, "counter i is held at 0 while bit i is 1; not indexed", _BITMAP, width=4
 )
 _COUNTER: Final = "32-bit quadrature counter (x4), two's complement, wraps"
-ENCODER_COUNT: Final = _register("encoder_count", 0x88, _COUNTER, "counts", kind=Kind.SIGNED, index=ENCODER_INDEX)
+ENCODER_COUNT: Final = _register("encoder_count", 0x88, _COUNTER, "counts", kind=ValueKind.SIGNED, index=ENCODER_INDEX)
 
 SUPPLY: Final = _register("supply", 0x38, "motor supply, measured", _RAW, conversion=_supply("supply"))
 _WINDOW: Final = "window in which the velocities are counted (5 or 50 ms is inferred)"

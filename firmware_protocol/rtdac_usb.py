@@ -24,11 +24,11 @@ from firmware_protocol.fields import (
     Buffer,
     Field,
     FrameTable,
-    Kind,
     Layout,
     ProtocolError,
     Status,
     Value,
+    ValueKind,
     bits,
     words,
 )
@@ -70,7 +70,7 @@ _HEADER: Final = (
         "name of the logic; its last character travels first",
         "text",
         read=words(3, 8, 8, 8, 8, 8),
-        kind=Kind.TEXT,
+        kind=ValueKind.TEXT,
     ),
 )
 
@@ -105,7 +105,7 @@ def _pwm(i: int) -> list[Field]:
 def _count(i: int, byte: int, status: Status = Status.CONFIRMED) -> Field:
     meaning = f"encoder {i}: 32-bit quadrature counter (x4), wraps; two's complement in the vendor's library"
     read = words(byte, *_U32)
-    return _field(f"encoder{i}_count", meaning, "counts", read=read, kind=Kind.SIGNED, status=status)
+    return _field(f"encoder{i}_count", meaning, "counts", read=read, kind=ValueKind.SIGNED, status=status)
 
 
 def _encoders_with_index() -> list[Field]:

@@ -20,7 +20,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from firmware_protocol.fields import Bits, Field, FrameTable, Kind, Layout, Status, Value, bits, words
+from firmware_protocol.fields import Bits, Field, FrameTable, Layout, Status, Value, ValueKind, bits, words
 
 FRAME_BYTES: Final = 504
 HEADER_BYTES: Final = 18
@@ -62,8 +62,8 @@ def _header() -> list[Field]:
     further = "three more counts of channels, which ones is not published"
     return [
         _field("logic_version", "version of the FPGA logic; shown in hex", _RAW, read=bits(0, 0, 16)),
-        _field("application_name", name, "text", read=name_at, kind=Kind.TEXT),
-        _field("synthesis_date", date, "date", read=words(4, 16, 16), kind=Kind.HEX),
+        _field("application_name", name, "text", read=name_at, kind=ValueKind.TEXT),
+        _field("synthesis_date", date, "date", read=words(4, 16, 16), kind=ValueKind.HEX),
         *(
             _field(f"{what}_channels", f"number of {what.replace('_', ' ')} channels", "1", read=place)
             for what, place in places
@@ -109,7 +109,7 @@ def _index_inputs() -> list[Field]:
 def _encoder(i: int) -> Field:
     meaning = f"encoder {i}: 32-bit quadrature counter (x4), wraps; the sign is read as two's complement"
     read = words(53 + 2 * i, 16, 16)
-    return _field(f"encoder{i}_count", meaning, "counts", read=read, kind=Kind.SIGNED, status=Status.INFERRED)
+    return _field(f"encoder{i}_count", meaning, "counts", read=read, kind=ValueKind.SIGNED, status=Status.INFERRED)
 
 
 def _encoders(count: int) -> list[Field]:
@@ -176,7 +176,7 @@ def _analogue() -> list[Field]:
     results = ((i, bits(204 + i, 0, 12), f"A/D {i}: volts = 10 * result / 2048 / gain") for i in range(16))
     return [
         *(_both(f"ad{i}_gain", f"A/D {i} {gain}", "1", place) for i, place in gains),
-        *(_field(f"ad{i}_result", what, "1", read=place, kind=Kind.SIGNED) for i, place, what in results),
+        *(_field(f"ad{i}_result", what, "1", read=place, kind=ValueKind.SIGNED) for i, place, what in results),
         *(_field(f"ad{i}_busy", f"A/D {i} is converting", "1", read=bits(204 + i, 12, 1)) for i in range(16)),
         *(_both(f"da{i}_output", f"D/A {i}: {output}", "1", bits(220 + i, 0, 14)) for i in range(4)),
     ]

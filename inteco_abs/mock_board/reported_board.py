@@ -83,8 +83,8 @@ class ReportedFrontEnd:
 
     Fields that only the board writes, such as its header, stay as reported; the others echo what the host writes; two
     counters, the timers and changes of pins come from the simulated rig. `image` is a READ frame of any logic of the
-    tables' size, `front_end` makes the front end of a device from one. Raises ValueError for an image of another size or
-    a damaged one.
+    tables' size, `front_end` makes the front end of a device from one. Raises ValueError for an image of another size,
+    or a damaged one.
     """
 
     def __init__(
