@@ -1,4 +1,4 @@
-"""The device layer: boards behind one interface, and the links that carry their bytes."""
+"""The device layer: boards behind one interface, and the links to them."""
 
 from collections.abc import Callable
 
@@ -85,10 +85,10 @@ __all__ = [
 
 
 def open_board(uri: str, config: RigConfig, now_ns: Callable[[], int], around: Wrap | None = None) -> Board:
-    """The board at `uri`, not entered yet. `sim:PATH` is a mock board's process that listens at the socket PATH.
+    """Return the board at `uri`, not entered yet. `sim:PATH` is a mock board that listens at the socket PATH.
 
-    `around` puts something around the link, such as a recording; registers have none. Raises BoardError if nothing
-    answers there or another program has it, ConfigError if the profile is made for another family.
+    `around` wraps the link, such as in a recording; boards with registers have none. Raises BoardError if nothing
+    answers or another program has the board, ConfigError if the profile is for another family.
     """
     check_kind(uri, config)
     name, _, rest = uri.partition(":")

@@ -1,4 +1,4 @@
-"""Board addresses, such as `sim:` or `usb2:123`: what they look like, and which profile goes with each."""
+"""Board addresses, such as `sim:` or `usb2:123`: their form, and the profile for each."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from inteco_abs.config import DEFAULT_PROFILE, MOCK_NAMES, RigConfig, beyond_cei
 from inteco_abs.errors import ConfigError, ConfigIssue
 
 SIMULATED: Final = "sim"
-"""Before the colon: the mock of the profile's board, with the simulated rig inside."""
+"""Scheme of the mock of the profile's board, with the simulated rig inside."""
 
 
 def schemes() -> dict[str, str]:
-    """What may stand before the colon, and what it is in words."""
+    """Return the schemes before the colon, and what each means."""
     known = {name: family.what for name, family in known_families().items()}
     return {SIMULATED: "the mock of the profile's board with the simulated rig inside", **known}
 
@@ -37,7 +37,7 @@ def check_address(uri: str) -> None:
 
 
 def check_kind(uri: str, config: RigConfig) -> None:
-    """Raise ConfigError unless the profile is made for the family that `uri` names, and a real board of it."""
+    """Raise ConfigError unless the profile is for the family that `uri` names, and for a real board."""
     family, name = family_of(config.board.kind), uri.partition(":")[0]
     if name == SIMULATED:
         return
@@ -53,17 +53,17 @@ def check_kind(uri: str, config: RigConfig) -> None:
 
 
 def check_limits(uri: str, config: RigConfig) -> None:
-    """Raise ConfigError if the board at `uri` is a real one, and a limit of the guard is beyond what one may have."""
+    """Raise ConfigError if `uri` names a real board and a limit of the guard exceeds its ceiling."""
     mistakes = [] if simulated(uri) or config.board.simulated else list(beyond_ceilings(config))
     if mistakes:
         raise ConfigError(mistakes)
 
 
 def default_profile(uri: str) -> str:
-    """Name of the shipped profile to begin with for a board at `uri`."""
+    """Return the name of the shipped profile to begin with for a board at `uri`."""
     return DEFAULT_PROFILE if simulated(uri) else family_of(uri.partition(":")[0]).profile
 
 
 def simulated(uri: str) -> bool:
-    """Whether the board at `uri` is the mock."""
+    """Return whether the board at `uri` is the mock."""
     return uri.startswith(f"{SIMULATED}:")

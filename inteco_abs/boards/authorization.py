@@ -1,4 +1,4 @@
-"""Whether a board may be driven: what it says of itself against what the profile knows, and who vouches for it."""
+"""Decides whether a board may be driven: its header against the profile, and the lab's sign-off."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from inteco_abs.boards.family import family_of
 from inteco_abs.config import BoardConfig
 
 _FIX: Final = (
-    "inteco-abs commission makes a profile for this rig, or goes on with yours, and has you sign it "
+    "inteco-abs commission makes a profile for this rig, or continues yours, and asks for your sign-off "
     "(board.verified_by, verified_on, verified_logic)"
 )
 
 
 def read_only_reason(wiring: BoardConfig, version: int, name: str | None, relied_on: Iterable[Field | Register]) -> str:
-    """Why outputs must stay off; empty if they may be used.
+    """Return why outputs must stay off; empty if they may be used.
 
-    `version` and `name` are the board's (None: it tells no name), `relied_on` what the driver uses of
-    the wire. Outputs that rest on anything not confirmed need a signature made for this very logic.
+    `version` and `name` are the board's (None: it reports no name), `relied_on` the fields or registers that the driver
+    uses. Outputs that rest on anything unconfirmed need a sign-off for this logic.
     """
     if wiring.read_only:
         return wiring.read_only
@@ -28,7 +28,7 @@ def read_only_reason(wiring: BoardConfig, version: int, name: str | None, relied
 
 
 def unconfirmed(wiring: BoardConfig) -> list[str]:
-    """What outputs rest on and is not confirmed, with its status."""
+    """Return the unconfirmed facts that outputs rest on, with their status."""
     return wiring.unconfirmed(family_of(wiring.kind).unused_wiring)
 
 
@@ -44,7 +44,7 @@ def _open_question(wiring: BoardConfig, version: int, name: str | None, relied_o
         *(f"board.{one}" for one in unconfirmed(wiring)),
         *(f"the frame's {one.name} ({one.status.value})" for one in relied_on if one.status is not Status.CONFIRMED),
     ]
-    unsigned = "nobody has verified the profile's wiring on the rig (verified_by is empty); not confirmed: "
+    unsigned = "the profile's wiring was not verified on the rig (verified_by is empty); not confirmed: "
     return unsigned + ", ".join(questions) if questions else ""
 
 

@@ -198,8 +198,8 @@ class Board(ABC):
     def exchange(self, command: Command) -> Sample:
         """Write `command`, then read the board, once.
 
-        The sample of a failed exchange repeats the last counts with the flag STALE; an exchange longer than a period has
-        the flag SLOW; the guard limits both. Raises ReadOnlyError for a board that must not be driven, BoardError for
+        A failed exchange repeats the last counts, with the flag STALE; one that took longer than a period has the flag
+        SLOW; the guard limits both. Raises ReadOnlyError for a board that must not be driven, BoardError for
         one that is not open.
         """
         if not self._ready:

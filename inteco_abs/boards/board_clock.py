@@ -1,4 +1,4 @@
-"""The board's own timer as the clock of its samples, and as proof that an answer is no older than its request."""
+"""Dates samples by the board's timer, and proves that an answer is not older than its request."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from firmware_protocol import signed32
 _SECOND_NS: Final = 1_000_000_000
 _LONG_AGO_NS: Final = -(1 << 62)
 _DRIFT_PPM: Final = 500
-"""By how much board and computer may differ: crystals keep within 100 ppm, and a timer at another rate does not."""
+"""Allowed drift between board and computer: crystals stay within 100 ppm; a timer at another rate does not."""
 
 
 class BoardClock:
     """Maps readings of a free-running 32-bit timer of `hz` to the host's clock, ns.
 
-    Every answer was made while its exchange went on, so each one bounds the difference between the two clocks from
-    both sides. The bounds are kept, and widen by 500 ppm of the time that passes. A reading that contradicts them was
-    made before the exchange began, or by a timer that stands still, was reset, or runs at another rate. The difference
-    in force moves only where the bounds push it, so that two instants are as far apart as the board says.
+    The board makes each answer during its exchange, so each one bounds the difference between the two clocks from both
+    sides. The bounds widen by 500 ppm of the time that passes. A reading outside them was made before the exchange, or
+    by a timer that stands still, was reset, or runs at another rate. The difference moves only where a bound pushes it,
+    so that two instants are as far apart as the board says.
 
-    A timer wraps (after 215 s at 20 MHz); between two readings half of that may pass.
+    The timer wraps (after 215 s at 20 MHz); at most half of that may pass between two readings.
     """
 
     __slots__ = ("_difference_ns", "_high_ns", "_hz", "_low_ns", "_released_ns", "_seen_ns", "_tick_ns", "fault")
 
     def __init__(self, hz: int) -> None:
         self.fault = ""
-        """What was wrong with the newest reading that was refused."""
+        """Why the last refused reading was wrong."""
         self._hz = hz
         self._tick_ns = -(-_SECOND_NS // hz)
         self._released_ns = _LONG_AGO_NS
@@ -35,13 +35,13 @@ class BoardClock:
         self._low_ns = self._high_ns = self._difference_ns = 0
 
     def restart(self, start_ns: int) -> None:
-        """The timer is held at zero, and what releases it is written after `start_ns`."""
+        """Note that the timer is held at zero, and will be released after `start_ns`."""
         self._released_ns, self._seen_ns = start_ns, -1
 
     def instant(self, reading: int, start_ns: int, end_ns: int) -> int:
-        """When the timer showed `reading`, within `start_ns` and `end_ns` of its exchange; -1 if it cannot have then.
+        """Return when the timer showed `reading`, in `start_ns`..`end_ns` of its exchange; -1 if that is impossible.
 
-        A clock that was never restarted takes its first reading as it is.
+        A clock that was never restarted accepts its first reading.
         """
         tick_ns = self._tick_ns
         if self._seen_ns < 0:

@@ -1,6 +1,6 @@
-"""What a report says of a board besides its frames: descriptors, timing, the computer, the profile as far as it came.
+"""A board report without its frames: descriptors, timing, the computer, and the profile so far.
 
-It names nobody: no user, no computer, no path, no serial number.
+It is anonymous: no user, computer name, path or serial number.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ class Bus(_Part):
     manufacturer: Text = ""
     product: Text = ""
     serial_form: Text = ""
-    """The serial number with every digit as 9 and every other letter as x: whether it is decimal, and how long."""
+    """The serial number with every digit as 9 and every letter as x: its length and form."""
     speed: Text = ""
-    """Of the bus, in Mbit/s."""
+    """Speed of the bus, Mbit/s."""
 
 
 class BoardHeader(_Part):
-    """The board's header, and the dates of its bridge's firmware where there are any."""
+    """The board's header, and the dates of its bridge's firmware if known."""
 
     logic_version: Annotated[int, Field(ge=0, le=0xFFFF)]
     application_name: Text = ""
@@ -49,16 +49,16 @@ class BoardHeader(_Part):
 
 
 class Reads(_Part):
-    """A thousand READ requests, one after the other."""
+    """Timing of a thousand READ requests in a row."""
 
     count: Count
     failed: Count
     histogram_us: dict[Annotated[str, Field(pattern=r"^[0-9]{1,4}$")], Count] = {}
-    """Number of readings by their time in whole microseconds; the last bin has all from 2047 us on."""
+    """Number of readings by their time in whole us; the last bin has all from 2047 us on."""
 
 
 class BoardReport(_Part):
-    """Everything but the images, which are the capture's records."""
+    """The report; its images are the capture's records."""
 
     kind: Text
     """Board family."""
@@ -66,17 +66,17 @@ class BoardReport(_Part):
     bus: Bus = Bus()
     reads: Reads | None = None
     steps: dict[Text, Text] = {}
-    """What has become of each step of the commissioning."""
+    """State of each step of the commissioning."""
     images: list[Text] = []
-    """What each image is, in the order of the records."""
+    """Meaning of each image, in the order of the records."""
     profile: dict[Text, Values] = {}
-    """Numbers of the draft, and those of its texts that are words of the program or of the board."""
+    """Numbers of the draft, and its texts that come from the program or the board."""
     computer: dict[Text, Text] = {}
     """Kernel, CPU model, operating system, versions."""
 
 
 def parse_report(table: object, place: str) -> BoardReport:
-    """The report in a capture's first line; raises CaptureError saying what is wrong with which value."""
+    """Return the report in a capture's first line; raises CaptureError with path and value of a mistake."""
     try:
         return BoardReport.model_validate(table)
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""What a profile sets on a board besides drive, brake and encoders: `board.constants`, by field, pin or whole word."""
+"""`board.constants`: what a profile sets besides drive, brake and encoders, by field, pin or whole word."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ class Constants(NamedTuple):
     """The constants of one profile, sorted by what they name."""
 
     fields: dict[str, int]
-    """By name in the SEND frame: the board must echo them."""
+    """By field name in the SEND frame; the board must echo them."""
     words: dict[int, int]
-    """By data word: they go out as they are, and need not be echoed, as nothing is known of them."""
+    """By data word; they are sent as they are, and need no echo."""
     pins: dict[int, int]
-    """Levels by number of a CN1 pin, which is then an output."""
+    """Levels by number of a CN1 pin, which becomes an output."""
 
 
 def constants_of(wiring: BoardConfig, send: FrameTable, owned: Collection[str]) -> Constants:
-    """The profile's constants for frames of `send`, where the rest of the wiring decides the fields `owned`.
+    """Return the profile's constants for frames of `send`; the rest of the wiring decides the fields `owned`.
 
-    Raises ConfigError, with every mistake: a name that means nothing here, a value without room, or anything that the
-    rest of the wiring or another constant decides.
+    Raises ConfigError with every mistake: an unknown name, a value out of range, or a field that the wiring or another
+    constant decides.
     """
     found = Constants({}, {}, {})
     mistakes: list[ConfigIssue] = []
@@ -72,7 +72,7 @@ def _pin_mistake(key: str, wiring: BoardConfig) -> Iterator[ConfigIssue]:
 
 def _word_mistake(key: str, word: int, value: int, send: FrameTable, taken: Collection[str]) -> Iterator[ConfigIssue]:
     most = (1 << send.payload_bits) - 1
-    first = 0 if send.command is None or send.data_from else 1  # the command's own word is no data
+    first = 0 if send.command is None or send.data_from else 1  # the command word is not data
     last = send.size * BYTE_BITS // send.word_bits - send.data_from - 1
     carried = [name for name in taken if any(part.word == word for part in send.fields[name][1])]
     if not first <= word <= last:

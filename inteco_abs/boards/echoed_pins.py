@@ -1,4 +1,4 @@
-"""Digital outputs that change with every frame, and that the board echoes: a number of the frame, and a pulse."""
+"""Digital outputs that change with every frame and are echoed: a frame number and a watchdog pulse."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ _FIELD: Final = "pin_output"
 
 
 class EchoedPins:
-    """The output latch of CN1, of which `numbering` carry the number of the frame and `watchdog` changes with a beat.
+    """The output latch of CN1: the pins `numbering` carry the frame's number, the pin `watchdog` changes with a beat.
 
-    `latch` is what all the other pins have, of which the board must echo those in the mask `constant` as well.
-    `watchdog` -1: there is none. A number of n pins repeats after 2^n frames,
-    so an answer that is late by a multiple of that is not recognised by it.
+    `latch` are the levels of the other pins; the board must also echo those in the mask `constant`. `watchdog` -1:
+    none. A number of n pins repeats after 2^n frames, so it cannot detect an answer late by a multiple of that.
     """
 
     def __init__(
@@ -39,20 +38,20 @@ class EchoedPins:
         self._echoes = [int.from_bytes(read.encode({_FIELD: one & mask})[self._echoed_at], "little") for one in latches]
 
     def put_into(self, image: bytearray, *, beat: bool) -> None:
-        """Number the next frame; a `beat` changes the level of the watchdog's pin."""
+        """Write the next frame's number into `image`; a `beat` toggles the watchdog's pin."""
         self._number = (self._number + 1) % self._numbers
         if beat:
             self._level ^= self._numbers
         image[self._sent_at] = self._sent[self._number | self._level]
 
     def echoed(self, frame: bytes) -> bool:
-        """Whether an answer has the pins of the newest frame."""
+        """Return whether an answer echoes the pins of the newest frame."""
         echo = int.from_bytes(frame[self._echoed_at], "little") & self._mask
         return echo == self._echoes[self._number | self._level]
 
 
 def _with(latch: int, pins: Sequence[int], state: int) -> int:
-    """`latch` with bit i of `state` at the i-th pin."""
+    """Return `latch` with bit i of `state` at the i-th pin."""
     for i, pin in enumerate(pins):
         latch = latch & ~(1 << pin) | (state >> i & 1) << pin
     return latch

@@ -1,4 +1,4 @@
-"""The computer: what it grants a real-time process, which boards it has, and what to change."""
+"""The computer: its real-time settings, the boards in it, and what to change."""
 
 from inteco_abs.host.attached import (
     USB_DEVICES,

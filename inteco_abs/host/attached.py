@@ -1,6 +1,6 @@
-"""Which boards are plugged in, how they are connected, and whether this user may use them. Asks no board anything.
+"""Lists the boards that are plugged in, their connection and this user's access, without opening one.
 
-What is to be looked at is each family's own: `BoardFamily.host`.
+Each family brings its own checks: `BoardFamily.host`.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ class FoundBoard(NamedTuple):
     """A device that may be the board."""
 
     address: str
-    """What to name after --board."""
+    """Argument of --board."""
     description: str
     """Ids, strings and place."""
-    told: Mapping[str, str] = MappingProxyType({})
+    told: Mapping[str, str] = MappingProxyType({})  # a key of commissioning results
     """Strings and descriptors of the device, for a report."""
 
 
@@ -41,32 +41,32 @@ class HostFamily:
     """How a computer lists the boards of one family; `BoardFamily.host` names it."""
 
     found: Callable[[Computer, RigConfig, str], list[FoundBoard]]
-    """Devices that may be a board, in the order of their places; one alone if the address, of which this is what stands
-    after the colon, can only be that one."""
+    """Lists devices that may be a board, in the order of their places; the text is the address after its colon, which
+    may narrow the list to one."""
     folders: Callable[[Computer], list[str]]
-    """Where the kernel tells about each of them, below its root."""
+    """Lists the kernel's folder for each board, relative to the root."""
     checks: Mapping[str, Callable[[Computer, str], Judgement]]
-    """What `doctor` looks at in each of these folders."""
+    """Checks of `doctor` for each of these folders."""
     place: str | None = None
-    """What stands before a folder's name when the board is listed; None: such a device may be anything else, too."""
+    """Text before a folder's name when the board is listed; None: such a device may be something else."""
     in_its_place: Callable[[Computer], Judgement | None] = _nothing
-    """Where no board is found: a sign of one that is not ready, if there is any."""
+    """If no board is found: looks for one that is not ready."""
 
 
 def host_family(family: BoardFamily) -> HostFamily:
-    """The host's side of a family."""
+    """Return the host's part of a family."""
     found: HostFamily = attribute(family.host)
     return found
 
 
 def found_devices(address: str, config: RigConfig, computer: Computer | None = None) -> list[FoundBoard]:
-    """Devices of the family that `address` names, as the kernel lists them; no board is opened, asked or written to."""
+    """Return the devices of the family that `address` names, as the kernel lists them, without opening one."""
     name, _, rest = address.partition(":")
     return host_family(family_of(name)).found(computer or Computer(), config, rest)
 
 
 def plugged_in(computer: Computer) -> list[CheckResult]:
-    """Findings on the boards that are there; a single one when there are none."""
+    """Return the results for all boards; a single one if there are none."""
     known = [(family.title, host_family(family)) for family in known_families().values()]
     findings = look(computer, {"board": partial(_board, known)})
     for _, host in known:
@@ -80,7 +80,7 @@ def _all(check: Callable[[Computer, str], Judgement], folders: list[str], comput
 
 
 def _board(known: list[tuple[str, HostFamily]], computer: Computer) -> Judgement:
-    computer.text("proc/self/status")  # without these, an empty list means nothing
+    computer.text("proc/self/status")  # without these files an empty list means nothing
     certain = [(title, host, host.place) for title, host in known if host.place is not None]
     boards = [
         f"{title} at {place}{last_part(folder)}" for title, host, place in certain for folder in host.folders(computer)
@@ -94,19 +94,19 @@ def _board(known: list[tuple[str, HostFamily]], computer: Computer) -> Judgement
 
 
 def usb_description(computer: Computer, folder: str) -> str:
-    """Ids, strings and port of a USB device, for people."""
+    """Describe a USB device by ids, strings and port."""
     ids = ":".join(computer.text_or(f"{folder}/{name}", "????") for name in ("idVendor", "idProduct"))
-    told = [f"{name} {text!r}" for name in _STRINGS if (text := computer.text_or(f"{folder}/{name}", ""))]
-    return " ".join([ids, *told, f"at USB port {last_part(folder)}"])
+    strings = [f"{name} {text!r}" for name in _STRINGS if (text := computer.text_or(f"{folder}/{name}", ""))]
+    return " ".join([ids, *strings, f"at USB port {last_part(folder)}"])
 
 
 def usb_strings(computer: Computer, folder: str) -> dict[str, str]:
-    """Descriptors and strings of a USB device, for a report."""
+    """Return descriptors and strings of a USB device, for a report."""
     descriptors = computer.bytes_of(f"{folder}/descriptors", _MOST_DESCRIPTOR_BYTES).hex()
-    told = {name: computer.text_or(f"{folder}/{name}", "") for name in _STRINGS}
-    return {name: text for name, text in {"descriptors": descriptors, **told}.items() if text}
+    strings = {name: computer.text_or(f"{folder}/{name}", "") for name in _STRINGS}
+    return {name: text for name, text in {"descriptors": descriptors, **strings}.items() if text}
 
 
 def last_part(folder: str) -> str:
-    """Name of a kernel's folder: a port, or an address on the bus."""
+    """Return the last part of a kernel's folder: a port, or an address on the bus."""
     return folder.rpartition("/")[2]

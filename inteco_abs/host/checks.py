@@ -1,4 +1,4 @@
-"""What a check looks at, and what it has to say."""
+"""Checks of the computer and their results."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ NOT_KNOWN: Final = "not known on this system"
 
 
 class Rating(StrEnum):
-    """How good something is for the 2 kHz loop."""
+    """How well something suits the 2 kHz loop."""
 
     GREEN = "green"
     """As it should be."""
     AMBER = "amber"
-    """It works, but a tick may come late now and then; or nobody can tell."""
+    """It works, but a tick may be late now and then; or it is not known."""
     RED = "red"
-    """The loop will not hold its rate, or does not reach the board or the disk at all."""
+    """The loop cannot hold its rate, or cannot reach the board or the disk."""
 
 
 _FROM_BEST: Final = tuple(Rating)
 
 
 class Judgement(NamedTuple):
-    """What a check says."""
+    """Result of a check, without its name."""
 
     verdict: Rating
     found: str
-    """What was seen, with its unit."""
+    """What was found, with its unit."""
     fix: str = ""
-    """What to do about it; empty when green."""
+    """What to do; empty when green."""
 
 
 class CheckResult(NamedTuple):
-    """A judgement and what it is about."""
+    """Result of a check, with its name."""
 
     name: str
     verdict: Rating
@@ -45,33 +45,33 @@ class CheckResult(NamedTuple):
 
 
 def green(found: str) -> Judgement:
-    """As it should be."""
+    """Return a green judgement."""
     return Judgement(Rating.GREEN, found)
 
 
 def amber(found: str, fix: str) -> Judgement:
-    """It works, not always in time; or nobody can tell."""
+    """Return an amber judgement."""
     return Judgement(Rating.AMBER, found, fix)
 
 
 def red(found: str, fix: str) -> Judgement:
-    """It will not do."""
+    """Return a red judgement."""
     return Judgement(Rating.RED, found, fix)
 
 
 def worst(judged: Iterable[CheckResult | Judgement]) -> Rating:
-    """The worst verdict; green when there is none."""
+    """Return the worst rating; green for none."""
     return max((one.verdict for one in judged), key=_FROM_BEST.index, default=Rating.GREEN)
 
 
 def together(parts: Sequence[Judgement]) -> Judgement:
-    """One judgement of several things of a kind: the worst verdict, everything seen, each fix once."""
+    """Join several judgements: the worst rating, everything found, each fix once."""
     fixes = dict.fromkeys(part.fix for part in parts if part.fix)
     return Judgement(worst(parts), "; ".join(part.found for part in parts), "; ".join(fixes))
 
 
 def as_facts(findings: Iterable[CheckResult]) -> dict[str, str]:
-    """Findings as a session's metadata, such as `"clock_source": "green: tsc"`."""
+    """Return results as a session's metadata, such as `"clock_source": "green: tsc"`."""
     return {
         finding.name.lower().replace(" ", "_").replace("-", "_"): f"{finding.verdict}: {finding.found}"
         for finding in findings
@@ -79,24 +79,24 @@ def as_facts(findings: Iterable[CheckResult]) -> dict[str, str]:
 
 
 class Computer:
-    """The files in which a system tells about itself, below `root`; elsewhere than `/` for the tests."""
+    """The files in which a system describes itself, below `root`; tests use another root than `/`."""
 
     def __init__(self, root: Path = Path("/")) -> None:
         self.root = root
 
     def text(self, path: str) -> str:
-        """Content of a file without the white space around it. Raises OSError if it cannot be read."""
+        """Return a file's content, stripped. Raises OSError if it cannot be read."""
         return (self.root / path).read_text(encoding="utf-8", errors="replace").strip()
 
     def text_or(self, path: str, missing: str) -> str:
-        """Content of a file, or `missing`."""
+        """Return a file's content, or `missing`."""
         try:
             return self.text(path)
         except OSError:
             return missing
 
     def bytes_of(self, path: str, most: int) -> bytes:
-        """The first bytes of a file, `most` at most; none if it cannot be read."""
+        """Return the first bytes of a file, `most` at most; none if it cannot be read."""
         try:
             with (self.root / path).open("rb") as file:
                 return file.read(most)
@@ -104,24 +104,24 @@ class Computer:
             return b""
 
     def matching(self, pattern: str) -> list[str]:
-        """Paths that match, in order; none if there are no such folders."""
+        """Return the matching paths, sorted."""
         return sorted(str(path.relative_to(self.root)) for path in self.root.glob(pattern))
 
     def exists(self, path: str) -> bool:
-        """Whether there is such a file or folder."""
+        """Return whether the file or folder exists."""
         return (self.root / path).exists()
 
     def may_write(self, path: str) -> bool:
-        """Whether this user may; the file is not opened."""
+        """Return whether this user may write the file, without opening it."""
         return os.access(self.root / path, os.W_OK)
 
 
 Check = Callable[[Computer], Judgement]
-"""Looks at one thing. Raises OSError, ValueError or LookupError where the system does not tell, or not that way."""
+"""Checks one thing. Raises OSError, ValueError or LookupError if the system does not provide the facts."""
 
 
 def look(computer: Computer, checks: Mapping[str, Check]) -> list[CheckResult]:
-    """Run each check; what the system does not tell is not known, never an error."""
+    """Run all checks; a check without facts is amber, never an error."""
     findings = []
     for name, check in checks.items():
         try:

@@ -1,6 +1,6 @@
-"""Is this computer fit for the 2 kHz loop? Looks at it and says what to change; changes nothing.
+"""Checks whether this computer can run the 2 kHz loop and lists what to change; changes nothing.
 
-Verdicts follow docs/facts/real-time.md#techniques and docs/facts/real-time.md#acceptance-figures; figures of a session
+Ratings follow docs/facts/real-time.md#techniques and docs/facts/real-time.md#acceptance-figures; figures of a session
 are those of the loop's ring and of its file.
 """
 
@@ -28,10 +28,10 @@ _SHARED_MEMORY: Final = "dev/shm"
 
 _GOOD_CLOCKS: Final = frozenset({"tsc", "arch_sys_counter"})
 _SLOW_CLOCKS: Final = frozenset({"hpet", "acpi_pm", "jiffies"})
-"""Each reading of these goes to a chip outside the CPU, or is too coarse."""
+"""Slow clocks, in a chip outside the CPU, or coarse ones."""
 _QUICK_WAKE_UP_US: Final = 20
 _MOST_SPIN_SHARE: Final = 0.4
-"""Of the time, that the loop may hold a CPU; `PacedClock`'s limit."""
+"""Share of the time that the loop may hold a CPU; `PacedClock`'s limit."""
 _COMFORTABLE_SHARE: Final = 0.9
 
 _SESSION_BYTES_PER_S: Final = 600_000
@@ -44,7 +44,7 @@ _CHUNK_BYTES: Final = 1 << 20
 
 
 def examine(folder: Path, root: Path = Path("/")) -> list[CheckResult]:
-    """Everything that can be seen at once, in some milliseconds; `folder` is where sessions are to be written."""
+    """Run all quick checks, in some milliseconds; `folder` is where sessions will be written."""
     computer = Computer(root)
     disks: dict[str, Check] = {"free space": lambda _: _free_space(folder), "shared memory": _shared_memory}
     return [
@@ -56,7 +56,7 @@ def examine(folder: Path, root: Path = Path("/")) -> list[CheckResult]:
 
 
 def write_speed(folder: Path) -> CheckResult:
-    """How fast a session could be written to `folder`: writes 16 MiB, waits for the disk, leaves nothing behind."""
+    """Measure the write speed of `folder` with 16 MiB, flushed to the disk and removed."""
     data = os.urandom(_CHUNK_BYTES)  # some file systems compress
     try:
         with tempfile.TemporaryFile(dir=nearest_folder(folder), buffering=0) as file:
@@ -72,7 +72,7 @@ def write_speed(folder: Path) -> CheckResult:
 
 
 def judge_write_speed(bytes_per_s: float) -> Judgement:
-    """Green from ten times what a session needs."""
+    """Judge a write speed: green from ten times what a session needs."""
     times = bytes_per_s / _SESSION_BYTES_PER_S
     found = f"{bytes_per_s / 1e6:.1f} MB/s, {times:.1f} times what a session needs"
     if times >= 10:
@@ -82,7 +82,7 @@ def judge_write_speed(bytes_per_s: float) -> Judgement:
 
 
 class PythonBuild(NamedTuple):
-    """What there is to know of the interpreter."""
+    """Facts of the interpreter."""
 
     version: str
     debug: bool = False
@@ -90,11 +90,11 @@ class PythonBuild(NamedTuple):
     development_mode: bool = False
     free_threaded: bool = False
     traced: bool = False
-    """A debugger, a profiler or coverage looks at every line."""
+    """A debugger, a profiler or coverage traces every line."""
 
 
 def python_build() -> PythonBuild:
-    """The interpreter that runs this."""
+    """Return the facts of this interpreter."""
     return PythonBuild(
         f"{sys.implementation.name} {sys.version.split()[0]}",
         debug=hasattr(sys, "gettotalrefcount"),
@@ -105,7 +105,7 @@ def python_build() -> PythonBuild:
 
 
 def judge_python(build: PythonBuild) -> Judgement:
-    """Only a debug build is out of the question."""
+    """Judge an interpreter; only a debug build is red."""
     if build.debug:
         return red(f"{build.version}, a debug build: several times slower", "use a release build of Python")
     if build.traced:
@@ -135,7 +135,7 @@ def _kernel(computer: Computer) -> Judgement:
 
 
 def _lockdown(computer: Computer) -> Judgement:
-    computer.text("proc/sys/kernel/osrelease")  # there is no lockdown file on kernels without it
+    computer.text("proc/sys/kernel/osrelease")  # kernels without lockdown have no such file
     mode = computer.text_or("sys/kernel/security/lockdown", "[none]").partition("[")[2].partition("]")[0]
     if mode == "none":
         return green("none")
@@ -190,7 +190,7 @@ def _cpus(computer: Computer) -> Judgement:
 
 
 def _disturbances(computer: Computer, loop: int, isolated: set[int], cores: Mapping[int, Core]) -> list[str]:
-    """What delays the loop on an isolated CPU all the same."""
+    """List what still delays the loop on an isolated CPU."""
     core, fastest = cores.get(loop, Core()), max((core.speed for core in cores.values()), default=0)
     problems = []
     if core.speed < fastest:
@@ -212,7 +212,7 @@ def _sleep_states(computer: Computer) -> Judgement:
         for state in computer.matching(f"{_CPUS}/cpu0/cpuidle/state*")
         if computer.text_or(f"{state}/disable", "0") == "0"
     ]
-    latency_us, name = max(states)  # a kernel that tells of none: not known
+    latency_us, name = max(states)  # none listed: not known
     found = f"{name} takes {latency_us} us to leave"
     if computer.may_write(_CPU_LATENCY):
         return green(f"{found}; the loop may forbid it")

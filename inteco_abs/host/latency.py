@@ -1,7 +1,7 @@
-"""How punctual this computer is now: measured, not read off; and how to judge round trips with a board.
+"""Measures how punctual this computer is, and judges round trips with a board.
 
-`python -m inteco_abs.host.latency SECONDS` is the child process of the wake-up test. It asks for everything that
-the loop's process asks for, which changes a process for good, and prints one JSON object.
+`python -m inteco_abs.host.latency SECONDS` is the child process of the wake-up test. It takes the loop's tuning, which
+changes a process for good, and prints one JSON object.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from inteco_abs.host.checks import CheckResult, Judgement, amber, green, red
 from inteco_abs.realtime import Clock, PacedClock, Quantiles, Setting, loop_tuning, prepare, quantiles
 
 SHORTEST_S, LONGEST_S = 0.2, 60.0
-"""Of a wake-up test."""
+"""Limits of the duration of a wake-up test."""
 
 _RATE_HZ: Final = 2000
 _PERIOD_NS: Final = 1_000_000_000 // _RATE_HZ
 _START_S: Final = 30.0
-"""More than Python ever takes to start."""
+"""Longer than Python takes to start."""
 _GOOD_P999_US: Final = 150.0
 _GOOD_MISSED: Final = 0.0005
 _BEARABLE_MISSED: Final = 0.01
 _COMFORTABLE_SHARE: Final = 0.8
-"""Of a period, for the board; the rest is for waking up and deciding."""
+"""Share of a period for the board; the rest is for waking up and deciding."""
 _QUIET: Final = "close other programs, follow the fixes above, and measure again with --seconds 60"
 
 
@@ -35,18 +35,18 @@ _NO_ENGINES: Final[Mapping[str, str]] = {}
 
 
 class WakeUps(NamedTuple):
-    """What the child process has seen."""
+    """Result of the child process."""
 
     settings: list[Setting]
     late_us: Quantiles
-    """How long after their deadlines the beats came."""
+    """Lateness of the beats, us."""
     beats: int
     missed: int
-    """Whole periods that passed without a beat."""
+    """Periods without a beat."""
 
 
 def wake_ups(clock: Clock, periods: int) -> tuple[list[int], int]:
-    """How late each beat came, ns, and how many periods were missed, over about so many periods."""
+    """Return the lateness of each beat, ns, and the number of missed periods, over about `periods` periods."""
     late: list[int] = []
     missed = 0
     now_ns = clock.now_ns
@@ -59,10 +59,7 @@ def wake_ups(clock: Clock, periods: int) -> tuple[list[int], int]:
 
 
 def examine_wake_ups(seconds: float) -> list[CheckResult]:
-    """Run the wake-up test for so long: what the loop is granted here, and how punctual it would be.
-
-    One short test tells how the computer is now. What comes once an hour is not in it.
-    """
+    """Run the wake-up test for `seconds`: granted settings, and punctuality of the loop on this computer now."""
     command = [sys.executable, "-P", "-m", __name__, str(seconds)]
     try:
         child = subprocess.run(  # noqa: S603  this very module
@@ -80,7 +77,7 @@ def examine_wake_ups(seconds: float) -> list[CheckResult]:
 
 
 def judge_settings(settings: Sequence[Setting]) -> Judgement:
-    """Without the scheduler's first rank nothing else helps."""
+    """Judge the loop's settings; without real-time priority nothing else helps."""
     refused = [setting for setting in settings if setting.refused]
     if not refused:
         return green("all granted: " + ", ".join(f"{name} {value}" for name, value, _ in settings))
@@ -90,7 +87,7 @@ def judge_settings(settings: Sequence[Setting]) -> Judgement:
 
 
 def judge_wake_ups(seen: WakeUps) -> Judgement:
-    """By the acceptance figures for a stock kernel on a quiet computer (docs/facts/real-time.md#acceptance-figures)."""
+    """Judge by the figures for a stock kernel on a quiet computer (docs/facts/real-time.md#acceptance-figures)."""
     periods = seen.beats + seen.missed
     found = (
         f"late {seen.late_us}; {seen.missed} of {periods} periods missed"
@@ -105,7 +102,7 @@ def judge_wake_ups(seen: WakeUps) -> Judgement:
 def judge_round_trips(
     times_us: Collection[float], count: int, period_us: float, engines: Mapping[str, str] = _NO_ENGINES
 ) -> Judgement:
-    """Round trips of `count` exchanges against the period in which each has to fit; `engines` is what was tried."""
+    """Judge the round trips of `count` exchanges against the period; `engines` are facts to add."""
     if not times_us:
         return red(f"none of {count} exchanges succeeded", "check the cable and the board's power")
     spread, failed = quantiles(times_us), count - len(times_us)
@@ -133,9 +130,9 @@ def _how_it_ended(code: int, stderr: str) -> str:
 
 
 def _parse(text: str) -> WakeUps:
-    told = json.loads(text)
-    settings = [Setting(*setting) for setting in told["settings"]]
-    return WakeUps(settings, Quantiles(*told["late_us"]), told["beats"], told["missed"])
+    result = json.loads(text)
+    settings = [Setting(*setting) for setting in result["settings"]]
+    return WakeUps(settings, Quantiles(*result["late_us"]), result["beats"], result["missed"])
 
 
 def _main() -> None:

@@ -1,7 +1,7 @@
-"""What this user may do, and the two files that allow the rest.
+"""Checks this user's permissions, and prints the two files that grant the missing ones.
 
-Both files go by the group that owns serial ports (`dialout`, on some systems `uucp`), so that they hold for remote
-logins as well; at the computer itself the tag `uaccess` is enough for the USB board.
+Both files use the group that owns serial ports (`dialout`, on some systems `uucp`), so that they also hold for remote
+logins; at the computer itself the tag `uaccess` is enough for the USB board.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from inteco_abs.host.checks import Check, Computer, Judgement, amber, green, red
 from inteco_abs.realtime import GUARDIAN_PRIORITY
 
 UDEV_FILE: Final = "/etc/udev/rules.d/70-inteco-abs.rules"
-"""Before 73, where the tag uaccess is read."""
+"""Sorts before 73, where the tag uaccess is read."""
 LIMITS_FILE: Final = "/etc/security/limits.d/70-inteco-abs.conf"
 PCI_VENDOR, PCI_DEVICE = "0x10b5", "0x2497"
 PCI_REGISTERS: Final = "resource2"
@@ -30,20 +30,20 @@ INSTALL_FTDI_RULES: Final = (
     f"inteco-abs doctor --rules --ftdi-serial {{}} | sudo tee {UDEV_FILE} && sudo udevadm control --reload, then plug "
     "the board in again"
 )
-"""With the chip's serial number."""
+"""Format with the chip's serial number."""
 _INSTALL_LIMITS: Final = f"inteco-abs doctor --limits | sudo tee {LIMITS_FILE}, then log in again"
 ALLOW_AWAKE: Final = f"install the udev rules ({UDEV_FILE}), which allow writing /dev/cpu_dma_latency"
 PLUG_AGAIN: Final = f"install the udev rules ({UDEV_FILE}), then plug the board in again or restart the computer"
 
 
 def serial_group(computer: Computer) -> str:
-    """The group that owns serial ports here."""
+    """Return the group that owns serial ports here."""
     known = _group_ids(computer)
     return next((name for name in _SERIAL_GROUPS if name in known), _SERIAL_GROUPS[0])
 
 
 def check_serial(serial: str) -> str:
-    """`serial` if it can be an FTDI chip's serial number in a rule; raises ConfigError."""
+    """Return `serial` if it can be an FTDI chip's serial number; else raise ConfigError."""
     if not _SERIAL.fullmatch(serial):
         problem = f"{serial!r}: must be 1 to 32 letters, digits, - and _, as inteco-abs doctor prints it"
         raise ConfigError([ConfigIssue("--ftdi-serial", problem)])
@@ -51,16 +51,16 @@ def check_serial(serial: str) -> str:
 
 
 def udev_rules(group: str, ftdi_serial: str = "") -> str:
-    """The udev rules to install as `UDEV_FILE`.
+    """Return the udev rules to install as `UDEV_FILE`.
 
-    The vendor and product ids of the first RT-DAC/USB are not known, and many instruments have the same FTDI chip: a
-    chip that names neither Inteco nor RT-DAC is set only if `ftdi_serial` is its serial number.
+    The ids of the first RT-DAC/USB are not known, and many instruments have the same FTDI chip: a chip that names
+    neither Inteco nor RT-DAC is configured only if `ftdi_serial` is its serial number.
     """
     ours = ['ATTR{manufacturer}=="*[Ii][Nn][Tt][Ee][Cc][Oo]*"', 'ATTR{product}=="*[Rr][Tt]*[Dd][Aa][Cc]*"']
     if ftdi_serial:
         ours.append(f'ATTR{{serial}}=="{ftdi_serial}"')
     chips = [f'ATTR{{idVendor}}=="0403", {which}' for which in ours]
-    unheard = "\n".join(f'{chip}, ENV{{ID_MM_DEVICE_IGNORE}}="1"' for chip in chips)
+    ignored = "\n".join(f'{chip}, ENV{{ID_MM_DEVICE_IGNORE}}="1"' for chip in chips)
     quick = "\n".join(
         f'SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", {chip.replace("ATTR", "ATTRS")}, '
         'ATTR{latency_timer}="1", ATTR{event_char}="0x13F"'
@@ -79,7 +79,7 @@ ENV{{DEVTYPE}}!="usb_device", GOTO="inteco_abs_end"
 ATTR{{manufacturer}}=="*[Ii][Nn][Tt][Ee][Cc][Oo]*", ENV{{INTECO_ABS}}="1"
 ENV{{INTECO_ABS}}=="1", GROUP="{group}", MODE="0660", TAG+="uaccess", ATTR{{power/control}}="on"
 # RT-DAC/USB of the first generation: ModemManager sends no commands for modems to it
-{unheard}
+{ignored}
 GOTO="inteco_abs_end"
 LABEL="inteco_abs_not_usb"
 
@@ -98,7 +98,7 @@ LABEL="inteco_abs_end"
 
 
 def limits(group: str) -> str:
-    """The limits to install as `LIMITS_FILE`."""
+    """Return the limits to install as `LIMITS_FILE`."""
     return f"""\
 # {LIMITS_FILE}
 # Lets group {group} run the 2 kHz loop before all other programs, and keep it in memory.
@@ -115,7 +115,7 @@ def _group_ids(computer: Computer) -> dict[str, str]:
 
 
 def _status(computer: Computer) -> dict[str, str]:
-    """What the kernel says of this process."""
+    """Return the kernel's status of this process."""
     lines = computer.text("proc/self/status").splitlines()
     return {name: value.strip() for name, _, value in (line.partition(":") for line in lines)}
 

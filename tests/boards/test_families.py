@@ -92,7 +92,7 @@ from inteco_abs.boards import check_address, default_profile, known_families, op
 from inteco_abs.config import WIRING, load_config
 from inteco_abs.errors import ConfigError
 from inteco_abs.host.attached import found_devices
-from inteco_abs.mock_board import Device, SocketServer, face_of
+from inteco_abs.mock_board import Device, SocketServer, front_end_of
 from inteco_abs.signals import BoardFlags, Command
 
 address = f"toy:{sys.argv[1]}"
@@ -102,7 +102,7 @@ real = simulated.with_name("real.toml")
 real.write_text(simulated.read_text().replace("simulated = true\n", ""))  # as a lab has signed it
 config = load_config(profile=str(real))
 device = Device(config, time.monotonic_ns)
-server, over = SocketServer(face_of(device), sys.argv[1]), threading.Event()
+server, over = SocketServer(front_end_of(device), sys.argv[1]), threading.Event()
 
 def serve():
     while not over.is_set():

@@ -45,13 +45,13 @@ def interrupted_in_mid_exchange(bench):
 
 
 def unplugged_while_it_is_opened(bench):
-    found = usb_queued.find_one
-    usb_queued.find_one = lambda *_: SimpleNamespace(bus=1, address=99)
+    found = usb_queued.find_usb_board
+    usb_queued.find_usb_board = lambda *_: SimpleNamespace(bus=1, address=99)
     try:
         with pytest.raises(BoardError, match="cannot be opened: the board is gone: check cable and power"):
             QueuedUsbLink("", bench.config.usb)
     finally:
-        usb_queued.find_one = found
+        usb_queued.find_usb_board = found
     bench.open_link().close()
 
 
