@@ -21,7 +21,7 @@ from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.mock_board import Device
 from inteco_abs.realtime import Loop, StopFlag, VirtualClock
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
-from inteco_abs.realtime.processes.recorder import conclusion, describe_board, rebuild, recover_run
+from inteco_abs.realtime.processes.recorder import describe_board, rebuild, recover_run, run_end
 from inteco_abs.sessions import TICK, TRUTH, FileWriter, RunHeader, SessionWriter, pack_tick, read_session, result_card
 from inteco_abs.signals import Phase, Reason
 
@@ -335,7 +335,7 @@ class TestConclusion:
     def test_a_normal_end_is_told_as_the_loop_told_it(self, dead):
         dead.post(Mailbox.RUN_END, {**NORMAL, "reason": int(Reason.OVER_SPEED), "detail": "far too fast"})
         dead.histogram.add([3.5, 3.6])
-        end = conclusion(dead)
+        end = run_end(dead)
         assert (end.reason, end.detail, end.aborted, end.written) == (Reason.OVER_SPEED, "far too fast", "", 8)
         assert end.facts == {"timing": {"late_us.histogram": '{"3": 2}', "cpu_share": "0.5"}}
 
@@ -347,7 +347,7 @@ class TestConclusion:
             dead.post(Mailbox.RESCUE, report)
         if trouble is not None:
             dead.post(Mailbox.FAILURE, trouble)
-        found = conclusion(dead)
+        found = run_end(dead)
         assert found.aborted == text
         assert found.written == 8
 
@@ -358,25 +358,25 @@ class TestConclusion:
             dead.words[word] = value
         if report is not None:
             dead.post(Mailbox.RESCUE, report)
-        assert ", ".join(conclusion(dead).died) == names
+        assert ", ".join(run_end(dead).died) == names
 
     def test_of_a_run_that_ended_as_it_should_nobody_died(self, dead, ended):
         dead.post(Mailbox.RUN_END, NORMAL)
         dead.words[Field.RECORDER_PID] = dead.words[Field.SUPERVISOR_PID] = os.getpid()
-        assert conclusion(dead).died == []
+        assert run_end(dead).died == []
         dead.words[Field.RECORDER_PID] = ended
-        assert conclusion(dead).died == ["recorder"]
+        assert run_end(dead).died == ["recorder"]
         dead.post(Mailbox.RECORDER_FAILURE, failure("SessionError", "no room"))
-        assert conclusion(dead).died == []  # it has ended, and said why
+        assert run_end(dead).died == []  # it has ended, and said why
         dead.words[Field.STOP] = Reason.GUARDIAN_LOST
-        assert conclusion(dead).died == ["guardian"]
+        assert run_end(dead).died == ["guardian"]
 
     @pytest.mark.parametrize("reason", [Reason.NONE, Reason.MISSED_EXCHANGES])
     def test_the_reason_of_the_last_tick_is_kept(self, memory, reason):
         values = [int(reason) if column.name == "reason" else 0 for column in TICK.columns]
         memory.tick_ring(pack_tick).append(values)
         memory.words[Field.LOOP_PID] = PID
-        assert conclusion(memory).reason is reason
+        assert run_end(memory).reason is reason
 
     def test_a_loop_that_died_holding_the_board_makes_an_aborted_session_that_says_so(self, whole):
         whole.memory.words[Field.LOOP_PID] = whole.memory.words[Field.HOLDER_PID] = PID
