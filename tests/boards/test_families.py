@@ -24,7 +24,7 @@ SECTION = "the section [usb] of a configuration, which has this name in every se
 ALLOWED = {
     "config/model.py": "what a profile that names no family has always meant",
     "commissioning/profile_draft.py": SECTION,
-    "commissioning/board_report.py": SECTION,
+    "commissioning/anonymous_report.py": SECTION,
 }
 
 
