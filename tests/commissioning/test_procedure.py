@@ -66,7 +66,7 @@ def test_a_signed_draft_opens_the_board_for_output(lab):
 def test_the_unsigned_draft_opens_it_for_reading_only(lab):
     lab.done_until("sign")
     with lab.rig.open(load_config(profile=str(lab.file))) as board:
-        assert "nobody has verified" in board.identity.read_only_because
+        assert "was not verified" in board.identity.read_only_because
 
 
 @pytest.mark.untraced

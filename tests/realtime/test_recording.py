@@ -301,9 +301,9 @@ def failure(kind, text):
 
 
 DIED, GAVE_UP = "the loop's process died after tick 7", "the loop's process gave up after tick 7"
-BY_THEN = "its board was safe by then"
+BY_THEN = "its board was already safe"
 MADE_SAFE = "the guardian made its board safe in 4.2 ms"
-NOBODY = f"nobody took over its board. {STILL_ON}"
+NOBODY = f"no process took over its board. {STILL_ON}"
 UNCONFIRMED = "SAFE could not be confirmed (no answer)"
 UNSAFE = failure("UnsafeError", f"{UNCONFIRMED}. {STILL_ON}")
 FULL = failure("BufferError", "BufferError: the ring is full")
@@ -401,7 +401,7 @@ class TestRecover:
     def test_a_run_that_still_goes_on_is_left_alone(self, whole, tmp_path, ended, word):
         whole.memory.words[Field.SUPERVISOR_PID] = ended
         whole.memory.words[word] = os.getpid()
-        with pytest.raises(SessionError, match="still goes on"):
+        with pytest.raises(SessionError, match="still going on"):
             recover_run(whole.memory.path, tmp_path / "saved.mcap")
         assert whole.memory.path.exists()
         assert not (tmp_path / "saved.mcap").exists()

@@ -184,7 +184,7 @@ class TestDrill:
         [
             (b"all zero", "no board", "failed its drill, so nothing was started: no board"),
             (b"all zero", None, "the guardian takes over: not within"),
-            (None, "", "the drill left nothing to make the board safe with"),
+            (None, "", "the drill posted no SAFE image"),
         ],
         ids=["SAFE was not confirmed", "nobody took over", "there is no image"],
     )

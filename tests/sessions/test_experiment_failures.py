@@ -101,7 +101,7 @@ def test_a_controller_that_cannot_be_built_leaves_no_file(run, tmp_path):
         (["profile=usb2_generic_0103"], "the board's logic is named 'ABSSIM', the profile knows none yet"),
         (["board.application_names=['ABS2']"], "the board's logic is named 'ABSSIM', the profile knows 'ABS2'"),
         (["board.logic_version=258"], "the board has logic 0x0103, the profile was made for 0x0102"),
-        (["board.verified_by=''"], "nobody has verified the profile's wiring"),
+        (["board.verified_by=''"], "the profile's wiring was not verified"),
     ],
     ids=["generic", "name", "version", "unsigned"],
 )
