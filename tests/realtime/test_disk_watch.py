@@ -83,6 +83,14 @@ def test_a_run_whose_ticks_have_no_room_left_is_ended_while_there_is_still_enoug
     assert watched.words[Field.STOP] == Reason.RECORDER_LOST
 
 
+def test_a_run_whose_rig_states_have_no_room_left_is_ended_too(watched):
+    states = watched.memory.truth_ring(lambda _buffer, _at, _record: None)
+    for _ in range(CAPACITY - int(RATE_HZ) + 1):
+        states.append(None)
+    watched.look()
+    assert watched.words[Field.STOP] == Reason.RECORDER_LOST
+
+
 def test_ticks_that_were_taken_make_room(watched):
     watched.ticks(300)
     watched.memory.tick_reader().take()

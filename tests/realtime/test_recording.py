@@ -250,7 +250,9 @@ class TestWrappedRing:
         made.run.job.path.unlink()
         account = rebuild(made.run.memory, made.run.job, made.run.job.path)
         assert account.card["lost_ticks"] == made.held_from
-        assert f"those before tick {made.held_from} were in {made.run.job.path}, which is gone" in account.explanation
+        assert (
+            f"those before tick {made.held_from} were in {made.run.job.path}, which is missing" in account.explanation
+        )
         assert read_session(made.run.job.path).ticks["tick"].tolist() == list(range(made.held_from, made.run.ticks))
 
     def test_what_another_run_has_written_there_is_not_taken_for_ticks_of_this_one(self, crash, tmp_path):

@@ -24,7 +24,7 @@ from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.realtime.ownership import post_failure
 from inteco_abs.realtime.processes import supervisor as supervisor_module
 from inteco_abs.realtime.processes.supervisor import Supervisor, restored_error
-from inteco_abs.realtime.screen import NoScreen, Point, SafeScreen, Snapshot
+from inteco_abs.realtime.screen import Lines, NoScreen, Point, SafeScreen, Snapshot
 from inteco_abs.sessions import TICK, pack_tick
 from inteco_abs.signals import BoardFlags, Phase, Reason, Tick
 
@@ -214,5 +214,12 @@ class TestALoopWithoutEnd:
         supervisor = Supervisor(memory, job_of(memory))
         loop = supervisor._children["loop"] = child("sleep", "10")
         supervisor._children["recorder"] = child()
-        supervisor._until_the_loop_ends(SafeScreen(NoScreen()), SimpleNamespace(main_ns=None))
+        supervisor._until_the_loop_ends(SafeScreen(NoScreen()), SimpleNamespace(main_ns=None, failure=""))
         assert loop.returncode == -signal.SIGKILL
+
+    def test_what_ended_the_watching_thread_is_said(self, memory, job_of, child):
+        supervisor, said = Supervisor(memory, job_of(memory)), []
+        supervisor._children |= {"loop": child("true"), "recorder": child()}
+        watch = SimpleNamespace(main_ns=None, failure="OSError: no descriptor")
+        supervisor._until_the_loop_ends(SafeScreen(Lines(said.append)), watch)
+        assert said == ["the supervisor's watching thread failed: OSError: no descriptor; the guardian ended the run"]

@@ -335,3 +335,10 @@ class TestAlarm:
         assert scene.words[Field.ALARMED] == 0
         over.set()
         writer.join()
+
+
+def test_what_ends_the_watching_thread_is_kept_for_the_user(scene, monkeypatch):
+    monkeypatch.setattr(scene.watch, "look", lambda: os.close(-1))
+    with pytest.raises(OSError, match="descriptor"):
+        scene.watch._look_or_report()
+    assert "descriptor" in scene.watch.failure
