@@ -15,7 +15,7 @@ from importlib.metadata import Distribution, EntryPoint, distributions
 from itertools import chain
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from inteco_abs.errors import ConfigError, ConfigIssue, place_in
+from inteco_abs.errors import ConfigError, place_in
 
 T = TypeVar("T")
 
@@ -33,9 +33,7 @@ def foreign_code(path: str, what: str) -> Iterator[None]:
         told = str(error)
         if isinstance(error, SyntaxError) and error.filename == what:
             told = error.msg  # its text names file and line once more
-        raise ConfigError(
-            [ConfigIssue(path, f"{what}{place_in(error, what)}: {type(error).__name__}: {told}")]
-        ) from error
+        raise ConfigError.of(path, f"{what}{place_in(error, what)}: {type(error).__name__}: {told}") from error
 
 
 def attribute(reference: str) -> Any:
@@ -122,7 +120,7 @@ class Registry(Mapping[str, T], Generic[T]):
         """The part of one package, freshly imported; raises ConfigError if it cannot be used."""
         what = f"{offer.name} of the package {offer.package}"
         if offer.problem:
-            raise ConfigError([ConfigIssue(self.path, f"{what}: {offer.problem}")])
+            raise ConfigError.of(self.path, f"{what}: {offer.problem}")
         with foreign_code(self.path, what):
             part = offer.entry.load()
         return self.require(self.path, part, f"{what}: {offer.entry.value}")

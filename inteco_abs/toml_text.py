@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, Final
 
-from inteco_abs.errors import ConfigError, ConfigIssue, near_file
+from inteco_abs.errors import ConfigError, near_file
 from inteco_abs.quantities import number_hint
 
 NOT_TOML: Final = (ValueError, RecursionError)
@@ -25,12 +25,12 @@ def read_toml(file: Path, if_missing: str) -> dict[str, Any]:
     data = _bytes(file, if_missing)
     problem = _problem_of(data)
     if problem:
-        raise ConfigError([ConfigIssue(str(file), problem)])
+        raise ConfigError.of(str(file), problem)
     text = data.decode("utf-8")
     try:
         return tomllib.loads(text)
     except NOT_TOML as error:
-        raise ConfigError([ConfigIssue(str(file), f"is not TOML: {in_words(error, text)}")]) from error
+        raise ConfigError.of(str(file), f"is not TOML: {in_words(error, text)}") from error
 
 
 def in_words(error: ValueError | RecursionError, text: str) -> str:
@@ -65,8 +65,8 @@ def _bytes(file: Path, if_missing: str) -> bytes:
         else:
             return file.read_bytes()
     except OSError as error:
-        raise ConfigError([ConfigIssue(str(file), f"cannot be read: {error.strerror}")]) from error
-    raise ConfigError([ConfigIssue(str(file), problem)])
+        raise ConfigError.of(str(file), f"cannot be read: {error.strerror}") from error
+    raise ConfigError.of(str(file), problem)
 
 
 def _problem_of(data: bytes) -> str:

@@ -110,7 +110,7 @@ class GoldenFolder:
         """Those with these names, or all; raises ConfigError for a name that is none, and if there is nothing."""
         if not self._goldens:
             problem = f"{self.path} holds no golden session; add one: inteco-abs golden add FILE --reason TEXT"
-            raise ConfigError([ConfigIssue("--folder", problem)])
+            raise ConfigError.of("--folder", problem)
         unknown = [name for name in names if name not in self._goldens]
         if unknown:
             raise ConfigError(
@@ -177,7 +177,7 @@ class GoldenFolder:
         changed = int((rows != np.frombuffer(session.payload, np.uint8).reshape(rows.shape)).any(axis=1).sum())
         if not changed:
             problem = "replays to the last bit, so there is nothing to update"
-            raise ConfigError([ConfigIssue(name, problem)])
+            raise ConfigError.of(name, problem)
         part = self._part(name)
         try:
             _write_copy(session, payload, part)
@@ -213,7 +213,7 @@ class GoldenFolder:
         elif self.path.exists() and not self.path.is_dir():
             problem = f"{self.path} is not a folder"
         if problem:
-            raise ConfigError([ConfigIssue("--name", problem)])
+            raise ConfigError.of("--name", problem)
 
     def _part(self, name: str) -> Path:
         return self.path / f".{name}.{os.getpid()}.part"
@@ -257,7 +257,7 @@ def _table(golden: Golden) -> dict[str, Any]:
 
 def _insist_on(reason: str) -> None:
     if not reason.strip():
-        raise ConfigError([ConfigIssue("--reason", "is empty; say why, for who reads the history later")])
+        raise ConfigError.of("--reason", "is empty; say why, for who reads the history later")
 
 
 def _rows_until(session: Session, until_s: float | None) -> int:

@@ -58,7 +58,7 @@ def _blamed_on(config: RigConfig) -> Iterator[None]:
         name = config.controller.name
         where = place_in(error, name.rpartition(":")[0])
         problem = f"{name}{where} cannot be made: {type(error).__name__}: {error}"
-        raise ConfigError([ConfigIssue("controller.name", problem)]) from error
+        raise ConfigError.of("controller.name", problem) from error
 
 
 def gains_in_force(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> dict[str, float]:

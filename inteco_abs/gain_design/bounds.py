@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.control import BrakingModel
-from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.errors import ConfigError
 from inteco_abs.gain_design.uncertainty import Box, SampledRig
 from inteco_abs.rig import RigParameters, adhesion
 from inteco_abs.rig.adhesion_curve import AdhesionCurve
@@ -61,7 +61,7 @@ def terms(drawn: SampledRig, slip: float, nominal: RigParameters) -> Terms:
     mu = AdhesionCurve(rig.adhesion_scale, rig.adhesion_blend).adhesion(slip, k)
     if not 0.0 < mu < math.tan(k.phi_rad):
         where = f"an adhesion of {mu:.3g} at slip {slip:g} and phi = {k.phi_rad:.3g} rad"
-        raise ConfigError([ConfigIssue("--uncertain", f"{where}: must be in 0..tan(phi); state less")])
+        raise ConfigError.of("--uncertain", f"{where}: must be in 0..tan(phi); state less")
     as_here = mu / adhesion(slip, k)
     model = BrakingModel(replace(k, w1=k.w1 * as_here, w2=k.w2 * as_here, w3=k.w3 * as_here, w4=k.w4 * as_here))
     f1, g1 = model.terms(slip, 1.0)

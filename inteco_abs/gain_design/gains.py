@@ -9,7 +9,7 @@ import numpy as np
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control import gains_in_force, reaching_time_bound
-from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.errors import ConfigError
 from inteco_abs.gain_design.bounds import Floats
 
 LAWS: Final = ("reaching-law", "constant-rate", "boundary-layer")
@@ -49,6 +49,6 @@ def gains_of(config: RigConfig) -> Gains:
     name = config.controller.name
     if name not in LAWS:
         problem = f"{name!r} has no switching gain for (25) to judge: must be one of {', '.join(LAWS)}"
-        raise ConfigError([ConfigIssue("controller.name", problem)])
+        raise ConfigError.of("controller.name", problem)
     gains = gains_in_force(config)
     return Gains(*(gains.get(gain, 0.0) for gain in Gains._fields))

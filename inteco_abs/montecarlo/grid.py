@@ -52,12 +52,8 @@ def combinations(
     grids = {name: _of_controller(name, names, axes, controllers) for name in names}
     count = sum(len(estimators) * math.prod(map(len, grid.values())) for grid in grids.values())
     if count > MOST_COMBINATIONS:
-        raise ConfigError(
-            [
-                ConfigIssue(
-                    "--set", f"{count} combinations: must be at most {MOST_COMBINATIONS}; give fewer values at once"
-                )
-            ]
+        raise ConfigError.of(
+            "--set", f"{count} combinations: must be at most {MOST_COMBINATIONS}; give fewer values at once"
         )
     check = control_check(controllers, ESTIMATOR_NAMES)
     found: list[Combination] = []
@@ -83,7 +79,7 @@ def _axes(settings: Sequence[str]) -> Axes:
         key, equals, text = setting.partition("=")
         values = [value.strip() for value in split_list(text)]
         if not equals or not key.strip() or not all(values):
-            raise ConfigError([ConfigIssue(f"--set {setting}", "must look like controller.gains.Mk=2 or ...=2,5,10")])
+            raise ConfigError.of(f"--set {setting}", "must look like controller.gains.Mk=2 or ...=2,5,10")
         axes[key.strip()] = list(dict.fromkeys([*axes.get(key.strip(), ()), *values]))
     return axes
 

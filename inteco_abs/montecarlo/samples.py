@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import Final
 
-from inteco_abs.errors import ConfigError, ConfigIssue, near_match
+from inteco_abs.errors import ConfigError, near_match
 from inteco_abs.rig import POPULATIONS, RigVariation, draw, torque_margin
 
 _NAMED: Final = re.compile(r"([^:]*):([0-9]+)(?:-([0-9]+))?")
@@ -59,4 +59,4 @@ def parse_draws(text: str) -> SampleSet:
 
 
 def _mistake(problem: str) -> ConfigError:
-    return ConfigError([ConfigIssue("--rigs", problem)])
+    return ConfigError.of("--rigs", problem)

@@ -9,7 +9,7 @@ from typing import Final
 
 from inteco_abs.control import Controller
 from inteco_abs.entry_points import foreign_code
-from inteco_abs.errors import ConfigError, ConfigIssue, near_file, near_match
+from inteco_abs.errors import ConfigError, near_file, near_match
 from inteco_abs.plugins.shape import require_controller
 
 FROM_FILE: Final = ".py:"
@@ -45,4 +45,4 @@ def load_controller(name: str, source: bytes | None = None) -> tuple[type[Contro
 
 
 def _mistake(problem: str) -> ConfigError:
-    return ConfigError([ConfigIssue(_PATH, problem)])
+    return ConfigError.of(_PATH, problem)

@@ -7,7 +7,7 @@ import math
 from typing import Any, Final
 
 from inteco_abs.control import Controller, Gain
-from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.errors import ConfigError
 
 _MOST_INTERNALS: Final = 4
 
@@ -16,7 +16,7 @@ def require_controller(path: str, kind: object, name: str) -> type[Controller]:
     """`kind`, if it is a class with update, gains and internals as `Controller` has them; else raises ConfigError."""
     problem = _problem_of(kind, name)
     if problem:
-        raise ConfigError([ConfigIssue(path, problem)])
+        raise ConfigError.of(path, problem)
     found: Any = kind
     checked: type[Controller] = found
     return checked

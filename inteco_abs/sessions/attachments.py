@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_disk, near_match
+from inteco_abs.errors import ConfigError, SessionError, describe_disk, near_match
 from inteco_abs.sessions.files import atomic_write, check_output
 from inteco_abs.sessions.reader import Session
 
@@ -17,7 +17,7 @@ def attached(session: Session, name: str) -> bytes:
     """The attachment `name`; raises ConfigError if the session has none of that name."""
     if name not in session.attachments:
         known = near_match(name, session.attachments) if session.attachments else "; it has none"
-        raise ConfigError([ConfigIssue("NAME", f"{session.path} has no attachment {name!r}{known}")])
+        raise ConfigError.of("NAME", f"{session.path} has no attachment {name!r}{known}")
     return session.attachments[name]
 
 

@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, SessionError, describe_disk, in_a_line
+from inteco_abs.errors import AbsError, ConfigError, SessionError, describe_disk, in_a_line
 from inteco_abs.format import TICK, TRUTH, Message
 from inteco_abs.sessions.environment import Environment
 from inteco_abs.sessions.files import atomic_write, require_own_file
@@ -40,7 +40,7 @@ def check_spill(config: RigConfig) -> None:
     except OSError as error:
         problem = describe_disk(error)
     if problem:
-        raise ConfigError([ConfigIssue("session.spill", f"{folder}: {problem}")])
+        raise ConfigError.of("session.spill", f"{folder}: {problem}")
 
 
 def spill_path(out: Path, config: RigConfig, session_id: str) -> Path | None:

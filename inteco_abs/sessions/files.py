@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_disk
+from inteco_abs.errors import ConfigError, SessionError, describe_disk
 
 _PART: Final = ".part"
 _BLOCK: Final = 1 << 20
@@ -33,7 +33,7 @@ def check_output(path: Path, option: str = "--out") -> None:
     except OSError as error:  # a name that no file can have
         problem = describe_disk(error)
     if problem:
-        raise ConfigError([ConfigIssue(option, f"{path}: {problem}")])
+        raise ConfigError.of(option, f"{path}: {problem}")
     if not os.access(path.parent, os.W_OK):
         raise SessionError(f"{path} cannot be created: the folder {path.parent} cannot be written to; name another")
 
@@ -55,7 +55,7 @@ def ensured_directory(folder: Path, option: str = "--out", *, new: bool = False)
             if error.errno not in _NO_PLACE:
                 raise SessionError(f"the folder {folder} cannot be made: {describe_disk(error)}") from error
             problem = "exists already; name a folder that does not exist" if folder.is_dir() else describe_disk(error)
-            raise ConfigError([ConfigIssue(option, f"the folder {folder} cannot be made: {problem}")]) from error
+            raise ConfigError.of(option, f"the folder {folder} cannot be made: {problem}") from error
         yield
     finally:
         for each in made:
@@ -71,7 +71,7 @@ def check_folder(folder: Path, option: str = "--out") -> None:
     above = nearest_folder(folder)
     blocked = next((place for place in (folder, *folder.parents) if place.exists() and not place.is_dir()), None)
     if blocked is not None:
-        raise ConfigError([ConfigIssue(option, f"{folder}: {blocked} is not a folder; choose another name")])
+        raise ConfigError.of(option, f"{folder}: {blocked} is not a folder; choose another name")
     if not os.access(above, os.W_OK):
         raise SessionError(f"nothing can be made in {folder}: the folder {above} cannot be written to")
 

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, near_match
+from inteco_abs.errors import AbsError, ConfigError, near_match
 from inteco_abs.format import TICK, TRUTH, Column, Message
 from inteco_abs.sessions.reader import Session
 
@@ -90,7 +90,7 @@ def to_polars(session: Session, table: str = "tick") -> Any:
 def _named(session: Session, name: str) -> Table:
     found = {table.name: table for table in tables(session)}
     if name not in found:
-        raise ConfigError([ConfigIssue("table", f"{session.path} has no {name!r}{near_match(name, found)}")])
+        raise ConfigError.of("table", f"{session.path} has no {name!r}{near_match(name, found)}")
     return found[name]
 
 

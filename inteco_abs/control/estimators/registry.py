@@ -56,7 +56,7 @@ def on_both_wheels(make: Callable[[RigConfig], SpeedFilter]) -> Maker:
 def require_estimator(path: str, found: object, name: str) -> EstimatorSpec:
     """`found` if it is an EstimatorSpec; else raises ConfigError."""
     if not isinstance(found, EstimatorSpec):
-        raise ConfigError([ConfigIssue(path, f"{name} is not an inteco_abs.control.EstimatorSpec")])
+        raise ConfigError.of(path, f"{name} is not an inteco_abs.control.EstimatorSpec")
     return found
 
 
