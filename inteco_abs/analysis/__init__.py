@@ -5,11 +5,11 @@ from inteco_abs.analysis.catalogue import COLUMNS, session_files, session_row, s
 from inteco_abs.analysis.closed_loop import Continuation, continued, distance
 from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, settings_of
 from inteco_abs.analysis.gains import REFERENCE, changed_gains
-from inteco_abs.analysis.golden import Golden, GoldenFolder, Verdict
-from inteco_abs.analysis.replay import Difference, Replay, before_the_gap, replay, require_known
+from inteco_abs.analysis.golden import Golden, GoldenFolder, GoldenResult
+from inteco_abs.analysis.open_loop import WhatIf, alternative, braking_row, since_braking_s, what_if
+from inteco_abs.analysis.replay import FirstDifference, Replay, before_the_gap, replay, require_known
 from inteco_abs.analysis.statistics import UNITS, Spread, statistics
 from inteco_abs.analysis.tolerance import Shift, Tolerance, parse_tolerances
-from inteco_abs.analysis.what_if import WhatIf, alternative, braking_row, since_braking_s, what_if
 
 __all__ = [
     "COLUMNS",
@@ -19,15 +19,15 @@ __all__ = [
     "Change",
     "Continuation",
     "Diff",
-    "Difference",
+    "FirstDifference",
     "Golden",
     "GoldenFolder",
+    "GoldenResult",
     "Replay",
     "Shift",
     "SignalChange",
     "Spread",
     "Tolerance",
-    "Verdict",
     "WhatIf",
     "alternative",
     "before_the_gap",

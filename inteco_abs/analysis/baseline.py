@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from inteco_abs.analysis.catalogue import session_files
 from inteco_abs.errors import SessionError
-from inteco_abs.sessions import DamagedError, metadata_at_a_glance, opened, stored_card
+from inteco_abs.sessions import DamagedError, opened, read_metadata, stored_card
 
 _KIND: Final = ("controller", "estimator", "board", "rig", "reference_slip")
 _SPEED: Final = "start_speed_rad_s"
@@ -31,7 +31,7 @@ def previous_card(card: Mapping[str, Any]) -> dict[str, Any] | None:
         return None
     mine = Path(card["session"])
     for path in islice(_newest_first(mine), _LOOKED_AT):
-        other = _card_at_a_glance(path)
+        other = _stored_card(path)
         if other is not None and _alike(card, other):
             return other | {"session": str(path)}
     return None
@@ -57,10 +57,10 @@ def _newest_first(mine: Path) -> Iterator[Path]:
     return (path for _, path in sorted(written, reverse=True))
 
 
-def _card_at_a_glance(path: Path) -> dict[str, Any] | None:
+def _stored_card(path: Path) -> dict[str, Any] | None:
     try:
         with opened(path) as (file, size):
-            metadata = metadata_at_a_glance(file, size)
+            metadata = read_metadata(file, size)
             return None if metadata.get("injected") else stored_card(metadata)
     except (SessionError, DamagedError):
         return None

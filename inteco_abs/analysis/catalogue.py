@@ -13,9 +13,9 @@ from inteco_abs.sessions import (
     DamagedError,
     Metadata,
     card_of,
-    metadata_at_a_glance,
     newer,
     opened,
+    read_metadata,
     read_session,
     stored_card,
 )
@@ -61,7 +61,7 @@ def session_row(path: Path) -> Row:
     """What a file is; never raises: what is wrong with it is its `problem`."""
     try:
         with opened(path) as (file, size):
-            metadata = metadata_at_a_glance(file, size)
+            metadata = read_metadata(file, size)
     except DamagedError:
         return _row_of_all(path)
     except SessionError as error:
@@ -89,7 +89,7 @@ def _row_of_all(path: Path) -> Row:
     row = _row(path, session.metadata, card_of(session) or {})
     row["ticks"] = len(session.ticks)
     row["outcome"] = row["outcome"] or INCOMPLETE
-    row["problem"] = session.incomplete or session.beyond or "its index is damaged"
+    row["problem"] = session.incomplete or session.unsupported or "its index is damaged"
     return row
 
 

@@ -14,9 +14,9 @@ from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 
+from inteco_abs.analysis.open_loop import since_braking_s
 from inteco_abs.analysis.replay import samples
 from inteco_abs.analysis.tolerance import Array
-from inteco_abs.analysis.what_if import since_braking_s
 from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig, SimulationConfig, load_config
 from inteco_abs.control import Controller, Gain, Pipeline, make_controller, make_estimator

@@ -21,9 +21,9 @@ from typing import Any, Final, Self
 import numpy as np
 import tomli_w
 
+from inteco_abs.analysis.open_loop import since_braking_s
 from inteco_abs.analysis.replay import Replay, decisions, replay, require_known
 from inteco_abs.analysis.tolerance import Array, parse_tolerances
-from inteco_abs.analysis.what_if import since_braking_s
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller, build_pipeline, control_check
 from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_disk, near_match
@@ -52,7 +52,7 @@ _NOT_KEPT: Final = ("argv",)
 """Of the software: it names folders."""
 _TIMING: Final = tuple(column.name for column in TICK.columns if column.role is Role.TIMING)
 
-Controllers = Mapping[str, type[Controller]]
+ControllerTypes = Mapping[str, type[Controller]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ class Golden:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class GoldenResult:
     """What a test of one golden session has found."""
 
     name: str
@@ -126,7 +126,7 @@ class GoldenFolder:
         session: Session,
         name: str,
         reason: str,
-        controllers: Controllers,
+        controllers: ControllerTypes,
         tolerances: Sequence[str] = (),
         until_s: float | None = None,
     ) -> Golden:
@@ -136,11 +136,11 @@ class GoldenFolder:
         proves nothing: that was cut, hardly brakes, or does not replay now, or that is not all known here.
         """
         self._check_name(name)
-        _insist_on(reason)
+        _require_reason(reason)
         parse_tolerances(tolerances)
         require_known(session)
         rows = _rows_until(session, until_s)
-        _insist_on_a_test(session, session.ticks[:rows])
+        _require_a_test(session, session.ticks[:rows])
         payload = bytes(session.payload[: rows * TICK.size])
         part = self._part(name)
         with ensured_directory(self.path, "--folder"):
@@ -156,16 +156,16 @@ class GoldenFolder:
             finally:
                 part.unlink(missing_ok=True)
 
-    def test(self, names: Sequence[str], controllers: Controllers) -> list[Verdict]:
+    def test(self, names: Sequence[str], controllers: ControllerTypes) -> list[GoldenResult]:
         """Replay those with these names, or all. Raises ConfigError as `chosen`."""
         return [self._test(golden, controllers) for golden in self.chosen(names)]
 
-    def update(self, name: str, reason: str, controllers: Controllers) -> Golden:
+    def update(self, name: str, reason: str, controllers: ControllerTypes) -> Golden:
         """Take the decisions of today for those of the golden session; its inputs stay.
 
         Raises ConfigError for an unknown name, without a reason, and if no tick would change.
         """
-        _insist_on(reason)
+        _require_reason(reason)
         (golden,) = self.chosen([name])
         session = self._read_golden(golden)
         pipeline = build_pipeline(session_config(session, (control_check(controllers),)), controllers)
@@ -190,12 +190,12 @@ class GoldenFolder:
         """Its session."""
         return self.path / f"{golden.name}.mcap"
 
-    def _test(self, golden: Golden, controllers: Controllers) -> Verdict:
+    def _test(self, golden: Golden, controllers: ControllerTypes) -> GoldenResult:
         try:
             session = self._read_golden(golden)
-            return Verdict(golden.name, "", _replay(session, controllers, golden.tolerances))
+            return GoldenResult(golden.name, "", _replay(session, controllers, golden.tolerances))
         except (SessionError, ConfigError) as error:
-            return Verdict(golden.name, str(error), None)
+            return GoldenResult(golden.name, str(error), None)
 
     def _read_golden(self, golden: Golden) -> Session:
         file = self.file(golden)
@@ -255,7 +255,7 @@ def _table(golden: Golden) -> dict[str, Any]:
     return {key: list(value) if isinstance(value, tuple) else value for key, value in table.items()}
 
 
-def _insist_on(reason: str) -> None:
+def _require_reason(reason: str) -> None:
     if not reason.strip():
         raise ConfigError.of("--reason", "is empty; say why, for who reads the history later")
 
@@ -266,7 +266,7 @@ def _rows_until(session: Session, until_s: float | None) -> int:
     return int(np.searchsorted(since_braking_s(session), until_s + 1e-9))
 
 
-def _insist_on_a_test(session: Session, ticks: Array) -> None:
+def _require_a_test(session: Session, ticks: Array) -> None:
     problem = ""
     braking = ticks[ticks["phase"] == Phase.BRAKING]
     if session.incomplete:
@@ -279,7 +279,7 @@ def _insist_on_a_test(session: Session, ticks: Array) -> None:
         raise SessionError(f"{session.path}: would prove nothing: {problem}")
 
 
-def _replay(session: Session, controllers: Controllers, tolerances: Sequence[str]) -> Replay:
+def _replay(session: Session, controllers: ControllerTypes, tolerances: Sequence[str]) -> Replay:
     config = session_config(session, (control_check(controllers),))
     return replay(session, build_pipeline(config, controllers), parse_tolerances(tolerances))
 

@@ -25,7 +25,7 @@ _NO_REQUEST: Final = Reason.NONE
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class FirstDifference:
     """The first value that a replay did not reproduce."""
 
     tick: int
@@ -46,7 +46,7 @@ class Replay:
     ticks: int
     braking_ticks: int
     differing: int
-    first: Difference | None
+    first: FirstDifference | None
     by_field: dict[str, int]
     agreeing_ticks: int = 0
     """Length of the longest beginning in which nothing differs."""
@@ -120,8 +120,8 @@ def decisions(session: Session, pipeline: Pipeline) -> Array:
 
 def require_known(session: Session) -> None:
     """Raises SessionError if the session holds what this version does not know: its decisions may rest on that."""
-    if session.beyond:
-        raise SessionError(f"{session.path}: cannot be replayed: {session.beyond}; replay it with that")
+    if session.unsupported:
+        raise SessionError(f"{session.path}: cannot be replayed: {session.unsupported}; replay it with that")
 
 
 def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
@@ -154,7 +154,7 @@ def _imply_inputs(logged: Array, again: Array) -> None:
     again["time_ns"][moved] = times_ns[moved - 1] + np.rint(logged["dt_s"][moved] * 1e9).astype(np.int64)
 
 
-def _difference(tick: int, name: str, *values: Any) -> Difference:
+def _difference(tick: int, name: str, *values: Any) -> FirstDifference:
     logged, replayed = (value.item() for value in values)
     hexes = [value.hex() if isinstance(value, float) else hex(value) for value in (logged, replayed)]
-    return Difference(tick, name, repr(logged), repr(replayed), *hexes)
+    return FirstDifference(tick, name, repr(logged), repr(replayed), *hexes)

@@ -45,7 +45,7 @@ def diff(a: Path, b: Path, only: tuple[str, ...], rel: float, as_json: bool) -> 
         _print(a, b, found)
     if not found.equal:
         return DIFFERS
-    return LOSSES if any(session.incomplete or session.beyond for session in (first, second)) else 0
+    return LOSSES if any(session.incomplete or session.unsupported for session in (first, second)) else 0
 
 
 def _print(a: Path, b: Path, found: Diff) -> None:

@@ -35,7 +35,7 @@ def export(file: Path, form: str | None, out: Path | None, as_json: bool) -> int
     from inteco_abs.sessions import export_session
 
     made = export_session(file, *_form_and_out(file, form, out))
-    incomplete, beyond = made.session.incomplete, made.session.beyond
+    incomplete, beyond = made.session.incomplete, made.session.unsupported
     if as_json:
         files = [{"path": str(written.path), "tables": written.tables, "rows": written.rows} for written in made.files]
         facts = {"schema_version": 1, "session": str(file), "incomplete": incomplete, "beyond": beyond, "files": files}

@@ -46,7 +46,7 @@ def extract(file: Path, name: str | None, out: Path | None, as_json: bool) -> in
             print_json({"schema_version": 1, "session": str(file), "name": name, "path": str(path), "bytes": size})
         else:
             say(f"{path}: {size} bytes")
-    return LOSSES if session.incomplete or session.beyond else 0
+    return LOSSES if session.incomplete or session.unsupported else 0
 
 
 def _to_stdout(data: bytes) -> None:

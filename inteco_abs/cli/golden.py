@@ -13,7 +13,7 @@ from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import print_json, say, show
 
 if TYPE_CHECKING:
-    from inteco_abs.analysis import Golden, GoldenFolder, Verdict
+    from inteco_abs.analysis import Golden, GoldenFolder, GoldenResult
 
 
 def _folder_option(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -159,7 +159,7 @@ def _report(goldens: GoldenFolder, kept: Golden, *, as_json: bool) -> None:
     say(f"{file}: {kept.ticks} ticks{changed}, {file.stat().st_size / 1000:.0f} kB; {newest.reason}")
 
 
-def _line(verdict: Verdict) -> str:
+def _line(verdict: GoldenResult) -> str:
     if verdict.replay is None:
         return f"{verdict.name}: cannot be tested: {verdict.problem}"
     first = verdict.replay.first

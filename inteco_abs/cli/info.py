@@ -36,7 +36,7 @@ def info(file: Path, everything: bool, as_json: bool) -> int:
         print_json(summary)
     else:
         _print_summary(session, summary, everything=everything)
-    return LOSSES if session.incomplete or session.beyond else 0
+    return LOSSES if session.incomplete or session.unsupported else 0
 
 
 def _summary(session: Session) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def _summary(session: Session) -> dict[str, Any]:
         "schema_version": 1,
         "session": str(session.path),
         "incomplete": session.incomplete,
-        "beyond": session.beyond,
+        "beyond": session.unsupported,
         "ticks": len(ticks),
         "duration_s": seconds,
         "events": session.events,

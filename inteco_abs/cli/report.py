@@ -31,4 +31,4 @@ def report(files: tuple[Path, ...], out: Path | None) -> int:
     sessions = [read_whole(file, read_session) for file in files]
     write_report(sessions, page)
     say(f"report: {page}", err=True)
-    return LOSSES if any(session.incomplete or session.beyond for session in sessions) else 0
+    return LOSSES if any(session.incomplete or session.unsupported for session in sessions) else 0

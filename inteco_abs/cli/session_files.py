@@ -35,8 +35,8 @@ def report_losses(session: Session) -> None:
         ticks = len(session.ticks)
         whole = f"{ticks} ticks are complete{'; recover makes a session of them' if ticks else ''}"
         say(f"inteco-abs: {session.path}: {session.incomplete}; {whole}", err=True)
-    if session.beyond:
-        say(f"inteco-abs: {session.path}: {plain(session.beyond)}", err=True)
+    if session.unsupported:
+        say(f"inteco-abs: {session.path}: {plain(session.unsupported)}", err=True)
 
 
 def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
@@ -46,7 +46,7 @@ def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
     sessions = [read_whole(file, read_on_disk) for file in files]
     draw_stops(sessions, out, width)
     say(f"figure: {out}", err=True)
-    return not any(session.incomplete or session.beyond for session in sessions)
+    return not any(session.incomplete or session.unsupported for session in sessions)
 
 
 def check_session_file(out: Path) -> None:

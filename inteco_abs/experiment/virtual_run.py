@@ -43,10 +43,10 @@ from inteco_abs.sessions import (
     RunEnd,
     RunHeader,
     RunResult,
+    current_environment,
     pack_tick,
     profile_source,
     spill_path,
-    surroundings,
 )
 from inteco_abs.signals import EXPLANATIONS, Reason
 from inteco_abs.wire import Recording, record_wire
@@ -87,7 +87,7 @@ class VirtualRun:
                 with board:
                     screen.passed(StartCheck.BOARD, f"{plan.board} {board.require_writable()}")
                     watchdog = prove_watchdog(board, config.period_ns, self._wait)
-                    writer.introduce(config, self._introduction(board, watchdog), plan.out)
+                    writer.write_header(config, self._introduction(board, watchdog), plan.out)
                     screen.passed(StartCheck.RECORDER, str(plan.out))
                     self._drive(writer, board, progress, screen)
             except BaseException as error:
@@ -169,7 +169,7 @@ class VirtualRun:
             controller_package=plan.controller_package,
             facts=facts_of(config, plan),
             profile=profile_source(config.profile),
-            surroundings=surroundings(),
+            environment=current_environment(),
         )
 
     def _end(self, board: Board, aborted: str = "") -> RunEnd:
@@ -200,14 +200,14 @@ class VirtualRun:
     def _conclude(self, writer: FailoverWriter, end: RunEnd) -> RunResult:
         """Finish the file. Raises SessionError naming the shared memory with the ticks if no disk takes them."""
         try:
-            return writer.conclude(end)
+            return writer.finish(end)
         except SessionError as error:
             raise self._stowed(writer, end, error) from error
 
     def _stowed(self, writer: FailoverWriter, end: RunEnd, error: SessionError) -> SessionError:
         job = replace(job_of(self._config, self._plan), session_id=self._session_id, virtual=True)
         try:
-            ring = spool_run(job, writer.introduction, end, self._window, writer.path)
+            ring = spool_run(job, writer.header, end, self._window, writer.path)
         except SessionError as second:
             out, seed = self._plan.out, self._plan.seed
             return SessionError(

@@ -15,7 +15,7 @@ _WORD: Final = (1 << 64) - 1
 RESULT_NAME: Final = f"{PACKAGE}.Result"
 
 
-class Entry(NamedTuple):
+class ResultField(NamedTuple):
     """One value of the card. Fields are numbered from 1 in the order of `RESULT`, so new ones go last."""
 
     name: str
@@ -25,37 +25,37 @@ class Entry(NamedTuple):
 
 
 RESULT: Final = (
-    Entry("session", TEXT),
-    Entry("outcome", TEXT),
-    Entry("reason", TEXT),
-    Entry("explanation", TEXT),
-    Entry("board", TEXT),
-    Entry("rig", TEXT),
-    Entry("controller", TEXT),
-    Entry("estimator", TEXT),
-    Entry("ticks", INT64),
-    Entry("overruns", INT64),
-    Entry("lost_ticks", INT64),
-    Entry("link_errors", INT64),
-    Entry("stops", INT64),
-    Entry("start_speed_rad_s", unit="rad/s"),
-    Entry("reference_slip"),
-    Entry("reaching_time_s", unit="s"),
-    Entry("band_entry_s", unit="s"),
-    Entry("stop_time_s", unit="s"),
-    Entry("stop_distance_m", unit="m"),
-    Entry("slip_rms_true"),
-    Entry("slip_rms_estimated"),
-    Entry("slip_rms_low_speed_true"),
-    Entry("slip_rms_fixed_true"),
-    Entry("lock_fraction"),
-    Entry("torque_variation_nm_per_s", unit="N.m/s"),
-    Entry("duty_variation_per_s", unit="/s"),
-    Entry("lateness_us_p50", unit="us"),
-    Entry("lateness_us_p99", unit="us"),
-    Entry("lateness_us_p999", unit="us"),
-    Entry("lateness_us_max", unit="us"),
-    Entry("payload_sha256", TEXT),
+    ResultField("session", TEXT),
+    ResultField("outcome", TEXT),
+    ResultField("reason", TEXT),
+    ResultField("explanation", TEXT),
+    ResultField("board", TEXT),
+    ResultField("rig", TEXT),
+    ResultField("controller", TEXT),
+    ResultField("estimator", TEXT),
+    ResultField("ticks", INT64),
+    ResultField("overruns", INT64),
+    ResultField("lost_ticks", INT64),
+    ResultField("link_errors", INT64),
+    ResultField("stops", INT64),
+    ResultField("start_speed_rad_s", unit="rad/s"),
+    ResultField("reference_slip"),
+    ResultField("reaching_time_s", unit="s"),
+    ResultField("band_entry_s", unit="s"),
+    ResultField("stop_time_s", unit="s"),
+    ResultField("stop_distance_m", unit="m"),
+    ResultField("slip_rms_true"),
+    ResultField("slip_rms_estimated"),
+    ResultField("slip_rms_low_speed_true"),
+    ResultField("slip_rms_fixed_true"),
+    ResultField("lock_fraction"),
+    ResultField("torque_variation_nm_per_s", unit="N.m/s"),
+    ResultField("duty_variation_per_s", unit="/s"),
+    ResultField("lateness_us_p50", unit="us"),
+    ResultField("lateness_us_p99", unit="us"),
+    ResultField("lateness_us_p999", unit="us"),
+    ResultField("lateness_us_max", unit="us"),
+    ResultField("payload_sha256", TEXT),
 )
 
 
@@ -72,7 +72,7 @@ def pack_result(card: Mapping[str, Any]) -> bytes:
     return b"".join(_field(number, entry, values.get(entry.name)) for number, entry in enumerate(RESULT, 1))
 
 
-def _field(number: int, entry: Entry, value: Any) -> bytes:
+def _field(number: int, entry: ResultField, value: Any) -> bytes:
     if entry.kind == DOUBLE.type_number:
         return double(number, math.nan if value is None else value)
     if value is None:

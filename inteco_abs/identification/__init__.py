@@ -3,17 +3,17 @@
 What counts can identify and what they cannot is explained in `fit_parameters`.
 """
 
-from inteco_abs.identification.estimates import SLIPS, Estimate, Identification, identify
+from inteco_abs.identification.estimates import SLIPS, Identification, ParameterEstimate, identify
 from inteco_abs.identification.parameters import ASSUMED, torque_name
-from inteco_abs.identification.plan import Experiment, experiments
+from inteco_abs.identification.plan import PlannedRun, experiments
 from inteco_abs.identification.segments import Segment, chosen, segment, segments
 
 __all__ = [
     "ASSUMED",
     "SLIPS",
-    "Estimate",
-    "Experiment",
     "Identification",
+    "ParameterEstimate",
+    "PlannedRun",
     "Segment",
     "chosen",
     "experiments",

@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from inteco_abs.identification.fit import Fit, fit
 from inteco_abs.identification.parameters import ASSUMED, Priors, torque_name
-from inteco_abs.identification.segments import Kind, Segment
+from inteco_abs.identification.segments import Segment, SegmentKind
 from inteco_abs.rig import DriveMotor, RigParameters, adhesion, measured_torque
 
 SLIPS: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
@@ -25,7 +25,7 @@ _STEP: Final = 1e-5
 _LEAST_SLOPE_NM: Final = 1e-4
 _WORKING_SHARE: Final = 0.25
 """Of the largest torque: from here on the brake's points make its straight line."""
-_NEEDED: Final[Mapping[str, tuple[Kind, str]]] = {
+_NEEDED: Final[Mapping[str, tuple[SegmentKind, str]]] = {
     "d": ("coast-down", "a coast-down"),
     "M0": ("coast-down", "a coast-down"),
     "drive_stall_torque": ("run-up", "a run-up"),
@@ -38,7 +38,7 @@ Status = Literal["identified", "assumed", "not identified"]
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class ParameterEstimate:
     """One number of the rig, with its interval of 95 %."""
 
     name: str
@@ -70,10 +70,10 @@ class Identification:
 
     fit: Fit
     segments: tuple[Segment, ...]
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[ParameterEstimate, ...]
 
     @property
-    def missing(self) -> list[Estimate]:
+    def missing(self) -> list[ParameterEstimate]:
         """What could not be identified."""
         return [each for each in self.estimates if each.status == "not identified"]
 
@@ -149,7 +149,7 @@ def identify(
     return Identification(found, tuple(segments), tuple(_estimates(found, kinds)))
 
 
-def _estimates(found: Fit, kinds: set[Kind]) -> Iterator[Estimate]:
+def _estimates(found: Fit, kinds: set[SegmentKind]) -> Iterator[ParameterEstimate]:
     deviations = norm.ppf(0.5 + 0.5 * _SHARE)
     priors, assumed = found.priors, {"J1", "J2", "Mg", "d1", "M10"}
     for derived in _all_derived(priors):
@@ -163,7 +163,9 @@ def _estimates(found: Fit, kinds: set[Kind]) -> Iterator[Estimate]:
             why = "the sessions do not separate it from the rest"
         status: Status = "assumed" if derived.name in assumed else "not identified" if why else "identified"
         off = deviations * sd
-        yield Estimate(derived.name, derived.unit, value, value - off, value + off, derived.published, status, why)
+        yield ParameterEstimate(
+            derived.name, derived.unit, value, value - off, value + off, derived.published, status, why
+        )
 
 
 def _slope(derived: _Derived, found: Fit) -> Any:

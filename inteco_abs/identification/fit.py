@@ -143,29 +143,29 @@ class _Problem:
     """Residuals over their deviations, and their slopes; the last of the numbers are each segment's own speeds."""
 
     def __init__(self, segments: Sequence[Segment], priors: Priors) -> None:
-        self._beliefs = priors
+        self._priors = priors
         self.noise = _ROUNDS[0][0]
         """Standard deviation of a residual in counts."""
         self._segments = [(each, channels(each)) for each in segments]
         started = [each.start_speeds() for each, _ in self._segments if each.kind != "run-up"]
         speeds = [speed for pair in started for speed in pair]
         self._places = {each.name: place for place, each in enumerate(priors.fit_parameters)}
-        self._believed = np.array([each.start for each in priors.fit_parameters] + speeds)
-        self.free = np.arange(len(self._believed)) >= len(ASSUMED)
+        self._prior = np.array([each.start for each in priors.fit_parameters] + speeds)
+        self.free = np.arange(len(self._prior)) >= len(ASSUMED)
         """What is not assumed."""
-        self.start = self._believed[self.free]
+        self.start = self._prior[self.free]
         count = len(priors.fit_parameters)
-        self._weights = np.eye(len(self._believed)) / _SPEED_SD_RAD_S
+        self._weights = np.eye(len(self._prior)) / _SPEED_SD_RAD_S
         self._weights[:count, :count] = priors.weights
 
     def whole(self, found: Floats) -> Floats:
         """All numbers: what is assumed, and the rest as `found`."""
-        return np.concatenate([self._believed[~self.free], found])
+        return np.concatenate([self._prior[~self.free], found])
 
     def residuals(self, found: Floats) -> Floats:
         """All of them."""
         parts = [left / self.noise for _, left in self.left(found)]
-        return np.concatenate([*parts, self._weights @ (self.whole(found) - self._believed)])
+        return np.concatenate([*parts, self._weights @ (self.whole(found) - self._prior)])
 
     def left(self, found: Floats) -> list[tuple[Channel, Floats]]:
         """Measured minus simulated, in counts, by channel."""
@@ -199,7 +199,7 @@ class _Problem:
 
     def _each(self) -> Iterator[tuple[Segment, list[Channel], tuple[int, ...]]]:
         """Segments, their channels, and the places of their own two speeds, if any."""
-        place = len(self._beliefs.fit_parameters)
+        place = len(self._priors.fit_parameters)
         for segment, its_channels in self._segments:
             own = () if segment.kind == "run-up" else (place, place + 1)
             place += len(own)
@@ -209,7 +209,7 @@ class _Problem:
         """Counts, a row for each of `rows`."""
         listed = rows.tolist()
         speeds = [(row[own[0]], row[own[1]]) if own else (0.0, 0.0) for row in listed]
-        wheel, road = angles(segment, self._beliefs, [self._beliefs.values(row) for row in listed], speeds)
+        wheel, road = angles(segment, self._priors, [self._priors.values(row) for row in listed], speeds)
         per_rad = segment.counts_per_turn / (2.0 * math.pi)
         return {"wheel": wheel * per_rad, "road": road * per_rad}
 

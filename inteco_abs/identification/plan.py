@@ -16,7 +16,7 @@ _COAST_TIMEOUT_S: Final = 120.0
 _SLOW_TIMEOUT_S: Final = 20.0
 
 
-class Experiment(NamedTuple):
+class PlannedRun(NamedTuple):
     """One run of the plan."""
 
     name: str
@@ -27,20 +27,20 @@ class Experiment(NamedTuple):
     """As for `--set`, over the configuration."""
 
 
-def experiments(brake_limit: float) -> tuple[Experiment, ...]:
+def experiments(brake_limit: float) -> tuple[PlannedRun, ...]:
     """What is to be recorded, with brake duties up to `brake_limit`, the guard's."""
     stops = [
-        Experiment(f"stop-{duty * 100:03.0f}", f"one brake step, to {duty:g}", _steps(duty, 0.0, 60.0))
+        PlannedRun(f"stop-{duty * 100:03.0f}", f"one brake step, to {duty:g}", _steps(duty, 0.0, 60.0))
         for duty in _STOPS
         if duty <= brake_limit
     ]
     return (
-        Experiment(
+        PlannedRun(
             "coast",
             "run-up and coast-down to standstill",
             (*_steps(0.0, 0.0, 60.0, _COAST_TIMEOUT_S), f"loop.rate_hz={_COAST_RATE_HZ}"),
         ),
-        Experiment(
+        PlannedRun(
             "stair",
             f"brake steps up from {_STAIR_FIRST:g}, {_STAIR_RISE:g} each",
             _steps(_STAIR_FIRST, _STAIR_RISE, _STAIR_STEP_S),

@@ -13,12 +13,12 @@ from inteco_abs.sessions import Session
 from inteco_abs.signals import Phase
 
 Floats = npt.NDArray[np.float64]
-Kind = Literal["run-up", "coast-down", "braking"]
+SegmentKind = Literal["run-up", "coast-down", "braking"]
 
-SAMPLE_S: Final[dict[Kind, float]] = {"run-up": 0.020, "coast-down": 0.050, "braking": 0.004}
+SAMPLE_S: Final[dict[SegmentKind, float]] = {"run-up": 0.020, "coast-down": 0.050, "braking": 0.004}
 """Time between two samples that are compared with the model: there are more than are needed."""
 _SPEED_WINDOW_S: Final = 0.020
-_SLOWEST_RAD_S: Final[dict[Kind, float]] = {"run-up": 0.0, "coast-down": 1.0, "braking": 3.0}
+_SLOWEST_RAD_S: Final[dict[SegmentKind, float]] = {"run-up": 0.0, "coast-down": 1.0, "braking": 3.0}
 """Of the road: below, a segment ends. There, slip has no meaning and counts come one by one."""
 _FEWEST_SAMPLES: Final = 50
 _MOST_RUN_UPS: Final = 2
@@ -29,7 +29,7 @@ class Segment:
     """One part of a session: samples, and the duties in force from each of them on."""
 
     session: str
-    kind: Kind
+    kind: SegmentKind
     counts_per_turn: int
     time_s: Floats
     """Since the first sample."""
@@ -57,7 +57,7 @@ class Segment:
 
 def segment(
     session: str,
-    kind: Kind,
+    kind: SegmentKind,
     counts_per_turn: int,
     time_s: Floats,
     counts: tuple[Floats, Floats],
@@ -106,7 +106,7 @@ def segments(session: Session, counts_per_turn: int) -> Iterator[Segment]:
         if phase[first] not in {Phase.SPIN_UP, Phase.BRAKING} or len(part) < _FEWEST_SAMPLES:
             continue
         drive, brake = in_force["drive"][part], in_force["brake"][part]
-        kind: Kind = "run-up" if phase[first] == Phase.SPIN_UP else "braking" if brake.any() else "coast-down"
+        kind: SegmentKind = "run-up" if phase[first] == Phase.SPIN_UP else "braking" if brake.any() else "coast-down"
         time_s = ticks["time_ns"][part].astype(np.int64) * 1e-9
         counts = ticks["wheel_count"][part].astype(float), ticks["road_count"][part].astype(float)
         found = segment(session.path.name, kind, counts_per_turn, time_s, counts, (drive, brake))

@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 
 from inteco_abs.identification.parameters import FULL_NM, Priors, torque_name
-from inteco_abs.identification.segments import Floats, Kind, Segment
+from inteco_abs.identification.segments import Floats, Segment, SegmentKind
 from inteco_abs.montecarlo import BatchPlant
 from inteco_abs.rig import DriveMotor
 
-_STEP_S: Final[dict[Kind, float]] = {"run-up": 0.005, "coast-down": 0.005, "braking": 0.001}
+_STEP_S: Final[dict[SegmentKind, float]] = {"run-up": 0.005, "coast-down": 0.005, "braking": 0.001}
 """Of the integration."""
 
 

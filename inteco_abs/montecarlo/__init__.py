@@ -4,7 +4,14 @@ from inteco_abs.montecarlo.batch import BatchPlant
 from inteco_abs.montecarlo.batch_run import LONGEST_BRAKING_S, Experiment
 from inteco_abs.montecarlo.grid import MOST_COMBINATIONS, Combination, combinations, split_list
 from inteco_abs.montecarlo.oracle import Oracle
-from inteco_abs.montecarlo.policies import ESTIMATOR_NAMES, IDEAL, ConfiguredPolicy, IdealPolicy, Maker, TrueState
+from inteco_abs.montecarlo.policies import (
+    ESTIMATOR_NAMES,
+    IDEAL,
+    ConfiguredPolicy,
+    IdealPolicy,
+    PolicyFactory,
+    TrueState,
+)
 from inteco_abs.montecarlo.results import METRICS, Distribution, StopResults, Summary, Trace
 from inteco_abs.montecarlo.samples import SampleSet, parse_draws
 from inteco_abs.montecarlo.stops import SHARD, Progress, run_all, run_stops
@@ -23,8 +30,8 @@ __all__ = [
     "Distribution",
     "Experiment",
     "IdealPolicy",
-    "Maker",
     "Oracle",
+    "PolicyFactory",
     "Progress",
     "SampleSet",
     "StopResults",

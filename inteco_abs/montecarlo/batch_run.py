@@ -13,7 +13,7 @@ from inteco_abs.config import RigConfig
 from inteco_abs.control import Pipeline
 from inteco_abs.errors import in_words
 from inteco_abs.montecarlo.batch import BatchPlant
-from inteco_abs.montecarlo.policies import Maker, TrueState
+from inteco_abs.montecarlo.policies import PolicyFactory, TrueState
 from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, StopResults, Trace
 from inteco_abs.rig import RigVariation, nominal_parameters
 from inteco_abs.sessions import STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
@@ -37,7 +37,7 @@ class Experiment:
 
     rigs: tuple[RigVariation, ...]
     config: RigConfig
-    maker: Maker
+    maker: PolicyFactory
     run_up_from_rad_s: float | None = 165.0
     traced: Collection[int] = ()
 

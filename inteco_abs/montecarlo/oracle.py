@@ -33,7 +33,7 @@ _LEAST_LAG_S: Final = 0.0025
 
 @dataclass(frozen=True, slots=True)
 class Oracle:
-    """Maker of an estimator and a controller that know the rig; `config` must name `predictive-reaching`."""
+    """PolicyFactory of an estimator and a controller that know the rig; `config` must name `predictive-reaching`."""
 
     config: RigConfig
 

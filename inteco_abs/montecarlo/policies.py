@@ -70,7 +70,7 @@ class IdealPolicy:
         return Estimate(state.wheel_speed, state.road_speed, state.slip, valid=True)
 
 
-Maker = Callable[[RigVariation, TrueState], tuple[Estimator, Controller]]
+PolicyFactory = Callable[[RigVariation, TrueState], tuple[Estimator, Controller]]
 """Makes the estimator and controller of one rig, which may look at its true state at every sample.
 
 Shards may run in other processes: a maker must be picklable, as a function of a module or a dataclass is.

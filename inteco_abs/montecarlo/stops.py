@@ -10,7 +10,7 @@ from typing import Final
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller
 from inteco_abs.montecarlo.batch_run import Experiment, run_shard
-from inteco_abs.montecarlo.policies import ConfiguredPolicy, Maker
+from inteco_abs.montecarlo.policies import ConfiguredPolicy, PolicyFactory
 from inteco_abs.montecarlo.results import StopResults
 from inteco_abs.rig import RigVariation
 
@@ -26,7 +26,7 @@ def run_stops(
     config: RigConfig,
     *,
     controllers: Mapping[str, type[Controller]] | None = None,
-    maker: Maker | None = None,
+    maker: PolicyFactory | None = None,
     run_up_from_rad_s: float | None = 165.0,
     traced: Collection[int] = (),
     executor: Executor | None = None,

@@ -22,7 +22,7 @@ def spool_run(job: Job, header: RunHeader, end: RunEnd, window: Window, file: Pa
     memory = RunMemory.create(TICK.size, max(len(ticks), 1), TRUTH.size, max(len(truths), 1))
     job.post(memory)
     memory.post(Mailbox.TROUBLES, {"texts": [], "file": str(file)})
-    memory.post(Mailbox.ENVIRONMENT, header.surroundings.as_note())
+    memory.post(Mailbox.ENVIRONMENT, header.environment.as_note())
     numbers = {"identity": dict(header.identity), "gains": dict(header.gains), "internals": list(header.internals)}
     memory.post(Mailbox.HEADER, {**numbers, "settings": []})
     memory.post(Mailbox.RUN_END, {"reason": int(end.reason), "detail": end.detail, "aborted": end.aborted, "cost": {}})

@@ -34,7 +34,7 @@ _RIG_RANGES: Final = {
 }
 
 
-def _insist_on_ranges(record: object, ranges: Mapping[str, tuple[float, float]]) -> None:
+def _require_ranges(record: object, ranges: Mapping[str, tuple[float, float]]) -> None:
     for name, (low, high) in ranges.items():
         value = getattr(record, name)
         if not (low <= value <= high and math.isfinite(value)):
@@ -58,7 +58,7 @@ class EncoderVariation:
     """Standard deviation of the normal noise of each reading, in counts, 0..10."""
 
     def __post_init__(self) -> None:
-        _insist_on_ranges(self, _ENCODER_RANGES)
+        _require_ranges(self, _ENCODER_RANGES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ class RigVariation:
     """What the encoders' noise is made from, 0..2^64-1."""
 
     def __post_init__(self) -> None:
-        _insist_on_ranges(self, _RIG_RANGES)
+        _require_ranges(self, _RIG_RANGES)
         if self.brake_map not in {"line", "measured"}:
             raise ValueError(f"brake_map = {self.brake_map!r}: must be 'line' or 'measured'")
 

@@ -4,7 +4,7 @@ from inteco_abs.format import TICK, TRUTH, pack_tick
 from inteco_abs.sessions.attachments import attached, extract
 from inteco_abs.sessions.card import aligned_truth, card_of, link_errors, result_card, stored_card
 from inteco_abs.sessions.container import DamagedError
-from inteco_abs.sessions.environment import Environment, surroundings
+from inteco_abs.sessions.environment import Environment, current_environment
 from inteco_abs.sessions.export import FORMATS, Export, export_session
 from inteco_abs.sessions.failover_writer import FailoverWriter, Opener, check_spill, joined, spill_path
 from inteco_abs.sessions.files import (
@@ -23,9 +23,9 @@ from inteco_abs.sessions.reader import Session, is_session_file, opened, read_se
 from inteco_abs.sessions.recorded_config import CONFIG_NAME, RECOVERED, session_config
 from inteco_abs.sessions.recovery import Recovery, recover_session
 from inteco_abs.sessions.session_writer import EXIT_CODES, LOSSES, RunEnd, RunHeader, RunResult, SessionWriter
-from inteco_abs.sessions.summary import metadata_at_a_glance
+from inteco_abs.sessions.summary import read_metadata
 from inteco_abs.sessions.tables import Table, tables, to_pandas, to_polars
-from inteco_abs.sessions.validation import Finding, Inspection, Severity, validate
+from inteco_abs.sessions.validation import Inspection, SessionIssue, Severity, validate
 from inteco_abs.sessions.writer import FileWriter
 
 __all__ = [
@@ -43,7 +43,6 @@ __all__ = [
     "Export",
     "FailoverWriter",
     "FileWriter",
-    "Finding",
     "Frames",
     "Inspection",
     "Metadata",
@@ -53,6 +52,7 @@ __all__ = [
     "RunHeader",
     "RunResult",
     "Session",
+    "SessionIssue",
     "SessionWriter",
     "Severity",
     "StopTrace",
@@ -64,6 +64,7 @@ __all__ = [
     "check_folder",
     "check_output",
     "check_spill",
+    "current_environment",
     "ensured_directory",
     "export_session",
     "extract",
@@ -71,13 +72,13 @@ __all__ = [
     "is_session_file",
     "joined",
     "link_errors",
-    "metadata_at_a_glance",
     "nearest_folder",
     "newer",
     "opened",
     "pack_tick",
     "profile_source",
     "read_frames",
+    "read_metadata",
     "read_session",
     "recover_session",
     "require_own_file",
@@ -88,7 +89,6 @@ __all__ = [
     "stop_metrics",
     "stored_card",
     "stored_rows",
-    "surroundings",
     "tables",
     "to_pandas",
     "to_polars",

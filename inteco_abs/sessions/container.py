@@ -218,10 +218,10 @@ def fields(opcode: int, data: memoryview, *, exact: bool = False) -> list[Any]:
     return found
 
 
-def text_map(data: memoryview, allowance: DecompressionBudget | None = None) -> dict[str, str]:
+def text_map(data: memoryview, budget: DecompressionBudget | None = None) -> dict[str, str]:
     """Texts by name, as metadata and channels have them; raises DamagedError."""
-    if allowance is not None:
-        allowance.part(size=len(data))
+    if budget is not None:
+        budget.part(size=len(data))
     facts, at = {}, 0
     while at < len(data):
         key, at = _text(data, at)
@@ -248,12 +248,12 @@ def attachment(data: memoryview) -> tuple[str, str, bytes]:
     return name, media_type, bytes(content)
 
 
-def unpack_chunk(data: memoryview, allowance: DecompressionBudget, *, checked: bool = False) -> bytes:
+def unpack_chunk(data: memoryview, budget: DecompressionBudget, *, checked: bool = False) -> bytes:
     """Records of a chunk; raises DamagedError if it contradicts itself, or if `checked` and it has no checksum."""
     _, _, size, crc, compression, packed = fields(Opcode.CHUNK, data, exact=True)
     if size > _LARGEST_CHUNK:
         raise DamagedError(f"claims {size} bytes, more than {_LARGEST_CHUNK}")
-    allowance.spend(size)
+    budget.spend(size)
     if compression not in _UNPACK:
         raise DamagedError(f"is compressed with {compression!r}; this version reads zstd and lz4")
     raw = _UNPACK[compression](packed, size)
@@ -291,10 +291,10 @@ _UNPACK: Final[dict[str, Callable[[memoryview, int], bytes]]] = {
 """By the name of a chunk's compression: its bytes, never many more than it claims."""
 
 
-def chunk_parts(raw: bytes, uneven: Collection[int] = ()) -> Iterator[Entry | FixedRun | VariableRun]:
+def chunk_parts(raw: bytes, variable_size: Collection[int] = ()) -> Iterator[Entry | FixedRun | VariableRun]:
     """What an unpacked chunk holds, in order; raises DamagedError at a record that leaves it.
 
-    Messages of the channels `uneven`, which have many sizes, come as stretches: nobody has looked at one by then.
+    Messages of the channels `variable_size` come as one `VariableRun`, whose messages are not checked yet.
     """
     at = 0
     while at < len(raw):
@@ -311,7 +311,7 @@ def chunk_parts(raw: bytes, uneven: Collection[int] = ()) -> Iterator[Entry | Fi
         if length < _MESSAGE_HEAD:
             raise DamagedError(f"holds a message of {length} bytes, less than a message's head")
         (channel,) = _INTEGERS["H"].unpack_from(raw, at)
-        if channel in uneven:
+        if channel in variable_size:
             stretch = _stretch(raw, at - HEAD.size, channel)
             yield stretch
             at = stretch.end

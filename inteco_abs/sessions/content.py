@@ -68,7 +68,7 @@ class Batch(NamedTuple):
 
     data: bytes
     """As they were recorded."""
-    today: bytes
+    upgraded: bytes
     """As this version has them."""
     values: npt.NDArray[np.void]
     """One row per message, over `today`."""
@@ -84,7 +84,7 @@ class Batch(NamedTuple):
         if sizes != {found.message.size} or not found.well_formed(data):
             data = _encoded_anew(runs, found)
         sequence, log_time = (np.concatenate([run.rows[name] for run in runs]) for name in ("sequence", "log_time"))
-        today = found.today(data)
+        today = found.upgraded(data)
         return cls(data, today, FLAT[found.message.topic].array(today), sequence, log_time)
 
 
@@ -107,7 +107,7 @@ class Content:
     """What was read so far; `rows` is where ticks and truths go, by topic, back to back."""
 
     rows: Mapping[str, Rows] = field(default_factory=dict)
-    allowance: DecompressionBudget = field(default_factory=lambda: DecompressionBudget(0))
+    budget: DecompressionBudget = field(default_factory=lambda: DecompressionBudget(0))
     """Of how many parts it may be."""
     library: str = LIBRARY
     """Program that wrote the file; assumed ours until the header says otherwise."""
@@ -116,10 +116,10 @@ class Content:
     """Topic and schema by the channel's number."""
     layouts: dict[str, Layout] = field(default_factory=dict)
     """Of ticks and truths, by topic, where their channels have been understood."""
-    strange: set[int] = field(default_factory=set)
+    undecoded: set[int] = field(default_factory=set)
     """Numbers of the channels of ticks and truths whose layout has not been looked at."""
     channel_facts: dict[str, dict[str, str]] = field(default_factory=dict)
-    uneven: set[int] = field(default_factory=set)
+    variable_size: set[int] = field(default_factory=set)
     """Numbers of the channels of raw frames."""
     frames: int = 0
     """Raw frames, which are only counted."""
@@ -141,7 +141,7 @@ class Content:
             raise DamagedError("has no type")
         if entry.opcode == Opcode.MESSAGE:
             raise DamagedError("stands outside of a chunk")
-        self.allowance.part()
+        self.budget.part()
         taker = _TAKERS.get(entry.opcode)
         if taker is not None:
             taker(self, entry.data)
@@ -149,15 +149,15 @@ class Content:
     def take_chunk(self, raw: bytes) -> dict[str, Batch]:
         """Everything in an unpacked chunk; ticks and truths by topic. Raises DamagedError."""
         runs: dict[str, list[FixedRun]] = {}
-        for part in chunk_parts(raw, self.uneven):
+        for part in chunk_parts(raw, self.variable_size):
             if isinstance(part, Entry):
                 self.take(part)
             elif isinstance(part, VariableRun):
-                self.allowance.part()
+                self.budget.part()
                 self.frames += part.number
                 self.messages += part.number
             elif part.channel in self.channels:
-                self.allowance.part()
+                self.budget.part()
                 runs.setdefault(self.channels[part.channel][0], []).append(part)
                 self.messages += len(part.rows)
             else:
@@ -166,7 +166,7 @@ class Content:
             self.check_schemas()
         self.take_log(runs.get(LOG_TOPIC, ()))
         for run in runs.get(PARAMETERS_TOPIC, ()):
-            self.allowance.part(len(run.rows), run.rows.nbytes)
+            self.budget.part(len(run.rows), run.rows.nbytes)
             self.parameters += map(parameters, run.rows["data"].tolist())
         batches = {topic: Batch.of(runs[topic], self.layouts[topic]) for topic in FLAT if topic in runs}
         for topic, batch in batches.items():
@@ -176,17 +176,17 @@ class Content:
     def take_log(self, runs: Iterable[FixedRun]) -> None:
         """Lines of the log; raises DamagedError at one that cannot be read."""
         for run in runs:
-            self.allowance.part(len(run.rows), run.rows.nbytes)
+            self.budget.part(len(run.rows), run.rows.nbytes)
             self.events += map(event, run.rows["log_time"].tolist(), run.rows["data"].tolist())
 
     def check_schemas(self) -> None:
         """Find the layout of ticks and truths; raises DamagedError if it cannot be brought to that of this version."""
-        for channel in sorted(self.strange):
+        for channel in sorted(self.undecoded):
             topic, number = self.channels[channel]
             found = layout(FLAT[topic], *self.schemas.get(number, ("", b"")))
             if self.layouts.setdefault(topic, found) is not found:
                 raise DamagedError(f"{topic} is declared twice, with two layouts")
-            self.strange.discard(channel)
+            self.undecoded.discard(channel)
 
     def altered_attachments(self) -> list[str]:
         """Names of the attachments that are not those that were recorded, by their hashes."""
@@ -195,7 +195,7 @@ class Content:
         return [name for name, digest in found.items() if told.get(ATTACHMENT_HASH + name, digest) != digest]
 
     @property
-    def beyond(self) -> str:
+    def unsupported(self) -> str:
         """What this version does not know of the session, or does not find in it; empty if it is like its own."""
         unknown = [problem for topic in FLAT if topic in self.layouts for problem in self.layouts[topic].unknown]
         problems = [problem for problem in (newer(self.metadata), *unknown) if problem]
@@ -212,7 +212,7 @@ class Content:
             if self.epoch_ns is None:
                 self.epoch_ns = int(batch.log_time[0]) - int(batch.values["time_ns"][0])
         if topic in self.rows:
-            self.rows[topic].write(batch.today)
+            self.rows[topic].write(batch.upgraded)
 
     def _take_header(self, data: memoryview) -> None:
         _, self.library = fields(Opcode.HEADER, data)
@@ -225,13 +225,13 @@ class Content:
         number, schema, topic, _, facts = fields(Opcode.CHANNEL, data)
         self.channels[number] = topic, schema
         if topic == IO_TOPIC:
-            self.uneven.add(number)
-        (self.strange.add if topic in FLAT else self.strange.discard)(number)
-        self.channel_facts[topic] = text_map(facts, self.allowance)
+            self.variable_size.add(number)
+        (self.undecoded.add if topic in FLAT else self.undecoded.discard)(number)
+        self.channel_facts[topic] = text_map(facts, self.budget)
 
     def _take_metadata(self, data: memoryview) -> None:
         name, facts = fields(Opcode.METADATA, data)
-        self.metadata.setdefault(name.removeprefix(PREFIX), {}).update(text_map(facts, self.allowance))
+        self.metadata.setdefault(name.removeprefix(PREFIX), {}).update(text_map(facts, self.budget))
 
     def _take_attachment(self, data: memoryview) -> None:
         name, media_type, content = attachment(data)

@@ -49,7 +49,7 @@ class Environment(NamedTuple):
 
 
 @cache
-def surroundings() -> Environment:
+def current_environment() -> Environment:
     """Those of this process."""
     packages = installed_packages()
     files = [Enclosure(REQUIREMENTS_NAME, "text/plain", packages)]

@@ -26,7 +26,7 @@ Opener = Callable[[Path], FileWriter]
 """Opens a file for the session at a path; the same session, with the same times, whichever the path."""
 Say = Callable[[str, Path], None]
 """Told what a disk has refused and what came of it, and which file is written by now."""
-Rows = Iterable[tuple[bytes, bytes]]
+RowBlocks = Iterable[tuple[bytes, bytes]]
 """Ticks and states of the simulated rig in blocks, each back to back and in order."""
 
 
@@ -55,7 +55,7 @@ def spill_path(out: Path, config: RigConfig, session_id: str) -> Path | None:
     return path.with_name(f"{out.stem}-{session_id[:8]}{out.suffix}") if taken else path
 
 
-def joined(stored: Callable[[], Rows], held: Callable[[], Rows]) -> Iterator[tuple[bytes, bytes]]:
+def joined(stored: Callable[[], RowBlocks], held: Callable[[], RowBlocks]) -> Iterator[tuple[bytes, bytes]]:
     """A run from what a file has `stored` of it and the newest part, which memory has `held`: each row once.
 
     The file is not looked at where memory has everything. Else it comes first: the loop goes on meanwhile and may take
@@ -81,12 +81,17 @@ class FailoverWriter:
     """Tells one run to a file at `out`. A disk that refuses before the run was introduced is a SessionError.
 
     Later it is none before the end: the run is told anew to a file at `spill`, or, where that refuses too, kept in
-    memory until `conclude` tries both once more. `held` gives what was added and is still in the memory of whoever
+    memory until `finish` tries both once more. `held` gives what was added and is still in the memory of whoever
     adds it: at least everything since the newest `flush` after which the keeper was `writing`.
     """
 
     def __init__(
-        self, out: Path, opener: Opener, held: Callable[[], Rows], spill: Path | None = None, say: Say | None = None
+        self,
+        out: Path,
+        opener: Opener,
+        held: Callable[[], RowBlocks],
+        spill: Path | None = None,
+        say: Say | None = None,
     ) -> None:
         self.path = out
         """File that is being written, or was last."""
@@ -118,25 +123,25 @@ class FailoverWriter:
         return self._scribe.ticks if self._scribe is not None else 0
 
     @property
-    def introduction(self) -> RunHeader:
+    def header(self) -> RunHeader:
         """What the run was introduced with."""
-        return self._told.introduction
+        return self._told.header
 
-    def introduce(self, config: RigConfig, introduction: RunHeader, session: Path) -> None:
+    def write_header(self, config: RigConfig, header: RunHeader, session: Path) -> None:
         """Everything that explains the run, on the disk before the first tick; the user calls the file `session`."""
         self._session = session
-        scribe = SessionWriter(self._recorder, config, introduction, session)
+        scribe = SessionWriter(self._recorder, config, header, session)
         try:
-            scribe.introduce()
+            scribe.write_header()
         except SessionError as error:
             with suppress(SessionError):  # a disk that takes nothing may give nothing back either
                 self.discard()
             raise SessionError(f"{error}; the rig was not moved") from error
         self._scribe = scribe
 
-    def surround(self, found: Environment) -> None:
+    def add_environment(self, found: Environment) -> None:
         """What surrounded the run, if it was introduced without."""
-        self._attempt(lambda: self._told.surround(found))
+        self._attempt(lambda: self._told.add_environment(found))
 
     def add(self, ticks: bytes, truths: bytes) -> None:
         """More of the run: tick records and states of the simulated rig, each back to back."""
@@ -156,14 +161,14 @@ class FailoverWriter:
         if not self._refused:
             self._attempt(lambda: self._recorder.warn(unix_ns, text))
 
-    def conclude(self, end: RunEnd) -> RunResult:
+    def finish(self, end: RunEnd) -> RunResult:
         """Complete the file, or make it as a whole where that can be done by now.
 
         Raises SessionError if no disk takes it: there is no complete file then.
         """
         while not self._refused:
             try:
-                return self._accounted(self._told.conclude(end))
+                return self._accounted(self._told.finish(end))
             except SessionError as error:
                 self._move(error)
         for place in filter(None, (self._out, self._spill)):
@@ -219,7 +224,7 @@ class FailoverWriter:
     def _as_a_whole(self, place: Path, end: RunEnd) -> RunResult:
         with atomic_write(place) as part, self._open(part) as recorder:
             require_own_file(place, recorder.session_id)
-            account = self._retold(recorder, place).conclude(end)
+            account = self._retold(recorder, place).finish(end)
         self.path = place
         return account
 
@@ -231,7 +236,7 @@ class FailoverWriter:
             recorder.warn(unix_ns, text)
         return scribe
 
-    def _stored(self) -> Rows:
+    def _stored(self) -> RowBlocks:
         """What the last file has; where its disk does not give that back, no more than it gives."""
         try:
             yield from self._recorder.stored()

@@ -49,14 +49,14 @@ def read_frames(path: Path) -> Capture:
     messages: list[bytes] = []
     ended = False
     with opened(path) as (file, size):
-        content = Content(allowance=DecompressionBudget(size))
+        content = Content(budget=DecompressionBudget(size))
         try:
             for entry in RecordFile(file, size):
                 if entry.opcode == Opcode.DATA_END:
                     ended = True
                     break
                 if entry.opcode == Opcode.CHUNK:
-                    messages += _messages(content, unpack_chunk(entry.data, content.allowance))
+                    messages += _messages(content, unpack_chunk(entry.data, content.budget))
                 else:
                     content.take(entry)
             missing = content.metadata.get("frames", {}).get("missing", "")
@@ -66,14 +66,14 @@ def read_frames(path: Path) -> Capture:
 
 
 def _messages(content: Content, raw: bytes) -> Iterator[bytes]:
-    for part in chunk_parts(raw, content.uneven):
+    for part in chunk_parts(raw, content.variable_size):
         if isinstance(part, Entry):
             content.take(part)
             continue
         if isinstance(part, FixedRun):
-            content.allowance.part()
+            content.budget.part()
         else:
-            content.allowance.part(part.number)
+            content.budget.part(part.number)
             yield from (data for _, _, data in part.messages())
 
 

@@ -40,7 +40,7 @@ class Made(NamedTuple):
     """Columns as the version before has called them; those that have no other successor end with it."""
 
 
-class Step(NamedTuple):
+class Migration(NamedTuple):
     """What a session of the version before becomes."""
 
     to: int
@@ -62,10 +62,10 @@ def renamed(_rows: int, column: Array) -> Array:
 
 
 FIRST: Final = 1
-STEPS: tuple[Step, ...] = (
-    Step(2, (Made("/sim/truth", "adhesion", not_measured),)),
-    Step(3),  # a reason more, RUN_UP_IMPLAUSIBLE, and guard.run_up_factor: `parse_config` leaves it out where it is not
-    Step(
+STEPS: tuple[Migration, ...] = (
+    Migration(2, (Made("/sim/truth", "adhesion", not_measured),)),
+    Migration(3),  # new reason RUN_UP_IMPLAUSIBLE, and guard.run_up_factor, which `parse_config` may find absent
+    Migration(
         4,
         (
             Made("/abs/tick", "drive_request", renamed, ("drive_wish",)),
@@ -76,7 +76,7 @@ STEPS: tuple[Step, ...] = (
 """From each version to the next, beginning with the one behind `FIRST`."""
 
 
-class StrangeError(DamagedError):
+class UnsupportedError(DamagedError):
     """The file is whole, and its messages are of another program, or too different a version of this one."""
 
 
@@ -119,13 +119,13 @@ class Layout:
         """Whether `data` is messages as the file declares them, back to back."""
         return self.message.well_formed(data)
 
-    def today(self, data: bytes) -> bytes:
+    def upgraded(self, data: bytes) -> bytes:
         """The messages in `data` as this version has them."""
         return data
 
 
 class _OtherLayout(Layout):
-    """Of messages that a file declares otherwise. Raises StrangeError if too much is missing."""
+    """Of messages that a file declares otherwise. Raises UnsupportedError if too much is missing."""
 
     def __init__(self, own: Declared, today: Message) -> None:
         super().__init__(own.message)
@@ -150,7 +150,7 @@ class _OtherLayout(Layout):
         rows = self.message.array(data)
         return all(bool(np.isin(rows[name], list(members)).all()) for name, members in self._members.items())
 
-    def today(self, data: bytes) -> bytes:
+    def upgraded(self, data: bytes) -> bytes:
         found = self.message.array(data)
         columns: dict[str, Array] = {column.name: found[column.name] for column in self.message.columns}
         for name, numbers in self._renumbered.items():
@@ -184,14 +184,14 @@ _LONGEST_DESCRIPTOR: Final = 1 << 16
 
 
 def layout(today: Message, name: str, descriptor: bytes) -> Layout:
-    """Of messages that a file declares under the topic of `today`. Raises StrangeError if they are none of ours."""
+    """Of messages that a file declares under the topic of `today`. Raises UnsupportedError if they are none of ours."""
     if len(descriptor) > _LONGEST_DESCRIPTOR:
-        raise StrangeError(f"{today.topic} is declared in {len(descriptor)} bytes, more than {_LONGEST_DESCRIPTOR}")
+        raise UnsupportedError(f"{today.topic} is declared in {len(descriptor)} bytes, more than {_LONGEST_DESCRIPTOR}")
     return _layout(today, name, descriptor, STEPS)
 
 
 @lru_cache(maxsize=16)
-def _layout(today: Message, name: str, descriptor: bytes, _steps: tuple[Step, ...]) -> Layout:
+def _layout(today: Message, name: str, descriptor: bytes, _steps: tuple[Migration, ...]) -> Layout:
     if (name, descriptor) == (today.name, today.descriptor()):
         return Layout(today)
     try:
@@ -199,7 +199,9 @@ def _layout(today: Message, name: str, descriptor: bytes, _steps: tuple[Step, ..
             raise ValueError(f"it is called {name}")  # noqa: TRY301  named below as all others
         return _OtherLayout(declared(descriptor, name, today.topic), today)
     except ValueError as error:
-        raise StrangeError(f"{today.topic} has another layout than {today.name} here: {error}; {_ADVICE}") from error
+        raise UnsupportedError(
+            f"{today.topic} has another layout than {today.name} here: {error}; {_ADVICE}"
+        ) from error
 
 
 def _made(topic: str, there: set[str]) -> list[Made]:

@@ -26,7 +26,7 @@ from inteco_abs.sessions.container import (
     unpack_chunk,
 )
 from inteco_abs.sessions.content import FLAT, LIBRARY, Content, Event, Parameters
-from inteco_abs.sessions.migration import StrangeError, migrated
+from inteco_abs.sessions.migration import UnsupportedError, migrated
 from inteco_abs.sessions.storage import Rows, RowsInMemory, RowsOnDisk
 
 _BEGINNING: Final = 64
@@ -71,7 +71,7 @@ class Session:
     """UNIX time of the monotonic clock's zero, ns; 0 without ticks."""
     incomplete: str
     """Empty for a whole file, else where it ends."""
-    beyond: str = ""
+    unsupported: str = ""
     """Empty if this version knows and finds all that it should, else what not: such a session is not replayed."""
     frames: int = 0
     """Messages between host and board, which only `read_frames` reads."""
@@ -95,7 +95,7 @@ def read_session(path: Path, spool: Path | None = None) -> Session:
             }
             content, incomplete = _read(file, size, Content(rows, DecompressionBudget(size)))
             return _session(path, content, incomplete)
-        except StrangeError as error:
+        except UnsupportedError as error:
             raise SessionError(f"{path}: cannot be read: {error}") from error
         except DamagedError as error:
             raise _damaged(path, error) from error
@@ -106,7 +106,7 @@ def stored_rows(file: BinaryIO, size: int, path: Path) -> Iterator[tuple[bytes, 
 
     Up to where it was cut, as `read_session` does it. Raises SessionError if the file at `path` is damaged.
     """
-    content = Content(allowance=DecompressionBudget(size))
+    content = Content(budget=DecompressionBudget(size))
     try:
         for entry in RecordFile(file, size):
             if entry.opcode == Opcode.DATA_END:
@@ -114,8 +114,8 @@ def stored_rows(file: BinaryIO, size: int, path: Path) -> Iterator[tuple[bytes, 
             if entry.opcode != Opcode.CHUNK:
                 content.take(entry)
                 continue
-            batches = content.take_chunk(unpack_chunk(entry.data, content.allowance))
-            ticks, states = (batches[topic].today if topic in batches else b"" for topic in FLAT)
+            batches = content.take_chunk(unpack_chunk(entry.data, content.budget))
+            ticks, states = (batches[topic].upgraded if topic in batches else b"" for topic in FLAT)
             if ticks or states:
                 yield ticks, states
     except DamagedError as error:
@@ -188,10 +188,10 @@ def _read(file: BinaryIO, size: int, content: Content) -> tuple[Content, str]:
                 ended = True
                 break
             if entry.opcode == Opcode.CHUNK:
-                content.take_chunk(unpack_chunk(entry.data, content.allowance))
+                content.take_chunk(unpack_chunk(entry.data, content.budget))
             else:
                 content.take(entry)
-        except StrangeError:
+        except UnsupportedError:
             raise
         except DamagedError as error:
             raise DamagedError(f"{kind(entry.opcode)} at byte {entry.start}: {error}") from error
@@ -248,6 +248,6 @@ def _session(path: Path, content: Content, incomplete: str) -> Session:
         tuple(content.parameters),
         content.epoch_ns or 0,
         incomplete,
-        content.beyond,
+        content.unsupported,
         content.frames,
     )

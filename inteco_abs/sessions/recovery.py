@@ -31,7 +31,7 @@ from inteco_abs.sessions.files import atomic_write, check_output
 from inteco_abs.sessions.migration import Layout, migrated
 from inteco_abs.sessions.reader import check_data, regular_file
 from inteco_abs.sessions.recorded_config import CONFIG_NAME, RECOVERED
-from inteco_abs.sessions.scanner import Scan, Whole
+from inteco_abs.sessions.scanner import Scan, WholeRecord
 from inteco_abs.sessions.storage import Rows, RowsOnDisk
 from inteco_abs.sessions.writer import FileWriter, utc
 
@@ -145,7 +145,7 @@ class _Remains:
     """What is whole in a file."""
 
     def __init__(self, ticks: _Taken, truths: _Taken, frames: _TakenFrames, size: int) -> None:
-        self.content = Content(allowance=DecompressionBudget(size))
+        self.content = Content(budget=DecompressionBudget(size))
         self.frames = frames
         self.rows = {TICK.topic: ticks, TRUTH.topic: truths}
         self.losses: list[str] = []
@@ -156,7 +156,7 @@ class _Remains:
     def gather(self, file: BinaryIO, size: int) -> None:
         """Everything that proves itself. Raises SessionError if another version wrote it."""
         for part in Scan(file, size):
-            if isinstance(part, Whole):
+            if isinstance(part, WholeRecord):
                 self._take(part)
             elif not self.data_ended:  # behind the data's end there is only an index, which is made anew
                 self._lose(f"bytes {part.start}..{part.end - 1}: {part.problem}")
@@ -167,7 +167,7 @@ class _Remains:
         if len(self.losses) < _MOST_LOSSES:
             self.losses.append(problem)
 
-    def _take(self, whole: Whole) -> None:
+    def _take(self, whole: WholeRecord) -> None:
         entry = whole.entry
         try:
             if whole.raw is not None:
@@ -183,11 +183,11 @@ class _Remains:
     def _take_chunk(self, raw: bytes) -> None:
         """All of its rows or none."""
         runs: dict[str, list[FixedRun]] = {}
-        for part in chunk_parts(raw, self.content.uneven):
+        for part in chunk_parts(raw, self.content.variable_size):
             if isinstance(part, Entry):
                 self.content.take(part)
                 continue
-            self.content.allowance.part()
+            self.content.budget.part()
             if isinstance(part, VariableRun):
                 self.frames.take(part)
             else:
@@ -207,7 +207,7 @@ class _Remains:
             raise
         self.epoch_ns = epoch_ns
         for topic, batch in batches.items():
-            self.rows[topic].keep(batch.today)
+            self.rows[topic].keep(batch.upgraded)
             if topic == TICK.topic:
                 self.content.hash.update(batch.data)
         self.content.take_log(runs.get(LOG_TOPIC, ()))
@@ -238,10 +238,9 @@ class _Anew:
         if not len(self._ticks):
             because = f": {self._losses[0]}" if self._losses else ""
             raise SessionError(f"{source}: holds no tick that is whole, so there is nothing to recover{because}")
-        if remains.content.beyond:
-            raise SessionError(
-                f"{source}: cannot be made anew here without losses: {remains.content.beyond}; recover it with that"
-            )
+        if remains.content.unsupported:
+            problem = f"cannot be recovered here without losses: {remains.content.unsupported}; recover it with that"
+            raise SessionError(f"{source}: {problem}")
         self._missing = self._gaps()
 
     def write(self) -> Recovery:
@@ -258,7 +257,7 @@ class _Anew:
             self._introduce(recorder)
             self._copy(recorder)
             self._copy_frames(recorder)
-            self._judge_the_hash()
+            self._check_hash()
             card = self._card(recorder.payload_sha256)
             recorder.describe("recovery", self._recovery())
             ended = session.get("ended_utc") or utc(self._epoch_ns + int(self._ticks["time_ns"][-1]))
@@ -278,7 +277,7 @@ class _Anew:
             self._losses.append(f"ticks {words}{more} are missing")
         return tuple(gaps)
 
-    def _judge_the_hash(self) -> None:
+    def _check_hash(self) -> None:
         recorded = self._facts.get("integrity", {}).get("payload_sha256")
         if not self._losses and recorded != self._content.hash.hexdigest():
             self._losses.append(

@@ -36,7 +36,7 @@ _MOST_TRIALS: Final = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
+class WholeRecord:
     """A record that proved itself."""
 
     entry: Entry
@@ -67,10 +67,10 @@ class Scan:
     def __init__(self, file: BinaryIO, size: int) -> None:
         self._file = file
         self._size = size
-        self._allowance = DecompressionBudget(size)
+        self._budget = DecompressionBudget(size)
         self._trials = LARGEST_RECORD + _MOST_TRIALS * size
 
-    def __iter__(self) -> Iterator[Whole | Damage]:
+    def __iter__(self) -> Iterator[WholeRecord | Damage]:
         """Records and damage in the order of the file, up to the magic at its end."""
         crc, at = 0, 0
         if self._bytes(0, len(MAGIC)) == MAGIC:
@@ -83,7 +83,7 @@ class Scan:
                 yield damage
                 crc, at = checksum(self._file, at, damage.end, crc), damage.end
             else:
-                yield Whole(entry, raw, crc)
+                yield WholeRecord(entry, raw, crc)
                 crc = zlib.crc32(entry.data, zlib.crc32(HEAD.pack(entry.opcode, len(entry.data)), crc))
                 at = entry.end
 
@@ -92,7 +92,7 @@ class Scan:
         entry = self._entry(at)
         try:
             if entry.opcode == Opcode.CHUNK:
-                return entry, unpack_chunk(entry.data, self._allowance, checked=True)
+                return entry, unpack_chunk(entry.data, self._budget, checked=True)
             if entry.opcode in LAYOUTS:
                 _prove(entry)
             elif entry.opcode <= max(Opcode) or not self._proves(entry.end):

@@ -48,7 +48,7 @@ class RunHeader:
     """Name and version of the package that the controller comes from; empty if from none."""
     profile: bytes = b""
     """The profile as it was written; the configuration has what became of it."""
-    surroundings: Environment = field(default_factory=Environment)
+    environment: Environment = field(default_factory=Environment)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,14 +100,12 @@ class RunResult:
 class SessionWriter:
     """Writes one run through a `recorder` that was just opened."""
 
-    def __init__(
-        self, recorder: FileWriter, config: RigConfig, introduction: RunHeader, session: Path | None = None
-    ) -> None:
+    def __init__(self, recorder: FileWriter, config: RigConfig, header: RunHeader, session: Path | None = None) -> None:
         self._recorder = recorder
         self._session = session or recorder.path  # what the file will be called
         self._config = config
-        self.introduction = introduction
-        self._drawn = config.simulation.rig if simulated(introduction.board) else ""
+        self.header = header
+        self._drawn = config.simulation.rig if simulated(header.board) else ""
         self.card = RunningCard(config)
         """What the run comes to, whichever file has it."""
 
@@ -116,9 +114,9 @@ class SessionWriter:
         """Ticks that have come so far."""
         return self.card.ticks
 
-    def introduce(self) -> None:
+    def write_header(self) -> None:
         """Everything that explains the run, on the disk before the first tick."""
-        told, config, recorder = self.introduction, self._config, self._recorder
+        told, config, recorder = self.header, self._config, self._recorder
         parameters = nominal_parameters(config.model)
         for name, facts in told.facts.items():
             recorder.describe(name, facts)
@@ -150,9 +148,9 @@ class SessionWriter:
         self._enclose()
         recorder.begin({"reference_slip": config.controller.reference_slip, **told.gains})
 
-    def surround(self, found: Environment) -> None:
+    def add_environment(self, found: Environment) -> None:
         """What surrounded the run, where it could not wait for that to be gathered."""
-        self.introduction = replace(self.introduction, surroundings=found)
+        self.header = replace(self.header, environment=found)
         self._enclose()
 
     def add(self, ticks: bytes, truths: bytes) -> None:
@@ -171,12 +169,12 @@ class SessionWriter:
 
     def anew(self, recorder: FileWriter, session: Path) -> SessionWriter:
         """One for another recorder, whose file the user calls `session`: introduced, with the same card, and no row."""
-        other = SessionWriter(recorder, self._config, self.introduction, session)
-        other.introduce()
+        other = SessionWriter(recorder, self._config, self.header, session)
+        other.write_header()
         other.card = self.card
         return other
 
-    def conclude(self, end: RunEnd) -> RunResult:
+    def finish(self, end: RunEnd) -> RunResult:
         """Complete the file with the result card and everything that is known about the end."""
         outcome = end.outcome
         parts = [EXPLANATIONS[end.reason]] if end.reason is not Reason.NONE or not end.aborted else []
@@ -205,7 +203,7 @@ class SessionWriter:
         return ""
 
     def _enclose(self) -> None:
-        found = self.introduction.surroundings
+        found = self.header.environment
         for file in found.files:
             self._recorder.attach(*file)
         if found.software:
@@ -215,7 +213,7 @@ class SessionWriter:
         """What is inside the mock board."""
         if self._drawn:
             return {"drawn": self._drawn}
-        if simulated(self.introduction.board):
+        if simulated(self.header.board):
             return {"simulated_parameters": self._config.simulation.parameters}
         return {}
 
@@ -226,7 +224,7 @@ class SessionWriter:
             "outcome": outcome,
             "reason": end.reason.name,
             "explanation": explanation,
-            "board": self.introduction.board,
+            "board": self.header.board,
             "rig": self._drawn or None,
             **self.card.card(),
             "ticks": self._recorder.written,

@@ -29,7 +29,7 @@ _TAIL: Final = HEAD.size + _FOOTER.size + len(MAGIC)
 _LARGEST_METADATA: Final = 1 << 22
 
 
-def metadata_at_a_glance(file: BinaryIO, size: int) -> Metadata:
+def read_metadata(file: BinaryIO, size: int) -> Metadata:
     """All metadata of the session in an open file, as in `Session`. Raises DamagedError if its index is not good."""
     content = Content()
     places = sorted(

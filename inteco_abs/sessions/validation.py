@@ -17,7 +17,7 @@ from inteco_abs.sessions.content import LIBRARY, Batch, Content
 from inteco_abs.sessions.migration import migrated
 from inteco_abs.sessions.reader import check_data, ends_well, opened
 from inteco_abs.sessions.recorded_config import CONFIG_NAME
-from inteco_abs.sessions.scanner import Damage, Scan, Whole, checksum
+from inteco_abs.sessions.scanner import Damage, Scan, WholeRecord, checksum
 
 _MOST_ALIKE: Final = 20
 """Findings of one kind that are told one by one."""
@@ -36,7 +36,7 @@ class Severity(StrEnum):
     """Something there is not what was recorded, or nothing can be used."""
 
 
-class Finding(NamedTuple):
+class SessionIssue(NamedTuple):
     """One thing that is not as it should be."""
 
     severity: Severity
@@ -50,7 +50,7 @@ class Inspection:
 
     path: Path
     ticks: int = 0
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[SessionIssue] = field(default_factory=list)
     _alike: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -69,9 +69,9 @@ class Inspection:
         sort = place.partition(" ")[0]
         count = self._alike[sort] = self._alike.get(sort, 0) + 1
         if count <= _MOST_ALIKE:
-            self.findings.append(Finding(severity, place, problem))
+            self.findings.append(SessionIssue(severity, place, problem))
         elif count == _MOST_ALIKE + 1:
-            self.findings.append(Finding(severity, f"{sort} ...", "and more of this kind"))
+            self.findings.append(SessionIssue(severity, f"{sort} ...", "and more of this kind"))
 
 
 def validate(path: Path) -> Inspection:
@@ -90,7 +90,7 @@ class _Inspector:
 
     def __init__(self, file: BinaryIO, size: int, inspection: Inspection) -> None:
         self._file, self._size, self._told = file, size, inspection
-        self._content = Content(allowance=DecompressionBudget(size))
+        self._content = Content(budget=DecompressionBudget(size))
         self._numbers = {TICK.topic: _Numbers("tick"), TRUTH.topic: _Numbers("truth")}
         self._chunks: set[int] = set()
         self._indexed: set[int] = set()
@@ -103,9 +103,9 @@ class _Inspector:
                 self._damage(part)
             else:
                 self._whole(part)
-        self._judge_the_end()
-        self._judge_the_index()
-        self._judge_the_content()
+        self._check_end()
+        self._check_index()
+        self._check_content()
 
     def _damage(self, damage: Damage) -> None:
         place = f"bytes {damage.start}..{damage.end - 1}"
@@ -116,7 +116,7 @@ class _Inspector:
         else:
             self._told.wrong(place, damage.problem)
 
-    def _whole(self, whole: Whole) -> None:
+    def _whole(self, whole: WholeRecord) -> None:
         entry = whole.entry
         try:
             if whole.raw is not None:
@@ -146,13 +146,13 @@ class _Inspector:
         if crc and (start > entry.at or crc != checksum(self._file, start, entry.end - 4)):
             self._told.loss(f"byte {entry.start}", "the index fails its checksum: viewers may refuse the file")
 
-    def _judge_the_end(self) -> None:
+    def _check_end(self) -> None:
         if not self._data_ended:
             self._told.loss("end", "the data has no end: what came after it is not known")
         elif not self._footed or not ends_well(self._file):
             self._told.loss("end", "the file has no footer at its end: viewers may refuse it")
 
-    def _judge_the_index(self) -> None:
+    def _check_index(self) -> None:
         if not self._footed:
             return
         if self._chunks != self._indexed:
@@ -160,7 +160,7 @@ class _Inspector:
         if self._counted not in {None, self._content.messages}:
             self._told.loss("index", f"it counts {self._counted} messages, the file has {self._content.messages}")
 
-    def _judge_the_content(self) -> None:
+    def _check_content(self) -> None:
         content, told = self._content, self._told
         told.ticks = self._numbers[TICK.topic].count
         if not (content.announces_ticks or content.library.startswith(LIBRARY)):
@@ -170,11 +170,11 @@ class _Inspector:
             content.check_schemas()
         except DamagedError as error:
             told.wrong("schema", str(error))
-        if content.beyond:
-            told.loss("schema", f"not all of it could be looked at: {content.beyond}")
+        if content.unsupported:
+            told.loss("schema", f"not all of it could be looked at: {content.unsupported}")
         if not told.ticks:
             told.loss("ticks", "there are none")
-        self._judge_the_hash()
+        self._check_hash()
         whole = self._data_ended
         metadata = migrated(content.metadata)
         for name in (*_AT_THE_START, *(_AT_THE_END if whole else ())):
@@ -182,10 +182,10 @@ class _Inspector:
                 told.loss(f"metadata {name}", "is missing")
         if CONFIG_NAME not in content.attachments:
             told.loss(f"attachment {CONFIG_NAME}", "is missing: the session cannot be replayed")
-        self._judge_the_frames(metadata.get("frames", {}))
-        self._judge_the_session(metadata.get("session", {}))
+        self._check_frames(metadata.get("frames", {}))
+        self._check_session(metadata.get("session", {}))
 
-    def _judge_the_hash(self) -> None:
+    def _check_hash(self) -> None:
         recorded = self._content.metadata.get("integrity", {}).get("payload_sha256")
         if recorded is None and self._data_ended:
             self._told.wrong("hash", "is missing: nothing says that these are the ticks that were recorded")
@@ -194,14 +194,14 @@ class _Inspector:
         for name in self._content.altered_attachments():
             self._told.wrong(f"attachment {name}", "does not match the hash that was recorded with it")
 
-    def _judge_the_frames(self, facts: dict[str, str]) -> None:
+    def _check_frames(self, facts: dict[str, str]) -> None:
         found = self._content.frames
         if facts.get("messages", str(found)) != str(found):
             self._told.wrong("metadata frames", f"it says {facts['messages']} raw frames, the file has {found}")
         if "missing" in facts:
             self._told.loss("metadata frames", f"not all raw frames were kept: {facts['missing']}")
 
-    def _judge_the_session(self, facts: dict[str, str]) -> None:
+    def _check_session(self, facts: dict[str, str]) -> None:
         told = self._told
         missing = [key for key in ("session_id", "started_utc") if key not in facts]
         if self._data_ended:

@@ -83,7 +83,7 @@ class Keeping(RuleBasedStateMachine):
     def introduce(self, spill):
         opener = partial(FileWriter, start_ns=0, session_id=ID, epoch_ns=10**18)
         self.keeper = FailoverWriter(self.places["out"], opener, self.held, self.places["spill"] if spill else None)
-        self.keeper.introduce(configured(*SHORTEST), RunHeader("sim:", {}, True, {}, [], b""), self.places["out"])
+        self.keeper.write_header(configured(*SHORTEST), RunHeader("sim:", {}, True, {}, [], b""), self.places["out"])
 
     @property
     def left(self):
@@ -167,7 +167,7 @@ class Keeping(RuleBasedStateMachine):
     def _conclude(self):
         with self.keeper:
             try:
-                account = self.keeper.conclude(RunEnd(Reason.NONE, self.keeper.ticks))
+                account = self.keeper.finish(RunEnd(Reason.NONE, self.keeper.ticks))
             except SessionError:
                 assert b"".join(ticks for ticks, _ in self.keeper.rows()) == self.told
             else:

@@ -36,7 +36,7 @@ def told(record_property, scene: str, kinds: Counter[str], runs: int, bad: list[
 def test_a_git_that_cannot_be_started_keeps_no_run_from_its_end(place, record_property, monkeypatch):
     monkeypatch.setattr(provenance, "_git", GIT)
     monkeypatch.setattr(surroundings, "installed_packages", lambda: b"")
-    cached = surroundings.surroundings
+    cached = surroundings.current_environment
     cached.cache_clear()
     kinds = place.perform("a stop").requests.kinds
     starts = [number for number, kind in enumerate(kinds) if kind == "process"]

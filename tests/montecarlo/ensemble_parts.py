@@ -58,7 +58,7 @@ def torque_oracle(variation, state):
 
 @dataclass(frozen=True)
 class OneDuty:
-    """Maker of controllers that ask for nothing else."""
+    """PolicyFactory of controllers that ask for nothing else."""
 
     duty: object
 

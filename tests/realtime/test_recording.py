@@ -112,7 +112,7 @@ class Crash:
             self._recorder = self._stack.enter_context(FileWriter(job.path, 0, told["internals"], job.session_id))
             introduction = RunHeader(job.board, told["identity"], False, told["gains"], told["internals"], b"")
             self._scribe = SessionWriter(self._recorder, job.config, introduction)
-            self._scribe.introduce()
+            self._scribe.write_header()
         ticks, truths = run.reader.take(), run.memory.truth_reader().take()
         self.hash.update(ticks)
         self.truths += truths

@@ -55,7 +55,7 @@ def test_every_column_that_it_had_has_the_values_that_it_had(version, kept):
 
 
 def test_nothing_is_missing_or_unknown(kept):
-    assert (kept.incomplete, kept.beyond) == ("", "")
+    assert (kept.incomplete, kept.unsupported) == ("", "")
 
 
 def test_metadata_log_and_configuration_are_there(version, kept):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.analysis.closed_loop import continued, distance
-from inteco_abs.analysis.what_if import alternative, braking_row
+from inteco_abs.analysis.open_loop import alternative, braking_row
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import SessionError
 from inteco_abs.sessions import session_config

@@ -98,7 +98,7 @@ def test_what_is_said_of_a_simulated_rig_is_not_said_of_a_real_one(tmp_path):
     config = load_config(settings=[RIG, "profile=usb2_generic_0103", "simulation.counts_per_turn=2048"])
     with FileWriter(tmp_path / "stop.mcap", 0, []) as recorder:
         scribe = SessionWriter(recorder, config, RunHeader("usb2:", {}, False, {}, [], b""))
-        scribe.introduce()
-        card = scribe.conclude(RunEnd(Reason.NONE, 0)).card
+        scribe.write_header()
+        card = scribe.finish(RunEnd(Reason.NONE, 0)).card
     assert card["rig"] is None
     assert "drawn" not in read_session(tmp_path / "stop.mcap").metadata["rig"]

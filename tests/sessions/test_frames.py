@@ -243,9 +243,9 @@ def concluded(tiny, tmp_path):
         with FileWriter(tmp_path / "told.mcap", 0) as recorder:
             introduction = RunHeader("sim:", {}, virtual=True, gains={}, internals=[], controller_source=b"")
             scribe = SessionWriter(recorder, tiny.config, introduction)
-            scribe.introduce()
+            scribe.write_header()
             scribe.add(bytes(session.payload), b"")
-            return scribe.conclude(RunEnd(Reason.NONE, len(session.ticks), frames=frames))
+            return scribe.finish(RunEnd(Reason.NONE, len(session.ticks), frames=frames))
 
     return tell
 

@@ -168,7 +168,7 @@ def test_a_session_that_proves_nothing_is_refused(folder, quick, run):
 def test_a_session_without_ticks_or_with_what_is_not_known_is_refused(folder, quick, change, words):
     before = contents(folder)
     session = replace(quick.session, **change)
-    if not session.beyond:
+    if not session.unsupported:
         session = replace(session, ticks=session.ticks[:0], payload=b"")
     with pytest.raises(SessionError, match=words):
         folder.add(session, "other", "why not", CONTROLLERS)

@@ -73,7 +73,7 @@ class Kept:
         )
 
     def introduce(self):
-        self.keeper.introduce(self._config, RunHeader("sim:", {}, True, {"Mk": 2.0}, [], b""), Path("stop.mcap"))
+        self.keeper.write_header(self._config, RunHeader("sim:", {}, True, {"Mk": 2.0}, [], b""), Path("stop.mcap"))
         return self
 
     def slice(self):
@@ -94,7 +94,7 @@ class Kept:
 
     def conclude(self, frames=None):
         with self.keeper:
-            return self.keeper.conclude(RunEnd(Reason.NONE, self.keeper.ticks, frames=frames))
+            return self.keeper.finish(RunEnd(Reason.NONE, self.keeper.ticks, frames=frames))
 
     def vanish(self):
         shutil.rmtree(self.out.parent)
@@ -206,7 +206,7 @@ def test_a_disk_that_goes_on_refusing_is_an_error_at_the_end_only_and_nothing_is
     run = kept(spill=False).introduce()
     run.tell(before=lambda number: run.vanish() if number == 2 else None)
     with pytest.raises(SessionError, match=r"is gone: .*; nor could the file be made anew at the end"):
-        run.keeper.conclude(RunEnd(Reason.NONE, run.keeper.ticks))
+        run.keeper.finish(RunEnd(Reason.NONE, run.keeper.ticks))
     assert b"".join(ticks for ticks, _ in run.keeper.rows()) == run.payload
     assert len(run.said) == 1
 

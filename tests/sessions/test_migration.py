@@ -11,7 +11,7 @@ from mcap.writer import Writer
 from inteco_abs.errors import SessionError
 from inteco_abs.format.schema import DOUBLE, FIXED32, FLOAT, Column, Message, MessageKind
 from inteco_abs.sessions import TICK, TRUTH, migration, read_session, recover_session, validate
-from inteco_abs.sessions.migration import Made, Step, not_measured
+from inteco_abs.sessions.migration import Made, Migration, not_measured
 from inteco_abs.sessions.writer import FORMAT_VERSION
 from inteco_abs.signals import Phase, Reason
 
@@ -90,14 +90,14 @@ def test_a_newer_session_is_read_as_far_as_it_is_known(later, tiny):
     assert same_bits(session.ticks, tiny.session.ticks)
     assert session.truth.tobytes() == tiny.session.truth.tobytes()
     assert session.payload == tiny.session.payload
-    assert session.beyond == (
+    assert session.unsupported == (
         f"its format {NEXT} is newer than {NOW}, the newest known here; /abs/tick.tyre_c is left out; "
         "inteco-abs/9.9 mcap-python/1.6 wrote it"
     )
 
 
 def test_a_session_of_this_version_holds_nothing_beyond_it(tiny):
-    assert tiny.session.beyond == ""
+    assert tiny.session.unsupported == ""
 
 
 def test_verbs_that_only_look_work_on_a_newer_session(later, verb, tmp_path):
@@ -138,7 +138,7 @@ def test_a_newer_session_is_valid_as_far_as_it_is_known(later):
             ("what-if", "FILE", "--set", "controller.gains.Mk=3"),
             f"cannot be replayed: its format {NEXT} is newer",
         ),
-        (("recover", "FILE", "-o", "out.mcap"), f"cannot be made anew here without losses: its format {NEXT} is newer"),
+        (("recover", "FILE", "-o", "out.mcap"), f"cannot be recovered here without losses: its format {NEXT} is newer"),
     ],
     ids=["replay", "what-if", "recover"],
 )
@@ -156,7 +156,7 @@ def test_numbers_and_order_of_columns_may_be_others(later, tiny, replayed):
     other = Message("Tick", TICK.topic, TICK.columns[::-1], range(2, 100, 3))
     session = read_session(later("1", tick=other))
     assert session.payload == tiny.session.payload
-    assert session.beyond == ""
+    assert session.unsupported == ""
     assert replayed(session).differing == 0
 
 
@@ -164,7 +164,7 @@ def test_a_missing_column_of_floating_point_is_no_number_and_told(later, tiny):
     session = read_session(later("1", truth=table(TRUTH, without={"brake_torque_nm"})))
     assert np.isnan(session.truth["brake_torque_nm"]).all()
     assert same_bits(session.truth, tiny.session.truth, ("time_ns", "slip", "brake"))
-    assert session.beyond.startswith("/sim/truth.brake_torque_nm is missing")
+    assert session.unsupported.startswith("/sim/truth.brake_torque_nm is missing")
 
 
 @pytest.mark.parametrize("name", ["wheel_count", "phase", "estimate_valid", "time_ns"])
@@ -176,12 +176,12 @@ def test_a_missing_column_that_has_no_stand_in_is_refused(later, name):
 def test_a_narrower_column_is_widened(later, tiny):
     session = read_session(later("1", tick=table(kinds={"slip": FLOAT, "tick": FIXED32})))
     assert session.ticks["slip"].tolist() == tiny.session.ticks["slip"].astype(np.float32).tolist()
-    assert session.beyond == ""
+    assert session.unsupported == ""
 
 
 def test_a_wider_column_is_another_one(later):
     session = read_session(later("1", tick=table(kinds={"late_us": DOUBLE})))
-    assert session.beyond.startswith("/abs/tick.late_us is missing")
+    assert session.unsupported.startswith("/abs/tick.late_us is missing")
 
 
 def test_members_of_enumerations_go_by_name(later, tiny):
@@ -190,7 +190,7 @@ def test_members_of_enumerations_go_by_name(later, tiny):
     run = replace_ticks(tiny, phase=ticks["phase"] + 20)
     session = read_session(write(later("1"), run, "1", tick=table(kinds={"phase": other})))
     assert session.ticks["phase"].tolist() == ticks["phase"].tolist()
-    assert session.beyond == ""
+    assert session.unsupported == ""
 
 
 def replace_ticks(run, **columns):
@@ -212,7 +212,7 @@ def test_members_that_are_not_known_are_told_and_stand_for_no_known_one(later):
     session = read_session(path)
     assert set(session.ticks["phase"].tolist()) == {Phase.UNKNOWN}
     assert set(session.ticks["reason"].tolist()).isdisjoint(set(Reason))
-    assert "/abs/tick.phase PARKED is not known; /abs/tick.reason TYRE_LOST is not known" in session.beyond
+    assert "/abs/tick.phase PARKED is not known; /abs/tick.reason TYRE_LOST is not known" in session.unsupported
 
 
 @pytest.mark.parametrize(("name", "value"), [("phase", 8), ("reason", NO_REASON), ("stop_request", 127)])
@@ -224,10 +224,10 @@ def test_a_number_that_the_file_itself_does_not_declare_is_damage(later, also, n
 
 
 def test_a_step_supplies_a_column_that_older_sessions_have_not(later, steps, tiny, replayed):
-    steps(Step(2, columns=(Made(TRUTH.topic, "brake_torque_nm", not_measured),)))
+    steps(Migration(2, columns=(Made(TRUTH.topic, "brake_torque_nm", not_measured),)))
     session = read_session(later("1", truth=table(TRUTH, without={"brake_torque_nm"})))
     assert np.isnan(session.truth["brake_torque_nm"]).all()
-    assert session.beyond == ""
+    assert session.unsupported == ""
     assert replayed(session).differing == 0
     assert session.payload == tiny.session.payload
 
@@ -235,19 +235,21 @@ def test_a_step_supplies_a_column_that_older_sessions_have_not(later, steps, tin
 def test_a_step_makes_a_column_of_others(later, steps, tiny):
     brake_percent = Column("brake_percent", DOUBLE, "%", "brake duty")
     steps(
-        Step(2, columns=(Made(TICK.topic, "brake_part", lambda _rows, percent: percent / 64.0, ("brake_percent",)),)),
-        Step(3, columns=(Made(TICK.topic, "brake", lambda _rows, part: part, ("brake_part",)),)),
+        Migration(
+            2, columns=(Made(TICK.topic, "brake_part", lambda _rows, percent: percent / 64.0, ("brake_percent",)),)
+        ),
+        Migration(3, columns=(Made(TICK.topic, "brake", lambda _rows, part: part, ("brake_part",)),)),
     )
     old = table(without={"brake"}, also=[brake_percent])
     run = tiny.session.ticks["brake"].max()
     session = read_session(later("1", tick=old, brake_percent=64.0 * run))
     assert set(session.ticks["brake"].tolist()) == {run}
-    assert session.beyond == ""
+    assert session.unsupported == ""
 
 
 def test_a_column_that_a_step_has_dropped_is_not_missed(later, steps):
-    steps(Step(2, dropped=((TICK.topic, "tyre_c"),)))
-    assert read_session(later("1", tick=table(also=[TYRE]), tyre_c=20.0)).beyond == ""
+    steps(Migration(2, dropped=((TICK.topic, "tyre_c"),)))
+    assert read_session(later("1", tick=table(also=[TYRE]), tyre_c=20.0)).unsupported == ""
 
 
 def test_steps_bring_metadata_up_to_date_in_order_and_only_those_that_are_due(later, steps, tmp_path, verb):
@@ -255,14 +257,14 @@ def test_steps_bring_metadata_up_to_date_in_order_and_only_those_that_are_due(la
         return lambda metadata: {**metadata, "trail": {"steps": metadata.get("trail", {}).get("steps", "") + to}}
 
     paths = [later(version, f"{version}.mcap") for version in "124"]
-    steps(*(Step(to, metadata=renamed(str(to))) for to in (2, 3, 4)))
+    steps(*(Migration(to, metadata=renamed(str(to))) for to in (2, 3, 4)))
     trails = [read_session(path).metadata.get("trail") for path in paths]
     assert trails == [{"steps": "234"}, {"steps": "34"}, None]
     assert [row["problem"] for row in verb("list", tmp_path, "--json").json["sessions"]] == [None] * 3
 
 
 def test_an_older_session_is_recovered_as_one_of_this_version(later, steps, tmp_path, tiny):
-    steps(Step(2, columns=(Made(TICK.topic, "c3", not_measured),)))
+    steps(Migration(2, columns=(Made(TICK.topic, "c3", not_measured),)))
     path = later("0", tick=table(without={"c3"}))
     recovery = recover_session(path, tmp_path / "out.mcap")
     session = read_session(tmp_path / "out.mcap")

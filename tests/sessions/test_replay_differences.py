@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tomli_w
 
-from inteco_abs.analysis import Difference, changed_gains
+from inteco_abs.analysis import FirstDifference, changed_gains
 from inteco_abs.errors import SessionError
 from inteco_abs.format.schema import Role
 from inteco_abs.sessions import TICK, FileWriter, read_session
@@ -34,7 +34,7 @@ def last_bit_changed(value):
 def one(tick, field, logged, replayed):
     """The finding when this one output of a tick is not what was logged."""
     hexes = [value.hex() if isinstance(value, float) else hex(value) for value in (logged, replayed)]
-    return 1, Difference(tick, field, repr(logged), repr(replayed), *hexes), {field: 1}
+    return 1, FirstDifference(tick, field, repr(logged), repr(replayed), *hexes), {field: 1}
 
 
 def finding(found):
@@ -68,7 +68,7 @@ def test_another_logged_truth_value_is_found(quick, retouched, replayed):
     found = replayed(retouched(quick.session, 100, estimate_valid=False))
     assert finding(found) == (
         1,
-        Difference(100, "estimate_valid", "False", "True", "0x0", "0x1"),
+        FirstDifference(100, "estimate_valid", "False", "True", "0x0", "0x1"),
         {"estimate_valid": 1},
     )
 
@@ -82,7 +82,7 @@ def test_a_difference_in_the_first_and_in_the_last_tick_is_found(quick, retouche
 
 def test_minus_zero_is_not_zero(quick, retouched, replayed):
     found = replayed(retouched(quick.session, 5, drive=-0.0))
-    assert finding(found) == (1, Difference(5, "drive", "-0.0", "0.0", "-0x0.0p+0", "0x0.0p+0"), {"drive": 1})
+    assert finding(found) == (1, FirstDifference(5, "drive", "-0.0", "0.0", "-0x0.0p+0", "0x0.0p+0"), {"drive": 1})
 
 
 def test_nan_is_nan(quick, retouched, replayed):

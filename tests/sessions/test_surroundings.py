@@ -10,7 +10,13 @@ import pytest
 
 import inteco_abs
 from inteco_abs.config import profile_text
-from inteco_abs.sessions.environment import Enclosure, Environment, changes, installed_packages, surroundings
+from inteco_abs.sessions.environment import (
+    Enclosure,
+    Environment,
+    changes,
+    current_environment,
+    installed_packages,
+)
 from inteco_abs.sessions.provenance import profile_source
 
 
@@ -82,10 +88,10 @@ def test_a_note_of_them_gives_the_same_again():
 
 
 def test_a_cut_diff_is_told_among_the_facts(monkeypatch):
-    surroundings.cache_clear()
+    current_environment.cache_clear()
     monkeypatch.setattr("inteco_abs.sessions.environment.changes", lambda _folder: (b"x", True))
-    found = surroundings()
-    surroundings.cache_clear()
+    found = current_environment()
+    current_environment.cache_clear()
     assert found.software["git_diff"] == "cut after its first 1000000 bytes"
     assert found.files[-1].data == b"x"
 

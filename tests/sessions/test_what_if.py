@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from inteco_abs.analysis.what_if import COMPARED, alternative, braking_row, what_if
+from inteco_abs.analysis.open_loop import COMPARED, alternative, braking_row, what_if
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import ConfigError, SessionError

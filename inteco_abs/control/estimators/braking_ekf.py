@@ -24,7 +24,7 @@ _LOST_RAD: Final = 0.5
 """Farther than this from where a wheel is believed it is not a matter of noise."""
 _STEP_PAUSE_S: Final = 0.010
 """Between two steps of the road."""
-Row = list[float]
+Vector = list[float]
 
 
 class EkfTuning(NamedTuple):
@@ -97,8 +97,8 @@ class BrakingEkf:
         self._spread = spread
         self._noise = (spread.count_noise * count_rad) ** 2
         self._pending = DelayLine(period_s)
-        self._x: Row = []
-        self._P: list[Row] = []
+        self._x: Vector = []
+        self._P: list[Vector] = []
         self._by_factor = 0.0, 0.0  # accelerations per adhesion factor
         self._surprise = 0.0
         self._step_in_s = 0.0  # until a step may show
@@ -168,7 +168,7 @@ class BrakingEkf:
         by_lag = (M - settled) * left * T / lag**2
         rolling = 1.0 - T * k.d2 / k.J2
 
-        def carried(row: Sequence[float]) -> Row:
+        def carried(row: Sequence[float]) -> Vector:
             """The transition's Jacobian times a vector of states."""
             e_th1, e1, e_th2, e2, e_M, e_d, e_factor, e_cosine, e_sine, e_dead, e_lag = row
             e_mu = mu * (e_factor + turned * e_cosine + turned_sine * e_sine) + by_x1 * e1 + by_x2 * e2

@@ -10,7 +10,7 @@ from inteco_abs.control.estimators.base import Estimator, SpeedFilter, TwoWheels
 from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.rig import RigParameters
 
-Maker = Callable[[RigConfig, RigParameters], Estimator]
+Factory = Callable[[RigConfig, RigParameters], Estimator]
 
 
 class Parameter(NamedTuple):
@@ -24,7 +24,7 @@ class Parameter(NamedTuple):
     meaning: str
 
 
-Check = Callable[[Mapping[str, Any], Mapping[str, Any]], Iterator[ConfigIssue]]
+ParameterCheck = Callable[[Mapping[str, Any], Mapping[str, Any]], Iterator[ConfigIssue]]
 """From the sections [estimator] and [loop] as they are written to what is wrong with them together."""
 
 
@@ -39,16 +39,16 @@ class EstimatorSpec(NamedTuple):
     summary: str
     """In one line."""
     parameters: tuple[Parameter, ...]
-    make: Maker
+    make: Factory
     works: type
     """The class behind it, whose docstring says how."""
-    check: Check = nothing_wrong
+    check: ParameterCheck = nothing_wrong
 
     def __call__(self, config: RigConfig, parameters: RigParameters) -> Estimator:
         return self.make(config, parameters)
 
 
-def on_both_wheels(make: Callable[[RigConfig], SpeedFilter]) -> Maker:
+def on_both_wheels(make: Callable[[RigConfig], SpeedFilter]) -> Factory:
     """An estimator of two filters, one for each wheel."""
     return lambda config, parameters: TwoWheels(make(config), make(config), parameters)
 

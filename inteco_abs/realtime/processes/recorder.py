@@ -41,12 +41,12 @@ from inteco_abs.sessions import (
     SessionWriter,
     atomic_write,
     check_output,
+    current_environment,
     joined,
     opened,
     require_own_file,
     spill_path,
     stored_rows,
-    surroundings,
 )
 from inteco_abs.signals import Reason
 
@@ -89,19 +89,19 @@ def _record(memory: RunMemory, job: Job) -> None:
     spill = spill_path(job.path, job.config, job.session_id)
     window = Window(memory.tick_reader(), memory.truth_reader())
     with FailoverWriter(job.path, opener, window.held, spill, _Troubles(memory).report) as writer:
-        writer.introduce(job.config, header, Path(job.session))
+        writer.write_header(job.config, header, Path(job.session))
         window.skip_truths()  # states from before the first tick
         words[Field.RECORDER_BEAT_NS] = time.monotonic_ns()
         # a thread beats, as the disk may take seconds, for which the rings have room
         with beating(memory, Field.RECORDER_BEAT_NS, _FLUSH_S):
             words[Field.RECORDING] = 1
-            writer.surround(surroundings())  # not before: it takes a tenth of a second
-            memory.post(Mailbox.ENVIRONMENT, writer.introduction.surroundings.as_note())
+            writer.add_environment(current_environment())  # not before: it takes a tenth of a second
+            memory.post(Mailbox.ENVIRONMENT, writer.header.environment.as_note())
             _Drain(memory, window, writer).until_the_end()
             if not writer.ticks:
                 writer.discard()
                 return
-            result = writer.conclude(replace(run_end(memory), frames=spooled_frames(memory, job)))
+            result = writer.finish(replace(run_end(memory), frames=spooled_frames(memory, job)))
     post_result(memory, result)
 
 
@@ -213,7 +213,7 @@ def _header(memory: RunMemory, job: Job) -> RunHeader | None:
         controller_package=job.controller_package,
         facts={**job.facts, "realtime": settings | header.get("pace", {}) | (memory.note(Mailbox.DRILL) or {})},
         profile=job.profile,
-        surroundings=Environment() if environment is None else Environment.of(environment),
+        environment=Environment() if environment is None else Environment.of(environment),
     )
 
 
@@ -338,7 +338,7 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
     require_own_file(out, job.session_id)
     with atomic_write(out) as part, opener(part) as file_writer:
         writer = SessionWriter(file_writer, job.config, header, session or out)
-        writer.introduce()
+        writer.write_header()
         memory.histogram.clear()
         for records, states in chain(begin, rows):
             writer.add(records, states)
@@ -347,7 +347,7 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
         note = f"the session was made from what the run left in memory, {writer.ticks} ticks"
         if gone:
             note += f"; those before tick {held_from} were in {file}, which is missing or another session's"
-        return writer.conclude(replace(end, detail=f"{end.detail}; {note}" if end.detail else note))
+        return writer.finish(replace(end, detail=f"{end.detail}; {note}" if end.detail else note))
 
 
 def _is_ours(file: Path, job: Job) -> bool:

@@ -42,7 +42,7 @@ _LOGGED: Final = ["tick", "time_ns", "dt_s", "wheel_count", "road_count", "board
 _NO_DEMAND: Final = BrakeDemand(0.0)
 
 
-class Answer(NamedTuple):
+class Demand(NamedTuple):
     """What is believed and asked for at one tick; columns of the log have these names."""
 
     slip: float
@@ -158,9 +158,9 @@ def what_if(
     return WhatIf(requests, tuple(found))
 
 
-def _requests(session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> Iterator[Answer]:
+def _requests(session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> Iterator[Demand]:
     alternative = _Alternative(config, controllers)
-    answer, told, before = Answer(0.0, 0.0, 0.0), Command.SAFE, Phase.UNKNOWN
+    answer, told, before = Demand(0.0, 0.0, 0.0), Command.SAFE, Phase.UNKNOWN
     for tick, time_ns, dt_s, wheel, road, flags, drive, brake, phase in session.ticks[_LOGGED].tolist():
         if not flags:  # else the run went on with what it had
             try:
@@ -180,7 +180,7 @@ class _Alternative:
         self._controller = make_controller(config, controllers)
         self._held = _NO_DEMAND
 
-    def step(self, sample: Sample, told: Command, before: Phase, phase: Phase) -> Answer:
+    def step(self, sample: Sample, told: Command, before: Phase, phase: Phase) -> Demand:
         """What is asked for in a tick that goes from one phase to the next."""
         estimate = self._estimator.update(sample, told)
         demand = _NO_DEMAND
@@ -190,7 +190,7 @@ class _Alternative:
             demand = self._held
         elif before is Phase.STOPPED:
             self._controller = make_controller(*self._made_of)  # each stop begins with a fresh one
-        return Answer(estimate.slip, demand.torque_nm, demand.brake if type(demand.brake) is float else math.nan)
+        return Demand(estimate.slip, demand.torque_nm, demand.brake if type(demand.brake) is float else math.nan)
 
 
 def _divergence(
