@@ -162,7 +162,7 @@ def test_a_session_that_proves_nothing_is_refused(folder, quick, run):
     [
         ({"incomplete": "the file ends early"}, "would prove nothing: the file ends early"),
         ({}, "would prove nothing: 0 ticks of braking"),
-        ({"beyond": "tyre_c is left out"}, "cannot be replayed: tyre_c is left out"),
+        ({"unsupported": "tyre_c is left out"}, "cannot be replayed: tyre_c is left out"),
     ],
 )
 def test_a_session_without_ticks_or_with_what_is_not_known_is_refused(folder, quick, change, words):
