@@ -19,7 +19,6 @@ class MovingAverageSpeed:
         self._samples: deque[tuple[int, int]] = deque(maxlen=length)
 
     def clear(self) -> None:
-        """Forget all samples."""
         self._samples.clear()
 
     def update(self, time_ns: int, count: int) -> float:
@@ -31,7 +30,7 @@ class MovingAverageSpeed:
 
 
 class MovingAverageSpeeds:
-    """A `MovingAverageSpeed` of both wheels, to the same last digit: what they have in common is done and kept once."""
+    """A `MovingAverageSpeed` of both wheels, bit for bit, which keeps their common times once."""
 
     __slots__ = ("_angle_ns", "_samples")
 

@@ -1,4 +1,4 @@
-"""From a configuration to a pipeline: names, gains, and what is wrong with them."""
+"""Makes the pipeline of a configuration, and checks names and gains."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from inteco_abs.errors import ConfigError, ConfigIssue, near_match, place_in
 from inteco_abs.rig import nominal_brake_map, nominal_parameters
 
 _LARGEST: Final = 1e300
-"""Of the numbers that are worth comparing with a range; what is wrong with others is told elsewhere."""
+"""Larger numbers are reported by the check of types and ranges."""
 
 
 def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Pipeline:
@@ -51,7 +51,7 @@ def make_controller(config: RigConfig, controllers: Mapping[str, type[Controller
 
 @contextmanager
 def _blamed_on(config: RigConfig) -> Iterator[None]:
-    """Say of the controller that it cannot be made, whatever its code raises."""
+    """Report anything that the controller's code raises as a ConfigError."""
     try:
         yield
     except (Exception, SystemExit) as error:
@@ -72,7 +72,7 @@ def gains_in_force(config: RigConfig, controllers: Mapping[str, type[Controller]
 def preferred_estimator(
     controllers: Mapping[str, type[Controller]] = CONTROLLERS,
 ) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
-    """For `load_config`: a controller that says which `estimator` it needs has it, if no other was chosen."""
+    """For `load_config`: the `estimator` that the controller needs, if no other was chosen."""
 
     def follows(table: Mapping[str, Any]) -> dict[str, Any]:
         needed = _needed_estimator(table, controllers)
@@ -87,7 +87,7 @@ def _needed_estimator(table: Mapping[str, Any], controllers: Mapping[str, type[C
         return ""
     try:
         needed: str = getattr(controllers[name], "estimator", "")
-    except ConfigError:  # a package's that cannot be imported, which the check tells
+    except ConfigError:  # a package that cannot be imported; the check reports it
         return ""
     return needed
 
@@ -108,7 +108,7 @@ def control_check(
                 f"{name!r}: the controller {controller['name']} needs {needed!r}; choose it, or another controller"
             )
             yield ConfigIssue("estimator.name", problem)
-        yield from _parameter_mistakes(name, estimator, section_of(table, "loop"))
+        yield from _check_parameters(name, estimator, section_of(table, "loop"))
         name = controller.get("name", "reaching-law")
         if isinstance(name, str) and name not in controllers and ".py:" in name:
             yield ConfigIssue("controller.name", f"{name!r} is code, which runs only if named by --controller")
@@ -117,25 +117,25 @@ def control_check(
         elif isinstance(name, str):
             try:
                 gains = controllers[name].gains
-            except ConfigError as error:  # a package's, which is imported only now
+            except ConfigError as error:  # a package is imported only now
                 yield from error.mistakes
             else:
-                yield from _gain_mistakes(section_of(controller, "gains"), gains)
+                yield from _check_gains(section_of(controller, "gains"), gains)
 
     return check
 
 
-def _parameter_mistakes(name: object, estimator: Mapping[str, Any], loop: Mapping[str, Any]) -> Iterator[ConfigIssue]:
+def _check_parameters(name: object, estimator: Mapping[str, Any], loop: Mapping[str, Any]) -> Iterator[ConfigIssue]:
     if isinstance(name, str) and name in ESTIMATORS:
         try:
             check = ESTIMATORS[name].check
-        except ConfigError as error:  # a package's, which is imported only now
+        except ConfigError as error:  # a package is imported only now
             yield from error.mistakes
         else:
             yield from check(estimator, loop)
 
 
-def _gain_mistakes(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterator[ConfigIssue]:
+def _check_gains(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterator[ConfigIssue]:
     known = {gain.name: gain for gain in gains}
     for name, value in values.items():
         path, gain = f"controller.gains.{name}", known.get(name)

@@ -1,4 +1,4 @@
-"""The guard: last word on every command, and a latch that only ever closes."""
+"""The guard: the last word on every command, and a latch that never opens again."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from inteco_abs.control.run_up import RunUp
 from inteco_abs.rig import nominal_parameters
 from inteco_abs.signals import BoardFlags, Command, Estimate, Reason, Sample
 
-_NONE: Final = Reason.NONE  # looked up in an enum a dozen times a tick, it would take a tenth of it
+_NONE: Final = Reason.NONE  # an enum's look-up, a dozen times a tick, takes a tenth of it
 _SPEED_WINDOW_S: Final = 0.005
 _LEAST_PERIODS: Final = 5
 """Of a speed window, in slow loops too: a good sample's time stamp may be late by one of them."""
 _HISTORY_S: Final = 0.020
 _FASTEST_RAD_S: Final = 300.0
-"""No wheel of this rig turns faster: well above the over-speed limit."""
+"""No wheel of this rig is faster; well above the over-speed limit."""
 _DRIVING_DUTY: Final = 0.2
 """Duty from which the drive must turn the road wheel; the configuration allows no less."""
 _DRIVING_GRACE_NS: Final = 300_000_000
@@ -26,17 +26,17 @@ _ROAD_STILL_NS: Final = 50_000_000
 _HARDEST_STOP_RAD_S2: Final = 400.0
 """No brake slows the road wheel so fast: the highest published deceleration is 167 rad/s2."""
 _TIMING_SHARE: Final = 0.2
-"""What late time stamps can do to the difference of two such speeds, as a share of the speed: each is late by at most
-one of ten periods. In a shorter window it is more."""
+"""Error of the difference of two such speeds by late time stamps, as a share of the speed: each is late by at most one
+of ten periods. In a shorter window it is larger."""
 _OWED_COUNTS: Final = 6.0
 _RUNNING_RAD_S: Final = 21.0
 """200 rpm: a road wheel this fast cannot come to rest within a few counts, whatever the brake does."""
 _ROLLING_RAD_S: Final = 31.4
-"""300 rpm: from here on the wheels' speeds are compared at once."""
+"""300 rpm: above, the wheels' speeds are compared at once."""
 _ROLLING_SHARE: Final = 0.1
 """A wheel that rolls freely follows the road more closely than this."""
 _LOST_SHARE: Final = 3.0
-"""Ahead of the road by more than this share of what it still counts: no other scale does that, only lost counts."""
+"""Ahead of the road by more than this share of its counted speed: lost counts, as no scale error is so large."""
 _BACKWARDS_RAD_S: Final = -5.0
 _MISS_COST: Final = 3
 _RELEASED_DUTY: Final = 0.01
@@ -44,10 +44,10 @@ _RELEASE_GRACE_NS: Final = 300_000_000
 
 
 class Guard:
-    """Admits a command as it is, clamped, or not at all; once tripped, only SAFE.
+    """Admits a command unchanged or clamped; once tripped, only SAFE.
 
-    Limits of sample checks: docs/facts/hazards.md#quantities-behind-the-guard. Judged on raw counts, so that a wrong
-    estimator cannot blind it.
+    It checks raw counts, so that a wrong estimator cannot blind it; the limits are in
+    docs/facts/hazards.md#quantities-behind-the-guard.
     """
 
     def __init__(self, config: RigConfig) -> None:
@@ -88,7 +88,7 @@ class Guard:
         self._run_up = None if factor is None else RunUp(config, factor)
 
     def trip(self, reason: Reason) -> None:
-        """Take the outputs away for `reason`, for good; the first reason stays."""
+        """Switch the outputs off for the rest of the run; the first `reason` stays."""
         if self.reason is _NONE:
             self.reason = reason
 
@@ -118,7 +118,7 @@ class Guard:
                     min(max(drive, 0.0), self._drive_limit),
                     min(max(brake, 0.0), self._brake_limit),
                 )
-        self.trip(Reason.BAD_OUTPUT)  # NaN, infinity, or no float at all
+        self.trip(Reason.BAD_OUTPUT)  # NaN, infinity, or not a float
         return Command.SAFE
 
     def _judge_sample(self, sample: Sample) -> Reason:
@@ -126,7 +126,7 @@ class Guard:
         if flags or dt_s >= self._late_s or self._bucket or self._in_a_row:
             missed = self._count_misses(sample)
             if missed is not _NONE or flags:
-                return missed  # a stale or slow sample does not say where the wheels were when
+                return missed  # a stale or slow sample has no known instant
         before = self._before
         self._before = sample
         _, then_ns, _, wheel_before, road_before, _ = before or sample
@@ -153,7 +153,7 @@ class Guard:
     def _count_misses(self, sample: Sample) -> Reason:
         """One leaky bucket for failed exchanges and skipped periods alike."""
         skipped = int(sample.dt_s / self._period_s - 0.5)
-        # the periods that a slow exchange overran are its own
+        # periods that a slow exchange overran belong to it
         bad = skipped + 1 if sample.board_flags & BoardFlags.STALE else max(skipped, 1 if sample.board_flags else 0)
         if bad > 0:
             self._in_a_row += bad
@@ -165,7 +165,7 @@ class Guard:
         return Reason.MISSED_EXCHANGES if full else _NONE
 
     def _judge_road(self, now_ns: int, road: float) -> Reason:
-        """The road wheel's encoder, which everything else is measured by."""
+        """The road wheel's encoder, the reference of everything else."""
         if road < _BACKWARDS_RAD_S - self._slack:
             return Reason.ROAD_BACKWARDS
         still_ns = now_ns - self._road_moved_ns
@@ -174,7 +174,7 @@ class Guard:
         owed = before * still_ns * 1e-9 * self._counts_per_rad
         if (before > _RUNNING_RAD_S and owed > _OWED_COUNTS) or (driven and still_ns > _ROAD_STILL_NS):
             return Reason.ROAD_ENCODER_FROZEN
-        # counts that come and go, as from a single channel, look like movement but not like a road that brakes
+        # counts that come and go, as from a single channel, are movement, but no braking road
         then_ns, earlier = self._road_speeds[0] if self._road_speeds else (now_ns, road)
         self._road_speeds.append((now_ns, road))
         elapsed_s = max(_HISTORY_S, (now_ns - then_ns) * 1e-9)
@@ -182,21 +182,21 @@ class Guard:
         return Reason.ROAD_ENCODER_FROZEN if earlier - road > lost else _NONE
 
     def _judge_wheel(self, now_ns: int, wheel: float, road: float) -> Reason:
-        """The braked wheel's encoder, by the road: it may lock under braking, but never run ahead or backwards."""
+        """The braked wheel's encoder against the road's: the wheel may lock, but never run ahead or backwards."""
         if wheel < _BACKWARDS_RAD_S - self._slack:
             return Reason.ENCODERS_DISAGREE
         ahead = self._rim_ratio * wheel - road
         if road < _ROLLING_RAD_S:
             return self._judge_slow_road(now_ns, road, ahead)
-        self._not_ahead_ns = now_ns  # on a fast road it trips at once or not at all
+        self._not_ahead_ns = now_ns  # on a fast road the check is immediate
         most = _ROLLING_SHARE * road + self._slack
         rolling = self._released and now_ns - self._brake_changed_ns > _RELEASE_GRACE_NS
         return Reason.ENCODERS_DISAGREE if ahead > most or (rolling and ahead < -most) else _NONE
 
     def _judge_slow_road(self, now_ns: int, road: float, ahead: float) -> Reason:
-        """Under drive no wheel keeps running ahead of a slow road; where it does, the road's encoder may be to blame.
+        """Under drive no wheel keeps ahead of a slow road; if one does, the road's encoder may be the cause.
 
-        Without drive a hand may turn it, with the lever up.
+        Without drive a hand may turn the wheel, with the lever up.
         """
         if not self._driving or road < -self._slack or ahead <= _ROLLING_SHARE * _ROLLING_RAD_S + self._slack:
             self._not_ahead_ns = now_ns

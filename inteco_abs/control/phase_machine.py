@@ -1,4 +1,4 @@
-"""The experiment, step by step: idle, armed, spin-up, braking, stopped, done."""
+"""The phases of the experiment: idle, armed, spin-up, braking, stopped, done."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _SPIN_UP, _BRAKING, _STOPPED = Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED
 _START_WINDOW_S: Final = 0.020
 _STOP_WINDOW_S: Final = 0.050
 REST_COUNTS: Final = 4
-"""Counts that a resting wheel may move, from a nudged table, before it counts as turning."""
+"""Counts that a resting wheel may move, as when the table is nudged."""
 _FOUR_FLOATS: Final = (float, float, float, float)
 _NUMBERS: Final[type] = Real
-"""What users' controllers may call a duty, whatever its type annotation says."""
+"""Types that are accepted as a duty of users' controllers."""
 _NO_DEMAND: Final = BrakeDemand(0.0)
 
 
 class Request(NamedTuple):
-    """What the sequence would like the outputs to be, and why it would rather stop."""
+    """Requested outputs, the demand behind them, and a reason to stop or NONE."""
 
     command: Command
     demand: BrakeDemand
@@ -35,13 +35,12 @@ _NOTHING: Final = Request(Command.SAFE, _NO_DEMAND, Reason.NONE)
 
 
 class PhaseMachine:
-    """Steps through the phases on samples alone, so that a replay takes the same steps.
+    """Advances by samples alone, so that a replay takes the same steps.
 
-    Rules: drive at `drive_duty` until the road wheel's mean speed over 20 ms reaches the start speed; one tick
-    with both outputs off before the brake may act; brake held until the road wheel's mean speed over 50 ms is
-    below the stop speed, and for `hold_s` longer. Start and stop do not depend on the chosen estimator. Where
-    several stops are to be done, each begins from rest again, with the controller as it was made. A simulated rig may
-    begin in a later `phase`, with its wheels turning.
+    It drives at `drive_duty` until the road wheel's mean speed over 20 ms reaches the start speed; then both outputs
+    are off for one tick; the brake acts until the road wheel's mean speed over 50 ms is below the stop speed, and for
+    `hold_s` longer. Start and stop do not depend on the estimator. Each of several stops begins from rest with a new
+    copy of the controller. A simulated rig may begin in a later `phase`, with its wheels turning.
     """
 
     def __init__(self, config: RigConfig, controller: Controller, phase: Phase = Phase.IDLE) -> None:
@@ -59,11 +58,11 @@ class PhaseMachine:
         self._drive = Request(Command(self._config.drive_duty, 0.0), _NO_DEMAND, _NONE)
 
     def fault(self) -> None:
-        """Give up: the guard has taken the outputs away."""
+        """End the run: the guard has switched the outputs off."""
         self.phase = Phase.FAULT
 
     def step(self, sample: Sample, estimate: Estimate) -> Request:
-        """Move on by one sample."""
+        """Advance by one sample."""
         since_ns, phase = self._since_ns, self.phase
         if since_ns < 0:
             since_ns = self._since_ns = sample.time_ns
@@ -121,12 +120,12 @@ class PhaseMachine:
 
 
 def recordable(demand: BrakeDemand) -> BrakeDemand:
-    """The demand of a user's controller with every logged value a float; raises if it has none to log.
+    """The demand of a user's controller with every logged value as a float; numpy's numbers are converted.
 
-    numpy's numbers are numbers; a duty that is none is left as it is: the guard judges it.
+    A duty that is not a number is left for the guard. Raises TypeError or ValueError for other values.
     """
     if type(demand) is not BrakeDemand:
-        raise TypeError(f"update() must give a BrakeDemand, not {demand!r}")
+        raise TypeError(f"update() must return a BrakeDemand, not {demand!r}")
     brake, torque, switching, internals = demand
     if type(brake) is float:
         if type(torque) is float and type(switching) is float and tuple(map(type, internals)) == _FOUR_FLOATS:

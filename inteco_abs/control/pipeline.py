@@ -1,4 +1,4 @@
-"""The decision path: sample in, tick out. Runs, replays and ensembles of simulated rigs drive this same object."""
+"""The decision path: sample in, tick out. Runs, replays and Monte Carlo runs use this same object."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _NONE: Final = Reason.NONE
 _BRAKING: Final = Phase.BRAKING
 _OVER: Final = (Phase.DONE, Phase.FAULT)
 _NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
-_GIVEN_UP: Final = _NO_ESTIMATE, Request(Command.SAFE, BrakeDemand(0.0), Reason.CONTROLLER_ERROR)
+_FAILED: Final = _NO_ESTIMATE, Request(Command.SAFE, BrakeDemand(0.0), Reason.CONTROLLER_ERROR)
 
 
 class Pipeline:
     """Estimator, phase machine with its controller, and guard, in that order; the guard has the last word.
 
-    A simulated rig whose wheels turn already may begin in a later `phase`.
+    A simulated rig whose wheels already turn may begin in a later `phase`.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class Pipeline:
         self.command = Command.SAFE
         """What the newest tick admitted, to be written at the next exchange."""
         self._estimator = estimator
-        self._sequence = PhaseMachine(config, controller, phase)
+        self._machine = PhaseMachine(config, controller, phase)
         self._guard = Guard(config)
         self._decided = _NO_ESTIMATE, Request(Command.SAFE, BrakeDemand(0.0), Reason.NONE)
         self._reference_slip = config.controller.reference_slip
@@ -41,22 +41,22 @@ class Pipeline:
     @property
     def phase(self) -> Phase:
         """Phase of the newest tick."""
-        return self._sequence.phase
+        return self._machine.phase
 
     @property
     def reason(self) -> Reason:
-        """Why the outputs were taken away, or NONE."""
+        """Why the outputs were switched off, or NONE."""
         return self._guard.reason
 
     @property
     def finished(self) -> bool:
-        """Whether nothing is left but SAFE."""
-        return self._sequence.phase in _OVER
+        """Whether the run is over: only SAFE follows."""
+        return self._machine.phase in _OVER
 
     def step(self, sample: Sample, stop_request: Reason = Reason.NONE, timing: Timing = UNTIMED) -> Tick:
-        """Decide on one sample. The tick's `drive` and `brake` are the command for the next exchange."""
+        """Decide on one sample; the tick's `drive` and `brake` are the command for the next exchange."""
         estimate, (request, demand, _) = self.decide(sample, stop_request)
-        phase = self._sequence.phase
+        phase = self._machine.phase
         tick, time_ns, dt_s, wheel_count, road_count, board_flags = sample
         wheel_speed, road_speed, slip, valid, _ = estimate
         _, torque_nm, switching, internals = demand
@@ -90,20 +90,20 @@ class Pipeline:
         )
 
     def decide(self, sample: Sample, stop_request: Reason = Reason.NONE) -> tuple[Estimate, Request]:
-        """As `step`, without its row: estimate and request; what the guard has admitted of it is `command`.
+        """As `step`, but return estimate and request only; `command` is what the guard admitted.
 
-        Estimate and request are those of the sample before where this one cannot be trusted.
+        For a sample with board flags they are those of the sample before.
         """
         decided = self._decided
         if self.error is not None:
-            decided = _GIVEN_UP
+            decided = _FAILED
         elif not sample.board_flags:
             try:
                 estimate = self._estimator.update(sample, self.command)
-                decided = self._decided = estimate, self._sequence.step(sample, estimate)
+                decided = self._decided = estimate, self._machine.step(sample, estimate)
             except (Exception, SystemExit) as error:  # noqa: BLE001  a user's controller may raise anything; the rig must stop all the same
                 self.error = error
-                decided = _GIVEN_UP
+                decided = _FAILED
         estimate, (request, _, request_reason) = decided
         guard = self._guard
         if stop_request is not _NONE:
@@ -112,5 +112,5 @@ class Pipeline:
             guard.trip(request_reason)
         self.command = guard.admit(request, sample, estimate)
         if guard.reason is not _NONE:
-            self._sequence.fault()
+            self._machine.fault()
         return decided

@@ -1,8 +1,7 @@
-"""Plausibility of the run-up: whether the road wheel gains speed as the drive motor can make it.
+"""Plausibility of the run-up: whether the road wheel gains speed as the drive motor can accelerate it.
 
-Every other check of a speed rests on the counts per turn. If both encoders have the same wrong scale they agree with
-each other, and the road wheel turns faster or slower than all of them believe. What the drive motor does to the
-wheels' inertia does not depend on an encoder: it says how soon which speed is reached.
+All other checks of speed rest on the counts per turn. If both encoders have the same wrong scale they agree with each
+other, but not with the acceleration of the wheels' inertia by the drive motor, which does not depend on an encoder.
 """
 
 from __future__ import annotations
@@ -15,24 +14,24 @@ from inteco_abs.rig import DriveMotor, RigParameters, nominal_drive_motor, nomin
 from inteco_abs.signals import Command
 
 _JUDGED_DUTY: Final = 0.5
-"""Below it the wheels reach half of what the limit is, whatever the scale, and dry friction, of which little is known,
-is a large part of the torque."""
+"""At lower duties the wheels reach at most half of the speed limit, and dry friction, of which little is known, is a
+large part of the torque."""
 _RELEASED_DUTY: Final = 0.01
 _RELEASE_GRACE_NS: Final = 300_000_000
 _LOOK_S: Final = 0.1
 _LOOK_PERIODS: Final = 10
-"""Of a look, in slow loops too: a time stamp that is late by one period is then a tenth of the speed at most."""
+"""Shortest look in periods: a time stamp that is late by one period is then at most a tenth of the speed."""
 _FIRST_SPEED: Final = 2
-"""Looks that take the speed at which a run-up begins."""
+"""Looks that measure the speed at which a run-up begins."""
 _SLACK_RAD_S: Final = 5.0
-"""On both sides: a drive that comes a few ticks late, and the acceleration within a look."""
+"""On both sides: for a drive that is a few ticks late, and the acceleration within a look."""
 _MORE_FRICTION: Final = 1.5
 _LESS_FRICTION: Final = 0.5
 """Factors on the static friction: the vendor's three measurements of M10 lie a factor of two apart."""
 _STRAIGHT_SHARE: Final = 2.0 / 3.0 / math.log(3.0)
 """Mean acceleration of a run-up to two thirds of its final speed, as a share of that from rest.
 
-Start-up resistors, which drop out at some speed, make a run-up slower at first, and so straighter: the vendor's plots
+Start-up resistors, which drop out at some speed, make a run-up slower at first and so straighter: the vendor's plots
 show a kink, and 1700 rpm after 6.2 to 6.5 s, a mean of 27 to 29 rad/s2. Two thirds of the published drive's final speed
 are those 1700 rpm, and its mean is 30 rad/s2.
 """
@@ -41,10 +40,10 @@ are those 1700 rpm, and its mean is 30 rad/s2.
 class RunUp:
     """Compares the road wheel's mean speed over 0.1 s with the slowest and the fastest run-up that the drive may make.
 
-    `factor` is how many times slower and faster than the published drive's that is. Where a lab has identified its
-    own drive, the square root of `factor` around that has to hold as well; the published one is never left out, as an
-    identification that rests on a wrong scale confirms it. A run-up begins with the drive, and again with each other
-    duty from a half on; it is not judged while the brake acts.
+    These are `factor` times slower and faster than the published drive's. Where a lab has identified its own drive,
+    the square root of `factor` around that must hold as well; the published one always counts, as an identification
+    with a wrong scale confirms that scale. A run-up begins with each new duty of at least a half; it is not checked
+    while the brake acts.
     """
 
     def __init__(self, config: RigConfig, factor: float) -> None:
@@ -62,7 +61,7 @@ class RunUp:
         self._looks = 0
 
     def plausible(self, now_ns: int, road_count: int, applied: Command) -> bool:
-        """Whether the run-up under the newest `applied` command is one that the drive may make, as far as is known."""
+        """Whether the drive can make this run-up under the newest `applied` command; True while that is unknown."""
         duty, brake = applied
         if duty < _JUDGED_DUTY:
             self._duty = 0.0
@@ -85,15 +84,14 @@ class RunUp:
 
 
 class _Approach(NamedTuple):
-    """Of a speed to the one at which all torques balance."""
+    """First-order approach to the speed at which all torques balance."""
 
     end: float
     """That speed, rad/s."""
     lag_s: float
-    """Time constant."""
 
     def gain(self, speed: float, elapsed_s: float) -> float:
-        """What is gained in a time that is short against the lag; none from beyond the end."""
+        """Gain in rad/s over a time that is short against the lag; 0 beyond the end."""
         return max(0.0, (self.end - speed) * elapsed_s / (self.lag_s + 0.5 * elapsed_s))
 
 
@@ -109,26 +107,26 @@ class _Rig:
         self._factor = factor
 
     def bounds(self, duty: float, speed: float) -> _Bounds:
-        """Of a run-up that goes on from `speed` (rad/s) with `duty` of the drive."""
+        """Bounds of a run-up that continues from `speed` (rad/s) with `duty` of the drive."""
         stall, back = self._drive.stall_torque_nm, self._drive.stall_torque_nm / self._drive.no_load_speed_rad_s
         slow = self._approach(stall * duty - _MORE_FRICTION * self._friction_nm, back, self._factor)
-        # a chopper whose current tears off between pulses lets the motor run on towards its full speed at any duty
+        # with a chopper in discontinuous conduction the motor approaches its full speed at any duty
         fast = self._approach(stall * duty - _LESS_FRICTION * self._friction_nm, back * duty, 1.0 / self._factor)
         straight = _STRAIGHT_SHARE * (stall - self._friction_nm) / self._inertia * duty / self._factor
         return _Bounds(slow, fast, straight, speed)
 
     def _approach(self, torque_nm: float, back_nm: float, slower: float) -> _Approach:
-        """Of a speed under `torque_nm` at rest that falls by `back_nm` per rad/s, and by the wheels' own drag."""
+        """Approach under `torque_nm` at rest, which falls by `back_nm` per rad/s and by the wheels' drag."""
         falling = back_nm + self._drag
         return _Approach(torque_nm / falling, self._inertia / falling * slower)
 
 
 class _Bounds:
-    """The slowest and the fastest run-up that are believed possible."""
+    """The slowest and the fastest possible run-up."""
 
     def __init__(self, slow: _Approach, fast: _Approach, straight_rad_s2: float, speed: float) -> None:
         self._slow, self._fast, self._straight = slow, fast, straight_rad_s2
-        self._least = min(speed, slow.end)  # faster than this duty keeps it, a wheel slows down
+        self._least = min(speed, slow.end)  # above the final speed a wheel slows down
         self._most = speed
 
     def allow(self, speed: float, elapsed_s: float) -> bool:

@@ -65,7 +65,7 @@ class BrakingModel:
         return self.terms(slip, road_speed)[1]
 
     def terms(self, slip: float, road_speed: float) -> tuple[float, float]:
-        """F and g at once. Raises ValueError for a slip outside 0..1 or a road speed that is not above 0."""
+        """Both terms, f in 1/s and g in 1/(s N m). Raises ValueError unless slip is in 0..1 and the road speed above 0."""
         if not road_speed > 0.0:
             raise ValueError(f"road_speed = {road_speed!r} rad/s: must be above 0, f and g grow like 1/speed")
         S, rolling, ratio = self.S(slip), 1.0 - slip, self._ratio
@@ -88,11 +88,7 @@ def reaching_law_torque(
     Gains in 1/s. On the switching surface itself sgn(0) = 0. Raises ValueError as `BrakingModel.terms` does.
     """
     f, g = model.terms(slip, road_speed)
-    return reaching_torque(f, g, slip - reference, Mk, Mq)
-
-
-def reaching_torque(f: float, g: float, switching: float, Mk: float, Mq: float) -> float:
-    """Equation (22) on terms already worked out: torque in N m from f in 1/s, g in 1/(s N m) and the slip error."""
+    switching = slip - reference
     return -(f + Mk * switching + Mq * ((switching > 0.0) - (switching < 0.0))) / g
 
 

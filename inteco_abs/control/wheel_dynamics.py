@@ -1,7 +1,7 @@
-"""The two wheels while braking, equations (2), (3) and (5), with adhesion and brake torque given from outside.
+"""The two wheels while braking, equations (2), (3) and (5), for a given adhesion and brake torque.
 
-Where `BrakingModel` states slip dynamics in the paper's form with eq. (8) inside, this is what an observer needs: the
-accelerations for whatever adhesion and torque it believes in, and how both move them.
+`BrakingModel` has the slip dynamics in the paper's form with equation (8) inside; an observer needs the accelerations
+for its own estimates of adhesion and torque, and their derivatives.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from inteco_abs.rig import RigParameters
 
 
 class Accelerations(NamedTuple):
-    """Of the wheels, in rad/s2, and their slopes by what is not known exactly."""
+    """Accelerations of the wheels in rad/s2, and their derivatives by adhesion and brake torque."""
 
     wheel: float
     road: float
     wheel_per_adhesion: float
     road_per_adhesion: float
     wheel_per_nm: float
-    """By the brake torque, 1/(kg m2)."""
+    """1/(kg m2)"""
     road_per_nm: float
 
 
@@ -40,8 +40,8 @@ class WheelDynamics:
         lever = self._sin - self._cos * adhesion
         resisting = k.d1 * wheel_speed + torque + k.M10
         normal = (k.Mg + resisting) / lever  # (5)
-        per_adhesion = normal * self._sin / lever  # of the contact's force, which presses the lever down as well
-        share = adhesion / lever  # of that force, per N m of brake torque
+        per_adhesion = normal * self._sin / lever  # the contact's force presses the lever down as well
+        share = adhesion / lever  # of that force per N m of brake torque
         return Accelerations(
             (k.r1 * normal * adhesion - resisting) / k.J1,
             -(k.r2 * normal * adhesion + k.d2 * road_speed + k.M20) / k.J2,
@@ -54,7 +54,7 @@ class WheelDynamics:
     def torque(
         self, slip: float, slip_rate: float, wheel_speed: float, road_speed: float, adhesion: float
     ) -> tuple[float, float, float]:
-        """Brake torque in N m that makes the slip move at `slip_rate` in 1/s, and its slopes by rate and adhesion.
+        """Brake torque in N m for a `slip_rate` in 1/s, and its derivatives by rate and adhesion.
 
         (2) and (3) in lam' = ((1 - lam)*x2' - (r1/r2)*x1')/x2, the derivative of (11), are linear in the torque.
         """

@@ -1,4 +1,4 @@
-"""The physics of the rig, pure: parameters, friction, actuators, the plant in all its regimes, and rigs that differ."""
+"""The physics of the rig, pure: parameters, friction, actuators, the plant in all regimes, populations of rigs."""
 
 from inteco_abs.rig.actuators import DriveMotor, brake_duty, brake_torque
 from inteco_abs.rig.adhesion_curve import AdhesionCurve, measured_adhesion, measured_adhesion_slope

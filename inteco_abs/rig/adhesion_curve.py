@@ -1,4 +1,4 @@
-"""The road that a rig has of its own: the adhesion that was measured, and its blend with equation (8)."""
+"""Adhesion of a rig's own road: the measured curve, and its blend with equation (8)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from inteco_abs.rig.parameters import RigParameters
 
 
 class Cubic(NamedTuple):
-    """One piece of a curve, in powers of the distance from where it starts."""
+    """One piece of a curve, in powers of the distance from its start."""
 
     start: float
     value: float
@@ -25,7 +25,7 @@ MEASURED_ADHESION: Final = ((0.1, 0.384), (0.2, 0.393), (0.4, 0.402), (0.6, 0.41
 
 
 def monotone_cubics(points: Sequence[tuple[float, float]], first_slope: float) -> tuple[Cubic, ...]:
-    """Curve through `points` with a continuous slope and no bump of its own, of which the slope at its start is given.
+    """Monotone curve through `points` with a continuous slope, `first_slope` at its start.
 
     Slopes by the harmonic mean of the neighbouring chords (Fritsch and Butland 1984), 0 where the points turn.
     """
@@ -43,14 +43,14 @@ def monotone_cubics(points: Sequence[tuple[float, float]], first_slope: float) -
 
 _PUBLISHED: Final = RigParameters.named("mask")
 RISE_END: Final = MEASURED_ADHESION[0][0]
-"""Slip of the first measured point; below it nothing was measured and the curve rises as equation (8) does."""
+"""Slip of the first measured point; below it the curve rises as equation (8) does."""
 RISE: Final = MEASURED_ADHESION[0][1] / adhesion(RISE_END, _PUBLISHED)
 """Measured adhesion over that of (8) where the rise ends."""
 MEASURED_CUBICS: Final = monotone_cubics(MEASURED_ADHESION, RISE * adhesion_slope(RISE_END, _PUBLISHED))
 
 
 def measured_adhesion(slip: float) -> float:
-    """Adhesion at `slip` as it was measured; continuous with its slope. Raises ValueError outside 0..1."""
+    """Measured adhesion at `slip`, continuously differentiable. Raises ValueError outside 0..1."""
     if slip < RISE_END:
         return RISE * adhesion(slip, _PUBLISHED)
     piece = _measured_piece(slip)

@@ -1,4 +1,4 @@
-"""The brake of a rig of its own, from the command at its terminals to the torque that it settles to."""
+"""A rig's brake actuator, from the command at its terminals to the settled torque."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ MEASURED_TORQUE: Final = (
 """Duty and settled torque in N m, read off the manual's figure 5.6b; straight lines between, constant beyond."""
 MEASURED_MAP: Final = BrakeMap(MEASURED_TORQUE)
 SAME_TIME_S: Final = 1e-9
-"""Times closer than this are one: the sum of many ticks is not exact."""
+"""Times closer than this are equal: the sum of many ticks is not exact."""
 EXACT: Final = 1e-9
 """Keeps a duty that is a whole number of steps from losing one to binary rounding."""
 
 
 def measured_torque(duty: float) -> float:
-    """Torque in N m that was measured at `duty`; 0 below the first point, the last point's value above it."""
+    """Measured torque in N m at `duty`; 0 below the first point, the last point's value above it."""
     return MEASURED_MAP.torque(duty)
 
 
 def measured_duty(torque: float) -> float:
-    """Duty at which `torque` in N m was measured: 0 for no torque, 1 for more than there is, NaN for NaN."""
+    """Inverse of `measured_torque`: 0 for no torque, 1 above the largest one, NaN for NaN."""
     return MEASURED_MAP.duty(torque)
 
 
 def settled_torque(duty: float, variation: RigVariation) -> float:
-    """Torque in N m that the brake settles to with `duty` (0..1) at its terminals: cap, PWM steps, static map."""
+    """Settled torque in N m with `duty` (0..1) at the terminals: cap, PWM steps, static map."""
     duty = min(duty, variation.brake_duty_cap)
     steps = variation.brake_pwm_steps
     if steps > 0:
@@ -57,7 +57,7 @@ def settled_torque(duty: float, variation: RigVariation) -> float:
 
 
 class BrakeActuator:
-    """What the brake is told now, and what it acts on now, a dead time later. Times in s, never decreasing."""
+    """A brake with dead time: commands act that much later. Times in s, never decreasing."""
 
     __slots__ = ("_coming", "_newest", "_variation", "settled_torque")
 
@@ -66,7 +66,7 @@ class BrakeActuator:
         self._coming: deque[tuple[float, float]] = deque()
         self._newest = settled_torque(0.0, variation)
         self.settled_torque = self._newest
-        """Torque in N m that the brake is on its way to."""
+        """Torque in N m that the brake approaches now."""
 
     def command(self, time_s: float, duty: float) -> None:
         """Put `duty` (0..1) at the terminals."""
@@ -76,7 +76,7 @@ class BrakeActuator:
             self._coming.append((time_s + self._variation.brake_dead_time_s, settled))
 
     def move_to(self, time_s: float) -> float:
-        """Act on what has arrived by `time_s`; the time in s at which the next command arrives, or infinity."""
+        """Apply the commands that act by `time_s`; return the time in s of the next one, or infinity."""
         coming = self._coming
         while coming and coming[0][0] <= time_s + SAME_TIME_S:
             self.settled_torque = coming.popleft()[1]

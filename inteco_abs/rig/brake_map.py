@@ -1,4 +1,4 @@
-"""A static map of the brake as points, from duty to the torque that it settles to and back."""
+"""The brake's static map as points: duty to settled torque, and back."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class BrakeMap(NamedTuple):
     points: tuple[tuple[float, float], ...]
 
     def torque(self, duty: float) -> float:
-        """Torque in N m at `duty`; the first point's below it, the last one's above."""
+        """Settled torque in N m at `duty`."""
         left, low = self.points[0]
         if duty <= left:
             return low
@@ -22,7 +22,7 @@ class BrakeMap(NamedTuple):
         return low
 
     def duty(self, torque: float) -> float:
-        """Duty for `torque` in N m: 0 for no torque, 1 for more than there is, NaN for NaN."""
+        """Duty for `torque` in N m: 0 for no torque, 1 above the largest one, NaN for NaN."""
         if torque <= 0.0:
             return 0.0
         left, low = self.points[0]

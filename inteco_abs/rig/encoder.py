@@ -1,4 +1,4 @@
-"""Encoder of one wheel: from its angle to the count that a counter shows."""
+"""Encoder of one wheel: from its angle to the count."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from inteco_abs.rig.variation import RigVariation
 
 
 class Encoder:
-    """The wheel's (`wheel=True`) or road's encoder of a rig, with its noise; the counter is never reset.
+    """The wheel's (`wheel=True`) or road's encoder of a rig; the counter is never reset.
 
-    The noise is reproducible: the n-th reading of the same rig has the same, whatever was read.
+    The noise of the n-th reading depends on the rig's seed and n alone.
     """
 
     __slots__ = ("_disc", "_noise", "_per_rad", "_readings", "_seed")
@@ -36,5 +36,5 @@ class Encoder:
 
 
 def noise_seed(variation: RigVariation) -> int:
-    """Seed of the noise of both encoders, which take one number each of every pair."""
+    """Seed of the noise of both encoders, each of which takes one number of every pair."""
     return mixed(variation.seed ^ WORD)

@@ -28,7 +28,7 @@ def wheel_slip(wheel_speed: float, road_speed: float, parameters: RigParameters)
 
 
 class Motion(NamedTuple):
-    """What the model says of one instant."""
+    """Accelerations and contact of one instant."""
 
     wheel_acceleration: float
     """Upper wheel, rad/s2."""
@@ -43,7 +43,7 @@ class Motion(NamedTuple):
 
 
 class Model:
-    """Equations (2) to (6) for one parameter set, with its constants worked out once; on `surface` instead of (8)."""
+    """Equations (2) to (6) for one parameter set; with a `surface`, that adhesion instead of (8)."""
 
     __slots__ = ("_L_cos", "_L_sin", "_adhesion", "_adhesion_slope", "_k")
 
@@ -54,7 +54,7 @@ class Model:
         self.press(1.0)
 
     def press(self, load: float) -> None:
-        """Multiply the normal force that the lever's torque makes, equation (5), by `load` from now on."""
+        """Multiply the normal force of the lever's torque, equation (5), by `load` from now on."""
         k = self._k
         self._L_sin = k.L * math.sin(k.phi_rad) / load
         self._L_cos = k.L * math.cos(k.phi_rad) / load
@@ -62,7 +62,7 @@ class Model:
     def rates(
         self, wheel_speed: float, road_speed: float, brake_torque: float, drive_torque: float
     ) -> tuple[float, float, float, float, float]:
-        """The fields of `Motion` as a plain tuple: this is the inner loop of every simulation."""
+        """The fields of `Motion` as a plain tuple, for speed: this is the inner loop of every simulation."""
         k = self._k
         slip = wheel_slip(wheel_speed, road_speed, k)
         traction = self._adhesion(slip, k) if k.r2 * road_speed >= k.r1 * wheel_speed else -self._adhesion(slip, k)
@@ -74,7 +74,7 @@ class Model:
         elif wheel_speed < 0.0:
             resisting = k.d1 * wheel_speed - held
         else:
-            # the brake carries what the road puts in, up to what it can hold; that enters the lever's balance
+            # the brake takes the road's torque, up to what it can hold; that enters the lever's balance
             reaction = k.Mg / (lever - k.r1 * traction) * k.r1 * traction
             moves = abs(reaction) > held
             resisting = math.copysign(held, reaction) if moves else reaction

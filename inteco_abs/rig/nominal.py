@@ -1,4 +1,4 @@
-"""What a controller believes about the rig: a published set, and a lab's own numbers over it."""
+"""The nominal rig of controllers: a published parameter set, overridden by what a lab has identified."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from inteco_abs.rig.parameters import RigParameters
 
 
 def nominal_parameters(model: ModelConfig) -> RigParameters:
-    """The set that the configuration names, with what is given in [model.identified] in its place."""
+    """The parameter set that the configuration names, overridden by [model.identified]."""
     given = model.identified.as_table()
     own = {field.name: given[field.name] for field in fields(RigParameters) if field.name in given}
     return replace(RigParameters.named(model.parameters), **own)

@@ -5,7 +5,7 @@ The only stiff term is the contact, whose eigenvalue grows like 1/speed (86 1/s 
 bound towards standstill). Its Jacobian is a column times a row, so the linear solve is one division, and the order
 does not depend on the rest of the Jacobian being left out; where the contact is not stiff it is left out as well,
 and the method is Heun's. Towards standstill the step is cut in proportion to the speed, so that the fast slip
-motion is followed and not only damped. A wheel that comes to rest inside a step ends that step there.
+motion is followed, not only damped. A wheel that comes to rest inside a step ends that step there.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ FOLLOWED: Final = 0.5
 MOST_CUTS: Final = 64
 ALMOST_AT_REST: Final = 1e-9
 CRAWL_RAD_S: Final = 0.005
-"""Below this the slip has no meaning; static friction takes it off within 2 ms, an encoder counts once in 0.6 s."""
+"""Below this the slip has no meaning: static friction stops it within 2 ms, an encoder counts once in 0.6 s."""
 
 
 class Plant:
     """Two wheels in contact, started at given speeds in rad/s with the brake released.
 
-    The rig is the model with some parameters, or one of its own with a `RigVariation`. Speeds, angles (rad),
-    `brake_torque` (N m, what the brake can hold) and `time_s` may be read at any time. `max_step_s` bounds the
-    integration step; halving it is the convergence test.
+    The rig is given by its parameters or as a `RigVariation`. Speeds, angles (rad), `brake_torque` (N m, what the
+    brake can hold) and `time_s` may be read at any time. `max_step_s` bounds the integration step. Raises ValueError
+    for speeds that are not finite, and for `max_step_s` outside 0..infinity.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Plant:
         self._brake = BrakeActuator(variation)
         self._ripple = variation.load_ripple
         self._braking_since_s = math.inf
-        # a step in s; the share of the brake's distance to its target that is left after it, and over it in the mean
+        # a step in s; the share of the brake's distance to its target after it, and its mean over it
         self._lag = (math.nan, 0.0, 0.0)
 
     @property
@@ -86,7 +86,7 @@ class Plant:
         return self._surface.adhesion(self.slip, self.parameters)
 
     def advance(self, drive: float, brake: float, duration_s: float) -> None:
-        """Move on by `duration_s` >= 0 with constant duties in 0..1; raises ValueError outside."""
+        """Advance by `duration_s` >= 0 with constant duties in 0..1; raises ValueError outside."""
         if not (0.0 <= drive <= 1.0 and 0.0 <= brake <= 1.0):
             raise ValueError(f"drive {drive!r}, brake {brake!r}: duties must be in 0..1")
         if not 0.0 <= duration_s < math.inf:
@@ -98,7 +98,7 @@ class Plant:
             self._move_in_parts(drive, brake, duration_s)
 
     def _move_in_parts(self, drive: float, brake: float, duration_s: float) -> None:
-        """Move on, in parts that end where a late command arrives or the road's force steps."""
+        """Advance in parts that end where a delayed command acts or the road's adhesion steps."""
         self._brake.command(self.time_s, brake)
         if drive > 0.0:
             self._braking_since_s = math.inf
@@ -118,9 +118,9 @@ class Plant:
             left_s -= part_s
 
     def _move(self, drive: float, target: float, duration_s: float) -> None:
-        """Move the wheels on with a brake that settles to `target`, in N m; the time is the caller's."""
+        """Advance the wheels with a brake that settles to `target`, in N m; the caller advances the time."""
         if duration_s <= self._max_step_s and self.road_speed > duration_s * CONTACT_RATE / FOLLOWED:
-            self._step(drive, target, duration_s)  # what follows would do the same: one block, one cut
+            self._step(drive, target, duration_s)  # one block, one cut
             return
         if self.wheel_speed == 0.0 == self.road_speed and not self._breaks_away(drive):
             self._take(duration_s, target, 0.0, 0.0)
@@ -156,7 +156,7 @@ class Plant:
         self._take(h, target, next1, next2)
 
     def _crawl(self, drive: float, target: float, h: float) -> None:
-        """Both wheels as good as at rest: they stick together, and move off together or not at all."""
+        """Both wheels are almost at rest: they stick together, and move off together or not at all."""
         k = self.parameters
         ratio = k.r2 / k.r1
         torque = self.motor.torque(drive, 0.0) - k.M20 - ratio * (k.M10 + self.brake_torque)
@@ -164,7 +164,7 @@ class Plant:
         self._take(h, target, ratio * next2, next2)
 
     def _come_to_rest(self, drive: float, target: float, h: float, next1: float, next2: float) -> float:
-        """Move on to the instant in which the first wheel stops; the time in s that this took."""
+        """Advance to the instant in which the first wheel stops; return the elapsed time in s."""
         share1, share2 = _rest_share(self.wheel_speed, next1), _rest_share(self.road_speed, next2)
         crossed = h * min(share1, share2)
         next1, next2 = self._next_speeds(drive, target, crossed)
@@ -197,7 +197,7 @@ class Plant:
             damping = GAMMA * h / (1.0 - GAMMA * h * min(0.0, row1 * column1 + row2 * column2))
             along = damping * (row1 * k1 + row2 * k2)
             k1, k2 = k1 + along * column1, k2 + along * column2
-        # friction keeps its sign within a step: a wheel that would turn back is taken as about to stop
+        # friction keeps its sign within a step: a wheel that would reverse is almost at rest instead
         end1, end2 = x1 + h * k1, x2 + h * k2
         end1 = end1 if x1 * end1 >= 0.0 else x1 * ALMOST_AT_REST
         end2 = end2 if x2 * end2 >= 0.0 else x2 * ALMOST_AT_REST
@@ -210,7 +210,7 @@ class Plant:
         return x1 + h * (1.5 * k1 + 0.5 * a1), x2 + h * (1.5 * k2 + 0.5 * a2)
 
     def _press(self, h: float) -> None:
-        """Give the coming step the normal force of its middle, which keeps the order."""
+        """Use the normal force of the step's middle, which keeps the order."""
         angle = self.wheel_angle + 0.5 * h * self.wheel_speed
         self._model.press(1.0 + self._ripple * math.sin(angle + self._variation.load_ripple_phase_rad))
 

@@ -1,7 +1,7 @@
 """Named populations of virtual rigs, each draw reproducible from its seed.
 
-nominal  what the paper assumes: the published rig with a brake that follows at once, ideal encoders of 2048 counts
-hard     a rig as it may come. Within 5 %: J1, J2, Mg and the gain of the brake's measured map, which is off by up to
+nominal  what the paper assumes: the published rig with a brake without lag, ideal encoders of 2048 counts
+hard     a realistic rig. Within 5 %: J1, J2, Mg and the gain of the brake's measured map, which is off by up to
          0.02 of duty; within 20 %: d1 and d2; adhesion within 15 % and anywhere between equation (8) and the measured
          curve; brake lag 35..65 ms after a dead time of 5..15 ms; 8-bit PWM; 2048 counts that sit off centre by half
          a count and jitter by 0.3 (standard deviation); a tick of delay
@@ -11,8 +11,8 @@ late     rough with that step in all draws and 0.7..1 s after braking began, whe
 slow     hard, with 20 ms of dead time
 capped   hard, with the duty capped at 0.7 as by the vendor's driver, which leaves some rigs too little torque
 
-One seed is one rig: `hard`, `slow` and `capped` of a seed differ only in what is named here, and `rough` of that seed
-is the same rig on its own wheel and road. So populations can be compared draw by draw.
+One seed is one rig: `hard`, `slow`, `capped` and `rough` of a seed differ only in what is named here, so populations
+can be compared draw by draw.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def draw(population: str, seed: int) -> RigVariation:
 
 
 def _nominal(seed: int) -> RigVariation:
-    _generator(seed)  # a seed is checked, although it decides nothing
+    _generator(seed)  # checks the seed, which decides nothing
     parameters = replace(RigParameters.named("mask"), c31=math.inf)
     disc = EncoderVariation(_COUNTS)
     return RigVariation(parameters, wheel_encoder=disc, road_encoder=disc, seed=seed)

@@ -1,4 +1,4 @@
-"""Random numbers that are the same on every machine and in every version: SplitMix64."""
+"""Random numbers that are equal on every machine and in every version: SplitMix64."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def mixed(word: int) -> int:
 class SplitMix64:
     """SplitMix64 of Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
 
-    Chosen because it is a few lines of integer arithmetic: nothing but this file decides what a seed gives, so a
-    draw that is quoted by its seed stays the same. `seed` is in 0..2^64-1.
+    It is a few lines of integer arithmetic, so a draw depends on its seed and this file alone. `seed` is in 0..2^64-1;
+    raises ValueError outside.
     """
 
     __slots__ = ("_state",)
@@ -42,7 +42,7 @@ class SplitMix64:
 
 
 def normal_pair(seed: int, index: int) -> tuple[float, float]:
-    """Pair number `index` (0, 1, ...) of a standard normal sequence, by itself: Box and Muller on one word."""
+    """Pair number `index` (0, 1, ...) of a standard normal sequence: Box and Muller on one word."""
     word = mixed(seed + (index + 1) * _GOLDEN & WORD)
     radius = math.sqrt(-2.0 * math.log(((word >> 32) + 1) * 2.0**-32))
     angle = (word & 0xFFFFFFFF) * (2.0 * math.pi * 2.0**-32)

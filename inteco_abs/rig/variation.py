@@ -1,4 +1,4 @@
-"""What one rig may have of its own: everything in which it differs from the published one, as one value."""
+"""The differences of one rig from the published one, as one value."""
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ def _require_ranges(record: object, ranges: Mapping[str, tuple[float, float]]) -
 
 @dataclass(frozen=True, slots=True)
 class EncoderVariation:
-    """One wheel's encoder. The defaults: an ideal disc, whose counter changes exactly at each line."""
+    """One wheel's encoder; by default an ideal disc, whose counter changes exactly at each line."""
 
     counts_per_turn: int = 2048
     """Quadrature counts, 16..1e6: 2048 in the paper, 4096 on the vendor's rig. The counter rounds down."""
     edge_counts: float = 0.0
-    """Where between two lines the wheel stands at angle 0, in counts, 0..1."""
+    """Position between two lines at angle 0, in counts, 0..1."""
     eccentricity_counts: float = 0.0
-    """Largest error of a disc that sits off centre, in counts, 0..100; once per turn."""
+    """Amplitude of the error of a disc off centre, in counts, 0..100; once per turn."""
     eccentricity_phase_rad: float = 0.0
-    """Where in the turn that error passes through zero upwards, any angle."""
+    """Phase of that error, any angle."""
     jitter_counts: float = 0.0
     """Standard deviation of the normal noise of each reading, in counts, 0..10."""
 
@@ -63,10 +63,7 @@ class EncoderVariation:
 
 @dataclass(frozen=True, slots=True)
 class RigVariation:
-    """One rig. Every default is the published rig's, which `Plant` and `BatchPlant` then are to the last digit.
-
-    Raises ValueError for a value out of its range.
-    """
+    """One rig; the defaults are the published rig's, bit for bit. Raises ValueError for a value out of range."""
 
     parameters: RigParameters = field(default_factory=lambda: RigParameters.named("mask"))
     """Masses, frictions, lengths, equation (8), the brake's straight line and its lag c31."""
@@ -79,28 +76,28 @@ class RigVariation:
     brake_gain: float = 1.0
     """Factor on the static map's torque, 0.1..3."""
     brake_duty_offset: float = 0.0
-    """How much more duty the static map takes for the same torque, -0.2..0.2."""
+    """Duty that the static map needs beyond the published one for the same torque, -0.2..0.2."""
     brake_dead_time_s: float = 0.0
-    """Pure delay of the brake behind its terminals, 0..0.2 s; c31 comes on top."""
+    """Dead time of the brake, 0..0.2 s; the lag c31 comes on top."""
     brake_duty_cap: float = 1.0
     """Largest duty that the amplifier lets through, 0.1..1."""
     brake_pwm_steps: int = 0
     """Steps from duty 0 to 1: 255 for 8 bit, 4095 for 12 bit, rounded down to one; 0 for a continuous output."""
     load_ripple: float = 0.0
-    """Amplitude of the normal force over a turn of the wheel, as a share of it, 0..0.5."""
+    """Amplitude of the normal force's ripple over a turn of the wheel, as a share of the force, 0..0.5."""
     load_ripple_phase_rad: float = 0.0
-    """Phase of that in the wheel's angle, at which the force is its mean and rises; any angle."""
+    """Phase of the ripple in the wheel's angle, any angle."""
     grip_step: float = 0.0
     """Step of the road's adhesion during a stop, as a share of it, -0.9..1."""
     grip_step_after_s: float = 0.0
-    """When the step comes, from the first command of brake without drive on, 0..60 s; it ends with the next drive."""
+    """Time of the step since the first brake command without drive, 0..60 s; it ends with the next drive."""
     wheel_encoder: EncoderVariation = EncoderVariation()
     road_encoder: EncoderVariation = EncoderVariation()
     command_delay_ticks: int = 0
-    """Ticks from the sample to the output of the command that it led to, 0..8. It is the loop's, not the rig's:
-    `Plant` leaves it to its caller (a loop that writes before it reads has one), `BatchPlant` applies it."""
+    """Ticks from a sample to the output of its command, 0..8. It belongs to the loop: `Plant` leaves it to its caller
+    (a loop that writes before it reads has one), `BatchPlant` applies it."""
     seed: int = 0
-    """What the encoders' noise is made from, 0..2^64-1."""
+    """Seed of the encoders' noise, 0..2^64-1."""
 
     def __post_init__(self) -> None:
         _require_ranges(self, _RIG_RANGES)
@@ -109,7 +106,7 @@ class RigVariation:
 
     @property
     def plain_plant(self) -> bool:
-        """Whether wheels, contact and brake are those of the model, so that only `parameters` matter to them."""
+        """Whether wheels, contact and brake depend on `parameters` alone."""
         return all(getattr(self, name) == value for name, value in _PLAIN.items())
 
 

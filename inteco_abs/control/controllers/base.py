@@ -1,7 +1,7 @@
-"""What a slip controller is: from an estimate to a brake demand. Pure, scalar, one class each.
+"""The interface of slip controllers, and the base class of those that invert the slip model.
 
-A controller of your own is a class with the same three parts: `gains`, `internals` and `update`. One that works with
-a single estimator only names it as `estimator`.
+A controller is a class with `gains`, `internals` and `update`. One that needs a certain estimator names it as
+`estimator`.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ class Gain(NamedTuple):
     meaning: str
 
 
-LAG: Final = Gain("lag_s", 0.0, 0.0, 0.2, "s", "lag of the brake to be inverted; 0: the law knows of none")
-"""Of every law that asks for a torque."""
+LAG: Final = Gain("lag_s", 0.0, 0.0, 0.2, "s", "lag of the brake to be inverted; 0: no lag")
+"""A gain of every `ModelLaw`."""
 
 
 class Setup(NamedTuple):
-    """What every controller is told besides its own gains."""
+    """What every controller gets besides its own gains."""
 
     reference_slip: float
     """In 0..1."""
     parameters: RigParameters
-    """What the controller may believe about the rig."""
+    """Nominal parameters of the rig."""
     hold_below_rad_s: float
     """Estimated road speed below which a model-based law holds its last demand."""
     brake_map: BrakeMap = MEASURED_MAP
-    """What is believed of the brake's static map, where the straight line of `parameters` is not enough."""
+    """Nominal static map of the brake, where the straight line of `parameters` is not enough."""
 
 
 class Controller(Protocol):
-    """Asks for brake while the experiment is braking; no clock, no I/O, no randomness."""
+    """Demands a brake duty while the experiment is braking; no clock, no I/O, no randomness."""
 
     gains: ClassVar[tuple[Gain, ...]]
     internals: ClassVar[tuple[str, ...]]
@@ -60,10 +60,10 @@ class Controller(Protocol):
 
 
 class ModelLaw(ABC):
-    """A law that says how fast the slip error shall shrink, and inverts the model for the torque, equation (21).
+    """A law for the decay of the slip error, which inverts the slip model for the torque, equation (21).
 
-    The torque becomes a duty through the brake's static map. The brake's lag is not in the law, as in the paper, unless
-    a lag is given: then the brake is told what makes it reach the torque within a period, as far as it can. Below
+    The brake's static map turns the torque into a duty. As in the paper, the brake is taken to be without lag, unless
+    `lag_s` is given: then the duty is the one that reaches the torque within a period, as far as the brake can. Below
     `hold_below_rad_s` the last demand is held, because f and g grow without limit as the road stops.
     """
 
@@ -81,10 +81,10 @@ class ModelLaw(ABC):
 
     @abstractmethod
     def approach(self, switching: float, road_speed: float, dt_s: float) -> float:
-        """How fast the slip error `switching` shall shrink, 1/s: minus its wanted derivative."""
+        """Rate at which the slip error `switching` shall decay, 1/s: minus its wanted derivative."""
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
-        """Demand that makes the error shrink so, limited to what the brake can do."""
+        """Demand for that decay, limited to what the brake can do."""
         slip, speed = estimate.slip, estimate.road_speed_rad_s
         if not estimate.valid or speed <= self._hold_below:
             return self._last
@@ -97,7 +97,7 @@ class ModelLaw(ABC):
         return self._last
 
     def _ahead_of_lag(self, torque: float, dt_s: float) -> float:
-        """What the brake is to settle to, so that a lag of `lag_s` has it at `torque` after a period, in N m."""
+        """Settled torque in N m that brings a brake with the lag `lag_s` to `torque` within a period."""
         share = 1.0 - math.exp(-dt_s / self._lag_s)
         self._lagged_nm += (self._settled_nm - self._lagged_nm) * share
         self._settled_nm = min(max(self._lagged_nm + (torque - self._lagged_nm) / share, 0.0), self._full_nm)
@@ -105,10 +105,10 @@ class ModelLaw(ABC):
 
     @property
     def _saturated(self) -> bool:
-        """Whether the last torque was more or less than the brake can give; integrals rest then."""
+        """Whether the last torque was outside the brake's range; integrals are held then."""
         return not 0.0 < self._last.torque_nm < self._full_nm
 
 
 def sign(value: float) -> float:
-    """-1, 0 or 1; on the surface itself a law does not switch."""
+    """Return -1, 0 or 1; 0 on the switching surface itself."""
     return float((value > 0.0) - (value < 0.0))

@@ -9,7 +9,7 @@ from inteco_abs.signals import BrakeDemand, Estimate
 
 
 class ProportionalIntegral:
-    """Duty = bias + Kp*e + Ki*integral(e), e = reference - slip; the integral rests where it would only wind up."""
+    """Duty = bias + Kp*e + Ki*integral(e), e = reference - slip; the integral is held where it would wind up."""
 
     gains: ClassVar[tuple[Gain, ...]] = (
         Gain("Kp", 1.0, 0.0, 100.0, "1", "proportional"),
@@ -37,7 +37,7 @@ class ProportionalIntegral:
 
 
 class Steps:
-    """A staircase of duties, whatever the slip: step braking, as identification needs it."""
+    """A staircase of duties, independent of the slip: the brake steps of an identification."""
 
     gains: ClassVar[tuple[Gain, ...]] = (
         Gain("first", 0.65, 0.0, 1.0, "1", "duty of the first step"),
@@ -54,7 +54,7 @@ class Steps:
         self._elapsed_s = 0.0
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
-        """Duty of the present step; the first lasts from the first demand on."""
+        """Duty of the current step; the first begins with the first demand."""
         step = int(self._elapsed_s / self._length_s)
         self._elapsed_s += dt_s
         duty = max(0.0, min(1.0, self._first + self._rise * step))

@@ -1,4 +1,4 @@
-"""Sliding mode control of a brake that is late and lags, by what an observer expects."""
+"""Sliding mode control of a brake with dead time and lag, on an observer's prediction."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from inteco_abs.signals import BrakeDemand, Estimate, Prediction
 
 _START_RAD_S: Final = 180.0
 _RISEN_SLIP: Final = 0.035
-"""From here on the adhesion is nearly all there; reaching asks for the torque of at least this slip."""
+"""Slip from which the adhesion is nearly full; reaching demands the torque of at least this slip."""
 
 
 class PredictiveReaching:
-    """Reaching law on the slip expected when the command comes through, with the brake's lag inverted.
+    """Reaching law on the slip predicted for the end of the dead time, with the brake's lag inverted.
 
     s' = -k*s near the surface; far from it s' = -sgn(s)*sqrt(2*a*(|s| - a/(2*k^2))), which is braking the slip at the
     deceleration a. Both meet in value and slope at |s| = a/k^2. As the torque moves the slip by 1/x2, a does too. The
-    brake's lag tau is the second order: what it is to settle to is b = M + tau*(kM*(M* - M) + M*'), with M* the torque
-    of the law in the observer's model, and M*' by the law's own slope and the known ripple. Needs the observer.
+    brake's lag tau adds an order: it is driven towards b = M + tau*(kM*(M* - M) + M*'), with M* the torque of the law
+    in the observer's model, and M*' from the law's slope and the known ripple. Needs the observer.
     """
 
     gains: ClassVar[tuple[Gain, ...]] = (
         Gain("k", 60.0, 1.0, 1000.0, "1/s", "rate near the surface"),
         Gain("a", 34.0, 0.1, 10_000.0, "1/s2", "slip deceleration in reaching at 180 rad/s; grows as 1/x2"),
-        Gain("a_most", 500.0, 0.1, 100_000.0, "1/s2", "where that ends"),
+        Gain("a_most", 500.0, 0.1, 100_000.0, "1/s2", "limit of that growth"),
         Gain("kM", 400.0, 1.0, 10_000.0, "1/s", "rate at which the torque closes in on the law's"),
     )
     internals: ClassVar[tuple[str, ...]] = (
@@ -52,7 +52,7 @@ class PredictiveReaching:
         self._last = BrakeDemand(0.0)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:  # noqa: ARG002  a static law
-        """Demand of the law; the last one where nothing can be expected, and as the road is about to stop."""
+        """Demand of the law; the last one without a prediction, and when the road is about to stop."""
         seen = estimate.outlook
         if seen is None or min(seen.road_speed_rad_s, estimate.road_speed_rad_s) <= self._hold_below:
             return self._last
@@ -64,11 +64,11 @@ class PredictiveReaching:
         return self._last
 
     def duty(self, torque: float) -> float:
-        """Duty at which the brake is believed to settle to `torque` in N m."""
+        """Duty at which the nominal brake settles to `torque` in N m."""
         return self._brake_map.duty(torque)
 
     def _torques(self, seen: Prediction, slip: float, switching: float) -> tuple[float, float]:
-        """Brake torque that the law asks for, and what the brake is to settle to on the way, in N m."""
+        """Brake torque that the law demands, and the settled torque that the brake is driven to, in N m."""
         x1, x2, lagged = seen.wheel_speed_rad_s, seen.road_speed_rad_s, seen.lagged_torque_nm
         cosine, sine = math.cos(seen.wheel_angle_rad), math.sin(seen.wheel_angle_rad)
         factor = seen.adhesion_factor + seen.ripple_cosine * cosine + seen.ripple_sine * sine
@@ -82,7 +82,7 @@ class PredictiveReaching:
         return wanted, lagged + seen.brake_lag_s * (self._kM * (wanted - lagged) + wanted_rate)
 
     def _approach(self, switching: float, road_speed: float) -> tuple[float, float]:
-        """How fast the slip error is to shrink, 1/s, and the slope of that by the error."""
+        """Decay rate of the slip error, 1/s, and its derivative by the error."""
         a, error = min(self._a * _START_RAD_S / road_speed, self._a_most), abs(switching)
         if error * self._k**2 <= a:
             return self._k * switching, self._k

@@ -1,4 +1,4 @@
-"""Sliding mode laws that differ in how they approach the surface: the paper's, and those it is compared with."""
+"""Sliding mode laws by their reaching law: the paper's, and those it is compared with."""
 
 from __future__ import annotations
 
@@ -25,12 +25,11 @@ class ReachingLaw(ModelLaw):
         self._Mq = Mq
 
     def approach(self, switching: float, road_speed: float, dt_s: float) -> float:  # noqa: ARG002  a static law
-        """Equation (19)."""
         return self._Mk * switching + self._Mq * sign(switching)
 
 
 class ConstantRate(ModelLaw):
-    """Traditional sliding mode control, which the paper compares with: s' = -Mq*sgn(s)."""
+    """Conventional sliding mode control, which the paper compares with: s' = -Mq*sgn(s)."""
 
     gains: ClassVar[tuple[Gain, ...]] = (Gain("Mq", 1.0, 0.0, 1000.0, "1/s", "constant rate"), LAG)
 
@@ -39,7 +38,6 @@ class ConstantRate(ModelLaw):
         self._Mq = Mq
 
     def approach(self, switching: float, road_speed: float, dt_s: float) -> float:  # noqa: ARG002  a static law
-        """The same speed at every distance."""
         return self._Mq * sign(switching)
 
 
@@ -58,20 +56,19 @@ class PowerRate(ModelLaw):
         self._alpha = alpha
 
     def approach(self, switching: float, road_speed: float, dt_s: float) -> float:  # noqa: ARG002  a static law
-        """A rate that falls with the error."""
         return self._K * math.copysign(abs(switching) ** self._alpha, switching)
 
 
 class ExponentialRate(ModelLaw):
     """Exponential reaching (Fallaha et al. 2011): s' = -K/N(s)*sgn(s), N = d + (1 - d)*exp(-a*|s|^p).
 
-    Far from the surface the rate is K/d, on it K: quick and yet with little chattering.
+    The rate is K/d far from the surface and K on it: fast reaching with little chattering.
     """
 
     gains: ClassVar[tuple[Gain, ...]] = (
         Gain("K", 0.5, 0.0, 1000.0, "1/s", "rate on the surface"),
         Gain("d", 0.2, 0.01, 1.0, "1", "the rate far away is K/d"),
-        Gain("a", 20.0, 0.0, 1000.0, "1", "how soon it is far away"),
+        Gain("a", 20.0, 0.0, 1000.0, "1", "how quickly the rate grows with the error"),
         Gain("p", 1.0, 0.1, 5.0, "1", "exponent of the error in N"),
         LAG,
     )
@@ -84,16 +81,15 @@ class ExponentialRate(ModelLaw):
         self._p = p
 
     def approach(self, switching: float, road_speed: float, dt_s: float) -> float:  # noqa: ARG002  a static law
-        """A rate that rises with the error."""
         near = math.exp(-self._a * abs(switching) ** self._p)
         return self._K / (self._d + (1.0 - self._d) * near) * sign(switching)
 
 
 class BoundaryLayer(ModelLaw):
-    """The paper's law with a boundary layer, a switching gain that grows like the uncertainty, and an integral.
+    """The paper's law with a boundary layer, a switching gain that grows with the uncertainty, and an integral.
 
-    s' = -Mk*s - Mq*(v/x2)*sat(s/width) - Ki*integral(s). What the model gets wrong grows like 1/x2, so the switching
-    gain does too; the integral rests while the brake is at its limits.
+    s' = -Mk*s - Mq*(v/x2)*sat(s/width) - Ki*integral(s). Model errors grow as 1/x2, and so does the switching gain;
+    the integral is held while the brake is at its limits.
     """
 
     gains: ClassVar[tuple[Gain, ...]] = (
@@ -117,7 +113,6 @@ class BoundaryLayer(ModelLaw):
         self._integral = 0.0
 
     def approach(self, switching: float, road_speed: float, dt_s: float) -> float:
-        """Proportional, saturated switching, integral."""
         if not self._saturated:
             self._integral += switching * dt_s
         share = max(-1.0, min(1.0, switching / self._width))
@@ -130,7 +125,7 @@ class SuperTwisting(ModelLaw):
 
     gains: ClassVar[tuple[Gain, ...]] = (
         Gain("k1", 2.0, 0.0, 1000.0, "1/s", "root term"),
-        Gain("k2", 2.0, 0.0, 10_000.0, "1/s2", "integral of the sign, which rests while the brake is at its limits"),
+        Gain("k2", 2.0, 0.0, 10_000.0, "1/s2", "integral of the sign, held while the brake is at its limits"),
         LAG,
     )
 
@@ -141,7 +136,6 @@ class SuperTwisting(ModelLaw):
         self._w = 0.0
 
     def approach(self, switching: float, road_speed: float, dt_s: float) -> float:  # noqa: ARG002  its own schedule
-        """Root of the error, and the integral of its sign."""
         if not self._saturated:
             self._w += self._k2 * sign(switching) * dt_s
         return self._k1 * math.copysign(math.sqrt(abs(switching)), switching) + self._w

@@ -1,4 +1,4 @@
-"""Relays on the slip: the two demonstrations of the vendor's toolbox."""
+"""Relays on the slip, as in the two demonstrations of the vendor's toolbox."""
 
 from __future__ import annotations
 
@@ -26,17 +26,15 @@ class Relay:
         self._off = off_duty
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:  # noqa: ARG002  a static law
-        """On or off by the sign of the slip error."""
         switching = estimate.slip - self._reference
         return BrakeDemand(self._on if switching < 0.0 else self._off, 0.0, switching)
 
 
 class SmithRelay:
-    """Relay on the slip that is to be expected after the brake's dead time.
+    """Relay on the slip predicted for the end of the brake's dead time: a Smith predictor with an integrator as model.
 
-    What was commanded and has not acted yet is counted as a ramp of the slip, up for brake on and down for brake
-    off: a Smith predictor with an integrator as its model. Dead time and slopes are the vendor's (27 ms, +11 and
-    -1.74 1/s), as read in its demonstration.
+    Each command that has not acted yet adds a ramp to the slip, up for brake on and down for brake off. Dead time and
+    slopes are those of the vendor's demonstration (27 ms, +11 and -1.74 1/s).
     """
 
     gains: ClassVar[tuple[Gain, ...]] = (
@@ -66,7 +64,6 @@ class SmithRelay:
         self._on = False
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
-        """On or off by the sign of the expected slip error."""
         self._count(dt_s)
         expected = estimate.slip + self._rise
         switching = expected - self._reference
@@ -74,7 +71,7 @@ class SmithRelay:
         return BrakeDemand(self._duties[self._on], 0.0, switching, (expected, 0.0, 0.0, 0.0))
 
     def _count(self, dt_s: float) -> None:
-        """Add what the command of the last period will do, and drop what has acted by now."""
+        """Add the effect of the last period's command, and drop what has acted by now."""
         self._under_way.append((dt_s, self._rates[self._on] * dt_s))
         self._waiting_s += dt_s
         self._rise += self._rates[self._on] * dt_s
@@ -83,4 +80,4 @@ class SmithRelay:
             self._waiting_s -= duration_s
             self._rise -= rise
         if not self._under_way:
-            self._waiting_s = self._rise = 0.0  # no rounding error may build up
+            self._waiting_s = self._rise = 0.0  # rounding errors must not accumulate

@@ -1,4 +1,4 @@
-"""Wheel speeds and slip from counts, one filter a file."""
+"""Estimators of wheel speeds and slip from counts, one module each."""
 
 from typing import Final
 
@@ -21,10 +21,8 @@ _SHIPPED: Final[dict[str, EstimatorSpec]] = {
     "kalman": kalman.SPEC,
     "observer": observer.SPEC,
 }
-"""By the name on the command line."""
-
 ESTIMATORS: Final = Registry("an estimator", "inteco_abs.estimators", "estimator.name", _SHIPPED, require_estimator)
-"""What there is to choose from: what ships and what installed packages offer."""
+"""Estimators by name: those that ship and those of installed packages."""
 
 __all__ = [
     "ESTIMATORS",

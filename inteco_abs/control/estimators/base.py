@@ -1,4 +1,4 @@
-"""What an estimator is: wheel speeds and slip from counts, with the same filter on both wheels.
+"""The interface of estimators, and those that apply the same filter to both wheels.
 
 Equal lag on both wheels cancels in the slip; unequal lag does not.
 """
@@ -17,9 +17,9 @@ class Estimator(Protocol):
     """Turns samples into estimates, one at a time, in order; no clock, no randomness."""
 
     def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:
-        """Estimate at the instant of `sample`; `command` is what the board was told in the exchange that brought it.
+        """Estimate at the instant of `sample`; `command` was sent in the same exchange and acts from then on.
 
-        It acts from that instant on. Most filters know no input; a model-based one does.
+        Only model-based estimators use it.
         """
         ...
 
@@ -35,7 +35,7 @@ class SpeedFilter(Protocol):
 class TwoWheels:
     """The same filter on `wheel` and `road`, and the slip of braking, equation (11).
 
-    The slip is clipped to 0..1: equation (8) is not defined outside, and a driven or resting wheel reads 0. An
+    The slip is clipped to 0..1, as equation (8) is not defined outside; a driven or resting wheel reads 0. An
     `offset_m_s` is added to the road's rim speed in the denominator: (v2 - v1)/(v2 + offset).
     """
 
@@ -50,7 +50,7 @@ class TwoWheels:
         self._offset = offset_m_s / parameters.r2
         self._samples = 0
 
-    def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:  # noqa: ARG002  counts say it all
+    def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:  # noqa: ARG002  no model, no input
         """Estimate at the instant of `sample`; valid from the second sample on."""
         wheel = self._wheel.update(sample.time_ns, sample.wheel_count)
         road = self._road.update(sample.time_ns, sample.road_count)
@@ -61,7 +61,7 @@ class TwoWheels:
 
 
 class MovingWindow:
-    """`TwoWheels` with a `MovingAverageSpeed` of `length` samples on each, done at once."""
+    """`TwoWheels` with a `MovingAverageSpeed` of `length` samples on each, in one step."""
 
     __slots__ = ("_ratio", "_valid", "_windows")
 
@@ -70,7 +70,7 @@ class MovingWindow:
         self._ratio = parameters.r1 / parameters.r2
         self._valid = False
 
-    def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:  # noqa: ARG002  counts say it all
+    def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:  # noqa: ARG002  no model, no input
         """Estimate at the instant of `sample`; valid from the second sample on."""
         _, time_ns, _, wheel_count, road_count, _ = sample
         wheel, road = self._windows.update(time_ns, wheel_count, road_count)
@@ -90,7 +90,7 @@ class Angles:
         self._before_ns = -1
 
     def update(self, time_ns: int, count: int) -> tuple[float, float]:
-        """Angle and time; both 0 at the first sample."""
+        """Angle in rad and time in s; both 0 at the first sample."""
         if self._before_ns < 0:
             self._origin, self._before_ns = count, time_ns
         elapsed_s = (time_ns - self._before_ns) * 1e-9

@@ -1,4 +1,4 @@
-"""What is believed of a rig while it brakes: an extended Kalman filter of wheels, brake and contact."""
+"""Extended Kalman filter of a braking rig: wheels, brake and contact."""
 
 from __future__ import annotations
 
@@ -13,73 +13,71 @@ from inteco_abs.rig import BrakeMap, RigParameters, adhesion, adhesion_slope
 from inteco_abs.signals import Prediction
 
 _LONGEST_STEP_S: Final = 0.001
-"""Of the explicit steps; the contact at little slip would swing with longer ones."""
+"""Of the explicit integration; longer steps would oscillate at little slip."""
 _DEAD_TIME_S: Final = (0.002, LONGEST_DEAD_TIME_S)
 _LAG_S: Final = (0.025, 0.090)
-"""Within these a brake is believed."""
+"""Ranges to which both estimates are clamped."""
 _WALK_AT_RAD_S: Final = 100.0
 _UNSETTLED: Final = 0.5
-"""Share of a torque by which a brake that was told of it may still be off."""
+"""Standard deviation of the brake's torque at the start, as a share of the torque commanded last."""
 _LOST_RAD: Final = 0.5
-"""Farther than this from where a wheel is believed it is not a matter of noise."""
+"""Innovation of a wheel's angle beyond which the filter has diverged."""
 _STEP_PAUSE_S: Final = 0.010
-"""Between two steps of the road."""
+"""Shortest time between two steps of the adhesion."""
 Vector = list[float]
 
 
 class EkfTuning(NamedTuple):
-    """How far a rig may be from the published one, and how fast it may change, as standard deviations.
+    """Tuning as standard deviations: of the rig from the published one, and of its changes in 1 s.
 
-    Tuned on drawn rigs (`tools/tune_predictive`), of seeds that no test uses.
+    From drawn rigs (`tools/tune_predictive`), of seeds that no test uses.
     """
 
     dead_time_s: float = 0.010
-    """Expected of the brake."""
+    """Prior means of the brake's dead time and lag."""
     lag_s: float = 0.050
     dead_time_sd_s: float = 0.0079
     lag_sd_s: float = 0.0063
     adhesion_sd: float = 0.073
     """Of the factor on equation (8)."""
     adhesion_walk: float = 0.2
-    """Of its change in a second at 100 rad/s, in proportion to the speed: a road changes with the way."""
+    """Of its change in 1 s at 100 rad/s; proportional to the speed, as a road changes with distance."""
     ripple_sd: float = 0.0095
-    """Of either part of its ripple over a turn of the wheel."""
+    """Of each component of its ripple over a turn of the wheel."""
     torque_sd_nm: float = 0.34
-    """Of what the brake gives beyond its map."""
+    """Of the excess torque: the brake's torque beyond its map."""
     torque_walk_nm: float = 0.21
-    """Of its change in a second."""
     torque_per_swing: float = 0.018
-    """More of that while the torque swings: its change in 1 s^0.5 for each N m/s of swing."""
+    """Added to that while the torque changes: per s^0.5 and N m/s."""
     lag_torque_walk_nm: float = 0.031
-    """Of what the lag passes on, in a second."""
+    """Of the lagged torque."""
     lag_torque_per_swing: float = 0.0015
-    """More of that while the torque swings."""
     wheel_walk_rad_s: float = 0.54
-    """Of the speeds in a second, by what is not modelled."""
+    """Of the speeds, by what is not modelled."""
     road_walk_rad_s: float = 0.17
     count_noise: float = 1.4
-    """Of a reading, in counts: more than quantisation and jitter make, which keeps the torque calm."""
+    """Of a reading, in counts; above that of quantisation and jitter, which keeps the torque estimate calm."""
     step_after_s: float = 0.2
-    """From here on the road is expected to step; before, a brake that is learnt would look like that."""
+    """Time in braking before which no step of the adhesion is assumed: learning the brake looks the same."""
     step_adhesion: float = 0.06
     """Of the adhesion factor in a step."""
     step_delay_s: float = 0.0067
-    """How long ago it was when it shows."""
+    """Time between a step and its detection."""
     surprise: float = 0.4
-    """It shows when the wheel's angle is off to one side: the mean of its errors, each over its own deviation."""
+    """Threshold of detection: mean of the wheel's innovations, each over its standard deviation."""
     surprise_gain: float = 0.15
-    """Of a new error in that mean."""
+    """Weight of a new innovation in that mean."""
 
 
 class BrakingEkf:
     """An extended Kalman filter.
 
-    Its states: both wheels' angles and speeds; brake torque behind dead time and lag; what it gives beyond that; the
-    factor on the adhesion of (8) and its ripple, cosine and sine in the wheel's angle; dead time and lag themselves.
+    States: angle and speed of wheel and road; lagged brake torque; excess torque; factor on the adhesion of (8) and
+    its ripple, cosine and sine in the wheel's angle; dead time and lag of the brake.
 
-    The torque of the map comes a dead time late and lags: M+ = b + (M - b)*exp(-T/tau), b the map's torque
-    of the command in force then. A torque that swings, as in reaching, tells dead time and lag; the road's
-    deceleration tells the adhesion, the wheel's the torque.
+    The torque follows M+ = b + (M - b)*exp(-T/tau), with b the map's torque of the command a dead time ago. A changing
+    torque, as in reaching, makes dead time and lag observable; the road's deceleration the adhesion, the wheel's the
+    torque.
     """
 
     __slots__ = (
@@ -104,11 +102,11 @@ class BrakingEkf:
         self._step_in_s = 0.0  # until a step may show
 
     def tell(self, duty: float, ticks: int) -> None:
-        """Take note of the duty that is put out from the present sample on, `ticks` ticks after the last one."""
+        """Record the duty in force from the current sample on, which is `ticks` ticks after the last one."""
         self._pending.tell(self._brake_map.torque(duty), ticks)
 
     def begin(self, wheel: EccentricityFilter, road: EccentricityFilter) -> None:
-        """Begin where two wheels roll, or anew in the middle of braking, with what the brake was told last."""
+        """Start from two rolling wheels, or again in the middle of braking, with the brake's last command."""
         spread, told = self._spread, self._pending.newest
         self._x = [wheel.angle, wheel.speed, road.angle, road.speed, told, 0.0, 1.0, 0.0, 0.0]
         self._x += [spread.dead_time_s, spread.lag_s]
@@ -125,13 +123,13 @@ class BrakingEkf:
 
     @property
     def speeds(self) -> tuple[float, float]:
-        """Of wheel and road, rad/s."""
+        """Speeds of wheel and road, rad/s."""
         return self._x[1], self._x[3]
 
     def update(self, wheel_angle: float, road_angle: float, dt_s: float, ticks: int) -> bool:
-        """Move on by `dt_s`, which is `ticks` ticks, to where the wheels show these angles, in rad.
+        """Advance by `dt_s`, which is `ticks` ticks, and correct by the measured angles in rad.
 
-        False if they are not where wheels can be by what is believed: then nothing more should be believed.
+        False if the filter has diverged from them: its state is no longer valid then.
         """
         steps = max(ticks, math.ceil(dt_s / _LONGEST_STEP_S - 1e-6))
         for left in range(steps - 1, -1, -1):
@@ -140,14 +138,14 @@ class BrakingEkf:
             return False
         self._step_in_s -= dt_s
         if self._step_in_s <= 0.0 and abs(self._surprise) > self._spread.surprise:
-            self._suspect_a_step()
+            self._allow_step()
         x = self._x
         x[9] = min(max(x[9], _DEAD_TIME_S[0]), _DEAD_TIME_S[1])
         x[10] = min(max(x[10], _LAG_S[0]), _LAG_S[1])
         return True
 
     def outlook(self) -> Prediction:
-        """What is expected of the instant at which the next command comes through to the brake."""
+        """Prediction for the instant at which the next command reaches the brake."""
         return outlook(self._contact, self._parameters, self._pending, self._x)
 
     def _predict(self, T: float, ago: int) -> None:
@@ -202,11 +200,11 @@ class BrakingEkf:
         self._P = P
 
     def _correct(self, wheel_angle: float, road_angle: float) -> bool:
-        """Both angles at once: the second one's row is that after the first one's correction."""
+        """Sequential correction by both angles: the second uses the covariance that the first leaves."""
         P, x = self._P, self._x
         wheel, road = P[0], P[2]
         if not (abs(wheel_angle - x[0]) < _LOST_RAD and abs(road_angle - x[2]) < _LOST_RAD):
-            return False  # not a number is not a place either
+            return False  # also catches NaN
         wheel_scale = 1.0 / (wheel[0] + self._noise)
         first = [w * wheel_scale for w in wheel]
         road = [r - first[2] * w for r, w in zip(road, wheel, strict=True)]
@@ -222,8 +220,8 @@ class BrakingEkf:
         ]
         return True
 
-    def _suspect_a_step(self) -> None:
-        """The adhesion may have stepped a moment ago, and moved the wheels since: that much is not known of them."""
+    def _allow_step(self) -> None:
+        """Add the covariance of a step of the adhesion `step_delay_s` ago, and of its effect on the wheels since."""
         ago, (wheel, road) = self._spread.step_delay_s, self._by_factor
         moved = [0.5 * ago * ago * wheel, ago * wheel, 0.5 * ago * ago * road, ago * road, 0.0, 0.0, 1.0]
         moved = [self._spread.step_adhesion * each for each in moved] + [0.0] * 4

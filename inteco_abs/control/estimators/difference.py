@@ -1,4 +1,4 @@
-"""The difference over 10 ms of the vendor's demonstrations, held between its refreshments."""
+"""The difference over 10 ms of the vendor's demonstrations, held between two updates."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class HeldDifference:
     def __init__(self, counts_per_turn: int, radius_m: float, hold_s: float, period_s: float) -> None:
         self._angle_ns = 2.0 * math.pi / counts_per_turn * 1e9
         self._zone_rad_s = _DEAD_ZONE_M_S / radius_m
-        self._due_ns = (hold_s - 0.5 * period_s) * 1e9  # samples that come a little early count as the due ones
+        self._due_ns = (hold_s - 0.5 * period_s) * 1e9  # tolerates samples that come a little early
         self._then_ns = -1
         self._count = 0
         self._speed = 0.0

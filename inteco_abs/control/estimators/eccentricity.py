@@ -1,4 +1,4 @@
-"""One wheel between brakings, and what its encoder's disc adds once per turn."""
+"""One wheel between brakings, and the error of its encoder's disc once per turn."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import Final
 
 _SPEED_SD: Final = 200.0
 _ACCELERATION_SD: Final = 50.0
-"""Before the first count: any speed of the rig in rad/s, any acceleration of its drive in rad/s2."""
+"""Standard deviations before the first count, in rad/s and rad/s2: any speed and acceleration of the rig."""
 _WAVE_SD_COUNTS: Final = 0.6
-"""What may be expected of the disc: half a count off centre."""
+"""Of the prior: a disc is about half a count off centre."""
 _JERK_DENSITY: Final = 1e3
 """White jerk in rad2/s5 of a wheel that is driven or coasts."""
 _LEARNING_RAD_S: Final = 60.0
-"""From here on a turn is short enough to tell the disc from the motion."""
+"""Speed above which a turn is short enough to separate the disc from the motion."""
 
 
 class EccentricityFilter:
-    """Kalman filter of angle, speed, acceleration, and of the wave that a disc off centre adds to the counted angle.
+    """Kalman filter of angle, speed and acceleration, and of the error that a disc off centre adds to the angle.
 
-    z = th + c*cos(z) + s*sin(z) + noise, th''' white. A turn of the wheel is a turn of the disc, so the wave is known
-    by its angle once it is learnt, in any later braking as well; the noise is that of a count, `noise_rad`.
+    z = th + c*cos(z) + s*sin(z) + noise, th''' white; the noise `noise_rad` is that of a count. Once c and s are
+    learnt, the error is known in any later braking as well.
     """
 
     __slots__ = ("_P", "_noise", "_x")
@@ -35,7 +35,7 @@ class EccentricityFilter:
 
     @property
     def angle(self) -> float:
-        """In rad, without the wave."""
+        """In rad, without the disc's error."""
         return self._x[0]
 
     @property
@@ -49,7 +49,7 @@ class EccentricityFilter:
         return self._P[0][0], self._P[1][1], self._P[0][1]
 
     def restart(self, angle: float, speed: float = 0.0, deviation: float = _SPEED_SD) -> None:
-        """Begin anew at `angle`, at a speed known so well, in rad/s; what was learnt of the disc stays."""
+        """Restart at `angle` in rad and `speed` with its `deviation` in rad/s; what was learnt of the disc is kept."""
         self._x[:3] = [self.straight(angle), speed, 0.0]
         for i, variance in enumerate((self._noise, deviation**2, _ACCELERATION_SD**2)):
             self._P[i] = [0.0] * 5
@@ -58,11 +58,11 @@ class EccentricityFilter:
             self._P[i][:3] = [0.0] * 3
 
     def straight(self, angle: float) -> float:
-        """The wheel's angle, from the one that the disc shows."""
+        """The wheel's angle, from the disc's `angle`, in rad."""
         return angle - self._x[3] * math.cos(angle) - self._x[4] * math.sin(angle)
 
     def update(self, angle: float, dt_s: float) -> None:
-        """Move on by `dt_s` to where the disc shows `angle`, in rad."""
+        """Advance by `dt_s`, and correct by the disc's `angle` in rad."""
         if dt_s > 0.0:
             self._predict(dt_s)
         quick = self._x[1] > _LEARNING_RAD_S

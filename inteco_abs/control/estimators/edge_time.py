@@ -1,4 +1,4 @@
-"""Speed from the instants at which an encoder's lines passed, as far as they are known."""
+"""Speed from the times of an encoder's edges."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from inteco_abs.control.estimators.registry import EstimatorSpec, on_both_wheels
 class EdgeTime:
     """v = angle between two edges / time between them: the newest, and the newest that is `window_s` older.
 
-    No new edge for a time t: |v| <= (2 pi/N)/t. The edge of a count is the line that was passed last, so that a wheel
-    that trembles on a line stands still. Lag: half the time between the two edges, and the age of the newest.
+    No new edge for a time t: |v| <= (2 pi/N)/t. The edge of a count is the line that was passed last, so a wheel that
+    oscillates about a line has speed 0. Lag: half the time between the two edges, plus the age of the newest.
 
     With stamps of a board (`edge_ns`), the noise is that of the stamp, v*25 ns/window with a 40 MHz clock, and a window
-    of 0 serves best: then it is the newest edges of two samples (docs/facts/rig.md#speed-estimators).
-    None of the supported boards stamps edges: the PCI logic counts them in a window, and what the USB2's chronometers
-    listen to is unknown (docs/facts/boards.md#generic-usb2-logic). Without stamps, an edge is taken to be as old as the
-    first sample that shows its count, and is up to a period older: the noise is q/sqrt(6) with q = min(2 pi/N,
-    v*period)/window. So this is the moving window as long as counts come in every period, and better only below that,
-    at 6 rad/s with 2048 counts and 2 kHz.
+    of 0 is best: it takes the newest edges of two samples (docs/facts/rig.md#speed-estimators).
+    None of the supported boards stamps edges: the PCI logic counts them in a window, and the input of the USB2's
+    chronometers is unknown (docs/facts/boards.md#generic-usb2-logic). Without stamps, an edge has the time of the first
+    sample that shows its count, and is up to a period older: the noise is q/sqrt(6) with q = min(2 pi/N,
+    v*period)/window. This equals the moving window while every period has a count, and is better only below that, at
+    6 rad/s with 2048 counts and 2 kHz.
     """
 
     __slots__ = ("_count", "_edges", "_line_ns", "_window_ns")
@@ -53,7 +53,7 @@ class EdgeTime:
 
     def _see(self, edge_ns: int, line: int) -> None:
         edges = self._edges
-        if edges and edge_ns <= edges[-1][0]:  # time that stands still or goes back: nothing can be said about between
+        if edges and edge_ns <= edges[-1][0]:  # the clock stood still or went back
             edges.clear()
         edges.append((edge_ns, line))
         while len(edges) > 2 and edge_ns - edges[1][0] >= self._window_ns:

@@ -11,14 +11,14 @@ from inteco_abs.control.estimators.registry import EstimatorSpec, on_both_wheels
 
 _SPEED_VARIANCE: Final = 25.0
 _ACCELERATION_VARIANCE: Final = 1e4
-"""Of the start, (rad/s)^2 and (rad/s2)^2: a wheel at rest that may be about to be driven."""
+"""At the start, (rad/s)^2 and (rad/s2)^2: a wheel at rest that may be about to be driven."""
 
 
 class KalmanFilter:
     """x' = (speed, acceleration, jerk), white jerk of the spectral density `jerk_density` in rad2/s5.
 
-    Measured is the angle, with the variance of a count that is rounded down, (2 pi/N)^2/12. No lag at constant
-    acceleration, which is what braking is.
+    The angle is measured, with the variance of a count that is rounded down, (2 pi/N)^2/12. No lag at constant
+    acceleration, as in braking.
     """
 
     __slots__ = ("_angles", "_density", "_noise", "_p", "_x")

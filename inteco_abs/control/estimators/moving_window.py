@@ -1,4 +1,4 @@
-"""Mean speeds over a moving window, and the shortest one, of one period."""
+"""Mean speeds over a moving window, and the Euler formula as the window of one period."""
 
 from __future__ import annotations
 
@@ -19,12 +19,7 @@ def _moving_window(config: RigConfig, parameters: RigParameters) -> Estimator:
     return MovingWindow(config.encoders.counts_per_turn, length, parameters)
 
 
-EULER: Final = EstimatorSpec(
-    "The paper's backward difference over one period",
-    (),
-    _euler,
-    MovingWindow,
-)
+EULER: Final = EstimatorSpec("The paper's backward difference over one period", (), _euler, MovingWindow)
 
 SPEC: Final = EstimatorSpec(
     "Mean speed over a window of samples",

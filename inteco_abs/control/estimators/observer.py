@@ -1,4 +1,4 @@
-"""The model-based observer: it knows what the board was told, and estimates what the model does not know."""
+"""The model-based observer: it uses the commands, and estimates what the nominal model does not know."""
 
 from __future__ import annotations
 
@@ -16,20 +16,19 @@ from inteco_abs.signals import Command, Estimate, Sample
 
 _BRAKING_FROM_RAD_S: Final = 10.0
 _BRAKING_UNTIL_RAD_S: Final = 2.0
-"""Of the road: below, the slip says nothing any more."""
+"""Of the road; below, the slip has no meaning."""
 _HANDED_OVER_SD: Final = 2.0
-"""Of the speeds then, rad/s."""
+"""Standard deviation of the speeds at the hand-over to the wheels' filters, rad/s."""
 _LONGEST_GAP_S: Final = 0.2
-"""After a longer one nothing is left of what was believed, and catching up would take longer than a period."""
+"""After a longer gap the state is worthless, and catching up would take longer than a period."""
 _SAMPLES: Final = 3
-"""From here on there is a speed."""
+"""Samples until there is a speed."""
 
 
 class Observer:
-    """A filter per wheel while the wheels roll, which learns the encoders' discs; one of the whole rig while it brakes.
+    """A filter per wheel while the wheels roll, which learns the encoders' discs; one for the rig while it brakes.
 
-    Braking begins when the drive is off while the road turns. Only from then on is there an outlook: what the
-    controller looks ahead with.
+    Braking begins when the drive is off while the road turns. Only from then on estimates have a prediction.
     """
 
     __slots__ = ("_angles", "_braking", "_discs", "_filter", "_parameters", "_period_s", "_samples")

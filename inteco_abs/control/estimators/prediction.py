@@ -1,4 +1,4 @@
-"""From what is believed of a braking rig now to what is expected of the instant when the next command comes through."""
+"""Prediction of a braking rig's state over the brake's dead time."""
 
 from __future__ import annotations
 
@@ -16,37 +16,34 @@ LONGEST_DEAD_TIME_S: Final = 0.030
 
 
 class DelayLine:
-    """Commands on their way to the brake, as the torques in N m that it settles to with each."""
+    """Commands on their way to the brake, each as the torque in N m that the brake settles to."""
 
     __slots__ = ("_period_s", "_torques")
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
         ticks = int(LONGEST_DEAD_TIME_S / period_s) + 4
-        self._torques = deque([0.0] * ticks, ticks)  # the newest is last, and at the terminals from now on
+        self._torques = deque([0.0] * ticks, ticks)  # the newest is last
 
     def tell(self, torque: float, ticks: int) -> None:
-        """Take note of what is put out from the present sample on; for `ticks` ticks it was what was told before."""
+        """Add the command in force from the current sample on; in the `ticks` ticks before, the previous one was."""
         self._torques.extend([self._torques[-1]] * min(ticks - 1, len(self._torques)))
         self._torques.append(torque)
 
     @property
     def newest(self) -> float:
-        """What was put out last."""
+        """The last command."""
         return self._torques[-1]
 
     def arrived(self, dead_time: float, ago: int = 0) -> tuple[float, float]:
-        """What acted on the brake in the period that ended `ago` ticks ago, and its slope by the dead time in s.
-
-        As far back as is known: the longest dead time.
-        """
+        """What acted on the brake in the period that ended `ago` ticks ago; its derivative by the dead time in s."""
         ticks, late = self._split(dead_time)
         newest = min(ticks + ago, len(self._torques) - 3)
         newer, older = self._torques[-2 - newest], self._torques[-3 - newest]
         return newer + late * (older - newer), (older - newer) / self._period_s
 
     def ahead(self, torque: float, dead_time: float, lag: float) -> tuple[float, float, float]:
-        """From `torque` now: when the next command comes through, in s, the torque then, and its mean until then."""
+        """From `torque` now: time in s until the next command acts, the torque then, and its mean until then."""
         ticks, late = self._split(dead_time)
         left = math.exp(-self._period_s / lag)
         total = 0.0
@@ -65,7 +62,7 @@ class DelayLine:
 def outlook(
     contact: WheelDynamics, parameters: RigParameters, pending: DelayLine, state: Sequence[float]
 ) -> Prediction:
-    """From the states of `BrakingEkf`."""
+    """Prediction from the states of `BrakingEkf`."""
     th1, x1, _, x2, lagged, excess, factor, cosine, sine, dead_time, lag = state
     horizon, then, mean = pending.ahead(lagged, dead_time, lag)
     halfway = th1 + 0.5 * horizon * x1

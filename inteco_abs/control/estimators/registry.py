@@ -1,4 +1,4 @@
-"""What there is to know about an estimator before one is made."""
+"""What describes an estimator before it is made."""
 
 from __future__ import annotations
 
@@ -25,23 +25,22 @@ class Parameter(NamedTuple):
 
 
 ParameterCheck = Callable[[Mapping[str, Any], Mapping[str, Any]], Iterator[ConfigIssue]]
-"""From the sections [estimator] and [loop] as they are written to what is wrong with them together."""
+"""Checks the sections [estimator] and [loop] together, as they are written."""
 
 
 def nothing_wrong(_estimator: Mapping[str, Any], _loop: Mapping[str, Any]) -> Iterator[ConfigIssue]:
-    """For an estimator whose parameters have nothing to do with each other."""
+    """The check of an estimator whose parameters are independent of each other."""
     yield from ()
 
 
 class EstimatorSpec(NamedTuple):
-    """One way to estimate: called with configuration and parameters of the rig, it makes a fresh estimator."""
+    """One kind of estimator; a call with configuration and nominal parameters makes a new one."""
 
     summary: str
-    """In one line."""
     parameters: tuple[Parameter, ...]
     make: Factory
     works: type
-    """The class behind it, whose docstring says how."""
+    """The class, whose docstring explains the method."""
     check: ParameterCheck = nothing_wrong
 
     def __call__(self, config: RigConfig, parameters: RigParameters) -> Estimator:

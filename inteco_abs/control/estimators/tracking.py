@@ -40,7 +40,7 @@ def _tracking(config: RigConfig) -> TrackingLoop:
 
 
 def _check(estimator: Mapping[str, Any], loop: Mapping[str, Any]) -> Iterator[ConfigIssue]:
-    """The loop swings when it is too quick for the time between two samples, a few of which may be missing."""
+    """A loop too fast for the sample time oscillates; a few samples may be missing, too."""
     frequency = estimator.get("natural_frequency_rad_s", EstimatorConfig().natural_frequency_rad_s)
     rate_hz = loop.get("rate_hz", LoopConfig().rate_hz)
     if isinstance(frequency, int | float) and isinstance(rate_hz, int | float) and frequency > 0.1 * rate_hz:
