@@ -65,7 +65,7 @@ class BrakingModel:
         return self.terms(slip, road_speed)[1]
 
     def terms(self, slip: float, road_speed: float) -> tuple[float, float]:
-        """Both terms, f in 1/s and g in 1/(s N m). Raises ValueError unless slip is in 0..1 and the road speed above 0."""
+        """Both terms, f in 1/s and g in 1/(s N m). Raises ValueError unless slip is in 0..1 and road speed above 0."""
         if not road_speed > 0.0:
             raise ValueError(f"road_speed = {road_speed!r} rad/s: must be above 0, f and g grow like 1/speed")
         S, rolling, ratio = self.S(slip), 1.0 - slip, self._ratio
