@@ -1,4 +1,4 @@
-"""The steps of tools/check: what needs no quiet computer runs beside the tests, and a table of all of them ends it.
+"""The steps of tools/check: what needs no quiet computer runs in parallel with the tests; a table of all ends it.
 
 tools/check sets up the environment and runs this file in it: python tools/checks.py [--long].
 
@@ -46,18 +46,18 @@ class Check:
         self.parts: list[Part] = []
         self.unsteady: list[str] = []
 
-    def run(self, name: str, *command: str, beside: bool = False) -> int:
-        """Run one part; one `beside` the tests leaves them the processor, and prints at its end what it said."""
+    def run(self, name: str, *command: str, background: bool = False) -> int:
+        """Run one part; one in the `background` has low priority and prints its output at its end."""
         start_s = time.monotonic()
         with tempfile.TemporaryFile() as said:
-            output = said if beside else None
-            if not beside:
+            output = said if background else None
+            if not background:
                 print(f"== {name}", flush=True)
-            words = ["nice", f"-n{NICENESS if beside else 0}", *command]
+            words = ["nice", f"-n{NICENESS if background else 0}", *command]
             process = subprocess.Popen(words, stdout=output, stderr=output)
             _, status, usage = os.wait4(process.pid, 0)
             process.returncode = code = os.waitstatus_to_exitcode(status)
-            if beside:
+            if background:
                 said.seek(0)
                 print(f"\n== {name}\n{said.read().decode(errors='replace')}", end="", flush=True)
         wall_s = time.monotonic() - start_s
@@ -85,7 +85,7 @@ class Check:
         cpu_s = sum(part.cpu_s for part in self.parts)
         print(f"{'all':40} {'':8} {time.monotonic() - self.start_s:7.1f} {cpu_s:7.1f}")
         if self.unsteady:
-            print("passed alone, but failed beside other tests:", *self.unsteady, sep="\n  ")
+            print("passed alone, but failed together with other tests:", *self.unsteady, sep="\n  ")
         failed = [part.name for part in self.parts if part.result == "FAILED"]
         print(f"FAILED: {', '.join(failed)}" if failed else "all checks passed", flush=True)
         return len(failed) > 0
@@ -104,20 +104,20 @@ def main(arguments: list[str]) -> int:
     # coverage measures the tests, as mutation does: its tracer takes a fifth of their time, and changes little by a day
     check = Check(*(["coverage", "run"] if long else ["python"]))
 
-    def beside_the_tests() -> None:
-        check.run("format", "ruff", "format", "--check", "--quiet", ".", beside=True)
-        check.run("lint", "ruff", "check", "--quiet", ".", beside=True)
-        check.run("types", "mypy", beside=True)
-        check.run("import order", "lint-imports", "--no-logo", beside=True)
-        check.run("protocol reference", "python", "-m", "firmware_protocol.reference", "--check", beside=True)
-        check.run("hazards", "python", "tools/write_hazards", "--check", beside=True)
-        check.run("faults", "python", "tools/fault_campaign", *arguments, beside=True)
-        check.run("fuzzing", "python", "tools/fuzz", *(["120"] if long else []), beside=True)
+    def in_the_background() -> None:
+        check.run("format", "ruff", "format", "--check", "--quiet", ".", background=True)
+        check.run("lint", "ruff", "check", "--quiet", ".", background=True)
+        check.run("types", "mypy", background=True)
+        check.run("import order", "lint-imports", "--no-logo", background=True)
+        check.run("protocol reference", "python", "-m", "firmware_protocol.reference", "--check", background=True)
+        check.run("hazards", "python", "tools/write_hazards", "--check", background=True)
+        check.run("faults", "python", "tools/fault_campaign", *arguments, background=True)
+        check.run("fuzzing", "python", "tools/fuzz", *(["120"] if long else []), background=True)
 
     if long:
         subprocess.run(["coverage", "erase"], check=True)
-    beside = ThreadPoolExecutor(1)
-    others = beside.submit(beside_the_tests)
+    pool = ThreadPoolExecutor(1)
+    others = pool.submit(in_the_background)
     if long:  # more of its tests keep real time, and it has time
         others.result()
     check.tests("tests", "" if long else "not long", others=others)

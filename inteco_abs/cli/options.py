@@ -195,74 +195,34 @@ class RunOptions:
         return config, plan
 
 
-_OPTIONS: Final[Mapping[str, tuple[tuple[str, ...], dict[str, Any]]]] = {
-    "board": (
-        ("--board",),
-        {"default": "sim:", "show_default": True, "help": "Board address; sim: is the mock board."},
-    ),
-    "virtual": (("--virtual",), {"is_flag": True, "help": "Use virtual time: fast and repeatable; sim: only."}),
-    "seed": (
-        ("--seed",),
-        {"default": 0, "show_default": True, "type": Whole(0), "help": "Seed of the mock board's random state."},
-    ),
-    "rig": (
-        ("--rig",),
-        {"metavar": "POPULATION:SEED", "help": "Simulate a sampled rig, as hard:17; default: the published one."},
-    ),
-    "config": (("--config",), {"type": FILE, "help": "Configuration file (rig.toml); every key has a default."}),
-    "settings": (
-        ("--set",),
-        {
-            "multiple": True,
-            "type": SETTING,
-            "shell_complete": key_names,
-            "metavar": "KEY=VALUE",
-            "help": "Override a key of the configuration, as in guard.brake_limit=0.7.",
-        },
-    ),
-    "controller": (
-        ("--controller",),
-        {
-            "shell_complete": controller_names,
-            "help": "A controller that `inteco-abs controllers` lists, or your own as file.py:Class.",
-        },
-    ),
-    "estimator": (
-        ("--estimator",),
-        {
-            "shell_complete": estimator_names,
-            "help": "An estimator that `inteco-abs estimators` lists: moving-window, tracking, kalman, edge-time, "
-            "observer, euler (the paper's) or difference (the vendor's).",
-        },
-    ),
-    "faults": (
-        ("--inject",),
-        {
-            "multiple": True,
-            "metavar": "FAULT",
-            "help": "Inject a fault into the mock board, as lose@brake+20ms; `inteco-abs faults` lists all.",
-        },
-    ),
-    "live_port": (
-        ("--foxglove",),
-        {
-            "is_flag": False,
-            "flag_value": _LIVE_PORT,
-            "type": Whole(0, 65535),
-            "metavar": "[PORT]",
-            "help": f"Serve the running stop to Lichtblick or Foxglove on this computer; default port: {_LIVE_PORT}, "
-            "0: any free port.",
-        },
-    ),
-    "live": (
-        ("--live",),
-        {
-            "type": click.Choice(("full", "line", "none")),
-            "help": "Display during the run; default: as much as the terminal has room for.",
-        },
-    ),
-    "quiet": (("--quiet", "-q"), {"is_flag": True, "help": "Print errors and warnings only."}),
-}
+def _option(*names: str, **details: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
+    return names, details
+
+
+_OPTIONS: Final = {
+    "board": _option("--board", default="sim:", show_default=True, help="Board address; sim: is the mock board."),
+    "virtual": _option("--virtual", is_flag=True, help="Use virtual time: fast and repeatable; sim: only."),
+    "seed": _option("--seed", default=0, show_default=True, type=Whole(0),
+                    help="Seed of the mock board's random state."),
+    "rig": _option("--rig", metavar="POPULATION:SEED",
+                   help="Simulate a sampled rig, as hard:17; default: the published one."),
+    "config": _option("--config", type=FILE, help="Configuration file (rig.toml); every key has a default."),
+    "settings": _option("--set", multiple=True, type=SETTING, shell_complete=key_names, metavar="KEY=VALUE",
+                        help="Override a key of the configuration, as in guard.brake_limit=0.7."),
+    "controller": _option("--controller", shell_complete=controller_names,
+                          help="A controller that `inteco-abs controllers` lists, or your own as file.py:Class."),
+    "estimator": _option("--estimator", shell_complete=estimator_names,
+                         help="An estimator that `inteco-abs estimators` lists: moving-window, tracking, kalman, "
+                         "edge-time, observer, euler (the paper's) or difference (the vendor's)."),
+    "faults": _option("--inject", multiple=True, metavar="FAULT",
+                      help="Inject a fault into the mock board, as lose@brake+20ms; `inteco-abs faults` lists all."),
+    "live_port": _option("--foxglove", is_flag=False, flag_value=_LIVE_PORT, type=Whole(0, 65535), metavar="[PORT]",
+                         help="Serve the running stop to Lichtblick or Foxglove on this computer; default port: "
+                         f"{_LIVE_PORT}, 0: any free port."),
+    "live": _option("--live", type=click.Choice(("full", "line", "none")),
+                    help="Display during the run; default: as much as the terminal has room for."),
+    "quiet": _option("--quiet", "-q", is_flag=True, help="Print errors and warnings only."),
+}  # fmt: skip
 """By field of RunOptions: the option's names, and arguments for click."""
 
 

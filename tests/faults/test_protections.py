@@ -123,4 +123,4 @@ def test_the_campaign_finds_another_master_of_whom_nobody_is_told(campaign, monk
     case = campaign.Case("master", ("master@brake+#2/600s",), profile=profile)
     assert not campaign.judged(case).problem
     monkeypatch.setattr(Board, "make_safe", lambda _self: None)
-    assert "left on, and nobody was told" in campaign.judged(case).problem
+    assert "left on without a warning" in campaign.judged(case).problem

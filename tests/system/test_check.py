@@ -56,7 +56,7 @@ def checked(tmp_path, monkeypatch, capfd):
 def test_a_test_that_fails_beside_others_and_passes_alone_is_named_at_the_end(checked):
     code, printed, parts = checked(flaky=FLAKY.format(cases=["a::b", "c@d/e"]))
     assert (code, parts) == (0, {"tests": "passed", "tests, failed ones alone": "passed"})
-    end = printed.partition("passed alone, but failed beside other tests:")[2]
+    end = printed.partition("passed alone, but failed together with other tests:")[2]
     assert end.split() == [
         "test_flaky.py::test_flaky[a::b]",
         "test_flaky.py::test_flaky[c@d/e]",

@@ -50,51 +50,33 @@ class PlotPanel(NamedTuple):
     lines: tuple[PlotLine, ...]
 
 
-_SLIP: Final = (PlotLine("slip", "estimated", "solid", BLUE), PlotLine("true_slip", "true", "dashed", RED))
-_REFERENCE: Final = PlotLine("slip_reference", "reference", "dotted", GREY)
 PANELS: Final = (
-    PlotPanel(
-        "speeds",
-        "Speeds",
-        "speed [rad/s]",
-        (
-            PlotLine("road_speed_rad_s", "road wheel (car)", "solid", RED),
-            PlotLine("wheel_speed_rad_s", "braked wheel", "dashed", BLUE),
-        ),
-    ),
-    PlotPanel("slip", "Slip", "slip [1]", (*_SLIP, _REFERENCE)),
-    PlotPanel(
-        "torque",
-        "Brake torque",
-        "torque [N m]",
-        (
-            PlotLine("torque_demand_nm", "asked for by the law", "solid", BLUE),
-            PlotLine("true_brake_torque_nm", "true", "dashed", RED),
-        ),
-    ),
-    PlotPanel(
-        "duty",
-        "Duty cycles",
-        "duty [1]",
-        (PlotLine("brake", "brake", "solid", BLUE), PlotLine("drive", "drive", "dashed", RED)),
-    ),
-    PlotPanel(
-        "switching",
-        "Sliding variable",
-        "switching function [1]",
-        (PlotLine("switching", "switching function", "solid", BLUE),),
-    ),
-    PlotPanel(
-        "timing",
-        "Punctuality",
-        "duration [us]",
-        (
-            PlotLine("late_us", "late", "solid", BLUE),
-            PlotLine("io_us", "exchange with the board", "dashed", RED, compared=False),
-            PlotLine("busy_us", "decision and record", "dotted", GREEN, compared=False),
-        ),
-    ),
-)
+    PlotPanel("speeds", "Speeds", "speed [rad/s]", (
+        PlotLine("road_speed_rad_s", "road wheel (car)", "solid", RED),
+        PlotLine("wheel_speed_rad_s", "braked wheel", "dashed", BLUE),
+    )),
+    PlotPanel("slip", "Slip", "slip [1]", (
+        PlotLine("slip", "estimated", "solid", BLUE),
+        PlotLine("true_slip", "true", "dashed", RED),
+        PlotLine("slip_reference", "reference", "dotted", GREY),
+    )),
+    PlotPanel("torque", "Brake torque", "torque [N m]", (
+        PlotLine("torque_demand_nm", "asked for by the law", "solid", BLUE),
+        PlotLine("true_brake_torque_nm", "true", "dashed", RED),
+    )),
+    PlotPanel("duty", "Duty cycles", "duty [1]", (
+        PlotLine("brake", "brake", "solid", BLUE),
+        PlotLine("drive", "drive", "dashed", RED),
+    )),
+    PlotPanel("switching", "Sliding variable", "switching function [1]", (
+        PlotLine("switching", "switching function", "solid", BLUE),
+    )),
+    PlotPanel("timing", "Punctuality", "duration [us]", (
+        PlotLine("late_us", "late", "solid", BLUE),
+        PlotLine("io_us", "exchange with the board", "dashed", RED, compared=False),
+        PlotLine("busy_us", "decision and record", "dotted", GREEN, compared=False),
+    )),
+)  # fmt: skip
 
 
 class LegendEntry(NamedTuple):
