@@ -1,4 +1,4 @@
-"""The verb `list`: a folder of sessions as a table."""
+"""The verb `inteco-abs list`."""
 
 from __future__ import annotations
 
@@ -14,31 +14,14 @@ from inteco_abs.cli.terminal import on_terminal, plain, print_json, say
 from inteco_abs.errors import ConfigError, near_match
 
 _HEADS: Final = {
-    "session": "session",
-    "started_utc": "date",
-    "outcome": "outcome",
-    "controller": "controller",
-    "estimator": "estimator",
-    "rig": "rig",
-    "slip_rms_true": "rms true",
-    "slip_rms_estimated": "rms est.",
-    "band_entry_s": "band [s]",
-    "stop_time_s": "stop [s]",
-    "overruns": "overruns",
-    "lost_ticks": "lost",
-}
+    "session": "session", "started_utc": "date", "outcome": "outcome", "controller": "controller",
+    "estimator": "estimator", "rig": "rig", "slip_rms_true": "rms true", "slip_rms_estimated": "rms est.",
+    "band_entry_s": "band [s]", "stop_time_s": "stop [s]", "overruns": "overruns", "lost_ticks": "lost",
+}  # fmt: skip
 _FIRST_TO_GO: Final = (
-    "slip_rms_estimated",
-    "estimator",
-    "rig",
-    "band_entry_s",
-    "started_utc",
-    "overruns",
-    "lost_ticks",
-    "stop_time_s",
-    "outcome",
-    "controller",
-)
+    "slip_rms_estimated", "estimator", "rig", "band_entry_s", "started_utc", "overruns", "lost_ticks", "stop_time_s",
+    "outcome", "controller",
+)  # fmt: skip
 """Columns that a narrow terminal leaves out, in this order."""
 _GAP: Final = "  "
 _LATEST_OF_A_DATE: Final = len("2026-01-01T12:00:00")
@@ -79,7 +62,7 @@ def list_sessions(folder: Path, key: str, reverse: bool, recursive: bool, as_jso
 
 
 def _print(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """One line each, with every column in files and pipes, and as many as fit on a terminal."""
+    """Print one line each, with all columns, or on a terminal those that fit."""
     import shutil
 
     columns = {name: [head, *(_cell(folder, row, name) for row in rows)] for name, head in _HEADS.items()}
@@ -100,7 +83,7 @@ def _remark(row: dict[str, Any]) -> str:
 
 
 def _left_out(widths: Mapping[str, int], room: int) -> list[str]:
-    """Columns that a line of `room` letters has no place for."""
+    """Columns that do not fit into a line of `room` characters."""
     left_out: list[str] = []
     for name in _FIRST_TO_GO:
         kept = [width for column, width in widths.items() if column not in left_out]

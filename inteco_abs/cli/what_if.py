@@ -24,14 +24,9 @@ if TYPE_CHECKING:
 
 _MOST: Final = 100
 _METRICS: Final = (
-    "reaching_time_s",
-    "stop_time_s",
-    "stop_distance_m",
-    "slip_rms_true",
-    "slip_rms_estimated",
-    "lock_fraction",
+    "reaching_time_s", "stop_time_s", "stop_distance_m", "slip_rms_true", "slip_rms_estimated", "lock_fraction",
     "duty_variation_per_s",
-)
+)  # fmt: skip
 
 
 @click.command("what-if")

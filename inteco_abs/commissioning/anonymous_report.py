@@ -27,10 +27,8 @@ _WORDS: Final = frozenset({"kind", "pwm_mode", "application_names", "manufacture
 """Keys of the profile whose texts come from the program or the board; any other text may be personal."""
 _HOST: Final = ("os", "kernel", "machine", "cores", "cpu")
 _MOVED: Final = (
-    "before the wheels were turned",
-    "after the upper wheel was turned",
-    "after the lower wheel was turned",
-)
+    "before the wheels were turned", "after the upper wheel was turned", "after the lower wheel was turned",
+)  # fmt: skip
 _DATES: Final = ("firmware_compiled", "firmware_released")
 _REMOVED: Final = "(removed)"
 _SHORTEST: Final = 3
@@ -43,13 +41,15 @@ def board_seen(draft: ProfileDraft) -> Capture:
     header = results.get("header", {})
     if "raw" not in header:
         raise ConfigError.of("--send-report", "the board was not read yet: do step 2, header, first")
-    device = _device_facts(draft)
+    device, reads = _device_facts(draft), results.get("reads", {})
     named = [("header", header["raw"]), *zip(_MOVED, results.get("wheels", {}).get("images", ()), strict=False)]
     report = BoardReport(
         kind=wiring.kind,
         identity=_identity(header),
         bus=_bus(device),
-        reads=_reads(results.get("reads", {})),
+        reads=Reads(count=reads["reads"], failed=reads["failed"], histogram_us=reads.get("histogram_us", {}))
+        if "reads" in reads
+        else None,
         steps={name: str(one["outcome"]) for name, one in results.items()},
         images=[name for name, _ in named],
         profile={
@@ -107,12 +107,6 @@ def _bus(device: Mapping[str, str]) -> Bus:
 
 def _masked(text: str, serial: str) -> str:
     return _without_names(text.replace(serial, _REMOVED) if serial else text)
-
-
-def _reads(found: Mapping[str, Any]) -> Reads | None:
-    if "reads" not in found:
-        return None
-    return Reads(count=found["reads"], failed=found["failed"], histogram_us=found.get("histogram_us", {}))
 
 
 def _values(section: Mapping[str, Any], serial: str) -> Values:

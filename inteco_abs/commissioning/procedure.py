@@ -21,17 +21,9 @@ DONE: Final = "done"
 _FAILED: Final = "failed"
 _LOGIC: Final = ("logic_version", "application_names")
 _PWM: Final = (
-    "drive_pwm",
-    "brake_pwm",
-    "pwm_mode",
-    "pwm_prescaler",
-    "pwm_pins",
-    "pwm_functions",
-    "numbering_pwm",
-    "frame_map",
-    "constants",
-    "timer",
-)
+    "drive_pwm", "brake_pwm", "pwm_mode", "pwm_prescaler", "pwm_pins", "pwm_functions", "numbering_pwm", "frame_map",
+    "constants", "timer",
+)  # fmt: skip
 
 STEPS: Final = (
     Step(

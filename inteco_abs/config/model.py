@@ -59,25 +59,10 @@ class Evidence(Section):
 
 
 WIRING: Final = (
-    "drive_pwm",
-    "brake_pwm",
-    "pwm_mode",
-    "pwm_prescaler",
-    "pwm_pins",
-    "pwm_functions",
-    "numbering_pwm",
-    "numbering_pins",
-    "timer",
-    "frame_map",
-    "constants",
-    "watchdog_pin",
-    "watchdog_contact_pin",
-    "road_encoder",
-    "wheel_encoder",
-    "road_sign",
-    "wheel_sign",
-    "counts_per_turn",
-)
+    "drive_pwm", "brake_pwm", "pwm_mode", "pwm_prescaler", "pwm_pins", "pwm_functions", "numbering_pwm",
+    "numbering_pins", "timer", "frame_map", "constants", "watchdog_pin", "watchdog_contact_pin", "road_encoder",
+    "wheel_encoder", "road_sign", "wheel_sign", "counts_per_turn",
+)  # fmt: skip
 """Keys that outputs depend on: of [board], and `encoders.counts_per_turn`."""
 
 

@@ -13,17 +13,9 @@ from inteco_abs.config.model import WIRING, BoardConfig, EncodersConfig, GuardCo
 SIGN_OFF: Final = ("verified_by", "verified_on", "verified_logic")
 """Keys of [board] that make a sign-off."""
 COVERED: Final = (
-    *WIRING,
-    "timer_hz",
-    "kind",
-    "logic_version",
-    "application_names",
-    "read_only",
-    "simulated",
-    "verified_on",
-    "verified_logic",
-    "evidence",
-)
+    *WIRING, "timer_hz", "kind", "logic_version", "application_names", "read_only", "simulated", "verified_on",
+    "verified_logic", "evidence",
+)  # fmt: skip
 """Keys that a sign-off covers besides the guard's limits: of [board], and `encoders.counts_per_turn`."""
 
 

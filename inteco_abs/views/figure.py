@@ -38,14 +38,8 @@ _PRINTED_POINTS: Final = 1200
 _DRAWN_POINTS: Final = 100_000
 """Of each line in a file: many stops in one session would otherwise take gigabytes."""
 _DRAWN: Final[Sequence[str]] = (
-    "wheel_speed_rad_s",
-    "road_speed_rad_s",
-    "slip",
-    "slip_reference",
-    "torque_demand_nm",
-    "brake",
-    "brake_torque_nm",
-)
+    "wheel_speed_rad_s", "road_speed_rad_s", "slip", "slip_reference", "torque_demand_nm", "brake", "brake_torque_nm",
+)  # fmt: skip
 _AT_REST_RAD_S: Final = 1.0
 """Road speed below which slip is not drawn: both speeds are a few counts."""
 _ROLLING_RAD_S: Final = 10.0

@@ -24,10 +24,8 @@ if TYPE_CHECKING:
 _HEADINGS: Final = ("n", "mean", "std dev", "smallest", "largest", "per stop")
 _BEFORE_S: Final = 0.2
 _PANELS: Final = (
-    ("wheel_speed_rad_s", "wheel speed [rad/s]"),
-    ("slip", "slip, estimated [1]"),
-    ("brake", "brake duty [1]"),
-)
+    ("wheel_speed_rad_s", "wheel speed [rad/s]"), ("slip", "slip, estimated [1]"), ("brake", "brake duty [1]"),
+)  # fmt: skip
 _AT_REST_RAD_S: Final = 1.0
 _POINTS: Final = 4000
 """Of each line: a thousand stops would otherwise take gigabytes."""

@@ -13,12 +13,9 @@ from inteco_abs.views.result_panel import ROWS
 NOTHING: Final = "–"
 _LATENESS: Final = (("late, p50", "p50"), ("late, p99", "p99"), ("late, p99.9", "p999"), ("late, most", "max"))
 _COUNTS: Final = (
-    ("stops", "stops"),
-    ("ticks", "ticks"),
-    ("overruns", "overruns"),
-    ("link errors", "link_errors"),
+    ("stops", "stops"), ("ticks", "ticks"), ("overruns", "overruns"), ("link errors", "link_errors"),
     ("lost ticks", "lost_ticks"),
-)
+)  # fmt: skip
 _SHOWN_ELSEWHERE: Final = ("result", "controller")
 
 

@@ -21,28 +21,14 @@ _POINTS_OF_EACH: Final = 4000
 MARGIN_S: Final = 0.1
 """Time shown before braking and after the brake is released."""
 _TICK_COLUMNS: Final = (
-    "wheel_speed_rad_s",
-    "road_speed_rad_s",
-    "slip",
-    "slip_reference",
-    "torque_demand_nm",
-    "drive",
-    "brake",
-    "switching",
-    "late_us",
-    "io_us",
-    "busy_us",
-)
+    "wheel_speed_rad_s", "road_speed_rad_s", "slip", "slip_reference", "torque_demand_nm", "drive", "brake",
+    "switching", "late_us", "io_us", "busy_us",
+)  # fmt: skip
 _TRUTH_COLUMNS: Final = ("slip", "brake_torque_nm")
 _LETTERS: Final = "ABCDEF"
 _MARKERS: Final = (
-    ("circle", "●"),
-    ("square", "■"),
-    ("triangle", "▲"),
-    ("diamond", "◆"),
-    ("inverted_triangle", "▼"),
-    ("star", "★"),
-)
+    ("circle", "●"), ("square", "■"), ("triangle", "▲"), ("diamond", "◆"), ("inverted_triangle", "▼"), ("star", "★"),
+)  # fmt: skip
 
 Array = npt.NDArray[Any]
 
