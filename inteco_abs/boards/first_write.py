@@ -1,4 +1,4 @@
-"""What the first write to a board would change, word by word, for a person to look at before it is done."""
+"""Lists what the first write to a board would change, word by word, for a person to check before."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from inteco_abs.boards.frame_labels import label, mask_of, names_at
 
 
 class Remark(StrEnum):
-    """What else there is to say of a word."""
+    """Remarks on a word."""
 
     NONE = ""
     UNKNOWN = "no field is known here: sent back as read"
@@ -21,13 +21,13 @@ class Remark(StrEnum):
 
 
 class PlannedWord(NamedTuple):
-    """One word, or register, of the first write that changes, or is written with nobody knowing what it is."""
+    """A word or register of the first write that changes, or whose meaning is unknown."""
 
     place: str
     """As in the protocol reference: `w22` is word 22, `b21` data byte 21, `0x6C` a register."""
     names: tuple[str, ...]
     now: int
-    """As a frame would carry it that changes nothing."""
+    """Value in a frame that changes nothing."""
     planned: int
     remark: Remark = Remark.NONE
 
@@ -40,9 +40,9 @@ class PlannedWord(NamedTuple):
 def planned_words(
     read: FrameTable, send: FrameTable, frame: Buffer, image: Buffer, decided: Collection[str], number_word: int
 ) -> Iterator[PlannedWord]:
-    """Words of the first frame `image` to a board that reads `frame`.
+    """Yield the remarkable words of the first frame `image` to a board that reads `frame`.
 
-    `decided` are fields that are not just as they were read; `number_word` is the frame's word that numbers it, or -1.
+    `decided` are the fields that differ from the reading; `number_word` is the word that numbers frames, or -1.
     """
     now, planned = send.words(sent_back(read, send, frame)), send.words(image)
     unknown = unnamed(read, send, frame)

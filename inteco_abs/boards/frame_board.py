@@ -1,4 +1,4 @@
-"""What the two USB boards have in common: one frame of settings out, one of everything back, in each tick."""
+"""The common driver of the two USB boards: each tick sends one frame of settings and reads one of everything."""
 
 from __future__ import annotations
 
@@ -22,51 +22,49 @@ from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, LinkError, N
 from inteco_abs.signals import Command
 
 _EXACT: Final = 1e-9
-"""Keeps a duty that is a whole number of widths from losing one to binary rounding."""
+"""Keeps binary rounding from losing a width."""
 MODES: Final = ("8-bit", "12-bit")
 _MOST_OLD: Final = 100
-"""More answers to older requests than this are not leftovers of a pause."""
+"""A pause leaves fewer answers to older requests than this."""
 _SHARED: Final = ("pin_mode", "pin_direction", "pin_output", "encoder_reset", "timer_reset", "timer_mode")
-"""Of these some bits are the wiring's, all others stay as the board has them."""
+"""The wiring decides some bits of these fields; the others stay as read."""
 _PERIODS: Final = 2.0
-"""Time-out of an exchange in the loop: one lost answer costs three ticks. The slowest good exchange takes one."""
+"""Time-out of an exchange in the loop, periods: a lost answer costs three ticks, a slow exchange one."""
 _LEAST_TIMEOUT_S: Final = 0.001
-"""The least that libusb's time-outs can be, and twice what a slow exchange over a high-speed bus takes."""
+"""The shortest time-out of libusb, and twice a slow exchange over a high-speed bus."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameLayout:
-    """One logic's frames, and what a driver has to know besides the tables."""
+    """Frames of one logic, and what a driver needs besides the tables."""
 
     read: FrameTable
     send: FrameTable
     header: FrameTable
-    """What a READ frame of any logic tells of the board, in its first `header_bytes`."""
+    """Fields in the first `header_bytes` of a READ frame of any logic."""
     header_bytes: int
     request: bytes
     pwm_full_width: tuple[int, ...]
-    """Width that stands for a duty of 1, in 8-bit and in 12-bit mode."""
+    """PWM width of duty 1 in 8-bit and in 12-bit mode."""
     number: Struct
-    """One word of a frame; the lower `number_bits` of a prescaler travel in the first of its words, both ways."""
+    """One word of a frame; the first word of a prescaler has its lower `number_bits`, in both directions."""
     number_bits: int
 
 
 class FrameBoard(Board):
-    """The board behind `link`, wired as `wiring` says; see `Board` for what it promises.
+    """Driver of the board behind `link` with this wiring; see `Board` for its guarantees.
 
-    The output image is built once, when the board is opened: what the wiring owns comes from the wiring, with the
-    widths of drive and brake zero, everything else from the first read, words that nobody has a name for included.
-    In a tick only the two widths change, the watchdog's pin, and the number of the frame, for which the prescaler of a
-    PWM channel that is wired to nothing is used, or the latch of pins that drive nothing: the board echoes it, so that
-    an answer to an older request, late or duplicated, is told from the one to this request. Where the wiring has a
-    timer, it dates the samples and shows such an answer, too. It is set to zero when the board is opened, and each time
-    SAFE is to be confirmed, so that no answer from before can confirm it.
+    The output image is built once, at opening: the wiring's fields from the wiring, with the widths of drive and brake
+    zero, all other bits from the first read, unknown ones included. A tick changes only the two widths, the watchdog's
+    pin, and the frame number, which uses the prescaler of an unwired PWM channel or the latch of unwired pins. The
+    board echoes the number, which detects an answer to an older request, late or duplicated. A timer in the wiring dates the
+    samples and detects such an answer too; it is set to zero at opening and before each confirmation of SAFE, so that
+    no earlier answer can confirm it.
 
-    The widths of other PWM channels stay as they were read. The safe image is not concerned by that: which channels
-    drive and brake hang on is what a signature vouches for, and before there is one nothing is written; commissioning
-    refuses a board on which another channel runs, unless `board.constants` says what it shall do.
+    Other PWM channels keep their widths. The sign-off states on which channels drive and brake are, and without one
+    nothing is written; commissioning refuses a board on which another channel runs, unless `board.constants` sets it.
 
-    Raises ConfigError for a wiring that the logic has no channels for, or constants that it has no place for.
+    Raises ConfigError for a wiring or constants that the logic has no place for.
     """
 
     def __init__(self, link: Link, wiring: BoardConfig, now_ns: Callable[[], int], period_ns: int) -> None:
@@ -90,10 +88,10 @@ class FrameBoard(Board):
         self._number_echo = _first_byte(layout.read, numbered) if numbered else -1
         self._clock = BoardClock(wiring.timer_hz) if wiring.timer >= 0 else None
         self._timer = layout.read.place(f"timer{wiring.timer}_value") if wiring.timer >= 0 else None
-        self._taken_ns = 0  # when the counts of the newest answer were taken, by that clock
+        self._taken_ns = 0  # time of the newest answer's counts
         owned = [*self._of_wiring({}), *([numbered] if numbered else [])]
         self._constants = constants_of(wiring, layout.send, owned)
-        # the words of both widths go out whole: no bit that nobody knows is left on in what is to be off
+        # both width words are sent whole: no unknown bit stays on
         self._decided = {part.word: 0 for name in (drive, brake) for part in layout.send.fields[name][1]}
         self._decided |= self._constants.words
         self._image = bytearray(layout.send.size)
@@ -102,18 +100,18 @@ class FrameBoard(Board):
         self._good = False  # whether the newest exchange was
         self._settings: dict[str, int] = {}
         self._header = b""
-        self._late = False  # whether an exchange failed, and its answer may be taken for another's
-        # whether an answer to an older request is known as such, by its number or its time, and may be read past
+        self._late = False  # whether the answer of a failed exchange may still come
+        # whether number or time detects an answer to an older request, so that it can be skipped
         self._knows_late = (bool(numbered) or self._clock is not None) and link.keeps_boundaries
         self._patient_s = self._timeout_s = link.timeout_s
         self._hurried_s = min(self._patient_s, max(_LEAST_TIMEOUT_S, _PERIODS * period_ns * 1e-9))
 
     @abstractmethod
     def _layout_of(self, wiring: BoardConfig) -> FrameLayout:
-        """Layout of the logic that the profile expects."""
+        """Return the layout of the profile's logic."""
 
     def identify(self) -> Identity:
-        """Read the header once; nothing is written but the READ request."""
+        """Read the header once; writes nothing but the READ request."""
         if not self._ready:
             self._link.prepare(self._layout.read.size)
         frame = self._read()
@@ -121,7 +119,7 @@ class FrameBoard(Board):
             values = self._layout.header.decode_some(frame, _known(self._layout.header))
         except ProtocolError as error:
             raise LinkError(f"the board's answer is not a READ frame: {error}") from error
-        if not self._ready:  # an open board that now calls itself something else has been reset or replaced
+        if not self._ready:  # an open board with another header was reset or replaced
             self._header = frame[: self._layout.header_bytes]
         version, name = int(values["logic_version"]), str(values["application_name"])
         because = read_only_reason(self._wiring, version, name, self._relied_on())
@@ -130,7 +128,7 @@ class FrameBoard(Board):
         return Identity(version, name, str(values.get("synthesis_date", "")), because)
 
     def survey(self, names: Collection[str] = ()) -> BoardReading:
-        """Read the board once: the named fields, or all."""
+        """Read the named fields, or all, once."""
         table = self._layout.read
         unknown = [name for name in names if name not in table.fields]
         if unknown:
@@ -145,28 +143,28 @@ class FrameBoard(Board):
         return BoardReading(values, frame)
 
     def _relied_on(self) -> list[Field]:
-        """What outputs rest on of the frames."""
+        """Return the fields that outputs rest on."""
         encoders = (f"encoder{i}_count" for i in (self._wiring.wheel_encoder, self._wiring.road_encoder))
         clock = [f"timer{self._wiring.timer}_value"] if self._clock else []
         return [self._layout.read.fields[name][0] for name in (*self._owned({}), *encoders, *clock)]
 
     def _warning(self, frame: bytes) -> str:
-        """What must be said of the outputs of a board that nothing may be written to."""
+        """Return a warning about the outputs of a board that must not be written to."""
         table = self._layout.read
         try:
             values = table.decode_some(frame, (name for name in table.fields if name.endswith("_width")))
         except ProtocolError:  # another logic: where its widths are is not known
-            return f". Whether its PWM outputs are zero cannot be told. {STILL_ON}"
+            return f". Whether its PWM outputs are zero is not known. {STILL_ON}"
         return f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}" if any(values.values()) else ""
 
     def _take_over(self) -> None:
         self._settings, self._image[:] = self._first_image(self._read())
         self._pins = self._echoed_pins()
         if self._pins is not None:
-            self._settings.pop("pin_output", None)  # every answer is compared with what was sent last
+            self._settings.pop("pin_output", None)  # every answer is compared with the last frame
 
     def _first_image(self, frame: bytes) -> tuple[dict[str, int], bytes]:
-        """What is decided of a board that reads so, by field, and the whole SEND frame with that, outputs off."""
+        """Return the decided fields for a board that reads `frame`, and the whole SEND frame, outputs off."""
         read, send = self._layout.read, self._layout.send
         try:
             found = read.decode(frame)
@@ -176,7 +174,7 @@ class FrameBoard(Board):
             raise BoardError(f"the board's settings cannot be taken over: {error}") from error
 
     def first_write(self) -> list[PlannedWord]:
-        """Words of the first frame that differ from what the board has, and those that are kept though unknown."""
+        """Return the words of the first frame that change, or that are kept though unknown."""
         frame = self._read()
         settings, image = self._first_image(frame)
         read, send = self._layout.read, self._layout.send
@@ -185,7 +183,7 @@ class FrameBoard(Board):
 
     @property
     def safe_image(self) -> bytes:
-        """The header that every answer of this board begins with, and the SEND frame with all widths zero."""
+        """The header of this board's answers, and the SEND frame with both widths zero."""
         image = bytearray(self._image)
         for place in (self._drive_out, self._brake_out):
             place.codec.pack_into(image, place.offset, 0)
@@ -195,10 +193,10 @@ class FrameBoard(Board):
         length = self._layout.header_bytes
         self._header, self._image[:] = image[:length], image[length:]
         self._pins = self._echoed_pins()
-        self._late = True  # so that what the other process had asked for is dropped first, whatever its number
+        self._late = True  # drops the other process's answers first, whatever their number
 
     def _echoed_pins(self) -> EchoedPins | None:
-        """Of the image; None if the wiring has none."""
+        """Return the pins of the image; None if the wiring has none."""
         layout, wiring = self._layout, self._wiring
         if not _latched(wiring):
             return None
@@ -215,7 +213,7 @@ class FrameBoard(Board):
         return self._counts(frame)
 
     def _owned(self, found: Mapping[str, int]) -> dict[str, int]:
-        """What wiring and constants decide, given the pins and resets as the board has them."""
+        """Return the fields that wiring and constants decide, given the board's pins and resets."""
         owned = self._of_wiring(found) | self._constants.fields
         if pins := self._constants.pins:
             levels = _mask(pin for pin, level in pins.items() if level)
@@ -224,7 +222,7 @@ class FrameBoard(Board):
         return owned
 
     def _of_wiring(self, found: Mapping[str, int]) -> dict[str, int]:
-        """The same, but for the constants."""
+        """Return the fields that the wiring decides."""
         wiring = self._wiring
         channels = (wiring.drive_pwm, wiring.brake_pwm)
         numbering = (wiring.numbering_pwm,) if wiring.numbering_pwm >= 0 else ()
@@ -248,7 +246,7 @@ class FrameBoard(Board):
 
     @property
     def engine(self) -> str:
-        """The link's way in use."""
+        """The link's engine in use."""
         return self._link.engine
 
     @engine.setter
@@ -272,11 +270,11 @@ class FrameBoard(Board):
         return now if self._clock is None else self._taken_ns
 
     def _write_safe(self) -> None:
-        self._wait_for(self._patient_s)  # no tick waits for it, and there are few attempts
+        self._wait_for(self._patient_s)  # no tick waits, and attempts are few
         self._write_off()
 
     def _write_off(self) -> bytes:
-        """SEND both widths zero with the timer held at zero, then as `_write_widths` does."""
+        """Hold the timer at zero with both widths zero, then write them with the timer released."""
         if self._clock is not None:
             self._link.write(self._held_at_zero())
             self._clock.restart(self._now_ns())
@@ -284,7 +282,7 @@ class FrameBoard(Board):
         return self._write_widths(0, 0)
 
     def _held_at_zero(self) -> bytearray:
-        """The SAFE image, but that the timer is held at zero."""
+        """Return the SAFE image with the timer held at zero."""
         image, reset = bytearray(self.safe_image[self._layout.header_bytes :]), self._layout.send.place("timer_reset")
         (others,) = reset.codec.unpack_from(image, reset.offset)
         reset.codec.pack_into(image, reset.offset, others | 1 << self._wiring.timer)
@@ -295,7 +293,7 @@ class FrameBoard(Board):
             self._timeout_s = self._link.timeout_s = timeout_s
 
     def _write_widths(self, drive: int, brake: int, *, beat: bool = False) -> bytes:
-        """SEND both widths, READ, and check that the answer is this board's and echoes them."""
+        """Send both widths, read, and check that the answer is this board's and echoes them."""
         image, layout, link = self._image, self._layout, self._link
         self._drive_out.codec.pack_into(image, self._drive_out.offset, drive)
         self._brake_out.codec.pack_into(image, self._brake_out.offset, brake)
@@ -309,7 +307,7 @@ class FrameBoard(Board):
         try:
             if late:
                 link.write(image)
-                # the answer of a failed exchange must not be taken for this one's; the output has gone out before
+                # drop the answer of a failed exchange, after the output was written
                 link.discard(len(image))
                 answer = self._read()
             else:
@@ -332,7 +330,7 @@ class FrameBoard(Board):
         return frame
 
     def _newest(self, frame: bytes) -> bytes:
-        """The answer to the newest request, `frame` or one that follows it; older ones are dropped."""
+        """Return the answer to the newest request, `frame` or a later one; drop older ones."""
         number = self._layout.number
         for _ in range(_MOST_OLD):
             if not frame.startswith(self._header):
@@ -351,7 +349,7 @@ class FrameBoard(Board):
         raise LinkError("the board answers only requests of long ago: is another program reading from it?")
 
     def _date(self, frame: bytes) -> bool:
-        """Note when the board made the answer; False if not while this exchange went on."""
+        """Date the answer; return False if the board did not make it during this exchange."""
         if self._clock is None or self._timer is None:
             return True
         (reading,) = self._timer.codec.unpack_from(frame, self._timer.offset)
@@ -378,10 +376,10 @@ class FrameBoard(Board):
 
 
 def widths(command: Command, full: int) -> tuple[int, int]:
-    """PWM widths of drive and brake for duties of which 1 is `full`; raises BoardError for any other duty."""
+    """Return the PWM widths of drive and brake; `full` is duty 1. Raises BoardError for a duty outside 0..1."""
     if not (0.0 <= command.drive <= 1.0 and 0.0 <= command.brake <= 1.0):  # NaN fails too
-        raise BoardError(f"{command}: duties must be in 0..1")  # never masked into something else
-    # rounded down: the output is never more than what the guard has admitted
+        raise BoardError(f"{command}: duties must be in 0..1")  # never masked
+    # rounded down: never more than the guard admitted
     return int(command.drive * full + _EXACT), int(command.brake * full + _EXACT)
 
 
@@ -409,12 +407,12 @@ def _require_channels(wiring: BoardConfig, layout: FrameLayout) -> None:
 
 
 def _functions(wiring: BoardConfig) -> int:
-    """Bits of the pin mode that are set."""
+    """Return the bits to set in the pin mode."""
     return _mask(wiring.pwm_pins if wiring.pwm_functions is None else wiring.pwm_functions)
 
 
 def _pin_mistakes(wiring: BoardConfig, layout: FrameLayout) -> Iterator[ConfigIssue]:
-    """One pin has one use, and a watchdog that cannot be proven is none."""
+    """Yield pins with two uses, a watchdog without contact, and pins that the logic does not have."""
     constants = [int(key[3:]) for key in wiring.constants if key.startswith("pin") and key[3:].isdecimal()]
     used = {"pwm_pins": wiring.pwm_pins, "constants": constants, "numbering_pins": wiring.numbering_pins}
     used |= {key: [pin] for key in ("watchdog_pin", "watchdog_contact_pin") if (pin := getattr(wiring, key)) >= 0}
@@ -422,7 +420,7 @@ def _pin_mistakes(wiring: BoardConfig, layout: FrameLayout) -> Iterator[ConfigIs
     for key, pins in used.items():
         for pin in pins:
             if pin in owner:
-                yield ConfigIssue(f"board.{key}", f"{pin}: is in board.{owner[pin]} already")
+                yield ConfigIssue(f"board.{key}", f"{pin}: already in board.{owner[pin]}")
             owner[pin] = key
     if (wiring.watchdog_pin >= 0) is not (wiring.watchdog_contact_pin >= 0):
         problem = "a watchdog is proven before each run by its contact: name both pins or neither (docs/watchdog.md)"
@@ -438,7 +436,7 @@ def _watchdog(wiring: BoardConfig) -> tuple[int, int]:
 
 
 def _latched(wiring: BoardConfig) -> bool:
-    """Whether some pins change with the frames."""
+    """Return whether some pins change with the frames."""
     return bool(wiring.numbering_pins) or wiring.watchdog_pin >= 0
 
 
@@ -447,7 +445,7 @@ def _mask(bits: Iterable[int]) -> int:
 
 
 def _first_byte(table: FrameTable, name: str) -> int:
-    """Byte at which a field's first word stands in its frame."""
+    """Return the byte offset of a field's first word."""
     _, layout = table.fields[name]
     return (layout[0].word + table.data_from) * table.word_bits // 8
 

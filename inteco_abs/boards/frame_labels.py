@@ -1,4 +1,4 @@
-"""What the words of a captured frame are called, by the tables of the wire."""
+"""Names the words of a captured frame by the protocol's tables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COMMAND: Final = "command"
 
 
 class MessageRole(StrEnum):
-    """What a message is for."""
+    """Role of a message."""
 
     SEND = "SEND"
     REQUEST = "READ request"
@@ -26,22 +26,22 @@ class MessageRole(StrEnum):
 
 @dataclass(frozen=True)
 class BoardProtocol:
-    """How the messages of one board are told apart, and their words named."""
+    """Recognises the messages of one board, and names their words."""
 
     board: str
     title: str
     logic_version: int | None
-    """That the tables were made for; None: not published."""
+    """Version of the tables; None: not published."""
     send: FrameTable
     read: FrameTable
     header_table: FrameTable
-    """What the answers of all logics of the family have in common."""
+    """Fields that answers of all logics of the family share."""
     request: bytes
     settings: Mapping[str, object]
-    """Keys of [board], with the values by which a profile says that its board speaks this."""
+    """Keys of [board] and their values in a profile for this protocol."""
 
     def role_out(self, message: bytes) -> MessageRole:
-        """What a message from the host is for."""
+        """Return the role of a message from the host."""
         if message == self.request:
             return MessageRole.REQUEST
         if len(message) == self.send.size and words_of(self.send, message)[0] == self.send.command:
@@ -49,15 +49,15 @@ class BoardProtocol:
         return MessageRole.OTHER
 
     def role_in(self, message: bytes) -> MessageRole:
-        """What a message from the board is."""
+        """Return the role of a message from the board."""
         return MessageRole.READ if len(message) == self.read.size else MessageRole.OTHER
 
     def header(self, answer: bytes) -> dict[str, Value]:
-        """What a READ answer of any logic tells of its board. Raises ProtocolError."""
+        """Decode the header of a READ answer of any logic. Raises ProtocolError."""
         return self.header_table.decode_some(answer, ("logic_version", "application_name"))
 
     def fields(self, names: Iterable[str]) -> frozenset[str]:
-        """The same names; raises ConfigError for one that is in neither table."""
+        """Return the names as a set; raises ConfigError for one in neither table."""
         known = self.send.fields.keys() | self.read.fields.keys()
         chosen = frozenset(names)
         for name in sorted(chosen - known):
@@ -66,22 +66,22 @@ class BoardProtocol:
 
 
 def words_of(table: FrameTable, frame: bytes) -> Sequence[int]:
-    """Words of a frame of the right size, with no other check."""
+    """Return the words of a frame of the right size, unchecked."""
     return frame if table.word_bits == BYTE_BITS else struct.unpack(f"<{len(frame) // 2}H", frame)
 
 
 def label(table: FrameTable, word: int) -> str:
-    """Name of a place in the notation of the protocol reference: `w22` is word 22, `b21` data byte 21."""
+    """Return a place in the notation of the protocol reference: `w22` is word 22, `b21` data byte 21."""
     return f"{'b' if table.word_bits == BYTE_BITS else 'w'}{word - table.data_from}"
 
 
 def byte_offset(table: FrameTable, word: int) -> int:
-    """Where the word begins in its message."""
+    """Return the byte at which the word begins in its message."""
     return word * table.word_bits // BYTE_BITS
 
 
 def names_at(table: FrameTable, word: int, mask: int) -> tuple[str, ...]:
-    """Fields that own bits of `mask` in `word`, counted from the frame's first; `unknown` for bits without owner."""
+    """Return the fields with bits of `mask` in `word` of the frame; `unknown` for other bits."""
     if table.command is not None and word == 0:
         return (COMMAND,)
     names, owned = [], 0
@@ -94,7 +94,7 @@ def names_at(table: FrameTable, word: int, mask: int) -> tuple[str, ...]:
 
 
 def mask_of(layout: Layout, word: int) -> int:
-    """Bits of data word `word` that carry the layout."""
+    """Return the bits of data word `word` that carry the layout."""
     mask = 0
     for part in layout:
         if part.word == word:
@@ -103,7 +103,7 @@ def mask_of(layout: Layout, word: int) -> int:
 
 
 def masks_of(table: FrameTable, names: Iterable[str]) -> dict[int, int]:
-    """Bits that carry the named fields, by word of the frame; fields that the table has not are left out."""
+    """Return the bits of the named fields by word of the frame; skips fields that the table lacks."""
     masks: dict[int, int] = {}
     for name in names:
         if name in table.fields:

@@ -146,9 +146,9 @@ def test_a_contact_that_is_closed_before_anything_feeds_it_is_refused(new_usb2_b
     [
         (("board.watchdog_pin=8",), "name both pins or neither"),
         (("board.watchdog_contact_pin=8",), "name both pins or neither"),
-        (("board.watchdog_pin=8", "board.watchdog_contact_pin=8"), "8: is in board.watchdog_pin already"),
-        (("board.numbering_pins=[2]",), "2: is in board.pwm_pins already"),
-        (("board.numbering_pins=[7, 7]",), "7: is in board.numbering_pins already"),
+        (("board.watchdog_pin=8", "board.watchdog_contact_pin=8"), "8: already in board.watchdog_pin"),
+        (("board.numbering_pins=[2]",), "2: already in board.pwm_pins"),
+        (("board.numbering_pins=[7, 7]",), "7: already in board.numbering_pins"),
     ],
 )
 def test_a_pin_has_one_use_and_a_watchdog_a_contact(new_usb2_bench, settings, words):

@@ -1,1 +1,1 @@
-"""Who carries the bytes or register accesses between host and board."""
+"""Transports: links for messages, and register access."""

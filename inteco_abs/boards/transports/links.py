@@ -1,4 +1,4 @@
-"""Who carries the bytes between host and board."""
+"""Links that carry messages between host and board."""
 
 from __future__ import annotations
 
@@ -13,101 +13,98 @@ from firmware_protocol.local_socket import GREETING
 from inteco_abs.errors import BoardError, LinkError, NoAnswerError
 
 PATIENCE_S: Final = 0.010
-"""Longest wait for an answer: far below the window after which a silent loop counts as hung, so that waiting for a lost
-answer never does."""
+"""Longest wait for an answer, far below the silence after which a loop counts as hung."""
 _MOST_WAITING: Final = 32
-"""More late answers than a stall leaves that a run survives: another program reads along, the next exchange says so."""
+"""More late answers than a stall leaves that a run survives."""
 _GREETING_S: Final = 2.0
 
 
 class Link(ABC):
-    """A pair of pipes to one board. Messages keep their boundaries, as USB bulk transfers do.
+    """A link to one board. Messages keep their boundaries, as in USB bulk transfers.
 
-    Both calls raise LinkError when the board cannot be reached, with a text that says what to check.
+    `write` and `read` raise LinkError when the board cannot be reached, with what to check.
     """
 
     timeout_s: float = PATIENCE_S
-    """How long a call waits for the board, in s. May be set between two calls; links to what answers at once ignore
-    it."""
+    """Time-out of a call, s; may be set between two calls. Links to an in-process board ignore it."""
     engines: tuple[str, ...] = ()
-    """Ways to move an exchange's transfers that this link can choose from, the usual one first; empty if it has none
-    to choose from."""
+    """Available ways to move an exchange's transfers, the usual one first; empty: no choice."""
     engine: str = ""
-    """The one in use; may be set between two calls."""
+    """The engine in use; may be set between two calls."""
     keeps_boundaries: bool = True
-    """Whether a read begins with the first byte of a message, whatever came before."""
+    """Whether every read begins with the first byte of a message."""
 
     @abstractmethod
     def write(self, data: bytes | bytearray) -> None:
-        """Send one message to the board; `data` may change once the call has returned."""
+        """Send one message; `data` may change after the call."""
 
     @abstractmethod
     def read(self, length: int) -> bytes:
         """Receive one message of at most `length` bytes."""
 
     def exchange(self, first: bytes | bytearray, second: bytes, length: int) -> bytes:
-        """Send two messages and receive one; links that can hand them over together do."""
+        """Send two messages and receive one; some links hand them over together."""
         self.write(first)
         self.write(second)
         return self.read(length)
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the board. Writes nothing; may be called twice."""
+        """Close the link without writing; may be called twice."""
 
     def discard(self, length: int) -> None:
-        """Drop messages of at most `length` bytes that the board has sent and nobody waits for any more."""
+        """Drop old answers of at most `length` bytes."""
         with suppress(LinkError):
             for _ in range(_MOST_WAITING):
                 self._read_waiting(length)
 
     def _read_waiting(self, length: int) -> bytes:
-        """Receive a message that has arrived by now; links that need not wait for it as long as `read` do not."""
+        """Receive a message that has arrived; some links wait less for it than `read`."""
         return self.read(length)
 
     def prepare(self, length: int) -> None:
-        """Drop what a program before this one has left; called before the board is identified, not in a rescue.
+        """Drop an earlier program's answers; called before the board is identified, not in a rescue.
 
-        Raises BoardError for a link that is of no use to a loop, with what to do about it.
+        Raises BoardError for a link that a loop cannot use, with what to do.
         """
         self.discard(length)
 
 
 Wrap = Callable[[Link], Link]
-"""Puts something around a link, such as a recording."""
+"""Wraps a link, such as in a recording."""
 
 
 class BulkDevice(Protocol):
     """The board's side of a pair of bulk endpoints."""
 
     def bulk_out(self, data: bytes | bytearray) -> None:
-        """What the host writes."""
+        """Take a message of the host."""
         ...
 
     def bulk_in(self, length: int) -> bytes:
-        """What the host gets; empty stands for a time-out."""
+        """Return the next answer; empty for a time-out."""
         ...
 
 
 class InProcessLink(Link):
-    """A device model in this process, by direct calls."""
+    """A link to a device model in this process, by direct calls."""
 
     def __init__(self, device: BulkDevice) -> None:
         self._device: BulkDevice | None = device
 
     def write(self, data: bytes | bytearray) -> None:
-        """Hand one message to the device."""
+        """Pass one message to the device."""
         self._reach().bulk_out(data)
 
     def read(self, length: int) -> bytes:
-        """Next answer of the device."""
+        """Return the device's next answer."""
         data = self._reach().bulk_in(length)
         if not data:
             raise NoAnswerError("the board did not answer: is another program reading from it?")
         return data
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Close the link."""
         self._device = None
 
     def _reach(self) -> BulkDevice:
@@ -117,10 +114,10 @@ class InProcessLink(Link):
 
 
 class SocketLink(Link):
-    """A board's process on this computer, by a local socket that keeps message boundaries.
+    """A link to a mock board's process, by a local socket that keeps message boundaries.
 
-    One host at a time, as with a USB interface: the board's process greets the one that has it and hangs up on all
-    others. Raises BoardError if it is not there or has another host.
+    The board accepts one host at a time, as a USB interface does. Raises BoardError if it is missing or has another
+    host.
     """
 
     def __init__(self, path: str) -> None:
@@ -139,9 +136,9 @@ class SocketLink(Link):
         self._timeout_s = 0.0
         self.timeout_s = PATIENCE_S
 
-    @property  # the kernel has to know it, too
+    @property  # the kernel applies it
     def timeout_s(self) -> float:
-        """How long a call waits for the board, in s."""
+        """Time-out of a call, s."""
         return self._timeout_s
 
     @timeout_s.setter
@@ -149,7 +146,7 @@ class SocketLink(Link):
         if timeout_s == self._timeout_s:
             return
         self._timeout_s = timeout_s
-        # the kernel's own time-outs: Python's would cost a system call more at each end
+        # the kernel's time-outs: Python's would cost one more system call at each end
         timeval = struct.pack("ll", int(timeout_s), round(timeout_s % 1.0 * 1e6))
         for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
             self._socket.setsockopt(socket.SOL_SOCKET, option, timeval)
@@ -170,11 +167,11 @@ class SocketLink(Link):
         except OSError as error:
             raise LinkError(f"the board cannot be reached: {error.strerror}") from error
         if not data:
-            raise LinkError("the board hung up")
+            raise LinkError("the board closed the connection")
         return data
 
     def close(self) -> None:
-        """Hang up; the board may then have another host."""
+        """Close the connection; the board then accepts another host."""
         self._socket.close()
 
     def _read_waiting(self, length: int) -> bytes:

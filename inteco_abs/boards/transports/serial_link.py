@@ -1,4 +1,4 @@
-"""The first RT-DAC/USB's byte stream over a serial port, as the kernel's `ftdi_sio` makes it of the board's chip."""
+"""The byte stream of the first RT-DAC/USB, over the serial port of the kernel's `ftdi_sio`."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from inteco_abs.boards.transports.serial_ports import describe_ports, ftdi_ports
 from inteco_abs.errors import BoardError, LinkError
 
 TIMEOUT_S: Final = 0.010
-"""For a whole answer, and for a write: an exchange should take 2 or 3 ms (three full-speed packets, the last of which
-waits for a latency timer of 1 ms), and a loop that is silent for 50 ms counts as hung."""
+"""Time-out of an answer or a write: an exchange takes 2 or 3 ms (three full-speed packets, the last after a latency
+timer of 1 ms), and a loop that is silent for 50 ms counts as hung."""
 QUIET_S: Final = 0.003
-"""Silence after which nothing more is on its way: the latency timer, a frame of the bus, and a margin."""
+"""Silence after which no byte is on its way: latency timer, frame of the bus, and a margin."""
 _SLOW_TIMEOUT_S: Final = 0.1
-"""With the chip's own latency timer of 16 ms."""
+"""Time-out with the chip's default latency timer of 16 ms."""
 _MOST_S: Final = 0.010
-"""Time for that silence to come in a run; what goes on sending has another master, which reading will tell."""
+"""Longest wait for that silence in a run; after it another master reads or writes."""
 _MOST_AT_FIRST_S: Final = 0.5
-"""The same where a program before this one may have left the buffers full."""
+"""Longest wait at opening, when an earlier program may have left full buffers."""
 _PSEUDO_TERMINALS: Final = "/dev/pts/"
 
 
 class SerialLink(Link):
-    """The board at the serial port `path`. Bytes have no boundaries here: an answer is as many as were asked for.
+    """A link to the board at the serial port `path`, without message boundaries: an answer has the requested length.
 
-    The port keeps pyserial's 9600 baud: the vendor's library sets none, so the chip is a FIFO that has no use for it
-    (INFERRED). The event character 0x3F that the library enables, to hurry some answers, is set where this user may.
-    Raises BoardError if there is no such port, no permission, or if another program has it.
+    The port keeps pyserial's 9600 baud: the vendor's library sets none, so the chip works as a FIFO (INFERRED). The
+    library's event character 0x3F, which hurries some answers, is set if this user may. Raises BoardError for a missing
+    port, no permission, or a port in use.
     """
 
     keeps_boundaries = False
@@ -48,7 +48,7 @@ class SerialLink(Link):
         self._quiet_s = quiet_s
         self._port = _open(path, timeout_s)
         self._slow = quicken(path)
-        if self._slow:  # of no use to a loop, but a rescue must wait for such a chip's answer
+        if self._slow:  # too slow for a loop, but a rescue must wait for its answer
             self.timeout_s = timeout_s
         try:
             self.write(DUMMY)
@@ -57,9 +57,9 @@ class SerialLink(Link):
             raise
         self._drain(_MOST_S)
 
-    @property  # the port has to know it, too
+    @property  # the port applies it
     def timeout_s(self) -> float:
-        """How long a call waits for the board, in s."""
+        """Time-out of a call, s."""
         return self._timeout_s
 
     @timeout_s.setter
@@ -69,11 +69,11 @@ class SerialLink(Link):
         if timeout_s == self._timeout_s:
             return
         self._timeout_s = timeout_s
-        with suppress(OSError, termios.error):  # it may be gone, as the next call says
+        with suppress(OSError, termios.error):  # it may be gone; the next call says so
             self._port.timeout = timeout_s
 
     def prepare(self, length: int) -> None:  # noqa: ARG002  as below
-        """As for any link; raises BoardError if each answer waits for a latency timer that could not be set."""
+        """Drop old answers; raises BoardError if the latency timer is too long and could not be set."""
         if self._slow:
             raise BoardError(self._slow)
         self._drain(_MOST_AT_FIRST_S)
@@ -103,29 +103,29 @@ class SerialLink(Link):
         self.write(bytes(first) + second)
         return self.read(length)
 
-    def discard(self, length: int) -> None:  # noqa: ARG002  nothing tells where answers begin
-        """Drop all that arrives until nothing does for 3 ms, so that the next byte is the first of an answer."""
+    def discard(self, length: int) -> None:  # noqa: ARG002  answers have no boundaries
+        """Drop bytes until none arrives for 3 ms, so that the next byte begins an answer."""
         self._drain(_MOST_S)
 
     def close(self) -> None:
-        """Let go of the port, and of its locks."""
+        """Close the port and release its locks."""
         with suppress(OSError):  # it may be gone
             self._port.close()
 
     def _drain(self, most_s: float) -> None:
         end = time.monotonic() + most_s
-        with suppress(OSError):  # the next exchange will tell
+        with suppress(OSError):  # the next exchange fails
             while time.monotonic() < end and select.select([self._port], [], [], self._quiet_s)[0]:
                 self._port.read(max(1, self._port.in_waiting))
 
 
 def _open(path: str, timeout_s: float) -> Any:
-    """Pyserial's port: raw, and for this program alone. Raises BoardError."""
+    """Open pyserial's port, raw and exclusive. Raises BoardError."""
     port = None
     try:
         port = serial.Serial(path, timeout=timeout_s, write_timeout=timeout_s, exclusive=True)
-        # the lock of `exclusive` keeps out who asks for it; this keeps out all, but a pseudo-terminal would stay
-        # closed for the guardian when this process has died
+        # `exclusive` is advisory; this keeps all programs out, but would close a pseudo-terminal to the guardian after
+        # this process has died
         if not os.path.realpath(path).startswith(_PSEUDO_TERMINALS):
             fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
     except (OSError, termios.error) as error:
@@ -148,7 +148,7 @@ def _why(path: str, error: OSError | termios.error) -> str:
 
 
 def _group(path: str) -> str:
-    number = os.stat(path).st_gid  # noqa: PTH116  the path is the user's word, and pyserial's
+    number = os.stat(path).st_gid  # noqa: PTH116  the user's path, as pyserial takes it
     try:
         return grp.getgrgid(number).gr_name
     except KeyError:
@@ -156,5 +156,5 @@ def _group(path: str) -> str:
 
 
 def _gone(error: OSError) -> LinkError:
-    """Pyserial has several errors for it, most without a number; a port that is there fails with a time-out only."""
+    """Return the error of a lost port; pyserial has several, most without a number."""
     return LinkError(f"the board is gone: check cable and power ({error})")

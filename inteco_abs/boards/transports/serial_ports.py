@@ -13,12 +13,12 @@ from inteco_abs.errors import BoardError
 
 _FTDI: Final = 0x0403
 _EVENT_ENABLED: Final = 0x100
-"""Ninth bit of what the kernel's `ftdi_sio` takes as its attribute event_char."""
+"""Ninth bit of `ftdi_sio`'s attribute event_char."""
 _PORTS: Final = Path("/sys/bus/usb-serial/devices")
 
 
 def only_port() -> str:
-    """Path of the only serial port of an FTDI chip; raises BoardError if there is none or more than one."""
+    """Return the path of the only serial port of an FTDI chip; raises BoardError unless there is exactly one."""
     seen = ftdi_ports()
     if len(seen) == 1:
         return next(iter(seen))
@@ -32,28 +32,28 @@ def only_port() -> str:
 
 
 def ftdi_ports() -> dict[str, str]:
-    """Serial ports of FTDI chips: path, and what else is known of it."""
+    """Return the serial ports of FTDI chips: path and description."""
     found = (port for port in list_ports.comports() if port.vid == _FTDI)
     return {port.device: f"{port.device} ({port.description}, serial number {port.serial_number})" for port in found}
 
 
 def describe_ports(seen: dict[str, str]) -> str:
-    """`ftdi_ports` for a message."""
+    """Describe `ftdi_ports` for a message."""
     return f"seen: {'; '.join(seen.values())}" if seen else f"no serial port with vendor id {_FTDI:04x} is there"
 
 
 def quicken(path: str, ports: Path = _PORTS) -> str:
     """Set the latency timer of an FTDI chip's port to 1 ms and read it back; enable the vendor's event character.
 
-    Empty if that is how it is, or if the port has no such timer; else what is wrong and what to do about it.
+    Returns an empty text on success or without such a timer; else what is wrong and what to do.
     """
     folder = ports / Path(path).resolve().name
     file = folder / "latency_timer"
     if not file.exists():
         return ""
-    with suppress(OSError):  # without the right to write it, the udev rule has set both
+    with suppress(OSError):  # without permission, the udev rule has set both
         file.write_text(f"{LATENCY_TIMER_MS}\n", encoding="ascii")
-    if (event := folder / "event_char").exists():  # not every chip has one, and it can be written only
+    if (event := folder / "event_char").exists():  # not every chip has one; write-only
         with suppress(OSError):
             event.write_text(f"{_EVENT_ENABLED | EVENT_CHARACTER}\n", encoding="ascii")
     try:

@@ -1,4 +1,4 @@
-"""Registers of a board on the PCI bus, by the files that Linux has for every PCI device under /sys."""
+"""Registers of a board on the PCI bus, through the files of Linux under /sys."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _WORDS: Final = {
 
 
 class SysfsRegisters(Registers):
-    """Registers of the RT-DAC4/PCI at `address`, as lspci writes it, or of the only one there is if it is empty.
+    """Registers of the RT-DAC4/PCI at `address`, as lspci writes it, or of the only board if it is empty.
 
-    I/O ports are reached with reads and writes of four bytes, memory with accesses of 32 bits to a mapping. The board
-    belongs to one program at a time: the lock is the kernel's, who releases it when the program ends, however it ends.
+    I/O ports use reads and writes of four bytes, memory uses a mapping. The board belongs to one program at a time; the
+    kernel releases its lock when the program ends.
 
-    `root` is where /sys is. Raises BoardError if there is no such board, more than one, no permission, if the board's
-    registers are switched off or not where they should be, or if another program has it.
+    `root` is /sys. Raises BoardError for no board or several, no permission, registers that are switched off or
+    misplaced, or a board in use.
     """
 
     def __init__(self, address: str = "", root: Path = Path("/sys")) -> None:
@@ -52,7 +52,7 @@ class SysfsRegisters(Registers):
                 raise BoardError(f"{folder / _REGISTERS} cannot be mapped: {_in_words(error)}") from error
 
     def read(self, offset: int) -> int:
-        """The 32 bits at `offset`."""
+        """Read the 32 bits at `offset`."""
         if self._words is not None:
             return int(self._words[offset // REGISTER_BYTES])
         try:
@@ -76,7 +76,7 @@ class SysfsRegisters(Registers):
             raise LinkError(f"register 0x{offset:02X} took {written} bytes, must be {REGISTER_BYTES}: {_GONE}")
 
     def close(self) -> None:
-        """Give the board to whoever wants it next."""
+        """Close the board and release its lock."""
         words, self._words = self._words, None
         if words is not None:
             words.release()
@@ -86,7 +86,7 @@ class SysfsRegisters(Registers):
 
 
 def find_pci_board(address: str, root: Path) -> Path:
-    """Folder of the board at `address`, or of the only board; raises BoardError."""
+    """Return the folder of the board at `address`, or of the only board; raises BoardError."""
     found = pci_boards(root)
     short = address.lower()
     wanted = [folder for folder in found if not short or folder.name in (short, f"0000:{short}")]
@@ -103,14 +103,14 @@ def find_pci_board(address: str, root: Path) -> Path:
 
 
 def pci_boards(root: Path = Path("/sys")) -> list[Path]:
-    """Folders of all boards in this computer."""
+    """Return the folders of all boards in this computer."""
     ids = f"0x{VENDOR_ID:04x}", f"0x{DEVICE_ID:04x}"
     folders = sorted((root / "bus/pci/devices").glob("*"))
     return [folder for folder in folders if (_text(folder / "vendor"), _text(folder / "device")) == ids]
 
 
 def _text(file: Path) -> str:
-    """Content of a small file; empty if it cannot be read."""
+    """Return the content of a small file; empty if it cannot be read."""
     try:
         return file.read_text(encoding="ascii", errors="replace").strip()
     except OSError:
@@ -118,7 +118,7 @@ def _text(file: Path) -> str:
 
 
 def _require_enabled(folder: Path) -> None:
-    """No driver of the kernel's switches this board on; registers that are off read as all ones."""
+    """Raise BoardError if the board is off: no kernel driver enables it, and its registers read as all ones."""
     if _text(folder / "enable") == "0":
         raise BoardError(
             f"the board at {folder.name} is switched off: echo 1 | sudo tee {folder / 'enable'}, or install the udev "
@@ -127,9 +127,9 @@ def _require_enabled(folder: Path) -> None:
 
 
 def _in_memory(folder: Path) -> bool:
-    """Whether the register range is memory of the bus, not I/O ports.
+    """Return whether the register range is memory, not I/O ports.
 
-    Goes by its line in `resource`: first address, last address, flags. Raises BoardError if there is no such range.
+    Reads its line in `resource`: first address, last address, flags. Raises BoardError without a usable range.
     """
     lines = _text(folder / "resource").splitlines()
     try:
@@ -152,7 +152,7 @@ def _in_memory(folder: Path) -> bool:
 
 
 def _own(file: Path) -> int:
-    """File descriptor of the registers, locked; raises BoardError."""
+    """Open and lock the registers; raises BoardError."""
     try:
         fd = os.open(file, os.O_RDWR | os.O_CLOEXEC)
     except FileNotFoundError as error:
@@ -171,8 +171,8 @@ def _own(file: Path) -> int:
 
 
 def _mapped(fd: int) -> memoryview:
-    """The registers as words of 32 bits."""
-    # items of this view are read and written as one access of 32 bits each, which slices are not
+    """Map the registers as words of 32 bits."""
+    # an item of this view is one access of 32 bits; a slice is not
     return memoryview(mmap.mmap(fd, BAR_BYTES)).cast("I")
 
 

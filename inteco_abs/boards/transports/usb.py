@@ -1,7 +1,7 @@
-"""USB bulk transfers over pyusb: finds the RT-DAC/USB2 board, claims it, carries its messages.
+"""USB bulk transfers over pyusb: finds the RT-DAC/USB2, claims it, and carries its messages.
 
-Endpoints 0x06 and 0x88 program the FPGA over JTAG: nothing here moves data over them. When a board is opened their
-pipes are reset with the other two, as the vendor's software does it.
+Endpoints 0x06 and 0x88 program the FPGA over JTAG and carry no data here. Opening a board resets all four pipes, as the
+vendor's software does.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from inteco_abs.config import UsbConfig
 from inteco_abs.errors import BoardError, LinkError
 
 INTERFACE: Final = 0
-"""The board's only one."""
+"""The board's only interface."""
 ENDPOINTS: Final = (ENDPOINT_OUT, ENDPOINT_IN, ENDPOINT_JTAG_OUT, ENDPOINT_JTAG_IN)
-"""What every RT-DAC/USB2 has; the vendor's software refuses a device without one of them."""
+"""Endpoints of every RT-DAC/USB2; the vendor's software refuses a device without them."""
 ONE_BY_ONE: Final = "one-by-one"
 _HUB_CLASS: Final = 9
 _DEVICES: Final = Path("/sys/bus/usb/devices")
@@ -42,10 +42,10 @@ class UsbMatch(NamedTuple):
     manufacturer: str
     serial: str
     denied: bool
-    """It could not be read, for want of permission."""
+    """Whether it could not be read without permission."""
 
     def of(self, ids: UsbConfig) -> bool:
-        """Whether the board's maker has made it."""
+        """Return whether the board's maker has made it."""
         return ids.manufacturer.lower() in self.manufacturer.lower()
 
     def __str__(self) -> str:
@@ -54,11 +54,10 @@ class UsbMatch(NamedTuple):
 
 
 class UsbLink(Link):
-    """The board with decimal serial number `serial`, or the only one there is if it is empty.
+    """A link to the board with decimal serial number `serial`, or to the only board if it is empty.
 
-    `backend` is pyusb's, for tests; `timeout_ms` is for each transfer. A kernel driver that holds the board is
-    detached, and the log says so. Raises BoardError if there is no such board, more than one, no permission, if another
-    program has it, or if it has not the endpoints of an RT-DAC/USB2.
+    `backend` is pyusb's, for tests; `timeout_ms` is for each transfer. Detaches and logs a kernel driver that holds the
+    board. Raises BoardError for no board or several, no permission, a board in use, or missing endpoints.
     """
 
     engine = ONE_BY_ONE
@@ -77,7 +76,7 @@ class UsbLink(Link):
 
     @property  # libusb counts in whole milliseconds
     def timeout_s(self) -> float:
-        """How long each transfer waits for the board, in s."""
+        """Time-out of each transfer, s."""
         return self._timeout_ms * 1e-3
 
     @timeout_s.setter
@@ -85,21 +84,21 @@ class UsbLink(Link):
         self._timeout_ms = max(AT_ONCE_MS, math.ceil(round(timeout_s * 1e3, 6)))
 
     def prepare(self, length: int) -> None:
-        """Begin as the vendor's software does: reset all pipes, so that none is left halted, and drop old answers."""
-        with suppress(LinkError):  # a pipe that matters and does not recover fails in the first reading, and says why
+        """Reset all pipes, as the vendor's software does, and drop old answers."""
+        with suppress(LinkError):  # a pipe that does not recover fails in the first reading
             self._reset(ENDPOINTS)
         super().prepare(length)
 
     def write(self, data: bytes | bytearray) -> None:
         """Send one message."""
-        if self._stalled:  # a stalled endpoint stays so until it is told otherwise
+        if self._stalled:  # an endpoint stays stalled until it is reset
             self._reset((ENDPOINT_OUT, ENDPOINT_IN))
             self._stalled = False
         try:
             sent = self._write(ENDPOINT_OUT, data, self._timeout_ms)
         except usb.core.USBError as error:
             raise self._failed(error) from error
-        if sent != len(data):  # pyusb tells a time-out in the middle by the count
+        if sent != len(data):  # pyusb reports a time-out in the middle by the count
             raise LinkError(f"the board took {sent} of {len(data)} bytes in {self._timeout_ms} ms: check the cable")
 
     def read(self, length: int) -> bytes:
@@ -107,7 +106,7 @@ class UsbLink(Link):
         return self._receive(length, self._timeout_ms)
 
     def close(self) -> None:
-        """Give the interface back."""
+        """Release the interface."""
         with suppress(usb.core.USBError):  # it may be gone
             usb.util.dispose_resources(self._device)
 
@@ -136,10 +135,9 @@ class UsbLink(Link):
 
 
 def usb_boards(ids: UsbConfig, backend: Any = None) -> Iterator[UsbMatch]:
-    """Devices that may be the board: of its maker, or of an id that is configured or the bridge's own.
+    """Yield devices that may be the board: by the maker's name, or by the configured id or the bridge's own.
 
-    The vendor's software knows the board by its maker's name alone, so does this, upper and lower case aside. Raises
-    BoardError where this computer has no libusb.
+    The vendor's software goes by the maker's name alone; case does not matter here. Raises BoardError without libusb.
     """
     try:
         found = list(usb.core.find(find_all=True, backend=backend))
@@ -156,18 +154,18 @@ def usb_boards(ids: UsbConfig, backend: Any = None) -> Iterator[UsbMatch]:
 
 
 def _seen(device: Any, ids: UsbConfig) -> UsbMatch:
-    """What can be read of the device; what is not a board's according to the kernel is not disturbed."""
-    made_by = _kernels_word(device, "manufacturer")
+    """Read the device's strings; devices of another maker according to the kernel are not opened."""
+    made_by = _kernel_string(device, "manufacturer")
     if made_by and ids.manufacturer.lower() not in made_by.lower():
-        return UsbMatch(device, made_by, _kernels_word(device, "serial"), denied=False)
+        return UsbMatch(device, made_by, _kernel_string(device, "serial"), denied=False)
     try:
         return UsbMatch(device, str(device.manufacturer), str(device.serial_number), denied=False)
     except (ValueError, usb.core.USBError):  # pyusb: a device that cannot be opened "has no langid"
         return UsbMatch(device, made_by, "", denied=True)
 
 
-def _kernels_word(device: Any, name: str) -> str:
-    """What the kernel has read of the device when it was plugged in; empty where that is not known."""
+def _kernel_string(device: Any, name: str) -> str:
+    """Return a string that the kernel has read from the device; empty if not known."""
     place = f"{device.bus}-{'.'.join(map(str, device.port_numbers or ()))}"
     try:
         return (_DEVICES / place / name).read_text(encoding="utf-8", errors="replace").strip()
@@ -176,10 +174,7 @@ def _kernels_word(device: Any, name: str) -> str:
 
 
 def find_usb_board(serial: str, ids: UsbConfig, backend: Any = None) -> Any:
-    """Pyusb's device of the one board with that serial number, or of the only board, free of kernel drivers.
-
-    Raises BoardError.
-    """
+    """Return pyusb's device of the board, or of the only one, without kernel drivers; raises BoardError."""
     seen = list(usb_boards(ids, backend))
     found = [one for one in seen if one.of(ids) and not one.denied and (not serial or _same(one.serial, serial))]
     if len(found) == 1:
@@ -188,7 +183,7 @@ def find_usb_board(serial: str, ids: UsbConfig, backend: Any = None) -> Any:
         _free(device)
         return device
     named = f" with serial number {serial}" if serial else ""
-    there = "Seen: " + ("; ".join(map(str, seen)) or "nothing like it")
+    there = "Seen: " + ("; ".join(map(str, seen)) or "no similar device")
     if found:
         raise BoardError(f"{len(found)} boards{named}: name one, as in usb2:{found[0].serial}. {there}")
     if any(one.denied for one in seen):
@@ -197,7 +192,7 @@ def find_usb_board(serial: str, ids: UsbConfig, backend: Any = None) -> Any:
 
 
 def _looked_for(ids: UsbConfig) -> str:
-    """In words, with the settings that say so."""
+    """Describe the wanted device with the settings for it."""
     words = f"whose maker is {ids.manufacturer!r} (usb.manufacturer)"
     for name in ("vendor_id", "product_id"):
         number = getattr(ids, name)
@@ -206,7 +201,7 @@ def _looked_for(ids: UsbConfig) -> str:
 
 
 def _require_endpoints(device: Any) -> None:
-    """Raise BoardError for a device that has not the four endpoints of the board in its first setting."""
+    """Raise BoardError for a device without the board's four endpoints in its first setting."""
     there = {endpoint.bEndpointAddress for endpoint in device[0][INTERFACE, 0]}
     missing = [f"0x{address:02x}" for address in ENDPOINTS if address not in there]
     if missing:
@@ -218,14 +213,14 @@ def _require_endpoints(device: Any) -> None:
 
 
 def _same(serial: str, wanted: str) -> bool:
-    """The vendor's software compares serial numbers as decimal integers."""
+    """Compare serial numbers as decimal integers, as the vendor's software does."""
     return serial.isdecimal() and int(serial) == int(wanted)
 
 
 def _free(device: Any) -> None:
-    """Detach the kernel driver that holds the board; Linux' usbtest, for one, takes any bridge with Cypress' own ids.
+    """Detach a kernel driver that holds the board, such as usbtest, which takes any bridge with Cypress' ids.
 
-    It stays detached until the board is plugged in again. Raises BoardError if it cannot be.
+    It stays detached until the board is plugged in again. Raises BoardError on failure.
     """
     try:
         if not device.is_kernel_driver_active(INTERFACE):

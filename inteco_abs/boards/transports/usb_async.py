@@ -1,7 +1,6 @@
 """USB bulk transfers with all three of a tick in flight at once: libusb's asynchronous calls, over python-libusb1.
 
-One after the other, each transfer of a tick waits for the bus before the next is handed over; queued, the host
-controller has them all and the tick waits once: docs/real-time.md has what that is worth.
+A tick waits for the bus once instead of three times; docs/real-time.md has the figures.
 """
 
 from __future__ import annotations
@@ -23,8 +22,9 @@ from inteco_abs.errors import BoardError, LinkError
 
 QUEUED: Final = "queued"
 _AT_ONCE_S: Final = 0.00025
-"""Two microframes of 125 us: what has arrived is handed over within them."""
+"""Two microframes of 125 us, within which the bus delivers what has arrived."""
 _CANCEL_S: Final = 0.1
+_STUCK: Final = f"the bus has not returned a cancelled transfer within {_CANCEL_S * 1e3:g} ms: plug the board in again"
 
 _STATUS: Final = {
     usb1.TRANSFER_ERROR: errno.EIO,
@@ -34,7 +34,7 @@ _STATUS: Final = {
     usb1.TRANSFER_NO_DEVICE: errno.ENODEV,
     usb1.TRANSFER_OVERFLOW: errno.EOVERFLOW,
 }
-"""How a transfer ended, as pyusb would number it."""
+"""Errno of a transfer's end, as pyusb gives it."""
 _REFUSED: Final = {
     usb1.ERROR_IO: errno.EIO,
     usb1.ERROR_ACCESS: errno.EACCES,
@@ -44,14 +44,13 @@ _REFUSED: Final = {
     usb1.ERROR_PIPE: errno.EPIPE,
     usb1.ERROR_OVERFLOW: errno.EOVERFLOW,
 }
-"""Why libusb refused a call, likewise."""
+"""Errno of a call that libusb refused, likewise."""
 
 
 class QueuedUsbLink(Link):
-    """The same board as `usb.UsbLink` opens, under the same conditions; raises BoardError as it does.
+    """A link to the board that queues transfers; opens it and raises BoardError as `usb.UsbLink` does.
 
-    A call waits `timeout_s` for all of its transfers together, exact to some 50 us: libusb's own time-outs are whole
-    milliseconds, two periods of the loop.
+    A call waits `timeout_s` for all its transfers together, exact to some 50 us; libusb's time-outs are whole ms.
     """
 
     engines: tuple[str, ...] = (QUEUED, ONE_BY_ONE)
@@ -73,10 +72,11 @@ class QueuedUsbLink(Link):
         self._first, self._second, self._answer = (handle.getTransfer() for _ in range(3))
         watched = context.getPollFDList()
         self._readable = [fd for fd, events in watched if events & select.POLLIN]
-        self._writable = [fd for fd, events in watched if events & select.POLLOUT]  # of usbfs: one has ended
+        self._writable = [fd for fd, events in watched if events & select.POLLOUT]  # of usbfs: a transfer has ended
         self.timeout_s = timeout_s
         self.engine = QUEUED
         self._stalled = False
+        self._stuck = False  # whether a cancelled transfer has not come back
 
     def write(self, data: bytes | bytearray) -> None:
         """Send one message."""
@@ -89,7 +89,7 @@ class QueuedUsbLink(Link):
         return self._receive(length, self.timeout_s)
 
     def exchange(self, first: bytes | bytearray, second: bytes, length: int) -> bytes:
-        """Send two messages and receive one; queued, all are handed over before the first is through."""
+        """Send two messages and receive one; the queued engine submits all before the first is done."""
         if self.engine != QUEUED:
             return super().exchange(first, second, length)
         self._recover()
@@ -100,13 +100,13 @@ class QueuedUsbLink(Link):
         return bytes(self._answer.getBuffer()[: self._answer.getActualLength()])
 
     def prepare(self, length: int) -> None:
-        """Begin as the vendor's software does: reset all pipes, so that none is left halted, and drop old answers."""
-        with suppress(LinkError):  # a pipe that matters and does not recover fails in the first reading, and says why
+        """Reset all pipes, as the vendor's software does, and drop old answers."""
+        with suppress(LinkError):  # a pipe that does not recover fails in the first reading
             self._reset(ENDPOINTS)
         super().prepare(length)
 
     def close(self) -> None:
-        """Give the interface back; may be called twice."""
+        """Release the interface; may be called twice."""
         with suppress(usb1.USBError):  # it may be gone
             self._handle.releaseInterface(INTERFACE)
         with suppress(usb1.USBError):
@@ -123,21 +123,24 @@ class QueuedUsbLink(Link):
         return self._receive(length, _AT_ONCE_S)
 
     def _receive(self, length: int, timeout_s: float) -> bytes:
+        self._require_returned()
         self._answer.setBulk(ENDPOINT_IN, length)
         self._finish(timeout_s, self._answer)
         return bytes(self._answer.getBuffer()[: self._answer.getActualLength()])
 
     def _finish(self, timeout_s: float, *transfers: Any) -> None:
-        """Submit the transfers in order and wait for all; raises LinkError with what the first failure means."""
+        """Submit the transfers in order and wait for all; raises LinkError for the first failure."""
         try:
             for transfer in transfers:
                 transfer.submit()
             self._wait(time.monotonic() + timeout_s, transfers)
         except BaseException as error:
-            self._cancel(transfers)  # also after Ctrl-C: what leaves SAFE behind needs them again
+            self._cancel(transfers)  # also after Ctrl-C: writing SAFE needs them again
             if isinstance(error, usb1.USBError):
                 raise LinkError(_in_words(error)) from error
             raise
+        if self._stuck:
+            raise LinkError(_STUCK)
         for transfer in transfers:
             status = transfer.getStatus()
             if status != usb1.TRANSFER_COMPLETED:
@@ -145,7 +148,7 @@ class QueuedUsbLink(Link):
                 raise failure(_STATUS.get(status), f"status {status}", timeout_s * 1e3)
 
     def _wait(self, end_s: float, transfers: tuple[Any, ...]) -> None:
-        """Until all are through; what is not at `end_s` is called back."""
+        """Wait until all have ended; cancel the rest at `end_s`."""
         while any(transfer.isSubmitted() for transfer in transfers):
             left_s = end_s - time.monotonic()
             if left_s <= 0.0:
@@ -155,7 +158,7 @@ class QueuedUsbLink(Link):
             self._context.handleEventsTimeout(0)
 
     def _cancel(self, transfers: tuple[Any, ...]) -> None:
-        """Call back what is still under way: its memory must not be used again before it has come back."""
+        """Cancel the transfers, and wait until the bus returns their memory."""
         for transfer in transfers:
             with suppress(usb1.USBError):
                 transfer.cancel()
@@ -163,9 +166,18 @@ class QueuedUsbLink(Link):
         while any(transfer.isSubmitted() for transfer in transfers) and time.monotonic() < end:
             with suppress(usb1.USBError):
                 self._context.handleEventsTimeout(0.001)
+        self._stuck = any(transfer.isSubmitted() for transfer in transfers)
+
+    def _require_returned(self) -> None:
+        """Raise LinkError while a cancelled transfer has not come back: its memory must not be used again."""
+        if self._stuck:
+            self._cancel((self._first, self._second, self._answer))
+            if self._stuck:
+                raise LinkError(_STUCK)
 
     def _recover(self) -> None:
-        """A stalled endpoint stays so until it is told otherwise."""
+        """Reset stalled endpoints, which stay stalled otherwise."""
+        self._require_returned()
         if self._stalled:
             self._reset((ENDPOINT_OUT, ENDPOINT_IN))
             self._stalled = False

@@ -1,4 +1,4 @@
-"""What errors of the USB mean to the person at the rig: one text for each cause, whoever moved the transfer."""
+"""Texts for USB errors, one for each cause and both libraries."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from inteco_abs.errors import LinkError, NoAnswerError
 
 TIMEOUT_MS: Final = round(PATIENCE_S * 1e3)
 AT_ONCE_MS: Final = 1
-"""The least that libusb's own time-outs can be: they are whole milliseconds."""
+"""Shortest time-out of libusb, which counts whole milliseconds."""
 RULES: Final = (
     "inteco-abs doctor --rules prints the udev rule that opens the board to whoever sits at the computer and to the "
     "group of serial ports (sudo usermod -aG dialout $USER, then log in again); then plug the board in again"
@@ -27,14 +27,14 @@ _WORDS: Final = {
 """By errno, as pyusb gives it (docs/facts/usb.md#errors)."""
 
 
-def failure(number: int | None, told: object, timeout_ms: float = TIMEOUT_MS) -> LinkError:
-    """Error of a transfer that ended with the errno `number`; the arguments are those of `describe_usb_error`."""
+def failure(number: int | None, text: object, timeout_ms: float = TIMEOUT_MS) -> LinkError:
+    """Return the error of a transfer that ended with errno `number`; for the arguments see `describe_usb_error`."""
     kind = NoAnswerError if number == errno.ETIMEDOUT else LinkError
-    return kind(describe_usb_error(number, told, timeout_ms))
+    return kind(describe_usb_error(number, text, timeout_ms))
 
 
-def describe_usb_error(number: int | None, told: object, timeout_ms: float = TIMEOUT_MS) -> str:
-    """Text for the errno `number`; `told` is what the library says, for what has no text here."""
+def describe_usb_error(number: int | None, text: object, timeout_ms: float = TIMEOUT_MS) -> str:
+    """Return the text for errno `number`; `text` is the library's, for errors without one here."""
     if number == errno.ETIMEDOUT:
         return f"the board did not answer within {timeout_ms:g} ms: check its cable and power"
-    return _WORDS.get(number or 0, f"the transfer failed: {told}")
+    return _WORDS.get(number or 0, f"the transfer failed: {text}")

@@ -1,4 +1,4 @@
-"""Which of the two ways to move a tick's transfers over USB a board is opened with."""
+"""Chooses between the two ways to move a tick's transfers over USB."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _LOG: Final = logging.getLogger(__name__)
 
 
 def open_usb(serial: str, ids: UsbConfig) -> Link:
-    """Link to the board with decimal serial number `serial`, or to the only one; raises BoardError.
+    """Return a link to the board with decimal serial number `serial`, or to the only one; raises BoardError.
 
-    Its engine is the configured one. With `faster` it queues, and whoever times whole exchanges may choose another of
-    its `engines`; without the package libusb1 there is none to choose.
+    Its engine is the configured one. With `faster` it queues, and a measurement may choose another of its `engines`;
+    without the package libusb1 there is only one.
     """
     if ids.engine == ONE_BY_ONE:
         return UsbLink(serial, ids)

@@ -42,6 +42,6 @@ FAMILY: Final = BoardFamily(
     unused_wiring=frozenset({"frame_map", "pwm_pins", "pwm_functions"}),
     read_costs_little=True,
     velocity="road_velocity",
-    reading_caution="a board on the PCI bus is told in two of its registers which channel is read: the only writes, "
-    "but no time for them while another program drives it",
+    reading_caution="reading a board on the PCI bus selects channels in two registers: the only writes, but do not "
+    "read it while another program drives it",
 )

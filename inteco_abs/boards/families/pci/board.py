@@ -1,4 +1,4 @@
-"""RT-DAC4/PCI with the ABS logic: pairs of index and data register, a dozen of accesses in each tick."""
+"""Driver of the RT-DAC4/PCI with the ABS logic: pairs of index and data registers, a dozen accesses a tick."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, LinkError
 from inteco_abs.signals import Command
 
 _FIELD_NAMES: Final = {pci.PWM_MODE: "mode", pci.PWM_PRESCALER: "prescaler", PWM_WIDTH: "width"}
-_NOBODY: Final = 0xFFFF_FFFF
-"""What a bus reads where no board answers."""
+_NO_BOARD: Final = 0xFFFF_FFFF
+"""Reading of a bus where no board answers."""
 _RELIED_ON: Final = (
     *(LOGIC, pci.PWM_INDEX, pci.PWM_MODE, pci.PWM_PRESCALER, PWM_WIDTH),
     *(pci.ENCODER_INDEX, pci.ENCODER_RESET, ENCODER_COUNT),
@@ -39,16 +39,15 @@ _SHOWN: Final = {"supply": pci.SUPPLY, "temperature": pci.TEMPERATURE_HIGH, "vel
 
 
 class RtdacPci(Board):
-    """The board behind `registers`, wired as `wiring` says; see `Board` for what it promises.
+    """Driver of the board behind `registers` with this wiring; see `Board` for its guarantees.
 
-    A tick writes both widths, the one that falls first, so that a failure in between leaves less power; right before
-    it writes one it reads what was there, which tells whether another program has written since the tick before, or
-    the board was reset. Then it reads
-    the logic's version, which tells whether this is still the board; both widths, each selected anew, which tells
-    whether another program has moved the index between two accesses; and both counters. These readings cost about as
-    much as the rest, some microseconds, and also make sure that the writes have arrived: a bus may post them.
+    A tick writes both widths, the falling one first, so that a failure in between leaves less power. Before each write
+    it reads the old width, which detects another program's write or a reset. Then it reads the logic's version, which
+    detects another board; both widths, each selected again, which detects an index moved by another program; and both
+    counters. These readings take some microseconds, about as much as the rest, and prove that the writes have arrived:
+    a bus may post them.
 
-    Whether the index registers can be read is not known, so nothing rests on it.
+    Nothing rests on reading the index registers, since it is not known whether they can be read.
 
     Raises ConfigError for a wiring that the logic has no channels for.
     """
@@ -64,28 +63,25 @@ class RtdacPci(Board):
         self._off: tuple[Write, ...] = tuple(write for channel in self._outputs for write in _width(channel, 0))
         self._reset = 0
         self._before = (0, 0)
-        self._written = True  # whether the board must still have them: not after an exchange that failed half-way
+        self._written = True  # whether the board must still have them: not after a partial exchange
         self._echo = (LOGIC.offset, *(step for channel in self._outputs for step in _read(PWM_WIDTH, channel)))
         encoders = (wiring.wheel_encoder, wiring.road_encoder)
         self._look = (*self._echo, *(step for channel in encoders for step in _read(ENCODER_COUNT, channel)))
 
     def identify(self) -> Identity:
-        """Read the version; nothing is written, unless the board is this logic and must not be driven.
-
-        Then its PWM widths are looked at, for which the channel has to be written to the index register.
-        """
+        """Read the version. If the board has this logic and must not be driven, select and read its PWM widths too."""
         version = self._own_version(self._registers.read(LOGIC.offset))
         because = read_only_reason(self._wiring, version, None, _RELIED_ON)
         if version != pci.LOGIC_VERSION:
             own = f"this driver knows the registers of logic 0x{pci.LOGIC_VERSION:04X} only"
             because = f"{because}; {own}" if because else f"the board has logic 0x{version:04X}, and {own}"
-            because += f". Whether its PWM outputs are zero cannot be told. {STILL_ON}"
+            because += f". Whether its PWM outputs are zero is not known. {STILL_ON}"
         elif because and self._outputs_on():
             because += f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}"
         return Identity(version, "", "", because)
 
     def survey(self, names: Collection[str] = ()) -> BoardReading:
-        """Read the board once: the named fields, or all; writes nothing but which channel is asked for."""
+        """Read the named fields, or all, once; writes nothing but the channel selection."""
         unknown = [name for name in names if name not in _FIELDS]
         if unknown:
             raise BoardError(f"{ABS.title} has no field {', '.join(unknown)}")
@@ -96,10 +92,7 @@ class RtdacPci(Board):
         return BoardReading(values, b"".join(bits.to_bytes(4, "little") for bits in raw))
 
     def readings(self) -> list[Reading]:
-        """What the board measures and its limits, in shop units; some twenty accesses, so not for use in a tick.
-
-        Raises BoardError on a board with another logic, whose registers mean something else.
-        """
+        """Return measurements and limits in shop units; twenty accesses, too slow for a tick. Raises BoardError."""
         self._require_logic()
         registers = [*_SHOWN.values(), pci.TEMPERATURE_LOW]
         raw = {offset: self._registers.read(offset) for offset in sorted({one.offset for one in registers})}
@@ -109,13 +102,13 @@ class RtdacPci(Board):
         ]
 
     def _require_logic(self) -> None:
-        """Nothing may be written to another logic, not even which channel is asked for."""
+        """Raise BoardError for another logic, to which not even a channel selection may be written."""
         version = self._own_version(self._registers.read(LOGIC.offset))
         if version != pci.LOGIC_VERSION:
-            raise BoardError(f"the board has logic 0x{version:04X}: what its registers are is not known")
+            raise BoardError(f"the board has logic 0x{version:04X}: its registers are not known")
 
     def _own_version(self, raw: int) -> int:
-        if raw == _NOBODY:
+        if raw == _NO_BOARD:
             raise LinkError(
                 "no board answers, all bits read 1: is it in its slot and switched on? inteco-abs doctor tells more"
             )
@@ -131,7 +124,7 @@ class RtdacPci(Board):
         return found & ~(1 << self._wiring.wheel_encoder | 1 << self._wiring.road_encoder)
 
     def first_write(self) -> list[PlannedWord]:
-        """Registers that entering changes; which channel is asked for is written to the index registers."""
+        """Return the registers that entering changes; writes only channel selections."""
         settings = (*self._pwm_settings(), (PWM_WIDTH, 0))
         planned = {
             f"pwm{channel}_{_FIELD_NAMES[register]}": value for channel in self._outputs for register, value in settings
@@ -193,7 +186,7 @@ class RtdacPci(Board):
         return counts
 
     def _write_safe(self) -> None:
-        """Both widths zero, the second even if the first cannot be written; then read them back."""
+        """Write both widths zero, the second even if the first fails; then read them back."""
         failure: LinkError | None = None
         self._before, self._written = (0, 0), False
         for at in range(0, len(self._off), 2):
@@ -207,7 +200,7 @@ class RtdacPci(Board):
         self._written = True
 
     def _counts(self, values: Sequence[int], drive: int, brake: int) -> tuple[int, int]:
-        """Counters of wheel and road, from the answer to `_look`."""
+        """Return the counters of wheel and road from the answer to `_look`."""
         self._check(values, drive, brake)
         *_, wheel, road = values
         wiring = self._wiring
@@ -227,7 +220,7 @@ class RtdacPci(Board):
 
 
 def _fields() -> dict[str, tuple[Register, int | None]]:
-    """What a survey may ask for, by the names that the fields have on every board."""
+    """Return the registers for `survey` by the field names of all boards."""
     return {
         LOGIC.name: (LOGIC, None),
         **{f"pwm{i}_{name}": (register, i) for i in range(pci.PWM_CHANNELS) for register, name in _FIELD_NAMES.items()},
@@ -240,10 +233,7 @@ _FIELDS: Final = _fields()
 
 
 def registers_of(image: bytes) -> Iterator[tuple[str, Register, int | None, int]]:
-    """Name, register, channel and bits of everything in an image, as `survey` without names makes one.
-
-    Raises ValueError for an image of another length.
-    """
+    """Yield name, register, channel and bits of a full `survey` image; raises ValueError for another length."""
     if len(image) != REGISTER_BYTES * len(_FIELDS):
         raise ValueError(f"an image of {len(image)} bytes: {ABS.title} has {REGISTER_BYTES * len(_FIELDS)}")
     for (name, (register, channel)), (bits,) in zip(_FIELDS.items(), Struct("<I").iter_unpack(image), strict=True):
@@ -255,7 +245,7 @@ def _width(channel: int, width: int) -> tuple[Write, Write]:
 
 
 def _exchanged(channel: int, width: int) -> tuple[RegisterAccess, ...]:
-    """What there was, and `width` in its place."""
+    """Return the accesses that read the old width and write `width`."""
     select, write = _width(channel, width)
     return select, PWM_WIDTH.offset, write
 
@@ -302,5 +292,5 @@ def _require_channels(wiring: BoardConfig) -> None:
 
 
 def _channels(count: int) -> str:
-    # its registers are read one by one, in the very tick: no answer can be an old one
+    # its registers are read within the tick, so no answer can be old
     return f"channels 0..{count - 1}" if count else "no frames and no known digital pins; leave it out"

@@ -1,4 +1,4 @@
-"""RT-DAC4/PCI as this computer lists it, and whether this user may use its registers. Asks no board anything."""
+"""Lists RT-DAC4/PCI boards, and checks this user's access to their registers, without opening one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from inteco_abs.host import (
 )
 
 _HEADER_BYTES: Final = 64
-"""Of the configuration space, what every user may read."""
+"""Bytes of the configuration space that every user may read."""
 
 
 def _boards(computer: Computer) -> list[str]:
@@ -52,7 +52,7 @@ def _pci_access(computer: Computer, folder: str) -> Judgement:
 
 
 def _pci_registers(computer: Computer, folder: str) -> Judgement:
-    """The kernel counts who has switched a device on; firmware may have done so uncounted, which is not relied upon."""
+    """Check the kernel's count of enables; the firmware may have enabled the device uncounted."""
     file = f"{folder}/enable"
     if computer.text(file) != "0":
         return green("switched on")

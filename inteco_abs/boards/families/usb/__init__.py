@@ -31,7 +31,7 @@ def _protocol(version: int, logic: Logic) -> BoardProtocol:
 
 
 def _transport(path: str, _: RigConfig) -> Link:
-    from inteco_abs.boards.transports.serial_link import SerialLink  # noqa: PLC0415  who has no such board needs no pyserial
+    from inteco_abs.boards.transports.serial_link import SerialLink  # noqa: PLC0415  loads pyserial
     from inteco_abs.boards.transports.serial_ports import only_port  # noqa: PLC0415  likewise
 
     return SerialLink(path or only_port())

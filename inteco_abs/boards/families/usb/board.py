@@ -1,6 +1,6 @@
-"""RT-DAC/USB, first generation: frames of 150 bytes through a FIFO, whose logics 0x0111 and 0x0112 are known.
+"""Driver of the first RT-DAC/USB: frames of 150 bytes through a FIFO, for logics 0x0111 and 0x0112.
 
-Far from 2 kHz: each answer waits in the bridge's FIFO for its latency timer, so a tick takes some milliseconds.
+A tick takes some milliseconds, as each answer waits in the bridge's FIFO for its latency timer.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LAYOUTS: Final = {version: _layout(logic) for version, logic in LOGICS.items()}
 
 
 class RtdacUsb(FrameBoard):
-    """An RT-DAC/USB with the logic that the profile names."""
+    """Driver of an RT-DAC/USB with the profile's logic."""
 
     def _layout_of(self, wiring: BoardConfig) -> FrameLayout:
         layout = LAYOUTS.get(wiring.logic_version)

@@ -1,4 +1,4 @@
-"""RT-DAC/USB as this computer lists it: any serial port behind an FTDI chip may be one. Asks no board anything."""
+"""Lists serial ports that may be an RT-DAC/USB, and checks their latency, without opening one."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ _LEAST_LATENCY_MS: Final = 1
 
 
 def _found(computer: Computer, _: RigConfig, path: str) -> list[FoundBoard]:
-    """Serial ports behind USB chips: the first RT-DAC/USB looks like any of them."""
+    """List serial ports behind USB chips; the first RT-DAC/USB looks like any of them."""
     found = []
     for port in computer.matching(_PORTS):
         device = str((computer.root / port).resolve().parent.parent)  # port -> interface -> device
-        words, told = usb_description(computer, device), usb_strings(computer, device)
-        found.append(FoundBoard(f"usb:/dev/{last_part(port)}", words, told))
+        description, strings = usb_description(computer, device), usb_strings(computer, device)
+        found.append(FoundBoard(f"usb:/dev/{last_part(port)}", description, strings))
     if not path:
         return found
     named = Path(path).resolve()
     if not named.is_char_device():
         return []
     chosen = [one for one in found if Path(one.address.removeprefix("usb:")) == named]
-    return chosen or [FoundBoard(f"usb:{path}", "a serial port that is behind no USB chip")]
+    return chosen or [FoundBoard(f"usb:{path}", "a serial port that is not behind a USB chip")]
 
 
 def _ftdi_ports(computer: Computer) -> list[str]:
-    """Serial ports of FTDI chips: the first RT-DAC/USB looks like any of them."""
+    """List serial ports of FTDI chips."""
     ports = computer.matching("sys/bus/usb-serial/devices/ttyUSB*")
     return [port for port in ports if computer.text_or(f"{port}/latency_timer", "")]
 

@@ -40,7 +40,7 @@ def _protocol(logic: Logic) -> BoardProtocol:
 
 
 def _transport(serial: str, config: RigConfig) -> Link:
-    from inteco_abs.boards.transports.usb_transport import open_usb  # noqa: PLC0415  who has no such board needs no libusb
+    from inteco_abs.boards.transports.usb_transport import open_usb  # noqa: PLC0415  loads pyusb
 
     return open_usb(serial, config.usb)
 

@@ -1,4 +1,4 @@
-"""RT-DAC/USB2: SEND, READ request and READ answer, one after the other in each tick."""
+"""Driver of the RT-DAC/USB2: a tick is SEND, READ request and READ answer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LAYOUTS: Final = {name: _layout(logic) for name, logic in LOGICS.items()}
 
 
 class RtdacUsb2(FrameBoard):
-    """An RT-DAC/USB2 with the frames of the logic that the profile names."""
+    """Driver of an RT-DAC/USB2 with the frames of the profile's logic."""
 
     def _layout_of(self, wiring: BoardConfig) -> FrameLayout:
         return LAYOUTS[wiring.frame_map]

@@ -1,7 +1,7 @@
-"""What the USB bridge of an RT-DAC/USB2 does besides carrying frames: tells its firmware's dates, lights an LED.
+"""Vendor requests to the USB bridge of an RT-DAC/USB2: dates of its firmware, and an LED.
 
-Requests to endpoint 0 only: they need no claim, reach neither the FPGA nor an output, and may be made while another
-program drives the board. Source: docs/facts/boards.md#vendor-requests. `device` is pyusb's, as `usb.boards` finds it.
+They use endpoint 0 only, need no claim, reach neither the FPGA nor an output, and are allowed while another program
+drives the board. Source: docs/facts/boards.md#vendor-requests. `device` is pyusb's, from `usb_boards`.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ _ADDRESSES: Final = struct.Struct("<2xHH")
 
 
 class FirmwareDates(NamedTuple):
-    """Dates of the bridge's firmware as the board tells them, or NOT_TOLD."""
+    """Dates of the bridge's firmware as the board reports them, or NOT_TOLD."""
 
     compiled: str
     released: str
 
 
 def firmware_dates(device: Any) -> FirmwareDates:
-    """Ask the bridge; a board that refuses or answers nonsense has NOT_TOLD. Raises LinkError for other failures."""
+    """Read the dates; NOT_TOLD if the board refuses or answers nonsense. Raises LinkError for other failures."""
     answer = _ask(device, REQUEST_DATE_ADDRESSES, 0, DATE_ADDRESSES_BYTES)
     if len(answer) != _ADDRESSES.size:
         return FirmwareDates(NOT_TOLD, NOT_TOLD)
@@ -49,7 +49,7 @@ def firmware_dates(device: Any) -> FirmwareDates:
 
 
 def identify_led(device: Any, *, on: bool) -> bool:
-    """Light the middle LED, or put it out, to show which board it is; False if the board refuses. Raises LinkError."""
+    """Switch the middle LED to identify the board; return False if it refuses. Raises LinkError."""
     try:
         device.ctrl_transfer(_TO_DEVICE, REQUEST_LED_ON if on else REQUEST_LED_OFF, 0, 0, None, _TIMEOUT_MS)
     except usb.core.USBError as error:
@@ -60,11 +60,11 @@ def identify_led(device: Any, *, on: bool) -> bool:
 
 
 def bridge_facts(device: Any) -> dict[str, str]:
-    """What pyusb's `device` tells by control requests that change nothing."""
+    """Return facts of `device` from control requests that change nothing."""
     ids = f"{device.idVendor:04x}:{device.idProduct:04x}"
     try:
         compiled, released = firmware_dates(device)
-    except LinkError as error:  # a matter of interest, no reason to stop
+    except LinkError as error:  # for information only
         compiled = released = f"not told: {error}"
     return {
         "ids": ids,
@@ -75,13 +75,13 @@ def bridge_facts(device: Any) -> dict[str, str]:
 
 
 def _date(device: Any, address: int) -> str:
-    """Two-byte characters, of which the lower bytes are the text."""
+    """Read a date: two-byte characters with the text in the lower bytes."""
     text = _ask(device, REQUEST_DATE, address, DATE_BYTES)[: 2 * DATE_CHARACTERS : 2].decode("latin-1").strip("\0 ")
     return text if text and text.isascii() and text.isprintable() else NOT_TOLD
 
 
 def _ask(device: Any, request: int, value: int, length: int) -> bytes:
-    """The bridge's answer, empty if it refuses."""
+    """Return the bridge's answer, empty if it refuses."""
     try:
         return bytes(device.ctrl_transfer(_FROM_DEVICE, request, value, 0, length, _TIMEOUT_MS))
     except usb.core.USBError as error:

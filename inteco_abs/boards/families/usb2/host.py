@@ -1,4 +1,4 @@
-"""RT-DAC/USB2 as this computer lists it, and whether this user may use it in time. Asks no board anything."""
+"""Lists RT-DAC/USB2 boards, and checks access, speed and interrupts, without opening one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from inteco_abs.host import (
 from inteco_abs.realtime import GUARDIAN_PRIORITY, LOOP_PRIORITY, cores_of, kernel_list, loop_cpus, parse_cpus
 
 _UNPROGRAMMED: Final = "04b4", "8613"
-"""What an EZ-USB FX2 calls itself as long as no firmware runs in it (its data sheet's default ids)."""
+"""Ids of an EZ-USB FX2 without firmware (its data sheet's defaults)."""
 _INTERRUPT_PRIORITY: Final = (LOOP_PRIORITY + GUARDIAN_PRIORITY) // 2
 """On PREEMPT_RT the interrupt is a thread: above the loop, which waits for what it completes."""
 _CPUS: Final = "sys/devices/system/cpu"
@@ -47,7 +47,7 @@ def _found(computer: Computer, config: RigConfig, _serial: str) -> list[FoundBoa
 
 
 def _usb_boards(computer: Computer) -> list[str]:
-    """By the maker's name, as the vendor's software, the driver and the udev rules know the board, whatever its ids."""
+    """List boards by the maker's name, as the vendor's software, the driver and the udev rules do."""
     return [
         folder
         for folder in computer.matching(USB_DEVICES)
@@ -94,9 +94,9 @@ def _usb_access(computer: Computer, folder: str) -> Judgement:
 
 
 def _usb_interrupt(computer: Computer, folder: str) -> Judgement:
-    """Where the host controller's interrupt is served, which completes every transfer of the board.
+    """Check where the host controller's interrupt is served, which completes the board's transfers.
 
-    Off the loop's CPU: there it would wait for a loop that waits for it. On PREEMPT_RT above the loop's priority.
+    It must be off the loop's CPU, where it would wait for the loop; on PREEMPT_RT above the loop's priority.
     """
     online = parse_cpus(computer.text(f"{_CPUS}/online"))
     isolated = parse_cpus(computer.text_or(f"{_CPUS}/isolated", "")) & online
@@ -114,7 +114,7 @@ def _usb_interrupt(computer: Computer, folder: str) -> Judgement:
 
 
 def _served_first(computer: Computer, number: int, where: str) -> Judgement:
-    """The priority of an interrupt's thread, if it has one."""
+    """Judge the priority of an interrupt's thread, if it has one."""
     for file in computer.matching("proc/[0-9]*/comm"):
         if computer.text_or(file, "").startswith(f"irq/{number}-"):
             pid = file.split("/")[1]
@@ -127,7 +127,7 @@ def _served_first(computer: Computer, number: int, where: str) -> Judgement:
 
 
 def _interrupts(computer: Computer, folder: str) -> list[int]:
-    """Numbers of the interrupts of the host controller that a USB device hangs on. Raises LookupError if not told."""
+    """Return the interrupt numbers of a USB device's host controller. Raises LookupError if not known."""
     for parent in (computer.root / folder).resolve().parents:
         if found := [int(file.name) for file in parent.glob("msi_irqs/[0-9]*")]:
             used = [number for number in found if computer.exists(f"proc/irq/{number}/effective_affinity_list")]
