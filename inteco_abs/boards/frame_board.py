@@ -57,7 +57,7 @@ class FrameBoard(Board):
     The output image is built once, at opening: the wiring's fields from the wiring, with the widths of drive and brake
     zero, all other bits from the first read, unknown ones included. A tick changes only the two widths, the watchdog's
     pin, and the frame number, which uses the prescaler of an unwired PWM channel or the latch of unwired pins. The
-    board echoes the number, which detects an answer to an older request, late or duplicated. A timer in the wiring dates the
+    board echoes the number, which detects an answer to an older request. A timer in the wiring dates the
     samples and detects such an answer too; it is set to zero at opening and before each confirmation of SAFE, so that
     no earlier answer can confirm it.
 

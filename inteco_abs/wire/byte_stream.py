@@ -1,4 +1,4 @@
-"""Messages of a first-generation board out of the byte stream of its FTDI chip.
+"""Cuts messages of a first-generation board out of the byte stream of its FTDI chip.
 
 Sources: docs/facts/boards.md#first-generation for the messages, docs/facts/usb.md#ftdi-chip for the chip's packets of
 64 bytes, each of which begins with two bytes of status.
@@ -25,7 +25,7 @@ _LONG: Final = (SEND_COMMAND, SEND_AND_READ_COMMAND)
 class MessageCutter:
     """Joins and cuts the bytes of both directions; a message has the time of the transfer that completed it.
 
-    Bytes that belong to no message, such as those that program the FPGA, are left out with a warning.
+    Other bytes, such as those that program the FPGA, are left out with a warning.
     """
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class MessageCutter:
         self._records: list[Record] = []
 
     def messages(self, transfers: Iterable[Record]) -> list[Record]:
-        """The same capture, with whole messages in place of the transfers that carry them."""
+        """Return the capture with whole messages in place of transfers."""
         for record in transfers:
             if record.kind is RecordKind.OUT:
                 self._out += record.data
@@ -89,17 +89,17 @@ class MessageCutter:
 
 
 def whole_messages(transfers: Iterable[Record]) -> list[Record]:
-    """A capture with whole messages in place of the transfers that carry them."""
+    """Return the capture with whole messages in place of transfers."""
     return MessageCutter().messages(transfers)
 
 
 def without_status(transfer: bytes) -> bytes:
-    """Payload of a transfer from the chip."""
+    """Return the payload of a transfer from the chip."""
     return b"".join(transfer[at + _STATUS_BYTES : at + _PACKET_BYTES] for at in range(0, len(transfer), _PACKET_BYTES))
 
 
 def _next_mark(stream: bytearray, start: int) -> int:
-    """First byte from `start` that begins a message; the length if there is none."""
+    """Return the index from `start` on that begins a message; the length if there is none."""
     return next((at for at in range(start, len(stream)) if stream[at] & _MARK), len(stream))
 
 

@@ -1,6 +1,6 @@
-"""Captures of the wire: what a link or a bus monitor has seen, as JSON lines.
+"""Captures: messages seen by a link or a bus monitor, as JSON lines.
 
-The first line says what the file is; each other line is one thing that happened, in the order in which it did:
+The first line describes the file; each other line is one event, in order:
 
     {"format": "inteco-abs wire", "version": 1, "board": "usb2", "recorded_by": "...", "clock": "..."}
     {"t": 0.0, "dir": "out", "ep": 2, "hex": "ff8f0000"}
@@ -39,7 +39,7 @@ _LATEST_NS: Final = (1 << 63) - 1
 
 
 class RecordKind(StrEnum):
-    """What happened."""
+    """Kind of an event."""
 
     OUT = "out"
     IN = "in"
@@ -49,44 +49,44 @@ class RecordKind(StrEnum):
 
 
 class Record(NamedTuple):
-    """One thing that happened on the wire."""
+    """One event on the wire."""
 
     t_s: float
-    """Since the capture began."""
+    """Seconds since the capture began."""
     kind: RecordKind
     endpoint: int | None = None
     """USB address, with bit 7 for IN; None if the link has no endpoints."""
     data: bytes = b""
     text: str = ""
-    """What an error or a warning says."""
+    """Text of an error or a warning."""
     of: str = ""
-    """Of an error: what failed, "out", "in" or "exchange"."""
+    """What failed in an error: "out", "in" or "exchange"."""
     setup: bytes = b""
-    """Of a control transfer: its request."""
+    """Request of a control transfer."""
 
 
 class Capture(NamedTuple):
-    """A file of records; raised errors call it `name`."""
+    """Records with their description; errors call the file `name`."""
 
     board: str
-    """How its frames are to be read: `protocol_of` knows it."""
+    """Protocol of its frames, as `protocol_of` takes it."""
     recorded_by: str
     clock: str
     records: tuple[Record, ...]
     name: str = "the capture"
     start_ns: int | None = None
-    """What the clock showed when the capture began, where that is known."""
+    """Clock at the beginning of the capture, ns, if known."""
     report: BoardReport | None = None
-    """What else is known of the board, if this is the report of a commissioning."""
+    """Facts of the board, if this is the report of a commissioning."""
 
     @property
     def messages(self) -> int:
-        """Messages in either direction, without failures and notes."""
+        """Number of messages in both directions, without failures and warnings."""
         return sum(record.kind in {RecordKind.OUT, RecordKind.IN} for record in self.records)
 
 
 def check_target(path: Path) -> None:
-    """Raise CaptureError unless a new capture can be made at `path`; captures are never overwritten."""
+    """Raise CaptureError unless a new capture can be written at `path`; captures are never overwritten."""
     problem, part = "", _part(path)
     try:
         if part.exists() or part.is_symlink():
@@ -102,12 +102,12 @@ def check_target(path: Path) -> None:
 
 
 def _part(path: Path) -> Path:
-    """What a capture is called until it is whole."""
+    """Return the name of an incomplete capture."""
     return path.with_name(f"{path.name}.part")
 
 
 def write_capture(path: Path, capture: Capture) -> None:
-    """Write the file, under another name until it is whole; of a part of it nothing is left. Raises CaptureError."""
+    """Write the file, under another name until it is complete; a failure leaves nothing. Raises CaptureError."""
     head = {
         "format": FORMAT,
         "version": VERSION,
@@ -119,7 +119,7 @@ def write_capture(path: Path, capture: Capture) -> None:
     }
     part = _part(path)
     try:
-        file = part.open("x", encoding="utf-8")  # nothing that is there is truncated, no link followed
+        file = part.open("x", encoding="utf-8")  # truncates no file, follows no link
     except OSError as error:
         raise CaptureError(f"{path}: the capture cannot be written: {part.name}: {describe_disk(error)}") from error
     try:
@@ -139,20 +139,20 @@ def write_capture(path: Path, capture: Capture) -> None:
 
 
 def _check_regular(path: Path) -> None:
-    """Raises CaptureError for a pipe or a device, which might never end."""
+    """Raise CaptureError for a pipe or a device, which might never end."""
     if path.exists() and not path.is_file() and not path.is_dir():
-        raise CaptureError(f"{path}: cannot be read: it is not a regular file; name one")
+        raise CaptureError(f"{path}: not a regular file; name one")
 
 
 def read_capture(path: Path) -> Capture:
-    """The capture in the file. Raises CaptureError naming the first line that is wrong."""
+    """Read the capture in the file. Raises CaptureError naming the first wrong line."""
     _check_regular(path)
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
-        raise CaptureError(f"{path}: is not text; a Wireshark capture needs inteco-abs wire import first") from error
+        raise CaptureError(f"{path}: not text; for a Wireshark capture, run inteco-abs wire import first") from error
     lines = text.split("\n")
     if lines.pop():
         raise CaptureError(f"{path}: its last line has no end: the file was cut off")
@@ -160,14 +160,14 @@ def read_capture(path: Path) -> Capture:
 
 
 def parse_capture(lines: Iterable[str], name: str) -> Capture:
-    """The capture in these lines. Raises CaptureError naming the first line that is wrong."""
+    """Read the capture in these lines. Raises CaptureError naming the first wrong line."""
     head, records = _parts(lines, name)
     return head._replace(records=tuple(records))
 
 
 @contextmanager
 def opened_capture(path: Path) -> Iterator[tuple[Capture, Iterator[Record]]]:
-    """A capture that is too long for memory: without its records, and these one by one. Raises CaptureError."""
+    """Open a capture that may be too long for memory: its head, and its records one by one. Raises CaptureError."""
     _check_regular(path)
     try:
         with path.open(encoding="utf-8") as file:
@@ -202,15 +202,17 @@ def _object(line: str, place: str) -> dict[str, Any]:
     try:
         value = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise CaptureError(f"{place}: is not a JSON object ({error}); captures are JSON lines") from error
+        raise CaptureError(f"{place}: not a JSON object ({error}); captures are JSON lines") from error
     if not isinstance(value, dict):
-        raise CaptureError(f"{place}: is not a JSON object but {line[:40]!r}; captures are JSON lines")
+        raise CaptureError(f"{place}: not a JSON object but {line[:40]!r}; captures are JSON lines")
     return value
 
 
 def _head(head: dict[str, Any], name: str) -> Capture:
     if head.get("format") != FORMAT:
-        raise CaptureError(f"{name}, line 1: format = {head.get('format')!r}, must be {FORMAT!r}: no capture of ours")
+        raise CaptureError(
+            f"{name}, line 1: format = {head.get('format')!r}, must be {FORMAT!r}: not a capture of inteco-abs"
+        )
     if head.get("version") != VERSION:
         raise CaptureError(
             f"{name}, line 1: version = {head.get('version')!r}, this program reads {VERSION}; update it"

@@ -1,4 +1,4 @@
-"""Which words of the frames moved during a capture: how an unknown word is found while one slider is moved."""
+"""Finds the words that changed during a capture, to identify an unknown word by moving one slider."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from inteco_abs.wire.capture import Capture, RecordKind
 from inteco_abs.wire.playback import differing_words
 
 _RESTLESS: Final = 0.5
-"""A word that changes in more of the steps than this is a counter or the like, beside which others may be found."""
+"""A word that changes in a larger share of the steps is restless, such as a counter."""
 _FEWEST_STEPS: Final = 8
-"""With fewer, nothing is called restless."""
+"""With fewer steps no word is restless."""
 
 
 class FrameColumns(NamedTuple):
-    """All frames of one direction, in words, and when they passed."""
+    """All frames of one direction in words, with their times."""
 
     table: FrameTable
     times_s: Sequence[float]
@@ -39,7 +39,7 @@ class FrameColumns(NamedTuple):
 
 
 class ChangedWord(NamedTuple):
-    """A word that had more than one value."""
+    """A word with more than one value."""
 
     direction: str
     """SEND or READ."""
@@ -52,21 +52,21 @@ class ChangedWord(NamedTuple):
     distinct: int
     """Number of different values."""
     changes: int
-    """Steps from frame to frame in which it changed."""
+    """Number of steps between frames in which it changed."""
     alone: float
-    """Share of them in which no other word of the frame moved, but for restless ones; 0..1."""
+    """Share of these steps in which only restless words changed besides, 0..1."""
     restless: bool
-    """It changed in most steps, as counters and frame numbers do."""
+    """Whether it changed in most steps, as counters and frame numbers do."""
     course: str
     """"rises" or "falls" if it went one way only, modulo its size; else "both ways"."""
     first_s: float
     last_s: float
     fields: tuple[str, ...]
-    """Named by the tables; "unknown" stands for bits that they do not name."""
+    """Names in the tables; "unknown" for other bits."""
 
 
 def frame_columns(capture: Capture, role: MessageRole) -> FrameColumns:
-    """SEND frames or READ answers of the capture. Raises ConfigError for a board that has no tables."""
+    """Return the SEND frames or READ answers of the capture. Raises ConfigError for a board without tables."""
     protocol = protocol_of(capture.board)
     table = protocol.send if role is MessageRole.SEND else protocol.read
     found = [record for record in capture.records if _role(protocol, record.kind, record.data) is role]
@@ -74,9 +74,9 @@ def frame_columns(capture: Capture, role: MessageRole) -> FrameColumns:
 
 
 def moved_words(capture: Capture) -> list[ChangedWord]:
-    """SEND frames' words first; in each direction the likeliest to be what was moved by hand comes first.
+    """Return the changed words, SEND first; in each direction the likeliest effect of a hand movement comes first.
 
-    That is: words that moved while all others stood, unknown ones before named ones, restless ones last.
+    These are words that changed alone, unknown before named ones, restless ones last.
     """
     return [
         word
@@ -123,7 +123,7 @@ def _ranked(direction: str, frames: FrameColumns) -> list[ChangedWord]:
 
 
 def _steps(values: Sequence[int]) -> list[int]:
-    """Numbers of the frames that differ from the one before."""
+    """Return the numbers of the frames that differ from the previous one."""
     return [index for index in range(1, len(values)) if values[index] != values[index - 1]]
 
 
@@ -135,7 +135,7 @@ def _course(values: Sequence[int], size: int) -> str:
 
 
 class SendDifference(NamedTuple):
-    """A word in which the SEND frames of two captures are not the same."""
+    """A word in which the SEND frames of two captures differ."""
 
     word: str
     byte_offset: int
@@ -150,7 +150,7 @@ class SendDifference(NamedTuple):
 
 
 class SendComparison(NamedTuple):
-    """Outcome of comparing the n-th SEND frame of one capture with the n-th of another."""
+    """Result of comparing the SEND frames of two captures one by one."""
 
     first_frames: int
     second_frames: int
@@ -164,7 +164,7 @@ class SendComparison(NamedTuple):
 
 
 def compare_sends(first: Capture, second: Capture, ignored: Sequence[str] = ()) -> SendComparison:
-    """Compare what two captures send, without the fields named in `ignored`. Raises ConfigError for unknown ones."""
+    """Compare the SEND frames of two captures except the fields `ignored`. Raises ConfigError for unknown ones."""
     protocol = protocol_of(first.board)
     masks = masks_of(protocol.send, protocol.fields(ignored))
     one, other = ([r.data for r in c.records if _is_send(protocol, r.kind, r.data)] for c in (first, second))

@@ -1,4 +1,4 @@
-"""A link that answers out of a capture, and compares what it is told with what was told then."""
+"""A link that answers from a capture, and compares the written messages with the captured ones."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ MOST_DIFFERENCES: Final = 10_000
 
 
 class FrameDifference(NamedTuple):
-    """One word in which a message of ours is not the captured one, or a whole message out of place."""
+    """A word that differs from the captured message, or a whole message out of place."""
 
     message: int
-    """Number of ours among those written so far, from 1."""
+    """Number of the written message, from 1."""
     place: str
     """The word, as in `w22`; `order` or `length` where it is the whole message."""
     byte_offset: int
@@ -37,7 +37,7 @@ class FrameDifference(NamedTuple):
 
 
 class CaptureLink(Link):
-    """The board of a capture. Answers come in the captured order, the captured failures too.
+    """A link that plays a capture back: answers and failures come in the captured order.
 
     The n-th SEND frame is compared with the captured n-th, other messages with those of their role, and once it is
     noted if the roles come in another order than then. Differences are collected in `differences`; if `strict`, the
@@ -49,7 +49,7 @@ class CaptureLink(Link):
     def __init__(self, capture: Capture, *, strict: bool = False, numbering: str = "") -> None:
         self.differences: list[FrameDifference] = []
         self.differing = 0
-        """Differences in all, those beyond the list too."""
+        """Number of differences, including those beyond the list."""
         self._capture = capture
         self._protocol = protocol_of(capture.board)
         self._strict = strict
@@ -69,11 +69,11 @@ class CaptureLink(Link):
 
     @property
     def left(self) -> int:
-        """Captured messages and failures that nobody has asked for yet."""
+        """Number of captured messages and failures that were not used yet."""
         return sum(map(len, self._lanes.values()))
 
     def now_ns(self) -> int:
-        """When what was used last passed the wire, since the capture began."""
+        """Return the time of the newest used record, ns since the capture began."""
         return round(self._newest_s * 1e9)
 
     def write(self, data: bytes | bytearray) -> None:
@@ -94,7 +94,7 @@ class CaptureLink(Link):
             raise LinkError(f"as captured: {captured.text}")
 
     def read(self, length: int) -> bytes:
-        """The next captured answer."""
+        """Return the next captured answer."""
         _, captured = self._next(None, "answers")
         if captured.kind is RecordKind.ERROR:
             raise LinkError(f"as captured: {captured.text}")
@@ -103,10 +103,10 @@ class CaptureLink(Link):
         return captured.data[:length]
 
     def discard(self, length: int) -> None:
-        """Nothing: answers that were dropped are not in a capture."""
+        """Do nothing: a capture has no dropped answers."""
 
     def close(self) -> None:
-        """Nothing more is answered."""
+        """Stop answering."""
         self._closed = True
 
     def _lane(self, record: Record) -> MessageRole | None:

@@ -1,4 +1,4 @@
-"""A link that writes down what passes through it."""
+"""Records the messages of a link."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOST_MESSAGES: Final = 300_000
 
 
 class RecordingLink(Link):
-    """Does what `inner` does, and keeps every message and failure in memory until `save` writes them to `path`.
+    """Forwards to `inner`, and keeps every message and failure in memory until `save` writes them to `path`.
 
     Saving takes a second or two for a long run, so it is apart from closing, which must not wait. Once
     `most_messages` are kept, newer ones are only counted, and the file says so: a replay needs the beginning.
@@ -43,7 +43,7 @@ class RecordingLink(Link):
         if path is not None:
             check_target(path)
         self.dropped = 0
-        """Messages that were not kept."""
+        """Number of messages that were not kept."""
         self._inner = inner
         self.engines, self.keeps_boundaries = inner.engines, inner.keeps_boundaries
         self._path = path
@@ -109,7 +109,7 @@ class RecordingLink(Link):
         return data
 
     def discard(self, length: int) -> None:
-        """Drop what has arrived."""
+        """Drop old answers."""
         self._inner.discard(length)
 
     def prepare(self, length: int) -> None:
@@ -117,16 +117,16 @@ class RecordingLink(Link):
         self._inner.prepare(length)
 
     def close(self) -> None:
-        """Let go of the board."""
+        """Close the link."""
         self._inner.close()
 
     def save(self) -> None:
-        """Write all that was kept so far. Raises CaptureError."""
+        """Write everything kept so far. Raises CaptureError."""
         if self._path is not None:
             write_capture(self._path, self.capture())
 
     def capture(self) -> Capture:
-        """What was kept so far."""
+        """Return everything kept so far."""
         records = [
             Record((at_ns - self._start_ns) * 1e-9, RecordKind(kind), self._endpoints.get(kind), data, text, of)
             for at_ns, kind, data, text, of in self._kept
@@ -145,11 +145,8 @@ class RecordingLink(Link):
             self.dropped += 1
 
 
-"""Puts something around the link to a board before the board gets it."""
-
-
 class Recording:
-    """Puts a recording around each link to the board of `config`, if there is a `path` to save it at, or `keep`."""
+    """Wraps each link to the board of `config` in a recording, if there is a `path` or `keep`."""
 
     def __init__(self, path: Path | None, config: RigConfig, now_ns: Callable[[], int], *, keep: bool) -> None:
         self._path, self._config, self._now_ns = path, config, now_ns
@@ -157,7 +154,7 @@ class Recording:
         self._links: list[RecordingLink] = []
 
     def __call__(self, link: Link) -> Link:
-        """`link`, with the recording around it."""
+        """Return `link`, wrapped in a recording if one is wanted."""
         if not self._wanted:
             return link
         self._links.append(
@@ -166,11 +163,11 @@ class Recording:
         return self._links[-1]
 
     def capture(self) -> Capture | None:
-        """What has passed the newest link so far; None if there was no link."""
+        """Return the capture of the newest link; None if there was no link."""
         return self._links[-1].capture() if self._links else None
 
     def save(self) -> None:
-        """Write what was recorded, if anywhere. Raises CaptureError."""
+        """Save all recordings that have a path. Raises CaptureError."""
         for link in self._links:
             link.save()
 
@@ -179,9 +176,9 @@ class Recording:
 def record_wire(
     path: Path | None, config: RigConfig, now_ns: Callable[[], int] = time.monotonic_ns, *, keep: bool = False
 ) -> Iterator[Recording]:
-    """Gives what puts a recording around a link, and saves it at `path` in the end; without a path, it is only kept.
+    """Yield what wraps a link in a recording, and save it at `path` in the end; without a path it is only kept.
 
-    Raises CaptureError if the file cannot be written; where something else was wrong already, as a note of that.
+    Raises CaptureError if the file cannot be written; if another exception is on its way, adds a note to that instead.
     """
     if path is not None or keep:
         check_recordable("--frames" if path is None else "--record-wire", config)
@@ -200,7 +197,7 @@ def record_wire(
 
 
 def check_recordable(option: str, config: RigConfig) -> None:
-    """Raise ConfigError, which names the `option` that asks for a recording, if such a board has no messages."""
+    """Raise ConfigError naming `option` if the profile's board has no messages to record."""
     if not family_of(config.board.kind).protocols:
         raise ConfigError([ConfigIssue(option, f"a {config.board.kind} board has registers, no messages to record")])
     protocol_name(config.board)

@@ -1,4 +1,4 @@
-"""Our driver against a board that is only a capture: what it would have written where something else was written."""
+"""Runs the driver against a capture, and compares what it writes with what was written."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _MODES: Final = ("8-bit", "12-bit")
 
 
 class WireReplay(NamedTuple):
-    """What came of it."""
+    """Result of a replay."""
 
     exchanges: int
     failed: int
     differing: int
-    """Words in which what we wrote is not what the capture holds, in all."""
+    """Number of words that differ from the capture."""
     differences: list[FrameDifference]
     ended: str
     """Why it ended before the capture did; empty if it did not."""
 
 
 def profile_for(capture: Capture) -> str:
-    """Name of a shipped profile whose board speaks as the captured one; whose rig it was does not matter here."""
+    """Return the name of a shipped profile whose board speaks the captured protocol."""
     family = family_speaking(capture.board)
     for name in (family.mock_profile, family.profile, *profiles()):
         wiring = load_config(profile=name).board
@@ -53,7 +53,7 @@ def replay_wire(capture: Capture, config: RigConfig) -> WireReplay:
     link = CaptureLink(capture, numbering=numbering)
     trusted = replace(config.board, **_as_signed(capture))
     if not any(_holds_timer(protocol_of(capture.board).send, frame, trusted) for frame in _sends(capture)[:1]):
-        # by a program that does not use it
+        # recorded by a program without the timer
         trusted = replace(trusted, timer=-1)
     board = board_behind(link, replace(config, board=trusted), link.now_ns)
     done = failed = 0
@@ -67,19 +67,19 @@ def replay_wire(capture: Capture, config: RigConfig) -> WireReplay:
                 failed += BoardFlags.STALE in board.exchange(command).board_flags
                 done += 1
     except BoardError as error:
-        ended = str(error.__cause__ or error)  # no motor is at stake: what UnsafeError warns of does not matter
+        ended = str(error.__cause__ or error)  # no motor is connected: the warning of UnsafeError does not apply
     return WireReplay(done, failed, link.differing, link.differences, ended)
 
 
 def _as_signed(capture: Capture) -> dict[str, Any]:
-    """The profile's keys as if the lab had signed for the captured board."""
+    """Return the profile's keys with a sign-off for the captured board."""
     protocol = protocol_of(capture.board)
     for record in capture.records:
         if record.kind is RecordKind.IN and protocol.role_in(record.data) is MessageRole.READ:
             header = protocol.header(record.data)
             break
     else:
-        raise CaptureError(f"{capture.name} holds no READ answer, so nothing tells which board it was")
+        raise CaptureError(f"{capture.name} holds no READ answer, so its board is not known")
     version = int(header["logic_version"])
     return {
         "logic_version": version,
@@ -91,7 +91,7 @@ def _as_signed(capture: Capture) -> dict[str, Any]:
 
 
 def _commands(capture: Capture, wiring: BoardConfig) -> Iterator[Command | None]:
-    """Duties of the captured SEND frames, None for SAFE; the first and the last our driver writes of its own accord.
+    """Yield the duties of the captured SEND frames, None for SAFE, without the first and last, which the driver makes.
 
     With a timer, a frame that holds it at zero and the next one are SAFE.
     """
@@ -119,7 +119,7 @@ def _sends(capture: Capture) -> list[bytes]:
 
 
 def _holds_timer(table: FrameTable, frame: bytes, wiring: BoardConfig) -> bool:
-    """Whether a captured program set the wiring's timer to zero, as our driver does."""
+    """Return whether a captured frame holds the wiring's timer at zero, as the driver does."""
     if wiring.timer < 0 or "timer_reset" not in table.fields:
         return False
     try:

@@ -1,4 +1,4 @@
-"""What a capture holds, in numbers."""
+"""Summary of a capture in numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from inteco_abs.wire.capture import Capture, RecordKind
 
 
 class Traffic(NamedTuple):
-    """Messages of one role."""
+    """Number and timing of messages of one role."""
 
     messages: int
     rate_hz: float | None
@@ -23,7 +23,7 @@ class Traffic(NamedTuple):
 
 
 class CaptureSummary(NamedTuple):
-    """Whole capture."""
+    """Summary of a whole capture."""
 
     board: str
     recorded_by: str
@@ -31,18 +31,18 @@ class CaptureSummary(NamedTuple):
     duration_s: float
     traffic: dict[str, Traffic]
     errors: dict[str, int]
-    """How often each one came."""
+    """Count by text."""
     control_transfers: int
     warnings: tuple[str, ...]
     logic_version: int | None
-    """That the first READ answer tells."""
+    """Version in the first READ answer."""
     application_name: str
     caution: str
-    """Says when the tables that name the fields were made for another logic."""
+    """Warning if the tables are for another logic; else empty."""
 
 
 def summarize(capture: Capture) -> CaptureSummary:
-    """Counts, rates, errors, and which board it was. Raises ConfigError for a board that has no tables."""
+    """Summarize a capture: counts, rates, errors, and its board. Raises ConfigError for a board without tables."""
     protocol = protocol_of(capture.board)
     times_s: dict[str, list[float]] = {}
     for record in capture.records:
@@ -69,7 +69,7 @@ def summarize(capture: Capture) -> CaptureSummary:
 
 
 def caution(capture: Capture) -> str:
-    """Why the names of fields may be wrong; empty if the board's logic is that of the tables, or unknown."""
+    """Return why field names may be wrong; empty if the logic is that of the tables, or unknown."""
     protocol = protocol_of(capture.board)
     version, _ = _identity(capture, protocol)
     if None in {version, protocol.logic_version} or version == protocol.logic_version:

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 from inteco_abs.errors import CaptureError
 
 IN: Final = 0x80
-"""Bit of an endpoint's address that stands for towards the host."""
+"""Bit of an endpoint address for the direction to the host."""
 _SUBMITTED, _COMPLETED, _REFUSED = b"SCE"
 
 _USBMON: Final = "QBBBBHbbqiiII8s"
@@ -25,7 +25,7 @@ _DESCRIPTOR_BYTES: Final = 16
 _NDESC_AT: Final = 60
 _IN_PROGRESS: Final = -115
 _SHORT: Final = -121
-"""A short packet where the driver has asked to be told; its data are good."""
+"""A short packet that the driver wants reported; its data are good."""
 _USBPCAP: Final = struct.Struct("<HQIHBHHBBI")
 _TO_HOST: Final = 1
 _SETUP_STAGE: Final = 0
@@ -52,18 +52,18 @@ class Transfer(IntEnum):
 
 
 class MonitoredUrb(NamedTuple):
-    """A transfer as it is handed to the host controller, or as it comes back."""
+    """A transfer as it is submitted to the host controller, or as it ends."""
 
     bus: int
     address: int
     endpoint: int
     """Address, with bit 7 for IN."""
     transfer: int
-    """A `Transfer`, or a monitor's own number for notes that are none."""
+    """A `Transfer`, or a monitor's number for other events."""
     number: int
     """Joins the two packets of a transfer; used again afterwards."""
     done: bool
-    """It has come back, well or not."""
+    """Whether it has ended, well or not."""
     failure: str
     """Why it failed; empty before it comes back, and if it did not."""
     length: int
@@ -95,7 +95,7 @@ def _usbmon(packet: bytes, header: int, order: str) -> MonitoredUrb:
     )
     if kind not in {_SUBMITTED, _COMPLETED, _REFUSED} or transfer > Transfer.BULK:
         raise CaptureError(
-            f"is none of usbmon (type {kind:#04x}, transfer {transfer}): several interfaces in one file?"
+            f"is not a usbmon packet (type {kind:#04x}, transfer {transfer}): several interfaces in one file?"
         )
     data = b""
     if not no_data:
@@ -119,9 +119,7 @@ def _usbpcap(packet: bytes) -> MonitoredUrb:
     header, number, status, _, info, bus, address, endpoint, transfer, length = _USBPCAP.unpack_from(packet)
     staged = transfer == Transfer.CONTROL
     if not _USBPCAP.size + staged <= header <= len(packet):
-        raise CaptureError(
-            f"is none of USBPcap: its header calls itself {header} bytes long, the packet has {len(packet)}"
-        )
+        raise CaptureError(f"is not a USBPcap packet: its header claims {header} bytes, the packet has {len(packet)}")
     data = packet[header : header + length]
     if len(data) < length:
         raise CaptureError(_cut(len(data), length))

@@ -190,7 +190,7 @@ def test_a_network_capture_is_refused_by_its_link_type(tmp_path):
 
 def test_a_network_packet_in_a_usb_capture_is_named(imported):
     monitor = Usbmon()
-    with pytest.raises(CaptureError, match=r"packet 7 is none of usbmon.*several interfaces"):
+    with pytest.raises(CaptureError, match=r"packet 7 is not a usbmon packet.*several interfaces"):
         imported([*tick(monitor), bytes(90)], monitor)
 
 
