@@ -1,4 +1,4 @@
-"""What is on the wire between a host and an RT-DAC board, as tables. Standard library only."""
+"""The protocols between a host and an RT-DAC board, as tables. Standard library only."""
 
 from firmware_protocol.fields import Field, FrameTable, Place, ProtocolError, Status, TableError, ValueKind, signed32
 from firmware_protocol.registers import Access, Conversion, Register, RegisterMap, Write

@@ -34,7 +34,7 @@ def encode_request(number: int, steps: Sequence[RegisterAccess]) -> bytes:
 
 
 def decode_request(message: bytes | bytearray) -> tuple[int, list[RegisterAccess]]:
-    """Number and accesses of a request; raises ProtocolError if it is none."""
+    """Number and accesses of a request; raises ProtocolError for a malformed one."""
     words = _unpack(message)
     if len(words) % _STEP_WORDS != 1:
         raise ProtocolError(f"a request of {len(message)} bytes: must be a number and whole accesses")

@@ -1,4 +1,4 @@
-"""The mock board as a process of its own, for real-time runs: `python -m inteco_abs.mock_board_process MEMORY`."""
+"""The mock board's process of a real-time run: `python -m inteco_abs.mock_board_process MEMORY`."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ _LINGER_S: Final = 1.0
 
 
 def main(path: str) -> int:
-    """Be the board of the run in the memory at `path`, at its socket, until the run is over."""
+    """Run the mock board of the run in the memory at `path`, at its socket, until the run is over."""
     memory = RunMemory.open(Path(path))
     job = Job.of(memory)
     ring = memory.truth_ring(TRUTH.pack_into)
 
     def observe(truth: Truth) -> None:
-        with suppress(BufferError):  # nobody records: a board does not stop for that
+        with suppress(BufferError):  # without a recorder the board goes on
             ring.append(truth)
 
     schedule = Schedule(parse_faults(job.faults), time.monotonic_ns, job.seed)
@@ -87,7 +87,7 @@ def main(path: str) -> int:
 
 
 def _pid_of(name: str, memory: RunMemory) -> int:
-    """Process of the run in `memory`; 0 if there is none."""
+    """Return the number of a process of the run; 0 if it is missing."""
     if name == "supervisor":
         return memory.words[Field.SUPERVISOR_PID]
     ours = f"{ENTRY}\0{name}\0{memory.path}\0".encode()
@@ -137,7 +137,7 @@ class _Standstill:
 
 @dataclass(frozen=True, slots=True)
 class Mock:
-    """A mock board to be plugged into a computer, in real time."""
+    """A mock board for a computer, in real time."""
 
     config: RigConfig
     seed: int
@@ -149,12 +149,12 @@ class Mock:
 
     @property
     def name(self) -> str:
-        """What it is, for people."""
+        """Description for the user."""
         drawn = self.config.simulation.rig
         return f"mock {family_of(self.config.board.kind).title}{f' with rig {drawn}' if drawn else ''}"
 
     def front_end(self) -> FrontEnd:
-        """The board's own side of the wire."""
+        """Return a new front end."""
         device = Device(self.config, time.monotonic_ns, self.seed)
         return front_end_of(device) if self.seen is None else self.seen.front_end(device)
 
@@ -163,14 +163,14 @@ class Mock:
         return like if self.seen is None else self.seen.identity(like)
 
     def log(self, device: Device) -> Callable[[], None]:
-        """What writes the true state, if anybody wants it; to be called often."""
+        """Return a function that logs the true state, if wanted; call it often."""
         return (lambda: None) if self.truth is None else TruthLog(device, self.truth, self.truth_hz).look
 
 
 def serve_usbip(mock: Mock, address: str, serial: int, say: Callable[[str], None]) -> None:
-    """Be the board for any Linux that attaches it over USB/IP, until interrupted; says how to attach it.
+    """Serve the board over USB/IP until interrupted; print how to attach it.
 
-    Raises ConfigError for an address or serial number that cannot be, BoardError if the address is taken.
+    Raises ConfigError for an invalid address or serial number, BoardError if the address is taken.
     """
     place = parse_address(address)
     front_end, kind = mock.front_end(), mock.config.board.kind
@@ -194,7 +194,7 @@ def serve_usbip(mock: Mock, address: str, serial: int, say: Callable[[str], None
 
 
 def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
-    """Be the first generation's board at a serial port of its own, until interrupted; says at which.
+    """Serve the first generation's board at a serial port until interrupted; print its path.
 
     `link` is a path for a symbolic link to it, or empty. Raises BoardError if that cannot be made.
     """
@@ -214,7 +214,7 @@ def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
 
 
 def _be_quick() -> None:
-    """What the mock board of a run asks for, but for what would keep Ctrl-C from ending it."""
+    """Apply the tuning of a run's mock board, except blocked signals, which would disable Ctrl-C."""
     prepare([tuning for tuning in guardian_tuning(BOARD_PRIORITY) if tuning.name != "signals"])
 
 
@@ -227,14 +227,14 @@ def _serve(
 ) -> None:
     words = memory.words
     looked = alone_since = time.monotonic()
-    told: tuple[int, bool] | None = None
+    known: tuple[int, bool] | None = None
     while not words[Field.OVER]:
         server.step()
         between()
         now, news = time.monotonic(), (len(schedule.first_ns), server.busy)
-        if now - looked < _LOOK_S and news == told:
-            continue  # a fault's first act may end the run, and is told before the next exchange
-        looked, told = now, news
+        if now - looked < _LOOK_S and news == known:
+            continue  # a fault's first act may end the run, so it is posted before the next exchange
+        looked, known = now, news
         if schedule.times:
             memory.post(Mailbox.INJECTED, schedule.acted())
         if server.busy or awaited():

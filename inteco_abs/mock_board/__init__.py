@@ -1,4 +1,4 @@
-"""The board's own side: answers real frames, with the physics of the rig inside."""
+"""Mock boards: they answer the real protocols, with the simulated rig inside."""
 
 from inteco_abs.mock_board.device import MAXIMUM_CELSIUS, MINIMUM_SUPPLY_V, Cable, Device, Truth
 from inteco_abs.mock_board.family import Connected, MockFamily, always_connected, front_end_of, mock_family

@@ -1,7 +1,7 @@
-"""The board's own side: one device model with the simulated rig on its terminals.
+"""The device model of a mock board, with the simulated rig on its terminals.
 
-It has what the board has and nothing more: settings that it echoes, PWM outputs, counters, digital pins, timers.
-Faces (`usb2`) put it on a wire. Time comes from outside, so that the same device runs in real or virtual time.
+It has echoed settings, PWM outputs, counters, digital pins and timers; front ends put it on a wire. Time comes from
+outside, so that the same device runs in real or virtual time.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Cable:
     """-1: the encoder counts down when driving."""
     wheel_sign: int = 1
     watchdog_pin: int = -1
-    """-1: no one-shot, the motors' power does not depend on one."""
+    """-1: no one-shot in the power chain."""
     watchdog_contact_pin: int = -1
     watchdog_hold_s: float = 0.05
 
@@ -84,7 +84,7 @@ class PowerInterface(NamedTuple):
 
 
 class _Hand(NamedTuple):
-    """Somebody turns wheels by hand."""
+    """A turn of the wheels by hand."""
 
     wheel_rad_per_ns: float
     road_rad_per_ns: float
@@ -94,8 +94,8 @@ class _Hand(NamedTuple):
 class Counter:
     """32-bit quadrature counter that wraps; a reset bit holds it at zero as long as it is set.
 
-    `offset` is what it shows at power-up, `sign` -1 that it counts down when driving. What an encoder reads with noise
-    it reads anew each time.
+    `offset` is what it shows at power-up, `sign` -1 that it counts down when driving. A noisy encoder gives
+    another reading each time.
     """
 
     def __init__(self, encoder: Encoder, sign: int, offset: int) -> None:
@@ -135,7 +135,7 @@ class Device:
     The PWM's own steps come first: a drawn rig takes as many of them as it has, rounded down, from what the width
     makes, so that an 8-bit width is what it is and a 12-bit one loses what is below a step of 255.
 
-    Raises ConfigError for a drawn rig that cannot be.
+    Raises ConfigError for an invalid drawn rig.
     """
 
     def __init__(
@@ -175,7 +175,7 @@ class Device:
 
     @property
     def power_interface(self) -> PowerInterface:
-        """What there is to be measured of it now."""
+        """Measured state of the power interface now."""
         return PowerInterface()
 
     @property
@@ -203,12 +203,12 @@ class Device:
         self._hand = _Hand(wheel, road, self._time_ns + round(seconds * 1e9))
 
     def write(self, settings: Mapping[str, int]) -> None:
-        """Take over settings, named as in the SEND frame, and show the rig."""
+        """Take over settings, named as in the SEND frame, and inform the observer."""
         self.take(settings)
         self.observe()
 
     def take(self, settings: Mapping[str, int]) -> None:
-        """Take over settings, and show nothing: others that belong to the same command follow."""
+        """Take over settings without informing the observer: others of the same command follow."""
         self.catch_up()
         before = self.settings.get("timer_reset", 0)
         self.settings.update(settings)
@@ -233,12 +233,12 @@ class Device:
         self.observe()
 
     def observe(self) -> None:
-        """Show the rig's true state now to who asked for it."""
+        """Pass the rig's true state to the observer, if there is one."""
         if self._observe is not None:
             self._observe(self.truth())
 
     def truth(self) -> Truth:
-        """The rig's true state now."""
+        """Return the rig's true state now."""
         self.catch_up()
         return self._truth()
 
@@ -253,7 +253,7 @@ class Device:
         return self._road.value(self.plant.road_angle), self._wheel.value(self.plant.wheel_angle)
 
     def begin_counts(self, road: int, wheel: int) -> None:
-        """Have the counters show these values now, as after another power-up."""
+        """Set the counters to these values, as after another power-up."""
         self.catch_up()
         self._road.begin_at(road, self.plant.road_angle)
         self._wheel.begin_at(wheel, self.plant.wheel_angle)
@@ -275,7 +275,7 @@ class Device:
         return bool(get("timer_mode", 0) >> i & 1 and not get("timer_reset", 0) >> i & 1)
 
     def catch_up(self) -> None:
-        """Move the rig on to the present."""
+        """Advance the rig to the present."""
         now = self._now_ns()
         if self._time_ns < self._drops_ns < now:
             self._advance(self._drops_ns)
@@ -295,19 +295,19 @@ class Device:
         self._time_ns = until
 
     def _feed(self) -> None:
-        """The one-shot begins anew with each change of the level at its input, and its contact closes."""
+        """Restart the one-shot at each change of its input level, which closes its contact."""
         pin = self.cable.watchdog_pin
         level = self.settings.get("pin_output", 0) & ~self.settings.get("pin_direction", 0) & 1 << pin
         if level != self._level:
             self._level, self._drops_ns = level, self._time_ns + self._hold_ns
 
     def _contact_opens(self) -> bool:
-        """Whether the one-shot's contact opens once its time is over."""
+        """Return whether the one-shot's contact opens after its time."""
         return True
 
     @contextmanager
     def instant(self) -> Iterator[None]:
-        """While inside, the rig stays where it is now: what happens there takes no time."""
+        """Stop the rig's time inside the context."""
         self.catch_up()
         now_ns, time_ns = self._now_ns, self._time_ns
         self._now_ns = lambda: time_ns
@@ -317,7 +317,7 @@ class Device:
             self._now_ns = now_ns
 
     def _motors(self) -> tuple[float, float]:
-        """What drive and brake get of the board's duties."""
+        """Return the duties that reach drive and brake."""
         return self._duties
 
     def _turn_on(self, hand: _Hand, now: int) -> None:
@@ -351,5 +351,5 @@ class Device:
 
 
 def _seen_from(sign: int, edge: float) -> float:
-    """Where between two lines a wheel stands for an encoder whose count is then taken `sign` times: at the same one."""
+    """Return the position between two lines at which an encoder with this `sign` shows the same count."""
     return edge if sign > 0 else 1.0 - edge

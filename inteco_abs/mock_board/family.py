@@ -1,4 +1,4 @@
-"""What the mock board is for one family: how it looks from the wire, and what of the rest differs between families."""
+"""The mock board's part of a board family."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ if TYPE_CHECKING:
     from inteco_abs.mock_board.frontend import FrontEnd, Stream
 
 Connected = Callable[[Mapping[str, int], int], bool]
-"""Whether a PWM channel has its pin: from the board's settings and the channel's number."""
+"""Tells from settings and channel number whether a PWM channel is connected to its pin."""
 
 
 def always_connected(_settings: Mapping[str, int], _channel: int) -> bool:
-    """Of boards whose drivers write neither mode nor direction: their logic's pins must be what they are."""
+    """Return True, for boards whose drivers write neither pin mode nor direction."""
     return True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MockFamily:
-    """The board's own side of one family; `BoardFamily.mock` names it."""
+    """The mock board of one family; `BoardFamily.mock` names it."""
 
     front_end: Callable[[Device], FrontEnd]
-    """Puts a device behind the family's messages. Raises ConfigError for a rig at channels that the board has not."""
+    """Puts a device behind the family's messages. Raises ConfigError for a rig on missing channels."""
     reported: Callable[[Device, BoardProtocol | None, bytes], FrontEnd]
-    """The same for a board that was seen, by an image in its protocol. Raises ValueError for one that cannot be."""
+    """Does so for a reported board, from an image in its protocol. Raises ValueError for an invalid image."""
     connected: Callable[[BoardConfig], Connected] = lambda _wiring: always_connected
     identity_at: int | None = None
-    """First byte of an answer that says what the board is; None: no answer does."""
+    """Byte of an answer that identifies the board; None: there is none."""
     has_alarms: bool = False
     """Whether it shows alarm flags."""
     usb_device: Callable[[FrontEnd, Any, int], Any] | None = None
@@ -50,5 +50,5 @@ def mock_family(kind: str) -> MockFamily:
 
 
 def front_end_of(device: Device) -> FrontEnd:
-    """What a host sees of `device`: messages in, messages out, as its family has them."""
+    """Return the front end of `device` in its family's protocol."""
     return mock_family(device.kind).front_end(device)

@@ -1,4 +1,4 @@
-"""What every mock board looks like from its wire, whatever its frames."""
+"""Interfaces of mock boards on the wire."""
 
 from __future__ import annotations
 
@@ -10,35 +10,35 @@ from inteco_abs.mock_board.device import Cable, Device
 
 
 class FrontEnd(Protocol):
-    """A device in its kind of board's frames: messages in, messages out.
+    """A device in its family's protocol: messages in, messages out.
 
-    Malformed messages are dropped, as nothing is known of any complaint of a real board; `rejected` counts them.
+    Drops malformed messages, as no reply of a real board is known; `rejected` counts them.
     """
 
     device: Device
     rejected: int
 
     def bulk_out(self, data: bytes | bytearray) -> None:
-        """What the host writes."""
+        """Take a message of the host."""
         ...
 
     def bulk_in(self, length: int) -> bytes:
-        """What the host gets: at most `length` bytes of the oldest waiting answer, empty if there is none."""
+        """Return at most `length` bytes of the oldest waiting answer, empty without one."""
         ...
 
 
 class Stream(Protocol):
-    """The same board behind a FIFO: bytes come and go in any cuts."""
+    """A front end behind a FIFO: a byte stream without boundaries."""
 
     front_end: FrontEnd
 
     def feed(self, data: bytes | bytearray) -> bytes:
-        """Take bytes of the host; what the board answers to them."""
+        """Take bytes of the host; return the board's answer to them."""
         ...
 
 
 def require_terminals(cable: Cable, read: FrameTable) -> None:
-    """Raise ConfigError for a rig that is plugged into a channel which the logic with these answers does not have."""
+    """Raise ConfigError for a rig on a channel that the logic does not have."""
     wanted = {
         "drive_pwm": f"pwm{cable.drive_pwm}_width",
         "brake_pwm": f"pwm{cable.brake_pwm}_width",

@@ -1,4 +1,4 @@
-"""The mock RT-DAC/USB as a serial port: a pseudo-terminal, for which nobody needs root, a module or a USB bus."""
+"""The mock RT-DAC/USB as a serial port: a pseudo-terminal, which needs no root, module or USB bus."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _TERMINALS: Final = "/dev/pts/"
 
 
 class PtyServer:
-    """Puts `stream` behind a new pseudo-terminal: `serve` until `close`; or `step` in one's own loop.
+    """Puts `stream` behind a new pseudo-terminal: `serve` until `close`, or call `step` in a loop.
 
-    Hosts come and go; the outputs stay as they are when one leaves, as no RT-DAC board is known to do anything else.
+    Hosts come and go; outputs stay when one leaves, as on every known RT-DAC board.
     The host's end is kept open here too, so that it stays in raw mode between two hosts and never looks unplugged.
     `link`, if given, becomes a symbolic link to it. Raises BoardError if there can be none.
     """
 
     def __init__(self, stream: Stream, link: Path | None = None) -> None:
         self.lost_bytes = 0
-        """Bytes of answers that found no room, as nobody reads them."""
+        """Bytes of answers that found no room."""
         self._stream = stream
         self._link = link
         self._closed = False
@@ -67,7 +67,7 @@ class PtyServer:
         self._closed = True
 
     def step(self) -> None:
-        """Wait a moment for something to do, and do it."""
+        """Serve once, after a short wait."""
         now = time.monotonic()
         if self._poll.poll(_CATCH_UP_MS if now < self._busy_until_s else _IDLE_MS):
             self._busy_until_s = now + _BUSY_S
@@ -82,7 +82,7 @@ class PtyServer:
         self.lost_bytes += len(answer) - sent
 
     def hang_up(self) -> None:
-        """Take the port away, for who does not `serve`."""
+        """Remove the port, without `serve`."""
         if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.name:
             self._link.unlink()
         os.close(self._board)

@@ -1,4 +1,4 @@
-"""Which rig the mock board has on its terminals: the published one as configured, or a drawn one of its own."""
+"""The rig on the mock board's terminals: the published one as configured, or a drawn one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _OWN: Final = ("parameters", "brake_rate_per_s")
 
 
 def simulated_rig(config: RigConfig, wheel_edge: float = 0.0, road_edge: float = 0.0) -> RigVariation:
-    """The rig of [simulation]; raises ConfigError for a drawn one that cannot be.
+    """Return the rig of [simulation]; raises ConfigError for an invalid drawn one.
 
     `wheel_edge` and `road_edge`, in counts 0..1, are where the published rig's ideal encoders stand between two lines
     at power-up. A drawn rig has its own.
@@ -39,10 +39,7 @@ def simulated_rig(config: RigConfig, wheel_edge: float = 0.0, road_edge: float =
 
 
 def drawn_facts(config: RigConfig) -> dict[str, str]:
-    """Everything in which the drawn rig is not the published one, as text; empty if none is drawn.
-
-    The name alone would do as long as populations stay what they are. Raises ConfigError as `simulated_rig`.
-    """
+    """Return the drawn rig's differences from the published one, as text; raises ConfigError as `simulated_rig`."""
     if not config.simulation.rig:
         return {}
     rig, published = _flat(simulated_rig(config)), _flat(RigVariation())
@@ -74,13 +71,13 @@ def rig_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
 
 
 def _counts_mistakes(table: Mapping[str, Any], name: str, counts: int) -> Iterator[ConfigIssue]:
-    """The drawn encoders are what they are; that the host believes something else must be said to be meant."""
+    """Yield a mismatch between the drawn encoders and the configured ones."""
     stated = section_of(table, "simulation").get("counts_per_turn")
-    believed = section_of(table, "encoders").get("counts_per_turn", EncodersConfig().counts_per_turn)
+    configured = section_of(table, "encoders").get("counts_per_turn", EncodersConfig().counts_per_turn)
     if stated is not None and stated != counts:
         yield ConfigIssue("simulation.counts_per_turn", f"{stated!r}: {name} has {counts}; leave the key out")
-    elif stated is None and believed != counts:
-        problem = f"{believed!r}: {name} has {counts} counts per turn; set this to {counts} too"
+    elif stated is None and configured != counts:
+        problem = f"{configured!r}: {name} has {counts} counts per turn; set this to {counts} too"
         yield ConfigIssue(
             "encoders.counts_per_turn", f"{problem}, or simulation.counts_per_turn if the mistake is meant"
         )

@@ -1,4 +1,4 @@
-"""The mock board for another process: a local socket in the place of the USB cable."""
+"""The mock board for another process, over a local socket in place of the USB cable."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _IDLE_S: Final = 0.01
 
 
 class SocketServer:
-    """Serves one host at a time at `path`, as a USB interface does: others are hung up on at once.
+    """Serves one host at a time at `path`, as a USB interface does, and disconnects others.
 
-    The outputs stay as they are when a host leaves, as no RT-DAC board is known to do anything else.
+    Outputs stay when a host leaves, as on every known RT-DAC board.
     """
 
     def __init__(self, front_end: FrontEnd, path: str) -> None:
@@ -31,11 +31,11 @@ class SocketServer:
 
     @property
     def busy(self) -> bool:
-        """Whether a host is there."""
+        """Whether a host is connected."""
         return self._host is not None
 
     def step(self) -> None:
-        """Wait a moment for something to do, and do it."""
+        """Serve once, after a short wait."""
         host, catch_up = self._host, self._front_end.device.catch_up
         waiting: list[socket.socket] = [self._listener] if host is None else [host, self._listener]
         ready, _, _ = select.select(waiting, [], [], _IDLE_S if host is None else _CATCH_UP_S)

@@ -166,7 +166,7 @@ def test_a_file_that_was_cut_off_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("data", "word"),
-    [(b"\xd4\xc3\xb2\xa1\n", "needs inteco-abs wire import first"), (b"", "line 1"), (b"\n", "line 1")],
+    [(b"\xd4\xc3\xb2\xa1\n", "run inteco-abs wire import first"), (b"", "line 1"), (b"\n", "line 1")],
 )
 def test_other_files_are_refused(tmp_path, data, word):
     path = tmp_path / "x.jsonl"

@@ -49,12 +49,12 @@ class FaultyDevice(Device):
 
     @property
     def power_interface(self) -> PowerInterface:
-        """What there is to be measured of it now."""
+        """Measured state of the power interface now, with faults."""
         measured, alarm = self._supplied(), self.schedule.acting("alarm")
         return measured._replace(alarms=measured.alarms ^ int(alarm.value)) if alarm else measured
 
     def sleep(self, seconds: float) -> None:
-        """So much time passes here, and none on the host's clock."""
+        """Let time pass here, and none on the host's clock."""
         self._slept_ns += round(seconds * 1e9)
 
     def restart(self, settings: dict[str, int]) -> None:

@@ -1,4 +1,4 @@
-"""What goes wrong with the computer itself: its processes, and the disk of whoever writes the session."""
+"""Faults of the computer: of its processes, and of the disk for the session."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _NOTHING_MORE: Final = 0
 
 
 class FaultyHost:
-    """Does to the processes of a run what `schedule` says, and to the one that writes its session at `file`.
+    """Applies the faults of `schedule` to a run's processes and to its session at `file`.
 
-    `pid_of` knows them by name; 0 for one that is not there. The wall clock that steps is this process's. Leaving the
-    context ends all that lasts.
+    `pid_of` returns a process by name, 0 for a missing one. The wall clock that steps is this process's. Leaving the
+    context ends all faults.
     """
 
     def __init__(self, schedule: Schedule, file: Path, pid_of: Callable[[str], int]) -> None:
@@ -45,7 +45,7 @@ class FaultyHost:
         time.time_ns = self._wall_ns
 
     def act(self) -> None:
-        """Do what is due by now, and end what is over; to be called often."""
+        """Begin and end the faults that are due; call it often."""
         for name in PROCESSES:
             self._do_to(name)
         if self._schedule.once("file-gone"):
@@ -58,7 +58,7 @@ class FaultyHost:
             self._give_room()
 
     def frozen(self, name: str) -> bool:
-        """Whether that process stands still for us."""
+        """Return whether that process is frozen by a fault."""
         return name in self._frozen
 
     def _do_to(self, name: str) -> None:

@@ -9,18 +9,14 @@ from inteco_abs.mock_board.faults.fault import Fault, FaultEvent
 
 
 class Schedule:
-    """Faults of one run, on the clock of the board.
-
-    Told of exchanges and of the outputs; asked by those who act. `seed` makes what is random about a fault the same
-    each time.
-    """
+    """Faults of one run, timed on the board's clock and its exchanges; `seed` makes random faults repeatable."""
 
     def __init__(self, faults: Sequence[Fault], now_ns: Callable[[], int], seed: int = 0) -> None:
         self.random = random.Random(seed)
         self.exchange = 0
         """Number of exchanges that have begun."""
         self.times = dict.fromkeys(map(str, faults), 0)
-        """How often each fault has acted, by its text: one that never has was no test of anything."""
+        """How often each fault has acted, by its text."""
         self.first_ns: dict[str, int] = {}
         """When it first did."""
         self._numbered = tuple(enumerate(faults))
@@ -46,7 +42,7 @@ class Schedule:
         return None
 
     def once(self, name: str) -> Fault | None:
-        """A fault that acts now and is over with it, however long it lasts."""
+        """Return a fault that acts now, once only."""
         for i, fault in self._numbered:
             if fault.name == name and i not in self._over and self._acts(i, fault):
                 self._over.add(i)
@@ -58,7 +54,7 @@ class Schedule:
         return any(fault.name == name and i in self._began and self._acts(i, fault) for i, fault in self._numbered)
 
     def acted(self) -> dict[str, str]:
-        """How often each fault has acted, as text."""
+        """Return how often each fault has acted, as text."""
         return {name: str(times) for name, times in self.times.items()}
 
     def _seen(self, fault: Fault) -> Fault:
