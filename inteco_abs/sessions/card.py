@@ -1,4 +1,4 @@
-"""The result card: what a stop was worth, in numbers."""
+"""The result card: the metrics of a run."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Array = npt.NDArray[Any]
 
 
 def result_card(config: RigConfig, ticks: Array, truth: Array) -> dict[str, Any]:
-    """The card of a run whose rows are all there, as `RunningCard` makes it. `truth` has no rows on a real rig."""
+    """The card of a complete run; `truth` has no rows on a real rig."""
     card = RunningCard(config)
     for rows, states in in_step(ticks, truth):
         card.add(rows, states)
@@ -39,7 +39,7 @@ def result_card(config: RigConfig, ticks: Array, truth: Array) -> dict[str, Any]
 
 
 def timing_card(ticks: Array) -> dict[str, Any]:
-    """The card of which nothing is known but how punctual the ticks were."""
+    """The card of a run without a configuration: the timing of its ticks only."""
     card = RunningCard(None)
     for rows, states in in_step(ticks, TRUTH.array(b"")):
         card.add(rows, states)
@@ -52,10 +52,7 @@ def link_errors(ticks: Array) -> int:
 
 
 def in_step(ticks: Array, truth: Array, rows: int = _BLOCK_TICKS) -> Iterator[tuple[Array, Array]]:
-    """Blocks of so many ticks, each with the states up to its last tick that came behind those of the block before.
-
-    Views; arrays that lie on a disk stay there.
-    """
+    """Blocks of ticks, each with its share of the states, up to the block's last tick; views, without a copy."""
     done = 0
     for at in range(0, len(ticks), rows):
         block = ticks[at : at + rows]
@@ -66,19 +63,17 @@ def in_step(ticks: Array, truth: Array, rows: int = _BLOCK_TICKS) -> Iterator[tu
 
 
 class RunningCard:
-    """Metrics of a run, made while it comes, block by block; it keeps the rows of no more than one stop.
+    """Metrics of a run, block by block; it keeps the rows of at most one stop.
 
-    They are those of `stop_metrics`, from the first tick of the braking phase on and with the brake still held. Speed
-    and slip are the true ones where there are any, else the estimated ones; distance is what the road wheel's encoder
-    counted. Of several stops in one session, each metric is the median of those that have it. Without a
-    configuration there is nothing but how punctual the ticks were.
+    They are those of `stop_metrics`, from the first tick of braking to the last with the brake held. Speed and slip are
+    the true ones if there are any, else the estimated ones; the road wheel's encoder counts the distance. Of several
+    stops, each metric is the median. Without a configuration there is only the timing.
     """
 
     def __init__(self, config: RigConfig | None) -> None:
         self.ticks = 0
-        """How many have come."""
         self.last_tick = -1
-        """Number of the newest; -1 before the first."""
+        """Number of the newest tick; -1 before the first."""
         self.link_errors = 0
         """Ticks whose exchange with the board failed."""
         self._config = config
@@ -88,7 +83,7 @@ class RunningCard:
         self._stop, self._truth = bytearray(), bytearray()
 
     def add(self, ticks: Array, truth: Array) -> None:
-        """The next ticks, and the next states of the simulated rig, up to the last of these ticks at least."""
+        """Add ticks, and states of the simulated rig up to the last of these ticks at least."""
         if self._config is not None:
             self._truth += truth.tobytes()
         if not len(ticks):
@@ -102,7 +97,7 @@ class RunningCard:
             self._follow(ticks, self._config)
 
     def card(self) -> dict[str, Any]:
-        """The card of everything so far; a stop that still goes on is one of its stops."""
+        """The card of everything so far, including a stop that is not over."""
         config = self._config
         cards = [*self._stops, *([self._stop_card(config)] if config is not None and self._stop else [])]
         card = {
@@ -122,7 +117,7 @@ class RunningCard:
         return card
 
     def _follow(self, ticks: Array, config: RigConfig) -> None:
-        """Gather the braking and stopped ticks of each stop."""
+        """Collect the braking and stopped ticks of each stop."""
         braking = (ticks["phase"] == Phase.BRAKING) | (ticks["phase"] == Phase.STOPPED)
         edges = [0, *(np.flatnonzero(np.diff(braking)) + 1).tolist(), len(ticks)]
         for first, end in pairwise(edges):
@@ -156,7 +151,7 @@ class RunningCard:
 
 
 class _Lateness:
-    """How late ticks were: each value that has come, and how often. Clocks count nanoseconds, so there are few."""
+    """Histogram of the ticks' lateness, by value: clocks count nanoseconds, so values repeat."""
 
     _SHARES: Final = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
     _MOST_NEW: Final = 1 << 16
@@ -167,7 +162,6 @@ class _Lateness:
         self._new_number = 0
 
     def add(self, late_us: Array) -> None:
-        """Values of more ticks."""
         self._new.append(late_us.copy())
         self._new_number += len(late_us)
         if self._new_number > self._MOST_NEW:
@@ -183,7 +177,7 @@ class _Lateness:
         self._numbers = np.insert(self._numbers, at[~known], numbers[~known])
 
     def percentiles(self) -> dict[str, float | None]:
-        """The same numbers as `np.percentile` of all values at once gives."""
+        """Equal to `np.percentile` of all values."""
         self._count()
         if not len(self._values):
             return dict.fromkeys(self._SHARES)
@@ -202,10 +196,7 @@ class _Lateness:
 
 
 def stored_card(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Any] | None:
-    """The result card in a session's metadata; None if there is none that can be read.
-
-    No number in it is infinite, and none too large for a double.
-    """
+    """The result card in a session's metadata, None if there is no valid one; its numbers are finite doubles."""
     try:
         card = json.loads(
             metadata.get("result", {}).get("card", ""),
@@ -219,7 +210,7 @@ def stored_card(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Any] | N
 
 
 def card_of(session: Session) -> dict[str, Any] | None:
-    """The card that a session holds, or, where it was cut, one made of what it has; None if that cannot be."""
+    """The session's card, or, if it was cut, one of its ticks; None without a usable configuration."""
     stored = stored_card(session.metadata)
     if stored is not None:
         return stored

@@ -1,6 +1,6 @@
-"""What a run was surrounded by: installed packages, and what the source tree has that its commit has not.
+"""The software environment of a run: installed packages, and uncommitted changes of the source tree.
 
-Looking at a hundred packages takes a tenth of a second, so it is done once a process, by who records.
+Listing a hundred packages takes 0.1 s, so the recorder does it once a process.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Enclosure(NamedTuple):
 
 
 class Environment(NamedTuple):
-    """Files, and what is said about them among the facts about the software."""
+    """Files, and facts for the metadata record `software`."""
 
     files: tuple[Enclosure, ...] = ()
     software: Mapping[str, str] = {}
@@ -43,14 +43,14 @@ class Environment(NamedTuple):
 
     @classmethod
     def of(cls, note: Mapping[str, Any]) -> Self:
-        """What another process has gathered."""
+        """From `as_note` of another process."""
         files = (Enclosure(name, kind, base64.b64decode(data)) for name, kind, data in note["files"])
         return cls(tuple(files), note["software"])
 
 
 @cache
 def current_environment() -> Environment:
-    """Those of this process."""
+    """The environment of this process."""
     packages = installed_packages()
     files = [Enclosure(REQUIREMENTS_NAME, "text/plain", packages)]
     software = {"packages_sha256": hashlib.sha256(packages).hexdigest()}
@@ -88,7 +88,7 @@ def changes(folder: Path, most_bytes: int = MOST_DIFF_BYTES) -> tuple[bytes, boo
     try:
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as git:  # noqa: S603  fixed
             diff = git.stdout.read(most_bytes + 1) if git.stdout else b""
-            git.kill()  # whatever else it has to say
+            git.kill()  # the rest is not needed
     except OSError:  # a computer that can start no process can still record
         return b"", False
     return diff[:most_bytes], len(diff) > most_bytes

@@ -1,7 +1,7 @@
-"""Keeps a run whatever its disk does: in its file, else in a second one, else in memory until the end.
+"""Writes a run to its file; if the disk fails, to a second one, else from memory at the end.
 
-It holds no row itself. What a new file needs is read again from the file before, even where that has lost its name, and
-from the memory of whoever adds the rows, who keeps them until they are in a file.
+It holds no row itself: a new file is copied from the one before, even if that has lost its name, and from the memory of
+the caller, which keeps rows until they are in a file.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from inteco_abs.sessions.writer import FileWriter
 Opener = Callable[[Path], FileWriter]
 """Opens a file for the session at a path; the same session, with the same times, whichever the path."""
 Say = Callable[[str, Path], None]
-"""Told what a disk has refused and what came of it, and which file is written by now."""
+"""Gets the disk's error and what follows from it, and the file that is now written."""
 RowBlocks = Iterable[tuple[bytes, bytes]]
 """Ticks and states of the simulated rig in blocks, each back to back and in order."""
 
 
 def check_spill(config: RigConfig) -> None:
-    """Refuse, before anything is opened, a second place that is none. Raises ConfigError."""
+    """Check `session.spill` before anything is opened. Raises ConfigError if it is not a folder."""
     folder = config.session.spill
     problem = ""
     try:
@@ -44,22 +44,22 @@ def check_spill(config: RigConfig) -> None:
 
 
 def spill_path(out: Path, config: RigConfig, session_id: str) -> Path | None:
-    """Second place for the session that should be at `out`; None if there is none to be had."""
+    """Second place for the session at `out`; None if none is configured."""
     if not config.session.spill:
         return None
     path = Path(config.session.spill).expanduser().absolute() / out.name
     try:
         taken = path.exists()
-    except OSError:  # nobody knows
+    except OSError:  # unknown
         taken = True
     return path.with_name(f"{out.stem}-{session_id[:8]}{out.suffix}") if taken else path
 
 
 def joined(stored: Callable[[], RowBlocks], held: Callable[[], RowBlocks]) -> Iterator[tuple[bytes, bytes]]:
-    """A run from what a file has `stored` of it and the newest part, which memory has `held`: each row once.
+    """A run, each row once, from what a file has `stored` and the newest part, `held` in memory.
 
-    The file is not looked at where memory has everything. Else it comes first: the loop goes on meanwhile and may take
-    the place of what a file has, never of what none has. Raises what reading the file raises.
+    The file is read only if memory has not everything, and then first: meanwhile the loop may overwrite rows that are
+    in a file, never others. Raises what reading the file raises.
     """
     first, _ = next(iter(held()), (b"", b""))
     tick = state_ns = -1
@@ -73,16 +73,16 @@ def joined(stored: Callable[[], RowBlocks], held: Callable[[], RowBlocks]) -> It
 
 
 def _behind(message: Message, column: str, rows: bytes, newest: int) -> bytes:
-    """Those of the rows, which are in order, that are newer."""
+    """The rows that are newer than `newest`; they are in order."""
     return rows[int((message.array(rows)[column].astype(np.int64) <= newest).sum()) * message.size :]
 
 
 class FailoverWriter:
-    """Tells one run to a file at `out`. A disk that refuses before the run was introduced is a SessionError.
+    """Writes one run to a file at `out`. Raises SessionError if the disk fails before the header is written.
 
-    Later it is none before the end: the run is told anew to a file at `spill`, or, where that refuses too, kept in
-    memory until `finish` tries both once more. `held` gives what was added and is still in the memory of whoever
-    adds it: at least everything since the newest `flush` after which the keeper was `writing`.
+    Later failures raise nothing before the end: the run moves to a file at `spill`, or, if that fails too, stays in
+    memory until `finish` tries both again. `held` returns the rows still in the caller's memory: at least all since the
+    newest `flush` after which this was `writing`.
     """
 
     def __init__(
@@ -100,84 +100,84 @@ class FailoverWriter:
         self._open = opener
         self._held = held
         self._say = say or (lambda _text, _path: None)
-        self._troubles: list[str] = []
-        self._remarks: list[tuple[int, str]] = []
+        self._problems: list[str] = []
+        self._warnings: list[tuple[int, str]] = []
         self._recorder = opener(out)
-        self._scribe: SessionWriter | None = None
-        self._refused = False
+        self._writer: SessionWriter | None = None
+        self._failed = False
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        self._let_go()
+        self._close()
 
     @property
     def writing(self) -> bool:
-        """Whether a file takes in what is added, as far as is known."""
-        return not self._refused
+        """Whether rows that are added reach a file, as far as is known."""
+        return not self._failed
 
     @property
     def ticks(self) -> int:
         """Ticks that were added."""
-        return self._scribe.ticks if self._scribe is not None else 0
+        return self._writer.ticks if self._writer is not None else 0
 
     @property
     def header(self) -> RunHeader:
-        """What the run was introduced with."""
-        return self._told.header
+        """The run's header."""
+        return self._begun.header
 
     def write_header(self, config: RigConfig, header: RunHeader, session: Path) -> None:
-        """Everything that explains the run, on the disk before the first tick; the user calls the file `session`."""
+        """Write everything that explains the run before the first tick; `session` is the file's name for the user."""
         self._session = session
-        scribe = SessionWriter(self._recorder, config, header, session)
+        writer = SessionWriter(self._recorder, config, header, session)
         try:
-            scribe.write_header()
+            writer.write_header()
         except SessionError as error:
-            with suppress(SessionError):  # a disk that takes nothing may give nothing back either
+            with suppress(SessionError):  # a failing disk may not remove files either
                 self.discard()
             raise SessionError(f"{error}; the rig was not moved") from error
-        self._scribe = scribe
+        self._writer = writer
 
     def add_environment(self, found: Environment) -> None:
-        """What surrounded the run, if it was introduced without."""
-        self._attempt(lambda: self._told.add_environment(found))
+        """Add the environment, if the header was written without."""
+        self._attempt(lambda: self._begun.add_environment(found))
 
     def add(self, ticks: bytes, truths: bytes) -> None:
-        """More of the run: tick records and states of the simulated rig, each back to back."""
-        if self._refused:
-            self._told.remember(ticks, truths)
+        """Add tick records and states of the simulated rig, each back to back."""
+        if self._failed:
+            self._begun.remember(ticks, truths)
         else:
-            self._attempt(lambda: self._told.add(ticks, truths))
+            self._attempt(lambda: self._begun.add(ticks, truths))
 
     def flush(self) -> None:
-        """Everything so far into the file."""
-        if not self._refused:
+        """Write everything so far to the file."""
+        if not self._failed:
             self._attempt(lambda: self._recorder.flush())  # noqa: PLW0108  of the recorder that there is then
 
     def warn(self, unix_ns: int, text: str) -> None:
         """Add a warning to the session's log."""
-        self._remarks.append((unix_ns, text))
-        if not self._refused:
+        self._warnings.append((unix_ns, text))
+        if not self._failed:
             self._attempt(lambda: self._recorder.warn(unix_ns, text))
 
     def finish(self, end: RunEnd) -> RunResult:
-        """Complete the file, or make it as a whole where that can be done by now.
+        """Complete the file, or write it as a whole if that is possible by now.
 
-        Raises SessionError if no disk takes it: there is no complete file then.
+        Raises SessionError if no disk takes it.
         """
-        while not self._refused:
+        while not self._failed:
             try:
-                return self._accounted(self._told.finish(end))
+                return self._reported(self._begun.finish(end))
             except SessionError as error:
                 self._move(error)
         for place in filter(None, (self._out, self._spill)):
             with suppress(AbsError):
-                return self._accounted(self._as_a_whole(place, end))
-        raise SessionError(f"{'; '.join(self._troubles)}; nor could the file be made anew at the end")
+                return self._reported(self._as_a_whole(place, end))
+        raise SessionError(f"{'; '.join(self._problems)}; nor could the file be made anew at the end")
 
     def rows(self) -> Iterator[tuple[bytes, bytes]]:
-        """Everything that was added, out of the last file and memory; only once no file is written any more."""
+        """All rows, from the last file and memory; only after writing has ended."""
         return joined(self._stored, self._held)
 
     def discard(self) -> None:
@@ -185,10 +185,10 @@ class FailoverWriter:
         self._recorder.discard()
 
     @property
-    def _told(self) -> SessionWriter:
-        if self._scribe is None:
-            raise RuntimeError("a run is introduced before anything else is told of it")
-        return self._scribe
+    def _begun(self) -> SessionWriter:
+        if self._writer is None:
+            raise RuntimeError("write_header comes first")
+        return self._writer
 
     def _attempt(self, work: Callable[[], None]) -> None:
         try:
@@ -197,61 +197,61 @@ class FailoverWriter:
             self._move(error)
 
     def _move(self, error: SessionError) -> None:
-        """The disk refuses: go on in the second place, if there is one that takes everything so far."""
-        known = len(self._troubles)
-        self._troubles.append(str(error))
-        self._refused = True
+        """The disk failed: continue in the second place, if it takes everything so far."""
+        known = len(self._problems)
+        self._problems.append(str(error))
+        self._failed = True
         if self._spill is not None and self.path != self._spill:
             try:
-                self._begin_anew(self._spill)
+                self._move_to(self._spill)
             except AbsError as second:
-                self._troubles.append(in_a_line(second))
-        goes_on = "its ticks are kept in memory" if self._refused else f"it is written to {self.path} by now"
-        self._say(f"{'; '.join(self._troubles[known:])}; the run goes on, and {goes_on}", self.path)
+                self._problems.append(in_a_line(second))
+        goes_on = "its ticks are kept in memory" if self._failed else f"it is written to {self.path} by now"
+        self._say(f"{'; '.join(self._problems[known:])}; the run goes on, and {goes_on}", self.path)
 
-    def _begin_anew(self, path: Path) -> None:
+    def _move_to(self, path: Path) -> None:
         recorder = self._open(path)
         try:
-            scribe = self._retold(recorder, path)
+            writer = self._rewritten(recorder, path)
             recorder.flush()
         except SessionError:
             with suppress(SessionError):
                 recorder.close()
             raise
-        self._let_go()
-        self._recorder, self._scribe, self.path, self._refused = recorder, scribe, path, False
+        self._close()
+        self._recorder, self._writer, self.path, self._failed = recorder, writer, path, False
 
     def _as_a_whole(self, place: Path, end: RunEnd) -> RunResult:
         with atomic_write(place) as part, self._open(part) as recorder:
             require_own_file(place, recorder.session_id)
-            account = self._retold(recorder, place).finish(end)
+            result = self._rewritten(recorder, place).finish(end)
         self.path = place
-        return account
+        return result
 
-    def _retold(self, recorder: FileWriter, place: Path) -> SessionWriter:
-        scribe = self._told.anew(recorder, self._session if place == self._out else place)
+    def _rewritten(self, recorder: FileWriter, place: Path) -> SessionWriter:
+        writer = self._begun.continued(recorder, self._session if place == self._out else place)
         for ticks, truths in self.rows():
-            scribe.write(ticks, truths)
-        for unix_ns, text in (*self._remarks, *((recorder.started_ns, text) for text in self._troubles)):
+            writer.write(ticks, truths)
+        for unix_ns, text in (*self._warnings, *((recorder.started_ns, text) for text in self._problems)):
             recorder.warn(unix_ns, text)
-        return scribe
+        return writer
 
     def _stored(self) -> RowBlocks:
-        """What the last file has; where its disk does not give that back, no more than it gives."""
+        """The rows in the last file, up to where its disk fails."""
         try:
             yield from self._recorder.stored()
         except SessionError as error:
-            if str(error) not in self._troubles:
-                self._troubles.append(str(error))
+            if str(error) not in self._problems:
+                self._problems.append(str(error))
 
-    def _accounted(self, account: RunResult) -> RunResult:
-        if not self._troubles:
-            return account
-        lost = self.ticks - account.card["ticks"]
+    def _reported(self, result: RunResult) -> RunResult:
+        if not self._problems:
+            return result
+        lost = self.ticks - result.card["ticks"]
         what = f"the session, but for {lost} ticks that are lost," if lost else "the whole session"
-        troubles = [*self._troubles, *filter(None, [account.trouble]), f"{what} is in {account.card['session']}"]
-        return replace(account, trouble="; ".join(troubles))
+        problems = [*self._problems, *filter(None, [result.trouble]), f"{what} is in {result.card['session']}"]
+        return replace(result, trouble="; ".join(problems))
 
-    def _let_go(self) -> None:
-        with suppress(SessionError):  # what it could not write any more has been said
+    def _close(self) -> None:
+        with suppress(SessionError):  # its error was reported already
             self._recorder.close()

@@ -1,4 +1,4 @@
-"""What one stop was worth, in numbers: the same for a session's card and for a virtual rig."""
+"""The metrics of one stop, for a session's card and for Monte Carlo runs."""
 
 from __future__ import annotations
 

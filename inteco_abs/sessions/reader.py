@@ -1,4 +1,4 @@
-"""Reads a session into numpy arrays. What contradicts itself is refused; what was cut is read up to there."""
+"""Reads a session into numpy arrays. A damaged file is refused; one that was cut is read up to there."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from inteco_abs.sessions.migration import UnsupportedError, migrated
 from inteco_abs.sessions.storage import Rows, RowsInMemory, RowsOnDisk
 
 _BEGINNING: Final = 64
-"""Bytes that are looked at to tell what a file is, if it is not a session."""
+"""Bytes that show what a file is, if it is not a session."""
 _LATEST_NS: Final = (1 << 63) - 1
 _OTHERS: Final = {
     b"#ROSBAG": "a ROS bag; this program reads sessions of its own only",
@@ -139,7 +139,7 @@ def opened(path: Path) -> Iterator[tuple[BinaryIO, int]]:
 
 
 def is_session_file(path: Path) -> bool:
-    """Whether the file begins as a session does; a pipe, which might never give a byte, is none."""
+    """Whether `path` is a regular file that begins as a session does; a pipe is never opened."""
     if not path.is_file():
         return False
     try:
@@ -150,9 +150,9 @@ def is_session_file(path: Path) -> bool:
 
 
 def _instead(begin: bytes, shown: int) -> str:
-    """What a file is that begins so, in words; of an unknown one the first bytes."""
+    """Description of a file by its first bytes, or these bytes."""
     if not begin:
-        return "is empty: whatever should have written it has not begun"
+        return "is empty: the run may not have started"
     for other, what in _OTHERS.items():
         if begin.startswith(other):
             return f"is {what}"

@@ -1,7 +1,6 @@
-"""Walks a file that may be damaged: every record that proves whole, and every stretch in which there is none.
+"""Scans a file that may be damaged for intact records and damaged ranges.
 
-After damage the walk goes on at the next place where a record stands that proves itself, whatever lengths were declared
-before it.
+After damage the scan continues at the next intact record, independent of declared lengths.
 """
 
 from __future__ import annotations

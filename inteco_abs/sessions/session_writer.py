@@ -1,4 +1,4 @@
-"""Tells a run from its first line to its last: who ran what on which board, every tick, how it ended."""
+"""Writes a run's session: its header, every tick, how it ended."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from inteco_abs.signals import EXPLANATIONS, Reason
 
 _OUTCOMES: Final = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}
 EXIT_CODES: Final = {"fault": 5, "aborted": 5, "interrupted": 130}
-"""What a command ends with, by outcome; any other is done, perhaps with losses."""
+"""Exit code by outcome; any other outcome is 0, or `LOSSES`."""
 LOSSES: Final = 3
-"""What it ends with when there is something to look at."""
+"""Exit code of a completed run with overruns or losses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,35 +39,35 @@ class RunHeader:
     virtual: bool
     gains: Mapping[str, float]
     internals: Sequence[str]
-    """Names of what the controller logs in c0..c3."""
+    """Names of the controller's values c0..c3."""
     controller_source: bytes
     """Empty for a controller that ships."""
     facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """More metadata: software, host, real-time settings."""
     controller_package: str = ""
-    """Name and version of the package that the controller comes from; empty if from none."""
+    """Name and version of the controller's package; empty if it has none."""
     profile: bytes = b""
-    """The profile as it was written; the configuration has what became of it."""
+    """The profile's file, unchanged."""
     environment: Environment = field(default_factory=Environment)
 
 
 @dataclass(frozen=True, slots=True)
 class RunEnd:
-    """How a run ended, as told by who drove it."""
+    """How a run ended, as its loop reports it."""
 
     reason: Reason
     written: int
     """Ticks that were decided."""
     detail: str = ""
-    """What the controller raised, or the link's last error, where the reason is one of these."""
+    """The controller's exception or the link's last error, if that is the reason."""
     aborted: str = ""
-    """Why there was no proper end; empty if there was one."""
+    """Why the run was cut off; empty if it ended properly."""
     facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """More metadata."""
     died: Sequence[str] = ()
     """Processes that died, hung or were killed: of `loop`, `recorder`, `guardian`, `supervisor`."""
     frames: Frames | None = None
-    """What has passed between host and board; None if nobody asked for that."""
+    """Raw frames between host and board; None if they are not recorded."""
 
     @property
     def outcome(self) -> str:
@@ -77,7 +77,7 @@ class RunEnd:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """How a run ended, as told to the user."""
+    """How a run ended, for the user."""
 
     outcome: str
     """`completed`, `interrupted`, `fault` or `aborted`."""
@@ -85,10 +85,9 @@ class RunResult:
     explanation: str
     card: dict[str, Any]
     trouble: str = ""
-    """What a disk has refused, and what came of it, or why there are no raw frames; empty if nothing went wrong."""
-
+    """Disk errors and what followed, or why raw frames are missing; empty if nothing went wrong."""
     injected: Mapping[str, str] = field(default_factory=dict)
-    """How often each fault that the mock board was told to have has acted, by its text."""
+    """How often each injected fault has acted, by its text."""
 
     @property
     def exit_code(self) -> int:
@@ -98,16 +97,16 @@ class RunResult:
 
 
 class SessionWriter:
-    """Writes one run through a `recorder` that was just opened."""
+    """Writes one run through a `recorder` that was just opened; `session` is the file's name for the user."""
 
     def __init__(self, recorder: FileWriter, config: RigConfig, header: RunHeader, session: Path | None = None) -> None:
         self._recorder = recorder
-        self._session = session or recorder.path  # what the file will be called
+        self._session = session or recorder.path
         self._config = config
         self.header = header
         self._drawn = config.simulation.rig if simulated(header.board) else ""
         self.card = RunningCard(config)
-        """What the run comes to, whichever file has it."""
+        """The running result card, which continues from file to file."""
 
     @property
     def ticks(self) -> int:
@@ -115,84 +114,84 @@ class SessionWriter:
         return self.card.ticks
 
     def write_header(self) -> None:
-        """Everything that explains the run, on the disk before the first tick."""
-        told, config, recorder = self.header, self._config, self._recorder
+        """Write everything that explains the run to the disk, before the first tick."""
+        header, config, recorder = self.header, self._config, self._recorder
         parameters = nominal_parameters(config.model)
-        for name, facts in told.facts.items():
+        for name, facts in header.facts.items():
             recorder.describe(name, facts)
         recorder.describe(
             "rig",
             {
-                "board": told.board,
-                **told.identity,
+                "board": header.board,
+                **header.identity,
                 "profile": config.profile,
                 "counts_per_turn": str(config.encoders.counts_per_turn),
                 "r1_m": repr(parameters.r1),
                 "r2_m": repr(parameters.r2),
                 "parameters": config.model.parameters,
                 **_limits(config),
-                **_signature(config),
-                "simulated": str(simulated(told.board)).lower(),
+                **_sign_off(config),
+                "simulated": str(simulated(header.board)).lower(),
                 **self._physics(),
-                "virtual_time": str(told.virtual).lower(),
+                "virtual_time": str(header.virtual).lower(),
             },
         )
-        source = told.controller_source
+        source = header.controller_source
         digest = hashlib.sha256(source).hexdigest() if source else ""
-        recorder.describe("controller", controller_facts(config, told.gains, digest, told.controller_package))
+        recorder.describe("controller", controller_facts(config, header.gains, digest, header.controller_package))
         recorder.attach(CONFIG_NAME, "application/toml", config.to_toml().encode())
-        if told.profile:
-            recorder.attach("profile.toml", "application/toml", told.profile)
+        if header.profile:
+            recorder.attach("profile.toml", "application/toml", header.profile)
         if source:
             recorder.attach("controller.py", "text/x-python", source)
         self._enclose()
-        recorder.begin({"reference_slip": config.controller.reference_slip, **told.gains})
+        recorder.begin({"reference_slip": config.controller.reference_slip, **header.gains})
 
     def add_environment(self, found: Environment) -> None:
-        """What surrounded the run, where it could not wait for that to be gathered."""
+        """Add the environment, where the run could not wait for it."""
         self.header = replace(self.header, environment=found)
         self._enclose()
 
     def add(self, ticks: bytes, truths: bytes) -> None:
-        """More of the run: tick records and states of the simulated rig, each back to back."""
+        """Add tick records and states of the simulated rig, each back to back."""
         self.remember(ticks, truths)
         self.write(ticks, truths)
 
     def remember(self, ticks: bytes, truths: bytes) -> None:
-        """More of the run, for the card only."""
+        """Add rows to the card only."""
         self.card.add(TICK.array(ticks), TRUTH.array(truths))
 
     def write(self, ticks: bytes, truths: bytes) -> None:
-        """Rows that the card has seen into the file: states before the ticks that may have seen them."""
+        """Write rows that the card has seen; states come before the ticks that may depend on them."""
         self._recorder.truths(truths)
         self._recorder.ticks(ticks)
 
-    def anew(self, recorder: FileWriter, session: Path) -> SessionWriter:
-        """One for another recorder, whose file the user calls `session`: introduced, with the same card, and no row."""
+    def continued(self, recorder: FileWriter, session: Path) -> SessionWriter:
+        """A writer to another file with the same header and card, and no row yet."""
         other = SessionWriter(recorder, self._config, self.header, session)
         other.write_header()
         other.card = self.card
         return other
 
     def finish(self, end: RunEnd) -> RunResult:
-        """Complete the file with the result card and everything that is known about the end."""
+        """Complete the file with the result card and the facts about the end."""
         outcome = end.outcome
         parts = [EXPLANATIONS[end.reason]] if end.reason is not Reason.NONE or not end.aborted else []
         explanation = "; ".join([*parts, end.aborted] if end.aborted else parts)
-        if end.detail not in explanation:  # the link's last error is what kept SAFE from being confirmed, too
+        if end.detail not in explanation:  # the link's error may be in the text already
             explanation += f": {end.detail}"
         missing = "" if end.frames is None else self._enclose_frames(end.frames)
         card = self._card(outcome, end, explanation)
         for name, facts in end.facts.items():
             self._recorder.describe(name, facts)
         last = str(self.card.last_tick) if self.card.ticks and outcome != "completed" else ""
-        told = {"last_tick": last, "died": ", ".join(end.died)}
-        self._recorder.describe("session", {name: text for name, text in told.items() if text})
+        facts = {"last_tick": last, "died": ", ".join(end.died)}
+        self._recorder.describe("session", {name: text for name, text in facts.items() if text})
         self._recorder.finish(outcome, explanation, card)
         return RunResult(outcome, end.reason, explanation, card, missing, end.facts.get("injected", {}))
 
     def _enclose_frames(self, frames: Frames) -> str:
-        """What has passed between host and board, behind all ticks; if it was not kept, why."""
+        """Write the raw frames behind all ticks; return why they are missing, or an empty text."""
         try:
             with frames() as (head, records):
                 count = self._recorder.frames(frame_facts(head), packed_frames(head, records))
@@ -210,7 +209,7 @@ class SessionWriter:
             self._recorder.describe("software", found.software)
 
     def _physics(self) -> dict[str, str]:
-        """What is inside the mock board."""
+        """The simulated rig in the mock board."""
         if self._drawn:
             return {"drawn": self._drawn}
         if simulated(self.header.board):
@@ -235,7 +234,7 @@ class SessionWriter:
 
 
 def _limits(config: RigConfig) -> dict[str, str]:
-    """What the guard lets pass."""
+    """The guard's limits."""
     guard = config.guard
     return {
         "brake_limit": repr(guard.brake_limit),
@@ -244,8 +243,8 @@ def _limits(config: RigConfig) -> dict[str, str]:
     }
 
 
-def _signature(config: RigConfig) -> dict[str, str]:
-    """Who checked the wiring on the rig, and when; nothing if nobody did."""
+def _sign_off(config: RigConfig) -> dict[str, str]:
+    """Who signed the profile off, and when; empty without a sign-off."""
     board = config.board
     if not board.verified_by:
         return {}

@@ -1,4 +1,4 @@
-"""Where the rows of a session go while it is read: into memory, or onto the disk if they may be too many."""
+"""Storage for the rows of a session while it is read: memory, or the disk for large sessions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class RowsInMemory(BytesIO):
 
 
 class RowsOnDisk:
-    """Rows in a file in `folder` that has no name, and is gone once nobody uses its contents any more."""
+    """Rows in an unnamed file in `folder`, which disappears with the last use of its contents."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -59,7 +59,7 @@ class RowsOnDisk:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        with suppress(OSError):  # who is through with it need not know what the disk has to say
+        with suppress(OSError):  # nothing is needed from it any more
             self._file.close()
 
     def _no_room(self, error: OSError) -> SessionError:

@@ -1,6 +1,6 @@
-"""What a whole file says of itself, found through its index: no tick is read, so that hundreds of files take a second.
+"""Reads a session's metadata through the index and no tick: hundreds of files take a second.
 
-Only the index has its checksum looked at; `validate` looks at all of them.
+It checks the index's checksum only; `validate` checks all.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _LARGEST_METADATA: Final = 1 << 22
 
 
 def read_metadata(file: BinaryIO, size: int) -> Metadata:
-    """All metadata of the session in an open file, as in `Session`. Raises DamagedError if its index is not good."""
+    """Metadata of the session in an open file, as in `Session`. Raises DamagedError if the index is damaged."""
     content = Content()
     places = sorted(
         tuple(fields(entry.opcode, entry.data)[:2])

@@ -1,4 +1,4 @@
-"""Whether a session can be trusted: checksums, gaps, time, schema, hash, what must be in it, index."""
+"""Validates a session: checksums, gaps, time, schema, hash, required parts, index."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Inspection:
 
 
 def validate(path: Path) -> Inspection:
-    """Everything that is not as it should be in the session at `path`; raises nothing."""
+    """All findings in the session at `path`; raises nothing."""
     inspection = Inspection(path)
     try:
         with opened(path) as (file, size):
