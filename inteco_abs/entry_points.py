@@ -22,22 +22,19 @@ T = TypeVar("T")
 
 @contextmanager
 def foreign_code(path: str, what: str) -> Iterator[None]:
-    """Around code of others in the file `what`, or a package: may raise anything, ConfigError then.
-
-    Its prints go to stderr.
-    """
+    """Run code of the file or package `what`: any exception becomes a ConfigError, prints go to stderr."""
     try:
         with redirect_stdout(sys.stderr):  # they must not mix with a result card
             yield
     except (Exception, SystemExit) as error:
-        told = str(error)
+        text = str(error)
         if isinstance(error, SyntaxError) and error.filename == what:
-            told = error.msg  # its text names file and line once more
-        raise ConfigError.of(path, f"{what}{place_in(error, what)}: {type(error).__name__}: {told}") from error
+            text = error.msg  # its text repeats file and line
+        raise ConfigError.of(path, f"{what}{place_in(error, what)}: {type(error).__name__}: {text}") from error
 
 
 def attribute(reference: str) -> Any:
-    """What "module:attribute" names, imported now."""
+    """Import the attribute that "module:attribute" names."""
     return EntryPoint("", reference, "").load()
 
 
@@ -49,7 +46,7 @@ class Packaged(NamedTuple):
     version: str
     entry: EntryPoint
     problem: str = ""
-    """Why it cannot be used, as far as can be told without importing it."""
+    """Why it cannot be used, as far as is known without importing it."""
 
     @property
     def package(self) -> str:
@@ -59,10 +56,10 @@ class Packaged(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Registry(Mapping[str, T], Generic[T]):
-    """What ships first, then what packages offer, which is looked for where nothing that ships has the name.
+    """Parts by name: those that ship first, then those of installed packages.
 
-    A part that ships may be text, "module:attribute", and is imported when it is used. Asking for a package's part
-    raises ConfigError if it cannot be imported, or is not what `require` (path, part, description) lets through.
+    A part that ships may be text, "module:attribute", and is imported when it is used. A package's part raises
+    ConfigError if it cannot be imported, or if `require` (path, part, description) refuses it.
     """
 
     what: str
@@ -90,7 +87,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return sum(1 for _ in self)
 
     def usable(self) -> tuple[dict[str, tuple[T, str]], list[dict[str, str]]]:
-        """All parts that can be imported, each with its package or "", and why the others cannot."""
+        """All parts that can be imported, each with its package or "", and the problems of the others."""
         found, broken = {name: (self[name], "") for name in self.shipped}, []
         for offer in self.packaged.values():
             try:
@@ -127,11 +124,11 @@ class Registry(Mapping[str, T], Generic[T]):
 
 
 def _offers(distribution: Distribution, group: str) -> list[Packaged]:
-    """What one package offers; nothing if its lists cannot be read, which may have nothing to do with us."""
+    """The parts of one package; none if its entry points cannot be read."""
     try:
         if f"[{group}]" not in (distribution.read_text("entry_points.txt") or ""):
             return []
         entries = distribution.entry_points.select(group=group)
         return [Packaged(entry.name, distribution.name, distribution.version, entry) for entry in entries]
-    except Exception:  # noqa: BLE001  whatever others have installed, the rig must be usable
+    except Exception:  # noqa: BLE001  a broken package must not make the rig unusable
         return []

@@ -1,4 +1,4 @@
-"""Errors, written for the person at the rig: what is wrong, the value, what is allowed, what to do next.
+"""Errors, written for the person at the rig: what is wrong, the value, the allowed range, the next step.
 
 AbsError
 ├── ConfigError    the command line or rig.toml alone is wrong; nothing was touched
@@ -46,7 +46,7 @@ _SCREEN_LINES: Final = 20
 
 
 class AbsError(Exception):
-    """Anything the person at the rig can act on. `exit_code` is what the command ends with."""
+    """Anything the person at the rig can act on; commands end with its `exit_code`."""
 
     exit_code = 1
 
@@ -130,7 +130,7 @@ class Stopped(ProbeError):  # noqa: N818  leaving is nothing wrong
 
 
 def _on_a_screen(lines: Sequence[str]) -> list[str]:
-    """As many of them as a person can see at once, and how many there are besides."""
+    """The lines that fit on a screen, and the number of the others."""
     shown, height = list[str](), 0
     for line in lines:
         height += -(-len(line) // _SCREEN_COLUMNS)
@@ -141,7 +141,7 @@ def _on_a_screen(lines: Sequence[str]) -> list[str]:
 
 
 def refusals(conditions: Iterable[Callable[[], object]]) -> list[AbsError]:
-    """Everything that conditions have to say, each of which raises what is wrong; empty if all of them hold."""
+    """The errors that `conditions` raise; empty if all of them hold."""
     found = []
     for condition in conditions:
         try:
@@ -165,7 +165,7 @@ def describe_disk(error: OSError) -> str:
 
 
 def near_file(path: Path) -> str:
-    """`"; did you mean X?"` for a file that is not there, if one with nearly the same name is; else empty."""
+    """`"; did you mean X?"` for a missing file, if there is one with a similar name; else empty."""
     try:
         names = [other.name for other in path.parent.iterdir() if other.exists()]  # not a link to nowhere
     except OSError:
@@ -175,14 +175,14 @@ def near_file(path: Path) -> str:
 
 
 def in_a_line(error: AbsError) -> str:
-    """An error's text for the middle of a sentence."""
+    """An error's text on one line."""
     if isinstance(error, ConfigError):
         return "; ".join(mistake.problem for mistake in error.mistakes)
     return str(error)
 
 
 def place_in(error: BaseException, file: str) -> str:
-    """`", line N"` for where `error` comes from in the code of `file`, if it does; for people who wrote that file."""
+    """`", line N"` of `file` where `error` was raised, or an empty text."""
     if isinstance(error, SyntaxError) and error.filename == file:
         return f", line {error.lineno}"
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
@@ -190,7 +190,7 @@ def place_in(error: BaseException, file: str) -> str:
 
 
 def in_words(error: BaseException) -> str:
-    """Type, text and place of an error, for people who wrote the code that raised it."""
+    """Type, text and place of an error."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     text = str(error)

@@ -1,4 +1,4 @@
-"""Numbers as people write them, with a comma, their unit, or in another unit than the wanted one; and as JSON does."""
+"""Hints for numbers with a comma or in another unit; numbers for JSON and tables."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _FACTORS: Final[dict[str, dict[str, float]]] = {
     "Hz": {"kHz": 1e3},
     "": {"%": 1e-2},
 }
-"""By the wanted unit: what others are in it; of a share, the unit is none."""
+"""Conversion factors by the wanted unit; a share has the unit ""."""
 _FAR: Final = 3.0
-"""Times beyond a limit from which on another unit is likelier than a number that is too large."""
+"""Factor beyond a limit from which another unit is likelier than a number that is too large."""
 _LARGEST: Final = 1e12
 """Larger numbers are in no unit."""
 _ENDINGS: Final = {"_rad_s": "rad/s", "_per_s": "1/s", "_hz": "Hz", "_nm": "N m", "_s": "s"}
 
 
 def finite(value: float) -> float | None:
-    """`value` as JSON can have it: None for NaN and the infinities."""
+    """`value` for JSON: None for NaN and the infinities."""
     return float(value) if math.isfinite(value) else None
 
 
@@ -34,12 +34,12 @@ def shown(value: float | None, form: str = ".3g") -> str:
 
 
 def unit_of(key: str) -> str:
-    """Unit that the name of a key ends with, as in `rate_hz`; empty if with none."""
+    """Unit at the end of a key's name, as in `rate_hz`; empty if there is none."""
     return next((unit for ending, unit in _ENDINGS.items() if key.endswith(ending)), "")
 
 
 def number_hint(text: str, unit: str = "") -> str:
-    """What to write in place of a text that is not a number, as the tail of a message; empty if there is no guess."""
+    """Correction of a text that is not a number, as the tail of a message; empty if there is none."""
     text = text.strip()
     comma = _WITH_COMMA.fullmatch(text)
     if comma is not None:
@@ -56,9 +56,9 @@ def number_hint(text: str, unit: str = "") -> str:
 
 
 def other_unit(value: float, unit: str, low: float, high: float) -> str:
-    """Unit that a number looks like which is far from `low`..`high`, as the tail of a message; empty if like none.
+    """Likely unit of a number far outside `low`..`high`, as the tail of a message; empty if there is none.
 
-    A share looks like per cent only where 1 is the most.
+    A share is taken as per cent only if its limit is 1.
     """
     if low / _FAR <= value <= high * _FAR or not abs(value) <= _LARGEST or (not unit and high > 1.0):
         return ""

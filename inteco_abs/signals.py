@@ -1,4 +1,4 @@
-"""The values on the road from the board to the log. Immutable, SI units in the names, no behaviour."""
+"""The values on the path from the board to the log: immutable, with SI units in their names."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import ClassVar, Final, NamedTuple
 
 
 class BoardFlags(IntFlag):
-    """What the board layer has to say about a sample."""
+    """Faults of a sample's exchange."""
 
     NONE = 0
     STALE = 1
     """The exchange failed: the counts are those of the last good sample."""
     SLOW = 2
-    """The exchange took longer than a period: the counts are good, but not known to the instant."""
+    """The exchange took longer than a period: the counts are good, but their instant is uncertain."""
 
 
 class Phase(IntEnum):
-    """Where the experiment stands."""
+    """Phase of the experiment."""
 
     UNKNOWN = 0
     IDLE = 1
@@ -37,7 +37,7 @@ class Phase(IntEnum):
 
 
 class Reason(IntEnum):
-    """Why the outputs were taken away; the first reason stays."""
+    """Why the outputs were switched off; the first reason stays."""
 
     NONE = 0
     OPERATOR_STOP = 1
@@ -83,7 +83,7 @@ EXPLANATIONS: Final[dict[Reason, str]] = {
     Reason.RUN_UP_IMPLAUSIBLE: "the road wheel gains speed faster or slower than the drive motor can make it: check "
     "encoders.counts_per_turn first, then the drive's power and the emergency switch, and whether something rubs",
 }
-"""What each reason means to the person at the rig, and what to check."""
+"""Each reason for the person at the rig, with what to check."""
 
 
 class Sample(NamedTuple):
@@ -103,26 +103,26 @@ class Sample(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """What a model-based observer expects of the instant at which the next command comes through to the brake."""
+    """Prediction of a model-based observer for the instant at which the next command acts on the brake."""
 
     wheel_angle_rad: float
     wheel_speed_rad_s: float
     road_speed_rad_s: float
     lagged_torque_nm: float
-    """What the brake's map and lag make of the commands so far."""
+    """Torque by the brake's map and lag from the commands so far."""
     excess_torque_nm: float
-    """What the brake gives beyond that."""
+    """Torque of the brake beyond that."""
     adhesion_factor: float
-    """On the adhesion of equation (8)."""
+    """Factor on the adhesion of equation (8)."""
     ripple_cosine: float
-    """Of that factor, in the wheel's angle."""
+    """Ripple of that factor over the wheel's angle."""
     ripple_sine: float
     brake_dead_time_s: float
     brake_lag_s: float
 
 
 class Estimate(NamedTuple):
-    """What the estimator makes of the samples so far."""
+    """Speeds and slip from the samples so far."""
 
     wheel_speed_rad_s: float
     road_speed_rad_s: float
@@ -131,7 +131,7 @@ class Estimate(NamedTuple):
     valid: bool
     """False until enough samples were seen."""
     outlook: Prediction | None = None
-    """Of an observer while the rig brakes; not in the log, a replay makes it anew."""
+    """From an observer while the rig brakes; not in the log, as a replay recomputes it."""
 
 
 class _Duties(NamedTuple):
@@ -152,27 +152,27 @@ Command.SAFE = Command(0.0, 0.0)
 
 
 class BrakeDemand(NamedTuple):
-    """What a controller asks for, and how it came to it."""
+    """A controller's demand, with the values behind it."""
 
     brake: float
     """Duty, meant to be in 0..1; the guard has the last word."""
     torque_nm: float = 0.0
-    """Brake torque asked for, before any limit, N m; 0 if the controller does not think in torque."""
+    """Brake torque demanded, before any limit, N m; 0 if the controller has no torque."""
     switching: float = 0.0
-    """Switching function (slip error) or whatever the controller drives to zero."""
+    """Switching function (slip error), or another value that the controller drives to zero."""
     internals: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """Four values for the log; the controller's `internals` names them."""
 
 
 class Timing(NamedTuple):
-    """How punctual a tick was, in microseconds."""
+    """Timing of a tick, in microseconds."""
 
     late_us: float
     """Start of the tick minus its deadline."""
     io_us: float
     """Duration of the exchange with the board."""
     busy_us: float
-    """What the previous tick took after its exchange: decision and record."""
+    """Time of the previous tick after its exchange: decision and record."""
     skipped: int
     """Whole periods that were skipped just before this tick."""
 

@@ -1,4 +1,4 @@
-"""TOML as people write it: read whole, and what is wrong with it in words, with its line."""
+"""Reads TOML files, and explains mistakes in them with the line."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _WORD: Final = re.compile(r"[^\W\d][\w.:-]*")
 
 
 def read_toml(file: Path, if_missing: str) -> dict[str, Any]:
-    """What stands in `file`; `if_missing` is what to do if there is none. Raises ConfigError."""
+    """The table in `file`; `if_missing` is the next step if there is none. Raises ConfigError."""
     data = _bytes(file, if_missing)
     problem = _problem_of(data)
     if problem:
@@ -34,7 +34,7 @@ def read_toml(file: Path, if_missing: str) -> dict[str, Any]:
 
 
 def in_words(error: ValueError | RecursionError, text: str) -> str:
-    """What the standard reader has raised at `text`: the place, the line itself, and what may have been meant."""
+    """Description of the standard reader's error in `text`: place, line, and a correction if there is one."""
     if isinstance(error, RecursionError):
         return "its lists or tables are nested too deeply"
     if not isinstance(error, tomllib.TOMLDecodeError):
@@ -70,7 +70,7 @@ def _bytes(file: Path, if_missing: str) -> bytes:
 
 
 def _problem_of(data: bytes) -> str:
-    """What keeps bytes from being the text of a configuration; empty if nothing does."""
+    """Why `data` is not the text of a configuration; empty if it is."""
     if not data.strip():
         return "is empty; leave it out to have every default, or begin one with inteco-abs config init"
     if data.startswith(codecs.BOM_UTF8):
@@ -84,7 +84,7 @@ def _problem_of(data: bytes) -> str:
 
 
 def _meant(line: str) -> str:
-    """For a value that is not a TOML: a number with a comma or a unit, or text without its quotes."""
+    """Correction of an invalid value: a number with a comma or a unit, or text without its quotes."""
     value = line.partition("=")[2].partition("#")[0].strip()
     if _WORD.fullmatch(value):
         return f'; text stands between quotes: "{value}"'
@@ -92,7 +92,7 @@ def _meant(line: str) -> str:
 
 
 def _first_place(lines: list[str], number: int) -> str:
-    """Where the key or section of line `number` stood before, if that is plain to see."""
+    """The earlier line with the key or section of line `number`; empty if it is not found."""
     wanted = _name(lines[number - 1])
     for earlier in range(number - 2, -1, -1):
         if _name(lines[earlier]) == wanted:

@@ -1,4 +1,4 @@
-"""What sessions say: replay, comparison, what-if, regression tests and statistics."""
+"""Analysis of sessions: replay, comparison, what-if, regression tests and statistics."""
 
 from inteco_abs.analysis.baseline import previous_card
 from inteco_abs.analysis.catalogue import COLUMNS, session_files, session_row, sort_rows

@@ -1,4 +1,4 @@
-"""A folder of sessions as rows: what each was, and what it was worth."""
+"""A folder of sessions as rows with their facts and metrics."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ COLUMNS: Final = (
     "injected",
     "problem",
 )
-"""Keys of a row; what a session does not say is None."""
+"""Keys of a row; a value that the session lacks is None."""
 _OF_THE_CARD: Final = COLUMNS[7:-2]
 
 Row = dict[str, Any]
 
 
 def session_files(folder: Path, *, nested: bool = False) -> list[Path]:
-    """Everything in `folder` that is named as a session is, also below it if `nested`. Raises SessionError."""
+    """Files in `folder` with the suffix of sessions, also in its folders if `nested`. Raises SessionError."""
     try:
         found = folder.rglob(f"*{SUFFIX}") if nested else folder.iterdir()
         return sorted(path for path in found if path.suffix == SUFFIX and not path.is_dir())
@@ -58,7 +58,7 @@ def session_files(folder: Path, *, nested: bool = False) -> list[Path]:
 
 
 def session_row(path: Path) -> Row:
-    """What a file is; never raises: what is wrong with it is its `problem`."""
+    """Row of one file; never raises: a damaged file has a `problem`."""
     try:
         with opened(path) as (file, size):
             metadata = read_metadata(file, size)
@@ -73,7 +73,7 @@ def session_row(path: Path) -> Row:
 
 
 def sort_rows(rows: Iterable[Row], key: str, *, reverse: bool = False) -> list[Row]:
-    """Rows by one of `COLUMNS`; those that do not say are last either way."""
+    """Rows by one of `COLUMNS`; those without a value are last in both directions."""
     rows = list(rows)
     said = [row for row in rows if row[key] is not None]
     value: Callable[[Row], Any] = itemgetter(key)
@@ -81,7 +81,7 @@ def sort_rows(rows: Iterable[Row], key: str, *, reverse: bool = False) -> list[R
 
 
 def _row_of_all(path: Path) -> Row:
-    """Of a file without a usable index, which is read from end to end."""
+    """Row of a file without a usable index, which is read completely."""
     try:
         session = read_session(path, Path(tempfile.gettempdir()))
     except SessionError as error:

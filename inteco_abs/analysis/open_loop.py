@@ -1,7 +1,7 @@
-"""What another controller or estimator, or other gains, would have asked for on the counts that a session has logged.
+"""Demands of another controller or estimator, or of other gains, on the counts that a session has logged.
 
-Open loop: the logged counts do not react. From where the requests leave the log, they are what a controller would ask
-for in a situation that it would not have come into.
+Open loop: the logged counts do not react. Once the demands diverge from the log, the situation is no longer the
+controller's own.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ TORQUE_THRESHOLD_NM: Final = 0.1
 COMPARED: Final = ("slip", "torque_demand_nm", "brake_request")
 _PHASES: Final = (Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED)
 _OPEN: Final = ("controller", "estimator", "model")
-"""Sections that decide what is asked for, and do not say what happened."""
+"""Sections that may be changed: they decide the demands, not the recorded events."""
 _DTYPE: Final = np.dtype([(name, "<f8") for name in COMPARED])
 _LOGGED: Final = ["tick", "time_ns", "dt_s", "wheel_count", "road_count", "board_flags", "drive", "brake", "phase"]
 _NO_DEMAND: Final = BrakeDemand(0.0)
 
 
 class Demand(NamedTuple):
-    """What is believed and asked for at one tick; columns of the log have these names."""
+    """Estimate and demand of one tick, named as columns of the log."""
 
     slip: float
     torque_demand_nm: float
@@ -52,11 +52,11 @@ class Demand(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Divergence:
-    """How one field leaves the log."""
+    """How one field diverges from the log."""
 
     field: str
     threshold: float | None
-    """None for a field that is only told."""
+    """None for a field that is only reported."""
     tick: int | None
     """First one beyond the threshold, or None."""
     time_s: float | None

@@ -1,4 +1,4 @@
-"""What a series of stops has in common: the spread of each metric over its result cards."""
+"""Statistics of each metric over the result cards of several stops."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNITS: Final = {
     "torque_variation_nm_per_s": "N m/s",
     "duty_variation_per_s": "1/s",
 }
-"""Of the card's metrics that are told of a series; a share is one of 1."""
+"""Units of the metrics; a share has the unit 1."""
 METRICS: Final = tuple(UNITS)
 
 

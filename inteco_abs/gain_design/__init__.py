@@ -1,4 +1,4 @@
-"""Gains for a rig that is known only so well: the paper's conditions as numbers, and the brake's budget."""
+"""Gains for an uncertain rig: the paper's conditions as numbers, and the brake's margin."""
 
 from inteco_abs.gain_design.advice import Advice
 from inteco_abs.gain_design.assessment import Assessment, judge_gains

@@ -1,4 +1,4 @@
-"""What a lab does not know of its rig: spreads of single numbers, and the box of rigs that they make."""
+"""Uncertainty of a rig: ranges of single parameters, and the box of rigs that they span."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The vendor's identification procedure as software: which runs to record, and what they say of the rig.
+"""Identification of a rig: which runs to record, and the parameters that explain them.
 
-What counts can identify and what they cannot is explained in `fit_parameters`.
+The module `parameters` explains what counts can identify.
 """
 
 from inteco_abs.identification.estimates import SLIPS, Identification, ParameterEstimate, identify

@@ -1,4 +1,4 @@
-"""What a fit says of the rig: each number with its interval, and the file that other commands accept."""
+"""The result of a fit: each parameter with its interval, and the file that other commands accept."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class _Derived:
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """Everything that sessions say of a rig."""
+    """The identified parameters of a rig."""
 
     fit: Fit
     segments: tuple[Segment, ...]

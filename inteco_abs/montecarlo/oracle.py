@@ -1,6 +1,6 @@
-"""The floor: the predictive controller, told everything about its rig. What is left is what nobody could do better.
+"""The oracle: the predictive controller with full knowledge of its rig, as a bound on performance.
 
-It knows the draw and, at every sample, the true state; it does not know what comes. Its dead time and lag remain.
+It knows the draw and the true state at every sample, but not the future; the brake keeps its dead time and lag.
 """
 
 from __future__ import annotations

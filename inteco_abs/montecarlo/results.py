@@ -1,4 +1,4 @@
-"""How the stops of many rigs came out: a row of metrics each, and how they spread."""
+"""Results of the stops of many rigs: a row of metrics each, and their distribution."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Distribution(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What many stops were worth together."""
+    """Metrics of many stops together."""
 
     stops: int
     failed: int

@@ -18,7 +18,7 @@ SHARD: Final = 50
 """Rigs that share a batch: what a tick costs besides the decisions is then below a twentieth."""
 
 Progress = Callable[[int, int], None]
-"""Told how many stops are done, and of how many."""
+"""Gets the number of finished stops, and of all."""
 
 
 def run_stops(

@@ -1,4 +1,4 @@
-"""Runs all conditions, and tells what came out: rows, verdicts, and the courses behind the figures."""
+"""Reproduces the paper: runs all conditions, and reports rows, verdicts and the traces for the figures."""
 
 from __future__ import annotations
 

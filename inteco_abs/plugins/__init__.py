@@ -1,4 +1,4 @@
-"""Controllers of the user's own: from a file that the user names, or from an installed package."""
+"""Users' controllers: from a file, or from an installed package."""
 
 from inteco_abs.plugins.controllers import Controllers, Origin, installed_controllers
 from inteco_abs.plugins.file import FROM_FILE, load_controller

@@ -1,4 +1,4 @@
-"""Every controller there is, by name: those that ship, the user's own, and those of installed packages."""
+"""All controllers by name: those that ship, the user's own, and those of installed packages."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from inteco_abs.plugins.shape import require_controller
 
 
 def installed_controllers() -> Registry[type[Controller]]:
-    """Those that ship and those of packages that are installed now."""
+    """Controllers that ship, and those of the packages installed now."""
     return Registry("a controller", "inteco_abs.controllers", "controller.name", CONTROLLERS, require_controller)
 
 
 class Origin(NamedTuple):
-    """Where a controller comes from that does not ship, as a session keeps it."""
+    """Origin of a controller that does not ship, as sessions keep it."""
 
     source: bytes = b""
     """Of the file, or of the package's module if it can be read."""
@@ -27,9 +27,9 @@ class Origin(NamedTuple):
 
 
 class Controllers(Mapping[str, type[Controller]]):
-    """`own` comes first, then what ships, then packages: looked for, and imported, where nothing else has the name.
+    """Controllers by name: `own` first, then those that ship, then those of packages, imported when used.
 
-    Asking for a package's controller raises ConfigError if it cannot be imported or is none.
+    A package's controller raises ConfigError if it cannot be imported or is not a controller.
     """
 
     def __init__(self, own: Mapping[str, tuple[type[Controller], Origin]] | None = None) -> None:
@@ -51,7 +51,7 @@ class Controllers(Mapping[str, type[Controller]]):
         return sum(1 for _ in self)
 
     def origin(self, name: str) -> Origin:
-        """Where `name` comes from; nothing to tell of what ships."""
+        """Origin of the controller `name`; empty if it ships."""
         if name in self._own:
             return self._own[name][1]
         if name in CONTROLLERS:

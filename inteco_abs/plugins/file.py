@@ -1,4 +1,4 @@
-"""A controller of the user's own, from a file that the user names."""
+"""Loads a controller from a user's file."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _PATH: Final = "--controller"
 
 
 def load_controller(name: str, source: bytes | None = None) -> tuple[type[Controller], bytes]:
-    """Class and source of `file.py:Class`. Runs the file; raises ConfigError if that gives no controller.
+    """Class and source of `file.py:Class`. Runs the file; raises ConfigError if the class is not a controller.
 
-    `source` stands in for what is in the file: another process has read it already.
+    `source` replaces the file's content, if another process has read it already.
     """
     file, _, class_name = name.rpartition(":")
     path = Path(file)
@@ -35,7 +35,7 @@ def load_controller(name: str, source: bytes | None = None) -> tuple[type[Contro
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses and pickles look their module up there
     with foreign_code(_PATH, file):
-        # the very bytes that the session keeps, and no cached older version of them
+        # exactly the bytes that the session keeps, not a cached version
         exec(compile(source, file, "exec"), vars(module))  # noqa: S102  the user named this file to be run
     kind = getattr(module, class_name, None)
     if not isinstance(kind, type):

@@ -1,4 +1,4 @@
-"""What code from outside must be like to be used as a controller."""
+"""Checks that a user's class is a controller."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _MOST_INTERNALS: Final = 4
 
 
 def require_controller(path: str, kind: object, name: str) -> type[Controller]:
-    """`kind`, if it is a class with update, gains and internals as `Controller` has them; else raises ConfigError."""
+    """Return `kind` if it has update, gains and internals as `Controller`; else raise ConfigError."""
     problem = _problem_of(kind, name)
     if problem:
         raise ConfigError.of(path, problem)
@@ -23,7 +23,7 @@ def require_controller(path: str, kind: object, name: str) -> type[Controller]:
 
 
 def _problem_of(kind: object, name: str) -> str:
-    """What keeps a class from being a controller; empty if nothing does."""
+    """Why `kind` is not a controller; empty if it is."""
     if not isinstance(kind, type):
         return f"{name} is not a class"
     if not callable(getattr(kind, "update", None)):
