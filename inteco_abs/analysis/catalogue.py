@@ -68,7 +68,7 @@ def session_row(path: Path) -> Row:
         return _broken(path, error)
     card = stored_card(metadata)
     if card is None or "session" not in metadata:
-        return _broken(path, SessionError("is an MCAP file, but no session of this program"))
+        return _broken(path, SessionError("is an MCAP file, but not a session of this program"))
     return _row(path, metadata, card)
 
 

@@ -40,7 +40,7 @@ class FirstDifference:
 class Replay:
     """Outcome of a replay: how many ticks, how many of them differ, where first, and which fields how often.
 
-    A difference within the tolerances is none.
+    Differences within the tolerances do not count.
     """
 
     ticks: int

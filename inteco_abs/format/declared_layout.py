@@ -96,12 +96,12 @@ def _messages(parts: Parts, number: int) -> list[Parts]:
 def _text(parts: Parts, number: int) -> str:
     value = parts.get(number, [b""])[-1]
     if not isinstance(value, bytes):
-        raise ValueError("a number stands where a name belongs")  # noqa: TRY004  as everything else in the descriptor
+        raise ValueError("a number is in the place of a name")  # noqa: TRY004  as everything else in the descriptor
     return value.decode("utf-8")
 
 
 def _number(parts: Parts, number: int) -> int:
     value = parts.get(number, [0])[-1]
     if not isinstance(value, int):
-        raise ValueError("bytes stand where a number belongs")  # noqa: TRY004  as everything else in the descriptor
+        raise ValueError("bytes are in the place of a number")  # noqa: TRY004  as everything else in the descriptor
     return value

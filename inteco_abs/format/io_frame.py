@@ -64,14 +64,14 @@ def pack_io_frame(frame: IoFrame) -> bytes:
 
 
 def unpack_io_frame(data: bytes) -> IoFrame:
-    """A message as the frame; what a later version has added is left out. Raises ValueError if it is none."""
+    """A message as the frame; what a later version has added is left out. Raises ValueError if it is not valid."""
     found = dict(fields(data))
     time_ns, direction = found.get(1, bytes(_TIME.size)), found.get(2, 0)
     parts = [found.get(number, b"") for number in (3, 4, 5)]
     if not isinstance(time_ns, bytes) or len(time_ns) != _TIME.size or not isinstance(direction, int):
-        raise ValueError("its time or its direction is none")
+        raise ValueError("its time or its direction is not valid")
     texts = [part for part in parts if isinstance(part, bytes)]
     if len(texts) < len(parts):
-        raise ValueError("a number stands where bytes should")
+        raise ValueError("a number is in the place of bytes")
     raw, text, of = texts
     return IoFrame(_TIME.unpack(time_ns)[0], Direction(direction), raw, text.decode("utf-8"), of.decode("utf-8"))

@@ -175,12 +175,12 @@ class Message:
         for number, value in fields(data):
             raw = bytes([value & 0xFF]) if isinstance(value, int) else value
             if number in found or len(raw) != widths.get(number):
-                raise ValueError(f"field {number} is none of {self.name}, or is there twice")
+                raise ValueError(f"field {number} is not in {self.name}, or is there twice")
             found[number] = raw
         kept = zip(self._numbers, self._keys, strict=True)
         parts = [(key, found.get(number, bytes(widths[number])), number in found) for number, key in kept]
         if not found or len(data) != sum(len(key) + len(raw) for key, raw, there in parts if there):
-            raise ValueError(f"a {self.name} of {len(data)} bytes is none")
+            raise ValueError(f"a {self.name} of {len(data)} bytes is not valid")
         return b"".join(key + raw for key, raw, _ in parts)
 
     def descriptor(self) -> bytes:

@@ -97,7 +97,7 @@ def _encoded_anew(runs: Sequence[FixedRun], found: Layout) -> bytes:
     if not data or not found.well_formed(data):
         declared = f"{found.message.name} that the file declares"
         raise DamagedError(
-            f"a message of {found.message.topic} has not the layout of the {declared}, or a value that it has not"
+            f"a message of {found.message.topic} does not have the layout of the {declared}, or has an unknown value"
         )
     return data
 
@@ -248,19 +248,19 @@ _TAKERS: Final[Mapping[int, Callable[[Content, memoryview], None]]] = {
 
 
 def event(log_time: int, data: bytes) -> Event:
-    """An encoded `foxglove.Log`; raises DamagedError if it is none."""
+    """An encoded `foxglove.Log`; raises DamagedError if it is not one."""
     try:
         found = dict(wire_fields(data))
     except ValueError as error:
         raise DamagedError(f"an event cannot be read: {error}") from error
     level, text = found.get(2, 0), found.get(3, b"")
     if not isinstance(level, int) or level > _HIGHEST_LEVEL or not isinstance(text, bytes):
-        raise DamagedError("an event cannot be read: its level or its text is none")
+        raise DamagedError("an event cannot be read: its level or its text is not valid")
     return Event(log_time, level, text[:_LONGEST_EVENT].decode("utf-8", "replace"))
 
 
 def parameters(data: bytes) -> Parameters:
-    """An encoded `Params`; raises DamagedError if it is none."""
+    """An encoded `Params`; raises DamagedError if it is not one."""
     tick, values = 0, {}
     try:
         for number, value in wire_fields(data):
@@ -270,7 +270,7 @@ def parameters(data: bytes) -> Parameters:
             elif number == 2:
                 (tick,) = _FIXED32.unpack(_raw(value))
             else:
-                raise ValueError(f"field {number} is none of theirs")  # noqa: TRY301  named below as all others
+                raise ValueError(f"field {number} is unknown")  # noqa: TRY301  named below as all others
     except (ValueError, struct.error) as error:
         raise DamagedError(f"parameters cannot be read: {error}") from error
     return Parameters(tick, values)
@@ -278,5 +278,5 @@ def parameters(data: bytes) -> Parameters:
 
 def _raw(value: int | bytes | None) -> bytes:
     if not isinstance(value, bytes):
-        raise ValueError(f"{value} stands where bytes should")  # noqa: TRY004  of the data, not of an argument
+        raise ValueError(f"{value} is in the place of bytes")  # noqa: TRY004  of the data, not of an argument
     return value

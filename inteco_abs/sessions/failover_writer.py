@@ -174,7 +174,7 @@ class FailoverWriter:
         for place in filter(None, (self._out, self._spill)):
             with suppress(AbsError):
                 return self._reported(self._as_a_whole(place, end))
-        raise SessionError(f"{'; '.join(self._problems)}; nor could the file be made anew at the end")
+        raise SessionError(f"{'; '.join(self._problems)}; the file could not be written again at the end either")
 
     def rows(self) -> Iterator[tuple[bytes, bytes]]:
         """All rows, from the last file and memory; only after writing has ended."""

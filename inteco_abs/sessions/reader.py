@@ -227,7 +227,7 @@ def _session(path: Path, content: Content, incomplete: str) -> Session:
     recorded = content.metadata.get("integrity", {}).get("payload_sha256")
     ours = content.announces_ticks or content.library.startswith(LIBRARY)
     if not ours or (recorded is None and not incomplete):
-        raise SessionError(f"{path}: is an MCAP file, but no session of this program")
+        raise SessionError(f"{path}: is an MCAP file, but not a session of this program")
     if recorded is not None and recorded != content.hash.hexdigest():
         raise DamagedError("the ticks do not match the hash that was recorded with them")
     for name in content.altered_attachments():

@@ -164,7 +164,7 @@ class _Inspector:
         content, told = self._content, self._told
         told.ticks = self._numbers[TICK.topic].count
         if not (content.announces_ticks or content.library.startswith(LIBRARY)):
-            told.wrong("file", "is an MCAP file, but no session of this program")
+            told.wrong("file", "is an MCAP file, but not a session of this program")
             return
         try:
             content.check_schemas()

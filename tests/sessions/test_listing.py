@@ -77,7 +77,7 @@ def test_broken_files_are_rows_with_their_problem(folder, short, container, with
     problems = {name: row["problem"] for name, row in rows.items()}
     assert "is empty" in problems["empty.mcap"]
     assert "not an MCAP file" in problems["text.mcap"]
-    assert "no session of this program" in problems["foreign.mcap"]
+    assert "not a session of this program" in problems["foreign.mcap"]
     assert "is damaged: chunk at byte" in problems["damaged.mcap"]
     assert "not a regular file" in problems["pipe.mcap"]
     assert "No such file" in problems["dangling.mcap"]

@@ -59,13 +59,13 @@ def write_foreign(path, topic, *, finish=True, name="Frame", encoding="jsonschem
 
 def test_an_mcap_file_of_another_program_is_refused(tmp_path):
     path = write_foreign(tmp_path / "camera.mcap", "/camera")
-    with pytest.raises(SessionError, match="is an MCAP file, but no session of this program"):
+    with pytest.raises(SessionError, match="is an MCAP file, but not a session of this program"):
         read_session(path)
 
 
 def test_a_cut_mcap_file_of_another_program_is_refused(tmp_path):
     path = write_foreign(tmp_path / "camera.mcap", "/camera", finish=False)
-    with pytest.raises(SessionError, match="no session of this program"):
+    with pytest.raises(SessionError, match="not a session of this program"):
         read_session(path)
 
 
@@ -94,7 +94,7 @@ def test_a_tick_with_another_layout_under_our_schema_is_refused(tmp_path, data):
         descriptor=TICK.descriptor(),
         data=data,
     )
-    with pytest.raises(SessionError, match="has not the layout"):
+    with pytest.raises(SessionError, match="does not have the layout"):
         read_session(path)
 
 

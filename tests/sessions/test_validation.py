@@ -236,7 +236,7 @@ def test_what_is_no_session_is_wrong(altered, data, words):
 def test_an_mcap_file_of_another_program_is_wrong(container, altered):
     inspection = validate(altered(container.craft()))
     assert inspection.verdict == "wrong"
-    assert inspection.findings[-1].problem == "is an MCAP file, but no session of this program"
+    assert inspection.findings[-1].problem == "is an MCAP file, but not a session of this program"
 
 
 def test_of_many_findings_of_a_kind_a_few_are_told(few, tmp_path):

@@ -66,7 +66,7 @@ INPUTS = [
         (file("x.mat", b"MATLAB 5.0 MAT-file" + bytes(99)),)),
     Row("a ring", "info x.ring", 1, ("left in memory",), "inteco-abs recover FILE", (file("x.ring",
         "inteco-abs ring 9\n"),)),
-    Row("an MCAP file of others", "info x.mcap", 1, ("is an MCAP file",), "no session of this program",
+    Row("an MCAP file of others", "info x.mcap", 1, ("is an MCAP file",), "not a session of this program",
         (foreign,)),
     Row("cut", "extract stop.mcap config.toml --out c.toml --json", 3, ("ends early", "ticks are complete"),
         "recover makes a session",
