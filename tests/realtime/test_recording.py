@@ -658,7 +658,7 @@ class TestDisk:
         recording.memory.post(Mailbox.RUN_END, NORMAL)
         recording.loop.kill()
         recording.end(code=1)
-        assert "nor could the file be made anew" in recording.memory.note(Mailbox.RECORDER_FAILURE)["text"]
+        assert "the file could not be written again" in recording.memory.note(Mailbox.RECORDER_FAILURE)["text"]
         assert told["file"] == str(recording.job.path)
         account = rebuild(recording.memory, recording.job, tmp_path / "saved.mcap")
         session = read_session(tmp_path / "saved.mcap")

@@ -205,7 +205,7 @@ def test_ticks_that_come_just_as_the_disk_refuses_are_not_forgotten(tmp_path, ch
 def test_a_disk_that_goes_on_refusing_is_an_error_at_the_end_only_and_nothing_is_forgotten(kept):
     run = kept(spill=False).introduce()
     run.tell(before=lambda number: run.vanish() if number == 2 else None)
-    with pytest.raises(SessionError, match=r"is gone: .*; nor could the file be made anew at the end"):
+    with pytest.raises(SessionError, match=r"is gone: .*; the file could not be written again at the end either"):
         run.keeper.finish(RunEnd(Reason.NONE, run.keeper.ticks))
     assert b"".join(ticks for ticks, _ in run.keeper.rows()) == run.payload
     assert len(run.said) == 1

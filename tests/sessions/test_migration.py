@@ -219,7 +219,7 @@ def test_members_that_are_not_known_are_told_and_stand_for_no_known_one(later):
 @pytest.mark.parametrize("also", [(), (TYRE,)], ids=["this version", "another"])
 def test_a_number_that_the_file_itself_does_not_declare_is_damage(later, also, name, value):
     path = later("1", tick=table(also=also), tyre_c=20.0, **{name: value})
-    with pytest.raises(SessionError, match=r"is damaged: chunk at byte .* or a value that it has not"):
+    with pytest.raises(SessionError, match=r"is damaged: chunk at byte .* or has an unknown value"):
         read_session(path)
 
 
