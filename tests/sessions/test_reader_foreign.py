@@ -209,6 +209,6 @@ def test_a_message_that_is_none_of_ours_is_not_encoded_anew(tiny, change):
         "cut": message[:-1],
         "empty": b"",
     }[change]
-    with pytest.raises(ValueError, match=r"field|integer|is none"):
+    with pytest.raises(ValueError, match=r"field|integer|is not valid"):
         TICK.repacked(changed)
     assert TICK.repacked(message) == message
