@@ -78,7 +78,7 @@ def test_a_fault_that_never_acts_is_told(main_here):
 
 def test_a_real_board_is_told_nothing(main_here, tmp_path):
     stop = main_here("run", "--board", "usb2:", "--inject", "lose@1s", check=2)
-    assert "only sim: can be told" in stop.stderr
+    assert "faults can be injected into sim: only" in stop.stderr
     assert list(tmp_path.iterdir()) == []
 
 
