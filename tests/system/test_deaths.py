@@ -436,7 +436,7 @@ def test_a_disk_that_goes_on_refusing_leaves_the_ticks_in_memory(live, inteco_ab
     assert replayed(again)["ticks"] == run.ticks.written
 
 
-# realtime.hearing gives all of them one handler in one loop; SIGINT comes from a keyboard below
+# handle_signals gives all of them one handler in one loop; SIGINT comes from a keyboard below
 @pytest.mark.parametrize(
     "number",
     [
