@@ -8,6 +8,7 @@ import signal
 import struct
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 
 import pytest
@@ -21,7 +22,9 @@ from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.mock_board import Device
 from inteco_abs.realtime import Loop, StopFlag, VirtualClock
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
+from inteco_abs.realtime.processes import recorder
 from inteco_abs.realtime.processes.recorder import describe_board, rebuild, recover_run, run_end
+from inteco_abs.realtime.tuning import recorder_tuning
 from inteco_abs.sessions import TICK, TRUTH, FileWriter, RunHeader, SessionWriter, pack_tick, read_session, result_card
 from inteco_abs.signals import Phase, Reason
 
@@ -458,8 +461,11 @@ class Recording:
         self.words[Field.LOOP_PID] = self.loop.pid
         self.source = in_ring_of_a_run(job)
         self._ring = memory.tick_ring(lambda buffer, at, data: buffer.__setitem__(slice(at, at + TICK.size), data))
+        self.start(child, code)
+
+    def start(self, child, code):
         role = ("-c", code) if code else ("-m", "inteco_abs.realtime.processes", "recorder")
-        self.process = child(sys.executable, *role, memory.path)
+        self.process = child(sys.executable, *role, self.memory.path)
 
     def ready(self):
         self.memory.post(Mailbox.HEADER, {"identity": {}, "gains": {}, "internals": [], "settings": []})
@@ -483,6 +489,24 @@ class Recording:
         return read_session(self.job.path)
 
 
+class RecordingHere(Recording):
+    """The same in a thread of the test."""
+
+    def start(self, _child, _code):
+        self._pool = ThreadPoolExecutor(1)
+        self.running = self._pool.submit(recorder.main, str(self.memory.path))
+
+    def end(self, code=0):
+        assert self.running.result(30) == code
+        return self.memory.note(Mailbox.RESULT)
+
+    def close(self):
+        self.loop.kill()
+        self.loop.wait()
+        self.words[Field.RESCUED_PID] = self.words[Field.LOOP_PID]  # whatever it waits for, it ends
+        self._pool.shutdown()
+
+
 def in_ring_of_a_run(job):
     """Ticks of a run with that job's configuration."""
     memory = RunMemory.create(TICK.size, 5000, TRUTH.size, 5100)
@@ -497,74 +521,124 @@ def recording(new_memory, job_of, child, until):
     return Recording(memory, job_of(memory), child, until)
 
 
-class TestRecorderProcess:
-    def test_everything_that_the_loop_leaves_is_in_the_file_when_it_has_ended(self, recording, until):
-        recording.ready()
-        assert recording.job.path.exists()
-        until(lambda: recording.memory.note(Mailbox.ENVIRONMENT), "it has looked around")
-        beat = recording.words[Field.RECORDER_BEAT_NS]
-        recording.ticks(300)
-        until(lambda: recording.words[Field.FLUSHED] == 300, "they are on the disk")
-        assert recording.words[Field.RECORDER_BEAT_NS] > beat
-        assert len(recording.session().ticks) == 300
-        recording.ticks(300)  # more than there is room for without a recorder that takes
-        recording.memory.post(Mailbox.RUN_END, NORMAL)
-        recording.loop.kill()
-        result = recording.end()
-        assert (result["outcome"], result["card"]["ticks"], result["card"]["lost_ticks"]) == ("completed", 600, 0)
-        assert recording.session().payload == recording.payload
-        assert not recording.session().incomplete
-        assert b"numpy==" in recording.session().attachments["requirements.txt"]
-        assert recording.session().metadata["software"]["packages_sha256"]
-        assert sum(recording.memory.histogram.sparse().values()) == 600
-        assert recording.memory.path.exists()
+@pytest.fixture
+def here(new_memory, job_of, child, until, monkeypatch):
+    tunings = []
+    monkeypatch.setattr(recorder, "prepare", tunings.append)
+    memory = new_memory(400, 400)
+    made = RecordingHere(memory, job_of(memory), child, until)
+    yield made
+    made.close()
+    assert [tuning.name for tuning in tunings[0]] == [tuning.name for tuning in recorder_tuning()]
 
-    def test_after_a_loop_that_died_it_waits_to_be_told_what_became_of_the_board(self, recording):
-        recording.ready()
-        recording.ticks(50)
-        recording.words[Field.HOLDER_PID] = recording.loop.pid
-        recording.loop.kill()
+
+class TestRecorder:
+    def test_everything_that_the_loop_leaves_is_in_the_file_when_it_has_ended(self, here, until):
+        here.ready()
+        assert here.job.path.exists()
+        until(lambda: here.memory.note(Mailbox.ENVIRONMENT), "it has looked around")
+        beat = here.words[Field.RECORDER_BEAT_NS]
+        here.ticks(300)
+        until(lambda: here.words[Field.FLUSHED] == 300, "they are on the disk")
+        assert here.words[Field.RECORDER_BEAT_NS] > beat
+        assert len(here.session().ticks) == 300
+        here.ticks(300)  # more than there is room for without a recorder that takes
+        here.memory.post(Mailbox.RUN_END, NORMAL)
+        here.loop.kill()
+        result = here.end()
+        assert (result["outcome"], result["card"]["ticks"], result["card"]["lost_ticks"]) == ("completed", 600, 0)
+        assert here.session().payload == here.payload
+        assert not here.session().incomplete
+        assert b"numpy==" in here.session().attachments["requirements.txt"]
+        assert here.session().metadata["software"]["packages_sha256"]
+        assert sum(here.memory.histogram.sparse().values()) == 600
+        assert here.memory.path.exists()
+
+    def test_after_a_loop_that_died_it_waits_to_be_told_what_became_of_the_board(self, here):
+        here.ready()
+        here.ticks(50)
+        here.words[Field.HOLDER_PID] = here.loop.pid
+        here.loop.kill()
         time.sleep(0.1)
-        assert recording.process.poll() is None
-        recording.memory.post(Mailbox.RESCUE, RESCUED)
-        recording.words[Field.RESCUED_PID] = recording.loop.pid
-        result = recording.end()
+        assert not here.running.done()
+        here.memory.post(Mailbox.RESCUE, RESCUED)
+        here.words[Field.RESCUED_PID] = here.loop.pid
+        result = here.end()
         assert result["outcome"] == "aborted"
         assert "the loop's process died after tick 49" in result["explanation"]
         assert "made its board safe in 4.2 ms" in result["explanation"]
-        assert recording.session().payload == recording.payload
+        assert here.session().payload == here.payload
 
-    def test_a_loop_that_ends_before_its_first_tick_leaves_no_file(self, recording):
-        recording.ready()
-        recording.loop.kill()
-        assert recording.end() is None
-        assert not recording.job.path.exists()
-        assert recording.memory.note(Mailbox.RECORDER_FAILURE) is None
+    def test_a_loop_that_ends_before_its_first_tick_leaves_no_file(self, here):
+        here.ready()
+        here.loop.kill()
+        assert here.end() is None
+        assert not here.job.path.exists()
+        assert here.memory.note(Mailbox.RECORDER_FAILURE) is None
 
-    def test_a_loop_that_never_was_ready_leaves_no_file(self, recording):
-        recording.loop.kill()
-        assert recording.end() is None
-        assert not recording.job.path.exists()
+    def test_a_loop_that_never_was_ready_leaves_no_file(self, here):
+        here.loop.kill()
+        assert here.end() is None
+        assert not here.job.path.exists()
 
-    def test_when_nobody_waits_for_the_result_it_removes_the_memory_itself(self, recording, child):
+    def test_when_nobody_waits_for_the_result_it_removes_the_memory_itself(self, here, child):
         supervisor = child()
-        recording.words[Field.SUPERVISOR_PID] = supervisor.pid
-        recording.ready()
-        recording.ticks(20)
+        here.words[Field.SUPERVISOR_PID] = supervisor.pid
+        here.ready()
+        here.ticks(20)
         supervisor.kill()
-        recording.memory.post(Mailbox.RUN_END, NORMAL)
-        recording.loop.kill()
-        assert recording.end()["card"]["ticks"] == 20
-        assert not recording.memory.path.exists()
-        assert len(recording.session().ticks) == 20
+        here.memory.post(Mailbox.RUN_END, NORMAL)
+        here.loop.kill()
+        assert here.end()["card"]["ticks"] == 20
+        assert not here.memory.path.exists()
+        assert len(here.session().ticks) == 20
 
-    def test_a_file_that_cannot_be_made_is_told_and_ends_it(self, recording):
-        recording.job.path.mkdir()
-        recording.memory.post(Mailbox.HEADER, {"identity": {}, "gains": {}, "internals": [], "settings": []})
-        recording.words[Field.READY] = recording.loop.pid
-        assert recording.process.wait(30) != 0
-        assert "is a folder" in recording.memory.note(Mailbox.RECORDER_FAILURE)["text"]
+    def test_a_file_that_cannot_be_made_is_told_and_ends_it(self, here):
+        here.job.path.mkdir()
+        here.memory.post(Mailbox.HEADER, {"identity": {}, "gains": {}, "internals": [], "settings": []})
+        here.words[Field.READY] = here.loop.pid
+        here.end(code=2)
+        assert "is a folder" in here.memory.note(Mailbox.RECORDER_FAILURE)["text"]
 
+    def test_each_wait_for_the_disk_that_users_should_know_of_is_noted(self, here, monkeypatch):
+        monkeypatch.setattr(recorder, "_SLOW_S", 0.0)
+        here.ready()
+        here.ticks(20)
+        here.until(lambda: here.words[Field.FLUSHED] == 20, "they are on the disk")
+        here.memory.post(Mailbox.RUN_END, NORMAL)
+        here.loop.kill()
+        here.end()
+        warnings = [event.text for event in here.session().log if event.level == 3]
+        assert warnings[0].startswith("the disk took 0.0 s")
+
+    def test_a_defect_is_told_with_its_traceback_and_ends_it(self, here, monkeypatch, capfd):
+        monkeypatch.setattr(recorder, "spill_path", lambda *_: 1 // 0)
+        here.memory.post(Mailbox.HEADER, {"identity": {}, "gains": {}, "internals": [], "settings": []})
+        here.words[Field.READY] = here.loop.pid
+        here.end(code=1)
+        assert here.memory.note(Mailbox.RECORDER_FAILURE)["kind"] == "ZeroDivisionError"
+        assert "Traceback" in capfd.readouterr().err
+
+    def test_a_disk_that_refuses_is_told_and_nothing_leaves_the_ring(self, here):
+        here.ready()
+        here.ticks(100)
+        here.until(lambda: here.words[Field.FLUSHED] == 100, "they are on the disk")
+        here.job.path.unlink()
+        here.ticks(100)
+        here.until(lambda: here.words[Field.TROUBLES] == 1, "it says so")
+        told = here.memory.note(Mailbox.TROUBLES)
+        assert "its ticks are kept in memory" in told["texts"][0]
+        assert told["file"] == str(here.job.path)
+        assert here.memory.tick_reader().taken == 100
+        here.memory.post(Mailbox.RUN_END, NORMAL)
+        here.loop.kill()
+        result = here.end()
+        assert (result["outcome"], result["card"]["ticks"]) == ("completed", 200)
+        assert "is gone" in result["trouble"]
+        assert here.session().payload == here.payload
+
+
+class TestRecorderProcess:
     def test_a_recorder_that_is_killed_loses_nothing_that_rebuild_does_not_find(self, recording, until):
         recording.ready()
         for part in range(3):
@@ -630,23 +704,6 @@ class TestDisk:
         recording.ticks(100)
         until(lambda: recording.words[Field.TROUBLES], "it says so")
         return recording.memory.note(Mailbox.TROUBLES)
-
-    def test_a_disk_that_refuses_is_told_at_once_and_nothing_leaves_the_ring(self, recording, until):
-        recording.ready()
-        recording.ticks(100)
-        until(lambda: recording.words[Field.FLUSHED] == 100, "they are on the disk")
-        told = self.vanish(recording, until)
-        assert "its ticks are kept in memory" in told["texts"][0]
-        recording.ticks(100)
-        time.sleep(0.2)
-        assert recording.memory.tick_reader().taken == 100
-        assert recording.process.poll() is None
-        recording.memory.post(Mailbox.RUN_END, NORMAL)
-        recording.loop.kill()
-        result = recording.end()
-        assert (result["outcome"], result["card"]["ticks"]) == ("completed", 300)
-        assert "is gone" in result["trouble"]
-        assert recording.session().payload == recording.payload
 
     def test_a_disk_that_goes_on_refusing_is_the_recorders_failure_and_the_ring_has_everything(
         self, recording, until, tmp_path
