@@ -1,18 +1,15 @@
-"""What the loop's process leaves for the others, in this process: it meets a mock board in a thread."""
+"""What the loop's process leaves for the others, in this process."""
 
 import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from threading import Event
 from types import SimpleNamespace
 
 import pytest
 
-from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
+from inteco_abs.boards import InProcessLink, board_behind
 from inteco_abs.control import CONTROLLERS, gains_in_force
 from inteco_abs.errors import UnsafeError
-from inteco_abs.mock_board import Device, SocketServer
-from inteco_abs.realtime.clock import PacedClock
+from inteco_abs.mock_board import Device, face_of
 from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.realtime.processes import loop as rt
 from inteco_abs.realtime.tuning import Setting
@@ -33,11 +30,16 @@ class Process:
         self.memory, self.job, self.words = memory, job, memory.words
         self.words[Field.SUPERVISOR_PID] = self.words[Field.GUARDING_PID] = os.getpid()
         self.words[Field.STOP], self.words[Field.GO] = Reason.OPERATOR_STOP, 1
-        self.device = Device(job.config, rt.time.monotonic_ns, 1)
+        face = face_of(Device(job.config, rt.time.monotonic_ns, 1))
         self.codes, self.tunings, self.rates = [], [], []
         costs, times = iter([BEFORE, AFTER]), iter([50.0, 50.0 + TOOK_S])
         usage = SimpleNamespace(getrusage=lambda _who: next(costs), RUSAGE_SELF=0)
         clock = SimpleNamespace(**{**vars(rt.time), "monotonic": lambda: next(times)})
+        monkeypatch.setattr(
+            rt,
+            "open_board",
+            lambda _address, config, now_ns, around: board_behind(around(InProcessLink(face)), config, now_ns),
+        )
         monkeypatch.setattr(rt, "resource", usage)
         monkeypatch.setattr(rt, "time", clock)
         monkeypatch.setattr(rt, "loop_tuning", lambda: "the loop's")
@@ -48,20 +50,7 @@ class Process:
     def run(self):
         """Its exit code."""
         self.job.post(self.memory)
-        server, over = SocketServer(Usb2FrontEnd(self.device), str(self.memory.socket)), Event()
-
-        def serve():
-            while not over.is_set():
-                server.step()
-
-        with ThreadPoolExecutor(1) as pool:
-            serving = pool.submit(serve)
-            try:
-                rt.main(str(self.memory.path))
-            finally:
-                over.set()
-                serving.result(30)
-                server.close()
+        rt.main(str(self.memory.path))
         (code,) = self.codes
         return code
 
@@ -83,10 +72,8 @@ def test_before_the_first_tick_it_introduces_itself_and_at_the_end_it_concludes(
     assert process.tunings == ["the loop's"]
     end = process.memory.note(Mailbox.CONCLUSION)
     assert (end["reason"], end["detail"]) == (Reason.OPERATOR_STOP, "")
-    assert end["cost"] == {
-        "minor_page_faults": "3", "major_page_faults": "1", "cpu_share": "0.375",
-        "spin_us": f"{PacedClock(config.period_ns).spin_ns // 1000}",
-    }  # fmt: skip
+    assert int(end["cost"].pop("spin_us")) in range(10, 10_000)
+    assert end["cost"] == {"minor_page_faults": "3", "major_page_faults": "1", "cpu_share": "0.375"}
     assert process.words[Field.READY] == os.getpid()
     assert process.words[Field.HOLDER_PID] == process.words[Field.SAVING] == 0
     assert process.memory.note(Mailbox.FAILURE) is None

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from types import SimpleNamespace
@@ -83,17 +84,19 @@ class Staged(Supervisor):
         """All goes well."""
         words, loop, drill = self.words, self.children.get("loop"), self.children.get("drill")
         if drill is not None:
-            words[Field.GUARDING_PID] = words[Field.GUARDED_PID]
-            if words[Field.GUARDED_PID] == drill.pid:
-                words[Field.READY] = words[Field.RESCUED_PID] = drill.pid
+            if words[Field.GUARDING_PID] == words[Field.GUARDED_PID] == drill.pid:
                 self.memory.post(Mailbox.SAFE_IMAGE, b"all zero")
                 self.memory.post(Mailbox.RESCUE, RESCUE)
-        elif words[Field.GUARDED_PID] == loop.pid and not words[Field.GO]:
+                words[Field.READY] = words[Field.RESCUED_PID] = drill.pid
+            words[Field.GUARDING_PID] = words[Field.GUARDED_PID]
+        elif words[Field.GUARDED_PID] == loop.pid != words[Field.READY]:
             words[Field.READY] = words[Field.HOLDER_PID] = loop.pid
-            words[Field.RECORDING] = 1
             told = {"identity": {}, "gains": {}, "internals": [], "settings": SETTINGS}
             self.memory.post(Mailbox.INTRODUCTION, told)
-        elif words[Field.GO]:
+        elif not words[Field.GO]:
+            words[Field.RECORDING] = 1
+        else:
+            assert words[Field.RECORDING]
             self.drive()
 
     def drive(self):
@@ -144,6 +147,27 @@ def test_a_run_that_goes_well_drills_lets_go_shows_and_gives_the_recorders_resul
     assert staged.words[Field.OVER] == 1
     assert staged.words[Field.STOP] == 0
     assert all(process.poll() is not None for process in staged.children.values())
+
+
+def test_the_processors_that_it_may_use_are_those_from_before(staged, monkeypatch):
+    before = os.sched_getaffinity(0)
+    one = {min(before)}
+    os.sched_setaffinity(0, one)
+    try:
+        monkeypatch.setattr(supervisor_module, "prepare", lambda _tunings: os.sched_setaffinity(0, before))
+        staged.run(staged.screen)
+        assert os.sched_getaffinity(0) == one
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def test_without_a_terminal_what_processes_print_goes_nowhere(memory, job_of, monkeypatch):
+    started = {}
+    monkeypatch.setattr(supervisor_module.sys, "stderr", None)
+    monkeypatch.setattr(supervisor_module.subprocess, "Popen", lambda _words, **how: started.update(how))
+    Supervisor(memory, job_of(memory)).spawn("loop", "code")
+    assert started["stdin"] == started["stdout"] == subprocess.DEVNULL
+    assert started["env"]["OPENBLAS_NUM_THREADS"] == "1"
 
 
 def test_the_live_view_is_told_of(staged):
@@ -271,8 +295,9 @@ class TestTheSecondWay:
         return run
 
     def test_the_session_is_made_from_memory(self, staged, ends):
-        assert ends(lambda *_: RESULT) == RESULT
-        assert staged.children["recorder"].returncode == -signal.SIGKILL
+        recorders = []
+        assert ends(lambda *_: recorders.append(staged.children["recorder"].returncode) or RESULT) == RESULT
+        assert recorders == [-signal.SIGKILL]  # two would write the file
 
     def test_what_kept_the_recorder_from_it_is_told(self, staged, ends):
         told = ends(lambda *_: RESULT, "no room")
