@@ -9,7 +9,7 @@ import pytest
 from inteco_abs.boards import InProcessLink, board_behind
 from inteco_abs.control import CONTROLLERS, gains_in_force
 from inteco_abs.errors import UnsafeError
-from inteco_abs.mock_board import Device, face_of
+from inteco_abs.mock_board import Device, front_end_of
 from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.realtime.processes import loop as rt
 from inteco_abs.realtime.tuning import Setting
@@ -30,7 +30,7 @@ class Process:
         self.memory, self.job, self.words = memory, job, memory.words
         self.words[Field.SUPERVISOR_PID] = self.words[Field.GUARDING_PID] = os.getpid()
         self.words[Field.STOP], self.words[Field.GO] = Reason.OPERATOR_STOP, 1
-        face = face_of(Device(job.config, rt.time.monotonic_ns, 1))
+        face = front_end_of(Device(job.config, rt.time.monotonic_ns, 1))
         self.codes, self.tunings, self.rates = [], [], []
         costs, times = iter([BEFORE, AFTER]), iter([50.0, 50.0 + TOOK_S])
         usage = SimpleNamespace(getrusage=lambda _who: next(costs), RUSAGE_SELF=0)
@@ -63,14 +63,14 @@ def process(memory, job_of, monkeypatch):
 def test_before_the_first_tick_it_introduces_itself_and_at_the_end_it_concludes(process):
     assert process.run() == 0
     config = process.job.config
-    told = process.memory.note(Mailbox.INTRODUCTION)
+    told = process.memory.note(Mailbox.HEADER)
     assert told["identity"]["application_name"] == "ABSSIM"
     assert told["gains"] == gains_in_force(config)
     assert told["internals"] == list(CONTROLLERS[config.controller.name].internals)
     assert (told["settings"], told["pace"]) == ([SETTING._asdict()], {})
     assert process.memory.image(Mailbox.SAFE_IMAGE)
     assert process.tunings == ["the loop's"]
-    end = process.memory.note(Mailbox.CONCLUSION)
+    end = process.memory.note(Mailbox.RUN_END)
     assert (end["reason"], end["detail"]) == (Reason.OPERATOR_STOP, "")
     assert int(end["cost"].pop("spin_us")) in range(10, 10_000)
     assert end["cost"] == {"minor_page_faults": "3", "major_page_faults": "1", "cpu_share": "0.375"}
@@ -83,8 +83,8 @@ def test_before_the_first_tick_it_introduces_itself_and_at_the_end_it_concludes(
 def test_told_to_end_before_it_may_begin_it_ticks_not_once(process):
     process.words[Field.GO] = 0
     assert process.run() == 0
-    assert process.memory.note(Mailbox.INTRODUCTION)
-    assert process.memory.note(Mailbox.CONCLUSION) is None
+    assert process.memory.note(Mailbox.HEADER)
+    assert process.memory.note(Mailbox.RUN_END) is None
     assert process.memory.tick_reader().written == 0
 
 
@@ -92,7 +92,7 @@ def test_of_a_real_board_it_requires_the_rate_and_says_how_quick_it_is(process):
     process.job = replace(process.job, board="usb2:")
     assert process.run() == 0
     assert process.rates == [process.job.config.period_ns]
-    assert process.memory.note(Mailbox.INTRODUCTION)["pace"] == PACE
+    assert process.memory.note(Mailbox.HEADER)["pace"] == PACE
 
 
 @pytest.mark.parametrize("wanted", [{"frames": True}, {"wire": "wire.json"}], ids=["frames", "wire"])

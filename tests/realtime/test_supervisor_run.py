@@ -13,7 +13,7 @@ from inteco_abs.errors import BoardError, SessionError, UnsafeError
 from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.realtime.processes import supervisor as supervisor_module
 from inteco_abs.realtime.processes.supervisor import Supervisor
-from inteco_abs.realtime.screen import Check, NoScreen
+from inteco_abs.realtime.screen import NoScreen, StartCheck
 from inteco_abs.sessions import TICK, RunResult, pack_tick
 from inteco_abs.signals import EXPLANATIONS, Reason
 
@@ -48,7 +48,7 @@ class Watch:
     def __init__(self, _memory, _job, loop_pid, guardian_pid):
         self.pids = (loop_pid, guardian_pid)
         self.judging = False
-        self.main_ns = None
+        self.main_ns, self.failure = None, ""
 
     @contextmanager
     def watching(self):
@@ -92,7 +92,7 @@ class Staged(Supervisor):
         elif words[Field.GUARDED_PID] == loop.pid != words[Field.READY]:
             words[Field.READY] = words[Field.HOLDER_PID] = loop.pid
             told = {"identity": {}, "gains": {}, "internals": [], "settings": SETTINGS}
-            self.memory.post(Mailbox.INTRODUCTION, told)
+            self.memory.post(Mailbox.HEADER, told)
         elif not words[Field.GO]:
             words[Field.RECORDING] = 1
         else:
@@ -128,7 +128,7 @@ def staged(memory, job_of, child, monkeypatch):
     for name, value in (("time", clock), ("Watch", Watch), ("_END_S", 0.0), ("_FINISH_S", 0.0)):
         monkeypatch.setattr(supervisor_module, name, value)
     monkeypatch.setattr(supervisor_module, "prepare", made.tunings.append)
-    monkeypatch.setattr(supervisor_module, "hearing", lambda _stop: nullcontext())
+    monkeypatch.setattr(supervisor_module, "handle_signals", lambda _stop: nullcontext())
     monkeypatch.setattr(memory, "wait", lambda condition, _most_s: condition())
     return made
 
@@ -136,10 +136,10 @@ def staged(memory, job_of, child, monkeypatch):
 def test_a_run_that_goes_well_drills_lets_go_shows_and_gives_the_recorders_result(staged):
     assert staged.run(staged.screen) == RESULT
     checks, told = zip(*staged.screen.seen, strict=True)
-    assert checks == (Check.BOARD, Check.GUARDIAN, Check.RECORDER)
+    assert checks == (StartCheck.BOARD, StartCheck.GUARDIAN, StartCheck.RECORDER)
     assert told[0] == "sim:"
     assert staged.memory.note(Mailbox.DRILL) == {"guardian drill": told[1]}
-    assert staged.screen.notes == ["ticks will be late more often: refused were scheduler; see inteco-abs doctor"]
+    assert staged.screen.notes == ["ticks will be late more often: the system refused scheduler; see inteco-abs doctor"]
     assert 9 <= staged.screen.shown <= 13
     assert staged._watch.judging
     assert staged._watch.pids == (staged.children["loop"].pid, staged.children["guardian"].pid)
@@ -329,7 +329,7 @@ class TestByHand:
                     words[Field.READY] = words[Field.HOLDER_PID] = staged.children["loop"].pid
 
             staged.direct = direct
-            with staged.by_hand(drill=drill):
+            with staged.manual_control(drill=drill):
                 assert staged._watch.judging
                 assert staged.words[Field.UNRECORDED] == 1
                 over()
