@@ -115,7 +115,7 @@ class Staged(Supervisor):
 
 @pytest.fixture
 def memory(new_memory):
-    return new_memory(ticks=10_000)  # less room would end the run
+    return new_memory(10_000, 10_000)  # less room would end the run
 
 
 @pytest.fixture
