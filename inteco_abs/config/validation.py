@@ -9,6 +9,7 @@ import operator
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from datetime import date, time
+from functools import cache
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -56,9 +57,14 @@ def json_schema() -> Table:
     return schema
 
 
+@cache
+def _schema() -> dict[str, Any]:
+    return _ADAPTER.json_schema()
+
+
 def meanings(section: type[model.Section]) -> dict[str, str]:
     """Meaning of each key of a section: the docstring below it, on one line."""
-    schema = _ADAPTER.json_schema()
+    schema = _schema()
     definition = schema if section is RigConfig else schema["$defs"][section.__name__]
     found = ((key, stated.get("description", "")) for key, stated in definition["properties"].items())
     return {key: " ".join(text.split()) for key, text in found}

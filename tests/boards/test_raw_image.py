@@ -304,7 +304,7 @@ class TestConstants:
         assert f"board.constants.{key}" in str(refusal.value)
 
     def test_a_pin_carries_a_pwm_or_a_level(self):
-        with pytest.raises(ConfigError, match=r"board\.constants: 19: is in board\.pwm_pins"):
+        with pytest.raises(ConfigError, match=r"board\.constants: 19: already in board\.pwm_pins"):
             Bench("abs", [0] * 252, "board.constants.pin19=1")
 
 

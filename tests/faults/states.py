@@ -67,7 +67,7 @@ def moved(state, event):
         before.road_count + road,
         flags,
     )
-    pipeline = deepcopy(state.pipeline, {id(state.pipeline._sequence._config): state.pipeline._sequence._config})
+    pipeline = deepcopy(state.pipeline, {id(state.pipeline._machine._config): state.pipeline._machine._config})
     tick = pipeline.step(sample, stop)
     return State(pipeline, sample, tick)
 
