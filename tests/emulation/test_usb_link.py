@@ -69,7 +69,10 @@ def test_another_serial_number_or_maker_or_id_is_another_board(bus):
         bus.link("7")
     for ids, named in (
         (UsbConfig(manufacturer="Somebody"), "'Somebody' (usb.manufacturer). Seen: 04b4:8613 'InTeCo'"),
-        (UsbConfig(vendor_id=0x1234), "'InTeCo' (usb.manufacturer) with vendor id 1234 (usb.vendor_id). Seen: no similar device"),
+        (
+            UsbConfig(vendor_id=0x1234),
+            "'InTeCo' (usb.manufacturer) with vendor id 1234 (usb.vendor_id). Seen: no similar device",
+        ),
         (UsbConfig(product_id=1), "with product id 0001 (usb.product_id)"),
     ):
         with pytest.raises(BoardError, match="is it plugged in") as refusal:

@@ -329,7 +329,8 @@ class TestLongerThanItsMemory:
         assert 0 < first <= self.LATE
         assert account.card["lost_ticks"] == first
         assert (
-            f"those before tick {first} were in {tmp_path / 'out' / 'stop.mcap'}, which is missing" in account.explanation
+            f"those before tick {first} were in {tmp_path / 'out' / 'stop.mcap'}, which is missing"
+            in account.explanation
         )
         assert session.ticks["tick"].tolist() == list(range(first, first + account.card["ticks"]))
 
