@@ -1,3 +1,4 @@
+import gc
 import os
 import shutil
 import signal
@@ -9,7 +10,7 @@ from hypothesis import HealthCheck, Phase, settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # every core has a worker already, and idle threads of numpy spin
 
-settings.register_profile("default", deadline=None, max_examples=60)
+settings.register_profile("default", deadline=None, max_examples=30)
 settings.register_profile("long", deadline=None, max_examples=300, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile(  # a failure is all that tools/mutate asks for, and the same one each time
     "mutation", deadline=None, database=None, derandomize=True, phases=[Phase.explicit, Phase.generate]
@@ -37,6 +38,11 @@ def pytest_configure():
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(signal, "SIGQUIT"):  # the decision path is tested on Windows, too
         signal.signal(signal.SIGQUIT, signal.SIG_DFL)
+
+
+def pytest_collection_finish():
+    """Keep the garbage collector from looking at eleven thousand tests again each time."""
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -1,3 +1,4 @@
+import itertools
 from contextlib import suppress
 
 import pytest
@@ -8,6 +9,10 @@ pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
 WAYS_OUT = (None, ValueError("in the body"), KeyboardInterrupt(), SystemExit(3), GeneratorExit())
 FAULTS = (LinkError("no answer"), KeyboardInterrupt())
+PAIRS = [
+    pytest.param(*pair, marks=() if pair == (FAULTS[0], FAULTS[0]) else pytest.mark.long)
+    for pair in itertools.product(FAULTS, repeat=2)
+]
 MOMENTS = 40
 """More than a short session has, but for that of single accesses to registers."""
 
@@ -142,8 +147,7 @@ class TestLeaving:
             moments += 1
         assert moments > 12
 
-    @pytest.mark.parametrize("first", FAULTS, ids=lambda error: type(error).__name__)
-    @pytest.mark.parametrize("second", FAULTS, ids=lambda error: type(error).__name__)
+    @pytest.mark.parametrize(("first", "second"), PAIRS, ids=lambda error: type(error).__name__)
     def test_two_faults_at_any_two_moments_never_leave_an_output_on(self, new_bench, first, second):
         pairs = 0
         for one in range(MOMENTS):

@@ -65,7 +65,7 @@ PROTECTIONS = {
 def test_without_this_protection_the_campaign_finds_a_violation(campaign, monkeypatch, name):
     where, attribute, replacement, number = PROTECTIONS[name]
     monkeypatch.setattr(where, attribute, replacement)
-    cases = [case for case in campaign.hazard_cases() if case.name.startswith(f"{number}:") and case.seed == 0]
+    cases = [case for case in campaign.hazard_cases([0]) if case.name.startswith(f"{number}:")]
     assert any(campaign.judged(case).problem for case in cases)
 
 

@@ -109,7 +109,16 @@ def outcomes(read, appends):
     return found
 
 
-@pytest.mark.parametrize(("read", "appends"), [(newest, 4), (look, 3), (look_later, 3)])
+@pytest.mark.parametrize(
+    ("read", "appends"),
+    [
+        (newest, 4),
+        (look, 2),
+        (look_later, 2),
+        pytest.param(look, 3, marks=pytest.mark.long),
+        pytest.param(look_later, 3, marks=pytest.mark.long),
+    ],
+)
 def test_a_record_is_whole_and_the_one_that_was_asked_for_or_it_is_left_out(read, appends, record_property):
     found = outcomes(read, appends)
     record_property(

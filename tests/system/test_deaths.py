@@ -120,6 +120,7 @@ def test_a_loop_that_is_killed_leaves_no_raw_frames_and_the_session_says_so(live
     assert_left_nothing_behind(run)
 
 
+@pytest.mark.long
 def test_without_a_recorder_the_raw_frames_are_in_the_session_too(live, replayed):
     run = live("--frames")
     run.until_tick(TURNING)
@@ -478,6 +479,7 @@ def terminal():
     os.close(theirs)
 
 
+@pytest.mark.long
 def test_control_c_twice_ends_in_safe_once(live, replayed, terminal):
     keyboard, _, options = terminal
     run = live(**options)

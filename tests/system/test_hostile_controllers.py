@@ -119,9 +119,8 @@ def test_a_controller_that_dies_or_hangs_is_an_error_of_its_own_and_the_loop_goe
     assert_stopped(run)
 
 
-@pytest.mark.parametrize(
-    "statement", ["exec('while True: pass')", pytest.param("time.sleep(600)", marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("statement", ["exec('while True: pass')", "time.sleep(600)"])
 def test_one_that_hangs_on_a_single_cpu_is_ended_there_too(run_with, statement):
     run, code, card, message = run_with(statement, preexec_fn=lambda: os.sched_setaffinity(0, {0}))
     assert code == 5, message
@@ -139,7 +138,8 @@ def assert_stopped(run):
     assert run.processes() == []
 
 
-@pytest.mark.parametrize("kind", ["multiprocessing.Process", pytest.param("threading.Thread", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["multiprocessing.Process", "threading.Thread"])
 def test_what_a_controller_leaves_running_does_not_hold_the_end(run_with, kind):
     run, code, card, message = run_with(f"{kind}(target=time.sleep, args=(600,)).start()")
     assert (code, card["outcome"]) in ((0, "completed"), (3, "completed"), (5, "fault")), message
@@ -158,9 +158,8 @@ def test_an_error_with_a_book_for_its_text_is_the_controllers_all_the_same(run_w
     assert run.session().ticks["reason"][-1] == Reason.CONTROLLER_ERROR
 
 
-@pytest.mark.parametrize(
-    "name", ["struct", *(pytest.param(name, marks=pytest.mark.long) for name in ("signal", "numpy"))]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["struct", "signal", "numpy"])
 def test_a_file_of_the_users_is_not_taken_for_a_library(command_path, tmp_path, untraced, name):
     (tmp_path / f"{name}.py").write_text("raise SystemExit('not the library')")
     run = LiveRun(command_path, tmp_path, untraced)

@@ -187,7 +187,7 @@ def test_a_cable_that_is_pulled_in_real_time_is_told_at_once(inteco_abs, untrace
 @pytest.mark.parametrize(
     ("fault", "codes", "words"),
     [
-        ("loop-frozen@drive+300ms", {5}, "the guardian made its board safe"),
+        pytest.param("loop-frozen@drive+300ms", {5}, "the guardian made its board safe", marks=pytest.mark.long),
         pytest.param("disk-full@drive+300ms/200ms", {3}, "cannot be written: File too large", marks=pytest.mark.long),
         pytest.param("loop-killed@brake+20ms", {5}, "the guardian made its board safe", marks=pytest.mark.long),
         pytest.param("guardian-killed@drive+300ms", {5}, "guardian", marks=pytest.mark.long),

@@ -35,6 +35,7 @@ def run(command_path, tmp_path, untraced):
 
 
 @real_time
+@pytest.mark.long
 def test_q_stops_a_run_in_real_time_safely(run, tmp_path):
     program = run()
     program.until("SPIN-UP")

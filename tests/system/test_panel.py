@@ -147,8 +147,8 @@ ENDS = {
     "panel killed": (lambda one: one.process.kill(), -signal.SIGKILL),
     "board's process killed": (lambda one: os.kill(one.memory.words[Field.LOOP_PID], signal.SIGKILL), 1),
 }
-IN_SHORT = {"Ctrl-C", "board's process killed"}
-"""The others take the same ways: q and hang-ups that of Ctrl-C, and a killed run's loop ends likewise."""
+IN_SHORT = {"Ctrl-C"}
+"""The others take the same ways: q and hang-ups that of Ctrl-C, and processes that of a killed run's."""
 
 
 @pytest.mark.parametrize("how", [pytest.param(how, marks=() if how in IN_SHORT else pytest.mark.long) for how in ENDS])
@@ -194,6 +194,7 @@ def test_what_the_guard_has_taken_away_comes_back_by_arming_anew_and_by_nothing_
     assert one.duties == OFF
 
 
+@pytest.mark.long
 def test_alarm_flags_and_a_low_supply_are_shown(terminal):
     pci = terminal("--set", "profile=sim_pci", "--inject", "alarm=2@start", "--inject", "supply=11.5@start")
     pci.until_shown("supply 11.5 V")

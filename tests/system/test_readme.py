@@ -93,6 +93,7 @@ def test_every_command_runs_in_a_fresh_clone(clone, untraced):
     assert (clone / "stop.png").is_file()
 
 
+@pytest.mark.long
 @pytest.mark.untraced
 def test_the_figures_in_the_controllers_table_are_those_of_the_program(card):
     page = PAGES[ROOT / "docs/controllers.md"]
