@@ -73,6 +73,7 @@ def design(
     brake is strong enough within its duty limit, for an ideal loop without lag, delay and noise. Ends with 0 if the
     gains hold for the whole set of rigs, with 3 if there is advice.
     """
+    from inteco_abs.boards import kind_check
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check, preferred_estimator
     from inteco_abs.gain_design import HARD, judge_gains, stated_box
@@ -82,7 +83,7 @@ def design(
 
     known = known_controllers(options.controller)
     settings = (*options.settings, *options.chosen)
-    rig = load_config(options.config, settings, [control_check(known)], follows=preferred_estimator(known))
+    rig = load_config(options.config, settings, [kind_check, control_check(known)], follows=preferred_estimator(known))
     speeds = speeds or (_SLOWEST_RAD_S, max(rig.experiment.start_speed_rad_s, _SLOWEST_RAD_S + 1.0))
     slips = [0.0] if from_slip is None else [0.0, from_slip]
     _require_ranges(speeds, slip_band, slips, rig.controller.reference_slip)

@@ -70,6 +70,7 @@ def identify(
     moment come from the configuration's model, and their uncertainty (--assume) is part of the intervals. Ends with 3
     if something could not be identified.
     """
+    from inteco_abs.boards import kind_check
     from inteco_abs.config import load_config
     from inteco_abs.control import control_check
     from inteco_abs.views.figure import check_figure
@@ -83,7 +84,7 @@ def identify(
     if dry_run:
         raise ConfigError.of("--dry-run", "only with --plan; without it, nothing moves")
     assumed = _assumed(assume)
-    rig = load_config(options.config, options.settings, [control_check()])
+    rig = load_config(options.config, options.settings, [kind_check, control_check()])
     require_different({"--out": out, "--figure": figure})
     if out is not None:
         _check_out(out)

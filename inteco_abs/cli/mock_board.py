@@ -68,7 +68,7 @@ def mock_board(
     """
     from functools import partial
 
-    from inteco_abs.boards import family_of
+    from inteco_abs.boards import family_of, kind_check
     from inteco_abs.commissioning.board_from_report import ReportedBoard
     from inteco_abs.config import load_config
     from inteco_abs.mock_board import rig_check
@@ -81,7 +81,7 @@ def mock_board(
         raise ConfigError.of("--board", f"{kind}: the report is of a {seen.report.kind} board; omit --board")
     kind = _pluggable(seen.report.kind if seen is not None else kind, at_pty=link is not None)
     settings = [*(seen.settings if seen is not None else ()), *rig_settings(rig)]
-    configured = load_config(config, settings, [rig_check], family_of(kind).mock_profile)
+    configured = load_config(config, settings, [kind_check, rig_check], family_of(kind).mock_profile)
     if configured.board.kind != kind:
         raise ConfigError.of(
             "board.kind", f"{configured.board.kind!r}: the mock is to be {kind!r}; name another profile"

@@ -193,11 +193,14 @@ def replay(file: Path, options: RunOptions, as_json: bool) -> int:
 
     Ends with 4 if they differ.
     """
+    from inteco_abs.boards import kind_check
     from inteco_abs.config import load_config
     from inteco_abs.wire import profile_for, replay_wire
 
     capture = _read(file)
-    outcome = replay_wire(capture, load_config(options.config, options.settings, profile=profile_for(capture)))
+    outcome = replay_wire(
+        capture, load_config(options.config, options.settings, [kind_check], profile=profile_for(capture))
+    )
     if as_json:
         differences = [one._asdict() for one in outcome.differences]
         _print_json({"capture": str(file), **outcome._asdict(), "differences": differences})

@@ -1,12 +1,18 @@
 """Users' controllers: from a file, or from an installed package."""
 
+from typing import Final
+
 from inteco_abs.plugins.controllers import Controllers, Origin, installed_controllers
 from inteco_abs.plugins.file import FROM_FILE, load_controller
 
 __all__ = [
     "FROM_FILE",
+    "LOADING_MOST_S",
     "Controllers",
     "Origin",
     "installed_controllers",
     "load_controller",
 ]
+
+LOADING_MOST_S: Final = 60.0
+"""Time to load and make a user's controller: its code may compile something."""

@@ -197,7 +197,7 @@ def test_its_prints_threads_and_children_do_not_come_between(law, capfd):
     ],
 )  # fmt: skip
 def test_what_cannot_be_loaded_or_made_is_told_before_the_board_is_opened(law, monkeypatch, statements, kind, words):
-    monkeypatch.setattr(isolated, "_PATIENCE_S", 1.0 if "sleep" in str(statements) else 60.0)
+    monkeypatch.setattr(isolated, "LOADING_MOST_S", 1.0 if "sleep" in str(statements) else 60.0)
     with pytest.raises(kind) as caught:
         law(**statements)
     assert words in str(caught.value)

@@ -217,9 +217,13 @@ class TestALoopWithoutEnd:
         supervisor._until_the_loop_ends(SafeScreen(NoScreen()), SimpleNamespace(main_ns=None, failure=""))
         assert loop.returncode == -signal.SIGKILL
 
-    def test_what_ended_the_watching_thread_is_said(self, memory, job_of, child):
+    @pytest.mark.parametrize(
+        ("stop", "end"), [(Reason.SUPERVISOR_LOST, "; the guardian ended the run"), (Reason.NONE, "")]
+    )
+    def test_what_ended_the_watching_thread_is_said(self, memory, job_of, child, stop, end):
         supervisor, said = Supervisor(memory, job_of(memory)), []
         supervisor._children |= {"loop": child("true"), "recorder": child()}
+        memory.words[Field.GUARDIAN_STOP] = stop
         watch = SimpleNamespace(main_ns=None, failure="OSError: no descriptor")
         supervisor._until_the_loop_ends(SafeScreen(Lines(said.append)), watch)
-        assert said == ["the supervisor's watching thread failed: OSError: no descriptor; the guardian ended the run"]
+        assert said == [f"the supervisor's watching thread failed: OSError: no descriptor{end}"]

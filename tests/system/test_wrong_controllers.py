@@ -71,9 +71,16 @@ IN_A_RUN = [
 
 
 def test_a_constructor_that_does_not_end_is_ended(answers, monkeypatch):
-    monkeypatch.setattr("inteco_abs.experiment.user_code.MOST_S", 0.3)
+    monkeypatch.setattr("inteco_abs.experiment.user_code.LOADING_MOST_S", 0.3)
     text = source(LAW.format(made="while True: pass", asked="pass"))
     answers.to(Row("hangs", RUN, 2, ("law.py:Law, line 6", "cannot be made"), "not finished within 0.3 s", text))
+
+
+def test_one_that_catches_every_exception_is_ended_too(answers, monkeypatch):
+    monkeypatch.setattr("inteco_abs.experiment.user_code.LOADING_MOST_S", 0.1)
+    monkeypatch.setattr("inteco_abs.experiment.user_code._AGAIN_S", 0.1)
+    text = source("while True:\n    try:\n        while True: pass\n    except Exception: pass\n")
+    answers.to(Row("catches", RUN, 2, ("--controller",), "not finished within 0.1 s", text))
 
 
 @pytest.mark.parametrize("row", NONE, ids=ids(NONE))

@@ -139,12 +139,12 @@ class QueuedUsbLink(Link):
             if isinstance(error, usb1.USBError):
                 raise LinkError(_in_words(error)) from error
             raise
+        ended = [transfer.getStatus() for transfer in transfers if not transfer.isSubmitted()]
+        self._stalled = self._stalled or usb1.TRANSFER_STALL in ended
         if self._stuck:
             raise LinkError(_STUCK)
-        for transfer in transfers:
-            status = transfer.getStatus()
+        for status in ended:
             if status != usb1.TRANSFER_COMPLETED:
-                self._stalled = self._stalled or any(each.getStatus() == usb1.TRANSFER_STALL for each in transfers)
                 raise failure(_STATUS.get(status), f"status {status}", timeout_s * 1e3)
 
     def _wait(self, end_s: float, transfers: tuple[Any, ...]) -> None:

@@ -27,7 +27,7 @@ from typing import IO, Any, Final, cast
 
 from inteco_abs.control import CONTROLLERS, Controller, Gain, Setup, recordable
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, ControllerError, in_words
-from inteco_abs.plugins import FROM_FILE, Controllers, load_controller
+from inteco_abs.plugins import FROM_FILE, LOADING_MOST_S, Controllers, load_controller
 from inteco_abs.realtime.heartbeat import NO_MORE
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.processes import ENTRY
@@ -38,8 +38,6 @@ _LOOK_MS: Final = 5
 _LOOKS: Final = range(4)
 """Of 5 ms each: 20 ms are less than half of the guardian's window, which would kill the loop for the silence, and a
 thousand times what a law needs. A pause of the computer uses up one look only."""
-_PATIENCE_S: Final = 60.0
-"""Time to load and make the controller: its code may compile something."""
 _DYING_S: Final = 0.005
 """Time from the end of its pipe to the end of its process."""
 _LEAVING_S: Final = 0.5
@@ -129,10 +127,10 @@ class IsolatedController:
         with suppress(BrokenPipeError):
             pickle.dump(order, self._orders)
             self._orders.flush()
-        line, end = b"", time.monotonic() + _PATIENCE_S
+        line, end = b"", time.monotonic() + LOADING_MOST_S
         while not line.endswith(b"\n"):
             if not self._poll(max(0.0, end - time.monotonic()) * 1e3):
-                raise self._given_up(f"was not loaded within {_PATIENCE_S:g} s")
+                raise self._given_up(f"was not loaded within {LOADING_MOST_S:g} s")
             part = os.read(self._replies, _MOST_BYTES)
             if not part:
                 raise self._failure(b"", 0)

@@ -258,7 +258,9 @@ class Supervisor:
         watch.main_ns = None
         self._show(screen)  # how it ended
         if watch.failure:
-            screen.warn(f"the supervisor's watching thread failed: {watch.failure}; the guardian ended the run")
+            ended = self._words[Field.GUARDIAN_STOP] == Reason.SUPERVISOR_LOST
+            end = "; the guardian ended the run" if ended else ""
+            screen.warn(f"the supervisor's watching thread failed: {watch.failure}{end}")
         failure = self._memory.note(Mailbox.FAILURE)
         if failure is not None and failure["kind"] == UnsafeError.__name__:
             screen.warn(failure["text"])  # now: the guardian may still try for seconds
