@@ -1,6 +1,8 @@
 """What the loop's process leaves for the others, in this process."""
 
 import os
+import threading
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -86,6 +88,21 @@ def test_told_to_end_before_it_may_begin_it_ticks_not_once(process):
     assert process.memory.note(Mailbox.HEADER)
     assert process.memory.note(Mailbox.RUN_END) is None
     assert process.memory.tick_reader().written == 0
+
+
+def test_it_waits_until_it_may_begin(process):
+    def let_go():
+        while process.words[Field.READY] != os.getpid():
+            time.sleep(0.001)
+        process.words[Field.GO] = 1
+        process.words[Field.STOP] = Reason.OPERATOR_STOP
+
+    process.words[Field.GO] = process.words[Field.STOP] = 0
+    supervisor = threading.Thread(target=let_go)
+    supervisor.start()
+    assert process.run() == 0
+    supervisor.join()
+    assert process.memory.note(Mailbox.RUN_END)
 
 
 def test_of_a_real_board_it_requires_the_rate_and_says_how_quick_it_is(process):

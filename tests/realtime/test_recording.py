@@ -497,7 +497,7 @@ class RecordingHere(Recording):
         self.running = self._pool.submit(recorder.main, str(self.memory.path))
 
     def end(self, code=0):
-        assert self.running.result(30) == code
+        assert self.running.result(15) == code  # sooner than it gives up to wait for a rescue
         return self.memory.note(Mailbox.RESULT)
 
     def close(self):

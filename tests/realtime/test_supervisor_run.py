@@ -369,6 +369,39 @@ class TestByHand:
             held(over)
 
 
+@pytest.mark.parametrize("first", ["guardian", "trips"])
+def test_no_process_is_started_before_the_mock_board_is_there(staged, first):
+    def comes():
+        assert list(staged.children) == ["board"]
+        staged.memory.socket.touch()
+        del staged.direct
+        if first == "trips":
+            staged.direct = lambda: staged.memory.post(Mailbox.RESULT, {})
+
+    staged.children["board"] = staged.child()
+    staged.direct = comes
+    if first == "trips":
+        assert staged.ask(first) == {}
+    else:
+        assert staged.run(staged.screen) == RESULT
+    assert list(staged.children)[1] == first
+
+
+def test_the_guardian_may_end_only_once_the_board_of_a_dead_loop_is_safe(staged, monkeypatch):
+    seen, words = [], staged.words
+
+    def wait(condition, _most_s):
+        seen.append((words[Field.OVER], condition()))
+        words[Field.RESCUED_PID] = words[Field.LOOP_PID]
+        seen.append((words[Field.OVER], condition()))
+
+    monkeypatch.setattr(staged.memory, "wait", wait)
+    words[Field.LOOP_PID] = words[Field.HOLDER_PID] = 77
+    staged.end()
+    assert seen == [(0, False), (0, True)]
+    assert words[Field.OVER] == 1
+
+
 def test_a_question_is_answered_by_one_process_that_is_not_guarded(staged):
     staged.direct = lambda: staged.memory.post(Mailbox.RESULT, {"times_us": [1.0]})
     assert staged.ask("trips") == {"times_us": [1.0]}
