@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.montecarlo import kernel
-from inteco_abs.montecarlo.arrays import fixed_row, rig_rows, state_rows
+from inteco_abs.montecarlo.arrays import rig_rows, state_rows
 from inteco_abs.montecarlo.kernel import Floats
 from inteco_abs.rig import DriveMotor, RigVariation
+from inteco_abs.rig.state import Constants
 
 Counts = NDArray[np.int64]
 
@@ -44,16 +45,18 @@ class BatchPlant:
             raise ValueError(f"max_step_s = {max_step_s!r}: must be finite and above 0 s")
         if motor is None or isinstance(motor, DriveMotor):
             motor = [motor or DriveMotor()] * len(variations)
-        self._rigs = rig_rows(variations, motor)
+        rigs = [Constants.of(rig, own, max_step_s) for rig, own in zip(variations, motor, strict=True)]
+        self._rigs = rig_rows(rigs)
         if wheel_speed is None:
             wheel_speed = self._rigs["r2"] / self._rigs["r1"] * road_speed
         if not (np.isfinite(wheel_speed).all() and np.isfinite(road_speed).all()):
             raise ValueError("wheel_speed and road_speed: must be finite")
-        self._states = state_rows(variations, self._rigs, wheel_speed, road_speed)
-        self._fixed = fixed_row(max_step_s)
+        starts = np.empty((2, len(rigs)))
+        starts[0], starts[1] = wheel_speed, road_speed
+        self._states = state_rows(rigs, *starts)
         rows = 1 + int(self._rigs["command_delay_ticks"].max())
         self._drives, self._brakes = np.zeros((2, rows, len(variations)))
-        self._coming = np.zeros((len(variations), _ON_THE_WAY, 2))
+        self._due_s, self._torques = np.zeros((2, len(rigs), _ON_THE_WAY))
         self._tick = 0
         self._readings = 0
         self.time_s = 0.0
@@ -90,25 +93,25 @@ class BatchPlant:
             if outside >= 0:
                 raise ValueError(f"{name} of rig {outside} is {rows[row, outside]!r}: duties must be in 0..1")
         most = kernel.advance(
-            self._fixed,
             self._rigs,
             self._states,
-            self._coming,
+            self._due_s,
+            self._torques,
             self._drives,
             self._brakes,
             self._tick,
             duration_s,
         )
-        if most == self._coming.shape[1]:
-            self._coming = np.concatenate([self._coming, np.zeros_like(self._coming)], axis=1)
+        if most == self._due_s.shape[1]:  # at its number modulo the new length each command is where it was
+            self._due_s, self._torques = np.tile(self._due_s, 2), np.tile(self._torques, 2)
         self._tick += 1
         self.time_s += duration_s
 
     def read_encoders(self) -> tuple[Counts, Counts]:
         """Counts of wheels and roads now, new arrays: one reading, with its noise, as by `Encoder.read`."""
         wheel, road = np.empty((2, len(self)), np.int64)
-        kernel.read_encoders(self._rigs, self._states, np.uint64(self._readings), wheel, road)
         self._readings += 1
+        kernel.read_encoders(self._rigs, self._states, np.uint64(self._readings), wheel, road)
         return wheel, road
 
     def _view(self, name: str) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from inteco_abs.rig.parameters import RigParameters
 
@@ -36,7 +37,19 @@ class DriveMotor:
 
     def torque(self, duty: float, road_speed: float) -> float:
         """Torque in N m at `duty` (0..1) and `road_speed` in rad/s; with no duty there is none, so it coasts."""
-        if duty <= 0.0:
-            return 0.0
-        torque = self.stall_torque_nm * (duty - road_speed / self.no_load_speed_rad_s)
-        return max(0.0, torque)
+        return drive_torque(self, duty, road_speed)
+
+
+class _Motor(Protocol):
+    @property
+    def stall_torque_nm(self) -> float: ...
+
+    @property
+    def no_load_speed_rad_s(self) -> float: ...
+
+
+def drive_torque(k: _Motor, duty: float, road_speed: float) -> float:
+    """`DriveMotor.torque` of any rig that has its two constants."""
+    if duty <= 0.0:
+        return 0.0
+    return max(0.0, k.stall_torque_nm * (duty - road_speed / k.no_load_speed_rad_s))

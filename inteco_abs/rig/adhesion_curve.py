@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final, NamedTuple
 
-from inteco_abs.rig.friction import adhesion, adhesion_slope
+from inteco_abs.rig.friction import adhesion, adhesion_slope, formula, formula_slope, require_slip
 from inteco_abs.rig.parameters import RigParameters
 
 
@@ -51,25 +51,43 @@ MEASURED_CUBICS: Final = monotone_cubics(MEASURED_ADHESION, RISE * adhesion_slop
 
 def measured_adhesion(slip: float) -> float:
     """Measured adhesion at `slip`, continuously differentiable. Raises ValueError outside 0..1."""
-    if slip < RISE_END:
-        return RISE * adhesion(slip, _PUBLISHED)
-    piece = _measured_piece(slip)
-    t = slip - piece.start
-    return ((piece.cube * t + piece.square) * t + piece.slope) * t + piece.value
+    require_slip(slip)
+    return _measured(slip)
 
 
 def measured_adhesion_slope(slip: float) -> float:
     """Derivative of `measured_adhesion` by slip; raises ValueError outside 0..1."""
+    require_slip(slip)
+    return _measured_slope(slip)
+
+
+def blended(k: RigParameters, blend: float, slip: float) -> float:
+    """Adhesion at `slip` in 0..1: equation (8), with a share of `blend` in 0..1 of the measured curve."""
+    return (1.0 - blend) * formula(k, slip) + blend * _measured(slip)
+
+
+def blended_slope(k: RigParameters, blend: float, slip: float) -> float:
+    """Derivative of `blended` by slip."""
+    return (1.0 - blend) * formula_slope(k, slip) + blend * _measured_slope(slip)
+
+
+def _measured(slip: float) -> float:
     if slip < RISE_END:
-        return RISE * adhesion_slope(slip, _PUBLISHED)
-    piece = _measured_piece(slip)
-    t = slip - piece.start
-    return (3.0 * piece.cube * t + 2.0 * piece.square) * t + piece.slope
+        return RISE * formula(_PUBLISHED, slip)
+    start, value, slope, square, cube = _measured_piece(slip)
+    t = slip - start
+    return ((cube * t + square) * t + slope) * t + value
+
+
+def _measured_slope(slip: float) -> float:
+    if slip < RISE_END:
+        return RISE * formula_slope(_PUBLISHED, slip)
+    start, _, slope, square, cube = _measured_piece(slip)
+    t = slip - start
+    return (3.0 * cube * t + 2.0 * square) * t + slope
 
 
 def _measured_piece(slip: float) -> Cubic:
-    if not slip <= 1.0:
-        raise ValueError(f"slip = {slip!r}: must be in 0..1")
     found = MEASURED_CUBICS[0]
     for piece in MEASURED_CUBICS:
         if slip < piece.start:
@@ -79,29 +97,15 @@ def _measured_piece(slip: float) -> Cubic:
 
 
 class AdhesionCurve:
-    """The contact of one rig: a scaled blend of equation (8) and the measured curve, times the present `grip`.
+    """The contact of one rig: a scaled blend of equation (8) and the measured curve."""
 
-    Takes the place of `adhesion` and `adhesion_slope` in the model.
-    """
-
-    __slots__ = ("_blend", "_scale", "grip")
+    __slots__ = ("_blend", "_scale")
 
     def __init__(self, scale: float, blend: float) -> None:
         self._scale = scale
         self._blend = blend
-        self.grip = 1.0
-        """Factor on the adhesion, which the road may change during a stop."""
 
     def adhesion(self, slip: float, parameters: RigParameters) -> float:
         """Adhesion at `slip`; raises ValueError outside 0..1."""
-        mu, blend = adhesion(slip, parameters), self._blend
-        if blend != 0.0:
-            mu = (1.0 - blend) * mu + blend * measured_adhesion(slip)
-        return self._scale * self.grip * mu
-
-    def adhesion_slope(self, slip: float, parameters: RigParameters) -> float:
-        """Derivative of `adhesion` by slip; raises ValueError outside 0..1."""
-        slope, blend = adhesion_slope(slip, parameters), self._blend
-        if blend != 0.0:
-            slope = (1.0 - blend) * slope + blend * measured_adhesion_slope(slip)
-        return self._scale * self.grip * slope
+        require_slip(slip)
+        return self._scale * blended(parameters, self._blend, slip)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import Final
 
 from inteco_abs.rig.actuators import brake_torque
-from inteco_abs.rig.brake_map import BrakeMap
+from inteco_abs.rig.brake_map import BrakeMap, interpolated
+from inteco_abs.rig.state import Constants, State
 from inteco_abs.rig.variation import RigVariation
 
 MEASURED_TORQUE: Final = (
@@ -47,37 +47,37 @@ def measured_duty(torque: float) -> float:
 
 def settled_torque(duty: float, variation: RigVariation) -> float:
     """Settled torque in N m with `duty` (0..1) at the terminals: cap, PWM steps, static map."""
-    duty = min(duty, variation.brake_duty_cap)
-    steps = variation.brake_pwm_steps
-    if steps > 0:
-        duty = math.floor(duty * steps + EXACT) / steps
-    duty -= variation.brake_duty_offset
-    settled = measured_torque(duty) if variation.brake_map == "measured" else brake_torque(duty, variation.parameters)
-    return variation.brake_gain * settled
+    return settled(Constants.of(variation), duty)
 
 
-class BrakeActuator:
-    """A brake with dead time: commands act that much later. Times in s, never decreasing."""
+def settled(k: Constants, duty: float) -> float:
+    """`settled_torque` of the rig `k`."""
+    duty = min(duty, k.brake_duty_cap)
+    if k.brake_pwm_steps > 0:
+        duty = math.floor(duty * k.brake_pwm_steps + EXACT) / k.brake_pwm_steps
+    duty -= k.brake_duty_offset
+    return k.brake_gain * (interpolated(MEASURED_TORQUE, duty) if k.measured_map else brake_torque(duty, k))
 
-    __slots__ = ("_coming", "_newest", "_variation", "settled_torque")
 
-    def __init__(self, variation: RigVariation) -> None:
-        self._variation = variation
-        self._coming: deque[tuple[float, float]] = deque()
-        self._newest = settled_torque(0.0, variation)
-        self.settled_torque = self._newest
-        """Torque in N m that the brake approaches now."""
+def command(k: Constants, s: State, due_s: list[float], torques: list[float], duty: float) -> None:
+    """Put `duty` (0..1) at the terminals; it acts a dead time later."""
+    s.newest_duty, torque = duty, settled(k, duty)
+    if torque != s.newest_torque:
+        s.newest_torque = torque
+        if k.brake_dead_time_s == 0.0:
+            s.settled_torque = torque
+            return
+        i = s.sent % len(due_s)
+        due_s[i], torques[i] = s.time_s + k.brake_dead_time_s, torque
+        s.sent += 1
 
-    def command(self, time_s: float, duty: float) -> None:
-        """Put `duty` (0..1) at the terminals."""
-        settled = settled_torque(duty, self._variation)
-        if settled != self._newest:
-            self._newest = settled
-            self._coming.append((time_s + self._variation.brake_dead_time_s, settled))
 
-    def move_to(self, time_s: float) -> float:
-        """Apply the commands that act by `time_s`; return the time in s of the next one, or infinity."""
-        coming = self._coming
-        while coming and coming[0][0] <= time_s + SAME_TIME_S:
-            self.settled_torque = coming.popleft()[1]
-        return coming[0][0] if coming else math.inf
+def act_on_arrived(s: State, due_s: list[float], torques: list[float]) -> float:
+    """Apply the commands that act by now; return the time in s of the next one, or infinity."""
+    while s.arrived < s.sent:
+        i = s.arrived % len(due_s)
+        if due_s[i] > s.time_s + SAME_TIME_S:
+            return due_s[i]
+        s.settled_torque = torques[i]
+        s.arrived += 1
+    return math.inf

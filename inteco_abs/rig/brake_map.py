@@ -4,22 +4,29 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+Points = tuple[tuple[float, float], ...]
+
+
+def interpolated(points: Points, duty: float) -> float:
+    """Torque in N m at `duty` on straight lines between `points`."""
+    left, low = points[0]
+    if duty <= left:
+        return low
+    for right, high in points:
+        if duty < right:
+            return low + (high - low) * ((duty - left) / (right - left))
+        left, low = right, high
+    return low
+
 
 class BrakeMap(NamedTuple):
     """Straight lines between points of duty and torque in N m, both rising; constant beyond."""
 
-    points: tuple[tuple[float, float], ...]
+    points: Points
 
     def torque(self, duty: float) -> float:
         """Settled torque in N m at `duty`."""
-        left, low = self.points[0]
-        if duty <= left:
-            return low
-        for right, high in self.points[1:]:
-            if duty < right:
-                return low + (high - low) * ((duty - left) / (right - left))
-            left, low = right, high
-        return low
+        return interpolated(self.points, duty)
 
     def duty(self, torque: float) -> float:
         """Duty for `torque` in N m: 0 for no torque, 1 above the largest one, NaN for NaN."""

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from inteco_abs.rig.rng import WORD, mixed, normal_pair
-from inteco_abs.rig.variation import RigVariation
+from inteco_abs.rig.variation import EncoderVariation, RigVariation
+
+_TURN_RAD: Final = 2.0 * math.pi
 
 
 class Encoder:
@@ -14,25 +17,29 @@ class Encoder:
     The noise of the n-th reading depends on the rig's seed and n alone.
     """
 
-    __slots__ = ("_disc", "_noise", "_per_rad", "_readings", "_seed")
+    __slots__ = ("_disc", "_noise", "_readings", "_seed")
 
     def __init__(self, variation: RigVariation, *, wheel: bool) -> None:
         self._disc = variation.wheel_encoder if wheel else variation.road_encoder
-        self._per_rad = self._disc.counts_per_turn / (2.0 * math.pi)
         self._seed = noise_seed(variation)
         self._noise = 0 if wheel else 1
         self._readings = 0
 
     def read(self, angle_rad: float) -> int:
         """Count with the wheel at `angle_rad`."""
-        disc = self._disc
-        position = angle_rad * self._per_rad + disc.edge_counts
-        if disc.eccentricity_counts > 0.0:
-            position += disc.eccentricity_counts * math.sin(angle_rad + disc.eccentricity_phase_rad)
-        if disc.jitter_counts > 0.0:
-            position += disc.jitter_counts * normal_pair(self._seed, self._readings)[self._noise]
         self._readings += 1
-        return math.floor(position)
+        noisy = self._disc.jitter_counts > 0.0
+        return count(self._disc, angle_rad, normal_pair(self._seed, self._readings)[self._noise] if noisy else 0.0)
+
+
+def count(disc: EncoderVariation, angle_rad: float, noise: float) -> int:
+    """Count of `disc` with the wheel at `angle_rad`; `noise` is of a standard normal sequence."""
+    position = angle_rad * (disc.counts_per_turn / _TURN_RAD) + disc.edge_counts
+    if disc.eccentricity_counts > 0.0:
+        position += disc.eccentricity_counts * math.sin(angle_rad + disc.eccentricity_phase_rad)
+    if disc.jitter_counts > 0.0:
+        position += disc.jitter_counts * noise
+    return math.floor(position)
 
 
 def noise_seed(variation: RigVariation) -> int:

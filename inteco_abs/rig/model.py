@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from inteco_abs.rig.adhesion_curve import AdhesionCurve
-from inteco_abs.rig.friction import adhesion, adhesion_slope
+from inteco_abs.rig.adhesion_curve import blended, blended_slope
+from inteco_abs.rig.friction import formula, formula_slope
 from inteco_abs.rig.parameters import RigParameters
+from inteco_abs.rig.state import Constants, State
+from inteco_abs.rig.variation import RigVariation
 
 
 def wheel_slip(wheel_speed: float, road_speed: float, parameters: RigParameters) -> float:
@@ -15,7 +17,11 @@ def wheel_slip(wheel_speed: float, road_speed: float, parameters: RigParameters)
 
     0 is rolling, 1 a locked or counter-rotating wheel; two wheels at rest have slip 0 by definition.
     """
-    rim1, rim2 = parameters.r1 * wheel_speed, parameters.r2 * road_speed
+    return rim_slip(parameters.r1 * wheel_speed, parameters.r2 * road_speed)
+
+
+def rim_slip(rim1: float, rim2: float) -> float:
+    """`wheel_slip` of rim speeds in m/s."""
     if rim2 > rim1 > 0.0:
         return (rim2 - rim1) / rim2
     if rim1 > rim2 > 0.0:
@@ -24,7 +30,7 @@ def wheel_slip(wheel_speed: float, road_speed: float, parameters: RigParameters)
         return 0.0
     if rim1 * rim2 <= 0.0:
         return 1.0
-    return wheel_slip(-wheel_speed, -road_speed, parameters)
+    return (rim2 - rim1) / rim2 if rim2 < rim1 else (rim1 - rim2) / rim1  # both turn backwards
 
 
 class Motion(NamedTuple):
@@ -42,75 +48,64 @@ class Motion(NamedTuple):
     """Equation (7), 0..1."""
 
 
-class Model:
-    """Equations (2) to (6) for one parameter set; with a `surface`, that adhesion instead of (8)."""
+def rates(
+    k: Constants, s: State, wheel_speed: float, road_speed: float, brake_torque: float, drive_torque: float
+) -> tuple[float, float, float, float, float]:
+    """The fields of `Motion` as a plain tuple, for speed: this is the inner loop of every simulation."""
+    rim1, rim2 = k.r1 * wheel_speed, k.r2 * road_speed
+    slip = rim_slip(rim1, rim2)
+    blend = k.adhesion_blend
+    mu = formula(k, slip) if blend == 0.0 else blended(k, blend, slip)
+    traction = s.grip * mu
+    if rim2 < rim1:
+        traction = -traction
+    lever = s.L_sin - s.L_cos * traction
+    held = brake_torque + k.M10
+    moves = True
+    if wheel_speed > 0.0:
+        resisting = k.d1 * wheel_speed + held
+    elif wheel_speed < 0.0:
+        resisting = k.d1 * wheel_speed - held
+    else:
+        # the brake takes the road's torque, up to what it can hold; that enters the lever's balance
+        reaction = k.Mg / (lever - k.r1 * traction) * k.r1 * traction
+        moves = abs(reaction) > held
+        resisting = math.copysign(held, reaction) if moves else reaction
+    normal = (k.Mg + resisting) / lever  # (5)
+    push = normal * traction
+    wheel = (push * k.r1 - resisting) / k.J1 if moves else 0.0  # (2)
+    load = drive_torque - push * k.r2 - k.d2 * road_speed
+    if road_speed > 0.0:
+        load -= k.M20
+    elif road_speed < 0.0:
+        load += k.M20
+    else:
+        load -= max(-k.M20, min(k.M20, load))
+    return wheel, load / k.J2, normal, traction, slip  # (3)
 
-    __slots__ = ("_L_cos", "_L_sin", "_adhesion", "_adhesion_slope", "_k")
 
-    def __init__(self, parameters: RigParameters, surface: AdhesionCurve | None = None) -> None:
-        self._k = parameters
-        self._adhesion = surface.adhesion if surface else adhesion
-        self._adhesion_slope = surface.adhesion_slope if surface else adhesion_slope
-        self.press(1.0)
+def contact_stiffness(
+    k: Constants, s: State, wheel_speed: float, road_speed: float, normal: float, traction: float, slip: float
+) -> tuple[float, float, float, float]:
+    """Jacobian of the contact as column times row: d(accelerations)/d(traction) and d(traction)/d(speeds).
 
-    def press(self, load: float) -> None:
-        """Multiply the normal force of the lever's torque, equation (5), by `load` from now on."""
-        k = self._k
-        self._L_sin = k.L * math.sin(k.phi_rad) / load
-        self._L_cos = k.L * math.cos(k.phi_rad) / load
-
-    def rates(
-        self, wheel_speed: float, road_speed: float, brake_torque: float, drive_torque: float
-    ) -> tuple[float, float, float, float, float]:
-        """The fields of `Motion` as a plain tuple, for speed: this is the inner loop of every simulation."""
-        k = self._k
-        slip = wheel_slip(wheel_speed, road_speed, k)
-        traction = self._adhesion(slip, k) if k.r2 * road_speed >= k.r1 * wheel_speed else -self._adhesion(slip, k)
-        lever = self._L_sin - self._L_cos * traction
-        held = brake_torque + k.M10
-        moves = True
-        if wheel_speed > 0.0:
-            resisting = k.d1 * wheel_speed + held
-        elif wheel_speed < 0.0:
-            resisting = k.d1 * wheel_speed - held
-        else:
-            # the brake takes the road's torque, up to what it can hold; that enters the lever's balance
-            reaction = k.Mg / (lever - k.r1 * traction) * k.r1 * traction
-            moves = abs(reaction) > held
-            resisting = math.copysign(held, reaction) if moves else reaction
-        normal = (k.Mg + resisting) / lever  # (5)
-        push = normal * traction
-        wheel = (push * k.r1 - resisting) / k.J1 if moves else 0.0  # (2)
-        load = drive_torque - push * k.r2 - k.d2 * road_speed
-        if road_speed > 0.0:
-            load -= k.M20
-        elif road_speed < 0.0:
-            load += k.M20
-        else:
-            load -= max(-k.M20, min(k.M20, load))
-        return wheel, load / k.J2, normal, traction, slip  # (3)
-
-    def contact_stiffness(
-        self, wheel_speed: float, road_speed: float, normal: float, traction: float, slip: float
-    ) -> tuple[float, float, float, float]:
-        """Jacobian of the contact as column times row: d(accelerations)/d(traction) and d(traction)/d(speeds).
-
-        All zero where a wheel stands or turns backwards and at exactly zero slip: there the contact is not stiff
-        or not differentiable.
-        """
-        if wheel_speed <= 0.0 or road_speed <= 0.0 or slip == 0.0:
-            return 0.0, 0.0, 0.0, 0.0
-        k = self._k
-        slope = self._adhesion_slope(slip, k)
-        force = normal * self._L_sin / (self._L_sin - self._L_cos * traction)
-        slower = 1.0 - slip
-        if k.r2 * road_speed > k.r1 * wheel_speed:
-            unit = slope / (k.r2 * road_speed)
-            row1, row2 = -unit * k.r1, unit * k.r2 * slower
-        else:
-            unit = slope / (k.r1 * wheel_speed)
-            row1, row2 = -unit * k.r1 * slower, unit * k.r2
-        return force * k.r1 / k.J1, -force * k.r2 / k.J2, row1, row2
+    All zero where a wheel stands or turns backwards and at exactly zero slip: there the contact is not stiff
+    or not differentiable.
+    """
+    if wheel_speed <= 0.0 or road_speed <= 0.0 or slip == 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    blend = k.adhesion_blend
+    mu_slope = formula_slope(k, slip) if blend == 0.0 else blended_slope(k, blend, slip)
+    slope = s.grip * mu_slope
+    force = normal * s.L_sin / (s.L_sin - s.L_cos * traction)
+    slower = 1.0 - slip
+    if k.r2 * road_speed > k.r1 * wheel_speed:
+        unit = slope / (k.r2 * road_speed)
+        row1, row2 = -unit * k.r1, unit * k.r2 * slower
+    else:
+        unit = slope / (k.r1 * wheel_speed)
+        row1, row2 = -unit * k.r1 * slower, unit * k.r2
+    return force * k.r1 / k.J1, -force * k.r2 / k.J2, row1, row2
 
 
 def accelerations(
@@ -121,7 +116,9 @@ def accelerations(
     Speeds in rad/s; `brake_torque` >= 0 is what the brake can hold, in N m; `drive_torque` in N m acts on the
     lower wheel (the paper's model has none: its drive is off while braking).
     """
-    return Motion(*Model(parameters).rates(wheel_speed, road_speed, brake_torque, drive_torque))
+    k = Constants.of(RigVariation(parameters))
+    state = State(wheel_speed, road_speed, k.L_sin, k.L_cos, k.adhesion_scale)
+    return Motion(*rates(k, state, wheel_speed, road_speed, brake_torque, drive_torque))
 
 
 def kinetic_energy(wheel_speed: float, road_speed: float, parameters: RigParameters) -> float:

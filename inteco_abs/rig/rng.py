@@ -41,9 +41,9 @@ class SplitMix64:
         return low + (high - low) * ((self.word() >> 11) * 2.0**-53)
 
 
-def normal_pair(seed: int, index: int) -> tuple[float, float]:
-    """Pair number `index` (0, 1, ...) of a standard normal sequence: Box and Muller on one word."""
-    word = mixed(seed + (index + 1) * _GOLDEN & WORD)
+def normal_pair(seed: int, number: int) -> tuple[float, float]:
+    """Pair `number` (1, 2, ...) of a standard normal sequence: Box and Muller on one word."""
+    word = mixed(seed + number * _GOLDEN & WORD)
     radius = math.sqrt(-2.0 * math.log(((word >> 32) + 1) * 2.0**-32))
     angle = (word & 0xFFFFFFFF) * (2.0 * math.pi * 2.0**-32)
     return radius * math.cos(angle), radius * math.sin(angle)

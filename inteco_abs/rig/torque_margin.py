@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from inteco_abs.rig.adhesion_curve import AdhesionCurve
 from inteco_abs.rig.brake_actuator import settled_torque
-from inteco_abs.rig.model import Model
+from inteco_abs.rig.model import rates
+from inteco_abs.rig.state import Constants, State
 from inteco_abs.rig.variation import RigVariation
 
 _SPEEDS_RAD_S: Final = (10.0, 180.0)
@@ -22,13 +22,13 @@ def holding_torque(variation: RigVariation, slip: float, road_speed: float) -> f
     """
     if not (0.0 < slip < 1.0 and road_speed > 0.0):
         raise ValueError(f"slip {slip!r}, road speed {road_speed!r} rad/s: must be within 0..1, and above 0")
-    k = variation.parameters
-    model = Model(k, AdhesionCurve(variation.adhesion_scale, variation.adhesion_blend))
+    k = Constants.of(variation)
+    state = State(0.0, 0.0, k.L_sin, k.L_cos, k.adhesion_scale)
     rim_ratio = (1.0 - slip) * k.r2 / k.r1
 
     def excess(torque: float) -> float:
         """Wheel acceleration beyond the one that holds the slip, rad/s2."""
-        wheel, road, *_ = model.rates(rim_ratio * road_speed, road_speed, torque, 0.0)
+        wheel, road, *_ = rates(k, state, rim_ratio * road_speed, road_speed, torque, 0.0)
         return wheel - rim_ratio * road
 
     released = excess(0.0)

@@ -13,8 +13,8 @@ from inteco_abs.gain_design import HARD, KNOWN, Box, ParameterRange, stated_box
 from inteco_abs.gain_design.bounds import AtSlip, terms, worst
 from inteco_abs.gain_design.intervals import Interval, in_words, where_lost
 from inteco_abs.rig import RigParameters, RigVariation, brake_duty, draw, holding_torque, settled_torque, wheel_slip
-from inteco_abs.rig.adhesion_curve import AdhesionCurve
-from inteco_abs.rig.model import Model
+from inteco_abs.rig.model import rates
+from inteco_abs.rig.state import Constants, State
 
 MASK = RigParameters.named("mask")
 GRID = np.linspace(10.0, 180.0, 171)
@@ -120,13 +120,14 @@ def test_some_rig_on_the_edge_of_the_box_is_as_bad_as_its_bounds():
 def test_f_and_g_are_the_slips_derivative_by_the_physics_of_the_drawn_rig(shares, slip, speed):
     drawn = drawn_from(BOXES["hard"], shares)
     rig, k = drawn.rig, drawn.rig.parameters
-    model = Model(k, AdhesionCurve(rig.adhesion_scale, rig.adhesion_blend))
+    constants = Constants.of(rig)
+    state = State(0.0, 0.0, constants.L_sin, constants.L_cos, constants.adhesion_scale)
     rim_ratio = (1.0 - slip) * k.r2 / k.r1
     assert wheel_slip(rim_ratio * speed, speed, k) == pytest.approx(slip)
     a, b, c = terms(drawn, slip, MASK)
     for asked_nm in (1.0, 4.0):
         torque = settled_torque(brake_duty(asked_nm, MASK), rig)
-        wheel, road, *_ = model.rates(rim_ratio * speed, speed, torque, 0.0)
+        wheel, road, *_ = rates(constants, state, rim_ratio * speed, speed, torque, 0.0)
         derivative = -k.r1 / (k.r2 * speed) * wheel + (1.0 - slip) / speed * road  # equation (13)
         if torque > 0.0:  # else the dead zone, where the line is not the brake
             assert a / speed + b + c / speed * asked_nm == pytest.approx(derivative, rel=1e-9, abs=1e-9)
