@@ -1,4 +1,4 @@
-"""The command `inteco-abs`. Data goes to stdout, talk to stderr.
+"""The command `inteco-abs`. Data goes to stdout, messages to stderr.
 
 Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 3 done with losses, overruns, red findings or a design's
 advice to look at, 4 replay or sessions differ, 5 safety stop, 130 interrupted.

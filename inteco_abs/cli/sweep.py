@@ -89,8 +89,8 @@ def sweep(
     """Compare controllers on many simulated rigs.
 
     Every combination of controllers, gains and estimators brakes every rig once, from the start speed to standstill,
-    and is judged by the true slip. Of the guard only the brake limit applies; rigs of the population capped have
-    their own, and only those that can hold slip 0.2 with a margin of 0.5 N m count.
+    and is judged by the true slip. The whole guard applies, and its trip ends a stop; rigs of the population capped
+    have a brake limit of their own, and only those that can hold slip 0.2 with a margin of 0.5 N m count.
     """
     from inteco_abs.montecarlo import SHARD, combinations, parse_draws
     from inteco_abs.montecarlo import sweep as sweep_all

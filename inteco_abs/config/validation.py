@@ -137,7 +137,7 @@ def _brake_map_mistakes(identified: Table) -> Iterator[ConfigIssue]:
 
 
 _CEILINGS: Final = {"guard.over_speed_rad_s": "the rig's own limit, which no configuration can raise"}
-_NUMBER: Final = re.compile(r"[+-]?[0-9.]+(e[+-]?[0-9]+)?", re.IGNORECASE)
+_NUMBER: Final = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?", re.IGNORECASE)
 _NUMERIC: Final = ("int_", "float_", "finite_")
 """Prefixes of pydantic's error types for values that must be numbers."""
 

@@ -1,4 +1,4 @@
-"""The guard: the last word on every command, and a latch that never opens again."""
+"""The guard: the last word on every command, and a trip that is permanent for the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper again: its two stops, its law beside constant-rate control, and where its recipe breaks."""
+"""Reproduction of the paper: its two stops, its law beside constant-rate control, and where its recipe breaks."""
 
 from inteco_abs.paper.cases import Condition, Law, conditions
 from inteco_abs.paper.comparison import Comparison, compare, verdict

@@ -1,4 +1,4 @@
-"""The 2 kHz loop: its clocks, its memory; beside it, the processes of a real-time run."""
+"""The loop with its clocks and its memory, and the processes of a real-time run."""
 
 from inteco_abs.realtime.clock import Beat, Clock, PacedClock, VirtualClock
 from inteco_abs.realtime.histogram import Histogram

@@ -160,7 +160,7 @@ def _instead(begin: bytes, shown: int) -> str:
         return f"is cut off after {len(begin)} bytes, within what every MCAP file begins with"
     letters = begin.decode("utf-8", "replace")
     text = ", as text does" if all(letter.isprintable() or letter.isspace() for letter in letters) else ""
-    return f"starts with {begin[:shown]!r}{text}; sessions are what run has written"
+    return f"starts with {begin[:shown]!r}{text}; give a session that inteco-abs run wrote"
 
 
 @contextmanager

@@ -51,7 +51,7 @@ INPUTS = [
     Row("a file cut within its first bytes", "info stop.mcap", 1, ("not an MCAP file", "cut off after 5 bytes"),
         "every MCAP file begins with", (file("stop.mcap", b"\x89MCAP"),)),
     Row("text", "replay notes.txt", 1, ("not an MCAP file", "b'just tex', as text does"),
-        "sessions are what run has written", (file("notes.txt", "just text\nof two lines\n"),)),
+        "give a session that inteco-abs run wrote", (file("notes.txt", "just text\nof two lines\n"),)),
     Row("a ROS bag", "info x.bag", 1, ("is a ROS bag",), "sessions of its own only", (file("x.bag",
         "#ROSBAG V2.0\n"),)),
     Row("a ROS 2 bag", "info x.db3", 1, ("SQLite",), "its own only", (file("x.db3",

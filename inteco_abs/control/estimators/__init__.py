@@ -1,4 +1,4 @@
-"""Estimators of wheel speeds and slip from counts, one module each."""
+"""Estimators of wheel speeds and slip from counts."""
 
 from typing import Final
 

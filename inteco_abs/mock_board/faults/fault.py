@@ -114,7 +114,9 @@ def parse_fault(text: str) -> Fault:
     """`KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG]`; times as 20ms, 1.5s or #40 exchanges. Raises ValueError."""
     form = _FORM.fullmatch(text)
     if form is None:
-        raise ValueError(f"must be KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG], {_EXAMPLE}")
+        raise ValueError(
+            f"must be KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG], {_EXAMPLE}; `inteco-abs faults` describes each kind"
+        )
     name = form["kind"]
     if name not in KINDS:
         raise ValueError(f"there is no fault {name!r}{near_match(name, KINDS)}")
