@@ -22,7 +22,9 @@ from inteco_abs.control import (
     outlook,
 )
 from inteco_abs.montecarlo.policies import TrueState
-from inteco_abs.rig import AdhesionCurve, RigVariation, adhesion, brake_duty, measured_duty, settled_torque
+from inteco_abs.rig import AdhesionCurve, RigVariation, adhesion, brake_duty, measured_duty
+from inteco_abs.rig.brake_actuator import settled
+from inteco_abs.rig.state import Constants
 from inteco_abs.signals import Command, Estimate, Prediction, Sample
 
 _LEAST_SLIP: Final = 0.001
@@ -66,6 +68,7 @@ class _Truth:
         self._variation = variation
         self._state = state
         self._contact = WheelDynamics(variation.parameters)
+        self._constants = Constants.of(variation)
         self._pending = DelayLine(period_s)
         self._surface = AdhesionCurve(variation.adhesion_scale, variation.adhesion_blend)
         self._braked_since_ns = math.inf
@@ -73,7 +76,7 @@ class _Truth:
     def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:
         """The truth at the instant of `sample`."""
         rig, state = self._variation, self._state
-        self._pending.tell(settled_torque(command.brake, rig), 1)
+        self._pending.tell(settled(self._constants, command.brake), 1)
         if command.drive > 0.0:
             self._braked_since_ns = math.inf
         elif command.brake > 0.0:

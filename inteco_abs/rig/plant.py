@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from inteco_abs.rig.actuators import DriveMotor, drive_torque
+from inteco_abs.rig.actuators import DriveMotor, brake_torque, drive_torque
 from inteco_abs.rig.adhesion_curve import blended
 from inteco_abs.rig.brake_actuator import SAME_TIME_S, act_on_arrived, command, settled
 from inteco_abs.rig.model import contact_stiffness, rates, wheel_slip
@@ -89,6 +89,11 @@ def move_on(
     k: Constants, s: State, due_s: list[float], torques: list[float], drive: float, brake: float, duration_s: float
 ) -> None:
     """Advance in parts that end where a delayed command acts or the road's adhesion steps."""
+    if k.plain:
+        s.settled_torque = brake_torque(brake, k)
+        _move(k, s, drive, duration_s)
+        s.time_s += duration_s
+        return
     if brake != s.newest_duty:
         command(k, s, due_s, torques, brake)
     if drive > 0.0:

@@ -37,17 +37,16 @@ class Constants(RigParameters):
     L_cos: float
     measured_map: bool
     noise_seed: int
+    plain: bool
+    """As `RigVariation.plain_plant`: commands act at once, and no step of the adhesion ends a part."""
 
     @staticmethod
     def of(rig: RigVariation, motor: DriveMotor | None = None, max_step_s: float = 0.0005) -> Constants:
         """The rig's constants."""
         k, motor = rig.parameters, motor or DriveMotor()
-        own = {name: getattr(rig, name) for name in _OWN}
-        if rig.plain_plant:
-            own["grip_step_after_s"] = 0.0  # no step: nothing to end a part at
         return Constants(
             **{name: getattr(k, name) for name in _PARAMETERS},
-            **own,
+            **{name: getattr(rig, name) for name in _OWN},
             stall_torque_nm=motor.stall_torque_nm,
             no_load_speed_rad_s=motor.no_load_speed_rad_s,
             max_step_s=max_step_s,
@@ -55,6 +54,7 @@ class Constants(RigParameters):
             L_cos=k.L * math.cos(k.phi_rad),
             measured_map=rig.brake_map == "measured",
             noise_seed=noise_seed(rig),
+            plain=rig.plain_plant,
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from inteco_abs.rig.brake_actuator import settled_torque
+from inteco_abs.rig.brake_actuator import settled
 from inteco_abs.rig.model import rates
 from inteco_abs.rig.state import Constants, State
 from inteco_abs.rig.variation import RigVariation
@@ -20,9 +20,16 @@ def holding_torque(variation: RigVariation, slip: float, road_speed: float) -> f
     With this rig's adhesion, without ripple and steps: both rim speeds fall in proportion, and the model is affine in
     the torque. Negative where even a released brake slows the wheel too much. Raises ValueError out of range.
     """
+    _require_within(slip, road_speed)
+    return _holding(Constants.of(variation), slip, road_speed)
+
+
+def _require_within(slip: float, road_speed: float) -> None:
     if not (0.0 < slip < 1.0 and road_speed > 0.0):
         raise ValueError(f"slip {slip!r}, road speed {road_speed!r} rad/s: must be within 0..1, and above 0")
-    k = Constants.of(variation)
+
+
+def _holding(k: Constants, slip: float, road_speed: float) -> float:
     state = State(0.0, 0.0, k.L_sin, k.L_cos, k.adhesion_scale)
     rim_ratio = (1.0 - slip) * k.r2 / k.r1
 
@@ -40,5 +47,6 @@ def torque_margin(variation: RigVariation, slip: float = 0.2) -> float:
 
     It is affine in the speed, so the least is at one end. Negative where the brake cannot hold the slip.
     """
-    needed = max(holding_torque(variation, slip, speed) for speed in _SPEEDS_RAD_S)
-    return settled_torque(1.0, variation) - needed
+    _require_within(slip, min(_SPEEDS_RAD_S))
+    k = Constants.of(variation)
+    return settled(k, 1.0) - max(_holding(k, slip, speed) for speed in _SPEEDS_RAD_S)

@@ -6,8 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
-from inteco_abs.rig import POPULATIONS, Plant, RigVariation, brake_duty, draw, holding_torque, torque_margin
-from inteco_abs.rig.torque_margin import settled_torque
+from inteco_abs.rig import (
+    POPULATIONS,
+    Plant,
+    RigVariation,
+    brake_duty,
+    draw,
+    holding_torque,
+    settled_torque,
+    torque_margin,
+)
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
