@@ -30,7 +30,8 @@ _BYTES_OF_A_PART: Final = 8
 """Of the file: ticks of a wheel at rest, drained by tens, need 40."""
 _TEXT_OF_A_PART: Final = 32
 """Bytes of text that count as another part."""
-_MESSAGE_HEAD: Final = 22
+MESSAGE_HEAD: Final = 22
+"""Bytes of a message before its data."""
 _MESSAGE_BEGIN: Final = struct.Struct("<BQH")
 """Type, length and channel of a message."""
 _NUMBERS: Final = struct.Struct("<HIQ")
@@ -135,7 +136,7 @@ class VariableRun(NamedTuple):
             _, length = HEAD.unpack_from(self.records, at)
             at += HEAD.size
             _, sequence, log_time = _NUMBERS.unpack_from(self.records, at)
-            yield sequence, log_time, self.records[at + _MESSAGE_HEAD : at + length]
+            yield sequence, log_time, self.records[at + MESSAGE_HEAD : at + length]
             at += length
 
 
@@ -216,6 +217,18 @@ def fields(opcode: int, data: memoryview, *, exact: bool = False) -> list[Any]:
     if exact and at != len(data):
         raise DamagedError(f"{len(data) - at} bytes too many")
     return found
+
+
+def record(opcode: int, *values: Any) -> bytes:
+    """A record with these fields, in the order of the table above."""
+    parts = []
+    for code, value in zip(LAYOUTS[opcode], values, strict=True):
+        if code in _LENGTHS:
+            data = value.encode() if code == "s" else value
+            parts += [_LENGTHS[code].pack(len(data)), data]
+        else:
+            parts.append(_INTEGERS[code].pack(value))
+    return HEAD.pack(opcode, sum(map(len, parts))) + b"".join(parts)
 
 
 def text_map(data: memoryview, budget: DecompressionBudget | None = None) -> dict[str, str]:
@@ -308,7 +321,7 @@ def chunk_parts(raw: bytes, variable_size: Collection[int] = ()) -> Iterator[Ent
             yield Entry(opcode, at, memoryview(raw)[at : at + length])
             at += length
             continue
-        if length < _MESSAGE_HEAD:
+        if length < MESSAGE_HEAD:
             raise DamagedError(f"holds a message of {length} bytes, less than a message's head")
         (channel,) = _INTEGERS["H"].unpack_from(raw, at)
         if channel in variable_size:
@@ -324,10 +337,10 @@ def chunk_parts(raw: bytes, variable_size: Collection[int] = ()) -> Iterator[Ent
 def _stretch(raw: bytes, start: int, channel: int) -> VariableRun:
     """From `start` to the first record that is not a message of the channel, or is not all there."""
     at, count, size, message, head = start, 0, len(raw), int(Opcode.MESSAGE), _MESSAGE_BEGIN.unpack_from
-    while at + HEAD.size + _MESSAGE_HEAD <= size:
+    while at + HEAD.size + MESSAGE_HEAD <= size:
         opcode, length, found = head(raw, at)
         end = at + HEAD.size + length
-        if opcode != message or length < _MESSAGE_HEAD or end > size or found != channel:
+        if opcode != message or length < MESSAGE_HEAD or end > size or found != channel:
             break
         at, count = end, count + 1
     return VariableRun(channel, count, raw, start, at)
@@ -343,7 +356,7 @@ def _run(raw: bytes, at: int, length: int) -> npt.NDArray[np.void]:
         count += 1
     if count == _ONE_BY_ONE:
         count = _long_run(raw, at, stride, count, most)
-    return np.ndarray(count, _message(length - _MESSAGE_HEAD), raw, at)
+    return np.ndarray(count, message_layout(length - MESSAGE_HEAD), raw, at)
 
 
 def _long_run(raw: bytes, at: int, stride: int, count: int, most: int) -> int:
@@ -360,14 +373,8 @@ def _long_run(raw: bytes, at: int, stride: int, count: int, most: int) -> int:
 
 
 @lru_cache(maxsize=64)
-def _message(size: int) -> np.dtype[np.void]:
+def message_layout(size: int) -> np.dtype[np.void]:
     """A message record with `size` bytes of data."""
-    layout: np.dtype[np.void] = np.dtype(
-        {
-            "names": ["channel", "sequence", "log_time", "data"],
-            "formats": ["<u2", "<u4", "<u8", f"V{size}"],
-            "offsets": [9, 11, 15, 31],
-            "itemsize": HEAD.size + _MESSAGE_HEAD + size,
-        }
-    )
+    heads = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
+    layout: np.dtype[np.void] = np.dtype([*heads, ("log_time", "<u8"), ("publish_time", "<u8"), ("data", f"V{size}")])
     return layout

@@ -17,9 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from mcap.data_stream import RecordBuilder
-from mcap.records import ChunkIndex
-from mcap.writer import CompressionType, Writer
+import numpy as np
 
 from inteco_abs.errors import SessionError, describe_disk
 from inteco_abs.format import (
@@ -47,13 +45,17 @@ from inteco_abs.format import (
 )
 from inteco_abs.sessions.content import ATTACHMENT_HASH
 from inteco_abs.sessions.files import check_output
+from inteco_abs.sessions.mcap_writer import McapWriter
 from inteco_abs.sessions.reader import stored_rows
 from inteco_abs.signals import EXPLANATIONS, Phase, Reason
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
     from typing_extensions import Buffer  # collections.abc has it from Python 3.12 on
 
 FORMAT_VERSION: Final = "4"
+_MOST_WAITING: Final = 1 << 20  # bytes
+_STATE: Final = ("phase", "reason")
 _INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
 
 
@@ -101,28 +103,6 @@ class _Disk(FileIO):
         return SessionError(f"{self.name} cannot be written: {describe_disk(error)}")
 
 
-class _Index:
-    """Chunks of a file, as the index at its end has them: a tenth of the memory that the library's records take.
-
-    A recorder that writes ten chunks a second has 80 000 of them after a thousand stops.
-    """
-
-    def __init__(self) -> None:
-        self._records = RecordBuilder()
-
-    def append(self, chunk: ChunkIndex) -> None:
-        """One more."""
-        chunk.write(self._records)
-
-    def __iter__(self) -> Iterator[_Index]:
-        """All of them at once, for whoever writes them one by one."""
-        yield self
-
-    def write(self, summary: RecordBuilder) -> None:
-        """Into what becomes the end of the file."""
-        summary.write(self._records.end())  # type: ignore[no-untyped-call]  # the library left it untyped
-
-
 class FileWriter:
     """A session being written at `path`; a context manager. Raises SessionError when the disk refuses.
 
@@ -155,15 +135,17 @@ class FileWriter:
         self._attached: dict[str, str] = {}
         self.written = 0
         """Ticks in the file, or on their way into it."""
-        self._truths = 0
+        self._packed = self._truths = 0
+        """Ticks and truths that have been packed."""
         self._newest_ns = self.started_ns
         self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
         self._log = set[tuple[int, int, str]]()
         self._disk = _Disk(path)
         self._file = BufferedWriter(self._disk)
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
-        self._writer._Writer__chunk_indices = _Index()  # type: ignore[attr-defined]  # noqa: SLF001  see there
-        self._writer.start(profile="", library=f"inteco-abs/{version('inteco-abs')} mcap-python/{version('mcap')}")
+        library = f"inteco-abs/{version('inteco-abs')} mcap-python/{version('mcap')}"
+        self._writer = McapWriter(self._file, library)
+        self._waiting, self._kind = bytearray(), TICK
+        """Drained messages of one kind on their way into the chunk."""
         self._tick_channel = self._flat(TICK, {"internals": json.dumps(list(controller_internals))})
         self._truth_channel = -1
         self._event_channel = self._channel(LOG_TOPIC, LOG_NAME, log_descriptor(), {})
@@ -204,12 +186,13 @@ class FileWriter:
 
     def describe(self, name: str, facts: Mapping[str, str]) -> None:
         """Add the metadata record `inteco_abs.{name}`; a later one of the same name adds to it or replaces."""
-        self._writer.add_metadata(f"inteco_abs.{name}", dict(facts))
+        self._pack()
+        self._writer.add_metadata(f"inteco_abs.{name}", facts)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Add a file."""
-        stamp = self.started_ns
-        self._writer.add_attachment(stamp, stamp, name, media_type, data)
+        self._pack()
+        self._writer.add_attachment(self.started_ns, name, media_type, data)
         self._attached[ATTACHMENT_HASH + name] = hashlib.sha256(data).hexdigest()
 
     def begin(self, parameters: Mapping[str, float]) -> None:
@@ -217,7 +200,7 @@ class FileWriter:
         values = b"".join(chunk(1, chunk(1, name) + double(2, value)) for name, value in parameters.items())
         data = values + tag(2, 5) + struct.pack("<I", 0)
         stamp = self.started_ns
-        self._writer.add_message(self._parameter_channel, stamp, data, stamp)
+        self._writer.add_message(self._parameter_channel, stamp, data)
         self.describe(
             "session",
             {
@@ -231,32 +214,47 @@ class FileWriter:
     def ticks(self, records: bytes) -> None:
         """Add tick records, back to back, and an event for every change of phase and every fault among them."""
         self._hash.update(records)
-        columns = TICK.array(records)
-        for i, (time_ns, phase, reason) in enumerate(
-            zip(*(columns[n].tolist() for n in ("time_ns", "phase", "reason")), strict=True)
-        ):
-            stamp = self._epoch_ns + time_ns
-            if (phase, reason) != self._before:
-                self._changed(stamp, phase, reason)
-            self._writer.add_message(
-                self._tick_channel,
-                stamp,
-                records[i * TICK.size : (i + 1) * TICK.size],
-                stamp,
-                self.written & 0xFFFFFFFF,
-            )
-            self.written += 1
-            self._newest_ns = stamp
+        self.written += len(records) // TICK.size
+        self._wait(TICK, records)
 
     def truths(self, records: bytes) -> None:
         """Add states of the simulated rig, back to back."""
-        if records and self._truth_channel < 0:
+        self._wait(TRUTH, records)
+
+    def _wait(self, kind: Message, records: bytes) -> None:
+        """Keep drained messages until the flush, which packs them all at once: a tenth of the time."""
+        if not records:
+            return
+        if kind is not self._kind or len(self._waiting) > _MOST_WAITING:
+            self._pack()
+        self._kind = kind
+        self._waiting += records
+
+    def _pack(self) -> None:
+        """Put the waiting messages into the chunk, with the events among them."""
+        records, self._waiting = self._waiting, bytearray()
+        if not records:
+            return
+        rows = self._kind.array(records)
+        times_ns = rows["time_ns"] + np.uint64(self._epoch_ns % (1 << 64))
+        if self._kind is TICK:
+            self._pack_ticks(rows, times_ns)
+            return
+        if self._truth_channel < 0:
             self._truth_channel = self._flat(TRUTH, {})
-        for i, time_ns in enumerate(TRUTH.array(records)["time_ns"].tolist()):
-            stamp = self._epoch_ns + time_ns
-            record = records[i * TRUTH.size : (i + 1) * TRUTH.size]
-            self._writer.add_message(self._truth_channel, stamp, record, stamp, self._truths & 0xFFFFFFFF)
-            self._truths += 1
+        self._writer.add_messages(self._truth_channel, self._truths, times_ns, _plain(rows))
+        self._truths += len(rows)
+
+    def _pack_ticks(self, rows: npt.NDArray[np.void], times_ns: npt.NDArray[np.uint64]) -> None:
+        changes = [np.diff(rows[name], prepend=old) != 0 for name, old in zip(_STATE, self._before, strict=True)]
+        data, start = _plain(rows), 0
+        for end in (*np.flatnonzero(np.logical_or(*changes)).tolist(), len(rows)):
+            self._writer.add_messages(self._tick_channel, self._packed, times_ns[start:end], data[start:end])
+            self._packed += end - start
+            if end < len(rows):
+                self._changed(int(times_ns[end]), *(int(rows[name][end]) for name in _STATE))
+            start = end
+        self._newest_ns = int(times_ns[-1])
 
     def frames(self, facts: Mapping[str, str], messages: Iterable[tuple[int, bytes]]) -> int:
         """Add raw frames, as monotonic time in ns and message; how many there were. `facts` explain them.
@@ -268,14 +266,15 @@ class FileWriter:
         count = 0
         for time_ns, data in messages:
             stamp = self._epoch_ns + time_ns
-            self._writer.add_message(channel, stamp, data, stamp, count & 0xFFFFFFFF)
+            self._writer.add_message(channel, stamp, data, count & 0xFFFFFFFF)
             count += 1
         self.flush()
         return count
 
     def flush(self) -> None:
         """Everything so far into the file, readable even if nothing follows. Raises SessionError if that is gone."""
-        self._writer.flush()  # type: ignore[no-untyped-call]  # the library left it untyped
+        self._pack()
+        self._writer.end_chunk()
         self._settle()
 
     def warn(self, stamp_ns: int, text: str) -> None:
@@ -284,6 +283,7 @@ class FileWriter:
 
     def event(self, stamp_ns: int, level: int, text: str) -> None:
         """Add a line to the log at a wall clock time in ns, unless it is there already."""
+        self._pack()
         line = stamp_ns, level, text
         if line in self._log:
             return
@@ -291,13 +291,14 @@ class FileWriter:
         seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
         stamp = integer(1, seconds) + integer(2, nanoseconds)
         data = chunk(1, stamp) + integer(2, level) + chunk(3, text) + chunk(4, "inteco-abs")
-        self._writer.add_message(self._event_channel, stamp_ns, data, stamp_ns)
+        self._writer.add_message(self._event_channel, stamp_ns, data)
 
     def finish(self, outcome: str, reason: str, result: Mapping[str, Any], ended_utc: str = "") -> None:
         """Complete the file: how the run ended, its result card, the hash over its payloads, the index.
 
         It ended now, unless `ended_utc` says when.
         """
+        self._pack()
         self._tell_result(result)
         self.flush()  # the last ticks come before what is said about them
         self.describe(
@@ -314,7 +315,7 @@ class FileWriter:
         self.describe("timing", {f"late_us.{name}": repr(value) for name, value in result["lateness_us"].items()})
         self.describe("result", {"card": json.dumps(result)})
         self.describe("integrity", {"payload_sha256": self.payload_sha256, **self._attached})
-        self._writer.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
+        self._writer.finish()
         self._in_doubt = True
         self._settle()
 
@@ -322,7 +323,7 @@ class FileWriter:
         """The card where any viewer finds it; ours read the metadata, which the index has at a glance."""
         units = {"units": json.dumps({entry.name: entry.unit for entry in RESULT})}
         channel = self._channel(RESULT_TOPIC, RESULT_NAME, result_descriptor(), units)
-        self._writer.add_message(channel, self._newest_ns, pack_result(card), self._newest_ns)
+        self._writer.add_message(channel, self._newest_ns, pack_result(card))
 
     def discard(self) -> None:
         """Remove the file: nothing ran, so there is nothing to keep. Raises SessionError if it cannot be removed."""
@@ -357,8 +358,12 @@ class FileWriter:
         return self._channel(message.topic, message.name, message.descriptor(), facts)
 
     def _channel(self, topic: str, name: str, descriptor: bytes, metadata: Mapping[str, str]) -> int:
-        schema_id = self._writer.register_schema(name, "protobuf", descriptor)
-        return self._writer.register_channel(topic, "protobuf", schema_id, dict(metadata))
+        return self._writer.add_channel(topic, self._writer.add_schema(name, descriptor), metadata)
+
+
+def _plain(rows: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
+    """The rows as bytes, keys and all."""
+    return rows.view(f"V{rows.itemsize}")
 
 
 def utc(unix_ns: int) -> str:

@@ -21,7 +21,6 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
-from mcap.writer import Writer
 
 from inteco_abs.errors import AbsError, SessionError
 from inteco_abs.sessions import (
@@ -35,6 +34,7 @@ from inteco_abs.sessions import (
     recover_session,
 )
 from inteco_abs.sessions import writer as recorder
+from inteco_abs.sessions.mcap_writer import McapWriter
 from inteco_abs.signals import Reason
 from tests.faults.stage import SHORTEST, configured, ride
 
@@ -190,6 +190,6 @@ def test_in_whatever_order_disks_fail_and_programs_die_every_tick_is_kept_and_no
 ):
     disk = type("FullDisk", (recorder._Disk, Full), {})
     monkeypatch.setattr(recorder, "_Disk", disk)
-    monkeypatch.setattr(recorder, "Writer", partial(Writer, chunk_size=2048))
+    monkeypatch.setattr(recorder, "McapWriter", partial(McapWriter, chunk_bytes=2048))
     run_state_machine_as_test(Keeping, settings=FEW)
     record_property("told", f"keeper: {Keeping.steps} steps, {Keeping.recoveries} recoveries of what a kill left")

@@ -1,0 +1,187 @@
+"""Writes the container of a session, MCAP: messages in compressed chunks, and the index at its end.
+
+Source: mcap.dev, specification, "Records".
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from typing import BinaryIO, Final
+
+import numpy as np
+import numpy.typing as npt
+import zstandard
+
+from inteco_abs.sessions.container import MAGIC, MESSAGE_HEAD, Opcode, message_layout, record
+
+_MESSAGE: Final = struct.Struct("<BQHIQQ")
+"""A message before its data: type, length, channel, sequence, log and publish time."""
+_ENTRY: Final = struct.Struct("<QQ")
+_BY_CHANNEL: Final = struct.Struct("<HQ")
+_COMPRESSION: Final = "zstd"
+_GROUPS: Final = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
+"""Kinds of records at the end of the file, in order."""
+
+
+class McapWriter:
+    """An MCAP file being written to `file`. A chunk ends with the message that brings it over `chunk_bytes` bytes."""
+
+    def __init__(self, file: BinaryIO, library: str, chunk_bytes: int = 1 << 20) -> None:
+        self._file = file
+        self._chunk_bytes = chunk_bytes
+        self._compressor = zstandard.ZstdCompressor()
+        self._at = self._crc = 0
+        self._chunk = bytearray()
+        self._indices: dict[int, bytearray] = {}
+        """Time and place in the chunk of each message, by channel."""
+        self._span_ns = _NEVER
+        self._whole_span_ns = _NEVER
+        self._numbers = dict.fromkeys(Opcode, 0)
+        """Records so far, by kind."""
+        self._messages: dict[int, int] = {}
+        """Messages so far, by channel."""
+        # packed, the index of a chunk takes a tenth of an object's memory; a thousand stops have 80 000
+        self._summary = {group: bytearray() for group in _GROUPS}
+        self._write(MAGIC)
+        self._write(record(Opcode.HEADER, "", library))
+
+    def add_schema(self, name: str, descriptor: bytes) -> int:
+        """Declare a protobuf schema by its file descriptor set; return its number."""
+        number = self._numbers[Opcode.SCHEMA] + 1
+        self._declare(Opcode.SCHEMA, record(Opcode.SCHEMA, number, name, "protobuf", descriptor))
+        return number
+
+    def add_channel(self, topic: str, schema: int, metadata: Mapping[str, str]) -> int:
+        """Declare a channel of messages; return its number."""
+        number = self._numbers[Opcode.CHANNEL] + 1
+        self._declare(Opcode.CHANNEL, record(Opcode.CHANNEL, number, schema, topic, "protobuf", _packed(metadata)))
+        return number
+
+    def add_message(self, channel: int, unix_ns: int, data: bytes, sequence: int = 0) -> None:
+        """Add one message."""
+        entry = _ENTRY.pack(unix_ns, len(self._chunk))
+        head = _MESSAGE.pack(Opcode.MESSAGE, MESSAGE_HEAD + len(data), channel, sequence, unix_ns, unix_ns)
+        self._take(channel, head + data, entry, (unix_ns, unix_ns))
+
+    def add_messages(
+        self, channel: int, first: int, times_ns: npt.NDArray[np.uint64], data: npt.NDArray[np.void]
+    ) -> None:
+        """Add messages of one size at UNIX times in ns, with sequence numbers from `first` on."""
+        rows = np.empty(len(data), message_layout(data.itemsize))
+        size = rows.itemsize
+        rows["opcode"], rows["length"], rows["channel"] = Opcode.MESSAGE, MESSAGE_HEAD + data.itemsize, channel
+        rows["sequence"] = np.arange(first, first + len(rows)) & 0xFFFFFFFF
+        rows["log_time"] = rows["publish_time"] = times_ns
+        rows["data"] = data
+        while len(rows):
+            fit = max((self._chunk_bytes - len(self._chunk)) // size + 1, 1)
+            part, rows = rows[:fit], rows[fit:]
+            entries = np.empty((len(part), 2), "<u8")
+            entries[:, 0] = part["log_time"]
+            entries[:, 1] = len(self._chunk) + size * np.arange(len(part))
+            span_ns = int(entries[:, 0].min()), int(entries[:, 0].max())
+            self._take(channel, part.tobytes(), entries.tobytes(), span_ns)
+
+    def add_metadata(self, name: str, facts: Mapping[str, str]) -> None:
+        """Add a metadata record; what the chunk has by now comes behind it."""
+        at, data = self._at, record(Opcode.METADATA, name, _packed(facts))
+        self._write(data)
+        self._list(Opcode.METADATA_INDEX, at, len(data), name)
+
+    def add_attachment(self, unix_ns: int, name: str, media_type: str, content: bytes) -> None:
+        """Add a file; what the chunk has by now comes behind it."""
+        at, data = self._at, record(Opcode.ATTACHMENT, unix_ns, unix_ns, name, media_type, content, 0)
+        self._write(data[:-4] + struct.pack("<I", zlib.crc32(memoryview(data)[9:-4])))
+        self._list(Opcode.ATTACHMENT_INDEX, at, len(data), unix_ns, unix_ns, len(content), name, media_type)
+
+    def end_chunk(self) -> None:
+        """Write the chunk with its index, if it has a message."""
+        if not self._indices:
+            return
+        at, packed = self._at, self._compressor.compress(self._chunk)
+        size, (first_ns, last_ns) = len(self._chunk), self._span_ns
+        self._write(record(Opcode.CHUNK, first_ns, last_ns, size, zlib.crc32(self._chunk), _COMPRESSION, packed))
+        end, offsets = self._at, b""
+        for channel, entries in self._indices.items():
+            offsets += _BY_CHANNEL.pack(channel, self._at)
+            self._write(record(Opcode.MESSAGE_INDEX, channel, entries))
+        places = at, end - at, offsets, self._at - end
+        self._list(Opcode.CHUNK_INDEX, first_ns, last_ns, *places, _COMPRESSION, len(packed), size)
+        self._chunk, self._indices, self._span_ns = bytearray(), {}, _NEVER
+
+    def finish(self) -> None:
+        """Write the last chunk, the index and the end; the file stays open."""
+        self.end_chunk()
+        self._write(record(Opcode.DATA_END, self._crc))
+        start, offsets = self._at, b""
+        self._list_statistics()
+        for group, records in self._summary.items():
+            offsets += record(Opcode.SUMMARY_OFFSET, group, self._at, len(records))
+            self._write(records)
+        summary = b"".join(self._summary.values()) + offsets
+        footer = record(Opcode.FOOTER, start, self._at, 0)[:-4]
+        self._write(offsets + footer + struct.pack("<I", zlib.crc32(footer, zlib.crc32(summary))) + MAGIC)
+
+    def _list_statistics(self) -> None:
+        numbers = (
+            self._numbers[kind]
+            for kind in (
+                Opcode.SCHEMA,
+                Opcode.CHANNEL,
+                Opcode.ATTACHMENT_INDEX,
+                Opcode.METADATA_INDEX,
+                Opcode.CHUNK_INDEX,
+            )
+        )
+        span_ns = self._whole_span_ns if self._messages else (0, 0)
+        messages = b"".join(_BY_CHANNEL.pack(*each) for each in self._messages.items())
+        self._list(Opcode.STATISTICS, sum(self._messages.values()), *numbers, *span_ns, messages)
+
+    def _take(self, channel: int, records: bytes, entries: bytes, span_ns: tuple[int, int]) -> None:
+        self._chunk += records
+        self._indices.setdefault(channel, bytearray()).extend(entries)
+        self._messages[channel] = self._messages.get(channel, 0) + len(entries) // _ENTRY.size
+        self._span_ns, self._whole_span_ns = _joined(self._span_ns, span_ns), _joined(self._whole_span_ns, span_ns)
+        self._end_full_chunk()
+
+    def _declare(self, kind: Opcode, data: bytes) -> None:
+        """Schemas and channels stand before their first message, and in the index."""
+        self._chunk += data
+        self._numbers[kind] += 1
+        self._summary[kind] += data
+        self._end_full_chunk()
+
+    def _end_full_chunk(self) -> None:
+        if len(self._chunk) > self._chunk_bytes:
+            self.end_chunk()
+
+    def _list(self, kind: Opcode, *values: object) -> None:
+        self._numbers[kind] += 1
+        self._summary[kind] += record(kind, *values)
+
+    def _write(self, data: bytes | bytearray) -> None:
+        self._file.write(data)
+        self._crc = zlib.crc32(data, self._crc)
+        self._at += len(data)
+
+
+_NEVER: Final = (1 << 64, 0)
+
+
+def _joined(one: tuple[int, int], other: tuple[int, int]) -> tuple[int, int]:
+    return min(one[0], other[0]), max(one[1], other[1])
+
+
+def _packed(facts: Mapping[str, str]) -> bytes:
+    """Texts by name, as metadata and channels have them."""
+    texts = [text.encode() for item in facts.items() for text in item]
+    return b"".join(struct.pack("<I", len(text)) + text for text in texts)
