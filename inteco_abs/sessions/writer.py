@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from typing_extensions import Buffer  # collections.abc has it from Python 3.12 on
 
 FORMAT_VERSION: Final = "4"
-_MOST_WAITING: Final = 1 << 20  # bytes
+_MOST_WAITING: Final = 1 << 18  # bytes
 _STATE: Final = ("phase", "reason")
 _INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
 
@@ -225,10 +225,12 @@ class FileWriter:
         """Keep drained messages until the flush, which packs them all at once: a tenth of the time."""
         if not records:
             return
-        if kind is not self._kind or len(self._waiting) > _MOST_WAITING:
+        if kind is not self._kind:
             self._pack()
         self._kind = kind
         self._waiting += records
+        if len(self._waiting) > _MOST_WAITING:
+            self._pack()
 
     def _pack(self) -> None:
         """Put the waiting messages into the chunk, with the events among them."""
