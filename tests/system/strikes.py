@@ -81,20 +81,21 @@ def struck(command, folder, environment, kind, number):
     A run that a busy computer ends before the first strike says nothing, and is done again.
     """
     seed = seed_of(kind, number)
-    for left in reversed(range(STARTS)):
-        chance = random.Random(seed)
-        run = LiveRun(command, folder, environment, settings=LONG)
+    for _ in range(STARTS - 1):
         try:
-            pids = {role: run.pid(role) for role in ROLES}
-            run.until_tick(chance.randrange(*TICKS))
+            return _struck(LiveRun(command, folder, environment, settings=LONG), kind, seed)
         except AssertionError as error:
-            if not left or "MISSED_EXCHANGES" not in str(error):
+            if "MISSED_EXCHANGES" not in str(error):
                 raise
-            run.out.unlink(missing_ok=True)
-            run.memory.remove()
-        else:
-            break
+            (folder / "stop.mcap").unlink(missing_ok=True)
+    return _struck(LiveRun(command, folder, environment, settings=LONG), kind, seed)
+
+
+def _struck(run, kind, seed):
+    chance = random.Random(seed)
     try:
+        pids = {role: run.pid(role) for role in ROLES}
+        run.until_tick(chance.randrange(*TICKS))
         gap_s = chance.choice((0.0, 0.0, LONGEST_GAP_S))
         with watched(run, pids) as trace:
             for role, how in chance.sample(kind, len(kind)):
