@@ -21,6 +21,8 @@ _MESSAGE: Final = struct.Struct("<BQHIQQ")
 _ENTRY: Final = struct.Struct("<QQ")
 _BY_CHANNEL: Final = struct.Struct("<HQ")
 _COMPRESSION: Final = "zstd"
+_NEVER: Final = (1 << 64, 0)
+"""First and last time of no message."""
 _GROUPS: Final = (
     Opcode.SCHEMA,
     Opcode.CHANNEL,
@@ -172,9 +174,6 @@ class McapWriter:
         self._file.write(data)
         self._crc = zlib.crc32(data, self._crc)
         self._at += len(data)
-
-
-_NEVER: Final = (1 << 64, 0)
 
 
 def _joined(one: tuple[int, int], other: tuple[int, int]) -> tuple[int, int]:

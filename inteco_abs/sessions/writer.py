@@ -77,7 +77,7 @@ class _Disk(FileIO):
             raise self._refused(error) from error
 
     def close(self) -> None:
-        """Let go of it; what a disk has refused only now is told now."""
+        """Close the file; raises SessionError for what the disk refuses only now."""
         try:
             super().close()
         except OSError as error:
@@ -108,7 +108,7 @@ class FileWriter:
 
     `session_id`, and `epoch_ns` (UNIX time of the monotonic clock's zero), are those of a session whose file is made
     anew. With `durable`, the disk must have taken in every change of phase and the end before writing goes on, which
-    may take seconds. What it is told first (`describe`, `attach`) reaches the file before the first tick. Leaving the
+    may take seconds. What is added first (`describe`, `attach`) reaches the file before the first tick. Leaving the
     context closes the file; only `finish` makes it complete.
     """
 
@@ -142,8 +142,7 @@ class FileWriter:
         self._log = set[tuple[int, int, str]]()
         self._disk = _Disk(path)
         self._file = BufferedWriter(self._disk)
-        library = f"inteco-abs/{version('inteco-abs')} mcap-python/{version('mcap')}"
-        self._writer = McapWriter(self._file, library)
+        self._writer = McapWriter(self._file, f"inteco-abs/{version('inteco-abs')}")
         self._waiting, self._kind = bytearray(), TICK
         """Drained messages of one kind on their way into the chunk."""
         self._tick_channel = self._flat(TICK, {"internals": json.dumps(list(controller_internals))})
