@@ -74,7 +74,7 @@ class Guardian:
         self._follow()
 
     def over(self) -> bool:
-        """Whether nothing is left to guard; a supervisor that is gone is told to whoever still waits."""
+        """Whether nothing is left to guard; if the supervisor is gone, processes that still wait are stopped."""
         words = self._words
         left_alone = not alive(words[Field.SUPERVISOR_PID]) and not self._guarded
         if left_alone and not words[Field.GUARDIAN_STOP]:
