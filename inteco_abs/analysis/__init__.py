@@ -7,8 +7,8 @@ from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_
 from inteco_abs.analysis.gains import REFERENCE, changed_gains
 from inteco_abs.analysis.golden import Golden, GoldenFolder, GoldenResult
 from inteco_abs.analysis.open_loop import WhatIf, alternative, braking_row, since_braking_s, what_if
-from inteco_abs.analysis.replay import FirstDifference, Replay, before_the_gap, replay, require_known
-from inteco_abs.analysis.statistics import UNITS, Spread, statistics
+from inteco_abs.analysis.replay import FirstDifference, Replay, before_the_gap, replay_session, require_known
+from inteco_abs.analysis.stop_statistics import UNITS, MetricStatistics, metric_statistics
 from inteco_abs.analysis.tolerance import Shift, Tolerance, parse_tolerances
 
 __all__ = [
@@ -23,10 +23,10 @@ __all__ = [
     "Golden",
     "GoldenFolder",
     "GoldenResult",
+    "MetricStatistics",
     "Replay",
     "Shift",
     "SignalChange",
-    "Spread",
     "Tolerance",
     "WhatIf",
     "alternative",
@@ -36,15 +36,15 @@ __all__ = [
     "continued",
     "diff_sessions",
     "distance",
+    "metric_statistics",
     "parse_tolerances",
     "previous_card",
-    "replay",
+    "replay_session",
     "require_known",
     "session_files",
     "session_row",
     "settings_of",
     "since_braking_s",
     "sort_rows",
-    "statistics",
     "what_if",
 ]

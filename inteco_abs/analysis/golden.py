@@ -22,7 +22,7 @@ import numpy as np
 import tomli_w
 
 from inteco_abs.analysis.open_loop import since_braking_s
-from inteco_abs.analysis.replay import Replay, decisions, replay, require_known
+from inteco_abs.analysis.replay import Replay, decisions, replay_session, require_known
 from inteco_abs.analysis.tolerance import Array, parse_tolerances
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller, build_pipeline, control_check
@@ -281,7 +281,7 @@ def _require_a_test(session: Session, ticks: Array) -> None:
 
 def _replay(session: Session, controllers: ControllerTypes, tolerances: Sequence[str]) -> Replay:
     config = session_config(session, (control_check(controllers),))
-    return replay(session, build_pipeline(config, controllers), parse_tolerances(tolerances))
+    return replay_session(session, build_pipeline(config, controllers), parse_tolerances(tolerances))
 
 
 def _version(reason: str, file: Path, changed: int) -> Version:

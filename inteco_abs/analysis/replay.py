@@ -75,7 +75,7 @@ def before_the_gap(session: Session) -> Session:
     return replace(session, ticks=session.ticks[:whole], payload=session.payload[: whole * TICK.size])
 
 
-def replay(session: Session, pipeline: Pipeline, tolerances: Mapping[str, Tolerance] | None = None) -> Replay:
+def replay_session(session: Session, pipeline: Pipeline, tolerances: Mapping[str, Tolerance] | None = None) -> Replay:
     """Drive a fresh `pipeline` with the session's inputs and compare; fields without a tolerance must agree exactly.
 
     Of the inputs, those that follow from others are checked as well. Raises SessionError if there are no ticks.

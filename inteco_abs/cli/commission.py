@@ -165,11 +165,11 @@ def _mock_settings(board: str) -> list[str]:
 def _rig_access(board: str, draft: ProfileDraft, *, virtual: bool) -> RigAccess:
     from inteco_abs.boards import simulated
     from inteco_abs.commissioning import MockRigAccess, PacedMockRigAccess, RealRigAccess
-    from inteco_abs.experiment import by_hand
+    from inteco_abs.experiment import manual_control
 
     if simulated(board):
-        return MockRigAccess(draft.config) if virtual else PacedMockRigAccess(draft.config, by_hand)
-    return RealRigAccess(board, by_hand)
+        return MockRigAccess(draft.config) if virtual else PacedMockRigAccess(draft.config, manual_control)
+    return RealRigAccess(board, manual_control)
 
 
 def _report(procedure: Procedure, draft: ProfileDraft, board: str) -> dict[str, Any]:

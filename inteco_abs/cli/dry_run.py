@@ -77,9 +77,9 @@ def rehearse_by_hand(config: RigConfig, board: str, faults: Sequence[Fault], own
     """Print whether the panel could begin, as `rehearse` does for runs."""
     from inteco_abs.commissioning import run_preflight
     from inteco_abs.commissioning.preflight_table import render_preflight
-    from inteco_abs.experiment import conditions_by_hand
+    from inteco_abs.experiment import manual_checks
 
-    refused = refusals([*own, *conditions_by_hand(config, board, faults)])
+    refused = refusals([*own, *manual_checks(config, board, faults)])
     found = run_preflight(_rig_access(config, board), config, rest=False)
     refused += found.refused
     report = {
@@ -106,11 +106,11 @@ def _exit_code(refused: Iterable[AbsError]) -> int:
 
 
 def _conditions(planned: Sequence[Planned]) -> Iterator[Condition]:
-    from inteco_abs.experiment import conditions
+    from inteco_abs.experiment import run_checks
     from inteco_abs.realtime import require_room
 
     for config, plan, *_ in planned:
-        yield from conditions(config, plan)
+        yield from run_checks(config, plan)
         yield partial(_build, config, plan)
         if not plan.virtual:
             yield partial(require_room, _memory_bytes(config, plan))
@@ -151,9 +151,9 @@ def _disk_bytes(config: RigConfig, plan: Plan) -> int:
 def _rig_access(config: RigConfig, board: str, seed: int = 0) -> RigAccess:
     from inteco_abs.boards import simulated
     from inteco_abs.commissioning import MockRigAccess, RealRigAccess
-    from inteco_abs.experiment import by_hand
+    from inteco_abs.experiment import manual_control
 
-    return MockRigAccess(config, seed) if simulated(board) else RealRigAccess(board, by_hand)
+    return MockRigAccess(config, seed) if simulated(board) else RealRigAccess(board, manual_control)
 
 
 def _refusals(refused: Iterable[AbsError]) -> list[dict[str, str]]:

@@ -25,7 +25,7 @@ def panel(options: RunOptions, outputs: bool, dry_run: bool) -> int:
     Without --outputs it only reads. With --outputs, drive and brake follow their sliders while you hold a key.
     """
     from inteco_abs.commissioning import CONFIRMED_OFF, PHRASE, PROVES_ITSELF, REQUEST, Panel, require_phrase
-    from inteco_abs.experiment import by_hand
+    from inteco_abs.experiment import manual_control
     from inteco_abs.mock_board import parse_faults
     from inteco_abs.signals import EXPLANATIONS, Reason
 
@@ -46,7 +46,7 @@ def panel(options: RunOptions, outputs: bool, dry_run: bool) -> int:
         if outputs:
             say(PROVES_ITSELF, err=True)
         by_person = Panel(rig, outputs=outputs)
-        with by_hand(rig, board, outputs=outputs, faults=injected) as side:
+        with manual_control(rig, board, outputs=outputs, faults=injected) as side:
             app = PanelApp(by_person, side, board)
             code = app.run(mouse=False)
         if outputs:

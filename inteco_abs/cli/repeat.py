@@ -132,12 +132,12 @@ def _session(folder: Path, number: int, count: int) -> Path:
 
 def _report(paths: list[Path], figure: Path | None, *, as_json: bool) -> None:
     """Print statistics over the recorded stops, and draw their curves."""
-    from inteco_abs.analysis import statistics
+    from inteco_abs.analysis import metric_statistics
     from inteco_abs.sessions import card_of, read_session
     from inteco_abs.views.series import draw_series, render_series
 
     cards = [card for path in paths if (card := card_of(read_session(path))) is not None]  # in memory one by one
-    spreads = statistics(cards)
+    spreads = metric_statistics(cards)
     if as_json:
         facts = {name: spread._asdict() for name, spread in spreads.items()}
         print_json({"schema_version": 1, "stops": cards, "statistics": facts})

@@ -43,8 +43,14 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     """
     from dataclasses import asdict
 
-    from inteco_abs.analysis import REFERENCE, before_the_gap, changed_gains, parse_tolerances, require_known
-    from inteco_abs.analysis import replay as run_again
+    from inteco_abs.analysis import (
+        REFERENCE,
+        before_the_gap,
+        changed_gains,
+        parse_tolerances,
+        replay_session,
+        require_known,
+    )
     from inteco_abs.control import build_pipeline, control_check, gains_in_force
     from inteco_abs.sessions import read_session, session_config
 
@@ -56,7 +62,7 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     controllers = controllers_for(session, controller)
     config = session_config(session, (control_check(controllers),))
     gains = changed_gains(session, {REFERENCE: config.controller.reference_slip, **gains_in_force(config, controllers)})
-    outcome = run_again(session, build_pipeline(config, controllers), given)
+    outcome = replay_session(session, build_pipeline(config, controllers), given)
     report = {
         "schema_version": 1,
         "session": str(file),

@@ -22,7 +22,7 @@ TURNS: Final = 10
 
 
 class Hold(Protocol):
-    """Holds a board by a guarded process: `inteco_abs.experiment.by_hand`."""
+    """Holds a board by a guarded process: `inteco_abs.experiment.manual_control`."""
 
     def __call__(
         self, config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault, ...] = ()

@@ -29,7 +29,7 @@ a second. Every process of the run has the whole ring mapped: 38 MB at 2 kHz."""
 _SHORTEST_RING_S: Final = 4.0
 """Long enough for the recorder to be found dead and the run to end before the ring is full."""
 
-Progress = Callable[[Phase, int], None]
+RunProgress = Callable[[Phase, int], None]
 """Called with the phase and the number of ticks so far, between slices of a virtual run."""
 
 
@@ -56,7 +56,7 @@ class Plan:
     """Faults to inject into the mock board."""
 
 
-def conditions(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
+def run_checks(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
     """Conditions before anything is opened, besides a place for the session; each raises AbsError unless it holds."""
     yield partial(check_address, plan.board)
     yield partial(check_kind, plan.board, config)

@@ -78,7 +78,7 @@ def measure_round_trips(config: RigConfig, board: str) -> RoundTrips:
         return RoundTrips(**supervisor.ask("trips"))
 
 
-def conditions_by_hand(
+def manual_checks(
     config: RigConfig, board: str, faults: Sequence[Fault] = (), *, outputs: bool = True
 ) -> Iterator[Callable[[], object]]:
     """Conditions before a board is opened for manual control; each raises AbsError unless it holds."""
@@ -87,19 +87,21 @@ def conditions_by_hand(
     if outputs:
         yield partial(check_limits, board, config)
     if faults:
-        yield partial(_check_faults_by_hand, config, board, faults)
+        yield partial(_check_manual_faults, config, board, faults)
     yield require_linux
 
 
 @contextmanager
-def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault, ...] = ()) -> Iterator[ManualClient]:
+def manual_control(
+    config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault, ...] = ()
+) -> Iterator[ManualClient]:
     """Hold a board by a process of its own, for output or for reading only.
 
     `faults` are injected into the mock board. Leaving ends with SAFE, read back. Raises ReadOnlyError if the profile
     does not allow outputs, BoardError if the board cannot be opened or its process died, UnsafeError if SAFE was not
     confirmed.
     """
-    for condition in conditions_by_hand(config, board, faults, outputs=outputs):
+    for condition in manual_checks(config, board, faults, outputs=outputs):
         condition()
     config = slowed(config)
     if not outputs:
@@ -113,7 +115,7 @@ def by_hand(config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault
         yield ManualClient(memory)
 
 
-def _check_faults_by_hand(config: RigConfig, board: str, faults: Sequence[Fault]) -> None:
+def _check_manual_faults(config: RigConfig, board: str, faults: Sequence[Fault]) -> None:
     require_mock_board(board)
     impossible = dict.fromkeys(ON_THE_HOST, "the panel records nothing; use inteco-abs run --inject")
     require_possible(faults, config.board.kind, impossible)

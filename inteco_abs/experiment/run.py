@@ -7,7 +7,7 @@ from contextlib import redirect_stdout
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control import build_pipeline
-from inteco_abs.experiment.plan import Plan, Progress, conditions
+from inteco_abs.experiment.plan import Plan, RunProgress, run_checks
 from inteco_abs.experiment.real_time import run_in_real_time
 from inteco_abs.experiment.user_code import time_limit
 from inteco_abs.experiment.virtual_run import Interrupts, VirtualRun
@@ -16,7 +16,7 @@ from inteco_abs.sessions import RunResult, check_output
 
 
 def run_stop(
-    config: RigConfig, plan: Plan, progress: Progress | None = None, screen: Screen | None = None
+    config: RigConfig, plan: Plan, progress: RunProgress | None = None, screen: Screen | None = None
 ) -> RunResult:
     """Run one experiment and record it at `plan.out`; `screen` shows it, in real time ten times a second.
 
@@ -25,7 +25,7 @@ def run_stop(
     warning on the screen, or UnsafeError is raised if there is no session.
     """
     check_output(plan.out)
-    for condition in conditions(config, plan):
+    for condition in run_checks(config, plan):
         condition()
     # a controller's prints must not mix with the result card
     with redirect_stdout(sys.stderr):

@@ -15,7 +15,7 @@ from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller, Pipeline, gains_in_force
 from inteco_abs.errors import SessionError, UnsafeError, in_words
-from inteco_abs.experiment.plan import Plan, Progress, facts_of, job_of, ring_ticks
+from inteco_abs.experiment.plan import Plan, RunProgress, facts_of, job_of, ring_ticks
 from inteco_abs.mock_board import Device, FaultyDevice, FaultyFrontEnd, FaultyHost, FrontEnd, Schedule, front_end_of
 from inteco_abs.realtime import (
     Histogram,
@@ -72,12 +72,12 @@ class VirtualRun:
         self._truths = TickRing(TRUTH.pack_into, TRUTH.size, capacity)
         self._window = Window(self._ring.reader(), self._truths.reader())
 
-    def run(self, progress: Progress | None, screen: Screen) -> RunResult:
+    def run(self, progress: RunProgress | None, screen: Screen) -> RunResult:
         plan = self._plan
         with self._host, record_wire(plan.wire, self._config, self._clock.now_ns, keep=plan.frames) as around:
             return self._run(progress, screen, around)
 
-    def _run(self, progress: Progress | None, screen: Screen, around: Recording) -> RunResult:
+    def _run(self, progress: RunProgress | None, screen: Screen, around: Recording) -> RunResult:
         plan, config = self._plan, self._config
         board = board_behind(around(InProcessLink(self._front_end())), config, self._clock.now_ns)
         controller = plan.controllers[config.controller.name]
@@ -126,7 +126,7 @@ class VirtualRun:
             epoch_ns=time.time_ns() - now_ns,
         )
 
-    def _drive(self, writer: FailoverWriter, board: Board, progress: Progress | None, screen: Screen) -> None:
+    def _drive(self, writer: FailoverWriter, board: Board, progress: RunProgress | None, screen: Screen) -> None:
         snapshots = SnapshotSource(self._ring.reader(), Histogram(), self._config.loop.rate_hz)
         loop = Loop(board, self._pipeline, self._clock, self._ring, self._interrupts.stop)
         self._window.skip_truths()  # truths from opening the board belong to no tick

@@ -12,7 +12,7 @@ from inteco_abs.montecarlo.policies import (
     PolicyFactory,
     TrueState,
 )
-from inteco_abs.montecarlo.results import METRICS, Distribution, StopResults, Summary, Trace
+from inteco_abs.montecarlo.results import METRICS, Distribution, ResultSummary, StopResults, Trace
 from inteco_abs.montecarlo.samples import SampleSet, parse_draws
 from inteco_abs.montecarlo.stops import SHARD, Progress, run_all, run_stops
 from inteco_abs.montecarlo.sweep import SweepRow, sweep
@@ -33,9 +33,9 @@ __all__ = [
     "Oracle",
     "PolicyFactory",
     "Progress",
+    "ResultSummary",
     "SampleSet",
     "StopResults",
-    "Summary",
     "SweepRow",
     "Trace",
     "TrueState",

@@ -45,7 +45,7 @@ class Oracle:
         setup = Setup(config.reference_slip, variation.parameters, config.hold_below_rad_s)
         controller = _Informed(setup, **gains_in_force(self.config))
         controller.variation = variation
-        return _Truth(variation, state, self.config.period_ns / 1e9), controller
+        return _OracleEstimator(variation, state, self.config.period_ns / 1e9), controller
 
 
 class _Informed(PredictiveReaching):
@@ -61,7 +61,7 @@ class _Informed(PredictiveReaching):
         return min(max(mapped + rig.brake_duty_offset, 0.0), 1.0)
 
 
-class _Truth:
+class _OracleEstimator:
     """The observer's outlook, from the truth."""
 
     def __init__(self, variation: RigVariation, state: TrueState, period_s: float) -> None:

@@ -59,7 +59,7 @@ class Distribution(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
+class ResultSummary:
     """Metrics of many stops together."""
 
     stops: int
@@ -95,9 +95,9 @@ class StopResults:
         values: NDArray[np.float64] = self.metrics[metric]
         return values
 
-    def summary(self) -> Summary:
+    def summary(self) -> ResultSummary:
         """How the metrics spread, and how many stops went wrong."""
-        return Summary(
+        return ResultSummary(
             stops=len(self),
             failed=sum(map(bool, self.errors)),
             locked=float(np.mean(self["lock_fraction"] > 0.0)),

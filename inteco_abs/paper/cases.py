@@ -53,7 +53,7 @@ class Law(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class PaperCondition:
     """Rigs and an estimator, and the laws that are tried on them, the paper's first."""
 
     name: str
@@ -71,16 +71,16 @@ class Condition:
         return Experiment(self.draws.rigs, config, ConfiguredPolicy(config, CONTROLLERS), self.run_up_from_rad_s)
 
 
-def conditions(draws: int) -> tuple[Condition, ...]:
+def paper_conditions(draws: int) -> tuple[PaperCondition, ...]:
     """All conditions, those of the experiment on so many rigs."""
     simulation, experiment = _laws(*SIMULATION_GAINS), _laws(*EXPERIMENT_GAINS)
     nominal, capped = parse_draws("nominal:0"), _capped(draws)
     title = "experiment (Fig. 3): lag, noise, duty of at most 0.7"
     window, euler = f"{title}; speeds over 10 ms", f"{title}; speeds over 0.5 ms (Euler)"
     return (
-        Condition("simulation", "simulation (Fig. 2): true slip, ideal brake", nominal, IDEAL, simulation),
-        Condition("experiment-window", window, capped, _WINDOW, experiment, _RUN_UP_FROM_RAD_S),
-        Condition("experiment-euler", euler, capped, _EULER, experiment, _RUN_UP_FROM_RAD_S),
+        PaperCondition("simulation", "simulation (Fig. 2): true slip, ideal brake", nominal, IDEAL, simulation),
+        PaperCondition("experiment-window", window, capped, _WINDOW, experiment, _RUN_UP_FROM_RAD_S),
+        PaperCondition("experiment-euler", euler, capped, _EULER, experiment, _RUN_UP_FROM_RAD_S),
         *_breaks(nominal, simulation[0]),
     )
 
@@ -102,7 +102,7 @@ def _capped(count: int) -> SampleSet:
     return parse_draws(f"capped:0-{found.seeds[count - 1]}")
 
 
-def _breaks(nominal: SampleSet, law: Law) -> Iterator[Condition]:
+def _breaks(nominal: SampleSet, law: Law) -> Iterator[PaperCondition]:
     """The simulation with one thing each that the paper's recipe leaves out."""
     (rig,) = nominal.rigs
     published = RigParameters.named("mask")
@@ -115,4 +115,4 @@ def _breaks(nominal: SampleSet, law: Law) -> Iterator[Condition]:
         "more-friction": ("friction 10 % above the model's", replace(rig, adhesion_scale=1.1), IDEAL),
     }
     for name, (title, one, estimator) in changed.items():
-        yield Condition(f"simulation-{name}", title, replace(nominal, rigs=(one,)), estimator, (law,))
+        yield PaperCondition(f"simulation-{name}", title, replace(nominal, rigs=(one,)), estimator, (law,))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from inteco_abs.control import reaching_time_bound
 from inteco_abs.montecarlo import IDEAL, METRICS, Progress, StopResults, run_all
-from inteco_abs.paper.cases import REFERENCE, Condition, Law, conditions
+from inteco_abs.paper.cases import REFERENCE, Law, PaperCondition, paper_conditions
 from inteco_abs.paper.comparison import ACCURACY, Comparison, compare, verdict
 from inteco_abs.quantities import finite
 
@@ -38,7 +38,7 @@ _SLOWEST_RAD_S: Final = 10.0
 class PaperRow:
     """One law under one condition."""
 
-    condition: Condition
+    condition: PaperCondition
     law: Law
     stops: StopResults
     comparison: Comparison | None
@@ -126,14 +126,14 @@ class Reproduction:
 
 def reproduce(draws: int, progress: Progress | None = None) -> Reproduction:
     """Brake under all conditions, those of the experiment on `draws` >= 1 rigs; the same every time."""
-    pairs = [(condition, law) for condition in conditions(draws) for law in condition.laws]
+    pairs = [(condition, law) for condition in paper_conditions(draws) for law in condition.laws]
     outcomes = run_all([condition.experiment(law) for condition, law in pairs], shard=_SHARD, progress=progress)
     rows = tuple(_rows(pairs, outcomes))
     drawn = {row.condition.name: row for row in rows if row.comparison is None}
     return Reproduction(rows, tuple(_course(drawn[name]) for name in _DRAWN))
 
 
-def _rows(pairs: Sequence[tuple[Condition, Law]], outcomes: Sequence[StopResults]) -> Iterator[PaperRow]:
+def _rows(pairs: Sequence[tuple[PaperCondition, Law]], outcomes: Sequence[StopResults]) -> Iterator[PaperRow]:
     ours = outcomes[0]
     for (condition, law), stops in zip(pairs, outcomes, strict=True):
         ours = ours if law.pairing else stops

@@ -7,6 +7,7 @@ from inteco_abs.sessions.container import DamagedError
 from inteco_abs.sessions.environment import Environment, current_environment
 from inteco_abs.sessions.export import FORMATS, Export, export_session
 from inteco_abs.sessions.failover_writer import FailoverWriter, Opener, check_spill, joined, spill_path
+from inteco_abs.sessions.file_writer import FileWriter
 from inteco_abs.sessions.files import (
     atomic_write,
     check_folder,
@@ -26,7 +27,6 @@ from inteco_abs.sessions.session_writer import EXIT_CODES, LOSSES, RunEnd, RunHe
 from inteco_abs.sessions.summary import read_metadata
 from inteco_abs.sessions.tables import Table, tables, to_pandas, to_polars
 from inteco_abs.sessions.validation import Inspection, SessionIssue, Severity, validate
-from inteco_abs.sessions.writer import FileWriter
 
 __all__ = [
     "CONFIG_NAME",

@@ -356,7 +356,7 @@ def _run(raw: bytes, at: int, length: int) -> npt.NDArray[np.void]:
         count += 1
     if count == _ONE_BY_ONE:
         count = _long_run(raw, at, stride, count, most)
-    return np.ndarray(count, message_layout(length - MESSAGE_HEAD), raw, at)
+    return np.ndarray(count, message_dtype(length - MESSAGE_HEAD), raw, at)
 
 
 def _long_run(raw: bytes, at: int, stride: int, count: int, most: int) -> int:
@@ -373,7 +373,7 @@ def _long_run(raw: bytes, at: int, stride: int, count: int, most: int) -> int:
 
 
 @lru_cache(maxsize=64)
-def message_layout(size: int) -> np.dtype[np.void]:
+def message_dtype(size: int) -> np.dtype[np.void]:
     """A message record with `size` bytes of data."""
     heads = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
     layout: np.dtype[np.void] = np.dtype([*heads, ("log_time", "<u8"), ("publish_time", "<u8"), ("data", f"V{size}")])

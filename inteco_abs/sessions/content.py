@@ -25,7 +25,7 @@ from inteco_abs.sessions.container import (
     fields,
     text_map,
 )
-from inteco_abs.sessions.migration import Layout, layout, newer
+from inteco_abs.sessions.migration import MessageLayout, message_layout, newer
 from inteco_abs.sessions.storage import Rows
 
 LIBRARY: Final = "inteco-abs/"
@@ -40,7 +40,7 @@ _DOUBLE: Final = struct.Struct("<d")
 _FIXED32: Final = struct.Struct("<I")
 
 
-class Event(NamedTuple):
+class LogEntry(NamedTuple):
     """A line of the session's log."""
 
     unix_ns: int
@@ -77,7 +77,7 @@ class Batch(NamedTuple):
     """UNIX time, ns."""
 
     @classmethod
-    def of(cls, runs: Sequence[FixedRun], found: Layout) -> Self:
+    def of(cls, runs: Sequence[FixedRun], found: MessageLayout) -> Self:
         """The messages of `runs`; raises DamagedError unless each of them has the layout that was `found`."""
         data = b"".join([run.rows["data"].tobytes() for run in runs])
         sizes = {run.rows.dtype["data"].itemsize for run in runs}
@@ -88,7 +88,7 @@ class Batch(NamedTuple):
         return cls(data, today, FLAT[found.message.topic].array(today), sequence, log_time)
 
 
-def _encoded_anew(runs: Sequence[FixedRun], found: Layout) -> bytes:
+def _encoded_anew(runs: Sequence[FixedRun], found: MessageLayout) -> bytes:
     """The messages as they were recorded, if another program has left zeros out. Raises DamagedError if not."""
     try:
         data = b"".join(found.message.repacked(each) for run in runs for each in run.rows["data"].tolist())
@@ -114,7 +114,7 @@ class Content:
     schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)
     channels: dict[int, tuple[str, int]] = field(default_factory=dict)
     """Topic and schema by the channel's number."""
-    layouts: dict[str, Layout] = field(default_factory=dict)
+    layouts: dict[str, MessageLayout] = field(default_factory=dict)
     """Of ticks and truths, by topic, where their channels have been understood."""
     undecoded: set[int] = field(default_factory=set)
     """Numbers of the channels of ticks and truths whose layout has not been looked at."""
@@ -125,7 +125,7 @@ class Content:
     """Raw frames, which are only counted."""
     messages: int = 0
     """In chunks, of all channels."""
-    events: list[Event] = field(default_factory=list)
+    events: list[LogEntry] = field(default_factory=list)
     parameters: list[Parameters] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     """By record name without `inteco_abs.`; records of one name are merged, the later one wins."""
@@ -183,7 +183,7 @@ class Content:
         """Find the layout of ticks and truths; raises DamagedError if it cannot be brought to that of this version."""
         for channel in sorted(self.undecoded):
             topic, number = self.channels[channel]
-            found = layout(FLAT[topic], *self.schemas.get(number, ("", b"")))
+            found = message_layout(FLAT[topic], *self.schemas.get(number, ("", b"")))
             if self.layouts.setdefault(topic, found) is not found:
                 raise DamagedError(f"{topic} is declared twice, with two layouts")
             self.undecoded.discard(channel)
@@ -247,7 +247,7 @@ _TAKERS: Final[Mapping[int, Callable[[Content, memoryview], None]]] = {
 }
 
 
-def event(log_time: int, data: bytes) -> Event:
+def event(log_time: int, data: bytes) -> LogEntry:
     """An encoded `foxglove.Log`; raises DamagedError if it is not one."""
     try:
         found = dict(wire_fields(data))
@@ -256,7 +256,7 @@ def event(log_time: int, data: bytes) -> Event:
     level, text = found.get(2, 0), found.get(3, b"")
     if not isinstance(level, int) or level > _HIGHEST_LEVEL or not isinstance(text, bytes):
         raise DamagedError("an event cannot be read: its level or its text is not valid")
-    return Event(log_time, level, text[:_LONGEST_EVENT].decode("utf-8", "replace"))
+    return LogEntry(log_time, level, text[:_LONGEST_EVENT].decode("utf-8", "replace"))
 
 
 def parameters(data: bytes) -> Parameters:

@@ -18,9 +18,9 @@ from inteco_abs.config import RigConfig
 from inteco_abs.errors import AbsError, ConfigError, SessionError, describe_disk, in_a_line
 from inteco_abs.format import TICK, TRUTH, Message
 from inteco_abs.sessions.environment import Environment
+from inteco_abs.sessions.file_writer import FileWriter
 from inteco_abs.sessions.files import atomic_write, require_own_file
 from inteco_abs.sessions.session_writer import RunEnd, RunHeader, RunResult, SessionWriter
-from inteco_abs.sessions.writer import FileWriter
 
 Opener = Callable[[Path], FileWriter]
 """Opens a file for the session at a path; the same session, with the same times, whichever the path."""

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import zstandard
 
-from inteco_abs.sessions.container import MAGIC, MESSAGE_HEAD, Opcode, message_layout, record
+from inteco_abs.sessions.container import MAGIC, MESSAGE_HEAD, Opcode, message_dtype, record
 
 _MESSAGE: Final = struct.Struct("<BQHIQQ")
 """A message before its data: type, length, channel, sequence, log and publish time."""
@@ -78,7 +78,7 @@ class McapWriter:
         self, channel: int, first: int, times_ns: npt.NDArray[np.uint64], data: npt.NDArray[np.void]
     ) -> None:
         """Add messages of one size at UNIX times in ns, with sequence numbers from `first` on."""
-        rows = np.empty(len(data), message_layout(data.itemsize))
+        rows = np.empty(len(data), message_dtype(data.itemsize))
         size = rows.itemsize
         rows["opcode"], rows["length"], rows["channel"] = Opcode.MESSAGE, MESSAGE_HEAD + data.itemsize, channel
         rows["sequence"] = np.arange(first, first + len(rows)) & 0xFFFFFFFF

@@ -106,7 +106,7 @@ def newer(metadata: Metadata) -> str:
     return f"its format {version} is newer than {newest()}, the newest known here" if version > newest() else ""
 
 
-class Layout:
+class MessageLayout:
     """Of messages of this version."""
 
     unknown: tuple[str, ...] = ()
@@ -124,7 +124,7 @@ class Layout:
         return data
 
 
-class _OtherLayout(Layout):
+class _ForeignLayout(MessageLayout):
     """Of messages that a file declares otherwise. Raises UnsupportedError if too much is missing."""
 
     def __init__(self, own: Declared, today: Message) -> None:
@@ -183,7 +183,7 @@ _ADVICE: Final = "another version of this program made it, or another program"
 _LONGEST_DESCRIPTOR: Final = 1 << 16
 
 
-def layout(today: Message, name: str, descriptor: bytes) -> Layout:
+def message_layout(today: Message, name: str, descriptor: bytes) -> MessageLayout:
     """Of messages that a file declares under the topic of `today`. Raises UnsupportedError if they are none of ours."""
     if len(descriptor) > _LONGEST_DESCRIPTOR:
         raise UnsupportedError(f"{today.topic} is declared in {len(descriptor)} bytes, more than {_LONGEST_DESCRIPTOR}")
@@ -191,13 +191,13 @@ def layout(today: Message, name: str, descriptor: bytes) -> Layout:
 
 
 @lru_cache(maxsize=16)
-def _layout(today: Message, name: str, descriptor: bytes, _steps: tuple[Migration, ...]) -> Layout:
+def _layout(today: Message, name: str, descriptor: bytes, _steps: tuple[Migration, ...]) -> MessageLayout:
     if (name, descriptor) == (today.name, today.descriptor()):
-        return Layout(today)
+        return MessageLayout(today)
     try:
         if name != today.name:
             raise ValueError(f"it is called {name}")  # noqa: TRY301  named below as all others
-        return _OtherLayout(declared(descriptor, name, today.topic), today)
+        return _ForeignLayout(declared(descriptor, name, today.topic), today)
     except ValueError as error:
         raise UnsupportedError(
             f"{today.topic} has another layout than {today.name} here: {error}; {_ADVICE}"

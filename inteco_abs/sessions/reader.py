@@ -25,7 +25,7 @@ from inteco_abs.sessions.container import (
     kind,
     unpack_chunk,
 )
-from inteco_abs.sessions.content import FLAT, LIBRARY, Content, Event, Parameters
+from inteco_abs.sessions.content import FLAT, LIBRARY, Content, LogEntry, Parameters
 from inteco_abs.sessions.migration import UnsupportedError, migrated
 from inteco_abs.sessions.storage import Rows, RowsInMemory, RowsOnDisk
 
@@ -63,7 +63,7 @@ class Session:
     """Contents by name, such as `config.toml`."""
     channels: dict[str, dict[str, str]]
     """Metadata of each channel, by topic."""
-    log: tuple[Event, ...]
+    log: tuple[LogEntry, ...]
     """Changes of phase, faults and warnings, as text."""
     parameters: tuple[Parameters, ...]
     """Gains and reference in force, each from its tick on."""

@@ -27,13 +27,13 @@ from inteco_abs.sessions.container import (
     kind,
 )
 from inteco_abs.sessions.content import FLAT, Batch, Content
+from inteco_abs.sessions.file_writer import FileWriter, utc
 from inteco_abs.sessions.files import atomic_write, check_output
-from inteco_abs.sessions.migration import Layout, migrated
+from inteco_abs.sessions.migration import MessageLayout, migrated
 from inteco_abs.sessions.reader import check_data, regular_file
 from inteco_abs.sessions.recorded_config import CONFIG_NAME, RECOVERED
 from inteco_abs.sessions.scanner import Scan, WholeRecord
 from inteco_abs.sessions.storage import Rows, RowsOnDisk
-from inteco_abs.sessions.writer import FileWriter, utc
 
 _LATEST_NS: Final = 1 << 63
 _BLOCK_TICKS: Final = 4096
@@ -194,7 +194,9 @@ class _Remains:
                 runs.setdefault(self._topic(part), []).append(part)
         layouts = self.content.layouts
         batches = {
-            topic: Batch.of(runs[topic], layouts.get(topic) or Layout(FLAT[topic])) for topic in FLAT if topic in runs
+            topic: Batch.of(runs[topic], layouts.get(topic) or MessageLayout(FLAT[topic]))
+            for topic in FLAT
+            if topic in runs
         }
         before = {topic: rows.newest for topic, rows in self.rows.items()}
         epoch_ns = self.epoch_ns

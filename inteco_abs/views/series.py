@@ -10,7 +10,7 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from inteco_abs.analysis import UNITS, Spread
+from inteco_abs.analysis import UNITS, MetricStatistics
 from inteco_abs.errors import AbsError
 from inteco_abs.sessions import Session
 from inteco_abs.views.comparison import held_rows, since_s, start_ns
@@ -31,7 +31,7 @@ _POINTS: Final = 4000
 """Of each line: a thousand stops would otherwise take gigabytes."""
 
 
-def render_series(spreads: Mapping[str, Spread]) -> Table:
+def render_series(spreads: Mapping[str, MetricStatistics]) -> Table:
     """Table of metrics: number of stops, spread, and drift per stop."""
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("metric", no_wrap=True)

@@ -9,7 +9,7 @@ from inteco_abs.boards import Board, unconfirmed
 from inteco_abs.commissioning import MockRigAccess, PacedMockRigAccess
 from inteco_abs.config import load_config
 from inteco_abs.errors import ConfigError, ProbeError, Stopped
-from inteco_abs.experiment import by_hand
+from inteco_abs.experiment import manual_control
 
 STEPS = ["list", "header", "reads", "wheels", "echo", "motors", "sign"]
 
@@ -206,7 +206,7 @@ class TestTimeOfTheMock:
         assert (rig.now_ns(), clock.slept_s) == (5_000_000_000, [])
 
     def test_otherwise_it_is_never_ahead_of_real_time(self, clock):
-        rig = PacedMockRigAccess(load_config(), by_hand)
+        rig = PacedMockRigAccess(load_config(), manual_control)
         rig.pause(0.5)
         clock.now_s += 0.2  # something else took a while
         rig.pause(0.5)
@@ -215,7 +215,7 @@ class TestTimeOfTheMock:
         assert rig.now_ns() == 1_500_000_000
 
     def test_a_long_question_is_not_made_up_for(self, clock):
-        rig = PacedMockRigAccess(load_config(), by_hand)
+        rig = PacedMockRigAccess(load_config(), manual_control)
         rig.pause(0.5)
         clock.now_s += 60.0
         rig.pause(0.5)

@@ -17,7 +17,7 @@ from check_list import CHECKS
 from guest import kernel, machine
 
 from firmware_protocol.rtdac_pci import LOGIC, LOGIC_VERSION, PWM_PRESCALER
-from inteco_abs.analysis import replay
+from inteco_abs.analysis import replay_session
 from inteco_abs.config import load_config
 from inteco_abs.control import build_pipeline, control_check
 from inteco_abs.sessions import read_session, session_config
@@ -112,7 +112,7 @@ def assert_it_stopped(stop):
 def assert_it_replays(stop, results):
     assert (stop["replay"]["exit_code"], stop["replay"]["differing"]) == (0, 0)
     session = read_session(results / "stop.mcap")
-    again = replay(session, build_pipeline(session_config(session, (control_check(),))))
+    again = replay_session(session, build_pipeline(session_config(session, (control_check(),))))
     assert (again.ticks, again.differing) == (stop["card"]["ticks"], 0)
 
 

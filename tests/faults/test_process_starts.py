@@ -9,7 +9,7 @@ import pytest
 
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError
-from inteco_abs.experiment import Plan, by_hand, run_stop
+from inteco_abs.experiment import Plan, manual_control, run_stop
 from inteco_abs.realtime import memory
 from inteco_abs.realtime.heartbeat import beating
 from inteco_abs.sessions import TICK, TRUTH
@@ -75,6 +75,9 @@ def test_a_thread_that_cannot_be_started_is_an_error_of_ours(memories):
 @pytest.mark.long
 @pytest.mark.usefixtures("no_threads")
 def test_a_panel_whose_thread_cannot_be_started_leaves_outputs_off_and_says_so(memories, left_processes):
-    with pytest.raises(BoardError, match="no thread can be started"), by_hand(load_config(), "sim:", outputs=False):
+    with (
+        pytest.raises(BoardError, match="no thread can be started"),
+        manual_control(load_config(), "sim:", outputs=False),
+    ):
         pytest.fail("it was entered")
     assert_nothing_is_left_on(memories, left_processes)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.montecarlo import parse_draws
-from inteco_abs.paper import conditions
+from inteco_abs.paper import paper_conditions
 
 PERIOD_S = 0.0005
 pytestmark = [pytest.mark.xdist_group("paper"), pytest.mark.untraced]
@@ -95,7 +95,7 @@ def test_the_window_makes_the_experiment_better_than_euler(report):
 
 @pytest.mark.parametrize("count", [1, 2, 20])
 def test_the_experiment_has_as_many_rigs_as_asked_for_all_of_which_can_hold_the_slip(count):
-    draws = {one.name: one.draws for one in conditions(count)}["experiment-window"]
+    draws = {one.name: one.draws for one in paper_conditions(count)}["experiment-window"]
     assert len(draws.rigs) == count
     assert draws == parse_draws(draws.name)  # so that a sweep has the same
     assert all(rig.brake_duty_cap == 0.7 for rig in draws.rigs)

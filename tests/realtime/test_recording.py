@@ -13,7 +13,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from inteco_abs.analysis import replay
+from inteco_abs.analysis import replay_session
 from inteco_abs.boards import STILL_ON, InProcessLink
 from inteco_abs.boards.families.usb2 import RtdacUsb2
 from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
@@ -143,7 +143,7 @@ class TestRebuild:
         whole.conclude()
         rebuild(whole.memory, whole.job, whole.job.path)
         session = read_session(whole.job.path)
-        again = replay(session, build_pipeline(whole.job.config))
+        again = replay_session(session, build_pipeline(whole.job.config))
         assert (again.ticks, again.differing) == (whole.ticks, 0)
 
     def test_the_session_says_how_it_was_made_and_under_which_settings(self, whole):
@@ -228,7 +228,7 @@ class TestWrappedRing:
         assert session.ticks["tick"].tolist() == list(range(run.ticks))
         assert account.card["payload_sha256"] == made.hash.hexdigest()
         assert account.card["lost_ticks"] == 0
-        assert replay(session, build_pipeline(run.job.config)).differing == 0
+        assert replay_session(session, build_pipeline(run.job.config)).differing == 0
 
     def test_ticks_that_are_nowhere_any_more_are_told_as_lost(self, crash):
         made = crash(200)

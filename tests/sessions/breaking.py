@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from inteco_abs.analysis import before_the_gap, replay
+from inteco_abs.analysis import before_the_gap, replay_session
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
 from inteco_abs.errors import AbsError
 from inteco_abs.sessions import read_session, recover_session, session_config, validate
@@ -92,7 +92,7 @@ class Trial:
 
     def _replays(self, session) -> Iterator[str]:
         config = session_config(session, (control_check(CONTROLLERS),))
-        if replay(before_the_gap(session), build_pipeline(config, CONTROLLERS)).differing:
+        if replay_session(before_the_gap(session), build_pipeline(config, CONTROLLERS)).differing:
             yield "a replay that differs"
 
     def _validates(self) -> Iterator[str]:

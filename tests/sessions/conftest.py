@@ -24,7 +24,7 @@ from tracing import untraced
 
 import inteco_abs.experiment.run
 import inteco_abs.experiment.virtual_run
-from inteco_abs.analysis import replay
+from inteco_abs.analysis import replay_session
 from inteco_abs.cli import main
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
@@ -299,7 +299,7 @@ def replayed():
 
     def again(session, controllers=CONTROLLERS, tolerances=None):
         config = session_config(session, (control_check(controllers),))
-        return untraced(replay, session, build_pipeline(config, controllers), tolerances)
+        return untraced(replay_session, session, build_pipeline(config, controllers), tolerances)
 
     return again
 

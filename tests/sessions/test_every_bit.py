@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from inteco_abs.analysis import REFERENCE, changed_gains, replay
+from inteco_abs.analysis import REFERENCE, changed_gains, replay_session
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check, gains_in_force
 from inteco_abs.errors import SessionError
 from inteco_abs.format.protobuf import chunk, double, tag
@@ -79,7 +79,7 @@ class Flips:
             return "no tick"
         session = replace(self.session, payload=payload, ticks=TICK.array(payload))
         try:
-            return replay(session, build_pipeline(self.config))
+            return replay_session(session, build_pipeline(self.config))
         except SessionError as refusal:
             return str(refusal)
 
@@ -88,7 +88,7 @@ class Flips:
 def flips(request, stop, config):
     rows = np.flatnonzero(stop.ticks["phase"] == request.param)
     trial = Flips(stop, config, int(rows[10]))
-    assert replay(trial.session, build_pipeline(config)).differing == 0
+    assert replay_session(trial.session, build_pipeline(config)).differing == 0
     return trial
 
 
@@ -214,7 +214,7 @@ def test_a_flip_of_any_bit_of_the_controllers_configuration_is_named(stop, confi
             refusals.add(CONFIG_NAME in str(refusal))
             continue
         now = {REFERENCE: other.controller.reference_slip, **gains_in_force(other)}
-        if not changed_gains(session, now) and not replay(session, build_pipeline(other)).differing:
+        if not changed_gains(session, now) and not replay_session(session, build_pipeline(other)).differing:
             assert other == config or other.controller.hold_below_rad_s != config.controller.hold_below_rad_s, bit
             the_same += 1
     assert refusals == {True}

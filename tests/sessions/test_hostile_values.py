@@ -21,7 +21,7 @@ def hostile(tmp_path, quick, monkeypatch):
     def write(name="stranger.mcap", controller=(), config=None, library=False, **facts):
         session, path = quick.session, tmp_path / name
         if library:
-            monkeypatch.setattr("inteco_abs.sessions.writer.version", lambda _package: NASTY)
+            monkeypatch.setattr("inteco_abs.sessions.file_writer.version", lambda _package: NASTY)
         with FileWriter(path, 0) as recorder:
             recorder.describe("controller", {**session.metadata["controller"], **dict(controller)})
             recorder.describe(NASTY, {NASTY: NASTY})
@@ -91,7 +91,9 @@ class TestNumbersWithoutEnd:
 
     @pytest.fixture
     def with_card(self, tmp_path, quick, monkeypatch):
-        monkeypatch.setattr("inteco_abs.sessions.writer.pack_result", lambda _card: b"")  # ours packs no such number
+        monkeypatch.setattr(
+            "inteco_abs.sessions.file_writer.pack_result", lambda _card: b""
+        )  # ours packs no such number
 
         def write(name, **values):
             with FileWriter(tmp_path / name, 0) as recorder:

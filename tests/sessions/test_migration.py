@@ -11,8 +11,8 @@ from mcap.writer import Writer
 from inteco_abs.errors import SessionError
 from inteco_abs.format.schema import DOUBLE, FIXED32, FLOAT, Column, Message, MessageKind
 from inteco_abs.sessions import TICK, TRUTH, migration, read_session, recover_session, validate
+from inteco_abs.sessions.file_writer import FORMAT_VERSION
 from inteco_abs.sessions.migration import Made, Migration, not_measured
-from inteco_abs.sessions.writer import FORMAT_VERSION
 from inteco_abs.signals import Phase, Reason
 
 NOW, NEXT = str(migration.newest()), str(migration.newest() + 1)

@@ -5,7 +5,7 @@ import lz4.frame
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from inteco_abs.analysis import replay
+from inteco_abs.analysis import replay_session
 from inteco_abs.control import CONTROLLERS, build_pipeline, control_check
 from inteco_abs.errors import SessionError
 from inteco_abs.sessions import TICK, read_session, session_config, validate
@@ -190,7 +190,7 @@ def test_a_session_that_was_encoded_anew_is_read_as_it_was_recorded(encoded_anew
     assert session.truth.tobytes() == tiny.session.truth.tobytes()
     assert validate(path).verdict == "well"
     config = session_config(session, (control_check(CONTROLLERS),))
-    assert replay(session, build_pipeline(config, CONTROLLERS)).differing == 0
+    assert replay_session(session, build_pipeline(config, CONTROLLERS)).differing == 0
 
 
 def test_without_its_end_it_is_read_too(encoded_anew, tiny):

@@ -13,7 +13,7 @@ import inteco_abs
 from inteco_abs.config import parse_config
 from inteco_abs.control import gains_in_force
 from inteco_abs.sessions import TICK, FileWriter, read_session
-from inteco_abs.sessions.writer import FORMAT_VERSION
+from inteco_abs.sessions.file_writer import FORMAT_VERSION
 
 BEFORE = {"inteco_abs.session", "inteco_abs.software", "inteco_abs.host", "inteco_abs.rig", "inteco_abs.controller"}
 AFTER = {"inteco_abs.session", "inteco_abs.timing", "inteco_abs.result", "inteco_abs.integrity"}

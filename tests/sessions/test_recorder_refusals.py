@@ -70,7 +70,7 @@ def test_a_name_that_is_too_long(tmp_path):
 def test_a_file_that_appears_after_the_check_is_not_overwritten(tmp_path, monkeypatch):
     path = tmp_path / "stop.mcap"
     path.write_bytes(b"precious")
-    monkeypatch.setattr("inteco_abs.sessions.writer.check_output", lambda _path: None)
+    monkeypatch.setattr("inteco_abs.sessions.file_writer.check_output", lambda _path: None)
     with pytest.raises(SessionError, match="cannot be created"):
         FileWriter(path, 0)
     assert path.read_bytes() == b"precious"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from inteco_abs.analysis.statistics import METRICS, UNITS, Spread, statistics
+from inteco_abs.analysis.stop_statistics import METRICS, UNITS, MetricStatistics, metric_statistics
 from inteco_abs.cli import repeat
 from inteco_abs.sessions import read_session
 from inteco_abs.views.series import render_series
@@ -66,7 +66,7 @@ def test_an_interrupt_while_the_brake_cools_ends_the_series(main_here, monkeypat
 
 
 def test_every_metric_of_a_series_has_its_name_and_unit_on_eighty_columns():
-    values = {name: Spread(12, 12345.6, 0.00123, 1234.5, 12345.6, -0.00123) for name in METRICS}
+    values = {name: MetricStatistics(12, 12345.6, 0.00123, 1234.5, 12345.6, -0.00123) for name in METRICS}
     console = Console(width=80, file=StringIO())
     console.print(render_series(values))
     text = console.file.getvalue()
@@ -84,7 +84,7 @@ def test_statistics_are_those_of_numpy():
     cards = [{**dict.fromkeys(METRICS), "stop_time_s": value} for value in values.tolist()]
     cards[4]["stop_time_s"] = None
     kept = np.delete(np.arange(12), 4)
-    (name, spread), *others = statistics(cards).items()
+    (name, spread), *others = metric_statistics(cards).items()
     assert (name, others, spread.stops) == ("stop_time_s", [], 11)
     assert spread.mean == pytest.approx(values[kept].mean(), rel=1e-12)
     assert spread.deviation == pytest.approx(values[kept].std(ddof=1), rel=1e-12)
@@ -93,5 +93,5 @@ def test_statistics_are_those_of_numpy():
 
 
 def test_one_stop_has_no_deviation_and_no_drift():
-    spread = statistics([{"stop_time_s": 1.5}])["stop_time_s"]
+    spread = metric_statistics([{"stop_time_s": 1.5}])["stop_time_s"]
     assert (spread.mean, spread.deviation, spread.drift) == (1.5, None, None)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.errors import AbsError, ConfigError
-from inteco_abs.sessions.content import Event
+from inteco_abs.sessions.content import LogEntry
 from inteco_abs.signals import Phase
 from inteco_abs.views.report import check_report, report_page, write_report
 
@@ -117,7 +117,7 @@ class TestPage:
             evil = told(evil, record, name=EVIL, outcome=EVIL, reason=EVIL, estimator=EVIL, board=EVIL, argv=EVIL)
         ticks = session.ticks.copy()
         ticks["switching"][-5:], ticks["torque_demand_nm"][-5:], ticks["slip"][-9:] = np.inf, 1e300, np.nan
-        evil = replace(evil, path=Path("a" + EVIL.replace("/", "")), log=(Event(0, 4, EVIL),), ticks=ticks)
+        evil = replace(evil, path=Path("a" + EVIL.replace("/", "")), log=(LogEntry(0, 4, EVIL),), ticks=ticks)
         found = page_of(evil, session)
         assert len(found.of("script")) == len(page.of("script"))
         assert all(attrs["nonce"] for attrs in found.of("script"))

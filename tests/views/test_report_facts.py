@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.sessions import read_session, recover_session
-from inteco_abs.sessions.content import Event
+from inteco_abs.sessions.content import LogEntry
 from inteco_abs.signals import BoardFlags, Phase
 from inteco_abs.views.report.commands import repeat_commands, replay_commands
 from inteco_abs.views.report.facts import result_rows, tables
@@ -113,7 +113,7 @@ class TestWarnings:
         assert found.startswith(words)
 
     def test_warnings_of_the_log_but_not_those_that_are_told_already(self, clean, faulty):
-        log = (Event(0, 2, "all is well"), *(Event(0, 3, f"trouble {number}") for number in range(12)))
+        log = (LogEntry(0, 2, "all is well"), *(LogEntry(0, 3, f"trouble {number}") for number in range(12)))
         found = warnings_of(replace(clean, log=log))
         assert found[0] == "Log: trouble 0."
         assert found[-1] == "Log: 2 more."

@@ -11,8 +11,8 @@ import pytest
 from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.sessions import TICK, FileWriter, content, read_session, recover_session, validate
 from inteco_abs.sessions import recovery as salvage
+from inteco_abs.sessions.file_writer import utc
 from inteco_abs.sessions.migration import layout
-from inteco_abs.sessions.writer import utc
 
 CHANNEL, CHUNK, ATTACHMENT, METADATA, DATA_END = 4, 6, 9, 12, 15
 EVENTS = 2

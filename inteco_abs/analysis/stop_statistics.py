@@ -22,7 +22,7 @@ UNITS: Final = {
 METRICS: Final = tuple(UNITS)
 
 
-class Spread(NamedTuple):
+class MetricStatistics(NamedTuple):
     """Of one metric over the stops that have it."""
 
     stops: int
@@ -35,7 +35,7 @@ class Spread(NamedTuple):
     """Slope of the least squares line over the number of the stop, per stop; None for fewer than three."""
 
 
-def statistics(cards: Sequence[Mapping[str, Any]]) -> dict[str, Spread]:
+def metric_statistics(cards: Sequence[Mapping[str, Any]]) -> dict[str, MetricStatistics]:
     """By metric; one that no stop has is left out."""
     found = {}
     for name in METRICS:
@@ -45,10 +45,10 @@ def statistics(cards: Sequence[Mapping[str, Any]]) -> dict[str, Spread]:
     return found
 
 
-def _spread(points: Sequence[tuple[int, float]]) -> Spread:
+def _spread(points: Sequence[tuple[int, float]]) -> MetricStatistics:
     values = [value for _, value in points]
     deviation = stdev(values) if len(values) > 1 else None
-    return Spread(len(values), fmean(values), deviation, min(values), max(values), _slope(points))
+    return MetricStatistics(len(values), fmean(values), deviation, min(values), max(values), _slope(points))
 
 
 def _slope(points: Sequence[tuple[int, float]]) -> float | None:
