@@ -192,12 +192,10 @@ class _Remains:
                 self.frames.take(part)
             else:
                 runs.setdefault(self._topic(part), []).append(part)
-        layouts = self.content.layouts
-        batches = {
-            topic: Batch.of(runs[topic], layouts.get(topic) or MessageLayout(FLAT[topic]))
-            for topic in FLAT
-            if topic in runs
-        }
+        batches = {}
+        for topic, message in FLAT.items():
+            if topic in runs:
+                batches[topic] = Batch.of(runs[topic], self.content.layouts.get(topic) or MessageLayout(message))
         before = {topic: rows.newest for topic, rows in self.rows.items()}
         epoch_ns = self.epoch_ns
         try:

@@ -12,7 +12,7 @@ from inteco_abs.errors import ConfigError, SessionError
 from inteco_abs.sessions import TICK, FileWriter, content, read_session, recover_session, validate
 from inteco_abs.sessions import recovery as salvage
 from inteco_abs.sessions.file_writer import utc
-from inteco_abs.sessions.migration import layout
+from inteco_abs.sessions.migration import message_layout
 
 CHANNEL, CHUNK, ATTACHMENT, METADATA, DATA_END = 4, 6, 9, 12, 15
 EVENTS = 2
@@ -410,7 +410,7 @@ def test_a_search_among_false_heads_is_given_up(altered, container, tmp_path, sh
 
 def test_a_declaration_is_looked_at_once_however_many_there_are(rescue, container, pieces, monkeypatch):
     looked_at = []
-    monkeypatch.setattr(content, "layout", lambda *given: looked_at.append(given) or layout(*given))
+    monkeypatch.setattr(content, "layout", lambda *given: looked_at.append(given) or message_layout(*given))
     records, chunks = pieces
     declared = next(part for part in container.split(container.unpack(records[chunks[0]]), 0) if part.opcode == CHANNEL)
     number = 100
