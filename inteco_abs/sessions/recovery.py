@@ -192,10 +192,8 @@ class _Remains:
                 self.frames.take(part)
             else:
                 runs.setdefault(self._topic(part), []).append(part)
-        batches = {}
-        for topic, message in FLAT.items():
-            if topic in runs:
-                batches[topic] = Batch.of(runs[topic], self.content.layouts.get(topic) or MessageLayout(message))
+        layouts = {topic: self.content.layouts.get(topic) or MessageLayout(FLAT[topic]) for topic in FLAT}
+        batches = {topic: Batch.of(runs[topic], layouts[topic]) for topic in FLAT if topic in runs}
         before = {topic: rows.newest for topic, rows in self.rows.items()}
         epoch_ns = self.epoch_ns
         try:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from firmware_protocol.rtdac_usb2 import READ_REQUEST
 from inteco_abs.config import load_config, parse_config, profiles
 from inteco_abs.errors import ConfigError, LinkError, UnsafeError
-from inteco_abs.experiment import by_hand
+from inteco_abs.experiment import manual_control
 from inteco_abs.realtime.memory import Field
 from inteco_abs.realtime.processes.manual import HELD_NS, RATE_HZ, read_all, slowed
 from inteco_abs.signals import BoardFlags, Command, Reason
@@ -44,7 +44,7 @@ def test_slowed_down_limits_in_exchanges_are_within_a_real_boards_ceilings_there
 def test_outputs_by_hand_of_a_real_board_take_limits_that_one_may_have():
     config = load_config(settings=["guard.silence_s=0.5"], profile="usb2_generic_0103")
     with pytest.raises(ConfigError, match=r"guard\.silence_s: 0\.5: on a real board at most 0\.1"):
-        by_hand(config, "usb2:", outputs=True).__enter__()
+        manual_control(config, "usb2:", outputs=True).__enter__()
 
 
 def test_with_no_key_nothing_is_ever_put_out(bench):

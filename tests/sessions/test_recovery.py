@@ -410,7 +410,7 @@ def test_a_search_among_false_heads_is_given_up(altered, container, tmp_path, sh
 
 def test_a_declaration_is_looked_at_once_however_many_there_are(rescue, container, pieces, monkeypatch):
     looked_at = []
-    monkeypatch.setattr(content, "layout", lambda *given: looked_at.append(given) or message_layout(*given))
+    monkeypatch.setattr(content, "message_layout", lambda *given: looked_at.append(given) or message_layout(*given))
     records, chunks = pieces
     declared = next(part for part in container.split(container.unpack(records[chunks[0]]), 0) if part.opcode == CHANNEL)
     number = 100

@@ -19,7 +19,7 @@ from live import ancestor
 from inteco_abs.commissioning.panel import PHRASE
 from inteco_abs.config import load_config
 from inteco_abs.errors import ReadOnlyError
-from inteco_abs.experiment import by_hand
+from inteco_abs.experiment import manual_control
 from inteco_abs.format import TRUTH
 from inteco_abs.realtime.memory import FOLDER, Field, RunMemory, alive
 from inteco_abs.signals import Command
@@ -241,7 +241,7 @@ def test_a_screen_that_fails_leaves_the_outputs_off(monkeypatch):
     kept = []
 
     def drive_and_fail():
-        with by_hand(load_config(), "sim:", outputs=True) as side:
+        with manual_control(load_config(), "sim:", outputs=True) as side:
             drive_until(side._memory, side)  # the board's own record is in there
             raise Trouble
 
@@ -264,7 +264,7 @@ def drive_of(memory):
 
 def test_outputs_of_a_profile_that_nobody_has_signed_are_refused():
     unsigned = load_config(settings=['board.verified_by=""'])
-    with pytest.raises(ReadOnlyError, match="was not verified"), by_hand(unsigned, "sim:", outputs=True):
+    with pytest.raises(ReadOnlyError, match="was not verified"), manual_control(unsigned, "sim:", outputs=True):
         raise AssertionError("it must not come so far")
 
 
