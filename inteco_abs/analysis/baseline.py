@@ -1,4 +1,4 @@
-"""The previous run, with which a result is compared."""
+"""The previous comparable run, as a baseline for a result."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from typing import Any, Final
 
 from inteco_abs.analysis.catalogue import session_files
 from inteco_abs.errors import SessionError
-from inteco_abs.sessions import DamagedError, opened, read_metadata, stored_card
+from inteco_abs.sessions import DamagedError, read_metadata, stored_card
 
-_KIND: Final = ("controller", "estimator", "board", "rig", "reference_slip")
+_SAME: Final = ("controller", "estimator", "board", "rig", "reference_slip")
 _SPEED: Final = "start_speed_rad_s"
 _SAME_SPEED: Final = 0.01
 _COMPLETED: Final = "completed"
-_LOOKED_AT: Final = 100
-"""Number of files; reading the metadata of each takes about 1 ms."""
+_MOST_FILES: Final = 100
+"""Reading the metadata of one takes about 1 ms."""
 
 
 def previous_card(card: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Card of the latest completed session of the same kind in the folder of this card's; None if there is none.
+    """Card of the latest comparable session in the folder of this card's session; None without one.
 
-    The same kind: controller, estimator, board, rig, reference slip and, within 1 %, start speed. Runs that did not
-    complete, and runs with injected faults, do not count.
+    Comparable: completed, without injected faults, with the same controller, estimator, board, rig and reference slip,
+    and within 1 % the same start speed.
     """
     if card["outcome"] != _COMPLETED:
         return None
     mine = Path(card["session"])
-    for path in islice(_newest_first(mine), _LOOKED_AT):
+    for path in islice(_newest_first(mine), _MOST_FILES):
         other = _stored_card(path)
-        if other is not None and _alike(card, other):
+        if other is not None and _comparable(card, other):
             return other | {"session": str(path)}
     return None
 
 
-def _alike(card: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    if other.get("outcome") != _COMPLETED or any(other.get(key) != card.get(key) for key in _KIND):
+def _comparable(card: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    if other.get("outcome") != _COMPLETED or any(other.get(key) != card.get(key) for key in _SAME):
         return False
     speeds = card.get(_SPEED), other.get(_SPEED)
     known = [speed for speed in speeds if isinstance(speed, int | float)]
@@ -59,8 +59,7 @@ def _newest_first(mine: Path) -> Iterator[Path]:
 
 def _stored_card(path: Path) -> dict[str, Any] | None:
     try:
-        with opened(path) as (file, size):
-            metadata = read_metadata(file, size)
-            return None if metadata.get("injected") else stored_card(metadata)
+        metadata = read_metadata(path)
     except (SessionError, DamagedError):
         return None
+    return None if metadata.get("injected") else stored_card(metadata)

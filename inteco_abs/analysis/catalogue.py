@@ -14,7 +14,6 @@ from inteco_abs.sessions import (
     Metadata,
     card_of,
     newer,
-    opened,
     read_metadata,
     read_session,
     stored_card,
@@ -44,11 +43,11 @@ COLUMNS: Final = (
 """Keys of a row; a value that the session lacks is None."""
 _OF_THE_CARD: Final = COLUMNS[7:-2]
 
-Row = dict[str, Any]
+CatalogueRow = dict[str, Any]
 
 
 def session_files(folder: Path, *, nested: bool = False) -> list[Path]:
-    """Files in `folder` with the suffix of sessions, also in its folders if `nested`. Raises SessionError."""
+    """Files in `folder`, and below it if `nested`, with the suffix of sessions. Raises SessionError."""
     try:
         found = folder.rglob(f"*{SUFFIX}") if nested else folder.iterdir()
         return sorted(path for path in found if path.suffix == SUFFIX and not path.is_dir())
@@ -57,13 +56,12 @@ def session_files(folder: Path, *, nested: bool = False) -> list[Path]:
         raise SessionError(f"{folder}: cannot be listed: {error.strerror}{hint}") from error
 
 
-def session_row(path: Path) -> Row:
-    """Row of one file; never raises: a damaged file has a `problem`."""
+def session_row(path: Path) -> CatalogueRow:
+    """Row of one file; a damaged file has a `problem` and raises nothing."""
     try:
-        with opened(path) as (file, size):
-            metadata = read_metadata(file, size)
+        metadata = read_metadata(path)
     except DamagedError:
-        return _row_of_all(path)
+        return _row_of_ticks(path)
     except SessionError as error:
         return _broken(path, error)
     card = stored_card(metadata)
@@ -72,16 +70,16 @@ def session_row(path: Path) -> Row:
     return _row(path, metadata, card)
 
 
-def sort_rows(rows: Iterable[Row], key: str, *, reverse: bool = False) -> list[Row]:
+def sort_rows(rows: Iterable[CatalogueRow], key: str, *, reverse: bool = False) -> list[CatalogueRow]:
     """Rows by one of `COLUMNS`; those without a value are last in both directions."""
     rows = list(rows)
-    said = [row for row in rows if row[key] is not None]
-    value: Callable[[Row], Any] = itemgetter(key)
-    return sorted(said, key=value, reverse=reverse) + [row for row in rows if row[key] is None]
+    known = [row for row in rows if row[key] is not None]
+    value: Callable[[CatalogueRow], Any] = itemgetter(key)
+    return sorted(known, key=value, reverse=reverse) + [row for row in rows if row[key] is None]
 
 
-def _row_of_all(path: Path) -> Row:
-    """Row of a file without a usable index, which is read completely."""
+def _row_of_ticks(path: Path) -> CatalogueRow:
+    """Row of a file without a usable index: the whole file is read."""
     try:
         session = read_session(path, Path(tempfile.gettempdir()))
     except SessionError as error:
@@ -93,7 +91,7 @@ def _row_of_all(path: Path) -> Row:
     return row
 
 
-def _row(path: Path, metadata: Metadata, card: Mapping[str, Any]) -> Row:
+def _row(path: Path, metadata: Metadata, card: Mapping[str, Any]) -> CatalogueRow:
     session, controller, rig = (metadata.get(name, {}) for name in ("session", "controller", "rig"))
     return {
         "session": str(path),
@@ -113,6 +111,6 @@ def _number(value: object) -> int | float | None:
     return value if isinstance(value, int | float) else None
 
 
-def _broken(path: Path, error: SessionError) -> Row:
+def _broken(path: Path, error: SessionError) -> CatalogueRow:
     problem = str(error).removeprefix(f"{path}: ")
     return {**dict.fromkeys(COLUMNS), "session": str(path), "outcome": BROKEN, "problem": problem}

@@ -1,9 +1,10 @@
-"""Session files: how they are written, read, judged, exported and recovered."""
+"""Session files: writing, reading, validation, export and recovery."""
 
 from inteco_abs.format import TICK, TRUTH, pack_tick
 from inteco_abs.sessions.attachments import attached, extract
 from inteco_abs.sessions.card import aligned_truth, card_of, link_errors, result_card, stored_card
 from inteco_abs.sessions.container import DamagedError
+from inteco_abs.sessions.content import CONFIG_NAME, RECOVERED
 from inteco_abs.sessions.environment import Environment, current_environment
 from inteco_abs.sessions.export import FORMATS, Export, export_session
 from inteco_abs.sessions.failover_writer import FailoverWriter, Opener, check_spill, joined, spill_path
@@ -15,16 +16,23 @@ from inteco_abs.sessions.files import (
     ensured_directory,
     nearest_folder,
     require_own_file,
+    write_file,
 )
 from inteco_abs.sessions.frames import Frames, read_frames
 from inteco_abs.sessions.metrics import STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
 from inteco_abs.sessions.migration import Metadata, newer
 from inteco_abs.sessions.provenance import host_facts, profile_source, software_facts
-from inteco_abs.sessions.reader import Session, is_session_file, opened, read_session, stored_rows
-from inteco_abs.sessions.recorded_config import CONFIG_NAME, RECOVERED, session_config
+from inteco_abs.sessions.reader import (
+    Session,
+    is_session_file,
+    opened,
+    read_metadata,
+    read_session,
+    session_config,
+    stored_rows,
+)
 from inteco_abs.sessions.recovery import Recovery, recover_session
 from inteco_abs.sessions.session_writer import EXIT_CODES, LOSSES, RunEnd, RunHeader, RunResult, SessionWriter
-from inteco_abs.sessions.summary import read_metadata
 from inteco_abs.sessions.tables import Table, tables, to_pandas, to_polars
 from inteco_abs.sessions.validation import Inspection, SessionIssue, Severity, validate
 
@@ -93,4 +101,5 @@ __all__ = [
     "to_pandas",
     "to_polars",
     "validate",
+    "write_file",
 ]

@@ -18,30 +18,21 @@ from inteco_abs.format import TICK, TRUTH
 from inteco_abs.quantities import finite
 from inteco_abs.rig import nominal_parameters
 from inteco_abs.sessions.metrics import StopTrace, stop_metrics
-from inteco_abs.sessions.reader import Session
-from inteco_abs.sessions.recorded_config import session_config
+from inteco_abs.sessions.reader import Session, session_config
 from inteco_abs.signals import BoardFlags, Phase
 
 _MOST_DIGITS: Final = 18
-"""Of a whole number in a card; counts that a run can reach have fewer."""
+"""Most digits of an integer in a card; the counts of a run have fewer."""
 
 _BLOCK_TICKS: Final = 1 << 16
 
 Array = npt.NDArray[Any]
 
 
-def result_card(config: RigConfig, ticks: Array, truth: Array) -> dict[str, Any]:
-    """The card of a complete run; `truth` has no rows on a real rig."""
+def result_card(config: RigConfig | None, ticks: Array, truth: Array) -> dict[str, Any]:
+    """The card of a complete run, without a configuration only its timing; `truth` has no rows on a real rig."""
     card = RunningCard(config)
     for rows, states in in_step(ticks, truth):
-        card.add(rows, states)
-    return card.card()
-
-
-def timing_card(ticks: Array) -> dict[str, Any]:
-    """The card of a run without a configuration: the timing of its ticks only."""
-    card = RunningCard(None)
-    for rows, states in in_step(ticks, TRUTH.array(b"")):
         card.add(rows, states)
     return card.card()
 
@@ -52,7 +43,7 @@ def link_errors(ticks: Array) -> int:
 
 
 def in_step(ticks: Array, truth: Array, rows: int = _BLOCK_TICKS) -> Iterator[tuple[Array, Array]]:
-    """Blocks of ticks, each with its share of the states, up to the block's last tick; views, without a copy."""
+    """Blocks of ticks, each with the states up to its last tick; views, without a copy."""
     done = 0
     for at in range(0, len(ticks), rows):
         block = ticks[at : at + rows]
@@ -65,9 +56,9 @@ def in_step(ticks: Array, truth: Array, rows: int = _BLOCK_TICKS) -> Iterator[tu
 class RunningCard:
     """Metrics of a run, block by block; it keeps the rows of at most one stop.
 
-    They are those of `stop_metrics`, from the first tick of braking to the last with the brake held. Speed and slip are
-    the true ones if there are any, else the estimated ones; the road wheel's encoder counts the distance. Of several
-    stops, each metric is the median. Without a configuration there is only the timing.
+    The metrics are those of `stop_metrics`, the median over several stops. Speed and slip are the true ones if known,
+    else the estimated ones; the distance is that of the road wheel's encoder. Without a configuration there is only the
+    timing.
     """
 
     def __init__(self, config: RigConfig | None) -> None:
@@ -83,7 +74,7 @@ class RunningCard:
         self._stop, self._truth = bytearray(), bytearray()
 
     def add(self, ticks: Array, truth: Array) -> None:
-        """Add ticks, and states of the simulated rig up to the last of these ticks at least."""
+        """Add ticks, and the states of the simulated rig up to at least the last of them."""
         if self._config is not None:
             self._truth += truth.tobytes()
         if not len(ticks):
@@ -97,7 +88,7 @@ class RunningCard:
             self._follow(ticks, self._config)
 
     def card(self) -> dict[str, Any]:
-        """The card of everything so far, including a stop that is not over."""
+        """The card so far, including an unfinished stop."""
         config = self._config
         cards = [*self._stops, *([self._stop_card(config)] if config is not None and self._stop else [])]
         card = {
@@ -126,7 +117,7 @@ class RunningCard:
             elif self._stop:
                 self._stops.append(self._stop_card(config))
                 self._stop.clear()
-        if not self._stop:  # the next stop needs the newest state that its first tick can have seen
+        if not self._stop:  # keep the newest state for the first tick of the next stop
             states = TRUTH.array(bytes(self._truth))
             seen = int(np.searchsorted(states["time_ns"], ticks["time_ns"][-1], side="right"))
             del self._truth[: max(seen - 1, 0) * TRUTH.size]
@@ -151,7 +142,7 @@ class RunningCard:
 
 
 class _Lateness:
-    """Histogram of the ticks' lateness, by value: clocks count nanoseconds, so values repeat."""
+    """Counts of each value of the ticks' lateness; values repeat, as clocks count nanoseconds."""
 
     _SHARES: Final = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
     _MOST_NEW: Final = 1 << 16
@@ -188,7 +179,7 @@ class _Lateness:
             self._values[np.searchsorted(ends, np.minimum(place, ends[-1] - 1), side="right")].astype(float)
             for place in (below, below + 1)
         )
-        # from the nearer end, as numpy does it
+        # from the nearer end, as numpy interpolates
         found = np.where(part < 0.5, low + (high - low) * part, high - (high - low) * (1.0 - part))
         if np.isnan(self._values[-1]):
             found[:] = math.nan
@@ -196,7 +187,7 @@ class _Lateness:
 
 
 def stored_card(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Any] | None:
-    """The result card in a session's metadata, None if there is no valid one; its numbers are finite doubles."""
+    """The result card in a session's metadata, with finite numbers only; None without a valid one."""
     try:
         card = json.loads(
             metadata.get("result", {}).get("card", ""),
@@ -210,7 +201,7 @@ def stored_card(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Any] | N
 
 
 def card_of(session: Session) -> dict[str, Any] | None:
-    """The session's card, or, if it was cut, one of its ticks; None without a usable configuration."""
+    """The session's card, computed from the ticks if the file lacks it; None without a usable configuration."""
     stored = stored_card(session.metadata)
     if stored is not None:
         return stored
@@ -240,12 +231,12 @@ _STOP_METRICS: Final = (
 
 
 def aligned_truth(truth: Array, time_ns: Array) -> Array | None:
-    """Newest truth at or before each tick, or None where there is none."""
+    """Newest truth at or before each tick, NaN before the first; None without truth or ticks."""
     if not len(truth) or not len(time_ns):
         return None
     newest = np.searchsorted(truth["time_ns"], time_ns, side="right") - 1
     aligned: Array = truth[np.maximum(newest, 0)]
     for name in aligned.dtype.names or ():
         if name != "time_ns":
-            aligned[name][newest < 0] = math.nan  # before the first of them nothing is known
+            aligned[name][newest < 0] = math.nan
     return aligned

@@ -1,4 +1,4 @@
-"""What the records of a session say, gathered one by one."""
+"""The content of a session, collected record by record."""
 
 from __future__ import annotations
 
@@ -28,12 +28,16 @@ from inteco_abs.sessions.container import (
 from inteco_abs.sessions.migration import MessageLayout, message_layout, newer
 from inteco_abs.sessions.storage import Rows
 
+CONFIG_NAME: Final = "config.toml"
+"""Name of the attachment with the configuration of the run."""
+RECOVERED: Final = "recovered"
+"""Outcome of a session that was recovered from a damaged file."""
 LIBRARY: Final = "inteco-abs/"
 PREFIX: Final = "inteco_abs."
 ATTACHMENT_HASH: Final = "sha256."
 """Before an attachment's name, in the record `integrity`."""
 FLAT: Final[Mapping[str, Message]] = {TICK.topic: TICK, TRUTH.topic: TRUTH}
-"""Messages that are kept as rows."""
+"""Messages that become rows."""
 _LONGEST_EVENT: Final = 1000
 _HIGHEST_LEVEL: Final = 5
 _DOUBLE: Final = struct.Struct("<d")
@@ -45,12 +49,12 @@ class LogEntry(NamedTuple):
 
     unix_ns: int
     level: int
-    """2 information, 3 warning, 4 error: those of `foxglove.Log`."""
+    """As in `foxglove.Log`: 2 information, 3 warning, 4 error."""
     text: str
 
 
 class Parameters(NamedTuple):
-    """Gains and reference in force from `tick` on."""
+    """Gains and reference in force from `tick`."""
 
     tick: int
     values: dict[str, float]
@@ -67,76 +71,77 @@ class Batch(NamedTuple):
     """The ticks or truths of one chunk."""
 
     data: bytes
-    """As they were recorded."""
+    """Messages as recorded."""
     upgraded: bytes
-    """As this version has them."""
+    """Messages of this version."""
     values: npt.NDArray[np.void]
-    """One row per message, over `today`."""
+    """One row per message, a view of `upgraded`."""
     sequence: npt.NDArray[np.uint32]
     log_time: npt.NDArray[np.uint64]
     """UNIX time, ns."""
 
     @classmethod
     def of(cls, runs: Sequence[FixedRun], found: MessageLayout) -> Self:
-        """The messages of `runs`; raises DamagedError unless each of them has the layout that was `found`."""
+        """The messages of `runs`. Raises DamagedError unless each of them has the layout `found`."""
         data = b"".join([run.rows["data"].tobytes() for run in runs])
         sizes = {run.rows.dtype["data"].itemsize for run in runs}
         if sizes != {found.message.size} or not found.well_formed(data):
-            data = _encoded_anew(runs, found)
+            data = _repacked(runs, found)
         sequence, log_time = (np.concatenate([run.rows[name] for run in runs]) for name in ("sequence", "log_time"))
-        today = found.upgraded(data)
-        return cls(data, today, FLAT[found.message.topic].array(today), sequence, log_time)
+        upgraded = found.upgraded(data)
+        return cls(data, upgraded, FLAT[found.message.topic].array(upgraded), sequence, log_time)
 
 
-def _encoded_anew(runs: Sequence[FixedRun], found: MessageLayout) -> bytes:
-    """The messages as they were recorded, if another program has left zeros out. Raises DamagedError if not."""
+def _repacked(runs: Sequence[FixedRun], found: MessageLayout) -> bytes:
+    """The messages as recorded, if another program encoded them again without zeros; else raises DamagedError."""
     try:
         data = b"".join(found.message.repacked(each) for run in runs for each in run.rows["data"].tolist())
     except ValueError:
         data = b""
     if not data or not found.well_formed(data):
-        declared = f"{found.message.name} that the file declares"
+        message = found.message
         raise DamagedError(
-            f"a message of {found.message.topic} does not have the layout of the {declared}, or has an unknown value"
+            f"a message of {message.topic} does not match the {message.name} that the file declares, "
+            "or has an unknown value"
         )
     return data
 
 
 @dataclass(slots=True)
 class Content:
-    """What was read so far; `rows` is where ticks and truths go, by topic, back to back."""
+    """What was read so far."""
 
     rows: Mapping[str, Rows] = field(default_factory=dict)
+    """Storage for ticks and truths by topic, back to back."""
     budget: DecompressionBudget = field(default_factory=lambda: DecompressionBudget(0))
-    """Of how many parts it may be."""
     library: str = LIBRARY
-    """Program that wrote the file; assumed ours until the header says otherwise."""
+    """Program that wrote the file; this one, unless the header names another."""
     schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)
     channels: dict[int, tuple[str, int]] = field(default_factory=dict)
     """Topic and schema by the channel's number."""
     layouts: dict[str, MessageLayout] = field(default_factory=dict)
-    """Of ticks and truths, by topic, where their channels have been understood."""
+    """Known layouts of ticks and truths by topic."""
     undecoded: set[int] = field(default_factory=set)
-    """Numbers of the channels of ticks and truths whose layout has not been looked at."""
+    """Numbers of the channels of ticks and truths whose layout is not known yet."""
     channel_facts: dict[str, dict[str, str]] = field(default_factory=dict)
     variable_size: set[int] = field(default_factory=set)
     """Numbers of the channels of raw frames."""
     frames: int = 0
-    """Raw frames, which are only counted."""
+    """Number of raw frames."""
     messages: int = 0
-    """In chunks, of all channels."""
+    """Number of messages in all channels."""
     events: list[LogEntry] = field(default_factory=list)
     parameters: list[Parameters] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     """By record name without `inteco_abs.`; records of one name are merged, the later one wins."""
     attachments: dict[str, Attached] = field(default_factory=dict)
     epoch_ns: int | None = None
-    """UNIX time of the monotonic clock's zero, once there was a tick."""
+    """UNIX time of the monotonic clock's zero; None before the first tick."""
     hash: hashlib._Hash = field(default_factory=hashlib.sha256)
-    """Over the ticks as they are in the file."""
+    """Hash of the ticks as recorded."""
 
     def take(self, entry: Entry) -> None:
-        """One record of the file or of a chunk, messages apart. Raises DamagedError."""
+        """Read one record that is not a message. Raises DamagedError."""
         if not entry.opcode:
             raise DamagedError("has no type")
         if entry.opcode == Opcode.MESSAGE:
@@ -147,7 +152,7 @@ class Content:
             taker(self, entry.data)
 
     def take_chunk(self, raw: bytes) -> dict[str, Batch]:
-        """Everything in an unpacked chunk; ticks and truths by topic. Raises DamagedError."""
+        """Read an unpacked chunk; return its ticks and truths by topic. Raises DamagedError."""
         runs: dict[str, list[FixedRun]] = {}
         for part in chunk_parts(raw, self.variable_size):
             if isinstance(part, Entry):
@@ -161,7 +166,7 @@ class Content:
                 runs.setdefault(self.channels[part.channel][0], []).append(part)
                 self.messages += len(part.rows)
             else:
-                raise DamagedError(f"holds a message of channel {part.channel}, which nothing declares")
+                raise DamagedError(f"has a message of channel {part.channel}, which is not declared")
         if runs.keys() & FLAT.keys():
             self.check_schemas()
         self.take_log(runs.get(LOG_TOPIC, ()))
@@ -174,13 +179,13 @@ class Content:
         return batches
 
     def take_log(self, runs: Iterable[FixedRun]) -> None:
-        """Lines of the log; raises DamagedError at one that cannot be read."""
+        """Read log entries. Raises DamagedError at one that is not valid."""
         for run in runs:
             self.budget.part(len(run.rows), run.rows.nbytes)
             self.events += map(event, run.rows["log_time"].tolist(), run.rows["data"].tolist())
 
     def check_schemas(self) -> None:
-        """Find the layout of ticks and truths; raises DamagedError if it cannot be brought to that of this version."""
+        """Find the layouts of ticks and truths. Raises DamagedError if this version cannot read them."""
         for channel in sorted(self.undecoded):
             topic, number = self.channels[channel]
             found = message_layout(FLAT[topic], *self.schemas.get(number, ("", b"")))
@@ -189,14 +194,14 @@ class Content:
             self.undecoded.discard(channel)
 
     def altered_attachments(self) -> list[str]:
-        """Names of the attachments that are not those that were recorded, by their hashes."""
-        told = self.metadata.get("integrity", {})
+        """Names of the attachments that do not match their recorded hashes."""
+        recorded = self.metadata.get("integrity", {})
         found = {name: hashlib.sha256(attached.data).hexdigest() for name, attached in self.attachments.items()}
-        return [name for name, digest in found.items() if told.get(ATTACHMENT_HASH + name, digest) != digest]
+        return [name for name, digest in found.items() if recorded.get(ATTACHMENT_HASH + name, digest) != digest]
 
     @property
     def unsupported(self) -> str:
-        """What this version does not know of the session, or does not find in it; empty if it is like its own."""
+        """What this version does not know, or does not find, in the session; empty if nothing."""
         unknown = [problem for topic in FLAT if topic in self.layouts for problem in self.layouts[topic].unknown]
         problems = [problem for problem in (newer(self.metadata), *unknown) if problem]
         return "; ".join([*problems, f"{self.library} wrote it"]) if problems else ""
@@ -248,7 +253,7 @@ _TAKERS: Final[Mapping[int, Callable[[Content, memoryview], None]]] = {
 
 
 def event(log_time: int, data: bytes) -> LogEntry:
-    """An encoded `foxglove.Log`; raises DamagedError if it is not one."""
+    """Decode a `foxglove.Log`. Raises DamagedError if it is not valid."""
     try:
         found = dict(wire_fields(data))
     except ValueError as error:
@@ -260,7 +265,7 @@ def event(log_time: int, data: bytes) -> LogEntry:
 
 
 def parameters(data: bytes) -> Parameters:
-    """An encoded `Params`; raises DamagedError if it is not one."""
+    """Decode a `Params` message. Raises DamagedError if it is not valid."""
     tick, values = 0, {}
     try:
         for number, value in wire_fields(data):
@@ -270,7 +275,7 @@ def parameters(data: bytes) -> Parameters:
             elif number == 2:
                 (tick,) = _FIXED32.unpack(_raw(value))
             else:
-                raise ValueError(f"field {number} is unknown")  # noqa: TRY301  named below as all others
+                raise ValueError(f"field {number} is unknown")  # noqa: TRY301  gets its name below, as all others
     except (ValueError, struct.error) as error:
         raise DamagedError(f"parameters cannot be read: {error}") from error
     return Parameters(tick, values)
@@ -278,5 +283,5 @@ def parameters(data: bytes) -> Parameters:
 
 def _raw(value: int | bytes | None) -> bytes:
     if not isinstance(value, bytes):
-        raise ValueError(f"{value} is in the place of bytes")  # noqa: TRY004  of the data, not of an argument
+        raise ValueError(f"{value} is not bytes")  # noqa: TRY004  of the data, not of an argument
     return value

@@ -1,4 +1,4 @@
-"""Where a new file may be, and how it gets there: as a whole or not at all."""
+"""Checks where a new file or folder may be made, and writes files atomically."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from inteco_abs.errors import ConfigError, SessionError, describe_disk
 
 _PART: Final = ".part"
 _BLOCK: Final = 1 << 20
-_NO_PLACE: Final = (errno.EEXIST, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ)
-"""What is wrong with a folder's name, not with the disk."""
+_WRONG_NAME: Final = (errno.EEXIST, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ)
+"""Errors that come from a folder's name, not from the disk."""
 
 
 def check_output(path: Path, option: str = "--out") -> None:
-    """Refuse, before anything is opened, a path where no new file can be; `option` is where it was named.
+    """Check that a new file can be made at `path`, given with `option`.
 
-    Raises ConfigError, or SessionError where the folder cannot be written to.
+    Raises ConfigError, or SessionError if the folder cannot be written to.
     """
     problem = ""
     try:
@@ -30,7 +30,7 @@ def check_output(path: Path, option: str = "--out") -> None:
             problem = "exists already, and files are never overwritten; choose another name"
         elif not path.parent.is_dir():
             problem = f"the folder {path.parent} does not exist; create it first"
-    except OSError as error:  # a name that no file can have
+    except OSError as error:  # not a valid file name
         problem = describe_disk(error)
     if problem:
         raise ConfigError.of(option, f"{path}: {problem}")
@@ -40,19 +40,19 @@ def check_output(path: Path, option: str = "--out") -> None:
 
 @contextmanager
 def ensured_directory(folder: Path, option: str = "--out", *, new: bool = False) -> Iterator[None]:
-    """With `folder`, made with its parents where there is none; of what was made, what is empty at the end goes again.
+    """Make `folder` and its parents if they are missing; remove those that are still empty at the end.
 
-    Raises ConfigError for a path where no folder can be, or of an old one where a `new` one is wanted, and
-    SessionError where the disk refuses; `option` is where it was named.
+    Raises ConfigError for a path, given with `option`, that cannot be a folder, or that exists if it must be `new`;
+    SessionError if the disk fails.
     """
     made = list[Path]()
-    Path.cwd()  # raises where the folder in which this was typed is gone
+    Path.cwd()  # raises if the current folder was removed
     try:
         try:
             made = [each for each in (folder, *folder.parents) if not each.exists()]
             folder.mkdir(parents=True, exist_ok=not new)
         except OSError as error:
-            if error.errno not in _NO_PLACE:
+            if error.errno not in _WRONG_NAME:
                 raise SessionError(f"the folder {folder} cannot be made: {describe_disk(error)}") from error
             problem = "exists already; name a folder that does not exist" if folder.is_dir() else describe_disk(error)
             raise ConfigError.of(option, f"the folder {folder} cannot be made: {problem}") from error
@@ -64,9 +64,9 @@ def ensured_directory(folder: Path, option: str = "--out", *, new: bool = False)
 
 
 def check_folder(folder: Path, option: str = "--out") -> None:
-    """Refuse a folder that cannot be made, parents and all, or not be written to; makes nothing.
+    """Check that `folder` can be made with its parents, or written to.
 
-    Raises ConfigError, or SessionError where the rights are missing.
+    Raises ConfigError, or SessionError without permission.
     """
     above = nearest_folder(folder)
     blocked = next((place for place in (folder, *folder.parents) if place.exists() and not place.is_dir()), None)
@@ -77,13 +77,13 @@ def check_folder(folder: Path, option: str = "--out") -> None:
 
 
 def nearest_folder(path: Path) -> Path:
-    """The folder at `path`, or the nearest above it that exists already."""
+    """The folder at `path`, or the nearest existing one above it."""
     path = path.absolute()
     return next(place for place in (path, *path.parents) if place.is_dir())
 
 
 def require_own_file(path: Path, session_id: str) -> None:
-    """Raise SessionError if at `path` there is anything but a beginning of the session with that id."""
+    """Raise SessionError if the file at `path` is not empty and not part of the session with that id."""
     wanted, data = session_id.encode(), b""
     try:
         with path.open("rb") as file:
@@ -101,15 +101,25 @@ def require_own_file(path: Path, session_id: str) -> None:
 
 @contextmanager
 def atomic_write(out: Path) -> Iterator[Path]:
-    """Where to write what becomes `out` at the end. Its source still exists: of a failure nothing is left."""
+    """A temporary path, renamed to `out` at the end; after an error, it is removed."""
     part = out.with_name(f"{out.name}.{os.getpid()}{_PART}")
     try:
         yield part
     except BaseException:
-        with suppress(OSError):  # it is not there, or cannot be removed either
+        with suppress(OSError):  # missing, or the disk fails here too
             part.unlink()
         raise
     try:
         part.replace(out)
     except OSError as error:
         raise SessionError(f"{part} is complete but cannot be renamed to {out}: {error.strerror}") from error
+
+
+def write_file(out: Path, data: bytes) -> None:
+    """Write the new file `out` atomically. Raises ConfigError or SessionError."""
+    check_output(out)
+    with atomic_write(out) as part:
+        try:
+            part.write_bytes(data)
+        except OSError as error:
+            raise SessionError(f"{out} cannot be written: {describe_disk(error)}") from error

@@ -29,39 +29,39 @@ from inteco_abs.sessions.container import (
 
 _BLOCK: Final = 1 << 20
 _ANCHOR: Final = re.compile(rb"[\x06\x09\x0c](?=.{3}[\x00-\x03]\x00{4})", re.DOTALL)
-"""Head of a chunk, attachment or metadata of at most 64 MiB: what the walk goes on at."""
+"""Head of a chunk, attachment or metadata record of at most 64 MiB, where the scan may continue."""
 _MOST_TRIALS: Final = 16
-"""Bytes tried in vain per byte of file: a file that is made of false heads would take for ever."""
+"""Bytes of wrong candidates checked per byte of file; without a bound, a hostile file would take for ever."""
 
 
 @dataclass(frozen=True, slots=True)
-class WholeRecord:
-    """A record that proved itself."""
+class IntactRecord:
+    """A record whose lengths and checksum are right."""
 
     entry: Entry
     raw: bytes | None
-    """What a chunk unpacks to."""
+    """The unpacked chunk; None for other records."""
     crc: int
-    """Checksum of everything in the file before it."""
+    """Checksum of the file before it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Bytes `start` to `end` hold no record that is whole."""
+    """Bytes from `start` to before `end`, without an intact record."""
 
     start: int
     end: int
     problem: str
     tail: bool
-    """The file just ends here, in the middle of a record."""
+    """Whether the file ends here, in the middle of a record."""
 
 
 class _CutError(DamagedError):
-    """The file ends before the record does, or so the record says."""
+    """The file ends before the record does, or the record's length is wrong."""
 
 
 class Scan:
-    """The walk through a file of `size` bytes; iterate once."""
+    """A scan of a file of `size` bytes; iterate once."""
 
     def __init__(self, file: BinaryIO, size: int) -> None:
         self._file = file
@@ -69,7 +69,7 @@ class Scan:
         self._budget = DecompressionBudget(size)
         self._trials = LARGEST_RECORD + _MOST_TRIALS * size
 
-    def __iter__(self) -> Iterator[WholeRecord | Damage]:
+    def __iter__(self) -> Iterator[IntactRecord | Damage]:
         """Records and damage in the order of the file, up to the magic at its end."""
         crc, at = 0, 0
         if self._bytes(0, len(MAGIC)) == MAGIC:
@@ -82,20 +82,20 @@ class Scan:
                 yield damage
                 crc, at = checksum(self._file, at, damage.end, crc), damage.end
             else:
-                yield WholeRecord(entry, raw, crc)
+                yield IntactRecord(entry, raw, crc)
                 crc = zlib.crc32(entry.data, zlib.crc32(HEAD.pack(entry.opcode, len(entry.data)), crc))
                 at = entry.end
 
     def _record(self, at: int) -> tuple[Entry, bytes | None]:
-        """The record at `at`, and what it unpacks to; raises DamagedError if it does not prove itself."""
+        """The record at `at`, and the unpacked chunk if it is one. Raises DamagedError if it is not intact."""
         entry = self._entry(at)
         try:
             if entry.opcode == Opcode.CHUNK:
                 return entry, unpack_chunk(entry.data, self._budget, checked=True)
             if entry.opcode in LAYOUTS:
-                _prove(entry)
-            elif entry.opcode <= max(Opcode) or not self._proves(entry.end):
-                raise DamagedError("nothing proves it")  # noqa: TRY301  named below as all others
+                _check(entry)
+            elif entry.opcode <= max(Opcode) or not self._is_record(entry.end):
+                raise DamagedError("is not a known record")  # noqa: TRY301  gets its name below, as all others
         except DamagedError as error:
             raise DamagedError(f"{kind(entry.opcode)}: {error}") from error
         return entry, None
@@ -111,17 +111,16 @@ class Scan:
             raise DamagedError(f"{kind(opcode)}: claims {length} bytes, more than {LARGEST_RECORD}")
         return Entry(opcode, at + HEAD.size, memoryview(self._bytes(at + HEAD.size, length)))
 
-    def _proves(self, at: int) -> bool:
-        """Whether a known record stands at `at`: what is before it may be of a later version."""
+    def _is_record(self, at: int) -> bool:
+        """Whether a known record begins at `at`; the one before it may be of a later version."""
         try:
-            entry = self._entry(at)
-            _prove(entry)
+            _check(self._entry(at))
         except DamagedError:
             return False
         return True
 
     def _damage(self, start: int, error: DamagedError) -> Damage:
-        """From a record that does not prove itself to the next one that does."""
+        """The range from a damaged record to the next intact one."""
         problem = str(error)
         for at in self._anchors(start + 1):
             try:
@@ -130,14 +129,14 @@ class Scan:
                 continue
             return Damage(start, at, problem, tail=False)
         if self._trials <= 0:
-            problem += "; the search behind it was given up: too much there only looks like records"
+            problem += "; the search after it was given up: too many bytes there look like records"
         end = self._size - len(MAGIC)
         if start < end and self._is_the_end(end):
             return Damage(start, end, problem, tail=False)
         return Damage(start, self._size, problem, tail=isinstance(error, _CutError))
 
     def _anchors(self, at: int) -> Iterator[int]:
-        """Where a record may begin that can prove itself, until the trials are used up."""
+        """Places where a record with a checksum may begin, until the trials are used up."""
         while at < self._size:
             block = self._bytes(at, _BLOCK + HEAD.size - 1)
             for match in _ANCHOR.finditer(block):
@@ -157,17 +156,17 @@ class Scan:
 
 
 def checksum(file: BinaryIO, start: int, end: int, crc: int = 0) -> int:
-    """Checksum of the bytes from `start` to before `end`, after those that made `crc`."""
+    """Checksum of the bytes from `start` to before `end`, continued from `crc`."""
     file.seek(start)
     for at in range(start, end, _BLOCK):
         crc = zlib.crc32(file.read(min(_BLOCK, end - at)), crc)
     return crc
 
 
-def _prove(entry: Entry) -> None:
-    """Raises DamagedError unless the record is one by its own lengths and checksum."""
+def _check(entry: Entry) -> None:
+    """Raise DamagedError unless the record's lengths and checksum are right."""
     if entry.opcode not in LAYOUTS:
-        raise DamagedError("nothing proves it")
+        raise DamagedError("is not a known record")
     found = fields(entry.opcode, entry.data, exact=True)
     if entry.opcode == Opcode.ATTACHMENT:
         attachment(entry.data)

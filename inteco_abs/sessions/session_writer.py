@@ -14,11 +14,11 @@ from inteco_abs.errors import CaptureError
 from inteco_abs.format import TICK, TRUTH
 from inteco_abs.rig import nominal_parameters
 from inteco_abs.sessions.card import RunningCard
+from inteco_abs.sessions.content import CONFIG_NAME
 from inteco_abs.sessions.environment import Environment
 from inteco_abs.sessions.file_writer import FileWriter
 from inteco_abs.sessions.frames import Frames, frame_facts, packed_frames
 from inteco_abs.sessions.provenance import controller_facts
-from inteco_abs.sessions.recorded_config import CONFIG_NAME
 from inteco_abs.signals import EXPLANATIONS, Reason
 
 _OUTCOMES: Final = {Reason.NONE: "completed", Reason.OPERATOR_STOP: "interrupted"}

@@ -17,10 +17,10 @@ class Rows(Protocol):
     """Messages of one constant layout, back to back."""
 
     def write(self, data: bytes, /) -> object:
-        """More of them; raises SessionError where there is no room."""
+        """Add rows. Raises SessionError if the disk is full."""
 
     def contents(self) -> bytes | memoryview:
-        """All of them; raises SessionError where they cannot be had."""
+        """All rows. Raises SessionError if the disk fails."""
 
 
 class RowsInMemory(BytesIO):
@@ -31,7 +31,7 @@ class RowsInMemory(BytesIO):
 
 
 class RowsOnDisk:
-    """Rows in an unnamed file in `folder`, which disappears with the last use of its contents."""
+    """Rows in an unnamed file in `folder`, which is freed with the last reference to its contents."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -59,8 +59,8 @@ class RowsOnDisk:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        with suppress(OSError):  # nothing is needed from it any more
+        with suppress(OSError):  # its content is not needed any more
             self._file.close()
 
     def _no_room(self, error: OSError) -> SessionError:
-        return SessionError(f"{self._folder}: has no room for what the session unpacks to: {describe_disk(error)}")
+        return SessionError(f"{self._folder}: has no room for the unpacked session: {describe_disk(error)}")

@@ -13,14 +13,13 @@ import numpy.typing as npt
 from inteco_abs.errors import SessionError
 from inteco_abs.format import TICK, TRUTH
 from inteco_abs.sessions.container import DamagedError, DecompressionBudget, Entry, Opcode, fields, kind
-from inteco_abs.sessions.content import LIBRARY, Batch, Content
+from inteco_abs.sessions.content import CONFIG_NAME, LIBRARY, Batch, Content
 from inteco_abs.sessions.migration import migrated
 from inteco_abs.sessions.reader import check_data, ends_well, opened
-from inteco_abs.sessions.recorded_config import CONFIG_NAME
-from inteco_abs.sessions.scanner import Damage, Scan, WholeRecord, checksum
+from inteco_abs.sessions.scanner import Damage, IntactRecord, Scan, checksum
 
 _MOST_ALIKE: Final = 20
-"""Findings of one kind that are told one by one."""
+"""Issues of one kind that are listed one by one."""
 _AT_THE_START: Final = ("rig", "controller")
 _AT_THE_END: Final = ("timing", "result", "integrity")
 
@@ -28,16 +27,16 @@ Array = npt.NDArray[np.void]
 
 
 class Severity(StrEnum):
-    """What a finding means for who uses the session."""
+    """Whether the rest of the session can be trusted."""
 
     LOSS = "loss"
-    """Something is missing; what is there is right."""
+    """Something is missing; the rest is right."""
     WRONG = "wrong"
-    """Something there is not what was recorded, or nothing can be used."""
+    """Something is not what was recorded, or the file cannot be used."""
 
 
 class SessionIssue(NamedTuple):
-    """One thing that is not as it should be."""
+    """One thing wrong with a session."""
 
     severity: Severity
     place: str
@@ -46,7 +45,7 @@ class SessionIssue(NamedTuple):
 
 @dataclass(slots=True)
 class Inspection:
-    """What was found in the file at `path`."""
+    """Result of the validation of the file at `path`."""
 
     path: Path
     ticks: int = 0
@@ -75,7 +74,7 @@ class Inspection:
 
 
 def validate(path: Path) -> Inspection:
-    """All findings in the session at `path`; raises nothing."""
+    """Check the session at `path`; raises nothing."""
     inspection = Inspection(path)
     try:
         with opened(path) as (file, size):
@@ -86,10 +85,10 @@ def validate(path: Path) -> Inspection:
 
 
 class _Inspector:
-    """Goes through one open file."""
+    """Checks one open file."""
 
     def __init__(self, file: BinaryIO, size: int, inspection: Inspection) -> None:
-        self._file, self._size, self._told = file, size, inspection
+        self._file, self._size, self._inspection = file, size, inspection
         self._content = Content(budget=DecompressionBudget(size))
         self._numbers = {TICK.topic: _Numbers("tick"), TRUTH.topic: _Numbers("truth")}
         self._chunks: set[int] = set()
@@ -102,7 +101,7 @@ class _Inspector:
             if isinstance(part, Damage):
                 self._damage(part)
             else:
-                self._whole(part)
+                self._intact(part)
         self._check_end()
         self._check_index()
         self._check_content()
@@ -110,113 +109,113 @@ class _Inspector:
     def _damage(self, damage: Damage) -> None:
         place = f"bytes {damage.start}..{damage.end - 1}"
         if damage.tail:
-            self._told.loss(place, f"the file ends early: {damage.problem}")
+            self._inspection.loss(place, f"the file ends early: {damage.problem}")
         elif self._data_ended:
-            self._told.loss(place, f"the index is damaged: {damage.problem}")
+            self._inspection.loss(place, f"the index is damaged: {damage.problem}")
         else:
-            self._told.wrong(place, damage.problem)
+            self._inspection.wrong(place, damage.problem)
 
-    def _whole(self, whole: WholeRecord) -> None:
-        entry = whole.entry
+    def _intact(self, record: IntactRecord) -> None:
+        entry = record.entry
         try:
-            if whole.raw is not None:
-                self._chunk(entry, whole.raw)
+            if record.raw is not None:
+                self._chunk(entry, record.raw)
             elif entry.opcode == Opcode.DATA_END:
                 self._data_ended = True
-                check_data(entry, whole.crc)
+                check_data(entry, record.crc)
             elif entry.opcode == Opcode.FOOTER:
                 self._footer(entry)
             elif entry.opcode == Opcode.CHUNK_INDEX:
                 self._indexed.add(fields(entry.opcode, entry.data)[2])
             elif entry.opcode == Opcode.STATISTICS:
                 self._counted = fields(entry.opcode, entry.data)[0]
-            elif not self._data_ended:  # behind it, there are only copies
+            elif not self._data_ended:  # after it, there are only copies
                 self._content.take(entry)
         except DamagedError as error:
-            self._told.wrong(f"byte {entry.start}", f"{kind(entry.opcode)}: {error}")
+            self._inspection.wrong(f"byte {entry.start}", f"{kind(entry.opcode)}: {error}")
 
     def _chunk(self, entry: Entry, raw: bytes) -> None:
         self._chunks.add(entry.start)
         for topic, batch in self._content.take_chunk(raw).items():
-            self._numbers[topic].follow(batch, self._told)
+            self._numbers[topic].follow(batch, self._inspection)
 
     def _footer(self, entry: Entry) -> None:
         self._footed = True
         start, _, crc = fields(entry.opcode, entry.data)
         if crc and (start > entry.at or crc != checksum(self._file, start, entry.end - 4)):
-            self._told.loss(f"byte {entry.start}", "the index fails its checksum: viewers may refuse the file")
+            self._inspection.loss(f"byte {entry.start}", "the index fails its checksum: viewers may refuse the file")
 
     def _check_end(self) -> None:
         if not self._data_ended:
-            self._told.loss("end", "the data has no end: what came after it is not known")
+            self._inspection.loss("end", "the data has no end: what came after it is not known")
         elif not self._footed or not ends_well(self._file):
-            self._told.loss("end", "the file has no footer at its end: viewers may refuse it")
+            self._inspection.loss("end", "the file has no footer at its end: viewers may refuse it")
 
     def _check_index(self) -> None:
         if not self._footed:
             return
         if self._chunks != self._indexed:
-            self._told.loss("index", "it lists other chunks than the file has: viewers will not show all ticks")
+            self._inspection.loss("index", "it lists other chunks than the file has: viewers will not show all ticks")
         if self._counted not in {None, self._content.messages}:
-            self._told.loss("index", f"it counts {self._counted} messages, the file has {self._content.messages}")
+            self._inspection.loss("index", f"it counts {self._counted} messages, the file has {self._content.messages}")
 
     def _check_content(self) -> None:
-        content, told = self._content, self._told
-        told.ticks = self._numbers[TICK.topic].count
+        content, inspection = self._content, self._inspection
+        inspection.ticks = self._numbers[TICK.topic].count
         if not (content.announces_ticks or content.library.startswith(LIBRARY)):
-            told.wrong("file", "is an MCAP file, but not a session of this program")
+            inspection.wrong("file", "is an MCAP file, but not a session of this program")
             return
         try:
             content.check_schemas()
         except DamagedError as error:
-            told.wrong("schema", str(error))
+            inspection.wrong("schema", str(error))
         if content.unsupported:
-            told.loss("schema", f"not all of it could be looked at: {content.unsupported}")
-        if not told.ticks:
-            told.loss("ticks", "there are none")
+            inspection.loss("schema", f"not all of it could be checked: {content.unsupported}")
+        if not inspection.ticks:
+            inspection.loss("ticks", "there are none")
         self._check_hash()
         whole = self._data_ended
         metadata = migrated(content.metadata)
         for name in (*_AT_THE_START, *(_AT_THE_END if whole else ())):
             if name not in metadata:
-                told.loss(f"metadata {name}", "is missing")
+                inspection.loss(f"metadata {name}", "is missing")
         if CONFIG_NAME not in content.attachments:
-            told.loss(f"attachment {CONFIG_NAME}", "is missing: the session cannot be replayed")
+            inspection.loss(f"attachment {CONFIG_NAME}", "is missing: the session cannot be replayed")
         self._check_frames(metadata.get("frames", {}))
         self._check_session(metadata.get("session", {}))
 
     def _check_hash(self) -> None:
         recorded = self._content.metadata.get("integrity", {}).get("payload_sha256")
         if recorded is None and self._data_ended:
-            self._told.wrong("hash", "is missing: nothing says that these are the ticks that were recorded")
+            self._inspection.wrong("hash", "is missing, so the ticks cannot be checked against it")
         elif recorded not in {None, self._content.hash.hexdigest()}:
-            self._told.wrong("hash", "the ticks do not match the hash that was recorded with them")
+            self._inspection.wrong("hash", "the ticks do not match the hash that was recorded with them")
         for name in self._content.altered_attachments():
-            self._told.wrong(f"attachment {name}", "does not match the hash that was recorded with it")
+            self._inspection.wrong(f"attachment {name}", "does not match the hash that was recorded with it")
 
     def _check_frames(self, facts: dict[str, str]) -> None:
         found = self._content.frames
         if facts.get("messages", str(found)) != str(found):
-            self._told.wrong("metadata frames", f"it says {facts['messages']} raw frames, the file has {found}")
+            self._inspection.wrong("metadata frames", f"it says {facts['messages']} raw frames, the file has {found}")
         if "missing" in facts:
-            self._told.loss("metadata frames", f"not all raw frames were kept: {facts['missing']}")
+            self._inspection.loss("metadata frames", f"not all raw frames were kept: {facts['missing']}")
 
     def _check_session(self, facts: dict[str, str]) -> None:
-        told = self._told
+        inspection = self._inspection
         missing = [key for key in ("session_id", "started_utc") if key not in facts]
         if self._data_ended:
             missing += [key for key in ("outcome", "ticks") if key not in facts]
-            if facts.get("ticks", str(told.ticks)) != str(told.ticks):
-                told.wrong("metadata session", f"it says {facts['ticks']} ticks, the file has {told.ticks}")
+            if facts.get("ticks", str(inspection.ticks)) != str(inspection.ticks):
+                inspection.wrong("metadata session", f"it says {facts['ticks']} ticks, the file has {inspection.ticks}")
         if missing:
-            told.loss("metadata session", f"says nothing of {', '.join(missing)}")
+            inspection.loss("metadata session", f"lacks {', '.join(missing)}")
         lost = self._content.metadata.get("recovery", {}).get("lost")
         if lost:
-            told.loss("metadata recovery", f"the session was recovered from a damaged file: {lost}")
+            inspection.loss("metadata recovery", f"the session was recovered from a damaged file: {lost}")
 
 
 class _Numbers:
-    """Number and time of each tick, or of each state of the simulated rig, against the one before."""
+    """Compares number and time of each tick, or of each state of the simulated rig, with the previous one."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -224,48 +223,50 @@ class _Numbers:
         self._number = self._time_ns = self._sequence = -1
         self._epoch_ns: int | None = None
 
-    def follow(self, batch: Batch, told: Inspection) -> None:
-        """The next messages of the topic."""
+    def follow(self, batch: Batch, inspection: Inspection) -> None:
+        """Check the next messages of the topic."""
         time_ns, log_time = batch.values["time_ns"].astype(np.int64), batch.log_time.astype(np.int64)
         sequence = batch.sequence.astype(np.int64)
         numbers = batch.values["tick"].astype(np.int64) if self._name == "tick" else sequence
         if self._epoch_ns is None:
             self._epoch_ns = int(log_time[0]) - int(time_ns[0])
-        self._judge_numbers(numbers, told)
-        self._judge_times(numbers, time_ns, log_time, told)
+        self._check_numbers(numbers, inspection)
+        self._check_times(numbers, time_ns, log_time, inspection)
         if self._name == "tick":
-            self._judge_sequence(numbers, sequence, told)
+            self._check_sequence(numbers, sequence, inspection)
         self.count += len(numbers)
         self._number, self._time_ns, self._sequence = int(numbers[-1]), int(time_ns[-1]), int(sequence[-1])
 
-    def _judge_numbers(self, numbers: npt.NDArray[np.int64], told: Inspection) -> None:
+    def _check_numbers(self, numbers: npt.NDArray[np.int64], inspection: Inspection) -> None:
         steps = np.diff(numbers, prepend=self._number)
         for at in np.flatnonzero(steps != 1).tolist():
             number, before = int(numbers[at]), int(numbers[at] - steps[at])
             place = f"{self._name} {number}"
             if number > before:
-                told.loss(place, f"{self._name}s {before + 1}..{number - 1} are missing before it")
+                inspection.loss(place, f"{self._name}s {before + 1}..{number - 1} are missing before it")
             else:
-                told.wrong(place, f"comes after {self._name} {before}")
+                inspection.wrong(place, f"comes after {self._name} {before}")
 
-    def _judge_times(
+    def _check_times(
         self,
         numbers: npt.NDArray[np.int64],
         time_ns: npt.NDArray[np.int64],
         log_time: npt.NDArray[np.int64],
-        told: Inspection,
+        inspection: Inspection,
     ) -> None:
         steps = np.diff(time_ns, prepend=self._time_ns)
         standing = steps <= 0 if self._name == "tick" else steps < 0
         for at in np.flatnonzero(standing).tolist():
-            told.wrong(f"{self._name} {numbers[at]}", f"its time is {-steps[at]} ns before that of the one before")
+            inspection.wrong(f"{self._name} {numbers[at]}", f"its time is {-steps[at]} ns before the previous one's")
         for at in np.flatnonzero(log_time - time_ns != self._epoch_ns)[:1].tolist():
-            told.wrong(f"{self._name} {numbers[at]}", "its wall clock does not go with its monotonic clock")
+            inspection.wrong(f"{self._name} {numbers[at]}", "its wall clock does not match its monotonic clock")
 
-    def _judge_sequence(
-        self, numbers: npt.NDArray[np.int64], sequence: npt.NDArray[np.int64], told: Inspection
+    def _check_sequence(
+        self, numbers: npt.NDArray[np.int64], sequence: npt.NDArray[np.int64], inspection: Inspection
     ) -> None:
-        """A gap in the numbers has been told; here, messages that were lost or repeated under whole numbers."""
+        """Messages that were lost or repeated although the ticks' numbers have no gap."""
         odd = (np.diff(sequence, prepend=self._sequence) != 1) & (np.diff(numbers, prepend=self._number) == 1)
         for at in np.flatnonzero(odd).tolist():
-            told.wrong(f"tick {numbers[at]}", f"is message {sequence[at]}, which does not follow the one before")
+            inspection.wrong(
+                f"tick {numbers[at]}", f"is message {sequence[at]}, which does not follow the previous one"
+            )

@@ -127,7 +127,7 @@ def test_a_newer_session_is_valid_as_far_as_it_is_known(later):
     inspection = validate(later(tick=table(also=[TYRE]), tyre_c=20.0))
     (finding,) = [found for found in inspection.findings if found.place == "schema"]
     assert (inspection.verdict, finding.severity) == ("losses", "loss")
-    assert finding.problem.startswith(f"not all of it could be looked at: its format {NEXT} is newer")
+    assert finding.problem.startswith(f"not all of it could be checked: its format {NEXT} is newer")
 
 
 @pytest.mark.parametrize(

@@ -273,7 +273,7 @@ def test_a_session_without_ticks_cannot_be_replayed(quick, replayed):
 
 
 def test_a_session_without_its_configuration_cannot_be_replayed(quick, replayed):
-    with pytest.raises(SessionError, match=r"holds no config\.toml"):
+    with pytest.raises(SessionError, match=r"has no config\.toml"):
         replayed(replace(quick.session, attachments={}))
 
 

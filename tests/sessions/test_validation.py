@@ -192,13 +192,13 @@ def test_metadata_that_is_missing_is_a_loss(container, judged, name):
 def test_a_session_without_its_outcome_is_a_loss(container, judged):
     verdict, findings = judged(lambda r: [] if container.text("outcome") in r.content else [r])
     assert verdict == "losses"
-    assert findings["metadata session"] == "says nothing of outcome, ticks"
+    assert findings["metadata session"] == "lacks outcome, ticks"
 
 
 def test_a_session_without_its_hash_is_wrong(container, judged):
     verdict, findings = judged(lambda r: [] if of_name(container, r, "inteco_abs.integrity") else [r])
     assert verdict == "wrong"
-    assert "nothing says that these are the ticks" in findings["hash"]
+    assert "cannot be checked against it" in findings["hash"]
 
 
 def test_a_session_without_its_configuration_is_a_loss(judged):

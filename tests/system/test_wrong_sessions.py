@@ -52,7 +52,7 @@ INPUTS = [
         "every MCAP file begins with", (file("stop.mcap", b"\x89MCAP"),)),
     Row("text", "replay notes.txt", 1, ("not an MCAP file", "b'just tex', as text does"),
         "give a session that inteco-abs run wrote", (file("notes.txt", "just text\nof two lines\n"),)),
-    Row("a ROS bag", "info x.bag", 1, ("is a ROS bag",), "sessions of its own only", (file("x.bag",
+    Row("a ROS bag", "info x.bag", 1, ("is a ROS bag",), "reads only its own sessions", (file("x.bag",
         "#ROSBAG V2.0\n"),)),
     Row("a ROS 2 bag", "info x.db3", 1, ("SQLite",), "its own only", (file("x.db3",
         b"SQLite format 3\0" + bytes(99)),)),

@@ -129,7 +129,7 @@ class TestWarnings:
         (tmp_path / "cut.mcap").write_bytes(data[: 3 * len(data) // 4])
         recover_session(tmp_path / "cut.mcap", tmp_path / "new.mcap")
         found = warnings_of(read_session(tmp_path / "new.mcap"))
-        assert found[0].startswith("Outcome: recovered: made of what is whole in cut.mcap")
+        assert found[0].startswith("Outcome: recovered: recovered from cut.mcap")
         assert not any(words.startswith("Recovered, with losses") for words in found)
 
     def test_losses_that_the_card_does_not_tell(self, clean, told):

@@ -10,8 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from inteco_abs.errors import SessionError, describe_disk
-from inteco_abs.sessions import atomic_write, check_output
+from inteco_abs.sessions import write_file
 
 _FILES: Final = {"lichtblick": "lichtblick.json", "plotjuggler": "plotjuggler.xml"}
 
@@ -23,9 +22,4 @@ def layout_of(viewer: str) -> bytes:
 
 def write_layout(viewer: str, out: Path) -> None:
     """Write the layout for a viewer to the new file `out`. Raises ConfigError or SessionError."""
-    check_output(out)
-    with atomic_write(out) as part:
-        try:
-            part.write_bytes(layout_of(viewer))
-        except OSError as error:
-            raise SessionError(f"{out} cannot be written: {describe_disk(error)}") from error
+    write_file(out, layout_of(viewer))

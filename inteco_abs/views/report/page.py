@@ -10,8 +10,8 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from inteco_abs.errors import AbsError, ConfigError, SessionError, describe_disk
-from inteco_abs.sessions import Session, atomic_write, check_output
+from inteco_abs.errors import AbsError, ConfigError
+from inteco_abs.sessions import Session, check_output, write_file
 from inteco_abs.version import __version__
 from inteco_abs.views.comparison import held_rows, labels, require_distinct
 from inteco_abs.views.figure import svg_of
@@ -37,19 +37,14 @@ def check_report(path: Path) -> None:
 
 
 def write_report(sessions: Sequence[Session], path: Path) -> None:
-    """Write the page about `sessions` to `path`, as a whole or not at all.
+    """Write the page about `sessions` to the new file `path`.
 
     Raises ConfigError for a wrong path, too many sessions or one named twice, SessionError if the page cannot be
     written, AbsError without bokeh.
     """
     check_report(path)
     require_distinct(sessions)
-    page = report_page(sessions)
-    with atomic_write(path) as part:
-        try:
-            part.write_text(page, encoding="utf-8")
-        except OSError as error:
-            raise SessionError(f"{path} cannot be written: {describe_disk(error)}") from error
+    write_file(path, report_page(sessions).encode())
 
 
 def report_page(sessions: Sequence[Session]) -> str:
