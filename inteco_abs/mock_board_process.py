@@ -42,9 +42,9 @@ from inteco_abs.realtime import (
     Mailbox,
     RunMemory,
     alive,
+    apply,
     guardian_tuning,
     handle_signals,
-    prepare,
 )
 from inteco_abs.realtime.processes import ENTRY
 
@@ -71,7 +71,7 @@ def main(path: str) -> int:
     standstill = _Standstill(memory)
     front_end = _front_end(job, standstill, schedule, observe)
     server = SocketServer(front_end, str(memory.socket))
-    prepare(guardian_tuning(BOARD_PRIORITY))
+    apply(guardian_tuning(BOARD_PRIORITY))
     with FaultyHost(schedule, Path(job.out), lambda name: _pid_of(name, memory)) as host:
 
         def between() -> None:
@@ -215,7 +215,7 @@ def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
 
 def _be_quick() -> None:
     """Apply the tuning of a run's mock board, except blocked signals, which would disable Ctrl-C."""
-    prepare([tuning for tuning in guardian_tuning(BOARD_PRIORITY) if tuning.name != "signals"])
+    apply([tuning for tuning in guardian_tuning(BOARD_PRIORITY) if tuning.name != "signals"])
 
 
 def _serve(

@@ -83,14 +83,14 @@ def without_privileges():
 
 
 def pytest_terminal_summary(terminalreporter):
-    """Print what tests have recorded as `told`: figures that are worth reading when all is well, too."""
-    told = [
+    """Print what tests have recorded as `figures`, also when all tests pass."""
+    figures = [
         text
         for report in terminalreporter.getreports("passed") + terminalreporter.getreports("failed")
         for name, text in report.user_properties
-        if name == "told" and report.when == "call"
+        if name == "figures" and report.when == "call"
     ]
-    if told:
-        terminalreporter.section("told by tests")
-        for text in told:
+    if figures:
+        terminalreporter.section("figures of the tests")
+        for text in figures:
             terminalreporter.write_line(text + "\n")

@@ -46,9 +46,8 @@ def check_kind(uri: str, config: RigConfig) -> None:
         raise ConfigError([ConfigIssue("board.kind", problem)])
     a_mocks = family.says_name and set(config.board.application_names) <= set(MOCK_NAMES)
     if config.board.simulated and not a_mocks:
-        problem = (
-            f"the profile was made for the mock, and {uri} is a real board; inteco-abs commission makes one for it"
-        )
+        problem = f"the profile was made for the mock, and {uri} is a real board: --set profile=NAME chooses another, "
+        problem += "and inteco-abs commission makes one for it"
         raise ConfigError([ConfigIssue("board.simulated", problem)])
 
 

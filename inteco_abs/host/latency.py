@@ -14,7 +14,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from inteco_abs.host.checks import CheckResult, Judgement, amber, green, red
-from inteco_abs.realtime import Clock, PacedClock, Quantiles, Setting, loop_tuning, prepare, quantiles
+from inteco_abs.realtime import Clock, PacedClock, Quantiles, Setting, apply, loop_tuning, quantiles
 
 SHORTEST_S, LONGEST_S = 0.2, 60.0
 """Limits of the duration of a wake-up test."""
@@ -137,7 +137,7 @@ def _parse(text: str) -> WakeUps:
 
 def _main() -> None:
     seconds = float(sys.argv[1])
-    settings = prepare(loop_tuning())
+    settings = apply(loop_tuning())
     late_ns, missed = wake_ups(PacedClock(_PERIOD_NS), round(seconds * _RATE_HZ))
     late_us = quantiles([late / 1e3 for late in late_ns])
     print(json.dumps(WakeUps(settings, late_us, len(late_ns), missed)._asdict()))  # noqa: T201  to the parent

@@ -25,13 +25,13 @@ from inteco_abs.realtime.tuning import (
     LOOP_PRIORITY,
     Core,
     Setting,
+    apply,
     cores_of,
     guardian_tuning,
     kernel_list,
     loop_cpus,
     loop_tuning,
     parse_cpus,
-    prepare,
 )
 from inteco_abs.realtime.watchdog import prove_watchdog
 from inteco_abs.realtime.window import Window
@@ -68,6 +68,7 @@ __all__ = [
     "VirtualClock",
     "Window",
     "alive",
+    "apply",
     "cores_of",
     "detail_of",
     "guardian_tuning",
@@ -78,7 +79,6 @@ __all__ = [
     "loop_cpus",
     "loop_tuning",
     "parse_cpus",
-    "prepare",
     "prove_watchdog",
     "quantiles",
     "require_room",

@@ -10,8 +10,8 @@ from contextlib import suppress
 from typing import Final
 
 from inteco_abs.boards import STILL_ON
+from inteco_abs.realtime.failure_rules import Silence
 from inteco_abs.realtime.memory import Field, RunMemory
-from inteco_abs.realtime.rules import Silence
 
 _WINDOW_NS: Final = 300_000_000
 _TURN_NS: Final = 100_000_000

@@ -10,7 +10,7 @@ from typing import Final
 
 from inteco_abs.errors import BoardError
 from inteco_abs.realtime.memory import Field, RunMemory
-from inteco_abs.realtime.tuning import Tuning, prepare
+from inteco_abs.realtime.tuning import Tuning, apply
 
 NO_MORE: Final = "end other programs, or raise the limit of processes (ulimit -u); nothing was started"
 
@@ -21,7 +21,7 @@ def repeating(act: Callable[[], object], every_s: float, tunings: Collection[Tun
     over = threading.Event()
 
     def repeat() -> None:
-        prepare(tunings)
+        apply(tunings)
         while not over.wait(every_s):
             act()
 

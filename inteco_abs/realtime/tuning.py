@@ -131,7 +131,7 @@ def kernel_list(cpus: Collection[int]) -> str:
     return ",".join(map(str, sorted(cpus)))
 
 
-def prepare(tunings: Collection[Tuning]) -> list[Setting]:
+def apply(tunings: Collection[Tuning]) -> list[Setting]:
     """Ask for all settings in order; report refusals, raise nothing."""
     settings = []
     for name, ask, fix in tunings:

@@ -165,7 +165,7 @@ class TestUsb2:
             assert (device["group"], device["mode"], device["power_control"]) == ("dialout", "0660", "on")
 
     def test_a_braking_stop_is_complete(self, usb2, kind, record_property):
-        record_property("told", told(kind, usb2.report))
+        record_property("figures", told(kind, usb2.report))
         assert_it_stopped(usb2.report["stop"])
 
     def test_the_stop_replays(self, usb2):
@@ -197,7 +197,7 @@ class TestFtdi:
         assert 1_000 < ftdi.report["reading_us"]["1"] < 3_000
 
     def test_a_braking_stop_is_complete(self, ftdi, kind, record_property):
-        record_property("told", told(kind, ftdi.report))
+        record_property("figures", told(kind, ftdi.report))
         assert_it_stopped(ftdi.report["stop"])
 
     def test_the_stop_replays(self, ftdi):

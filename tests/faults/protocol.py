@@ -2,8 +2,8 @@
 
 Loop, guardian and supervisor, as `inteco_abs.realtime` has them, each step of theirs an atom; any of them and the
 recorder may be killed or frozen before any step and go on again after any, and the whole computer may stand still.
-What guardian and supervisor do is decided by the very functions that decide it in the code, `realtime.rules`, and the
-windows are the code's. Time is counted in polls of 25 ms: in each of them every process that can acts once, in any
+The functions of `realtime.failure_rules` decide what guardian and supervisor do, here as in the code, and the windows
+are the code's. Time is counted in polls of 25 ms: in each of them every process that can acts once, in any
 order.
 
 A frozen recorder is as good as a healthy one here: nobody's safety waits for it.
@@ -13,8 +13,8 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
-from inteco_abs.realtime import rules as code
-from inteco_abs.realtime.rules import Action
+from inteco_abs.realtime import failure_rules as code
+from inteco_abs.realtime.failure_rules import Action
 
 POLL_NS = 25_000_000
 LOOP_WINDOW = 50_000_000 // POLL_NS

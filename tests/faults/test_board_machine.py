@@ -275,5 +275,5 @@ def test_in_whatever_order_a_board_is_used_and_lost_it_is_left_safe_or_somebody_
     run_state_machine_as_test(machine, settings=FEW)
     exchanges = f"{machine.good} good and {machine.stale} failed exchanges"
     told = f"{machine.told} times told that power may still be on"
-    record_property("told", f"{profile}: {machine.steps} steps, opened {machine.opened} times, {exchanges}, {told}")
+    record_property("figures", f"{profile}: {machine.steps} steps, opened {machine.opened} times, {exchanges}, {told}")
     assert min(machine.good, machine.stale, machine.told) > 0

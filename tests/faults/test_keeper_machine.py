@@ -192,4 +192,4 @@ def test_in_whatever_order_disks_fail_and_programs_die_every_tick_is_kept_and_no
     monkeypatch.setattr(recorder, "_Disk", disk)
     monkeypatch.setattr(recorder, "McapWriter", partial(McapWriter, chunk_bytes=2048))
     run_state_machine_as_test(Keeping, settings=FEW)
-    record_property("told", f"keeper: {Keeping.steps} steps, {Keeping.recoveries} recoveries of what a kill left")
+    record_property("figures", f"keeper: {Keeping.steps} steps, {Keeping.recoveries} recoveries of what a kill left")

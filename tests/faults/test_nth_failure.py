@@ -30,7 +30,7 @@ def test_whatever_is_refused_outputs_are_off_and_no_tick_is_lost_untold(place, r
 
 def told(record_property, scene: str, kinds: Counter[str], runs: int, bad: list[str]) -> None:
     counted = ", ".join(f"{number} {kind}" for kind, number in sorted(kinds.items()))
-    record_property("told", f"{scene}: {counted}; {runs} runs with requests refused, violations: {len(bad)}")
+    record_property("figures", f"{scene}: {counted}; {runs} runs with requests refused, violations: {len(bad)}")
 
 
 def test_a_git_that_cannot_be_started_keeps_no_run_from_its_end(place, record_property, monkeypatch):
@@ -80,7 +80,7 @@ def test_a_clock_that_is_wrong_from_the_kth_look_on_costs_no_tick(place, record_
             session = read_session(place.session)
             if run.error or any(run.devices[0].duties) or session.incomplete or session.payload != place.whole:
                 bad.append(f"look {k}, for good: {for_good}: {run.error!r}")
-    record_property("told", f"a clock {wrong}: {most} looks, {2 * most} runs, violations: {len(bad)}")
+    record_property("figures", f"a clock {wrong}: {most} looks, {2 * most} runs, violations: {len(bad)}")
     assert most
     assert not bad, "\n".join(bad)
 

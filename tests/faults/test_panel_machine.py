@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import ClassVar
 
 import pytest
-from hand_bench import Bench
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import (
@@ -16,6 +15,7 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
+from manual_bench import Bench
 
 from inteco_abs.commissioning.panel import Panel
 from inteco_abs.errors import UnsafeError
@@ -194,6 +194,6 @@ def test_whatever_is_pressed_power_ends_with_the_key_and_what_the_guard_takes_on
         monkeypatch.setattr(plant, "MOST_CUTS", 1)
         run_state_machine_as_test(PanelMachine, settings=FEW)
     told = f"{PanelMachine.steps} steps, {PanelMachine.beats} beats, {PanelMachine.powered} of them with power on"
-    record_property("told", f"panel: {told}, {PanelMachine.trips} times taken away")
+    record_property("figures", f"panel: {told}, {PanelMachine.trips} times taken away")
     assert PanelMachine.powered
     assert PanelMachine.trips

@@ -20,7 +20,7 @@ pytestmark = [
 
 def strike(lives, record_property, names, share):
     found = strike_each(lives, names, share)
-    record_property("told", f"{', '.join(names)}: {found}")
+    record_property("figures", f"{', '.join(names)}: {found}")
     assert not found.bad, "\n".join(found.bad)
 
 
@@ -70,7 +70,7 @@ class TestInRealTime:
         return live
 
     def test_who_interrupts_just_before_the_loop_is_let_go_is_told_so(self, strike):
-        life, problem = strike(line_of(Supervisor._start_loop, "prepare("), "SIGINT")
+        life, problem = strike(line_of(Supervisor._start_loop, "apply("), "SIGINT")
         assert not problem
         assert (life.struck, life.code) == (True, INTERRUPTED)
 
@@ -91,6 +91,6 @@ class TestInRealTime:
         lines = [line for line in counting.times if str(line).partition(":")[0] in self.FILES]
         found = [strike(line, draw.choice(["SIGINT", "SIGINT twice"])) for line in draw.sample(lines, 40)]
         delivered, bad = sum(life.struck for life, _ in found), [problem for _, problem in found if problem]
-        record_property("told", f"supervisor: {delivered} signals before {len(lines)} lines, violations: {len(bad)}")
+        record_property("figures", f"supervisor: {delivered} signals before {len(lines)} lines, violations: {len(bad)}")
         assert delivered
         assert not bad, "\n".join(bad)

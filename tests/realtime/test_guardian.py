@@ -21,11 +21,11 @@ from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError
 from inteco_abs.mock_board import Device, SocketServer
-from inteco_abs.realtime import watch as watch_module
+from inteco_abs.realtime import process_watch as watch_module
+from inteco_abs.realtime.failure_rules import Silence
 from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.realtime.processes import guardian as guardian_module
 from inteco_abs.realtime.processes.guardian import Guardian, rescue
-from inteco_abs.realtime.rules import Silence
 from inteco_abs.realtime.tuning import guardian_tuning
 from inteco_abs.sessions import TICK
 from inteco_abs.signals import Reason
@@ -432,7 +432,7 @@ def test_the_process_guards_and_ends_when_all_is_over(memory, job_of, child, unt
 def test_the_process_prepares_itself_and_then_watches_until_nothing_is_left(memory, job_of, ended, monkeypatch):
     tunings, done = guardian_tuning(), []
     monkeypatch.setattr(guardian_module, "guardian_tuning", lambda: tunings)
-    monkeypatch.setattr(guardian_module, "prepare", done.append)
+    monkeypatch.setattr(guardian_module, "apply", done.append)
     job_of(memory)
     memory.words[Field.SUPERVISOR_PID] = ended
     assert guardian_module.main(str(memory.path)) == 0
@@ -448,8 +448,8 @@ def standing_of(pid):
 
 
 PREPARED = """
-from inteco_abs.realtime.tuning import guardian_tuning, prepare
-prepare(guardian_tuning())
+from inteco_abs.realtime.tuning import guardian_tuning, apply
+apply(guardian_tuning())
 print("prepared", flush=True)
 input()
 """

@@ -8,10 +8,10 @@ import pytest
 
 from inteco_abs.boards import STILL_ON
 from inteco_abs.realtime import alarm as alarm_module
+from inteco_abs.realtime.failure_rules import POLL_NS, SUPERVISOR_WINDOW_NS
 from inteco_abs.realtime.memory import Field, Mailbox
 from inteco_abs.realtime.processes import guardian as guardian_module
 from inteco_abs.realtime.processes.guardian import Guardian
-from inteco_abs.realtime.rules import POLL_NS, SUPERVISOR_WINDOW_NS
 from inteco_abs.sessions import TICK, pack_tick
 from inteco_abs.signals import Reason
 

@@ -45,7 +45,7 @@ class Process:
         monkeypatch.setattr(rt, "resource", usage)
         monkeypatch.setattr(rt, "time", clock)
         monkeypatch.setattr(rt, "loop_tuning", lambda: "the loop's")
-        monkeypatch.setattr(rt, "prepare", lambda tunings: self.tunings.append(tunings) or [SETTING])
+        monkeypatch.setattr(rt, "apply", lambda tunings: self.tunings.append(tunings) or [SETTING])
         monkeypatch.setattr(rt, "require_rate", lambda _board, period_ns: self.rates.append(period_ns) or PACE)
         monkeypatch.setattr(rt.os, "_exit", self.codes.append)
 

@@ -524,7 +524,7 @@ def recording(new_memory, job_of, child, until):
 @pytest.fixture
 def here(new_memory, job_of, child, until, monkeypatch):
     tunings = []
-    monkeypatch.setattr(recorder, "prepare", tunings.append)
+    monkeypatch.setattr(recorder, "apply", tunings.append)
     memory = new_memory(400, 400)
     made = RecordingHere(memory, job_of(memory), child, until)
     yield made

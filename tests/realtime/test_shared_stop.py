@@ -4,10 +4,10 @@ import time
 
 import pytest
 
+from inteco_abs.realtime.failure_rules import LOOPS_WINDOW_NS
 from inteco_abs.realtime.memory import Field
 from inteco_abs.realtime.processes import loop as rt
 from inteco_abs.realtime.processes.loop import SharedStop
-from inteco_abs.realtime.rules import LOOPS_WINDOW_NS
 from inteco_abs.signals import Reason
 
 START_NS = 10**12

@@ -42,7 +42,7 @@ class Noting(NoScreen):
         self.shown += 1
 
 
-class Watch:
+class NoWatch:
     """The watch's place, taken by nobody."""
 
     def __init__(self, _memory, _job, loop_pid, guardian_pid):
@@ -125,9 +125,9 @@ def staged(memory, job_of, child, monkeypatch):
         sleep=made.sleep, monotonic=lambda: made.now_s, monotonic_ns=lambda: round(made.now_s * 1e9)
     )
     made.tunings = []
-    for name, value in (("time", clock), ("Watch", Watch), ("_END_S", 0.0), ("_FINISH_S", 0.0)):
+    for name, value in (("time", clock), ("ProcessWatch", NoWatch), ("_END_S", 0.0), ("_FINISH_S", 0.0)):
         monkeypatch.setattr(supervisor_module, name, value)
-    monkeypatch.setattr(supervisor_module, "prepare", made.tunings.append)
+    monkeypatch.setattr(supervisor_module, "apply", made.tunings.append)
     monkeypatch.setattr(supervisor_module, "handle_signals", lambda _stop: nullcontext())
     monkeypatch.setattr(memory, "wait", lambda condition, _most_s: condition())
     return made
@@ -154,7 +154,7 @@ def test_the_processors_that_it_may_use_are_those_from_before(staged, monkeypatc
     one = {min(before)}
     os.sched_setaffinity(0, one)
     try:
-        monkeypatch.setattr(supervisor_module, "prepare", lambda _tunings: os.sched_setaffinity(0, before))
+        monkeypatch.setattr(supervisor_module, "apply", lambda _tunings: os.sched_setaffinity(0, before))
         staged.run(staged.screen)
         assert os.sched_getaffinity(0) == one
     finally:

@@ -99,7 +99,7 @@ class LiveRun:
                 return int(entry.name)
         return 0
 
-    def strike(self, role, number=signal.SIGKILL):
+    def kill(self, role, number=signal.SIGKILL):
         """Send a signal; the time, in ns of the monotonic clock, just before."""
         pid = self.pid(role)
         now_ns = time.monotonic_ns()

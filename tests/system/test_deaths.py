@@ -12,11 +12,11 @@ import termios
 import time
 from pathlib import Path
 
+import process_faults
 import pytest
-import strikes
 import tracing
+from killed_run import KINDS, RUNS, run_and_kill, table
 from live import STARTS, LiveRun, safe_after_ns
-from ordeal import KINDS, RUNS, ordeal, table
 
 from inteco_abs.realtime.memory import Field
 from inteco_abs.signals import Phase, Reason
@@ -94,12 +94,12 @@ def test_a_loop_that_is_killed_at_any_moment_leaves_safe_and_every_tick(live, re
     run = live()
     run.until_tick(moment.randrange(1, 3300))
     time.sleep(moment.random() * 0.0005)
-    struck_ns = run.strike("loop")
+    killed_ns = run.kill("loop")
     code, card, message = run.end()
     assert code == 5, message
     assert (card["outcome"], card["lost_ticks"], card["ticks"]) == ("aborted", 0, run.ticks.written)
     session = assert_nothing_lost(run, replayed)
-    assert safe_after_ns(session, struck_ns) < GENEROUS_NS
+    assert safe_after_ns(session, killed_ns) < GENEROUS_NS
     reason = session.metadata["session"]["reason"]
     assert f"died after tick {run.ticks.written - 1}; the guardian made its board safe in" in reason
     assert reason in message
@@ -110,7 +110,7 @@ def test_a_loop_that_is_killed_at_any_moment_leaves_safe_and_every_tick(live, re
 def test_a_loop_that_is_killed_leaves_no_raw_frames_and_the_session_says_so(live, replayed):
     run = live("--frames")
     run.until_tick(TURNING)
-    run.strike("loop")
+    run.kill("loop")
     code, card, message = run.end()
     assert (code, card["outcome"], card["lost_ticks"]) == (5, "aborted", 0)
     missing = "the loop's process ended before it had saved them"
@@ -124,7 +124,7 @@ def test_a_loop_that_is_killed_leaves_no_raw_frames_and_the_session_says_so(live
 def test_without_a_recorder_the_raw_frames_are_in_the_session_too(live, replayed):
     run = live("--frames")
     run.until_tick(TURNING)
-    run.strike("recorder")
+    run.kill("recorder")
     assert run.end()[0] == 5
     session = assert_nothing_lost(run, replayed)
     assert session.frames > 2 * len(session.ticks)
@@ -136,7 +136,7 @@ def test_without_a_recorder_the_raw_frames_are_in_the_session_too(live, replayed
 def test_a_loop_that_hangs_is_killed_by_the_guardian(live, replayed):
     run = live()
     run.until_tick(TURNING)
-    stopped_ns = run.strike("loop", signal.SIGSTOP)
+    stopped_ns = run.kill("loop", signal.SIGSTOP)
     code, card, message = run.end()
     assert (code, card["outcome"]) == (5, "aborted")
     assert "the loop's process hung and was killed" in message
@@ -197,13 +197,13 @@ def test_a_loop_that_never_gives_up_its_cpu_is_ended_by_the_guardian(live, tmp_p
 def test_without_guardian_or_recorder_the_loop_stops_safely(live, replayed, role, reason, number):
     run = live()
     run.until_tick(TURNING)
-    struck_ns = run.strike(role, number)
+    killed_ns = run.kill(role, number)
     code, card, message = run.end()
     assert code == 5, message
     assert (card["outcome"], card["reason"], card["lost_ticks"]) == ("fault", reason.name, 0)
     session = assert_nothing_lost(run, replayed)
     assert session.ticks["stop_request"][-1] == reason
-    assert safe_after_ns(session, struck_ns) < GENEROUS_NS
+    assert safe_after_ns(session, killed_ns) < GENEROUS_NS
     assert session.metadata["session"]["died"] == role
     if role == "recorder":
         assert "made from what the run left in memory" in message
@@ -213,23 +213,23 @@ def test_without_guardian_or_recorder_the_loop_stops_safely(live, replayed, role
 def test_without_supervisor_the_run_stops_safely_and_the_recorder_finishes_the_file(live, replayed):
     run = live()
     run.until_tick(TURNING)
-    struck_ns = run.strike("supervisor")
+    killed_ns = run.kill("supervisor")
     run.process.communicate(timeout=30)
     assert_left_nothing_behind(run)
     session = assert_nothing_lost(run, replayed)
     assert session.metadata["session"]["outcome"] == "fault"
     assert session.metadata["session"]["died"] == "supervisor"
     assert session.ticks["reason"][-1] == Reason.SUPERVISOR_LOST
-    assert safe_after_ns(session, struck_ns) < GENEROUS_NS
+    assert safe_after_ns(session, killed_ns) < GENEROUS_NS
 
 
 @pytest.mark.long
 def test_a_supervisor_that_is_stopped_counts_as_gone(live, replayed):
     run = live("--set", "experiment.start_speed_rad_s=90")
     run.until_tick(TURNING)
-    run.strike("supervisor", signal.SIGSTOP)
+    run.kill("supervisor", signal.SIGSTOP)
     run.until(lambda: not run.words[Field.HOLDER_PID])
-    run.strike("supervisor", signal.SIGCONT)
+    run.kill("supervisor", signal.SIGCONT)
     code, card, _ = run.end()
     assert (code, card["reason"]) == (5, "SUPERVISOR_LOST")
     assert_nothing_lost(run, replayed)
@@ -241,12 +241,12 @@ def test_loop_and_guardian_killed_at_once_leave_the_supervisor(live, replayed):
     """Nobody is promised this: with all three gone only the emergency switch is left."""
     run = live()
     run.until_tick(TURNING)
-    run.strike("guardian")
-    struck_ns = run.strike("loop")
+    run.kill("guardian")
+    killed_ns = run.kill("loop")
     code, card, _ = run.end()
     assert (code, card["outcome"], card["lost_ticks"]) == (5, "aborted", 0)
     session = assert_nothing_lost(run, replayed)
-    assert safe_after_ns(session, struck_ns) < GENEROUS_NS
+    assert safe_after_ns(session, killed_ns) < GENEROUS_NS
     assert session.metadata["session"]["died"] == "loop, guardian"
     assert_left_nothing_behind(run)
 
@@ -255,16 +255,16 @@ BOTH_FROZEN = (("loop", "freeze"), ("guardian", "freeze"))
 
 
 @pytest.mark.parametrize("kind", [each if each == BOTH_FROZEN else pytest.param(each, marks=pytest.mark.long)
-                                  for each in strikes.KINDS], ids=strikes.name_of)  # fmt: skip
+                                  for each in process_faults.KINDS], ids=process_faults.name_of)  # fmt: skip
 def test_whoever_is_killed_or_frozen_the_board_is_made_safe_or_the_switch_is_called_for(
     command_path, tmp_path, untraced, kind
 ):
-    found = strikes.struck(command_path, tmp_path, untraced, kind, 0)
+    found = process_faults.run_with_faults(command_path, tmp_path, untraced, kind, 0)
     assert unexplained(found.trace, len(kind), {}) is None, found
-    if strikes.anybody_left(kind):
+    if process_faults.any_actor_left(kind):
         assert found.off_ms * 1e6 < GENEROUS_NS, found
     else:
-        assert found.off_ms < float("inf") or found.told, found
+        assert found.off_ms < float("inf") or found.warned, found
 
 
 @pytest.fixture
@@ -324,7 +324,7 @@ def test_of_a_loop_that_cannot_be_killed_the_user_hears_at_once_from_whoever_is_
 def test_a_board_that_is_gone_is_said_loudly(live):
     run = live()
     run.until_tick(TURNING)
-    run.strike("board")
+    run.kill("board")
     code, card, message = run.end()
     assert (code, card["outcome"], card["reason"]) == (5, "aborted", "MISSED_EXCHANGES")
     assert "MOTOR POWER MAY STILL BE ON: press the emergency switch" in message
@@ -350,7 +350,7 @@ def go_through(command_path, tmp_path, untraced, victims, numbers):
     found = []
     for number in numbers:
         (tmp_path / str(number)).mkdir(parents=True)
-        found.append(ordeal(command_path, tmp_path / str(number), untraced, victims, number))
+        found.append(run_and_kill(command_path, tmp_path / str(number), untraced, victims, number))
     return found
 
 
@@ -370,7 +370,7 @@ def test_without_recorder_and_supervisor_every_tick_is_recovered_from_memory(com
 @pytest.mark.parametrize("victims", KINDS, ids="+".join)
 def test_whoever_dies_whenever_every_tick_is_kept(command_path, tmp_path, untraced, record_property, victims):
     found = go_through(command_path, tmp_path, untraced, victims, range(RUNS))
-    record_property("told", "\n".join(list(table({victims: found}))[:2]))
+    record_property("figures", "\n".join(list(table({victims: found}))[:2]))
     assert [each for each in found if not each.passed] == []
     assert any(each.kept for each in found)
 
@@ -380,7 +380,7 @@ def test_the_next_run_tells_of_what_a_crash_has_left(live, tmp_path):
     run = live()
     run.until_tick(TURNING)
     for role in ("supervisor", "guardian", "recorder", "loop", "board"):
-        run.strike(role)
+        run.kill(role)
     run.process.communicate()
     again = live("--out", tmp_path / "next.mcap")
     again.process.send_signal(signal.SIGINT)
@@ -452,10 +452,10 @@ def test_a_disk_that_goes_on_refusing_leaves_the_ticks_in_memory(live, inteco_ab
 def test_a_signal_ends_a_run_with_a_complete_session(live, replayed, number):
     run = live()
     run.until_tick(TURNING)
-    struck_ns = run.strike("supervisor", number)
+    killed_ns = run.kill("supervisor", number)
     code, card, _ = run.end()
     assert (code, card["outcome"], card["reason"]) == (130, "interrupted", "OPERATOR_STOP")
-    assert safe_after_ns(assert_nothing_lost(run, replayed), struck_ns) < GENEROUS_NS
+    assert safe_after_ns(assert_nothing_lost(run, replayed), killed_ns) < GENEROUS_NS
     assert_left_nothing_behind(run)
 
 

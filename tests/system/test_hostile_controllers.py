@@ -172,7 +172,7 @@ def test_a_file_of_the_users_is_not_taken_for_a_library(command_path, tmp_path, 
 def test_a_loop_that_is_stopped_before_its_first_tick_is_ended(command_path, tmp_path, untraced):
     run = LiveRun(command_path, tmp_path, untraced, begun=False)
     run.until(lambda: run.words[Field.READY] == run.words[Field.LOOP_PID] != 0)
-    run.strike("loop", signal.SIGSTOP)
+    run.kill("loop", signal.SIGSTOP)
     code, _, _ = run.end(most_s=30.0)
     assert code != 0
     assert not run.memory.path.exists()
@@ -181,7 +181,7 @@ def test_a_loop_that_is_stopped_before_its_first_tick_is_ended(command_path, tmp
 @pytest.mark.long
 def test_without_a_guardian_that_takes_over_nothing_is_started(command_path, tmp_path, untraced):
     run = LiveRun(command_path, tmp_path, untraced, begun=False)
-    run.strike("guardian", signal.SIGSTOP)  # while it is being loaded
+    run.kill("guardian", signal.SIGSTOP)  # while it is being loaded
     code, card, message = run.end(most_s=60.0)
     assert (code, card) == (1, None)
     assert "the guardian watches: not within 15 s" in message
@@ -193,12 +193,12 @@ def test_without_a_guardian_that_takes_over_nothing_is_started(command_path, tmp
 def test_a_guardian_that_stands_still_is_replaced_when_the_loop_dies(command_path, tmp_path, untraced):
     run = LiveRun(command_path, tmp_path, untraced)
     run.until_tick(400)
-    run.strike("guardian", signal.SIGSTOP)
-    struck_ns = run.strike("loop")
+    run.kill("guardian", signal.SIGSTOP)
+    killed_ns = run.kill("loop")
     code, card, message = run.end()
     assert (code, card["outcome"]) == (5, "aborted")
     assert "the supervisor made its board safe" in message
-    assert safe_after_ns(run.session(), struck_ns) < 3_000_000_000
+    assert safe_after_ns(run.session(), killed_ns) < 3_000_000_000
 
 
 @pytest.mark.long

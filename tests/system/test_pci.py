@@ -29,12 +29,12 @@ def test_a_loop_that_is_killed_leaves_safe_behind(command_path, tmp_path, untrac
     run = LiveRun(command_path, tmp_path, untraced, *PCI)
     try:
         run.until_tick(TURNING)
-        struck_ns = run.strike("loop")
+        killed_ns = run.kill("loop")
         code, card, message = run.end()
         assert code == 5, message
         assert (card["outcome"], card["lost_ticks"]) == ("aborted", 0)
         assert "the guardian made its board safe in" in message
-        assert safe_after_ns(run.session(), struck_ns) < GENEROUS_NS
+        assert safe_after_ns(run.session(), killed_ns) < GENEROUS_NS
     finally:
         for pid in run.processes():
             os.kill(pid, signal.SIGKILL)

@@ -52,7 +52,7 @@ def test_with_every_process_of_the_run_gone_the_motors_lose_their_power_in_50_ms
     truths = run.memory.truth_reader()
     run.until_tick(TURNING)
     pids = [run.pid(role) for role in EVERYBODY]
-    struck_ns = time.monotonic_ns()
+    killed_ns = time.monotonic_ns()
     for pid in pids:
         os.kill(pid, number)
     time.sleep(0.6)  # the board goes on for a second without a host
@@ -61,7 +61,7 @@ def test_with_every_process_of_the_run_gone_the_motors_lose_their_power_in_50_ms
     off = rows[rows["time_ns"] > on["time_ns"][-1]]
     assert len(off), "the board was left with an output on"
     # the width stays where it was: it is the power that is gone
-    assert 0 < int(off["time_ns"][0]) - struck_ns < HOLD_NS + MARGIN_NS
+    assert 0 < int(off["time_ns"][0]) - killed_ns < HOLD_NS + MARGIN_NS
     assert int(off["time_ns"][0]) - int(on["time_ns"][-1]) > HOLD_NS // 2
 
 

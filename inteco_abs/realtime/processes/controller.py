@@ -31,7 +31,7 @@ from inteco_abs.plugins import FROM_FILE, LOADING_MOST_S, Controllers, load_cont
 from inteco_abs.realtime.heartbeat import NO_MORE
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.processes import ENTRY
-from inteco_abs.realtime.tuning import controller_tuning, end_with_parent, prepare
+from inteco_abs.realtime.tuning import apply, controller_tuning, end_with_parent
 from inteco_abs.signals import BrakeDemand, Estimate, Prediction
 
 _LOOK_MS: Final = 5
@@ -225,7 +225,7 @@ def _serve(requests: int, replies: int) -> None:
     controller = _made(requests, replies)
     if controller is None:
         return
-    prepare(controller_tuning())
+    apply(controller_tuning())
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))  # without root's rights nothing here rises above the loop
     _write(replies, {})
     _answer(requests, replies, controller)

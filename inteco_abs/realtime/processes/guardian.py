@@ -19,11 +19,11 @@ from inteco_abs.boards import open_board
 from inteco_abs.config import RigConfig
 from inteco_abs.errors import BoardError
 from inteco_abs.realtime.alarm import Alarm
+from inteco_abs.realtime.failure_rules import POLL_NS, POLL_S, SUPERVISOR_WINDOW_NS, Action, Silence, guardian_does
 from inteco_abs.realtime.heartbeat import beating
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
-from inteco_abs.realtime.rules import POLL_NS, POLL_S, SUPERVISOR_WINDOW_NS, Action, Silence, guardian_does
-from inteco_abs.realtime.tuning import GUARDIAN_PRIORITY, guardian_tuning, prepare, watch_tuning
+from inteco_abs.realtime.tuning import GUARDIAN_PRIORITY, apply, guardian_tuning, watch_tuning
 from inteco_abs.signals import Reason
 
 _RECORDER_WINDOW_NS: Final = 1_000_000_000
@@ -188,6 +188,6 @@ def main(path: str) -> int:
     """Guard the run in the memory at `path`."""
     memory = RunMemory.open(Path(path))
     guardian = Guardian(memory, Job.of(memory))
-    prepare(guardian_tuning())
+    apply(guardian_tuning())
     guardian.watch()
     return 0

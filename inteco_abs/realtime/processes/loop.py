@@ -16,6 +16,7 @@ from inteco_abs.control import Controller, build_pipeline, gains_in_force
 from inteco_abs.errors import AbsError
 from inteco_abs.format import pack_tick
 from inteco_abs.realtime.clock import PacedClock
+from inteco_abs.realtime.failure_rules import LOOPS_WINDOW_NS
 from inteco_abs.realtime.frame_spool import saving_frames
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.loop import Loop, detail_of
@@ -23,8 +24,7 @@ from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
 from inteco_abs.realtime.ownership import PATIENCE_S, holding, post_failure, stopped
 from inteco_abs.realtime.processes.controller import controllers_of
 from inteco_abs.realtime.round_trips import require_rate
-from inteco_abs.realtime.rules import LOOPS_WINDOW_NS
-from inteco_abs.realtime.tuning import loop_tuning, prepare
+from inteco_abs.realtime.tuning import apply, loop_tuning
 from inteco_abs.realtime.watchdog import prove_watchdog
 from inteco_abs.signals import Reason
 from inteco_abs.wire import record_wire
@@ -114,7 +114,7 @@ def _hold(memory: RunMemory, job: Job, around: Wrap, controllers: Mapping[str, t
         identity = board.require_writable()
         memory.post(Mailbox.SAFE_IMAGE, board.safe_image)
         loop = Loop(board, pipeline, clock, ring, SharedStop(memory))
-        settings = prepare(loop_tuning())
+        settings = apply(loop_tuning())
         pace = {} if simulated(job.board) else require_rate(board, config.period_ns)
         watchdog = prove_watchdog(board, config.period_ns, time.sleep)
         header = {

@@ -26,7 +26,7 @@ from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
 from inteco_abs.realtime.ownership import holding, post_failure
 from inteco_abs.realtime.processes.loop import SharedStop
 from inteco_abs.realtime.round_trips import require_rate
-from inteco_abs.realtime.tuning import loop_tuning, prepare
+from inteco_abs.realtime.tuning import apply, loop_tuning
 from inteco_abs.realtime.watchdog import prove_watchdog
 from inteco_abs.signals import UNTIMED, BoardFlags, Command, Estimate, Phase, Reason, Sample, Tick
 
@@ -276,7 +276,7 @@ def _hold(memory: RunMemory, job: Job) -> None:
         memory.post(Mailbox.HEADER, {"identity": str(board.identity), "read_only_because": read_only})
         if not read_only:
             memory.post(Mailbox.SAFE_IMAGE, board.safe_image)
-            prepare(loop_tuning())
+            apply(loop_tuning())
             if not simulated(job.board):
                 require_rate(board, config.period_ns)
             prove_watchdog(board, config.period_ns, time.sleep)

@@ -27,7 +27,7 @@ from inteco_abs.realtime.heartbeat import beating
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
 from inteco_abs.realtime.ownership import post_failure
-from inteco_abs.realtime.tuning import prepare, recorder_tuning
+from inteco_abs.realtime.tuning import apply, recorder_tuning
 from inteco_abs.realtime.window import Window
 from inteco_abs.sessions import (
     TICK,
@@ -62,7 +62,7 @@ def main(path: str) -> int:
     """Record the run in the memory at `path`."""
     memory = RunMemory.open(Path(path))
     memory.name(Field.RECORDER_PID, os.getpid())
-    prepare(recorder_tuning())
+    apply(recorder_tuning())
     job = Job.of(memory)
     try:
         with live_view(memory, job):

@@ -12,7 +12,7 @@ from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Mailbox, RunMemory
 from inteco_abs.realtime.ownership import post_failure
 from inteco_abs.realtime.round_trips import choose_engine, round_trips
-from inteco_abs.realtime.tuning import loop_tuning, prepare
+from inteco_abs.realtime.tuning import apply, loop_tuning
 
 COUNT: Final = 4000
 
@@ -24,7 +24,7 @@ def main(path: str) -> int:
     try:
         with open_board(job.address, job.config, time.monotonic_ns) as board:
             board.require_writable()
-            prepare(loop_tuning())
+            apply(loop_tuning())
             engines = choose_engine(board)
             times_us = round_trips(board, COUNT)
     except AbsError as error:

@@ -23,12 +23,12 @@ from inteco_abs.realtime.foxglove_server import address
 from inteco_abs.realtime.heartbeat import NO_MORE
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
+from inteco_abs.realtime.process_watch import ProcessWatch
 from inteco_abs.realtime.processes import ENTRY
 from inteco_abs.realtime.processes.recorder import describe_board, rebuild, run_end
 from inteco_abs.realtime.screen import NoScreen, SafeScreen, Screen, Snapshot, SnapshotSource, StartCheck
 from inteco_abs.realtime.signal_handlers import handle_signals
-from inteco_abs.realtime.tuning import prepare, supervisor_tuning
-from inteco_abs.realtime.watch import Watch
+from inteco_abs.realtime.tuning import apply, supervisor_tuning
 from inteco_abs.sessions import EXIT_CODES, LOSSES, RunResult, spill_path
 from inteco_abs.signals import EXPLANATIONS, Reason
 
@@ -61,7 +61,7 @@ class Supervisor:
         self._ticks = memory.tick_reader()
         self._snapshots = SnapshotSource(memory.tick_reader(), memory.histogram, job.config.loop.rate_hz)
         self._alive_s = 0.0
-        self._watch: Watch | None = None
+        self._watch: ProcessWatch | None = None
         self._watching = ExitStack()
 
     def run(self, screen: Screen) -> RunResult:
@@ -170,9 +170,9 @@ class Supervisor:
             self.spawn(role, ENTRY, role, str(self._memory.path))
         self._memory.name(Field.LOOP_PID, self._children["loop"].pid)
 
-    def _begin_watch(self) -> Watch:
+    def _begin_watch(self) -> ProcessWatch:
         """Start the watch in its own thread, as drawing a screen may block."""
-        watch = Watch(self._memory, self._job, self._children["loop"].pid, self._children["guardian"].pid)
+        watch = ProcessWatch(self._memory, self._job, self._children["loop"].pid, self._children["guardian"].pid)
         self._watching.enter_context(watch.watching())
         self._watch = watch
         return watch
@@ -198,7 +198,7 @@ class Supervisor:
         self._memory.post(Mailbox.DRILL, {"guardian drill": detail})
         screen.passed(StartCheck.GUARDIAN, detail)
 
-    def _start_loop(self, screen: Screen, watch: Watch) -> None:
+    def _start_loop(self, screen: Screen, watch: ProcessWatch) -> None:
         words, loop = self._words, self._children["loop"]
         words[Field.GUARDED_PID] = loop.pid
         self._wait_for(lambda: words[Field.READY] == loop.pid, "the loop is ready", "loop", _START_S)
@@ -212,7 +212,7 @@ class Supervisor:
             screen.note(
                 f"ticks will be late more often: the system refused {', '.join(refused)}; see inteco-abs doctor"
             )
-        prepare(supervisor_tuning())  # not before: the processes would inherit it
+        apply(supervisor_tuning())  # not before: the processes would inherit it
         watch.judging = True
         words[Field.GO] = 1
 
@@ -239,7 +239,7 @@ class Supervisor:
             return BoardError(f"{ended}{why}; nothing was started")
         return restored_error(failure)
 
-    def _until_the_loop_ends(self, screen: SafeScreen, watch: Watch) -> None:
+    def _until_the_loop_ends(self, screen: SafeScreen, watch: ProcessWatch) -> None:
         loop = self._children["loop"]
         disk = DiskWatch(self._memory, self._job)
         alarm = Alarm(self._memory, turn=0, say=screen.shown)

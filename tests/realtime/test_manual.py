@@ -1,9 +1,9 @@
 """What the panel's process does with requests: in virtual time, with the real board, guard and shared memory."""
 
 import pytest
-from hand_bench import Bench
 from hypothesis import given
 from hypothesis import strategies as st
+from manual_bench import Bench
 
 from firmware_protocol.rtdac_usb2 import READ_REQUEST
 from inteco_abs.config import load_config, parse_config, profiles

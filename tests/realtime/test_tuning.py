@@ -16,6 +16,7 @@ from inteco_abs.realtime.tuning import (
     Core,
     Setting,
     Tuning,
+    apply,
     controller_tuning,
     cores_of,
     isolated_cpus,
@@ -23,7 +24,6 @@ from inteco_abs.realtime.tuning import (
     loop_tuning,
     other_cpus,
     parse_cpus,
-    prepare,
 )
 
 CPUS = st.sets(st.integers(0, 40))
@@ -148,7 +148,7 @@ class TestPrepare:
             Tuning("second", refuse(error), "raise the limit"),
             Tuning("third", lambda: asked.append(3) or "three", "never needed"),
         ]
-        assert prepare(tunings) == [
+        assert apply(tunings) == [
             Setting("first", "one"),
             Setting("second", "default", f"{reason}: raise the limit"),
             Setting("third", "three"),
@@ -157,7 +157,7 @@ class TestPrepare:
 
     def test_a_mistake_of_the_programs_own_is_not_taken_for_a_refusal(self):
         with pytest.raises(ZeroDivisionError):
-            prepare([Tuning("wrong", lambda: str(1 // 0), "")])
+            apply([Tuning("wrong", lambda: str(1 // 0), "")])
 
 
 CHILD = """
@@ -165,7 +165,7 @@ import ctypes, gc, json, os, signal, sys
 from pathlib import Path
 from inteco_abs.realtime import tuning as machine
 garbage = [[] for _ in range(100)]
-settings = machine.prepare(getattr(machine, sys.argv[1])())
+settings = machine.apply(getattr(machine, sys.argv[1])())
 status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
 descriptors = [os.readlink(f"/proc/self/fd/{name}") for name in os.listdir("/proc/self/fd") if int(name) > 2
                and os.path.exists(f"/proc/self/fd/{name}")]
@@ -324,7 +324,7 @@ def test_who_may_not_have_its_watchers_above_it_stays_an_ordinary_process(tuning
 
     monkeypatch.setattr(os, "sched_setscheduler", schedule)
     (tuning,) = (tuning for tuning in tunings() if tuning.name == "scheduler")
-    (setting,) = prepare([tuning])
+    (setting,) = apply([tuning])
     if allowed == GUARDIAN_PRIORITY:
         assert (setting.value, asked[-1]) == (f"SCHED_FIFO {priority}", priority)
     else:

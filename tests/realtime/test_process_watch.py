@@ -10,12 +10,12 @@ import pytest
 
 from inteco_abs.boards import STILL_ON
 from inteco_abs.realtime import alarm as alarm_module
-from inteco_abs.realtime import watch as watch_module
+from inteco_abs.realtime import process_watch as watch_module
 from inteco_abs.realtime.alarm import Alarm
+from inteco_abs.realtime.failure_rules import GUARDIAN_WINDOW_NS, POLL_NS, POLL_S
 from inteco_abs.realtime.memory import Field, Mailbox
+from inteco_abs.realtime.process_watch import ProcessWatch
 from inteco_abs.realtime.processes import guardian as guardian_module
-from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_NS, POLL_S
-from inteco_abs.realtime.watch import Watch
 from inteco_abs.sessions import pack_tick
 from inteco_abs.signals import UNTIMED, BoardFlags, Phase, Reason, Tick
 
@@ -38,7 +38,7 @@ class Scene:
         self._ring = memory.tick_ring(pack_tick)
         self.words[Field.LOOP_PID] = self.words[Field.HOLDER_PID] = self.loop.pid
         self.tick()
-        self.watch = Watch(memory, job, self.loop.pid, self.guardian.pid)
+        self.watch = ProcessWatch(memory, job, self.loop.pid, self.guardian.pid)
         self.watch.judging = True
 
     def tick(self):
@@ -111,7 +111,7 @@ def test_more_than_a_thousand_descriptors_are_no_obstacle(scene, memory, job_of)
     try:
         while not taken or taken[-1] < 1024:
             taken.append(os.dup(0))
-        scene.watch = Watch(memory, job_of(memory), scene.loop.pid, scene.guardian.pid)
+        scene.watch = ProcessWatch(memory, job_of(memory), scene.loop.pid, scene.guardian.pid)
         scene.watch.judging = True
         scene.kill(scene.guardian)
         scene.look(5, guardian_beats=True, loop_ticks=True)
@@ -212,7 +212,7 @@ def test_a_loop_that_stands_still_is_told_of_from_here_too(scene, until, capfd):
 def test_it_beats_by_itself_while_it_watches_and_leaves_no_descriptor_open(scene, job_of, until, monkeypatch):
     opened, pidfd_open = [], os.pidfd_open
     monkeypatch.setattr(os, "pidfd_open", lambda pid: opened.append(pidfd_open(pid)) or opened[-1])
-    watch = Watch(scene.memory, job_of(scene.memory), scene.loop.pid, scene.guardian.pid)
+    watch = ProcessWatch(scene.memory, job_of(scene.memory), scene.loop.pid, scene.guardian.pid)
     assert round(POLL_S * 1e9) == POLL_NS
     with watch.watching():
         until(lambda: scene.words[Field.SUPERVISOR_BEAT_NS] == scene.now_ns, "it beats")
@@ -223,7 +223,7 @@ def test_it_beats_by_itself_while_it_watches_and_leaves_no_descriptor_open(scene
 
 
 def test_before_the_run_has_begun_nobody_is_judged(scene, job_of):
-    scene.watch = Watch(scene.memory, job_of(scene.memory), scene.loop.pid, scene.guardian.pid)
+    scene.watch = ProcessWatch(scene.memory, job_of(scene.memory), scene.loop.pid, scene.guardian.pid)
     scene.look(2000)
     assert scene.words[Field.STOP] == 0
     assert scene.words[Field.SUPERVISOR_BEAT_NS] == scene.now_ns

@@ -1,7 +1,7 @@
 """One real-time run whose processes are killed at a random moment, and what has become of its ticks.
 
-The judge is the ring itself, mapped into this process: it outlives its file, and nobody but the loop and the mock board
-ever writes a record into it. The board's own record tells, besides, whether every exchange has become a tick.
+The judge is the ring itself, mapped into this process: it outlives its file, and only the loop and the mock board
+write records into it. The board's own record also shows whether every exchange has become a tick.
 """
 
 import os
@@ -40,13 +40,13 @@ LONGEST_START_S, LONGEST_END_S, LONGEST_GAP_S = 3.0, 0.6, 1.0
 PATIENCE_S = 60.0
 
 
-class Ordeal(NamedTuple):
-    """What one run went through and what is left of it."""
+class KilledRun(NamedTuple):
+    """One run whose processes were killed, and what is left of its ticks."""
 
     seed: str
-    """What `ordeal` was given: the same again strikes the same processes at the same moments."""
+    """The same seed kills the same processes at the same moments."""
     stage: str
-    """`start`, `run` or `end`, of which the first strike fell into."""
+    """`start`, `run` or `end`, in which the first kill fell."""
     packed: int
     """Ticks that the loop packed, by the ring's memory."""
     kept: int = 0
@@ -67,7 +67,7 @@ class Ordeal(NamedTuple):
         return not (self.lost or self.foreign or self.unseen)
 
 
-def ordeal(command, folder, environment, victims, number):
+def run_and_kill(command, folder, environment, victims, number):
     """Run a stop, kill `victims` in it, recover what must be recovered, judge. `number` seeds all that is random."""
     seed = f"{'+'.join(victims)} {number}"
     chance = random.Random(seed)
@@ -76,7 +76,7 @@ def ordeal(command, folder, environment, victims, number):
     try:
         stage = chance.choices(("start", "run", "end"), (1, 7, 2))[0]
         await_moment(run, stage, LONG_TICKS if long else (1, LAST_TICK), chance)
-        strike(run, chance.sample(victims, len(victims)), chance)
+        kill_all(run, chance.sample(victims, len(victims)), chance)
         await_everybodys_end(run, f"{seed}, at its {stage}")
         packed, held, exchanged_ns = remembered(run)
         recovered = packed > 0 and run.memory.path.exists()
@@ -87,7 +87,7 @@ def ordeal(command, folder, environment, victims, number):
             kept = whole(again)
         else:
             kept = whole(run.out) if packed else []
-        return judged(Ordeal(seed, stage, packed, recovered=recovered), held, kept, exchanged_ns)
+        return judged(KilledRun(seed, stage, packed, recovered=recovered), held, kept, exchanged_ns)
     finally:
         for pid in run.processes():
             os.kill(pid, signal.SIGKILL)
@@ -97,14 +97,14 @@ def ordeal(command, folder, environment, victims, number):
 
 
 def table(found):
-    """Lines of a table with a row for each kind in `found`, lists of ordeals by victims, and their sums."""
+    """Lines of a table with a row for each kind in `found`, lists of runs by victims, and their sums."""
     names = ("runs", "packed", "in file", "lost", "foreign", "unseen", "by recover")
     yield f"{'killed':38}" + "".join(f"{name:>11}" for name in names)
-    sums = [ordeal for ordeals in found.values() for ordeal in ordeals]
-    for kind, ordeals in [*(("+".join(victims), each) for victims, each in found.items()), ("all", sums)]:
-        columns = [[getattr(each, name) for each in ordeals] for name in Ordeal._fields[2:]]
+    sums = [run for runs in found.values() for run in runs]
+    for kind, runs in [*(("+".join(victims), each) for victims, each in found.items()), ("all", sums)]:
+        columns = [[getattr(each, name) for each in runs] for name in KilledRun._fields[2:]]
         packed, kept, foreign, unseen, recovered = map(sum, columns)
-        figures = (len(ordeals), packed, kept, packed - kept, foreign, unseen, recovered)
+        figures = (len(runs), packed, kept, packed - kept, foreign, unseen, recovered)
         yield f"{kind:38}" + "".join(f"{figure:11}" for figure in figures)
 
 
@@ -126,7 +126,7 @@ def wait(run, condition):
         time.sleep(0.0005)
 
 
-def strike(run, victims, chance):
+def kill_all(run, victims, chance):
     """Kill them in this order: at once, or with time between for the others to notice."""
     longest_s = chance.choice((0.0, 0.0, LONGEST_GAP_S))
     for victim in victims:
@@ -171,8 +171,8 @@ def rows(records):
     return [bytes(records[at : at + TICK.size]) for at in range(0, len(records), TICK.size)]
 
 
-def judged(ordeal, held, kept, exchanged_ns):
-    first = ordeal.packed - len(held)
+def judged(run, held, kept, exchanged_ns):
+    first = run.packed - len(held)
     numbers = TICK.array(b"".join(kept))["tick"].tolist()
     alike = sum(number == at for at, number in enumerate(numbers[:first]))
     alike += sum(a == b for a, b in zip(held, kept[first:], strict=False))
@@ -180,4 +180,4 @@ def judged(ordeal, held, kept, exchanged_ns):
     ticks_ns = ticks_ns[ticks_ns >= exchanged_ns[0]] if len(exchanged_ns) else ticks_ns
     # one between any two ticks, or two after none: the board may be late, and a tick has the host's time
     exchanges = np.diff(np.searchsorted(exchanged_ns, ticks_ns))
-    return ordeal._replace(kept=alike, foreign=len(kept) - alike, unseen=max(0, int((exchanges - 1).sum())))
+    return run._replace(kept=alike, foreign=len(kept) - alike, unseen=max(0, int((exchanges - 1).sum())))

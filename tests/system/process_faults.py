@@ -1,6 +1,6 @@
 """One real-time run whose processes are killed or frozen at drawn moments, judged by the board's own record.
 
-The record is in the run's memory, mapped into this process: nothing that the program says is believed.
+The record is in the run's memory, mapped into this process: no output of the program is used.
 """
 
 import os
@@ -47,23 +47,23 @@ SAID_S = 0.1
 LOOKS_S = 0.001
 
 
-class Struck(NamedTuple):
-    """What became of one run."""
+class FaultedRun(NamedTuple):
+    """Result of one run."""
 
     seed: str
-    """What it was given: the same again strikes at the same moments."""
+    """Seed of the faults: it repeats them at the same moments."""
     on: bool
-    """Whether an output was on at the last strike, or came on after it."""
+    """Whether an output was on at the last fault, or came on after it."""
     off_ms: float
-    """From the last strike until both outputs were off for good; infinite if that did not come."""
-    told: bool
-    """Whether the user has heard to press the emergency switch."""
+    """From the last fault until both outputs were off for good; infinite if that did not come."""
+    warned: bool
+    """Whether the user was warned to press the emergency switch."""
     trace: tuple[Seen, ...]
-    """What was seen from just before the first strike on, one after the other, each different from the one before."""
+    """What was seen from just before the first fault on, in order, each different from the one before."""
 
 
-def anybody_left(kind):
-    """Whether somebody is who can act."""
+def any_actor_left(kind):
+    """Whether a process is left that can make the board safe."""
     return bool(ACTORS - {role for role, _ in kind})
 
 
@@ -75,23 +75,23 @@ def seed_of(kind, number):
     return f"{name_of(kind)} #{number}"
 
 
-def struck(command, folder, environment, kind, number):
-    """Run a stop, strike in it, wait for its outputs to go off. `number` seeds all that is random.
+def run_with_faults(command, folder, environment, kind, number):
+    """Run a stop, kill or freeze its processes, wait for its outputs to go off. `number` seeds all that is random.
 
-    A run that a busy computer ends before the first strike says nothing, and is done again.
+    A run that a busy computer ends before the first fault is repeated.
     """
     seed = seed_of(kind, number)
     for _ in range(STARTS - 1):
         try:
-            return _struck(LiveRun(command, folder, environment, settings=LONG), kind, seed)
+            return _faulted(LiveRun(command, folder, environment, settings=LONG), kind, seed)
         except AssertionError as error:
             if "MISSED_EXCHANGES" not in str(error):
                 raise
             (folder / "stop.mcap").unlink(missing_ok=True)
-    return _struck(LiveRun(command, folder, environment, settings=LONG), kind, seed)
+    return _faulted(LiveRun(command, folder, environment, settings=LONG), kind, seed)
 
 
-def _struck(run, kind, seed):
+def _faulted(run, kind, seed):
     chance = random.Random(seed)
     try:
         pids = {role: run.pid(role) for role in ROLES}
@@ -103,7 +103,7 @@ def _struck(run, kind, seed):
                 last_ns = time.monotonic_ns()
                 try:
                     os.kill(pids[role], HOW[how])
-                except ProcessLookupError:  # the strike before has ended it
+                except ProcessLookupError:  # the fault before has ended it
                     continue
             end = time.monotonic() + PATIENCE_S
             while run.words[Field.HOLDER_PID] not in (0, run.words[Field.RESCUED_PID]) and time.monotonic() < end:
@@ -116,7 +116,7 @@ def _struck(run, kind, seed):
         run.process.kill()
         _, said = run.process.communicate()
         run.memory.remove()
-    return Struck(seed, on, off_ms, STILL_ON in said, tuple(trace))
+    return FaultedRun(seed, on, off_ms, STILL_ON in said, tuple(trace))
 
 
 @contextmanager
@@ -162,7 +162,7 @@ def state_of(pid):
     return {"T": "stopped", "Z": "gone", "X": "gone"}.get(letter, "runs")
 
 
-def turned_off(run, struck_ns):
+def turned_off(run, killed_ns):
     """Whether an output was on at the strike or after it, and how much later both went off for good, ms."""
     reader = run.memory.truth_reader()
     reader.release(reader.held_from())
@@ -172,5 +172,5 @@ def turned_off(run, struck_ns):
     if on[-1]:
         return True, float("inf")
     last = int(np.flatnonzero(on)[-1]) if on.any() else -1
-    off_ms = max(0.0, (int(times[last + 1]) - struck_ns) * 1e-6)
+    off_ms = max(0.0, (int(times[last + 1]) - killed_ns) * 1e-6)
     return off_ms > 0.0, off_ms

@@ -10,11 +10,11 @@ from typing import Final
 
 from inteco_abs.errors import in_words
 from inteco_abs.realtime.alarm import Alarm
+from inteco_abs.realtime.failure_rules import GUARDIAN_WINDOW_NS, POLL_S, Action, Silence, supervisor_does
 from inteco_abs.realtime.heartbeat import repeating
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, RunMemory, has_ended
 from inteco_abs.realtime.processes.guardian import kill, loop_window_ns, take_over
-from inteco_abs.realtime.rules import GUARDIAN_WINDOW_NS, POLL_S, Action, Silence, supervisor_does
 from inteco_abs.realtime.tuning import watch_tuning
 from inteco_abs.signals import Reason
 
@@ -24,7 +24,7 @@ _RESCUE_NS: Final = 8_000_000_000
 """Longer than the guardian tries to rescue."""
 
 
-class Watch:
+class ProcessWatch:
     """Beats for the supervisor, and replaces a lost guardian. Each `look` is short, unless it rescues."""
 
     def __init__(self, memory: RunMemory, job: Job, loop_pid: int, guardian_pid: int) -> None:
