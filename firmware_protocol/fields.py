@@ -1,8 +1,8 @@
-"""How a field of a frame is declared, checked, encoded and decoded.
+"""Declares, checks, encodes and decodes the fields of frames.
 
-A frame is a fixed number of words: 16 bits, little-endian, or single bytes. A `Field` says once what it means and,
-per direction, which bits of which words carry it; a `FrameTable` is all fields of one direction and checks itself
-when it is built. Offsets and shifts live in these declarations and nowhere else.
+A frame is a fixed number of words: 16 bits, little-endian, or single bytes. A `FrameField` declares once its meaning
+and, per direction, which bits of which words carry it. A `FrameTable` has all fields of one direction and checks itself
+when it is built. Only these declarations contain offsets and shifts.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ Buffer = bytes | bytearray | memoryview
 
 
 def signed32(value: int) -> int:
-    """Signed number that the low 32 bits of `value` are: a counter's reading, or how far one that wraps has moved."""
+    """Return the low 32 bits of `value` as a signed number: a counter's reading, or how far a counter has moved."""
     return (value + _HALF_RANGE) % _COUNTER_RANGE - _HALF_RANGE
 
 
 class ProtocolError(ValueError):
-    """A frame or a value breaks the protocol; the text names the field, the value and what is allowed."""
+    """A frame or a value breaks the protocol; the text names the field, the value and the allowed range."""
 
 
 class TableError(ValueError):
-    """A declaration contradicts itself; raised while the table is built, that is at import."""
+    """A declaration contradicts itself; raised when the table is built, at import."""
 
 
 class Status(Enum):
     """How well a field is known."""
 
-    CONFIRMED = "confirmed"  # read in a source that is named
+    CONFIRMED = "confirmed"  # read in the named source
     INFERRED = "inferred"  # deduced from confirmed facts
     UNKNOWN = "unknown"  # no source
 
 
 class ValueKind(Enum):
-    """How the bits of a field are read."""
+    """Interpretation of a field's bits."""
 
     UNSIGNED = "unsigned"
     SIGNED = "two's complement"
@@ -56,11 +56,11 @@ class ValueKind(Enum):
 
 
 _WIDTH_UNITS: Final = {ValueKind.TEXT: 8, ValueKind.HEX: 4}
-"""Bits per character, for the kinds that are text."""
+"""Bits per character of the text kinds."""
 
 
 class Bits(NamedTuple):
-    """`width` bits from bit `low` of word `word`; they are bits `shift` and up of the value."""
+    """`width` bits from bit `low` of word `word`, which carry the value's bits from `shift` on."""
 
     word: int
     low: int
@@ -77,18 +77,18 @@ Layout = tuple[Bits, ...]
 
 
 def _width(layout: Layout) -> int:
-    """Bits of the whole value."""
+    """Return the number of bits of the whole value."""
     highest = layout[-1]
     return highest.shift + highest.width
 
 
 def bits(word: int, low: int, width: int) -> Layout:
-    """Part of one word."""
+    """Return the layout of a value in one word."""
     return (Bits(word, low, width),)
 
 
 def words(word: int, *widths: int) -> Layout:
-    """A value cut over consecutive words, low part first: `words(20, 15, 11)` is 15 + 11 bits from word 20."""
+    """Return a layout over consecutive words, low part first: `words(20, 15, 11)` is 15 + 11 bits from word 20."""
     layout, shift = [], 0
     for index, width in enumerate(widths):
         layout.append(Bits(word + index, 0, width, shift))
@@ -97,11 +97,11 @@ def words(word: int, *widths: int) -> Layout:
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class FrameField:
     """One quantity on the wire.
 
-    `read` is where the board puts it in a READ frame, `send` where the host puts it in a SEND frame; either may
-    be None. `source` names the fact's origin, as listed in the module that declares the table.
+    `read` is its layout in a READ frame of the board, `send` its layout in a SEND frame of the host; None if the frame
+    does not carry it. `source` is listed in the module that declares the table.
     """
 
     name: str
@@ -114,14 +114,14 @@ class Field:
     status: Status = Status.CONFIRMED
 
     def range(self, layout: Layout) -> tuple[int, int]:
-        """Smallest and largest integer that fits `layout`."""
+        """Return the smallest and the largest integer that fits `layout`."""
         width = _width(layout)
         if self.kind is ValueKind.SIGNED:
             return -(1 << (width - 1)), (1 << (width - 1)) - 1
         return 0, (1 << width) - 1
 
     def to_bits(self, value: Value, layout: Layout) -> int:
-        """Unsigned integer that carries `value`; raises ProtocolError with name, value and range."""
+        """Return the unsigned integer that carries `value`; raises ProtocolError with name, value and range."""
         if self.kind is ValueKind.UNSIGNED and type(value) is int and not value >> _width(layout):
             return value  # most values by far
         if self.kind is ValueKind.TEXT:
@@ -134,7 +134,7 @@ class Field:
         return value & ((1 << _width(layout)) - 1)
 
     def from_bits(self, raw: int, layout: Layout) -> Value:
-        """Value carried by the unsigned integer `raw`."""
+        """Return the value that the unsigned integer `raw` carries."""
         if self.kind is ValueKind.UNSIGNED:
             return raw
         width = _width(layout)
@@ -156,7 +156,7 @@ class Field:
 
     def _hex_to_bits(self, value: Value, layout: Layout) -> int:
         digits = _width(layout) // 4
-        # int() would also take signs, underscores and other scripts' digits
+        # int() also accepts signs, underscores and other scripts' digits
         if not isinstance(value, str) or len(value) != digits or not set(value) <= set("0123456789ABCDEF"):
             raise ProtocolError(f"{self.name} = {value!r}: must be {digits} hex digits, such as {'20110606'[:digits]}")
         return int(value, 16)
@@ -171,9 +171,9 @@ class Codec(Protocol):
 
 
 class CutCodec:
-    """A value cut over consecutive bytes, low part first, `widths` bits each.
+    """A value split over consecutive bytes, low part first, `widths` bits each.
 
-    A value that does not fit is refused: its overflow could reach the bit that marks a command.
+    Rejects a value that does not fit: its overflow could set the bit that marks a command.
     """
 
     def __init__(self, widths: Iterable[int]) -> None:
@@ -209,7 +209,7 @@ _STRUCT_CODES: Final[Mapping[int, Mapping[tuple[int, ...], tuple[str, str]]]] = 
     WORD_BITS: {(16, 16): ("I", "i")},
     BYTE_BITS: {(8, 8): ("H", "h"), (8, 8, 8, 8): ("I", "i")},
 }
-"""By word size: full words that the struct module joins, and its codes for unsigned and two's complement."""
+"""The struct module's codes for unsigned and two's complement, by word size and widths of the full words."""
 
 
 class FrameTable:
@@ -217,14 +217,14 @@ class FrameTable:
 
     `size` is the frame's length in bytes, `word_bits` the size of its words (16 or 8), `payload_bits` the bits per
     word that data may use, `command` the fixed first word (None: the first word is data). Layouts count words from
-    the frame's word `data_from`. `fixed` are fields that have one allowed value in every frame. Building the table
-    raises TableError on any overlap, duplicate name, or bit outside the frame.
+    the frame's word `data_from`. `fixed` are fields with one allowed value. Raises TableError for an overlap, a
+    duplicate name, or a bit outside the frame.
     """
 
     def __init__(
         self,
         title: str,
-        fields: Iterable[tuple[Field, Layout]],
+        fields: Iterable[tuple[FrameField, Layout]],
         *,
         size: int,
         word_bits: int = WORD_BITS,
@@ -244,12 +244,12 @@ class FrameTable:
         self.word_bits = word_bits
         self.payload_bits = word_bits if payload_bits is None else payload_bits
         self.data_from = data_from
-        self.fields: dict[str, tuple[Field, Layout]] = {}
+        self.fields: dict[str, tuple[FrameField, Layout]] = {}
         self._count = size // self._word_bytes
         self._noun = "byte" if word_bits == BYTE_BITS else "word"
         self._words = struct.Struct(f"<{self._count}{'B' if word_bits == BYTE_BITS else 'H'}")
-        self._places: dict[str, Place] = {}  # those that were asked for
-        self._framed: dict[str, tuple[Field, Layout]] = {}  # layouts that count from the frame's first word
+        self._places: dict[str, Place] = {}  # filled on demand
+        self._framed: dict[str, tuple[FrameField, Layout]] = {}  # layouts that count from the frame's first word
         owner: dict[tuple[int, int], str] = {}
         if command is not None:
             owner.update({(-data_from, bit): f"the command {self._noun}" for bit in range(word_bits)})
@@ -269,14 +269,14 @@ class FrameTable:
         self.named_bits = self._named_bits()
 
     @classmethod
-    def of(cls, fields: Iterable[Field], title: str, *, command: int | None = None, **form: Any) -> Self:
-        """Build the table of what the host sends if there is a `command`, else of what the board answers."""
+    def of(cls, fields: Iterable[FrameField], title: str, *, command: int | None = None, **form: Any) -> Self:
+        """Build the table of the host's frame if there is a `command`, else of the board's."""
         layouts = ((field, field.read if command is None else field.send) for field in fields)
         parts = [(field, layout) for field, layout in layouts if layout is not None]
         return cls(title, parts, command=command, **form)
 
     def _named_bits(self) -> tuple[int, ...]:
-        """Bits that the command or a field carries, by word of the frame; all others belong to nothing known."""
+        """Return the bits of the command and the fields, by word of the frame."""
         masks = [0] * self._count
         if self.command is not None:
             masks[0] = (1 << self.word_bits) - 1
@@ -301,9 +301,9 @@ class FrameTable:
                 owner[part.word, bit] = name
 
     def encode(self, values: Mapping[str, Value]) -> bytes:
-        """Whole frame with `values`; fields not named are zero, or their one allowed value.
+        """Return the frame with `values`; other fields are zero, or their one allowed value.
 
-        Raises ProtocolError for an unknown name or a value that does not fit; no frame is made then.
+        Raises ProtocolError for an unknown name or a value that does not fit.
         """
         frame = [0] * self._count
         if self.command is not None:
@@ -317,11 +317,11 @@ class FrameTable:
         return self._words.pack(*frame)
 
     def decode(self, frame: Buffer) -> dict[str, Value]:
-        """All fields of `frame`; raises ProtocolError on a wrong length, command word or fixed field."""
+        """Return all fields of `frame`; raises ProtocolError for a wrong length, command word or fixed field."""
         return self.decode_some(frame, self.fields)
 
     def decode_some(self, frame: Buffer, names: Iterable[str]) -> dict[str, Value]:
-        """The named fields of `frame`; the whole frame is checked all the same."""
+        """Return the named fields of `frame`; checks the whole frame as `decode` does."""
         words = self.check(frame)
         values: dict[str, Value] = {}
         for name in names:
@@ -330,7 +330,7 @@ class FrameTable:
         return values
 
     def check(self, frame: Buffer) -> tuple[int, ...]:
-        """Words of a well-formed frame; raises ProtocolError naming what is wrong."""
+        """Return the words of a well-formed frame; raises ProtocolError for another."""
         if len(frame) != self.size:
             raise ProtocolError(f"{self.title}: {len(frame)} bytes, must be {self.size}")
         words: tuple[int, ...] = self._words.unpack(frame)
@@ -357,19 +357,19 @@ class FrameTable:
                 raise ProtocolError(f"{self.title}: {field.name} = 0x{found:04X}, must be 0x{value:04X}")
 
     def words(self, frame: Buffer) -> list[int]:
-        """Words of a frame of the right size, with no other check."""
+        """Return the words of a frame of the right size, unchecked."""
         return list(self._words.unpack(frame))
 
     def pack(self, words: Sequence[int]) -> bytes:
-        """The frame with these words, of any content."""
+        """Return the frame with these words, unchecked."""
         return self._words.pack(*words)
 
     def place(self, name: str) -> Place:
-        """Where the named field can be packed and unpacked alone and in place, for the loop.
+        """Return offset and codec to pack and unpack one field in place, for the loop.
 
-        Only for fields that have their words for themselves: part of one word from bit 0, or full words that make
-        16 or 32 bits; and, in frames of bytes, any value cut over consecutive bytes from bit 0. Any other raises
-        TableError. Unnamed bits above a field's width in its word are not masked.
+        The field must share no word, and be part of one word from bit 0, or full words of 16 or 32 bits together, or,
+        in frames of bytes, consecutive bytes from bit 0; others raise TableError. Unnamed bits above the field's width
+        in its word are not masked.
         """
         found = self._places.get(name)
         if found is None:
@@ -386,8 +386,8 @@ class FrameTable:
             raise TableError(f"{self.title}: {name} has no {self._noun}s of its own and needs decode()")
         return Place(layout[0].word * self._word_bytes, codec)
 
-    def _codec(self, field: Field, widths: tuple[int, ...]) -> Codec | None:
-        """Codec for words that are the field's own and follow each other, None where there is none."""
+    def _codec(self, field: FrameField, widths: tuple[int, ...]) -> Codec | None:
+        """Return the codec for consecutive words that only this field uses; None if there is none."""
         codes = _STRUCT_CODES[self.word_bits].get(widths)
         if codes is not None and field.kind in {ValueKind.UNSIGNED, ValueKind.SIGNED}:
             return struct.Struct(f"<{codes[field.kind is ValueKind.SIGNED]}")
@@ -397,11 +397,36 @@ class FrameTable:
             return struct.Struct("<B" if self.word_bits == BYTE_BITS else "<H")
         return CutCodec(widths) if self.word_bits == BYTE_BITS else None
 
-    def _find(self, name: str) -> tuple[Field, Layout]:
+    def _find(self, name: str) -> tuple[FrameField, Layout]:
         found = self._framed.get(name)
         if found is None:
             raise ProtocolError(f"{self.title} has no field {name!r}{hint(name, self.fields)}")
         return found
+
+
+class Logic(NamedTuple):
+    """The frames of one logic of the FPGA."""
+
+    name: str
+    fields: tuple[FrameField, ...]
+    read: FrameTable
+    send: FrameTable
+    header: FrameTable
+    """Fields that READ frames of all logics share."""
+    header_bytes: int
+    """Length of the part of a READ frame that is constant on a given board."""
+    request: bytes
+    """Message that asks for a READ frame."""
+
+    @property
+    def pwm_channels(self) -> int:
+        """Number of PWM channels."""
+        return sum(field.name.endswith("_width") for field in self.fields)
+
+    @property
+    def encoder_channels(self) -> int:
+        """Number of encoder channels."""
+        return sum(field.name.endswith("_count") for field in self.fields)
 
 
 def _gather(words: Sequence[int], layout: Layout) -> int:
@@ -418,13 +443,13 @@ def sent_back(
     values: Mapping[str, Value] | None = None,
     data: Mapping[int, int] | None = None,
 ) -> bytes:
-    """SEND frame that leaves a board as its READ frame `frame` shows it, but for `values` and whole `data` words.
+    """Return the SEND frame that changes only `values` and the whole `data` words of a board that reads `frame`.
 
-    Each field that can be sent is cut as SEND has it. What only READ names, as counters, is measured, and goes out as
-    zero. Bits that neither table names are sent as they were read, at the same place: in every published map a setting
-    stands at the same word in both directions. The top bit, which marks a command in SEND, is left out of those.
+    Fields of both tables get their layout in SEND. Fields of READ alone, such as counters, are measured, and sent as
+    zero. Bits in neither table are sent as they were read, at the same place, without the top bit, which marks a
+    command: every published map has a setting in the same word in both directions.
 
-    Raises ProtocolError for a damaged frame, and for a field whose value SEND has no room for.
+    Raises ProtocolError for a damaged frame, and for a value that does not fit into SEND.
     """
     found = read.decode(frame)
     kept = {name: found[name] for name in send.fields if name in found}
@@ -437,12 +462,12 @@ def sent_back(
 
 
 def unnamed(read: FrameTable, send: FrameTable, frame: Buffer) -> dict[int, int]:
-    """By data word, what `frame` has in the bits that neither table names; words without any are left out."""
+    """Return the nonzero bits of `frame` that neither table names, by data word."""
     return {word - send.data_from: raw for word, raw in _unnamed(read, send, frame) if raw}
 
 
 def _unnamed(read: FrameTable, send: FrameTable, frame: Buffer) -> Iterator[tuple[int, int]]:
-    """The same, by word of the SEND frame, which may end before the READ frame does."""
+    """Yield those bits by word of the SEND frame, which may be shorter than the READ frame."""
     shift = send.data_from - read.data_from
     words, full = read.words(frame), (1 << read.word_bits) - 1
     for word, (raw, known) in enumerate(zip(words, read.named_bits, strict=True)):
@@ -451,6 +476,6 @@ def _unnamed(read: FrameTable, send: FrameTable, frame: Buffer) -> Iterator[tupl
 
 
 def hint(name: str, known: Iterable[str]) -> str:
-    """Tail of a message about the unknown `name`: the known one most like it, if any is."""
+    """Return the end of a message about the unknown `name`: the most similar known name, or nothing."""
     near = difflib.get_close_matches(str(name), known, n=1)
     return f"; did you mean {near[0]}?" if near else ""

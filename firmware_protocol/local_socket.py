@@ -1,6 +1,6 @@
-"""How frames travel between two processes on one computer: a local socket that keeps message boundaries.
+"""Frames between two processes on one computer, over a local socket that keeps message boundaries.
 
-The board's process sends the greeting to the one host that has it, and hangs up on all others without a word.
+The board's process sends the greeting to the host that it accepts, and closes all other connections.
 """
 
 from typing import Final

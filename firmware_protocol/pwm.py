@@ -1,4 +1,4 @@
-"""PWM outputs as all RT-DAC boards have them: one clock, a 16-bit prescaler, an 8-bit and a 12-bit mode.
+"""PWM outputs of all RT-DAC boards: one clock, a 16-bit prescaler, an 8-bit and a 12-bit mode.
 
 Confirmed for RT-DAC4/PCI (manual section 3.1) and RT-DAC/USB2 (an example in S1 agrees), inferred for RT-DAC/USB of
 the first generation, whose fields have the same sizes.

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from firmware_protocol import rtdac_pci, rtdac_usb, rtdac_usb2
-from firmware_protocol.fields import Field, Layout, ValueKind
+from firmware_protocol.fields import FrameField, Layout, ValueKind
 from firmware_protocol.registers import Register, RegisterMap
 
 PATH: Final = Path(__file__).with_name("PROTOCOL.md")
@@ -90,13 +90,13 @@ Also named in the vendor's driver, without evidence that the ABS logic has them.
 
 
 def where(layout: Layout | None, letter: str = "w") -> str:
-    """Short notation of a layout, `-` where the direction does not carry the field."""
+    """Return the short notation of a layout; `-` if the direction does not carry the field."""
     if layout is None:
         return "-"
     return " + ".join(f"{letter}{part.word}[{part.low}:{part.low + part.width}]" for part in layout)
 
 
-def _limits(field: Field) -> str:
+def _limits(field: FrameField) -> str:
     layout = field.read or field.send or ()
     if field.kind not in {ValueKind.UNSIGNED, ValueKind.SIGNED}:
         return str(field.kind.value)
@@ -112,7 +112,7 @@ def _table(columns: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
 
 
-def _fields(fields: Iterable[Field], letter: str) -> str:
+def _fields(fields: Iterable[FrameField], letter: str) -> str:
     columns = ("field", "READ", "SEND", "range", "unit", "meaning", "status", "source")
     return _table(
         columns,
@@ -181,7 +181,9 @@ def _usb_section() -> str:
         latency=rtdac_usb.LATENCY_TIMER_MS,
         event=rtdac_usb.EVENT_CHARACTER,
     )
-    logics = (f"### Logic 0x{logic.version:04X}\n\n{_fields(logic.fields, 'b')}" for logic in rtdac_usb.LOGICS.values())
+    logics = (
+        f"### Logic 0x{version:04X}\n\n{_fields(logic.fields, 'b')}" for version, logic in rtdac_usb.LOGICS.items()
+    )
     return "\n".join([head, *logics])
 
 
@@ -199,12 +201,12 @@ def _pci_section() -> str:
 
 
 def render() -> str:
-    """The whole document, as Markdown."""
+    """Return the whole document as Markdown."""
     return f"{_usb2_section()}\n{_usb_section()}\n{_pci_section()}"
 
 
 def main(arguments: list[str]) -> int:
-    """Write the document, or with --check say whether it is up to date (exit 1 when stale)."""
+    """Write the document; with --check, exit with 1 if it is out of date."""
     if arguments not in ([], ["--check"]):
         sys.stderr.write("usage: python -m firmware_protocol.reference [--check]\n")
         return 2

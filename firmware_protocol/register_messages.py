@@ -1,9 +1,9 @@
-"""How accesses to registers travel between two processes on one computer, in the place of a bus.
+"""Register accesses between two processes on one computer, in place of a bus.
 
-A request is a number of the host's choice and any number of accesses, to be made in this order: byte offset and value
-for a write, byte offset with `READ` set and zero for a read. The answer is the request's number and the values read, in
-order; a request without reads has none. All are 32 bits, least significant byte first. Messages keep their
-boundaries (`local_socket`).
+A request is a number chosen by the host and any number of accesses, in order: byte offset and value for a write, byte
+offset with `READ` set and zero for a read. The answer is the request's number and the values read, in order; a request
+without reads has no answer. All are 32 bits, least significant byte first. Messages keep their boundaries
+(`local_socket`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _STEP_WORDS: Final = 2
 
 
 def encode_request(number: int, steps: Sequence[RegisterAccess]) -> bytes:
-    """A request; raises ProtocolError for a number, offset or value of more than 32 bits."""
+    """Return a request; raises ProtocolError for a number, offset or value of more than 32 bits."""
     words = [number]
     for step in steps:
         words += (READ | step, 0) if isinstance(step, int) else step
@@ -34,7 +34,7 @@ def encode_request(number: int, steps: Sequence[RegisterAccess]) -> bytes:
 
 
 def decode_request(message: bytes | bytearray) -> tuple[int, list[RegisterAccess]]:
-    """Number and accesses of a request; raises ProtocolError for a malformed one."""
+    """Return number and accesses of a request; raises ProtocolError for a malformed one."""
     words = _unpack(message)
     if len(words) % _STEP_WORDS != 1:
         raise ProtocolError(f"a request of {len(message)} bytes: must be a number and whole accesses")
@@ -43,18 +43,18 @@ def decode_request(message: bytes | bytearray) -> tuple[int, list[RegisterAccess
 
 
 def encode_answer(number: int, values: Sequence[int]) -> bytes:
-    """The answer to request `number`; raises ProtocolError for a value of more than 32 bits."""
+    """Return the answer to request `number`; raises ProtocolError for a value of more than 32 bits."""
     return _pack([number, *values])
 
 
 def decode_answer(message: bytes | bytearray) -> tuple[int, tuple[int, ...]]:
-    """Number of the request and values read; raises ProtocolError if it is not an answer."""
+    """Return the request's number and the values read; raises ProtocolError for a malformed answer."""
     words = _unpack(message)
     return words[0], words[1:]
 
 
 def answer_bytes(values: int) -> int:
-    """Length of an answer with so many values."""
+    """Return the length of an answer with `values` values, in bytes."""
     return REGISTER_BYTES * (1 + values)
 
 

@@ -1,9 +1,9 @@
-"""How a register of a board on the PCI bus is declared, checked, encoded and decoded.
+"""Declares, checks, encodes and decodes the registers of a board on the PCI bus.
 
-A `Register` is one quantity in a 32-bit register, or in some of its bits; a `RegisterMap` is all that one logic of
-the FPGA has, and checks itself when it is built. Some registers exist once per channel and are reached through an
-index register: first the channel is written there, then the data register is read or written. The two accesses are
-not atomic, so whoever makes them must exclude everybody else from the pair.
+A `Register` is one quantity in a 32-bit register, or in some of its bits; a `RegisterMap` has all of one logic of
+the FPGA, and checks itself when it is built. Some registers exist once per channel and are reached through an
+index register: the host writes the channel there, then accesses the data register. The two accesses are not atomic:
+the caller must exclude all others from the pair.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ REGISTER_BYTES: Final = 4
 
 
 class Access(Enum):
-    """What the host does with a register."""
+    """How the host uses a register."""
 
     READ = "read"
     READ_WRITE = "read, write"
@@ -35,7 +35,7 @@ class Write(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """What a register measures: `function` of the values of the registers `inputs`, in `unit`."""
+    """Converts the values of the registers `inputs` to a quantity in `unit`, by `function`."""
 
     unit: str
     formula: str
@@ -47,9 +47,9 @@ class Conversion:
 class Register:
     """`width` bits from bit `low` of the 32-bit register at byte `offset` from the base.
 
-    `channels` makes it an index register, which selects one of so many channels; `index` is the index register that
-    must be written before this one is accessed. `unit` is that of the raw value, `conversion` leads to SI or shop
-    units. `source` names the fact's origin, as listed in the module that declares the map.
+    With `channels` it is an index register, which selects one of that many channels; `index` is the index register to
+    write before each access. `unit` is of the raw value, `conversion` gives SI or shop units. `source` is listed in the
+    module that declares the map.
     """
 
     name: str
@@ -81,14 +81,14 @@ class Register:
         return 0, (1 << self.width) - 1
 
     def decode(self, raw: int) -> int:
-        """Value in the 32 bits `raw` that were read at the offset."""
+        """Return the value in the 32 bits `raw` read at the offset."""
         if type(raw) is not int or raw >> REGISTER_BITS:
             raise ProtocolError(f"{self.name}: read {raw!r}, must be an integer in 0..{(1 << REGISTER_BITS) - 1}")
         value = (raw & self.mask) >> self.low
         return value - (1 << self.width) if self.kind is ValueKind.SIGNED and value >> (self.width - 1) else value
 
     def encode(self, value: int) -> int:
-        """The 32 bits that carry `value`, all others zero; raises ProtocolError with name, value and range."""
+        """Return the 32 bits that carry `value`, all others zero; raises ProtocolError with name, value and range."""
         low, high = self.range
         if type(value) is not int or not low <= value <= high:
             raise ProtocolError(f"{self.name} = {value!r}: must be an integer in {low}..{high}")
@@ -98,8 +98,8 @@ class Register:
 class RegisterMap:
     """All registers of one logic, in a range of `size` bytes.
 
-    Building the map raises TableError on duplicate names, shared bits, a bit outside the range, an index or a
-    conversion that rests on an undeclared register, or a writable register that has its 32 bits not for itself.
+    Raises TableError for duplicate names, shared bits, a bit outside the range, an index or a conversion that needs an
+    undeclared register, or a writable register that shares its 32 bits.
     """
 
     def __init__(self, title: str, registers: Iterable[Register], *, size: int) -> None:
@@ -140,25 +140,25 @@ class RegisterMap:
             raise TableError(f"{self.title}: {register.name} is converted with undeclared registers")
 
     def at(self, offset: int) -> tuple[Register, ...]:
-        """What lies at a byte offset; nothing where the map knows nothing."""
+        """Return the registers at a byte offset; empty if none is known."""
         return self._at.get(offset, ())
 
     def find(self, name: str) -> Register:
-        """The register of that name; raises ProtocolError naming the nearest one."""
+        """Return the register of that name; raises ProtocolError with the most similar name."""
         found = self.registers.get(name)
         if found is None:
             raise ProtocolError(f"{self.title} has no register {name!r}{hint(name, self.registers)}")
         return found
 
     def select(self, register: Register, channel: int | None = None) -> tuple[Write, ...]:
-        """Writes that must precede an access: one for a register that exists per channel, none for others.
+        """Return the writes before an access: one for a register with channels, else none.
 
-        Raises ProtocolError for a register of another logic, or a channel that is missing, superfluous or too high.
+        Raises ProtocolError for a register of another logic, and for a missing, superfluous or invalid channel.
         """
         self._own(register)
         if register.index is None:
             if channel is not None:
-                raise ProtocolError(f"{register.name} has no channels, so not {channel!r} either")
+                raise ProtocolError(f"{register.name}: channel {channel!r}, but it has no channels")
             return ()
         if type(channel) is not int or not 0 <= channel < register.index.channels:
             raise ProtocolError(
@@ -167,14 +167,14 @@ class RegisterMap:
         return (Write(register.index.offset, register.index.encode(channel)),)
 
     def write(self, register: Register, value: int, channel: int | None = None) -> tuple[Write, ...]:
-        """The writes that set a register, in order. Raises ProtocolError, also for one that is only read."""
+        """Return the writes that set a register, in order. Raises ProtocolError, also for a read-only register."""
         selects = self.select(register, channel)
         if register.access is Access.READ:
-            raise ProtocolError(f"{register.name} is only read")
+            raise ProtocolError(f"{register.name} is read-only")
         return (*selects, Write(register.offset, register.encode(value)))
 
     def quantity(self, register: Register, values: Mapping[str, int]) -> float:
-        """What a register measures, in its conversion's unit, from values by register name.
+        """Return what a register measures, in its conversion's unit, from values by register name.
 
         Raises ProtocolError if the register has no conversion or a value is missing.
         """

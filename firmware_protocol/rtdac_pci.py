@@ -208,10 +208,10 @@ GENERIC: Final = RegisterMap(
     ),
     size=BAR_BYTES,
 )
-"""Registers that the vendor's driver also names, without proof that the ABS logic has them: for reference, never for
-access."""
+"""Registers that the vendor's driver also names, without proof that the ABS logic has them. For reference only: never
+access them."""
 
 COLLISIONS: Final = tuple(
     offset for offset in range(0, BAR_BYTES, REGISTER_BYTES) if ABS.at(offset) and GENERIC.at(offset)
 )
-"""Offsets at which the two maps differ: a driver of the one would disturb the other."""
+"""Offsets at which the two maps differ: a driver for one disturbs the other."""

@@ -1,14 +1,14 @@
 """RT-DAC/USB, first generation: 150-byte frames through an FTDI FIFO, logics 0x0111 and 0x0112.
 
 The host sends a command byte and data, or a READ request that the board answers with 150 bytes. Data bytes from
-the board use all 8 bits; towards the board bit 7 marks a command, so values are cut in sevens, and the PWM mode
-moves from bit 0 (READ) to bit 6 (SEND) of its byte, above the prescaler's two top bits.
+the board use all 8 bits; in bytes to the board bit 7 marks a command, so values are split into parts of 7 bits, and the
+PWM mode moves from bit 0 (READ) to bit 6 (SEND) of its byte, above the prescaler's two top bits.
 
 Data bytes have the same number in both directions: data byte n is byte n of a READ frame, and byte n + 1 of a SEND
-frame, behind the command. The two logics agree in bytes 0 to 30, but for the number of pin modes, and above 92.
+frame, behind the command. The two logics agree in bytes 0 to 30, except the number of pin modes, and above 92.
 
-All facts come from the vendor's C library for this board (docs/facts/sources.md#s2). A field is
-marked inferred where its place is known but not all of its meaning.
+All facts come from the vendor's C library for this board (docs/facts/sources.md#s2). A field is marked inferred if its
+place is known but not all of its meaning.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Final
 
 from firmware_protocol.fields import (
     BYTE_BITS,
     Bits,
     Buffer,
-    Field,
+    FrameField,
     FrameTable,
     Layout,
+    Logic,
     ProtocolError,
     Status,
     Value,
@@ -47,7 +48,7 @@ SEND_AND_READ_COMMAND: Final = 0x83
 LATENCY_TIMER_MS: Final = 1
 """Latency timer that the vendor's library sets in the FTDI chip on opening, after a reset."""
 EVENT_CHARACTER: Final = 0x3F
-"""Event character that it enables then. It turns the error character off and sets no baud rate."""
+"""Event character that the library enables then. It disables the error character and sets no baud rate."""
 
 _RAW: Final = "raw"
 _BITMAP: Final = "bit mask"
@@ -56,10 +57,10 @@ _PAYLOAD_BITS: Final = 7
 _U16: Final = (8, 8)
 _U32: Final = (8, 8, 8, 8)
 _INFERRED: Final = Status.INFERRED
-_field: Final = partial(Field, source="S2")
+_field: Final = partial(FrameField, source="S2")
 
 
-def _both(name: str, meaning: str, unit: str, layout: Layout, status: Status = Status.CONFIRMED) -> Field:
+def _both(name: str, meaning: str, unit: str, layout: Layout, status: Status = Status.CONFIRMED) -> FrameField:
     return _field(name, meaning, unit, read=layout, send=layout, status=status)
 
 
@@ -75,11 +76,11 @@ _HEADER: Final = (
 )
 
 
-def _pins(name: str, meaning: str, byte: int, status: Status = Status.CONFIRMED) -> Field:
+def _pins(name: str, meaning: str, byte: int, status: Status = Status.CONFIRMED) -> FrameField:
     return _field(name, meaning, _BITMAP, read=words(byte, 8, 8, 8, 2), send=words(byte, 7, 7, 7, 5), status=status)
 
 
-def _digital(modes: int) -> list[Field]:
+def _digital(modes: int) -> list[FrameField]:
     mode = "CN1 pin mode bits; that 1 = function (PWM) is inferred, which pins they are is unknown"
     return [
         _both("pin_mode", mode, _BITMAP, bits(8, 0, modes), _INFERRED),
@@ -89,7 +90,7 @@ def _digital(modes: int) -> list[Field]:
     ]
 
 
-def _pwm(i: int) -> list[Field]:
+def _pwm(i: int) -> list[FrameField]:
     byte = 21 + 5 * i
     divider = f"PWM {i}: clock divider minus one; frequency = 40 MHz / ((prescaler + 1) * 255 or 4095), inferred"
     cut = (Bits(byte, 0, 7, 0), Bits(byte + 1, 0, 7, 7), Bits(byte + 2, 0, 2, 14))
@@ -102,13 +103,13 @@ def _pwm(i: int) -> list[Field]:
     ]
 
 
-def _count(i: int, byte: int, status: Status = Status.CONFIRMED) -> Field:
+def _count(i: int, byte: int, status: Status = Status.CONFIRMED) -> FrameField:
     meaning = f"encoder {i}: 32-bit quadrature counter (x4), wraps; two's complement in the vendor's library"
     read = words(byte, *_U32)
     return _field(f"encoder{i}_count", meaning, "counts", read=read, kind=ValueKind.SIGNED, status=status)
 
 
-def _encoders_with_index() -> list[Field]:
+def _encoders_with_index() -> list[FrameField]:
     return [
         _both("encoder_reset", _HELD, _BITMAP, bits(41, 0, 4), _INFERRED),
         _both("encoder_index_active", "index input i is used", _BITMAP, bits(42, 0, 4)),
@@ -117,7 +118,7 @@ def _encoders_with_index() -> list[Field]:
     ]
 
 
-def _timers() -> list[Field]:
+def _timers() -> list[FrameField]:
     values = (words(66 + 5 * i, *_U32) for i in range(2))
     return [
         _both("timer_reset", _HELD, _BITMAP, bits(64, 0, 2), _INFERRED),
@@ -126,7 +127,7 @@ def _timers() -> list[Field]:
     ]
 
 
-def _generator() -> list[Field]:
+def _generator() -> list[FrameField]:
     flags = (
         ("enable", "enable"),
         ("hardware_select", "start and gate by hardware or software; which value is which is unknown"),
@@ -149,7 +150,7 @@ def _generator() -> list[Field]:
     return switches
 
 
-def _analogue() -> list[Field]:
+def _analogue() -> list[FrameField]:
     gain = "gain code 0..4 = x1, x2, x4, x8, x16; that the even channel has the low bits is inferred"
     result = "as it travels; that bits 0 to 11 are two's complement, as on RT-DAC/USB2, is inferred"
     output = "14 bits; volts = -10 + 20 * code / 16383, as on RT-DAC/USB2, is inferred"
@@ -181,37 +182,25 @@ _FIELDS_0112: Final = (
 )
 
 
-class Logic(NamedTuple):
-    """The fields and the two frame tables of one logic of the FPGA."""
-
-    version: int
-    fields: tuple[Field, ...]
-    read: FrameTable
-    send: FrameTable
-    pwm_channels: int
-    encoder_channels: int
-
-
-def _logic(version: int, fields: tuple[Field, ...]) -> Logic:
+def _logic(version: int, fields: tuple[FrameField, ...]) -> Logic:
     name = f"logic 0x{version:04X}"
     bytes_of = partial(FrameTable.of, fields, size=FRAME_BYTES, word_bits=BYTE_BITS)
     read = bytes_of(f"RT-DAC/USB READ frame, {name}", fixed={"logic_version": version})
     send = bytes_of(f"RT-DAC/USB SEND frame, {name}", payload_bits=_PAYLOAD_BITS, command=SEND_COMMAND, data_from=1)
-    channels = (sum(field.name.endswith(end) for field in fields) for end in ("_width", "_count"))
-    return Logic(version, fields, read, send, *channels)
+    return Logic(name, fields, read, send, HEADER, HEADER_BYTES, READ_REQUEST)
 
+
+HEADER: Final = FrameTable.of(_HEADER, "RT-DAC/USB READ frame", size=FRAME_BYTES, word_bits=BYTE_BITS)
+"""The part of a READ frame that identifies its logic; the same in all logics."""
 
 LOGICS: Final[Mapping[int, Logic]] = MappingProxyType(
     {version: _logic(version, fields) for version, fields in ((0x0111, _FIELDS_0111), (0x0112, _FIELDS_0112))}
 )
 """By logic version."""
 
-HEADER: Final = FrameTable.of(_HEADER, "RT-DAC/USB READ frame", size=FRAME_BYTES, word_bits=BYTE_BITS)
-"""The part of a READ frame that tells which logic it comes from; any logic."""
-
 
 def logic_of(version: int) -> Logic:
-    """The tables of a logic; raises ProtocolError for one that is not known, naming those that are."""
+    """Return the tables of a logic; raises ProtocolError for an unknown version, with the known ones."""
     found = LOGICS.get(version)
     if found is None:
         shown = f"0x{version:04X}" if type(version) is int else repr(version)
@@ -220,20 +209,20 @@ def logic_of(version: int) -> Logic:
 
 
 def encode_send(values: Mapping[str, Value], *, logic: int) -> bytes:
-    """SEND frame that the host writes; fields not named are zero. Raises ProtocolError."""
+    """Return the SEND frame with `values`; other fields are zero. Raises ProtocolError."""
     return logic_of(logic).send.encode(values)
 
 
 def decode_read(frame: Buffer, *, logic: int) -> dict[str, Value]:
-    """All fields of a READ frame that a board with this logic answered. Raises ProtocolError."""
+    """Return all fields of a READ frame of this logic. Raises ProtocolError."""
     return logic_of(logic).read.decode(frame)
 
 
 def encode_read(values: Mapping[str, Value], *, logic: int) -> bytes:
-    """READ frame as the board makes it, with its logic version; fields not named are zero. Raises ProtocolError."""
+    """Return the board's READ frame with its logic version and `values`. Raises ProtocolError."""
     return logic_of(logic).read.encode(values)
 
 
 def decode_send(frame: Buffer, *, logic: int) -> dict[str, Value]:
-    """All fields of a SEND frame as the board understands it. Raises ProtocolError."""
+    """Return all fields of a SEND frame. Raises ProtocolError."""
     return logic_of(logic).send.decode(frame)

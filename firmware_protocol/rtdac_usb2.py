@@ -1,13 +1,13 @@
-"""RT-DAC/USB2: 504-byte frames of 16-bit words, whose map belongs to the logic in the board's FPGA.
+"""RT-DAC/USB2: 504-byte frames of 16-bit words, defined by the logic in the board's FPGA.
 
 The host sends a whole SEND frame, or a READ request that the board answers with one READ frame. READ words use
-all 16 bits; in SEND words bit 15 marks a command and stays 0 in data, so values wider than 15 bits are cut
+all 16 bits; in SEND words bit 15 marks a command and stays 0 in data, so values wider than 15 bits are split
 differently by direction, and the PWM mode moves from bit 0 (READ) to bit 1 (SEND) of its word.
 
-`LOGICS` has one table for each known logic. The generic one (0x0103) is published whole, in S1. Of the logics that
-the vendor ships with its rigs three are known in part: servo (S5), TRAS (S4) and rpend (S10). That of the ABS rig is
-not published: its table has what those three share. A word that a table does not name belongs to something unknown;
-`sent_back` says what is written to it. Offsets above word 106 belong to the logic version.
+`LOGICS` has the tables of each known logic. The generic logic (0x0103) is published completely, in S1. Three logics
+that the vendor ships with its rigs are known in part: servo (S5), TRAS (S4) and rpend (S10). The logic of the ABS rig
+is not published: its table has what those three share. `sent_back` writes the words that no table names. Offsets above
+word 106 depend on the logic version.
 
 Sources: S1, S4, S5 and S10 of docs/facts/sources.md.
 """
@@ -18,9 +18,21 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Final
 
-from firmware_protocol.fields import Bits, Field, FrameTable, Layout, Status, Value, ValueKind, bits, words
+from firmware_protocol.fields import (
+    Bits,
+    Buffer,
+    FrameField,
+    FrameTable,
+    Layout,
+    Logic,
+    Status,
+    Value,
+    ValueKind,
+    bits,
+    words,
+)
 
 FRAME_BYTES: Final = 504
 HEADER_BYTES: Final = 18
@@ -28,13 +40,13 @@ HEADER_BYTES: Final = 18
 READ_COMMAND: Final = 0x8FFF
 SEND_COMMAND: Final = 0x8F0F
 READ_REQUEST: Final = READ_COMMAND.to_bytes(2, "little") + b"\0\0"
-"""Command word 0x8FFF and padding: the bridge wants at least four bytes (S1)."""
+"""Command word 0x8FFF and padding: the bridge needs at least four bytes (S1)."""
 
 LOGIC_VERSION: Final = 0x0103
 ENDPOINT_OUT: Final = 0x02
-"""Bulk OUT: commands and data to the FPGA. 0x06 programs the FPGA over JTAG and is never touched."""
+"""Bulk OUT: commands and data to the FPGA. 0x06 programs the FPGA over JTAG and is never used."""
 ENDPOINT_IN: Final = 0x84
-"""Bulk IN: data from the FPGA. 0x88 is JTAG and is never touched."""
+"""Bulk IN: data from the FPGA. 0x88 is JTAG and is never used."""
 PWM_CHANNELS: Final = 8
 ENCODER_CHANNELS: Final = 8
 TIMER_HZ: Final = 20_000_000
@@ -42,14 +54,14 @@ TIMER_HZ: Final = 20_000_000
 
 _RAW: Final = "raw"
 _BITMAP: Final = "bit mask"
-_field: Final = partial(Field, source="S1")
+_field: Final = partial(FrameField, source="S1")
 
 
-def _both(name: str, meaning: str, unit: str, layout: Layout) -> Field:
+def _both(name: str, meaning: str, unit: str, layout: Layout) -> FrameField:
     return _field(name, meaning, unit, read=layout, send=layout)
 
 
-def _header() -> list[Field]:
+def _header() -> list[FrameField]:
     """Return the fields of words 0 to 8, which are the same in every logic."""
     channels = (
         (6, ("pwm", "encoder", "encoder_index", "timer")),
@@ -68,14 +80,14 @@ def _header() -> list[Field]:
             _field(f"{what}_channels", f"number of {what.replace('_', ' ')} channels", "1", read=place)
             for what, place in places
         ),
-        Field("further_counts", further, _RAW, "S4", bits(8, 4, 12)),
+        FrameField("further_counts", further, _RAW, "S4", bits(8, 4, 12)),
     ]
 
 
-def _digital(*, mode: bool = True) -> list[Field]:
+def _digital(*, mode: bool = True) -> list[FrameField]:
     """Return the fields of CN1; `mode` is whether the logic's pins have several functions."""
 
-    def pins(name: str, meaning: str, word: int) -> Field:
+    def pins(name: str, meaning: str, word: int) -> FrameField:
         return _field(name, meaning, _BITMAP, read=words(word, 16, 10), send=words(word, 15, 11))
 
     return [
@@ -86,7 +98,7 @@ def _digital(*, mode: bool = True) -> list[Field]:
     ]
 
 
-def _pwm(i: int) -> list[Field]:
+def _pwm(i: int) -> list[FrameField]:
     word = 20 + 3 * i
     divider = f"PWM {i}: clock divider minus one; frequency = 40 MHz / ((prescaler + 1) * 255 or 4095)"
     cut = (Bits(word, 0, 15, 0), Bits(word + 1, 0, 1, 15))
@@ -99,25 +111,25 @@ def _pwm(i: int) -> list[Field]:
     ]
 
 
-def _index_inputs() -> list[Field]:
+def _index_inputs() -> list[FrameField]:
     return [
         _both("encoder_index_active", "index input i is used", _BITMAP, bits(51, 0, 8)),
         _both("encoder_index_invert", "index input i is inverted", _BITMAP, bits(52, 0, 8)),
     ]
 
 
-def _encoder(i: int) -> Field:
+def _encoder(i: int) -> FrameField:
     meaning = f"encoder {i}: 32-bit quadrature counter (x4), wraps; the sign is read as two's complement"
     read = words(53 + 2 * i, 16, 16)
     return _field(f"encoder{i}_count", meaning, "counts", read=read, kind=ValueKind.SIGNED, status=Status.INFERRED)
 
 
-def _encoders(count: int) -> list[Field]:
+def _encoders(count: int) -> list[FrameField]:
     reset = _both("encoder_reset", "counter i is held at 0 while bit i is 1", _BITMAP, bits(50, 0, count))
     return [reset, *map(_encoder, range(count))]
 
 
-def _timers(count: int) -> list[Field]:
+def _timers(count: int) -> list[FrameField]:
     meanings = (f"timer/counter {i}, wraps; a timer counts at 20 MHz" for i in range(count))
     return [
         _both("timer_reset", "timer/counter i is held at 0 while bit i is 1", _BITMAP, bits(70, 0, count)),
@@ -132,7 +144,7 @@ _METER_FLAGS: Final = (
 )
 
 
-def _frequency_meters() -> list[Field]:
+def _frequency_meters() -> list[FrameField]:
     return [
         *(
             _both(f"frequency_meter_{flag}", f"{flag.replace('_', ' ')} of meter i", _BITMAP, bits(80 + k, 0, 8))
@@ -143,7 +155,7 @@ def _frequency_meters() -> list[Field]:
     ]
 
 
-def _frequency_meter(i: int) -> list[Field]:
+def _frequency_meter(i: int) -> list[FrameField]:
     name, what = f"frequency_meter{i}", f"frequency meter {i}:"
     read, send = words(90 + 2 * i, 16, 16), words(90 + 2 * i, 15, 15)
     return [
@@ -158,7 +170,7 @@ _TRIGGERS: Final = (
 )
 
 
-def _chronometer(i: int) -> list[Field]:
+def _chronometer(i: int) -> list[FrameField]:
     name, what = f"chronometer{i}", f"chronometer {i}:"
     read, send = words(148 + 2 * i, 16, 16), words(148 + 2 * i, 15, 15)
     return [
@@ -170,7 +182,7 @@ def _chronometer(i: int) -> list[Field]:
     ]
 
 
-def _analogue() -> list[Field]:
+def _analogue() -> list[FrameField]:
     gain, output = "gain code 0..4 = x1, x2, x4, x8, x16", "volts = -10 + 20 * code / 16383"
     gains = ((i, bits(200 + i // 4, 4 * (i % 4), 3)) for i in range(16))
     results = ((i, bits(204 + i, 0, 12), f"A/D {i}: volts = 10 * result / 2048 / gain") for i in range(16))
@@ -182,13 +194,13 @@ def _analogue() -> list[Field]:
     ]
 
 
-def _thermal() -> Field:
+def _thermal() -> FrameField:
     """Return the thermal flags; the same word is PWM 3's width in the generic logic."""
     meaning = "bit i: thermal protection of PWM i is on; every published program for such a logic sends 3"
     return _both("pwm_thermal_flags", meaning, _BITMAP, bits(31, 0, 2))
 
 
-FIELDS: Final[tuple[Field, ...]] = (
+FIELDS: Final[tuple[FrameField, ...]] = (
     *_header(),
     *_digital(),
     *(field for i in range(PWM_CHANNELS) for field in _pwm(i)),
@@ -202,26 +214,26 @@ FIELDS: Final[tuple[Field, ...]] = (
 """Fields of the generic logic."""
 
 
-def _known_from(source: str, fields: Iterable[Field], status: Status | None = None) -> Iterator[Field]:
+def _known_from(source: str, fields: Iterable[FrameField], status: Status | None = None) -> Iterator[FrameField]:
     """Yield the fields with their `source`, and with `status` except for the header, which is the same everywhere."""
     for field in fields:
         header = field.read is not None and field.read[0].word < HEADER_BYTES // 2
         yield replace(field, source=source, status=status if status and not header else field.status)
 
 
-def _servo() -> tuple[Field, ...]:
+def _servo() -> tuple[FrameField, ...]:
     """Return the generic words with fewer channels: S5 names the channels, the words are inferred."""
     fields = [*_header(), *_digital(), *(field for i in range(4) for field in _pwm(i)), *_encoders(4), *_timers(2)]
     return tuple(_known_from("S1, S5", [*fields, *_analogue()], Status.INFERRED))
 
 
-def _two_rotors() -> list[Field]:
+def _two_rotors() -> list[FrameField]:
     """Return the fields of TRAS, whose library writes no pin mode and no pin direction."""
     pwm = (field for i in range(2) for field in _pwm(i))
     return [*_header(), *_digital(mode=False), *pwm, _thermal(), *_encoders(2), *_timers(1), *_analogue()]
 
 
-def _shared() -> list[Field]:
+def _shared() -> list[FrameField]:
     """Return what servo, TRAS and rpend share, and the lever's encoder; the vendor's ABS rig on PCI has three encoders.
 
     The thermal flags are those of TRAS and rpend. In the servo's logic that word is the width of PWM 3, which drives
@@ -231,23 +243,11 @@ def _shared() -> list[Field]:
     return [*_header(), *_digital(), *pwm, _thermal(), *_encoders(3), *_timers(1)]
 
 
-class Logic(NamedTuple):
-    """The fields and the two frame tables of one logic of the FPGA."""
-
-    name: str
-    fields: tuple[Field, ...]
-    read: FrameTable
-    send: FrameTable
-    pwm_channels: int
-    encoder_channels: int
-
-
-def _logic(name: str, fields: tuple[Field, ...]) -> Logic:
+def _logic(name: str, fields: tuple[FrameField, ...]) -> Logic:
     of = "" if name == "generic" else f", {name} logic"
-    words_of = partial(FrameTable.of, fields, size=FRAME_BYTES)
-    send = words_of(f"RT-DAC/USB2 SEND frame{of}", payload_bits=15, command=SEND_COMMAND)
-    channels = (sum(field.name.endswith(end) for field in fields) for end in ("_width", "_count"))
-    return Logic(name, fields, words_of(f"RT-DAC/USB2 READ frame{of}"), send, *channels)
+    read = FrameTable.of(fields, f"RT-DAC/USB2 READ frame{of}", size=FRAME_BYTES)
+    send = FrameTable.of(fields, f"RT-DAC/USB2 SEND frame{of}", size=FRAME_BYTES, payload_bits=15, command=SEND_COMMAND)
+    return Logic(name, fields, read, send, read, HEADER_BYTES, READ_REQUEST)
 
 
 LOGICS: Final[Mapping[str, Logic]] = MappingProxyType(
@@ -262,28 +262,28 @@ LOGICS: Final[Mapping[str, Logic]] = MappingProxyType(
         )
     }
 )
-"""By the name that a profile has for it, as the versions of the rigs' logics are not published. `abs` is the
-unpublished one: what the others share, all of it inferred."""
+"""By `frame_map` of a profile, as the versions of the rigs' logics are not published. `abs` has what servo, TRAS and
+rpend share, all of it inferred."""
 
 READ: Final = LOGICS["generic"].read
 SEND: Final = LOGICS["generic"].send
 
 
 def encode_send(values: Mapping[str, Value]) -> bytes:
-    """SEND frame of the generic logic that the host writes; fields not named are zero. Raises ProtocolError."""
+    """Return the SEND frame of the generic logic with `values`; other fields are zero. Raises ProtocolError."""
     return SEND.encode(values)
 
 
-def decode_read(frame: bytes | bytearray | memoryview) -> dict[str, Value]:
-    """All fields of a READ frame that the board answered. Raises ProtocolError."""
+def decode_read(frame: Buffer) -> dict[str, Value]:
+    """Return all fields of a READ frame. Raises ProtocolError."""
     return READ.decode(frame)
 
 
 def encode_read(values: Mapping[str, Value]) -> bytes:
-    """READ frame as the board makes it; fields not named are zero. Raises ProtocolError."""
+    """Return the board's READ frame with `values`; other fields are zero. Raises ProtocolError."""
     return READ.encode(values)
 
 
-def decode_send(frame: bytes | bytearray | memoryview) -> dict[str, Value]:
-    """All fields of a SEND frame as the board understands it. Raises ProtocolError."""
+def decode_send(frame: Buffer) -> dict[str, Value]:
+    """Return all fields of a SEND frame. Raises ProtocolError."""
     return SEND.decode(frame)

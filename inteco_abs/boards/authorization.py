@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from firmware_protocol import Field, Register, Status
+from firmware_protocol import FrameField, Register, Status
 from inteco_abs.boards.family import family_of
 from inteco_abs.config import BoardConfig
 
@@ -15,7 +15,9 @@ _FIX: Final = (
 )
 
 
-def read_only_reason(wiring: BoardConfig, version: int, name: str | None, relied_on: Iterable[Field | Register]) -> str:
+def read_only_reason(
+    wiring: BoardConfig, version: int, name: str | None, relied_on: Iterable[FrameField | Register]
+) -> str:
     """Return why outputs must stay off; empty if they may be used.
 
     `version` and `name` are the board's (None: it reports no name), `relied_on` the fields or registers that the driver
@@ -32,7 +34,9 @@ def unconfirmed(wiring: BoardConfig) -> list[str]:
     return wiring.unconfirmed(family_of(wiring.kind).unused_wiring)
 
 
-def _open_question(wiring: BoardConfig, version: int, name: str | None, relied_on: Iterable[Field | Register]) -> str:
+def _open_question(
+    wiring: BoardConfig, version: int, name: str | None, relied_on: Iterable[FrameField | Register]
+) -> str:
     if version != wiring.logic_version:
         return f"the board has logic 0x{version:04X}, the profile was made for 0x{wiring.logic_version:04X}"
     if name is not None and name not in wiring.application_names:

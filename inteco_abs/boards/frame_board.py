@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from struct import Struct
 from typing import Final
 
-from firmware_protocol import Field, FrameTable, ProtocolError
+from firmware_protocol import FrameField, FrameTable, Logic, ProtocolError
 from firmware_protocol.fields import BYTE_BITS, sent_back
+from firmware_protocol.pwm import PWM_FULL_WIDTH
 from inteco_abs.boards.authorization import read_only_reason
 from inteco_abs.boards.board import STILL_ON, Board, BoardReading, Identity
 from inteco_abs.boards.board_clock import BoardClock
@@ -34,23 +34,6 @@ _LEAST_TIMEOUT_S: Final = 0.001
 """The shortest time-out of libusb, and twice a slow exchange over a high-speed bus."""
 
 
-@dataclass(frozen=True, slots=True)
-class FrameLayout:
-    """Frames of one logic, and what a driver needs besides the tables."""
-
-    read: FrameTable
-    send: FrameTable
-    header: FrameTable
-    """Fields in the first `header_bytes` of a READ frame of any logic."""
-    header_bytes: int
-    request: bytes
-    pwm_full_width: tuple[int, ...]
-    """PWM width of duty 1 in 8-bit and in 12-bit mode."""
-    number: Struct
-    """One word of a frame; the first word of a prescaler has its lower `number_bits`, in both directions."""
-    number_bits: int
-
-
 class FrameBoard(Board):
     """Driver of the board behind `link` with this wiring; see `Board` for its guarantees.
 
@@ -72,29 +55,30 @@ class FrameBoard(Board):
         self._link = link
         self.engines = link.engines
         self._wiring = wiring
-        self._layout = layout = self._layout_of(wiring)
+        self._logic = logic = self._logic_of(wiring)
         self._mode = MODES.index(wiring.pwm_mode)
-        self._full = layout.pwm_full_width[self._mode]
-        _require_channels(wiring, layout)
+        self._full = PWM_FULL_WIDTH[self._mode]
+        _require_channels(wiring, logic)
         drive, brake = f"pwm{wiring.drive_pwm}_width", f"pwm{wiring.brake_pwm}_width"
-        self._drive_out, self._brake_out = layout.send.place(drive), layout.send.place(brake)
-        self._drive_echo, self._brake_echo = layout.read.place(drive), layout.read.place(brake)
-        self._wheel = layout.read.place(f"encoder{wiring.wheel_encoder}_count")
-        self._road = layout.read.place(f"encoder{wiring.road_encoder}_count")
+        self._drive_out, self._brake_out = logic.send.place(drive), logic.send.place(brake)
+        self._drive_echo, self._brake_echo = logic.read.place(drive), logic.read.place(brake)
+        self._wheel = logic.read.place(f"encoder{wiring.wheel_encoder}_count")
+        self._road = logic.read.place(f"encoder{wiring.road_encoder}_count")
         numbered = f"pwm{wiring.numbering_pwm}_prescaler" if wiring.numbering_pwm >= 0 else ""
         self._number = 0
-        self._numbers = 1 << layout.number_bits
-        self._number_at = _first_byte(layout.send, numbered) if numbered else -1
-        self._number_echo = _first_byte(layout.read, numbered) if numbered else -1
+        self._number_word = Struct("<B" if logic.send.word_bits == BYTE_BITS else "<H")
+        self._numbers = 1 << logic.send.payload_bits  # the lower bits of the prescaler's first word, both ways
+        self._number_at = _first_byte(logic.send, numbered) if numbered else -1
+        self._number_echo = _first_byte(logic.read, numbered) if numbered else -1
         self._clock = BoardClock(wiring.timer_hz) if wiring.timer >= 0 else None
-        self._timer = layout.read.place(f"timer{wiring.timer}_value") if wiring.timer >= 0 else None
+        self._timer = logic.read.place(f"timer{wiring.timer}_value") if wiring.timer >= 0 else None
         self._taken_ns = 0  # time of the newest answer's counts
         owned = [*self._of_wiring({}), *([numbered] if numbered else [])]
-        self._constants = constants_of(wiring, layout.send, owned)
+        self._constants = constants_of(wiring, logic.send, owned)
         # both width words are sent whole: no unknown bit stays on
-        self._decided = {part.word: 0 for name in (drive, brake) for part in layout.send.fields[name][1]}
+        self._decided = {part.word: 0 for name in (drive, brake) for part in logic.send.fields[name][1]}
         self._decided |= self._constants.words
-        self._image = bytearray(layout.send.size)
+        self._image = bytearray(logic.send.size)
         self._pins: EchoedPins | None = None
         self._newest_frame = b""
         self._good = False  # whether the newest exchange was
@@ -107,20 +91,20 @@ class FrameBoard(Board):
         self._hurried_s = min(self._patient_s, max(_LEAST_TIMEOUT_S, _PERIODS * period_ns * 1e-9))
 
     @abstractmethod
-    def _layout_of(self, wiring: BoardConfig) -> FrameLayout:
-        """Return the layout of the profile's logic."""
+    def _logic_of(self, wiring: BoardConfig) -> Logic:
+        """Return the frames of the profile's logic."""
 
     def identify(self) -> Identity:
         """Read the header once; writes nothing but the READ request."""
         if not self._ready:
-            self._link.prepare(self._layout.read.size)
+            self._link.prepare(self._logic.read.size)
         frame = self._read()
         try:
-            values = self._layout.header.decode_some(frame, _known(self._layout.header))
+            values = self._logic.header.decode_some(frame, _known(self._logic.header))
         except ProtocolError as error:
             raise LinkError(f"the board's answer is not a READ frame: {error}") from error
         if not self._ready:  # an open board with another header was reset or replaced
-            self._header = frame[: self._layout.header_bytes]
+            self._header = frame[: self._logic.header_bytes]
         version, name = int(values["logic_version"]), str(values["application_name"])
         because = read_only_reason(self._wiring, version, name, self._relied_on())
         if because:
@@ -129,7 +113,7 @@ class FrameBoard(Board):
 
     def survey(self, names: Collection[str] = ()) -> BoardReading:
         """Read the named fields, or all, once."""
-        table = self._layout.read
+        table = self._logic.read
         unknown = [name for name in names if name not in table.fields]
         if unknown:
             raise BoardError(f"{table.title} has no field {', '.join(unknown)}")
@@ -142,15 +126,15 @@ class FrameBoard(Board):
             raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
         return BoardReading(values, frame)
 
-    def _relied_on(self) -> list[Field]:
+    def _relied_on(self) -> list[FrameField]:
         """Return the fields that outputs rest on."""
         encoders = (f"encoder{i}_count" for i in (self._wiring.wheel_encoder, self._wiring.road_encoder))
         clock = [f"timer{self._wiring.timer}_value"] if self._clock else []
-        return [self._layout.read.fields[name][0] for name in (*self._owned({}), *encoders, *clock)]
+        return [self._logic.read.fields[name][0] for name in (*self._owned({}), *encoders, *clock)]
 
     def _warning(self, frame: bytes) -> str:
         """Return a warning about the outputs of a board that must not be written to."""
-        table = self._layout.read
+        table = self._logic.read
         try:
             values = table.decode_some(frame, (name for name in table.fields if name.endswith("_width")))
         except ProtocolError:  # another logic: where its widths are is not known
@@ -165,7 +149,7 @@ class FrameBoard(Board):
 
     def _first_image(self, frame: bytes) -> tuple[dict[str, int], bytes]:
         """Return the decided fields for a board that reads `frame`, and the whole SEND frame, outputs off."""
-        read, send = self._layout.read, self._layout.send
+        read, send = self._logic.read, self._logic.send
         try:
             found = read.decode(frame)
             settings = self._owned({name: int(found[name]) for name in _SHARED if name in found})
@@ -177,7 +161,7 @@ class FrameBoard(Board):
         """Return the words of the first frame that change, or that are kept though unknown."""
         frame = self._read()
         settings, image = self._first_image(frame)
-        read, send = self._layout.read, self._layout.send
+        read, send = self._logic.read, self._logic.send
         number_word = self._number_at * BYTE_BITS // send.word_bits if self._number_at >= 0 else -1
         return list(planned_words(read, send, frame, image, settings, number_word))
 
@@ -190,23 +174,23 @@ class FrameBoard(Board):
         return self._header + bytes(image)
 
     def _adopt(self, image: bytes) -> None:
-        length = self._layout.header_bytes
+        length = self._logic.header_bytes
         self._header, self._image[:] = image[:length], image[length:]
         self._pins = self._echoed_pins()
         self._late = True  # drops the other process's answers first, whatever their number
 
     def _echoed_pins(self) -> EchoedPins | None:
         """Return the pins of the image; None if the wiring has none."""
-        layout, wiring = self._layout, self._wiring
+        logic, wiring = self._logic, self._wiring
         if not _latched(wiring):
             return None
-        latch = int(layout.send.decode_some(self._image, ["pin_output"])["pin_output"])
+        latch = int(logic.send.decode_some(self._image, ["pin_output"])["pin_output"])
         constant = _mask(self._constants.pins)
-        return EchoedPins(layout.send, layout.read, latch, wiring.numbering_pins, wiring.watchdog_pin, constant)
+        return EchoedPins(logic.send, logic.read, latch, wiring.numbering_pins, wiring.watchdog_pin, constant)
 
     def _start(self) -> tuple[int, int]:
         frame = self._write_off()
-        echo = self._layout.read.decode(frame)
+        echo = self._logic.read.decode(frame)
         wrong = [f"{name} = {echo[name]}, not {value}" for name, value in self._settings.items() if echo[name] != value]
         if wrong:
             raise BoardError(f"the board did not take its settings: {'; '.join(wrong)}")
@@ -237,7 +221,7 @@ class FrameBoard(Board):
             **{f"pwm{channel}_width": 0 for channel in (*channels, *numbering)},
             **{f"pwm{channel}_mode": self._mode for channel in channels},
             **{f"pwm{channel}_prescaler": wiring.pwm_prescaler for channel in channels},
-            **{name: value for name, value in pins.items() if name in self._layout.send.fields},
+            **{name: value for name, value in pins.items() if name in self._logic.send.fields},
         }
         if wiring.timer >= 0:
             owned["timer_reset"] = found.get("timer_reset", 0) & ~(1 << wiring.timer)
@@ -263,7 +247,7 @@ class FrameBoard(Board):
         """Whether the watchdog's contact was closed at the newest good exchange; None if the wiring has no watchdog."""
         if self._wiring.watchdog_pin < 0:
             return None
-        levels = self._layout.read.decode_some(self._newest_frame, ["pin_input"])["pin_input"]
+        levels = self._logic.read.decode_some(self._newest_frame, ["pin_input"])["pin_input"]
         return bool(int(levels) >> self._wiring.watchdog_contact_pin & 1)
 
     def _dated(self, now: int) -> int:
@@ -283,7 +267,7 @@ class FrameBoard(Board):
 
     def _held_at_zero(self) -> bytearray:
         """Return the SAFE image with the timer held at zero."""
-        image, reset = bytearray(self.safe_image[self._layout.header_bytes :]), self._layout.send.place("timer_reset")
+        image, reset = bytearray(self.safe_image[self._logic.header_bytes :]), self._logic.send.place("timer_reset")
         (others,) = reset.codec.unpack_from(image, reset.offset)
         reset.codec.pack_into(image, reset.offset, others | 1 << self._wiring.timer)
         return image
@@ -294,12 +278,12 @@ class FrameBoard(Board):
 
     def _write_widths(self, drive: int, brake: int, *, beat: bool = False) -> bytes:
         """Send both widths, read, and check that the answer is this board's and echoes them."""
-        image, layout, link = self._image, self._layout, self._link
+        image, logic, link = self._image, self._logic, self._link
         self._drive_out.codec.pack_into(image, self._drive_out.offset, drive)
         self._brake_out.codec.pack_into(image, self._brake_out.offset, brake)
         if self._number_at >= 0:
             self._number = (self._number + 1) % self._numbers
-            layout.number.pack_into(image, self._number_at, self._number)
+            self._number_word.pack_into(image, self._number_at, self._number)
         if self._pins is not None:
             self._pins.put_into(image, beat=beat)
         self._good = False
@@ -311,7 +295,7 @@ class FrameBoard(Board):
                 link.discard(len(image))
                 answer = self._read()
             else:
-                answer = self._whole(link.exchange(image, layout.request, layout.read.size))
+                answer = self._whole(link.exchange(image, logic.request, logic.read.size))
             frame = self._newest(answer)
         except NoAnswerError:
             self._late = not self._knows_late
@@ -331,7 +315,7 @@ class FrameBoard(Board):
 
     def _newest(self, frame: bytes) -> bytes:
         """Return the answer to the newest request, `frame` or a later one; drop older ones."""
-        number = self._layout.number
+        number = self._number_word
         for _ in range(_MOST_OLD):
             if not frame.startswith(self._header):
                 raise LinkError("the answer's header is not this board's: the frame is damaged or the board was reset")
@@ -342,7 +326,7 @@ class FrameBoard(Board):
             if numbered and self._date(frame):
                 return frame
             try:
-                frame = self._whole(self._link.read(self._layout.read.size))
+                frame = self._whole(self._link.read(self._logic.read.size))
             except LinkError as error:
                 why = self._clock.fault if numbered and self._clock else "the answer is one to an older request"
                 raise type(error)(f"{why}; and no other follows: {error}") from error
@@ -362,11 +346,11 @@ class FrameBoard(Board):
         return self._wiring.wheel_sign * wheel, self._wiring.road_sign * road
 
     def _read(self) -> bytes:
-        self._link.write(self._layout.request)
-        return self._whole(self._link.read(self._layout.read.size))
+        self._link.write(self._logic.request)
+        return self._whole(self._link.read(self._logic.read.size))
 
     def _whole(self, frame: bytes) -> bytes:
-        size = self._layout.read.size
+        size = self._logic.read.size
         if len(frame) != size:
             raise LinkError(f"the board's answer has {len(frame)} bytes, must be {size}: check the cable, avoid hubs")
         return frame
@@ -383,7 +367,7 @@ def widths(command: Command, full: int) -> tuple[int, int]:
     return int(command.drive * full + _EXACT), int(command.brake * full + _EXACT)
 
 
-def _require_channels(wiring: BoardConfig, layout: FrameLayout) -> None:
+def _require_channels(wiring: BoardConfig, logic: Logic) -> None:
     wanted = {
         "drive_pwm": f"pwm{wiring.drive_pwm}_width",
         "brake_pwm": f"pwm{wiring.brake_pwm}_width",
@@ -393,15 +377,15 @@ def _require_channels(wiring: BoardConfig, layout: FrameLayout) -> None:
         "road_encoder": f"encoder{wiring.road_encoder}_count",
     }
     mistakes = [
-        ConfigIssue(f"board.{key}", f"{getattr(wiring, key)}: {layout.read.title} has no such channel")
+        ConfigIssue(f"board.{key}", f"{getattr(wiring, key)}: {logic.read.title} has no such channel")
         for key, name in wanted.items()
-        if name not in layout.read.fields
+        if name not in logic.read.fields
     ]
-    if _functions(wiring) and "pin_mode" not in layout.send.fields:
+    if _functions(wiring) and "pin_mode" not in logic.send.fields:
         key = "pwm_pins" if wiring.pwm_functions is None else "pwm_functions"
-        problem = f"{layout.send.title} has no pin mode: set board.pwm_functions to []"
+        problem = f"{logic.send.title} has no pin mode: set board.pwm_functions to []"
         mistakes.append(ConfigIssue(f"board.{key}", problem))
-    mistakes += _pin_mistakes(wiring, layout)
+    mistakes += _pin_mistakes(wiring, logic)
     if mistakes:
         raise ConfigError(mistakes)
 
@@ -411,7 +395,7 @@ def _functions(wiring: BoardConfig) -> int:
     return _mask(wiring.pwm_pins if wiring.pwm_functions is None else wiring.pwm_functions)
 
 
-def _pin_mistakes(wiring: BoardConfig, layout: FrameLayout) -> Iterator[ConfigIssue]:
+def _pin_mistakes(wiring: BoardConfig, logic: Logic) -> Iterator[ConfigIssue]:
     """Yield pins with two uses, a watchdog without contact, and pins that the logic does not have."""
     constants = [int(key[3:]) for key in wiring.constants if key.startswith("pin") and key[3:].isdecimal()]
     used = {"pwm_pins": wiring.pwm_pins, "constants": constants, "numbering_pins": wiring.numbering_pins}
@@ -426,9 +410,9 @@ def _pin_mistakes(wiring: BoardConfig, layout: FrameLayout) -> Iterator[ConfigIs
         problem = "a watchdog is proven before each run by its contact: name both pins or neither (docs/watchdog.md)"
         yield ConfigIssue("board.watchdog_contact_pin", problem)
     needed = {"pin_output", "pin_direction"} if wiring.watchdog_pin >= 0 else {"pin_output"}
-    if _latched(wiring) and not needed <= layout.send.fields.keys():
+    if _latched(wiring) and not needed <= logic.send.fields.keys():
         key = "watchdog_pin" if wiring.watchdog_pin >= 0 else "numbering_pins"
-        yield ConfigIssue(f"board.{key}", f"{layout.send.title} has no {' and '.join(sorted(needed))}")
+        yield ConfigIssue(f"board.{key}", f"{logic.send.title} has no {' and '.join(sorted(needed))}")
 
 
 def _watchdog(wiring: BoardConfig) -> tuple[int, int]:

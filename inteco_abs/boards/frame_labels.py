@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from firmware_protocol.fields import BYTE_BITS, FrameTable, Layout, Value
+from firmware_protocol.fields import BYTE_BITS, FrameTable, Layout, Logic, Value
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 UNKNOWN: Final = "unknown"
@@ -32,17 +32,23 @@ class BoardProtocol:
     title: str
     logic_version: int | None
     """Version of the tables; None: not published."""
-    send: FrameTable
-    read: FrameTable
-    header_table: FrameTable
-    """Fields that answers of all logics of the family share."""
-    request: bytes
+    logic: Logic
     settings: Mapping[str, object]
     """Keys of [board] and their values in a profile for this protocol."""
 
+    @property
+    def send(self) -> FrameTable:
+        """Table of the host's frames."""
+        return self.logic.send
+
+    @property
+    def read(self) -> FrameTable:
+        """Table of the board's frames."""
+        return self.logic.read
+
     def role_out(self, message: bytes) -> MessageRole:
         """Return the role of a message from the host."""
-        if message == self.request:
+        if message == self.logic.request:
             return MessageRole.REQUEST
         if len(message) == self.send.size and words_of(self.send, message)[0] == self.send.command:
             return MessageRole.SEND
@@ -54,7 +60,7 @@ class BoardProtocol:
 
     def header(self, answer: bytes) -> dict[str, Value]:
         """Decode the header of a READ answer of any logic. Raises ProtocolError."""
-        return self.header_table.decode_some(answer, ("logic_version", "application_name"))
+        return self.logic.header.decode_some(answer, ("logic_version", "application_name"))
 
     def fields(self, names: Iterable[str]) -> frozenset[str]:
         """Return the names as a set; raises ConfigError for one in neither table."""

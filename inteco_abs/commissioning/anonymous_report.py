@@ -75,7 +75,7 @@ def _protocol(wiring: BoardConfig) -> str:
 
 def _reading(wiring: BoardConfig, at: int, image: bytes) -> Iterator[Record]:
     if family_of(wiring.kind).protocols:
-        yield Record(float(at), RecordKind.OUT, data=protocol_of(_protocol(wiring)).request)
+        yield Record(float(at), RecordKind.OUT, data=protocol_of(_protocol(wiring)).logic.request)
     yield Record(float(at), RecordKind.IN, data=image)
 
 

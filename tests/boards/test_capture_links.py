@@ -28,7 +28,7 @@ class EchoBoard:
     def bulk_out(self, data):
         if bytes(data) == rtdac_usb.READ_REQUEST:
             self.ticks += 1
-            header = {"logic_version": self.logic.version, "application_name": self.name}
+            header = {"application_name": self.name}
             counts = {f"encoder{i}_count": 1000 * i + (3 + i) * self.ticks for i in range(self.logic.encoder_channels)}
             echo = {name: value for name, value in self.settings.items() if name in self.logic.read.fields}
             self.answers.append(self.logic.read.encode({**echo, **header, **counts}))

@@ -1,11 +1,11 @@
 import pytest
 
-from firmware_protocol import Field, FrameTable, ProtocolError, TableError, ValueKind
+from firmware_protocol import FrameField, FrameTable, ProtocolError, TableError, ValueKind
 from firmware_protocol.fields import Bits, CutCodec, bits, words
 
 
 def field(name, **options):
-    return Field(name, "meaning", "unit", "source", **options)
+    return FrameField(name, "meaning", "unit", "source", **options)
 
 
 def table(*places, size=8, kinds=(), **options):

@@ -1,6 +1,6 @@
 import pytest
 
-from firmware_protocol import Field, FrameTable, ProtocolError, TableError
+from firmware_protocol import FrameField, FrameTable, ProtocolError, TableError
 from firmware_protocol.fields import Bits, words
 from firmware_protocol.rtdac_usb2 import READ, SEND, decode_read, decode_send, encode_read, encode_send
 
@@ -63,13 +63,13 @@ def test_a_field_that_needs_decoding_has_no_place_in_a_read_frame(name):
 
 def test_words_that_do_not_follow_each_other_have_no_place():
     layout = (Bits(1, 0, 16, 0), Bits(3, 0, 16, 16))
-    apart = FrameTable("test frame", [(Field("apart", "meaning", "unit", "source"), layout)], size=8)
+    apart = FrameTable("test frame", [(FrameField("apart", "meaning", "unit", "source"), layout)], size=8)
     with pytest.raises(TableError, match="apart"):
         apart.place("apart")
 
 
 def test_words_in_order_have_a_place():
-    joined = FrameTable("test frame", [(Field("joined", "meaning", "unit", "source"), words(2, 16, 16))], size=8)
+    joined = FrameTable("test frame", [(FrameField("joined", "meaning", "unit", "source"), words(2, 16, 16))], size=8)
     offset, codec = joined.place("joined")
     assert codec.unpack_from(joined.encode({"joined": 0x89ABCDEF}), offset) == (0x89ABCDEF,)
 

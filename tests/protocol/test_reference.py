@@ -107,10 +107,10 @@ def test_layout_notation():
     assert reference.where((Bits(1, 0, 16, 0), Bits(2, 0, 10, 16))) == "w1[0:16] + w2[0:10]"
 
 
-@pytest.mark.parametrize("logic", rtdac_usb.LOGICS.values(), ids=lambda logic: hex(logic.version))
-def test_every_field_of_the_first_generation_has_its_row_in_each_logic(logic):
-    for field in logic.fields:
-        cells = cells_of(field.name, f"### Logic 0x{logic.version:04X}")
+@pytest.mark.parametrize("version", rtdac_usb.LOGICS, ids=hex)
+def test_every_field_of_the_first_generation_has_its_row_in_each_logic(version):
+    for field in rtdac_usb.LOGICS[version].fields:
+        cells = cells_of(field.name, f"### Logic 0x{version:04X}")
         assert cells[1:3] == [reference.where(field.read, "b"), reference.where(field.send, "b")]
         assert cells[4:] == [field.unit, field.meaning, field.status.value, field.source]
 

@@ -40,7 +40,7 @@ def test_a_channel_that_is_missing_or_too_high_is_refused(channel):
 
 
 def test_a_channel_where_there_is_none_is_refused():
-    with pytest.raises(ProtocolError, match="plain has no channels, so not 0 either"):
+    with pytest.raises(ProtocolError, match="plain: channel 0, but it has no channels"):
         MAP.select(PLAIN, 0)
 
 
@@ -57,7 +57,7 @@ def test_an_index_takes_only_its_channels():
 
 @pytest.mark.parametrize("only_read", [FLAG, PLAIN])
 def test_a_register_that_is_only_read_is_not_written(only_read):
-    with pytest.raises(ProtocolError, match=f"{only_read.name} is only read"):
+    with pytest.raises(ProtocolError, match=f"{only_read.name} is read-only"):
         MAP.write(only_read, 0)
 
 

@@ -143,7 +143,7 @@ def test_a_setting_out_of_range_is_refused(register, value, limits):
 
 @pytest.mark.parametrize("name", [name for name, row in MAP.items() if not row[3] and not row[4]])
 def test_thresholds_flags_and_measurements_are_never_written(name):
-    with pytest.raises(ProtocolError, match=f"{name} is only read"):
+    with pytest.raises(ProtocolError, match=f"{name} is read-only"):
         ABS.write(ABS.find(name), 0)
 
 

@@ -86,7 +86,7 @@ def test_a_header_needs_the_whole_frame():
 @pytest.mark.parametrize(("logic", "pwm", "encoders"), [(0x0111, 4, 4), (0x0112, 2, 12)])
 def test_channels_of_a_logic(logic, pwm, encoders):
     tables = logic_of(logic)
-    assert (tables.version, tables.pwm_channels, tables.encoder_channels) == (logic, pwm, encoders)
+    assert (tables.name, tables.pwm_channels, tables.encoder_channels) == (f"logic 0x{logic:04X}", pwm, encoders)
 
 
 @pytest.mark.parametrize("width", [0, 1, 127, 128, 255, 4095])

@@ -1,11 +1,11 @@
 import pytest
 
-from firmware_protocol import Field, FrameTable, ProtocolError, TableError
+from firmware_protocol import FrameField, FrameTable, ProtocolError, TableError
 from firmware_protocol.fields import Bits, bits, words
 
 
 def table(*places, size=8, **options):
-    fields = [(Field(name, "meaning", "unit", "source"), layout) for name, layout in places]
+    fields = [(FrameField(name, "meaning", "unit", "source"), layout) for name, layout in places]
     return FrameTable("test frame", fields, size=size, **options)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from firmware_protocol.rtdac_usb import HEADER, LOGICS, READ_REQUEST, Logic
+from firmware_protocol import Logic
+from firmware_protocol.rtdac_usb import LOGICS
 from inteco_abs.boards.families.usb.board import RtdacUsb
 from inteco_abs.boards.family import BoardFamily, UsbTraffic
 from inteco_abs.boards.frame_labels import BoardProtocol
@@ -18,16 +19,8 @@ _FTDI_OUT, _FTDI_IN = 0x02, 0x81
 
 
 def _protocol(version: int, logic: Logic) -> BoardProtocol:
-    return BoardProtocol(
-        f"usb1-{version:x}",
-        f"RT-DAC/USB, logic 0x{version:04X}",
-        version,
-        logic.send,
-        logic.read,
-        HEADER,
-        READ_REQUEST,
-        {"logic_version": version},
-    )
+    title = f"RT-DAC/USB, logic 0x{version:04X}"
+    return BoardProtocol(f"usb1-{version:x}", title, version, logic, {"logic_version": version})
 
 
 def _transport(path: str, _: RigConfig) -> Link:

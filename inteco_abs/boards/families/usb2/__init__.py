@@ -5,15 +5,13 @@ from __future__ import annotations
 import re
 from typing import Final
 
+from firmware_protocol import Logic
 from firmware_protocol.rtdac_usb2 import (
     ENDPOINT_IN,
     ENDPOINT_OUT,
     FRAME_BYTES,
     LOGIC_VERSION,
     LOGICS,
-    READ,
-    READ_REQUEST,
-    Logic,
 )
 from firmware_protocol.rtdac_usb2_bridge import ENDPOINT_JTAG_IN, ENDPOINT_JTAG_OUT
 from inteco_abs.boards.families.usb2.board import RtdacUsb2
@@ -31,10 +29,7 @@ def _protocol(logic: Logic) -> BoardProtocol:
         "usb2" if generic else f"usb2-{logic.name}",
         f"RT-DAC/USB2, logic 0x{LOGIC_VERSION:04X}" if generic else f"RT-DAC/USB2, {logic.name} logic",
         LOGIC_VERSION if generic else None,
-        logic.send,
-        logic.read,
-        READ,
-        READ_REQUEST,
+        logic,
         {"frame_map": logic.name},
     )
 

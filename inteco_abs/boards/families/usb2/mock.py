@@ -6,9 +6,9 @@ import struct
 from collections.abc import Mapping
 from typing import Final
 
-from firmware_protocol import ProtocolError
+from firmware_protocol import Logic, ProtocolError
 from firmware_protocol.fields import sent_back
-from firmware_protocol.rtdac_usb2 import FRAME_BYTES, LOGIC_VERSION, LOGICS, READ, READ_REQUEST, SEND, Logic
+from firmware_protocol.rtdac_usb2 import FRAME_BYTES, LOGIC_VERSION, LOGICS, READ, READ_REQUEST, SEND
 from inteco_abs.config import MOCK_NAMES, BoardConfig
 from inteco_abs.mock_board import Connected, Device, MockFamily, always_connected, reported_frames, require_terminals
 from inteco_abs.mock_board.usbip.usb_board import UsbBoard
