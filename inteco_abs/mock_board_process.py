@@ -164,7 +164,7 @@ class Mock:
 
     def log(self, device: Device) -> Callable[[], None]:
         """Return a function that logs the true state, if wanted; call it often."""
-        return (lambda: None) if self.truth is None else TruthLog(device, self.truth, self.truth_hz).look
+        return (lambda: None) if self.truth is None else TruthLog(device, self.truth, self.truth_hz).poll
 
 
 def serve_usbip(mock: Mock, address: str, serial: int, say: Callable[[str], None]) -> None:

@@ -14,7 +14,7 @@ SIMULATED: Final = "sim"
 
 def schemes() -> dict[str, str]:
     """Return the schemes before the colon, and what each means."""
-    known = {name: family.what for name, family in known_families().items()}
+    known = {name: family.address_meaning for name, family in known_families().items()}
     return {SIMULATED: "the mock of the profile's board with the simulated rig inside", **known}
 
 
@@ -44,7 +44,7 @@ def check_kind(uri: str, config: RigConfig) -> None:
     if name != family.name:
         problem = f"{family.name!r}, while the address {uri} is for boards of kind {name!r}; name another profile"
         raise ConfigError([ConfigIssue("board.kind", problem)])
-    a_mocks = family.says_name and set(config.board.application_names) <= set(MOCK_NAMES)
+    a_mocks = family.reports_name and set(config.board.application_names) <= set(MOCK_NAMES)
     if config.board.simulated and not a_mocks:
         problem = f"the profile was made for the mock, and {uri} is a real board: --set profile=NAME chooses another, "
         problem += "and inteco-abs commission makes one for it"

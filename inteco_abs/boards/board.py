@@ -122,7 +122,7 @@ class Board(ABC):
         """
 
     @abstractmethod
-    def _take_over(self) -> None:
+    def _prepare_image(self) -> None:
         """Build the output image, all outputs off; reads only. Raises BoardError or LinkError."""
 
     @abstractmethod
@@ -147,7 +147,7 @@ class Board(ABC):
         """Bytes with which `rescue` makes this board safe from another process; valid once it was entered."""
 
     @abstractmethod
-    def _adopt(self, image: bytes) -> None:
+    def _load_safe_image(self, image: bytes) -> None:
         """Take over the `safe_image` of the process that drove the board before; reads nothing."""
 
     @abstractmethod
@@ -158,7 +158,7 @@ class Board(ABC):
         try:
             self.identity = self.identify()
             if not self.identity.read_only_because:
-                self._take_over()
+                self._prepare_image()
                 self._ready = True
                 self._raw = self._start()
         except BaseException:
@@ -253,7 +253,7 @@ class Board(ABC):
         For a board that was not entered; writes before it reads. Raises UnsafeError after three failures.
         """
         try:
-            self._adopt(image)
+            self._load_safe_image(image)
             self._ready = True
             self.make_safe()
         finally:

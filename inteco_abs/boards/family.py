@@ -1,4 +1,4 @@
-"""A board family in one record: everything that the program knows of it, and that no other place asks for by name.
+"""The record of a board family; no other code compares a family's name.
 
 `inteco_abs/boards/families` has one folder for each family that ships; an installed package adds one as an entry point
 of the group `inteco_abs.board_families` (docs/how-to/add-a-board-family.md).
@@ -22,65 +22,65 @@ from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 
 
 class UsbTraffic(NamedTuple):
-    """How a USB monitor sees a board's messages."""
+    """A board's messages in the capture of a USB monitor."""
 
     endpoint_out: int
     endpoint_in: int
     sent_by: Callable[[int, bytes], bool]
-    """Whether a bulk transfer at this endpoint with these data can only be this family's."""
+    """Whether a bulk transfer at this endpoint with these data identifies this family."""
     programming: tuple[int, ...] = ()
     """Endpoints that program the FPGA: left out of captures, and never replayed."""
     messages: str = ""
-    """"module:attribute" of what makes whole messages of transfers, where transfers cut them; empty: each is one."""
+    """"module:attribute" of a function that joins transfers into messages; empty if each transfer is a message."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardFamily:
-    """What the boards of one family have in common, whatever their logic."""
+    """The properties that all boards of a family share."""
 
     name: str
-    """Of its addresses, before the colon, and `board.kind` of its profiles."""
+    """The scheme of its addresses, and `board.kind` of its profiles."""
     title: str
-    """As its maker calls it."""
+    """The maker's name for it."""
     documentation: str
-    """Where its users read on."""
-    what: str
-    """A board of it and what its address names, as in "an RT-DAC/USB2, by its decimal serial number"."""
+    """Page for its users."""
+    address_meaning: str
+    """The board and what its address names, as in "an RT-DAC/USB2, by its decimal serial number"."""
     address: re.Pattern[str]
-    """What may stand after the colon."""
+    """Form of an address after the colon."""
     address_hint: str
-    """The same in words."""
+    """Description of that form for an error message."""
     profile: str
-    """Of a real board, to begin with: a shipped one, or the path of a .toml file."""
+    """Default profile of a real board: a shipped one, or the path of a .toml file."""
     mock_profile: str
-    """Of the mock board, likewise."""
+    """Default profile of the mock board, likewise."""
     transport: Callable[[str, RigConfig], Link | Registers]
-    """Opens what carries bytes to the board that the address names; raises BoardError."""
+    """Opens the link or the registers of the board at an address; raises BoardError."""
     driver: Callable[[Any, BoardConfig, Callable[[], int], int], Board]
-    """The board behind what `transport` gives, or behind the link to its mock; with its wiring, a monotonic clock in ns
-    and the period in ns. Raises ConfigError for a wiring that it has no channels for."""
+    """Makes the board of a transport, or of a link to its mock; takes its wiring, a monotonic clock in ns and the
+    period in ns. Raises ConfigError for a wiring with missing channels."""
     mock: str
-    """"module:attribute" of its `inteco_abs.mock_board.MockFamily`; loaded by nothing but the mock board."""
+    """"module:attribute" of its `inteco_abs.mock_board.MockFamily`; only the mock board loads it."""
     host: str
-    """"module:attribute" of its `inteco_abs.host.HostFamily`: how the computer lists it, and what `doctor` checks."""
+    """"module:attribute" of its `inteco_abs.host.HostFamily`: how to list boards, and what `doctor` checks."""
     protocols: tuple[BoardProtocol, ...] = ()
-    """Of its logics whose frames are known; empty: it has registers, and no messages to record."""
+    """Protocols of the logics with known frames; empty for a board with registers, which has no messages to record."""
     traffic: UsbTraffic | None = None
-    """How Wireshark's captures are read; None: they are not."""
-    says_name: bool = True
-    """Whether its header has the name of the logic, by which a profile can tell the mock from a real board."""
+    """How to read Wireshark captures; None if they cannot be read."""
+    reports_name: bool = True
+    """Whether its header contains the name of the logic, which distinguishes the mock from a real board."""
     unused_wiring: frozenset[str] = frozenset()
-    """Keys of the wiring that mean nothing here."""
-    read_costs_little: bool = False
-    """Whether a whole reading fits into a period, so that a screen shows one while outputs are on."""
+    """Keys of the wiring without effect."""
+    fast_readings: bool = False
+    """Whether `Board.readings` fits into a period, so that a screen may show it while outputs are on."""
     velocity: str = ""
     """Name, among `Board.readings`, of the road wheel's velocity as the board measures it, in rpm."""
     reading_caution: str = ""
-    """What reading a board of it may disturb."""
+    """Warning about side effects of reading a board; empty if there are none."""
     bridge_facts: Callable[[str, RigConfig], dict[str, str]] = field(default=lambda _rest, _config: {})
-    """What the bridge on the way to the board tells besides frames; the address's part after the colon comes first."""
+    """Facts that the board's USB bridge reports, for the address after the colon."""
     identify_led: Callable[[str, RigConfig, bool], bool] | None = None
-    """Switches an LED to show which board it is; gives False if the board refuses."""
+    """Switches an LED to identify a board; returns False if the board rejects the request."""
 
 
 def _require_family(path: str, found: object, name: str) -> BoardFamily:
@@ -90,11 +90,11 @@ def _require_family(path: str, found: object, name: str) -> BoardFamily:
 
 
 FAMILIES: Final = Registry("a board family", "inteco_abs.board_families", "board.kind", SHIPPED, _require_family)
-"""Every family by name, loaded when it is used."""
+"""Every family by name, loaded on use."""
 
 
 def known_families() -> dict[str, BoardFamily]:
-    """Every family that can be used, by name."""
+    """Return every usable family by name."""
     return {name: family for name, (family, _) in FAMILIES.usable()[0].items()}
 
 
@@ -110,27 +110,29 @@ def _unknown(kind: str) -> ConfigIssue:
 
 
 def family_of(kind: str) -> BoardFamily:
-    """The family that a profile's `board.kind` names; raises ConfigError if there is none."""
+    """Return the family that `board.kind` names; raises ConfigError if there is none."""
     if kind not in FAMILIES:
         raise ConfigError([_unknown(kind)])
     family = FAMILIES[kind]
     if family.name != kind:
-        raise ConfigError([ConfigIssue("board.kind", f"{kind!r}: its record says {family.name!r}; mend its package")])
+        raise ConfigError(
+            [ConfigIssue("board.kind", f"{kind!r}: its record has the name {family.name!r}; fix its package")]
+        )
     return family
 
 
 def board_behind(link: Link | Registers, config: RigConfig, now_ns: Callable[[], int]) -> Board:
-    """The profile's board at the far end of `link`, not entered yet."""
+    """Return the profile's board at the far end of `link`, not entered yet."""
     return family_of(config.board.kind).driver(link, config.board, now_ns, config.period_ns)
 
 
 def protocols() -> dict[str, BoardProtocol]:
-    """The protocols of all families, by the board that a capture names."""
+    """Return the protocols of all families, by the board that a capture names."""
     return {one.board: one for family in known_families().values() for one in family.protocols}
 
 
 def protocol_of(board: str, option: str = "board") -> BoardProtocol:
-    """Protocol of that name. Raises ConfigError that blames `option` if there is none."""
+    """Return the protocol of that name. Raises ConfigError naming `option` if there is none."""
     known = protocols()
     if board not in known:
         raise ConfigError([ConfigIssue(option, f"no protocol {board!r}{near_match(board, known)}")])
@@ -138,17 +140,17 @@ def protocol_of(board: str, option: str = "board") -> BoardProtocol:
 
 
 def protocol_name(wiring: BoardConfig) -> str:
-    """Which protocol the board of a profile speaks; raises ConfigError if it speaks none."""
+    """Return the name of the protocol of a profile's board; raises ConfigError if there is none."""
     family = family_of(wiring.kind)
     for one in family.protocols:
         if all(getattr(wiring, key) == value for key, value in one.settings.items()):
             return one.board
     keys = dict.fromkeys(key for one in family.protocols for key in one.settings)
     stated = " with " + ", ".join(f"{key} = {getattr(wiring, key)!r}" for key in keys) if keys else ""
-    raise ConfigError([ConfigIssue("board", f"no messages of {family.title}{stated} are known")])
+    raise ConfigError([ConfigIssue("board", f"the messages of {family.title}{stated} are not known")])
 
 
 def family_speaking(board: str, option: str = "board") -> BoardFamily:
-    """The family whose boards speak the protocol `board`. Raises ConfigError that blames `option`."""
+    """Return the family with the protocol `board`. Raises ConfigError naming `option` if there is none."""
     protocol = protocol_of(board, option)
     return next(family for family in known_families().values() if protocol in family.protocols)

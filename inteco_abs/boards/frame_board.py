@@ -141,7 +141,7 @@ class FrameBoard(Board):
             return f". Whether its PWM outputs are zero is not known. {STILL_ON}"
         return f". ITS PWM OUTPUTS ARE NOT ZERO and stay as they are. {STILL_ON}" if any(values.values()) else ""
 
-    def _take_over(self) -> None:
+    def _prepare_image(self) -> None:
         self._settings, self._image[:] = self._first_image(self._read())
         self._pins = self._echoed_pins()
         if self._pins is not None:
@@ -173,7 +173,7 @@ class FrameBoard(Board):
             place.codec.pack_into(image, place.offset, 0)
         return self._header + bytes(image)
 
-    def _adopt(self, image: bytes) -> None:
+    def _load_safe_image(self, image: bytes) -> None:
         length = self._logic.header_bytes
         self._header, self._image[:] = image[:length], image[length:]
         self._pins = self._echoed_pins()

@@ -177,7 +177,7 @@ class PanelApp(App[int]):
             self.exit(INTERRUPTED if panel.reason is Reason.OPERATOR_STOP else _STOPPED)
             return
         self._refreshes += 1
-        if family_of(panel.config.board.kind).read_costs_little and self._refreshes % _LOOK_EVERY == 0:
+        if family_of(panel.config.board.kind).fast_readings and self._refreshes % _LOOK_EVERY == 0:
             side.ask()
         self._look = side.look or self._look
         if self._dump_wanted and side.answered:

@@ -84,6 +84,6 @@ def _write(context: StepContext, identity: Identity) -> None:
             pass
     except ConfigError as error:
         raise ProbeError(f"logic 0x{identity.logic_version:04X} cannot be driven by this version: {error}") from error
-    if family_of(board.kind).says_name:
+    if family_of(board.kind).reports_name:
         found["board.application_names"] = [identity.application_name]
     context.draft.write(found)

@@ -45,7 +45,7 @@ def require_same_board(board: Board, config: RigConfig) -> None:
     if (
         identity is None
         or identity.logic_version != wiring.logic_version
-        or (family_of(wiring.kind).says_name and identity.application_name not in wiring.application_names)
+        or (family_of(wiring.kind).reports_name and identity.application_name not in wiring.application_names)
     ):
         raise ProbeError(f"this board ({identity}) is not the one that the draft was begun with: --redo header")
 

@@ -110,7 +110,7 @@ class VirtualRun:
             FaultyDevice(*arguments, schedule=self._schedule),
             wait=self._wait,
             pause=lambda seconds: self._clock.oversleep_ns(round(seconds * 1e9)),
-            begun=self._host.act,
+            on_exchange=self._host.act,
         )
 
     def _wait(self, seconds: float) -> None:

@@ -49,7 +49,7 @@ class HostFamily:
     """Checks of `doctor` for each of these folders."""
     place: str | None = None
     """Text before a folder's name when the board is listed; None: such a device may be something else."""
-    in_its_place: Callable[[Computer], Judgement | None] = _nothing
+    missing_board_sign: Callable[[Computer], Judgement | None] = _nothing
     """If no board is found: looks for one that is not ready."""
 
 
@@ -87,7 +87,7 @@ def _board(known: list[tuple[str, HostFamily]], computer: Computer) -> Judgement
     ]
     if boards:
         return green(", ".join(boards))
-    signs = (sign for _, host in known if (sign := host.in_its_place(computer)) is not None)
+    signs = (sign for _, host in known if (sign := host.missing_board_sign(computer)) is not None)
     titles = " or ".join(title for title, *_ in certain)
     none = amber(f"no {titles} board plugged in", "plug the board in; if it is, try another cable or port")
     return next(signs, none)

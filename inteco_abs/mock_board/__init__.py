@@ -1,4 +1,4 @@
-"""Mock boards: they answer the real protocols, with the simulated rig inside."""
+"""Mock boards, which answer the real protocols and contain the simulated rig."""
 
 from inteco_abs.mock_board.device import MAXIMUM_CELSIUS, MINIMUM_SUPPLY_V, Cable, Device, Truth
 from inteco_abs.mock_board.family import Connected, MockFamily, always_connected, front_end_of, mock_family
@@ -26,7 +26,7 @@ from inteco_abs.mock_board.usbip.address import TcpAddress, UnixAddress, parse_a
 from inteco_abs.mock_board.usbip.ftdi import FtdiBoard, ftdi_identity
 from inteco_abs.mock_board.usbip.server import AttachFacts, UsbIpServer
 from inteco_abs.mock_board.usbip.usb_board import UsbBoard
-from inteco_abs.mock_board.usbip.usb_descriptors import Speed, UsbIdentity
+from inteco_abs.mock_board.usbip.usb_descriptors import UsbIdentity, UsbSpeed
 from inteco_abs.mock_board.usbip.usb_host import Urb, UsbHost
 
 __all__ = [
@@ -53,7 +53,6 @@ __all__ = [
     "ReportedIdentity",
     "Schedule",
     "SocketServer",
-    "Speed",
     "Stream",
     "TcpAddress",
     "Truth",
@@ -64,6 +63,7 @@ __all__ = [
     "UsbHost",
     "UsbIdentity",
     "UsbIpServer",
+    "UsbSpeed",
     "always_connected",
     "drawn_facts",
     "front_end_of",

@@ -1,7 +1,7 @@
 """The device model of a mock board, with the simulated rig on its terminals.
 
-It has echoed settings, PWM outputs, counters, digital pins and timers; front ends put it on a wire. Time comes from
-outside, so that the same device runs in real or virtual time.
+It has echoed settings, PWM outputs, counters, digital pins and timers; front ends translate them to a wire. The
+clock is a parameter, so that the same device runs in real and in virtual time.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ class Truth(NamedTuple):
     slip: float
     brake_torque_nm: float
     drive: float
-    """Duty at the drive's terminals from now on."""
+    """Duty at the drive's terminals from this instant on, 0..1."""
     brake: float
-    """Duty at the brake's terminals from now on."""
+    """Duty at the brake's terminals from this instant on, 0..1."""
     adhesion: float
 
 
 @dataclass(frozen=True, slots=True)
 class Cable:
-    """Which terminals of the board the rig is plugged into, and which way round; as on the vendor's PCI version."""
+    """Channels and directions of the rig's plugs on the board; the defaults are those of the vendor's PCI version."""
 
     drive_pwm: int = 0
     brake_pwm: int = 1
@@ -54,48 +54,48 @@ class Cable:
     """-1: the encoder counts down when driving."""
     wheel_sign: int = 1
     watchdog_pin: int = -1
-    """-1: no one-shot in the power chain."""
+    """Pin that feeds the one-shot in the power chain; -1 for none."""
     watchdog_contact_pin: int = -1
     watchdog_hold_s: float = 0.05
 
     @classmethod
     def of(cls, simulation: SimulationConfig) -> Cable:
-        """As the configuration wires the simulated rig."""
+        """Return the cable that the configuration describes."""
         return cls(**{each.name: getattr(simulation, each.name) for each in fields(cls)})
 
 
 class PowerInterface(NamedTuple):
-    """What a board measures of the power interface between itself and the motors."""
+    """Measurements of the power interface between the board and the motors."""
 
     supply_v: float = 24.0
     """A guess."""
     temperature_celsius: float = 21.0
     """On the manual's screens."""
     alarms: int = 0b111
-    """All three flags are on in the manual's screens, while nothing is wrong and the motor turns (K2)."""
+    """All three flags are on in the manual's screens, with no fault and the motor turning (K2)."""
 
     @property
     def works(self) -> bool:
-        """Whether the motors get what the board puts out.
+        """Whether the motors get the board's outputs.
 
-        INFERRED from the PCI board's limits for all boards: where the power interface has its own is unknown.
+        INFERRED for all boards from the PCI board's limits; those of the power interface itself are unknown.
         """
         return self.supply_v >= MINIMUM_SUPPLY_V and self.temperature_celsius <= MAXIMUM_CELSIUS
 
 
-class _Hand(NamedTuple):
-    """A turn of the wheels by hand."""
+class _HandTurn(NamedTuple):
+    """A turn of the wheels by hand, at constant speeds."""
 
     wheel_rad_per_ns: float
     road_rad_per_ns: float
     end_ns: int
 
 
-class Counter:
-    """32-bit quadrature counter that wraps; a reset bit holds it at zero as long as it is set.
+class QuadratureCounter:
+    """32-bit counter that wraps; its reset bit holds it at zero while set.
 
-    `offset` is what it shows at power-up, `sign` -1 that it counts down when driving. A noisy encoder gives
-    another reading each time.
+    `offset` is its value at power-up; with `sign` -1 it counts down when driving. A noisy encoder gives a different
+    reading each time.
     """
 
     def __init__(self, encoder: Encoder, sign: int, offset: int) -> None:
@@ -111,13 +111,11 @@ class Counter:
         self._held = held
 
     def value(self, angle_rad: float) -> int:
-        """Counter as two's complement, -2^31..2^31-1."""
-        if self._held:
-            return 0
-        return signed32(self._edges(angle_rad) + self._offset)
+        """Return the count as two's complement, -2^31..2^31-1."""
+        return 0 if self._held else signed32(self._edges(angle_rad) + self._offset)
 
     def begin_at(self, value: int, angle_rad: float) -> None:
-        """Show `value` with the wheel at `angle_rad`, as after another power-up."""
+        """Set the count to `value` with the wheel at `angle_rad`, as after another power-up."""
         self._offset = value - self._edges(angle_rad)
 
     def _edges(self, angle_rad: float) -> int:
@@ -127,13 +125,13 @@ class Counter:
 class Device:
     """A board with the rig on its terminals, at rest, all settings zero, as after power-up.
 
-    `now_ns` is the clock; the rig moves on to it whenever the device is looked at or written to. `seed` decides
-    what differs between two power-ups: counter values and the encoders' position between two edges; of a drawn rig,
-    whose encoders stand where they stand, the noise of their readings, which at seed 0 is that of `Encoder`.
-    `observe` receives the rig's true state at every write, and the duties that the write makes.
+    `now_ns` is the clock; each access first advances the rig to it. `seed` decides what differs between two power-ups:
+    the counts, and the encoders' positions between two edges; for a drawn rig, which has its own positions, the noise
+    of their readings (seed 0 gives that of `Encoder`). `observe` receives the rig's true state after every write, with
+    the new duties.
 
-    The PWM's own steps come first: a drawn rig takes as many of them as it has, rounded down, from what the width
-    makes, so that an 8-bit width is what it is and a 12-bit one loses what is below a step of 255.
+    The board's PWM quantizes a duty first, then the drawn rig rounds it down to its own steps: a rig with 255 steps
+    keeps an 8-bit width exactly and loses the lowest bits of a 12-bit one.
 
     Raises ConfigError for an invalid drawn rig.
     """
@@ -159,8 +157,8 @@ class Device:
         rig = simulated_rig(config, _seen_from(wheel_sign, wheel_edge), _seen_from(road_sign, road_edge))
         self.plant = Plant(rig, 0.0, 0.0)
         noisy = replace(rig, seed=rig.seed ^ mixed(seed & WORD))  # mixed(0) is 0
-        self._road = Counter(Encoder(noisy, wheel=False), road_sign, road_offset)
-        self._wheel = Counter(Encoder(noisy, wheel=True), wheel_sign, wheel_offset)
+        self._road = QuadratureCounter(Encoder(noisy, wheel=False), road_sign, road_offset)
+        self._wheel = QuadratureCounter(Encoder(noisy, wheel=True), wheel_sign, wheel_offset)
         self._now_ns = now_ns
         self._time_ns = now_ns()
         self._timer_start_ns = [self._time_ns, self._time_ns]
@@ -170,45 +168,45 @@ class Device:
         self._watched = self.cable.watchdog_pin >= 0
         self._hold_ns = round(self.cable.watchdog_hold_s * 1e9)
         self._level = 0
-        self._drops_ns = -1  # when the one-shot's contact opens; it is open while that is negative
-        self._hand: _Hand | None = None
+        self._opens_ns = -1  # when the one-shot's contact opens; -1 while it is open
+        self._hand: _HandTurn | None = None
 
     @property
     def power_interface(self) -> PowerInterface:
-        """Measured state of the power interface now."""
+        """The present measurements of the power interface."""
         return PowerInterface()
 
     @property
     def duties(self) -> tuple[float, float]:
-        """Duties of drive and brake at the motors' terminals, as the PWM makes them."""
+        """Duties of drive and brake at the motors' terminals, 0..1."""
         return self._duties
 
     def power(self, *, on: bool) -> None:
-        """Switch the power interface between board and motors; it is on at first. Off, no width moves the rig."""
+        """Switch the power interface between board and motors, which is on at first."""
         self.catch_up()
         self._powered = on
         self._update_duties()
         self.observe()
 
     def turn(self, which: Literal["wheel", "road"], turns: float, seconds: float, *, lifted: bool = True) -> None:
-        """Begin to turn one wheel by hand, evenly: `turns` of it, forwards when positive, within `seconds` > 0.
+        """Begin to turn one wheel by hand at constant speed: `turns`, positive forwards, in `seconds` > 0.
 
-        With the lever lifted the other wheel stays; else it rolls along. What drive and brake do goes on beside it.
+        With the lever lifted the other wheel stays; otherwise it rolls along. Drive and brake act as well.
         """
         self.catch_up()
         rate = 2.0 * math.pi * turns / (seconds * 1e9)
         k = self.plant.parameters
         along = 0.0 if lifted else rate
         wheel, road = (rate, along * k.r1 / k.r2) if which == "wheel" else (along * k.r2 / k.r1, rate)
-        self._hand = _Hand(wheel, road, self._time_ns + round(seconds * 1e9))
+        self._hand = _HandTurn(wheel, road, self._time_ns + round(seconds * 1e9))
 
     def write(self, settings: Mapping[str, int]) -> None:
-        """Take over settings, named as in the SEND frame, and inform the observer."""
-        self.take(settings)
+        """Apply settings, named as in the SEND frame, and inform the observer."""
+        self.apply(settings)
         self.observe()
 
-    def take(self, settings: Mapping[str, int]) -> None:
-        """Take over settings without informing the observer: others of the same command follow."""
+    def apply(self, settings: Mapping[str, int]) -> None:
+        """Apply settings without informing the observer: others of the same command follow."""
         self.catch_up()
         before = self.settings.get("timer_reset", 0)
         self.settings.update(settings)
@@ -221,7 +219,7 @@ class Device:
         self._update_duties()
 
     def write_quickly(self, drive: int, brake: int, pin_output: int) -> None:
-        """Take over the two PWM widths that move the rig and the pins' latch, all other settings as they are."""
+        """Apply only the two PWM widths of the rig and the pins' latch."""
         self.catch_up()
         self.settings["pin_output"] = pin_output
         if self._watched:
@@ -240,15 +238,12 @@ class Device:
     def truth(self) -> Truth:
         """Return the rig's true state now."""
         self.catch_up()
-        return self._truth()
-
-    def _truth(self) -> Truth:
         plant = self.plant
         state = plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque
         return Truth(self._time_ns, *state, *self._duties, plant.adhesion)
 
     def counts(self) -> tuple[int, int]:
-        """Counters of road and wheel now, as two's complement: one reading of each encoder."""
+        """Read both encoders once; return the counts of road and wheel as two's complement."""
         self.catch_up()
         return self._road.value(self.plant.road_angle), self._wheel.value(self.plant.wheel_angle)
 
@@ -259,31 +254,34 @@ class Device:
         self._wheel.begin_at(wheel, self.plant.wheel_angle)
 
     def pins(self) -> int:
-        """Levels of the digital pins: an output reads back its own, the one-shot's contact drives its input."""
-        levels = self.settings.get("pin_output", 0) & ~self.settings.get("pin_direction", 0)
-        return levels | 1 << self.cable.watchdog_contact_pin if self._drops_ns >= 0 else levels
+        """Return the levels of the digital pins: outputs read back, the one-shot's contact drives its input."""
+        levels = self._output_levels()
+        return levels | 1 << self.cable.watchdog_contact_pin if self._opens_ns >= 0 else levels
+
+    def _output_levels(self) -> int:
+        return self.settings.get("pin_output", 0) & ~self.settings.get("pin_direction", 0)
 
     def timer(self, i: int) -> int:
-        """Timer/counter `i`: time since its reset in timer mode; nothing drives its input in counter mode."""
+        """Return timer/counter `i`: the time since its reset in timer mode, 0 in counter mode, as its input is open."""
         if not self.timer_runs(i):
             return 0
         return (self._time_ns - self._timer_start_ns[i]) * TIMER_HZ // 1_000_000_000 % _TIMER_RANGE
 
     def timer_runs(self, i: int) -> bool:
-        """Whether timer/counter `i` is in timer mode and not held at zero."""
+        """Return whether timer/counter `i` is in timer mode and not held at zero."""
         get = self.settings.get
         return bool(get("timer_mode", 0) >> i & 1 and not get("timer_reset", 0) >> i & 1)
 
     def catch_up(self) -> None:
         """Advance the rig to the present."""
         now = self._now_ns()
-        if self._time_ns < self._drops_ns < now:
-            self._advance(self._drops_ns)
-        if 0 <= self._drops_ns < now and self._contact_opens():
-            self._drops_ns = -1
+        if self._time_ns < self._opens_ns < now:
+            self._advance(self._opens_ns)
+        if 0 <= self._opens_ns < now and self._contact_opens():
+            self._opens_ns = -1
             self._update_duties()
-            if self._observe is not None:
-                self._observe(self._truth())
+            with self._stopped_at(self._time_ns):
+                self.observe()
         if now > self._time_ns:
             self._advance(now)
 
@@ -291,25 +289,29 @@ class Device:
         drive, brake = self._motors()
         self.plant.advance(drive, brake, (until - self._time_ns) / 1e9)
         if self._hand is not None:
-            self._turn_on(self._hand, until)
+            self._turn_by_hand(self._hand, until)
         self._time_ns = until
 
     def _feed(self) -> None:
-        """Restart the one-shot at each change of its input level, which closes its contact."""
-        pin = self.cable.watchdog_pin
-        level = self.settings.get("pin_output", 0) & ~self.settings.get("pin_direction", 0) & 1 << pin
+        """Restart the one-shot, which closes its contact, if its input level has changed."""
+        level = self._output_levels() & 1 << self.cable.watchdog_pin
         if level != self._level:
-            self._level, self._drops_ns = level, self._time_ns + self._hold_ns
+            self._level, self._opens_ns = level, self._time_ns + self._hold_ns
 
     def _contact_opens(self) -> bool:
-        """Return whether the one-shot's contact opens after its time."""
+        """Return whether the one-shot's contact opens after its time; a fault may prevent it."""
         return True
 
     @contextmanager
     def instant(self) -> Iterator[None]:
         """Stop the rig's time inside the context."""
         self.catch_up()
-        now_ns, time_ns = self._now_ns, self._time_ns
+        with self._stopped_at(self._time_ns):
+            yield
+
+    @contextmanager
+    def _stopped_at(self, time_ns: int) -> Iterator[None]:
+        now_ns = self._now_ns
         self._now_ns = lambda: time_ns
         try:
             yield
@@ -320,7 +322,7 @@ class Device:
         """Return the duties that reach drive and brake."""
         return self._duties
 
-    def _turn_on(self, hand: _Hand, now: int) -> None:
+    def _turn_by_hand(self, hand: _HandTurn, now: int) -> None:
         moved_ns = min(now, hand.end_ns) - self._time_ns
         self.plant.wheel_angle += hand.wheel_rad_per_ns * moved_ns
         self.plant.road_angle += hand.road_rad_per_ns * moved_ns
@@ -328,15 +330,15 @@ class Device:
             self._hand = None
 
     def _update_duties(self) -> None:
-        if self._powered and (self._drops_ns >= 0 or not self._watched):
+        if self._powered and (self._opens_ns >= 0 or not self._watched):
             self._duties = (self._duty(self.cable.drive_pwm), self._duty(self.cable.brake_pwm))
         else:
             self._duties = (0.0, 0.0)
 
     def _duty(self, channel: int) -> float:
-        """Share of the period that the pin is high: the width, if the pin is switched to its PWM and to output.
+        """Return the duty of a channel, 0..1; 0 if its pin is not an output with PWM function.
 
-        The prescaler sets only the frequency; the motors' inertia averages any frequency in use.
+        The prescaler sets only the frequency; the motors' inertia averages every frequency in use.
         """
         get = self.settings.get
         if not self._connected(self.settings, channel):
@@ -351,5 +353,5 @@ class Device:
 
 
 def _seen_from(sign: int, edge: float) -> float:
-    """Return the position between two lines at which an encoder with this `sign` shows the same count."""
+    """Return the position between two lines at which an encoder with this `sign` has the same count."""
     return edge if sign > 0 else 1.0 - edge

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from inteco_abs.mock_board.frontend import FrontEnd, Stream
 
 Connected = Callable[[Mapping[str, int], int], bool]
-"""Tells from settings and channel number whether a PWM channel is connected to its pin."""
+"""Whether a PWM channel is connected to its pin, from the settings and the channel number."""
 
 
 def always_connected(_settings: Mapping[str, int], _channel: int) -> bool:
@@ -28,23 +28,23 @@ class MockFamily:
     """The mock board of one family; `BoardFamily.mock` names it."""
 
     front_end: Callable[[Device], FrontEnd]
-    """Puts a device behind the family's messages. Raises ConfigError for a rig on missing channels."""
+    """Makes the front end of a device. Raises ConfigError for a rig on missing channels."""
     reported: Callable[[Device, BoardProtocol | None, bytes], FrontEnd]
-    """Does so for a reported board, from an image in its protocol. Raises ValueError for an invalid image."""
+    """Makes the front end of a reported board, from an image in its protocol. Raises ValueError for an invalid one."""
     connected: Callable[[BoardConfig], Connected] = lambda _wiring: always_connected
-    identity_at: int | None = None
-    """Byte of an answer that identifies the board; None: there is none."""
+    identity_offset: int | None = None
+    """Byte of an answer that identifies the board; None if there is none."""
     has_alarms: bool = False
-    """Whether it shows alarm flags."""
+    """Whether the board has alarm flags."""
     usb_device: Callable[[FrontEnd, Any, int], Any] | None = None
-    """Makes the USB device that it is on a bus, of the front end, what gives its `UsbIdentity` in place of the usual
-    one, and a serial number; None: it is on no USB. Raises ValueError for a serial number that no mock has."""
+    """Makes its USB device from the front end, a function that replaces the usual `UsbIdentity`, and a serial number;
+    None for a board without USB. Raises ValueError if the serial number is not a mock's."""
     stream: Callable[[FrontEnd], Stream] | None = None
-    """Makes a stream of bytes of the front end, for a serial port; None: it is not at one."""
+    """Makes the front end's byte stream for a serial port; None for a board without one."""
 
 
 def mock_family(kind: str) -> MockFamily:
-    """The mock's side of the family that `board.kind` names; raises ConfigError if there is no such family."""
+    """Return the mock of the family that `board.kind` names; raises ConfigError if there is no such family."""
     found: MockFamily = attribute(family_of(kind).mock)
     return found
 

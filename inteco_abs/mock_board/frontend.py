@@ -1,4 +1,4 @@
-"""Interfaces of mock boards on the wire."""
+"""Interfaces of a mock board's side of the wire."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from inteco_abs.mock_board.device import Cable, Device
 
 
 class FrontEnd(Protocol):
-    """A device in its family's protocol: messages in, messages out.
+    """A device that speaks its family's protocol.
 
-    Drops malformed messages, as no reply of a real board is known; `rejected` counts them.
+    Drops malformed messages, as no reply of a real board to them is known; `rejected` counts them.
     """
 
     device: Device
     rejected: int
 
     def bulk_out(self, data: bytes | bytearray) -> None:
-        """Take a message of the host."""
+        """Receive a message from the host."""
         ...
 
     def bulk_in(self, length: int) -> bytes:
-        """Return at most `length` bytes of the oldest waiting answer, empty without one."""
+        """Return at most `length` bytes of the oldest waiting answer; empty if there is none."""
         ...
 
 
@@ -33,7 +33,7 @@ class Stream(Protocol):
     front_end: FrontEnd
 
     def feed(self, data: bytes | bytearray) -> bytes:
-        """Take bytes of the host; return the board's answer to them."""
+        """Receive bytes from the host; return the board's answer."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""The mock RT-DAC/USB as a serial port: a pseudo-terminal, which needs no root, module or USB bus."""
+"""The mock RT-DAC/USB at a pseudo-terminal, which needs no root, kernel module or USB bus."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from inteco_abs.mock_board.frontend import Stream
 
 _CHUNK: Final = 4096
 _CATCH_UP_MS: Final = 1
-"""The rig moves on this often while a host is there."""
+"""Interval at which the rig advances while a host is active."""
 _IDLE_MS: Final = 10
 _BUSY_S: Final = 1.0
 _TERMINALS: Final = "/dev/pts/"
 
 
 class PtyServer:
-    """Puts `stream` behind a new pseudo-terminal: `serve` until `close`, or call `step` in a loop.
+    """Serves `stream` at a new pseudo-terminal: call `serve`, which ends at `close`, or `step` in a loop.
 
-    Hosts come and go; outputs stay when one leaves, as on every known RT-DAC board.
-    The host's end is kept open here too, so that it stays in raw mode between two hosts and never looks unplugged.
-    `link`, if given, becomes a symbolic link to it. Raises BoardError if there can be none.
+    Outputs stay when a host leaves, as on every known RT-DAC board. The host's end stays open here too, so that it
+    keeps its raw mode between two hosts and never looks unplugged. `link`, if given, becomes a symbolic link to it.
+    Raises BoardError if that cannot be made.
     """
 
     def __init__(self, stream: Stream, link: Path | None = None) -> None:
         self.lost_bytes = 0
-        """Bytes of answers that found no room."""
+        """Bytes of answers that did not fit into the buffer."""
         self._stream = stream
         self._link = link
         self._closed = False
@@ -51,9 +51,9 @@ class PtyServer:
         self._poll.register(self._board, select.POLLIN)
 
     def serve(self, each_step: Callable[[], None] = lambda: None) -> None:
-        """Serve until `close` is called or an exception ends it; then the port is gone, for its host an unplug.
+        """Serve until `close` or an exception; then remove the port, which for its host is an unplug.
 
-        `each_step` is called some hundred times a second.
+        Calls `each_step` some hundred times a second.
         """
         try:
             while not self._closed:
@@ -82,7 +82,7 @@ class PtyServer:
         self.lost_bytes += len(answer) - sent
 
     def hang_up(self) -> None:
-        """Remove the port, without `serve`."""
+        """Remove the port."""
         if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.name:
             self._link.unlink()
         os.close(self._board)
@@ -90,7 +90,7 @@ class PtyServer:
 
 
 def _point(link: Path, name: str) -> None:
-    """Make `link` a symbolic link to the terminal `name`; one that an earlier board has left is replaced."""
+    """Make `link` a symbolic link to the terminal `name`; replaces one of an earlier board."""
     try:
         if link.is_symlink() and str(link.readlink()).startswith(_TERMINALS):
             link.unlink()

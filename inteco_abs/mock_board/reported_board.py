@@ -1,4 +1,4 @@
-"""A mock of one reported board: its descriptors, header and first image, with the simulated rig behind it."""
+"""A mock of one reported board: its descriptors, header and first image, with the simulated rig."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from firmware_protocol import FrameTable
 from inteco_abs.boards import BoardProtocol
 from inteco_abs.mock_board.device import Device
 from inteco_abs.mock_board.frontend import FrontEnd
-from inteco_abs.mock_board.usbip.usb_descriptors import Speed, UsbIdentity
+from inteco_abs.mock_board.usbip.usb_descriptors import UsbIdentity, UsbSpeed
 
 _DEVICE, _CONFIGURATION, _STRING, _INTERFACE, _ENDPOINT = 1, 2, 3, 4, 5
 _BULK: Final = 2
@@ -23,7 +23,7 @@ _MANUFACTURER_AT: Final = 14
 
 @dataclass(frozen=True, slots=True)
 class ReportedIdentity(UsbIdentity):
-    """Descriptors as they were reported, with a mock's serial number."""
+    """The reported descriptors, with a mock's serial number."""
 
     raw: bytes = b""
     """Device descriptor, then all descriptors of the first configuration."""
@@ -43,7 +43,7 @@ class ReportedIdentity(UsbIdentity):
             like.serial,
             vendor_id,
             product_id,
-            Speed.HIGH if strings.get("speed", _HIGH_SPEED) == _HIGH_SPEED else Speed.FULL,
+            UsbSpeed.HIGH if strings.get("speed", _HIGH_SPEED) == _HIGH_SPEED else UsbSpeed.FULL,
             strings.get("manufacturer", ""),
             strings.get("product", ""),
             release,
@@ -79,12 +79,12 @@ def _parts(raw: bytes, at: int) -> list[bytes]:
 
 
 class ReportedFrontEnd:
-    """The face of a device that answers with the image of a board that was seen, until something changes it.
+    """A front end that answers with the image of a reported board, until something changes it.
 
-    Fields that only the board writes, such as its header, stay as reported; the others echo what the host writes; two
-    counters, the timers and changes of pins come from the simulated rig. `image` is a READ frame of any logic of the
-    tables' size, `front_end` makes the front end of a device from one. Raises ValueError for an image of another size,
-    or a damaged one.
+    Fields that only the board writes, such as its header, stay as reported; the others echo the host's writes; two
+    counters, the timers and changes of pins come from the simulated rig. `image` is a READ frame of any logic with the
+    size of the tables; `front_end` makes the device's front end from it. Raises ValueError for an image of another
+    size, or a damaged one.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class ReportedFrontEnd:
         if len(image) != read.size:
             raise ValueError(f"an image of {len(image)} bytes: a {read.title} frame has {read.size}")
         shown = int.from_bytes(image, "little")
-        fixed = _bits(read, read.fixed)  # a header of another logic is not a header to the tables
+        fixed = _bits(read, read.fixed)  # the tables reject the header of another logic
         ours = int.from_bytes(read.encode({}), "little") & fixed
         readable = (shown & ~fixed | ours).to_bytes(read.size, "little")
         self.device, self.rejected, self._size = device, 0, read.size
@@ -107,17 +107,17 @@ class ReportedFrontEnd:
         counts = f"encoder{cable.road_encoder}_count", f"encoder{cable.wheel_encoder}_count"
         values = read.decode_some(readable, counts)
         device.begin_counts(*(int(values[name]) for name in counts))
-        only_told = [
+        only_read = [
             name for name in read.fields if name not in send.fields and name not in counts and not _moves(name)
         ]
-        self._still = _bits(read, only_told)
-        self._seen = shown & self._still
+        self._constant = _bits(read, only_read)
+        self._reported = shown & self._constant
         pins = [name for name in ("pin_input",) if name in read.fields]
         levels = int.from_bytes(read.encode(dict.fromkeys(pins, device.pins())), "little")
         self._flipped = (shown ^ levels) & _bits(read, pins)
 
     def bulk_out(self, data: bytes | bytearray) -> None:
-        """Take a message of the host."""
+        """Receive a message from the host."""
         self._front_end.bulk_out(data)
         self.rejected = self._front_end.rejected
 
@@ -126,7 +126,7 @@ class ReportedFrontEnd:
         answer = self._front_end.bulk_in(self._size)
         if len(answer) != self._size:
             return answer[:length]
-        shown = (int.from_bytes(answer, "little") ^ self._flipped) & ~self._still | self._seen
+        shown = (int.from_bytes(answer, "little") ^ self._flipped) & ~self._constant | self._reported
         return shown.to_bytes(self._size, "little")[:length]
 
 

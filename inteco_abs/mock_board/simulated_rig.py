@@ -1,4 +1,4 @@
-"""The rig on the mock board's terminals: the published one as configured, or a drawn one."""
+"""The rig at the mock board: the published one as configured, or one drawn from a population."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from inteco_abs.errors import ConfigError, ConfigIssue, near_match
 from inteco_abs.rig import POPULATIONS, EncoderVariation, RigParameters, RigVariation, draw
 
 _MOST_DIGITS: Final = 20
-"""Of a seed below 2^64; the check keeps absurdly long numbers from being read at all."""
+"""Digits of a seed below 2^64; rejects absurdly long numbers before they are converted."""
 _OWN: Final = ("parameters", "brake_rate_per_s")
 """Keys of [simulation] that describe the published rig."""
 
@@ -20,8 +20,8 @@ _OWN: Final = ("parameters", "brake_rate_per_s")
 def simulated_rig(config: RigConfig, wheel_edge: float = 0.0, road_edge: float = 0.0) -> RigVariation:
     """Return the rig of [simulation]; raises ConfigError for an invalid drawn one.
 
-    `wheel_edge` and `road_edge`, in counts 0..1, are where the published rig's ideal encoders stand between two lines
-    at power-up. A drawn rig has its own.
+    `wheel_edge` and `road_edge`, in counts 0..1, are the positions of the published rig's ideal encoders between two
+    lines at power-up. A drawn rig has its own.
     """
     simulation = config.simulation
     if simulation.rig:
@@ -48,7 +48,7 @@ def drawn_facts(config: RigConfig) -> dict[str, str]:
 
 
 def rig_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
-    """Check for `load_config`: a drawn rig must exist, and the rest of the configuration must fit it."""
+    """Check for `load_config`: a drawn rig must exist, and the rest of the configuration must match it."""
     simulation = section_of(table, "simulation")
     name = simulation.get("rig", "")
     if not isinstance(name, str) or not name:
@@ -56,7 +56,7 @@ def rig_check(table: Mapping[str, Any]) -> Iterator[ConfigIssue]:
     shown = reprlib.repr(name)  # however long it is
     population, _, seed = name.partition(":")
     if population not in POPULATIONS:
-        known = f"there is no population {reprlib.repr(population)}{near_match(population, POPULATIONS)}"
+        known = f"no population {reprlib.repr(population)}{near_match(population, POPULATIONS)}"
         yield ConfigIssue("simulation.rig", f"{shown}: must be population and seed, as in hard:17; {known}")
         return
     if not _is_seed(seed):
@@ -79,7 +79,7 @@ def _counts_mistakes(table: Mapping[str, Any], name: str, counts: int) -> Iterat
     elif stated is None and configured != counts:
         problem = f"{configured!r}: {name} has {counts} counts per turn; set this to {counts} too"
         yield ConfigIssue(
-            "encoders.counts_per_turn", f"{problem}, or simulation.counts_per_turn if the mistake is meant"
+            "encoders.counts_per_turn", f"{problem}, or simulation.counts_per_turn if the mismatch is intended"
         )
 
 
@@ -88,7 +88,7 @@ def _is_seed(text: str) -> bool:
 
 
 def _flat(rig: RigVariation) -> dict[str, object]:
-    """Every number of a rig by its dotted name; what is the loop's or says only where noise comes from is left out."""
+    """Return every number of a rig by its dotted name, except the loop's delay and the seed of the noise."""
     flat: dict[str, object] = {}
     for name, value in asdict(rig).items():
         if isinstance(value, dict):

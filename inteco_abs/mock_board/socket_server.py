@@ -1,9 +1,10 @@
-"""The mock board for another process, over a local socket in place of the USB cable."""
+"""Serves a mock board to another process, over a local socket in place of the USB cable."""
 
 from __future__ import annotations
 
 import select
 import socket
+from contextlib import suppress
 from typing import Final
 
 from firmware_protocol.local_socket import GREETING
@@ -12,7 +13,7 @@ from inteco_abs.mock_board.frontend import FrontEnd
 
 _LARGEST: Final = 4096
 _CATCH_UP_S: Final = 0.0001
-"""The rig moves on this often between two exchanges, so that little is left to do when the host waits for it."""
+"""Interval at which the rig advances between two exchanges, so that an exchange has little left to compute."""
 _IDLE_S: Final = 0.01
 
 
@@ -40,14 +41,14 @@ class SocketServer:
         waiting: list[socket.socket] = [self._listener] if host is None else [host, self._listener]
         ready, _, _ = select.select(waiting, [], [], _IDLE_S if host is None else _CATCH_UP_S)
         if host is not None and host in ready:
-            self._serve(host)  # first: a host that has left makes room for the one that comes
+            self._serve(host)  # first: a host that has left makes room for the next
         if self._listener in ready:
-            self._welcome()
+            self._accept()
         if not ready:
             catch_up()
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect the host and stop listening."""
         if self._host is not None:
             self._host.close()
         self._listener.close()
@@ -62,7 +63,7 @@ class SocketServer:
                 self._answer(host, data)
                 return
         except LinkError:
-            pass  # a pulled cable: the host learns it as a USB host does
+            pass  # unplugged: the host sees a lost connection
         host.close()
         self._host = None
 
@@ -72,16 +73,13 @@ class SocketServer:
             try:
                 host.send(answer, socket.MSG_DONTWAIT)
             except OSError:
-                break  # it does not read, or is gone: the next step sees which
+                break  # it does not read, or is gone: the next step finds out
 
-    def _welcome(self) -> None:
-        visitor, _ = self._listener.accept()
+    def _accept(self) -> None:
+        host, _ = self._listener.accept()
         if self._host is None:
-            try:
-                visitor.send(GREETING)
-            except OSError:
-                visitor.close()
+            with suppress(OSError):
+                host.send(GREETING)
+                self._host = host
                 return
-            self._host = visitor
-        else:
-            visitor.close()
+        host.close()

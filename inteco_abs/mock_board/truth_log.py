@@ -1,4 +1,4 @@
-"""The rig's true state as JSON lines, beside the wire: for demonstrations and tests of a mock board."""
+"""Writes the rig's true state as JSON lines, for demonstrations and tests of a mock board."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _NS: Final = 1_000_000_000
 
 
 class TruthLog:
-    """Writes a line to `file` every 1 / `rate_hz` seconds of the device's clock, by looking often enough."""
+    """Writes a line to `file` every 1 / `rate_hz` seconds of the device's clock, if `poll` is called often enough."""
 
     def __init__(self, device: Device, file: TextIO, rate_hz: float) -> None:
         self._device = device
@@ -19,8 +19,8 @@ class TruthLog:
         self._period_ns = round(_NS / rate_hz)
         self._due_ns = 0
 
-    def look(self) -> None:
-        """Write a line if it is time."""
+    def poll(self) -> None:
+        """Write a line if one is due."""
         truth = self._device.truth()
         if truth.time_ns >= self._due_ns:
             self._due_ns = truth.time_ns + self._period_ns

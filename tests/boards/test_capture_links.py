@@ -116,7 +116,7 @@ def test_a_visit_to_a_first_generation_board_replays_with_no_difference(path):
 def test_a_profile_tells_how_its_board_speaks():
     assert protocol_name(load_config(settings=["profile=sim_usb2"]).board) == "usb2"
     assert protocol_name(load_config(settings=["profile=usb1_0112"]).board) == "usb1-112"
-    with pytest.raises(ConfigError, match="no messages of RT-DAC4/PCI are known"):
+    with pytest.raises(ConfigError, match="the messages of RT-DAC4/PCI are not known"):
         protocol_name(load_config(settings=["profile=sim_pci"]).board)
 
 

@@ -12,7 +12,7 @@ from pyusb_backend import BusBackend
 from usbfs import preload_is_installed
 from usbip_client import UsbIpBus
 
-from inteco_abs.mock_board import Speed, TcpAddress, UnixAddress, UsbIpServer
+from inteco_abs.mock_board import TcpAddress, UnixAddress, UsbIpServer, UsbSpeed
 
 
 @contextmanager
@@ -48,7 +48,7 @@ def over_usbip(host, _clock):
 LEVELS = {"L2": in_process, "L2b": over_usbip}
 
 
-@pytest.fixture(params=Speed, ids=lambda speed: speed.name.lower())
+@pytest.fixture(params=UsbSpeed, ids=lambda speed: speed.name.lower())
 def speed(request):
     return request.param
 

@@ -53,7 +53,7 @@ class DrillBoard(UsbBoard):
                 self._halt(setup.index)
             case Drill.HOLD:
                 (self._held.add if setup.value else self._held.discard)(setup.index)
-                self.kick()
+                self.on_ready()
             case Drill.UNPLUG:
                 self.host.unplug()
             case Drill.OFFER:

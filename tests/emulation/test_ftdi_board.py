@@ -13,7 +13,7 @@ from pyusb_backend import BusBackend
 from firmware_protocol.rtdac_usb import DUMMY, FRAME_BYTES, READ_REQUEST, decode_read, encode_send
 from inteco_abs.boards.families.usb.mock import ByteStream, UsbFrontEnd
 from inteco_abs.config import load_config
-from inteco_abs.mock_board import Device, FtdiBoard, Speed, UsbHost
+from inteco_abs.mock_board import Device, FtdiBoard, UsbHost, UsbSpeed
 from inteco_abs.mock_board.usbip.usb_device import Handshake, SetupPacket
 
 IN, OUT = 0x81, 0x02
@@ -212,7 +212,7 @@ def test_a_bus_reset_leaves_outputs_and_timer_alone(board):
 def test_the_cuts_of_the_packets_do_not_matter(cuts):
     clock, stream = HandClock(), READ_REQUEST + DRIVING + READ_REQUEST
     board, twin = new_board(clock), UsbFrontEnd(Device(load_config(profile="sim_usb"), clock.now_ns))
-    for cut in [*cuts, *[Speed.FULL.packet_bytes] * 3]:
+    for cut in [*cuts, *[UsbSpeed.FULL.packet_bytes] * 3]:
         board.packet_out(OUT, stream[:cut])
         stream = stream[cut:]
     expected = b""

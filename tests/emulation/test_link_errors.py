@@ -27,7 +27,7 @@ from inteco_abs.config import UsbConfig, load_config
 from inteco_abs.control import build_pipeline
 from inteco_abs.errors import BoardError, LinkError, UnsafeError
 from inteco_abs.format import TICK, pack_tick
-from inteco_abs.mock_board import Device, Speed, UsbBoard, UsbHost
+from inteco_abs.mock_board import Device, UsbBoard, UsbHost, UsbSpeed
 from inteco_abs.realtime import Loop, StopFlag, TickRing, VirtualClock
 from inteco_abs.realtime.loop import detail_of
 from inteco_abs.signals import BoardFlags, Reason
@@ -67,7 +67,7 @@ def test_over_pyusb_in_process(in_process, name):
     assert in_process.board.jtag_transfers == 0
 
 
-@pytest.mark.parametrize("speed", [Speed.HIGH], ids=["high"])
+@pytest.mark.parametrize("speed", [UsbSpeed.HIGH], ids=["high"])
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_over_usbip(over_usbip, name):
     SCENARIOS[name](over_usbip)
@@ -114,7 +114,7 @@ def test_over_real_libusb_a_kernel_driver_is_detached_and_the_user_is_told(engin
 def test_over_real_libusb_missing_permission_is_told_with_the_udev_rule(engine):
     # root has to give up its rights to be refused anything
     prefix = ("setpriv", "--inh-caps=-all", "--bounding-set=-all") if os.geteuid() == 0 else ()
-    tree = UsbfsTree(new_host(Speed.HIGH, drill=False), mode=0)
+    tree = UsbfsTree(new_host(UsbSpeed.HIGH, drill=False), mode=0)
     try:
         assert client(engine, "denied", tree.environment(), prefix)[0] == {"denied": None}
     finally:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pyusb_backend import BusBackend
 
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, READ_REQUEST, encode_send
-from inteco_abs.mock_board import Speed, UsbBoard, UsbIdentity
+from inteco_abs.mock_board import UsbBoard, UsbIdentity, UsbSpeed
 from inteco_abs.mock_board.usbip.usb_descriptors import MOCK_SERIALS
 from inteco_abs.mock_board.usbip.usb_device import Handshake, SetupPacket
 
@@ -125,7 +125,7 @@ def test_outputs_survive_a_bus_reset(real_board, level):
 
 def test_bound_driver_missing_permission_and_another_board(clock):
     """What a lab without a udev rule sees, in process."""
-    host = new_host(Speed.HIGH, drill=False, clock=clock)
+    host = new_host(UsbSpeed.HIGH, drill=False, clock=clock)
     backend = BusBackend(host, clock.wait)
     backend.driver = "usbtest"
     device = usb.core.find(backend=backend)
@@ -213,7 +213,7 @@ class Recorder:
         return self.answers.pop(0) if self.answers else b""
 
 
-speeds = st.sampled_from(Speed)
+speeds = st.sampled_from(UsbSpeed)
 messages = st.binary(max_size=4000) | st.sampled_from([64, 128, 504, 512, 1024, 2048]).map(bytes)
 
 

@@ -12,7 +12,7 @@ from usbfs import UsbfsTree
 
 from inteco_abs.boards.families.usb2.bridge import bridge_facts
 from inteco_abs.errors import LinkError
-from inteco_abs.mock_board import Speed
+from inteco_abs.mock_board import UsbSpeed
 from inteco_abs.wire.capture import read_capture
 
 COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
@@ -24,7 +24,7 @@ TOLD = {"idVendor": "04b4", "idProduct": "8613", "manufacturer": "InTeCo", "prod
 @pytest.mark.usefixtures("preload")
 @pytest.mark.xdist_group("real libusb")
 def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_it(tmp_path):
-    host = new_host(Speed.HIGH, drill=False)
+    host = new_host(UsbSpeed.HIGH, drill=False)
     tree = UsbfsTree(host)
     for name, text in TOLD.items():
         (tree.path / "sys/devices/usb1/1-1" / name).write_text(f"{text}\n")

@@ -13,7 +13,7 @@ from check_list import CHECKS
 from drill import new_host
 from usbfs import UsbfsTree
 
-from inteco_abs.mock_board import Speed
+from inteco_abs.mock_board import UsbSpeed
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -72,14 +72,14 @@ def test_threads(task, speed):
 
 
 def test_replug():
-    assert run("replug", Speed.HIGH, replugged=True) == {"replug": None}
+    assert run("replug", UsbSpeed.HIGH, replugged=True) == {"replug": None}
 
 
 def test_permission_denied():
     # root has to give up its rights to be refused anything
     prefix = ("setpriv", "--inh-caps=-all", "--bounding-set=-all") if os.geteuid() == 0 else ()
-    assert run("permission_denied", Speed.HIGH, mode=0, prefix=prefix) == {"permission_denied": None}
+    assert run("permission_denied", UsbSpeed.HIGH, mode=0, prefix=prefix) == {"permission_denied": None}
 
 
 def test_bound_driver():
-    assert run("bound_driver", Speed.HIGH, driver="usbtest") == {"bound_driver": None}
+    assert run("bound_driver", UsbSpeed.HIGH, driver="usbtest") == {"bound_driver": None}

@@ -6,7 +6,7 @@ import threading
 import pytest
 from drill import Drill, new_host
 
-from inteco_abs.mock_board import Speed, Urb
+from inteco_abs.mock_board import Urb, UsbSpeed
 from inteco_abs.mock_board.usbip.usb_device import SetupPacket
 
 CONFIGURE = SetupPacket(0x00, 9, 1, 0, 0)
@@ -30,7 +30,7 @@ def log():
 
 @pytest.fixture
 def host(log):
-    host = new_host(Speed.FULL)
+    host = new_host(UsbSpeed.FULL)
     host.submit(log.urb(0, setup=CONFIGURE))
     assert log.pop().status == 0
     return host
@@ -42,7 +42,7 @@ def drill(host, log, request, value=0, index=0, data=b""):
 
 
 def test_bulk_endpoints_do_not_exist_before_a_configuration(log):
-    host = new_host(Speed.FULL)
+    host = new_host(UsbSpeed.FULL)
     for endpoint in (0x02, 0x84):
         with pytest.raises(OSError, match="no endpoint") as caught:
             host.submit(log.urb(endpoint, length=64))

@@ -9,7 +9,7 @@ from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.boards.transports.usb import ENDPOINTS, UsbLink, usb_boards
 from inteco_abs.config import UsbConfig, load_config
 from inteco_abs.errors import BoardError, LinkError
-from inteco_abs.mock_board import Device, Speed, Urb, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board import Device, Urb, UsbBoard, UsbHost, UsbIdentity, UsbSpeed
 from inteco_abs.mock_board.usbip.usb_device import SetupPacket
 from inteco_abs.signals import BoardFlags, Command
 
@@ -30,7 +30,7 @@ class Clock:
 class Bus:
     """One mock board on a bus of its own, and what a driver needs to open it."""
 
-    def __init__(self, speed=Speed.HIGH, serial=SERIAL, **identity):
+    def __init__(self, speed=UsbSpeed.HIGH, serial=SERIAL, **identity):
         self.clock = Clock()
         self.config = load_config()
         self.device = Device(self.config, self.clock.now_ns, 1)
@@ -51,7 +51,7 @@ class Bus:
         return RtdacUsb2(self.link(), self.config.board, self.clock.now_ns, PERIOD_NS)
 
 
-@pytest.fixture(params=Speed, ids=lambda speed: speed.name.lower())
+@pytest.fixture(params=UsbSpeed, ids=lambda speed: speed.name.lower())
 def bus(request):
     return Bus(request.param)
 

@@ -11,7 +11,7 @@ import pytest
 from drill import Drill, new_host
 from usbip_client import UsbIpBus, connect, receive
 
-from inteco_abs.mock_board import Speed, UnixAddress
+from inteco_abs.mock_board import UnixAddress, UsbSpeed
 
 RECORD = (
     b"/sys/devices/inteco-abs-mock/usb1/1-1".ljust(256, b"\0")
@@ -81,7 +81,7 @@ class Peer:
 
 @pytest.fixture
 def host():
-    return new_host(Speed.HIGH)
+    return new_host(UsbSpeed.HIGH)
 
 
 @pytest.fixture
@@ -123,7 +123,7 @@ def test_devices(peer):
 
 
 def test_devices_at_full_speed(serve):
-    with serve(new_host(Speed.FULL, serial=923_456_789, vendor_id=0x1234, product_id=0xABCD)) as (_, address):
+    with serve(new_host(UsbSpeed.FULL, serial=923_456_789, vendor_id=0x1234, product_id=0xABCD)) as (_, address):
         peer = Peer(address)
         record = RECORD.replace(bytes.fromhex("00000003 04b4 8613"), bytes.fromhex("00000002 1234 abcd"))
         peer.ask(ASK_DEVICES, bytes.fromhex("0111 0005 00000000 00000001") + record + bytes.fromhex("ff000000"))
@@ -363,8 +363,8 @@ def test_large_transfers_both_ways(server):
 
 
 @pytest.mark.untraced
-def test_silent_visitors_have_to_go(serve, host, monkeypatch):
-    monkeypatch.setattr("inteco_abs.mock_board.usbip.server._PATIENCE_S", 0.05)
+def test_silent_clients_are_disconnected(serve, host, monkeypatch):
+    monkeypatch.setattr("inteco_abs.mock_board.usbip.server._REQUEST_TIMEOUT_S", 0.05)
     with serve(host) as (_, address):
         for _ in range(20):
             Peer(address)
@@ -379,7 +379,7 @@ def test_closing_is_an_unplug(serve, host):
     peer.expect_end()
 
 
-def test_a_peer_that_does_not_read_is_cut_off(attached, server, monkeypatch):
+def test_a_peer_that_does_not_read_is_disconnected(attached, server, monkeypatch):
     monkeypatch.setattr("inteco_abs.mock_board.usbip.connection._MOST_UNSENT", 1 << 16)
     data = bytes(1 << 20)
     with suppress(OSError):

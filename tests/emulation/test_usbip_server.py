@@ -4,12 +4,12 @@ import pytest
 from drill import new_host
 
 from inteco_abs.errors import BoardError, ConfigError
-from inteco_abs.mock_board import Speed, TcpAddress, UnixAddress, UsbIpServer, parse_address
+from inteco_abs.mock_board import TcpAddress, UnixAddress, UsbIpServer, UsbSpeed, parse_address
 
 
 @pytest.fixture
 def server():
-    server = UsbIpServer(new_host(Speed.HIGH, serial=912_000_007), TcpAddress(port=0))
+    server = UsbIpServer(new_host(UsbSpeed.HIGH, serial=912_000_007), TcpAddress(port=0))
     yield server
     server.close()
 
@@ -25,7 +25,7 @@ def test_facts(server):
 
 
 def test_attach_command_at_the_usual_port_and_from_elsewhere():
-    host = new_host(Speed.HIGH)
+    host = new_host(UsbSpeed.HIGH)
     assert UsbIpServer(host).facts.attach[1] == "usbip attach -r 127.0.0.1 -b 1-1"
     assert "0.0.0.0" not in UsbIpServer(host, TcpAddress("0.0.0.0")).facts.attach[1]  # noqa: S104
 
@@ -33,10 +33,10 @@ def test_attach_command_at_the_usual_port_and_from_elsewhere():
 def test_address_in_use(server, tmp_path):
     port = server.bind().address.port
     with pytest.raises(BoardError, match=f"{port}.*another port"):
-        UsbIpServer(new_host(Speed.HIGH), TcpAddress(port=port)).bind()
+        UsbIpServer(new_host(UsbSpeed.HIGH), TcpAddress(port=port)).bind()
     path = tmp_path / "taken"
     path.write_text("kept")
-    taken = UsbIpServer(new_host(Speed.HIGH), UnixAddress(path))
+    taken = UsbIpServer(new_host(UsbSpeed.HIGH), UnixAddress(path))
     with pytest.raises(BoardError, match="taken"):
         taken.bind()
     taken.close()

@@ -7,7 +7,7 @@ from drill import new_host
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.mock_board import Speed
+from inteco_abs.mock_board import UsbSpeed
 from inteco_abs.mock_board.usbip.attachment import Attachment
 from inteco_abs.mock_board.usbip.messages import MalformedError, take_command, take_request
 
@@ -40,7 +40,7 @@ streams = st.lists(commands | st.binary(max_size=60), max_size=12).map(b"".join)
 def answers(pieces):
     """What the peer hears, and whether it is hung up on."""
     heard = []
-    host = new_host(Speed.FULL, drill=False)
+    host = new_host(UsbSpeed.FULL, drill=False)
     attachment = Attachment(host, DEVICE_ID, heard.append)
     stream = bytearray()
     try:
@@ -72,7 +72,7 @@ drafts = st.lists(
 def test_each_transfer_ends_once_and_each_unlink_says_how(draft):
     """A number stands for the unlinking of the message of that number, whatever and whenever it is."""
     heard = []
-    host = new_host(Speed.FULL, drill=False)
+    host = new_host(UsbSpeed.FULL, drill=False)
     host.device.configuration = 1
     attachment = Attachment(host, DEVICE_ID, heard.append)
     for sequence, what in enumerate(draft, 1):

@@ -16,7 +16,7 @@ from inteco_abs.boards.families.usb2.bridge import NOT_TOLD, FirmwareDates, firm
 from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, UnsafeError
-from inteco_abs.mock_board import Device, Speed, Urb, UsbBoard, UsbHost, UsbIdentity
+from inteco_abs.mock_board import Device, Urb, UsbBoard, UsbHost, UsbIdentity, UsbSpeed
 from inteco_abs.mock_board.usbip.usb_device import Handshake, SetupPacket
 from inteco_abs.signals import BoardFlags, Command
 
@@ -75,7 +75,7 @@ class Bench:
     open_link = None
     find = None
 
-    def __init__(self, speed=Speed.HIGH, serial=SERIAL):
+    def __init__(self, speed=UsbSpeed.HIGH, serial=SERIAL):
         self.config = load_config()
         self.clock = HandClock()
         self.device = Device(self.config, self.clock.now_ns, 1)

@@ -21,7 +21,7 @@ from pathlib import Path
 from usb_core import UsbCore
 from usbip_client import receive
 
-from inteco_abs.mock_board import Speed, Urb
+from inteco_abs.mock_board import Urb, UsbSpeed
 from inteco_abs.mock_board.usbip.usb_device import SetupPacket
 
 PRELOAD = "libumockdev-preload.so.0"
@@ -298,7 +298,7 @@ class UsbfsTree:
         folder = self.path / "sys/devices/usb1/1-1"
         folder.mkdir()
         uevent = "".join(f"{key}={value}\n" for key, value in self._properties("bus/usb/001").items())
-        speed = {Speed.FULL: "12", Speed.HIGH: "480"}[self._host.device.identity.speed]
+        speed = {UsbSpeed.FULL: "12", UsbSpeed.HIGH: "480"}[self._host.device.identity.speed]
         texts = {"uevent": uevent, "busnum": "1\n", "devnum": f"{core.address}\n", "speed": f"{speed}\n"}
         for file, text in texts.items():
             (folder / file).write_text(text)

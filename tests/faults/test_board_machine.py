@@ -77,7 +77,7 @@ class Wire:
 
     def _insist(self):
         if not self.plugged:
-            raise LinkError("the board is not there any more: is its cable pulled?")
+            raise LinkError("the board is gone: is its cable unplugged?")
 
 
 class Host(Link):

@@ -71,7 +71,7 @@ def test_what_does_no_harm_is_outlived(short, name):
 @pytest.mark.parametrize("event", ["drive+40ms", "brake+20ms"])
 def test_a_board_that_is_gone_ends_the_run_in_four_exchanges_and_the_user_is_told_of_the_switch(short, name, event):
     if short.board.kind == "pci" and name == "identity":
-        with pytest.raises(ConfigError, match="no answer of such a board says what it is"):
+        with pytest.raises(ConfigError, match="no answer of such a board identifies it"):
             ride(short, [f"{name}@{event}"])
         return
     result = happened(ride(short, [f"{name}@{event}"]))

@@ -1,4 +1,4 @@
-"""What may go wrong between host, board and rig: one vocabulary, for tests and for `--inject` of run and panel."""
+"""Faults between host, board and rig, for tests and for `--inject` of run and panel."""
 
 from inteco_abs.mock_board.faults.device import FaultyDevice
 from inteco_abs.mock_board.faults.fault import Fault, FaultEvent, Span, parse_fault, parse_faults, require_possible

@@ -16,7 +16,7 @@ _MOTORS: Final = ("drive", "brake")
 
 
 class FaultyDevice(Device):
-    """A device whose encoders and motors do what `schedule` says."""
+    """A device whose encoders and motors have the faults of `schedule`."""
 
     def __init__(
         self,
@@ -30,53 +30,53 @@ class FaultyDevice(Device):
     ) -> None:
         self.schedule = schedule
         self._held: dict[str, int] = {}
-        self._was = [0, 0]
-        self._off = [0, 0]
-        """How far the counters that are shown are from the true ones, in counts."""
+        self._true = [0, 0]
+        self._offsets = [0, 0]
+        """Difference between reported and true counts."""
         self._slept_ns = 0
         self._power_may_fail = any(fault.startswith(("supply=", "heat=")) for fault in schedule.times)
         super().__init__(config, lambda: now_ns() + self._slept_ns, seed, observe, **more)
-        self._was = list(super().counts())
+        self._true = list(super().counts())
 
     def counts(self) -> tuple[int, int]:
-        """Counters of road and wheel as the faulty encoders make them."""
+        """Return the counts of road and wheel from the faulty encoders."""
         true = super().counts()
         shown = [self._count(i, name, count) for i, (name, count) in enumerate(zip(_ENCODERS, true, strict=True))]
-        self._was = list(true)
+        self._true = list(true)
         if self.schedule.acting("encoders-swapped"):
             shown.reverse()
         return signed32(shown[0]), signed32(shown[1])
 
     @property
     def power_interface(self) -> PowerInterface:
-        """Measured state of the power interface now, with faults."""
+        """The present measurements of the power interface, with faults."""
         measured, alarm = self._supplied(), self.schedule.acting("alarm")
         return measured._replace(alarms=measured.alarms ^ int(alarm.value)) if alarm else measured
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass here, and none on the host's clock."""
+        """Advance the device's time, but not the host's clock."""
         self._slept_ns += round(seconds * 1e9)
 
     def restart(self, settings: dict[str, int]) -> None:
-        """A brown-out: both counters at zero, and `settings` in force."""
+        """Restart as after a brown-out: both counters at zero, and these settings."""
         self.catch_up()
-        self._off = [-count for count in super().counts()]
+        self._offsets = [-count for count in super().counts()]
         self.settings.clear()
         self.settings.update(settings)
         self._update_duties()
         self.observe()
 
     def _count(self, i: int, name: str, count: int) -> int:
-        act, step = self.schedule.acting, signed32(count - self._was[i])
+        act, step = self.schedule.acting, signed32(count - self._true[i])
         if act(f"{name}-stuck"):
-            self._off[i] -= step
+            self._offsets[i] -= step
         elif act(f"{name}-reversed"):
-            self._off[i] -= 2 * step
+            self._offsets[i] -= 2 * step
         elif slips := act(f"{name}-slips"):
-            self._off[i] -= round(slips.value * step)
+            self._offsets[i] -= round(slips.value * step)
         if jump := self.schedule.once(f"{name}-jump"):
-            self._off[i] += int(jump.value)
-        shown = count + self._off[i]
+            self._offsets[i] += int(jump.value)
+        shown = count + self._offsets[i]
         if act(f"{name}-dither"):
             shown = self._held.setdefault(name, shown)
             return shown + (count & 1)

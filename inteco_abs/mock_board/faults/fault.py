@@ -1,4 +1,4 @@
-"""One fault: what, when and for how long, as text and as a value."""
+"""A fault with its time and duration, as text and as a value."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ _SPAN: Final = re.compile(
 )
 _NS: Final = {"us": 1e3, "ms": 1e6, "s": 1e9}
 _LONGEST_NS: Final = 100_000 * 10**9
-"""Said in milliseconds, as faults are told to another process, it still is a number that is read."""
+"""Written in milliseconds for the mock board's process, this still matches the pattern above."""
 _EXAMPLE: Final = "as in lose@brake+20ms, road-stuck@3.5s, late=2@drive+#100/#5"
 
 
 class FaultEvent(Enum):
-    """From when on a fault is timed."""
+    """Event that a fault's time counts from."""
 
     START = "start"
     """The board is opened."""
     DRIVE = "drive"
-    """The drive is energised for the first time."""
+    """The drive is energized for the first time."""
     COAST = "coast"
-    """The drive is taken away for the first time."""
+    """The drive is switched off for the first time."""
     BRAKE = "brake"
-    """The brake is energised for the first time."""
+    """The brake is energized for the first time."""
 
 
 class Span(NamedTuple):
@@ -48,9 +48,9 @@ _AT_ONCE: Final = Span()
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Something that goes wrong `after` an event, for as long as it `lasts` (None: for good).
+    """A fault that begins `after` an event and `lasts` for a span; None: to the end of the run.
 
-    `value` is in the unit of its kind; NaN for kinds that have none.
+    `value` is in the unit of its kind; NaN for kinds without a value.
     """
 
     name: str
@@ -61,12 +61,12 @@ class Fault:
 
     @property
     def kind(self) -> FaultKind:
-        """What it means."""
+        """The kind of fault."""
         return KINDS[self.name]
 
     @property
     def word(self) -> str:
-        """The value, of a kind whose values are words; else empty."""
+        """The value as a word; empty for a numeric value."""
         words = self.kind.value.words if self.kind.value else ()
         return words[int(self.value)] if words else ""
 
@@ -79,7 +79,7 @@ class Fault:
 
 
 def parse_faults(texts: Iterable[str], option: str = "--inject") -> tuple[Fault, ...]:
-    """Faults as they are typed; raises ConfigError with all that are wrong, named by `option`."""
+    """Parse faults; raises ConfigError with every mistake, naming `option`."""
     faults, mistakes = [], []
     for text in texts:
         try:
@@ -94,14 +94,14 @@ def parse_faults(texts: Iterable[str], option: str = "--inject") -> tuple[Fault,
 def require_possible(
     faults: Iterable[Fault], board: str, impossible: Mapping[str, str] | None = None, option: str = "--inject"
 ) -> None:
-    """Raise ConfigError for those that this kind of board, as in `board.kind`, cannot have.
+    """Raise ConfigError for faults that a board of this `board.kind` cannot have.
 
-    `impossible` are other kinds that cannot be, and why.
+    `impossible` gives the reason for each further impossible kind.
     """
     mock = mock_family(board)
     why: dict[str, str] = {}
-    if mock.identity_at is None:
-        why["identity"] = "no answer of such a board says what it is"
+    if mock.identity_offset is None:
+        why["identity"] = "no answer of such a board identifies it"
     if not mock.has_alarms:
         why["alarm"] = "no alarm flags are known of such a board, only of a PCI board: --set profile=sim_pci"
     why |= impossible or {}
@@ -111,7 +111,7 @@ def require_possible(
 
 
 def parse_fault(text: str) -> Fault:
-    """`KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG]`; times as 20ms, 1.5s or #40 exchanges. Raises ValueError."""
+    """Parse `KIND[=VALUE]@[EVENT+]WHEN[/HOW LONG]`; times as 20ms, 1.5s or #40 exchanges. Raises ValueError."""
     form = _FORM.fullmatch(text)
     if form is None:
         raise ValueError(
@@ -119,12 +119,12 @@ def parse_fault(text: str) -> Fault:
         )
     name = form["kind"]
     if name not in KINDS:
-        raise ValueError(f"there is no fault {name!r}{near_match(name, KINDS)}")
+        raise ValueError(f"no fault {name!r}{near_match(name, KINDS)}")
     kind = KINDS[name]
     event, after = _moment(form["when"])
     lasts = _span(form["lasts"]) if form["lasts"] else None if kind.lasting else Span(exchanges=1)
     if lasts == _AT_ONCE:
-        raise ValueError(f"/{form['lasts']}: a fault that lasts for no time never acts; leave it out, or say how long")
+        raise ValueError(f"/{form['lasts']}: a fault of zero duration never acts; leave it out, or give a duration")
     return Fault(name, event, after, lasts, _value_of(kind, name, form["value"]))
 
 
@@ -135,18 +135,18 @@ def _moment(text: str) -> tuple[FaultEvent, Span]:
         try:
             event = FaultEvent(word)
         except ValueError:
-            raise ValueError(f"nothing is timed from {word!r}, only from: {events}") from None
+            raise ValueError(f"{word!r} is not an event; the events are: {events}") from None
         return event, _span(rest) if plus else Span()
     try:
         return FaultEvent.START, _span(text)
     except ValueError as error:
-        raise ValueError(f"{error}; and the events are: {events}") from None
+        raise ValueError(f"{error}; the events are: {events}") from None
 
 
 def _span(text: str) -> Span:
     form = _SPAN.fullmatch(text)
     if form is None:
-        raise ValueError(f"{text!r} is not a time: say 500us, 20ms, 1.5s, or #40 for forty exchanges")
+        raise ValueError(f"{text!r} is not a time: write 500us, 20ms, 1.5s, or #40 for forty exchanges")
     if form["exchanges"]:
         return Span(exchanges=int(form["exchanges"]))
     ns = round(float(form["number"]) * _NS[form["unit"]])
@@ -167,7 +167,7 @@ def _value_of(kind: FaultKind, name: str, text: str | None) -> float:
         return wanted.default
     if wanted.words:
         if text not in wanted.words:
-            raise ValueError(f"{text!r}: {name} knows {', '.join(wanted.words)}")
+            raise ValueError(f"{text!r}: {name} takes one of {', '.join(wanted.words)}")
         return float(wanted.words.index(text))
     try:
         number = float(text)

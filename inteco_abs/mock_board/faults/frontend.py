@@ -1,4 +1,4 @@
-"""A mock board's wire with faults on it."""
+"""A mock board's front end with faults on the wire."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from inteco_abs.mock_board.faults.schedule import Schedule
 from inteco_abs.mock_board.frontend import FrontEnd
 
 _LONGEST_REQUEST: Final = 4
-"""Bytes: what is longer tells the board to do something."""
+"""Bytes; a longer message is a command."""
 _MOST_BYTES: Final = 4096
 _PWM_BITS: Final = 16
 
 
 class FaultyFrontEnd:
-    """What `schedule` lets through of what a host and the board `make_front_end(device)` say to each other.
+    """Applies the wire faults of `schedule` to the messages between a host and `make_front_end(device)`.
 
-    `wait` lets so many seconds pass in an exchange, `pause` lets the host stand still for so many after it; `begun` is
-    told that one begins. An exchange is what the host sends and the answer that it then takes. Raises LinkError where
-    the cable is pulled.
+    An exchange is the host's messages up to an answer. `wait` delays an exchange by that many seconds, `pause` freezes
+    the host after it for that many; `on_exchange` is called when one begins. Raises LinkError while the cable is
+    unplugged.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class FaultyFrontEnd:
         device: FaultyDevice,
         wait: Callable[[float], None],
         pause: Callable[[float], None],
-        begun: Callable[[], None] = lambda: None,
+        on_exchange: Callable[[], None] = lambda: None,
     ) -> None:
         self.device: Device = device
         self.rejected = 0
@@ -42,27 +42,27 @@ class FaultyFrontEnd:
         self._schedule: Schedule = device.schedule
         self._make_front_end = make_front_end
         self._front_end = make_front_end(device)
-        self._wait, self._pause, self._begun = wait, pause, begun
-        self._identity_at = mock_family(device.kind).identity_at or 0
+        self._wait, self._pause, self._on_exchange = wait, pause, on_exchange
+        self._identity_offset = mock_family(device.kind).identity_offset or 0
         self._answered = True
         self._commanded = False
-        """Of the exchange that goes on: whether the board has answered, whether it was told something."""
+        """Whether the current exchange has an answer, and whether it has a command."""
         self._sent: deque[bytes] = deque()
-        """Answers on their way."""
+        """Answers ready for the host."""
         self._overdue: list[bytes] = []
-        """Answers that come with the next exchange."""
+        """Answers that arrive with the next exchange."""
         self._held: bytes | None = None
-        """An answer that comes after the next one."""
-        self._before = b""
+        """An answer that arrives after the next one."""
+        self._previous = b""
         self._strongest = (0.0, b"")
 
     @property
     def answered(self) -> bool:
-        """Whether the board has answered in the exchange that goes on."""
+        """Whether the board has answered in the current exchange."""
         return self._answered
 
     def bulk_out(self, data: bytes | bytearray) -> None:
-        """What the host writes, if it arrives."""
+        """Receive a message from the host, unless a fault loses it."""
         command = len(data) > _LONGEST_REQUEST
         if self._answered or (command and self._commanded):
             self._begin()
@@ -74,18 +74,16 @@ class FaultyFrontEnd:
         self._front_end.bulk_out(data)
         answer = self._front_end.bulk_in(_MOST_BYTES)
         if command:
-            self._overhear(bytes(data))
+            self._repeat_strongest(bytes(data))
         self.rejected = self._front_end.rejected
         if answer:
             self._answered = True
-            sent, self._before = self._spoilt(answer), answer
+            sent, self._previous = self._damaged(answer), answer
             self._send(sent)
 
     def bulk_in(self, length: int) -> bytes:
-        """What the host gets, if anything."""
-        if self._reachable() and self._sent:
-            return self._sent.popleft()[:length]
-        return b""
+        """Return the next answer that arrives; empty if there is none."""
+        return self._sent.popleft()[:length] if self._reachable() and self._sent else b""
 
     def _begin(self) -> None:
         schedule = self._schedule
@@ -93,7 +91,7 @@ class FaultyFrontEnd:
         schedule.exchange += 1
         self._sent.extend(self._overdue)
         self._overdue.clear()
-        self._begun()
+        self._on_exchange()
         if fault := schedule.once("pause"):
             self._pause(fault.value * 1e-3)
         if fault := schedule.once("sleep"):
@@ -104,30 +102,30 @@ class FaultyFrontEnd:
             self._restart(fault)
 
     def _reachable(self) -> bool:
-        """Whether the board hears and answers; raises LinkError if it is not there at all."""
+        """Return whether the board responds; raises LinkError if it is unplugged."""
         if self._schedule.acting("unplug"):
             self._sent.clear()
-            raise LinkError("the board is not there any more: is its cable pulled?")
+            raise LinkError("the board is gone: is its cable unplugged?")
         return self._schedule.acting("stall") is None
 
-    def _spoilt(self, answer: bytes) -> bytes:
-        """The answer as its bytes come through."""
+    def _damaged(self, answer: bytes) -> bytes:
+        """Return the answer with the faults of its bytes."""
         act = self._schedule.acting
-        if act("stale") and self._before:
-            return self._before
-        if (splice := act("splice")) and self._before:
-            answer = answer[: int(splice.value)] + self._before[int(splice.value) :]
+        if act("stale") and self._previous:
+            return self._previous
+        if (splice := act("splice")) and self._previous:
+            answer = answer[: int(splice.value)] + self._previous[int(splice.value) :]
         if fault := act("corrupt"):
             answer = self._flipped(answer, fault)
         if act("identity"):
-            at = self._identity_at
+            at = self._identity_offset
             answer = answer[:at] + bytes([answer[at] ^ 0x15]) + answer[at + 1 :]
         if cut := act("cut"):
             answer = answer[: int(cut.value)]
         return answer
 
     def _send(self, answer: bytes) -> None:
-        """The answer goes on its way: now, later, twice or not at all."""
+        """Send the answer now, later, twice or not at all."""
         act = self._schedule.acting
         if self._held is not None:
             self._sent += answer, self._held
@@ -148,17 +146,17 @@ class FaultyFrontEnd:
         flipped[bit // 8] ^= 1 << bit % 8
         return bytes(flipped)
 
-    def _overhear(self, command: bytes) -> None:
-        """Another program has heard the command, and may say the strongest so far again."""
+    def _repeat_strongest(self, command: bytes) -> None:
+        """Let another program repeat the strongest command so far."""
         strength, strongest = self._strongest
         if sum(self.device.duties) > strength:
             self._strongest = sum(self.device.duties), command
         elif strongest and self._schedule.acting("master"):
             self._front_end.bulk_out(strongest)
-            self._front_end.bulk_in(_MOST_BYTES)  # its answer, if it asked for one, is its own
+            self._front_end.bulk_in(_MOST_BYTES)  # an answer would be the other program's
 
     def _restart(self, fault: Fault) -> None:
-        """A brown-out: what waits is lost, and the settings are zero, as they were, or anything."""
+        """Restart the board: waiting messages are lost, settings become zero, stay, or are random."""
         word, settings = fault.word, dict(self.device.settings)
         if word != "held":
             self._front_end = self._make_front_end(self._faulty)
@@ -168,4 +166,4 @@ class FaultyFrontEnd:
             settings = {name: self._schedule.random.getrandbits(_PWM_BITS) for name in settings}
             settings.update(encoder_reset=0, timer_reset=0, **{f"pwm{i}_mode": 1 for i in range(2)})
         self._faulty.restart(settings)
-        self._before = b""
+        self._previous = b""

@@ -1,4 +1,4 @@
-"""Faults of the computer: of its processes, and of the disk for the session."""
+"""Faults of the computer: its processes, its clock, and the session's disk."""
 
 from __future__ import annotations
 
@@ -9,20 +9,17 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Final, Self
+from typing import Self
 
 from inteco_abs.mock_board.faults.kinds import CLOCK_STEP, PROCESSES
 from inteco_abs.mock_board.faults.schedule import Schedule
-
-_NOTHING_MORE: Final = 0
-"""Bytes to which a file may grow."""
 
 
 class FaultyHost:
     """Applies the faults of `schedule` to a run's processes and to its session at `file`.
 
-    `pid_of` returns a process by name, 0 for a missing one. The wall clock that steps is this process's. Leaving the
-    context ends all faults.
+    `pid_of` returns a process id by name, 0 for a missing process. A clock step changes this process's wall clock.
+    Leaving the context ends all faults.
     """
 
     def __init__(self, schedule: Schedule, file: Path, pid_of: Callable[[str], int]) -> None:
@@ -31,9 +28,8 @@ class FaultyHost:
         self._pid_of = pid_of
         self._frozen: dict[str, int] = {}
         self._full: tuple[int, tuple[int, int]] | None = None
-        """Process whose disk is full, and how long its files may be otherwise."""
+        """Process whose disk is full, and its limits of the file size before."""
         self._wall_ns = time.time_ns
-        """The computer's own."""
 
     def __enter__(self) -> Self:
         return self
@@ -41,27 +37,27 @@ class FaultyHost:
     def __exit__(self, *_error: object) -> None:
         for name in tuple(self._frozen):
             self._thaw(name)
-        self._give_room()
+        self._free_disk()
         time.time_ns = self._wall_ns
 
     def act(self) -> None:
         """Begin and end the faults that are due; call it often."""
         for name in PROCESSES:
-            self._do_to(name)
+            self._kill_or_freeze(name)
         if self._schedule.once("file-gone"):
             self._file.unlink(missing_ok=True)
         if step := self._schedule.once(CLOCK_STEP):
             self._step_clock(round(step.value * 1e9))
         if self._full is None and self._schedule.once("disk-full"):
-            self._take_room(self._pid_of("recorder"))
+            self._fill_disk(self._pid_of("recorder"))
         elif self._full is not None and not self._schedule.lasting("disk-full"):
-            self._give_room()
+            self._free_disk()
 
     def frozen(self, name: str) -> bool:
-        """Return whether that process is frozen by a fault."""
+        """Return whether a fault has frozen that process."""
         return name in self._frozen
 
-    def _do_to(self, name: str) -> None:
+    def _kill_or_freeze(self, name: str) -> None:
         if self._schedule.once(f"{name}-killed"):
             _send(self._pid_of(name), signal.SIGKILL)
         if self._schedule.once(f"{name}-frozen"):
@@ -77,15 +73,15 @@ class FaultyHost:
         before = time.time_ns
         time.time_ns = lambda: before() + step_ns
 
-    def _take_room(self, pid: int) -> None:
-        if pid <= 0:  # 0 would be ourselves
+    def _fill_disk(self, pid: int) -> None:
+        if pid <= 0:  # 0 is the calling process
             return
         with suppress(ProcessLookupError):
             before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
-            resource.prlimit(pid, resource.RLIMIT_FSIZE, (_NOTHING_MORE, before[1]))
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, before[1]))
             self._full = pid, before
 
-    def _give_room(self) -> None:
+    def _free_disk(self) -> None:
         if self._full is not None:
             pid, before = self._full
             self._full = None
@@ -94,6 +90,6 @@ class FaultyHost:
 
 
 def _send(pid: int, number: int) -> None:
-    if pid > 0:  # 0 would be everybody
+    if pid > 0:  # 0 is the whole process group
         with suppress(ProcessLookupError):
             os.kill(pid, number)

@@ -1,4 +1,4 @@
-"""The kinds of faults, with what they mean and the value that each takes."""
+"""The kinds of faults, with their meaning and values."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ _COUNTS: Final = float(1 << 31)
 
 
 class FaultValue(NamedTuple):
-    """The number after a fault's name, or one of a few words."""
+    """The value after a fault's name: a number or a word."""
 
     unit: str
     low: float = -math.inf
     high: float = math.inf
     default: float | None = None
-    """None: it must be given."""
+    """None: required."""
     words: tuple[str, ...] = ()
-    """If there are any, the value is one of these, and kept as its place among them."""
+    """Allowed words, if the value is a word; a fault keeps its index."""
 
     @property
     def usage(self) -> str:
-        """How it is typed after the name."""
+        """Notation after the name."""
         typed = "=" + ("|".join(self.words) or (self.unit or f"{self.low:g}..{self.high:g}").upper())
         return typed if self.default is None else f"[{typed}]"
 
     @property
     def whole(self) -> bool:
-        """Whether a fraction would mean nothing."""
+        """Whether the value must be an integer."""
         return self.unit in {"bit", "bits", "bytes", "counts"}
 
     @property
     def allowed(self) -> str:
-        """What it may be."""
+        """Description of the allowed values."""
         number = "a whole number" if self.whole else "a number"
         return f"{number} in {self.low:.15g}..{self.high:.15g} {self.unit}".rstrip()
 
@@ -43,7 +43,7 @@ class FaultKind(NamedTuple):
     meaning: str
     value: FaultValue | None = None
     lasting: bool = False
-    """Whether it lasts for good unless told otherwise; else for one exchange."""
+    """Whether it lasts to the end of the run by default, not for one exchange."""
 
 
 _BIT: Final = FaultValue("bit", 0, 1 << 14, default=-1)
@@ -59,26 +59,26 @@ _ALARMS: Final = FaultValue("bits", 1, 7)
 ON_THE_WIRE: Final[dict[str, FaultKind]] = {
     "lose": FaultKind("the answer is lost"),
     "lose-command": FaultKind("what the host sends is lost"),
-    "late": FaultKind("the exchange takes so much longer", _TIME),
-    "overdue": FaultKind("the answer comes after its request has timed out, before the next one"),
-    "twice": FaultKind("the answer comes twice"),
-    "swap": FaultKind("the answer comes after the next one"),
-    "stale": FaultKind("the answer is the one before again"),
-    "corrupt": FaultKind("one bit of the answer flips; without a number, any", _BIT),
+    "late": FaultKind("the exchange takes this much longer", _TIME),
+    "overdue": FaultKind("the answer arrives after its request has timed out, before the next one"),
+    "twice": FaultKind("the answer arrives twice"),
+    "swap": FaultKind("the answer arrives after the next one"),
+    "stale": FaultKind("the previous answer arrives again"),
+    "corrupt": FaultKind("one bit of the answer flips; without a number, a random one", _BIT),
     "corrupt-command": FaultKind("one bit of what the host sends flips", _BIT),
-    "cut": FaultKind("the answer ends after so many bytes", FaultValue("bytes", 0, 2048)),
+    "cut": FaultKind("the answer ends after this many bytes", FaultValue("bytes", 0, 2048)),
     "splice": FaultKind(
-        "so many bytes of the answer are new, the rest is of the one before", FaultValue("bytes", 1, 2048)
+        "this many bytes of the answer are new, the rest is from the previous one", FaultValue("bytes", 1, 2048)
     ),
     "identity": FaultKind("another board's answer: its header is not the one that was identified", lasting=True),
-    "stall": FaultKind("the board neither hears nor answers, and holds its outputs", lasting=True),
-    "unplug": FaultKind("the cable is pulled, and the board holds its outputs", lasting=True),
+    "stall": FaultKind("the board does not respond, and holds its outputs", lasting=True),
+    "unplug": FaultKind("the cable is unplugged, and the board holds its outputs", lasting=True),
     "reset": FaultKind(
-        "the board starts anew: counters at zero, outputs as told",
+        "the board restarts: counters at zero, outputs as given",
         FaultValue("", default=0.0, words=("zero", "held", "random")),
     ),
-    "master": FaultKind("another program repeats the strongest command it has heard, between ours", lasting=True),
-    "pause": FaultKind("the computer stands still for so long, between two exchanges", _TIME),
+    "master": FaultKind("another program repeats the strongest command so far, between ours", lasting=True),
+    "pause": FaultKind("the computer stands still for this time, between two exchanges", _TIME),
 }
 """Between the host and the board."""
 
@@ -88,50 +88,50 @@ ON_THE_RIG: Final[dict[str, FaultKind]] = {
         for wheel in ("road", "wheel")
         for name, meaning, value, lasting in (
             ("stuck", "the {} encoder's counter stands still", None, True),
-            ("dither", "one of the {} encoder's two channels is dead: its counter goes to and fro", None, True),
+            ("dither", "one of the {} encoder's two channels is dead: its counter alternates", None, True),
             ("reversed", "the {} encoder counts the other way", None, True),
-            ("noisy", "the {} encoder is off by up to so many counts, anew at each reading", _NOISE, True),
-            ("jump", "the {} encoder's counter is off by so many counts from now on", _JUMP, True),
+            ("noisy", "each reading of the {} encoder has a random error of up to this many counts", _NOISE, True),
+            ("jump", "the {} encoder's counter jumps by this many counts", _JUMP, True),
             ("slips", "the {} encoder loses this share of its counts", _SHARE, True),
         )
     },
     "encoders-swapped": FaultKind("each encoder's plug is in the other's socket", lasting=True),
-    "drive-dead": FaultKind("the drive motor gets nothing", lasting=True),
-    "drive-stuck": FaultKind("the drive motor gets this duty, whatever the board puts out", _SHARE, lasting=True),
-    "brake-dead": FaultKind("the brake gets nothing", lasting=True),
+    "drive-dead": FaultKind("the drive motor gets no power", lasting=True),
+    "drive-stuck": FaultKind("the drive motor gets this duty, regardless of the board's output", _SHARE, lasting=True),
+    "brake-dead": FaultKind("the brake gets no power", lasting=True),
     "brake-weak": FaultKind("the brake gets this share of its duty", _SHARE, lasting=True),
-    "brake-stuck": FaultKind("the brake gets this duty, whatever the board puts out", _SHARE, lasting=True),
+    "brake-stuck": FaultKind("the brake gets this duty, regardless of the board's output", _SHARE, lasting=True),
     "power-off": FaultKind("the power interface is off, as by the emergency switch", lasting=True),
-    "watchdog-stuck": FaultKind(
-        "the contact of the one-shot in the emergency chain does not open any more", lasting=True
-    ),
+    "watchdog-stuck": FaultKind("the contact of the one-shot in the emergency chain no longer opens", lasting=True),
     "supply": FaultKind(
-        "the motors' supply has so many volts; below 12.3 V they get nothing here", _SUPPLY, lasting=True
+        "the motors' supply has this voltage; below 12.3 V the mock gives them no power", _SUPPLY, lasting=True
     ),
-    "heat": FaultKind("the power interface is so hot; above 80 degC the motors get nothing here", _HEAT, lasting=True),
-    "alarm": FaultKind("in the panel: these alarm flags, 1, 2 and 4 added up, say the opposite", _ALARMS, lasting=True),
+    "heat": FaultKind(
+        "the power interface is this hot; above 80 degC the mock gives the motors no power", _HEAT, lasting=True
+    ),
+    "alarm": FaultKind("in the panel: these alarm flags, the sum of 1, 2 and 4, are inverted", _ALARMS, lasting=True),
 }
 """Between the board and the wheels."""
 
 PROCESSES: Final = ("loop", "recorder", "guardian", "supervisor")
-"""Of a run in real time."""
+"""Of a real-time run."""
 BY_PROCESS: Final[dict[str, FaultKind]] = {
     f"{process}-{name}": FaultKind(meaning.format(process), lasting=lasting)
     for process in PROCESSES
     for name, meaning, lasting in (
         ("killed", "the {}'s process is killed; in real time", False),
-        ("frozen", "the {}'s process stands still; in real time", True),
+        ("frozen", "the {}'s process freezes; in real time", True),
     )
 }
 CLOCK_STEP: Final = "clock-step"
-"""Only in virtual time: the wall clock of a real computer is everybody's."""
+"""Only in virtual time: all programs share the wall clock of a real computer."""
 ON_THE_HOST: Final[dict[str, FaultKind]] = {
-    "sleep": FaultKind("the computer sleeps for so long: its clock stands still, rig and board go on", _TIME),
-    "disk-full": FaultKind("whoever writes the session finds no room for it on any disk", lasting=True),
+    "sleep": FaultKind("the computer sleeps for this time: its clock stops, rig and board continue", _TIME),
+    "disk-full": FaultKind("the process that writes the session finds every disk full", lasting=True),
     "file-gone": FaultKind("the session's file is removed while it is being written"),
-    CLOCK_STEP: FaultKind("the computer's wall clock jumps by so long; in virtual time", _STEP),
+    CLOCK_STEP: FaultKind("the computer's wall clock jumps by this time; in virtual time", _STEP),
     **BY_PROCESS,
 }
-"""With the computer."""
+"""In the computer."""
 
 KINDS: Final = {**ON_THE_WIRE, **ON_THE_RIG, **ON_THE_HOST}

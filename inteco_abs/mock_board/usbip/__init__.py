@@ -1,1 +1,1 @@
-"""The mock boards as USB devices, offered to any Linux kernel over USB/IP."""
+"""Mock boards as USB devices, exported to any Linux kernel over USB/IP."""

@@ -1,4 +1,4 @@
-"""Where a USB/IP server listens: HOST:PORT, or unix:PATH."""
+"""Addresses of a USB/IP server: HOST:PORT, or unix:PATH."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Final, NamedTuple
 from inteco_abs.errors import BoardError, ConfigError, ConfigIssue
 
 USBIP_PORT: Final = 3240
-"""Where the `usbip` command looks unless told otherwise."""
+"""Default port of the `usbip` command."""
 LOOPBACK: Final = "127.0.0.1"
 
 
 class TcpAddress(NamedTuple):
-    """Address of this computer and port; port 0 takes any free one. USB/IP knows no password: stay on loopback."""
+    """Address of this computer and port; 0 is any free port. USB/IP has no password: stay on loopback."""
 
     host: str = LOOPBACK
     port: int = USBIP_PORT
@@ -23,14 +23,14 @@ class TcpAddress(NamedTuple):
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
     def listen(self) -> socket.socket:
-        """A listening socket. Raises BoardError."""
+        """Return a listening socket. Raises BoardError."""
         try:
             family, _, _, _, place = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)[0]
             return socket.create_server(place[:2], family=family, backlog=8)
         except OSError as error:
             raise BoardError(
                 f"the USB/IP server cannot listen on {self.host} port {self.port}: {error.strerror or error}; "
-                "is a mock board or usbipd running already? another port can be given as HOST:PORT"
+                "is a mock board or usbipd running already? choose another port with HOST:PORT"
             ) from error
 
 
@@ -40,7 +40,7 @@ class UnixAddress(NamedTuple):
     path: Path
 
     def listen(self) -> socket.socket:
-        """A listening socket. Raises BoardError."""
+        """Return a listening socket. Raises BoardError."""
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             listener.bind(str(self.path))
@@ -52,7 +52,7 @@ class UnixAddress(NamedTuple):
 
 
 def parse_address(text: str) -> TcpAddress | UnixAddress:
-    """Address written as "", "HOST", "HOST:PORT", "[IPv6]:PORT", ":PORT" or "unix:PATH". Raises ConfigError."""
+    """Parse "", "HOST", "HOST:PORT", "[IPv6]:PORT", ":PORT" or "unix:PATH". Raises ConfigError."""
     if text.startswith("unix:"):
         if len(text) > len("unix:"):
             return UnixAddress(Path(text.removeprefix("unix:")))

@@ -1,4 +1,4 @@
-"""A board that a USB/IP peer has imported: its transfers, by the peer's sequence numbers."""
+"""The transfers of a USB/IP peer that has imported the board, by the peer's sequence numbers."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _MOST_IN_FLIGHT: Final = 256
 
 
 class Attachment:
-    """Transfers between `host` and one peer; answers go to `send`.
+    """Transfers between `host` and one peer; `send` receives the answers.
 
-    The kernel hangs up on an answer to a transfer that it has given up. So one lock covers the decision how a transfer
-    ends and the sending of it: after a successful unlink nothing more is said about that transfer.
+    The kernel disconnects on an answer to a transfer that it has given up. So one lock covers both the decision how a
+    transfer ends and its answer: after a successful unlink the transfer has no answer.
     """
 
     def __init__(self, host: UsbHost, device_id: int, send: Callable[[bytes], None]) -> None:
@@ -30,7 +30,7 @@ class Attachment:
         self._lock = threading.RLock()
 
     def handle(self, command: Submit | Unlink) -> None:
-        """Do what the peer says. Raises MalformedError for what no kernel says."""
+        """Execute the peer's command. Raises MalformedError for a command that no kernel sends."""
         if command.device_id != self._device_id:
             raise MalformedError
         if isinstance(command, Unlink):
@@ -39,7 +39,7 @@ class Attachment:
             self._submit(command)
 
     def end(self) -> None:
-        """The peer has gone: take its transfers back."""
+        """Cancel all transfers, as the peer has gone."""
         with self._lock:
             abandoned = list(self._in_flight.values())
             self._in_flight.clear()
@@ -74,7 +74,7 @@ class Attachment:
                 self._send(unlink_return(command.sequence, -errno.ECONNRESET))
                 return
             if urb is not None:
-                self._answer(command.victim, urb)  # it has ended, and its own thread has not come to say so
+                self._answer(command.victim, urb)  # it has ended, but its own thread has not answered yet
             self._send(unlink_return(command.sequence, 0))
 
     def _completed(self, sequence: int, urb: Urb) -> None:

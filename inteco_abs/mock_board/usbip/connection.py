@@ -1,4 +1,4 @@
-"""One peer of the USB/IP server: a stream socket that is never waited for."""
+"""A connection of the USB/IP server: a non-blocking stream socket with buffers."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Final
 _CHUNK: Final = 1 << 16
 _MOST_UNSENT: Final = 32 << 20
 _KEEPALIVE: Final = (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 3))
-"""Seconds, seconds, tries: a computer that went without a word holds the board no longer than this."""
+"""Seconds, seconds, tries: after 25 s the server drops a computer that has vanished."""
 
 
 class Connection:
-    """What has arrived from the peer, and what it has not taken yet. `send` and `cut` may come from any thread."""
+    """Buffers of received and unsent bytes of one peer. `send` and `cut` may be called from any thread."""
 
     def __init__(self, peer: socket.socket) -> None:
         self.arrived = bytearray()
         self.closing = False
-        """Nothing more is read: it ends when all is sent."""
+        """Whether to close once all is sent; nothing more is read."""
         self._socket = peer
         self._unsent = bytearray()
         self._lock = threading.Lock()
@@ -32,16 +32,16 @@ class Connection:
                     peer.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
     def fileno(self) -> int:
-        """For `select`."""
+        """Return the descriptor for `select`."""
         return self._socket.fileno()
 
     @property
     def unsent(self) -> bool:
-        """Whether something waits for the peer to read."""
+        """Whether bytes wait for the peer."""
         return bool(self._unsent)
 
     def send(self, data: bytes) -> None:
-        """Send `data`, now or later; a peer that has stopped reading is cut off."""
+        """Send `data`, now or later; disconnect a peer that has stopped reading."""
         with self._lock:
             self._unsent += data
             self._flush()
@@ -49,12 +49,12 @@ class Connection:
                 self.cut()
 
     def flush(self) -> None:
-        """Send as much as goes without waiting."""
+        """Send as much as possible without waiting."""
         with self._lock:
             self._flush()
 
     def receive(self) -> bool:
-        """Take what has arrived; False when the peer has gone."""
+        """Receive what has arrived; return False if the peer has gone."""
         try:
             data = self._socket.recv(_CHUNK)
         except BlockingIOError:
@@ -65,12 +65,12 @@ class Connection:
         return bool(data)
 
     def cut(self) -> None:
-        """Hang up, for the peer an unplug; `close` must follow from who serves it."""
+        """Disconnect, for the peer an unplug; the serving thread must call `close` afterwards."""
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self._socket.close()
 
     def _flush(self) -> None:
@@ -80,4 +80,4 @@ class Connection:
         except BlockingIOError:
             return
         except OSError:
-            self._unsent.clear()  # the peer has gone, and reading will say so
+            self._unsent.clear()  # the peer has gone; the next `receive` returns False

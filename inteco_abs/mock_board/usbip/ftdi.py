@@ -1,7 +1,7 @@
-"""The mock RT-DAC/USB as a USB device: an FTDI bridge between the bus and the byte stream of `usb`.
+"""The mock RT-DAC/USB as a USB device: an FTDI bridge between the bus and the FPGA's byte stream.
 
-Which chip the real board has is UNKNOWN; this one is an FT232R, so that the kernel's `ftdi_sio` makes a serial port of
-it. Source: docs/facts/usb.md#ftdi-chip.
+The real board's chip is UNKNOWN; this one is an FT232R, so that the kernel's `ftdi_sio` makes a serial port of it.
+Source: docs/facts/usb.md#ftdi-chip.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from collections.abc import Callable
 from typing import Final
 
 from inteco_abs.mock_board.frontend import Stream
-from inteco_abs.mock_board.usbip.usb_descriptors import MOCK_SERIALS, Speed, UsbIdentity
+from inteco_abs.mock_board.usbip.usb_descriptors import MOCK_SERIALS, UsbIdentity, UsbSpeed
 from inteco_abs.mock_board.usbip.usb_device import Handshake, SetupPacket, UsbAnswer, UsbDevice
 
 ENDPOINT_IN, ENDPOINT_OUT = 0x81, 0x02
 _STATUS: Final = bytes((0x31, 0x60))
-"""Before the data of each packet: clear to send, data set ready, nothing left to transmit."""
-_MOST_DATA: Final = Speed.FULL.packet_bytes - len(_STATUS)
+"""First bytes of each packet: clear to send, data set ready, transmitter empty."""
+_MOST_DATA: Final = UsbSpeed.FULL.packet_bytes - len(_STATUS)
 _MOST_UNREAD: Final = 4096
-"""Bytes that wait for the host; a real chip has some hundred, and what its FPGA does when they are full is UNKNOWN."""
+"""Bytes that wait for the host. A real chip holds some hundred; its FPGA's reaction to a full chip is UNKNOWN."""
 _RESET_LATENCY_MS: Final = 16
 
 _TO_DEVICE, _FROM_DEVICE = 0x40, 0xC0
 _RESET, _EVENT_CHARACTER, _SET_LATENCY = 0, 6, 9
 _IGNORED: Final = {1, 2, 3, 4, 7, 0x0B}
-"""Modem control, flow control, divisor of the baud rate, line format, error character, bit mode: a FIFO has none."""
+"""Modem control, flow control, baud rate divisor, line format, error character, bit mode: without effect in a FIFO."""
 _RESET_ALL, _DROP_UNREAD = 0, 1
 _ENABLED: Final = 0x100
 _GET_LATENCY: Final = 10
@@ -35,12 +35,12 @@ _ANSWERS: Final = {5: _STATUS, 0x0C: b"\0", 0x90: b"\xff\xff"}
 
 
 def ftdi_identity(serial: int = MOCK_SERIALS.start + 1) -> UsbIdentity:
-    """An FT232R's ids and strings with the serial number of a mock; raises ValueError for any other number."""
+    """Return an FT232R's ids and strings with a mock's serial number; raises ValueError for any other number."""
     return UsbIdentity(
         serial,
         0x0403,
         0x6001,
-        Speed.FULL,
+        UsbSpeed.FULL,
         "FTDI",
         "FT232R USB UART",
         0x0600,
@@ -51,10 +51,10 @@ def ftdi_identity(serial: int = MOCK_SERIALS.start + 1) -> UsbIdentity:
 
 
 class FtdiBoard(UsbDevice):
-    """The board that `stream` is the FPGA of; `now_ns` is the clock of the latency timer.
+    """A board whose FPGA is `stream`; `now_ns` is the clock of the latency timer.
 
-    A packet to the host is sent when it is full, when the event character waits, or when the timer, which starts with
-    each packet, has run out: then with what there is, and be it the status alone.
+    A packet is ready for the host when it is full, when the event character waits, or when the timer, which starts with
+    each packet, has expired: then with the waiting bytes, or the status alone.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class FtdiBoard(UsbDevice):
         self.stream = stream
         self.latency_ms = _RESET_LATENCY_MS
         self.lost_answers = 0
-        """Answers that found no room."""
+        """Answers lost in a full buffer."""
         self._now_ns = now_ns
         self._unread = bytearray()
         self._event: int | None = None  # the event character, if it is enabled
@@ -73,22 +73,22 @@ class FtdiBoard(UsbDevice):
 
     @property
     def due_s(self) -> float:
-        """Time until the latency timer has run out, if a host waits for it."""
+        """Time until the latency timer expires, s; infinite if no host waits for it."""
         return max(0, self._due_ns - self._now_ns()) * 1e-9 if self._awaited else math.inf
 
     def reset(self) -> None:
-        """Bus reset; the latency timer is the chip's and stays."""
+        """Reset the bus; the latency timer keeps its setting."""
         super().reset()
         self._unread.clear()
         self._awaited = False
 
     def catch_up(self) -> None:
-        """Move the rig on, so that little is left to do when the host waits for an answer."""
-        self._awaited = False  # a host that still waits asks again at once; one that has closed the port does not
+        """Advance the rig."""
+        self._awaited = False  # a waiting host asks again at once; one that has closed the port does not
         self.stream.front_end.device.catch_up()
 
     def packet_in(self, endpoint: int) -> UsbAnswer:
-        """One packet: status, and the oldest bytes."""
+        """Return a packet of status and the oldest bytes, NAK or STALL."""
         if endpoint in self._halted:
             return Handshake.STALL
         now = self._now_ns()
@@ -103,16 +103,16 @@ class FtdiBoard(UsbDevice):
         return packet
 
     def _arrive(self, packet: bytes) -> None:
-        """A byte stream knows no messages: every packet is handed on."""
-        self._take(packet)
+        """Pass on every packet, as a byte stream has no messages."""
+        self._receive(packet)
 
-    def _take(self, message: bytes) -> None:
+    def _receive(self, message: bytes) -> None:
         answer = self.stream.feed(message)
         if len(self._unread) + len(answer) > _MOST_UNREAD:
             self.lost_answers += 1
         else:
             self._unread += answer
-        self.kick()
+        self.on_ready()
 
     def _vendor(self, setup: SetupPacket, data: bytes) -> UsbAnswer:
         if setup.request_type == _FROM_DEVICE:

@@ -1,4 +1,4 @@
-"""Messages of USB/IP 1.1.1, everything big-endian: cut out of a byte stream, and made.
+"""Decodes and encodes the messages of USB/IP 1.1.1, which are big-endian.
 
 Source: the kernel's `Documentation/usb/usbip_protocol.rst`.
 """
@@ -17,9 +17,9 @@ _SUBMIT, _UNLINK, _RET_SUBMIT, _RET_UNLINK = 1, 2, 3, 4
 _DIRECTION_IN: Final = 1
 _SHORT_NOT_OK, _ZERO_PACKET = 0x01, 0x40
 _NOT_ISOCHRONOUS: Final = 0xFFFFFFFF
-_REFUSED: Final = 1
+_REJECTED: Final = 1
 _MOST_BYTES: Final = 16 << 20
-"""Longer transfers are taken for a damaged length; it is also what the kernel lets one program have in flight."""
+"""A longer transfer counts as a damaged length; also the kernel's limit of data in flight for one program."""
 
 _HEADER: Final = struct.Struct(">HHI")
 _BUS_ID_BYTES: Final = 32
@@ -31,11 +31,11 @@ _UNLINK_RETURN: Final = struct.Struct(">IIIIIi24x")
 
 
 class MalformedError(Exception):
-    """Bytes that are not a message: nothing behind them can be understood either."""
+    """Bytes that are not a message; the rest of the stream cannot be decoded either."""
 
 
 class DevicesRequest(NamedTuple):
-    """OP_REQ_DEVLIST: asks what can be imported."""
+    """OP_REQ_DEVLIST: lists the devices that can be imported."""
 
 
 class ImportRequest(NamedTuple):
@@ -60,7 +60,7 @@ class Submit(NamedTuple):
 
 
 class Unlink(NamedTuple):
-    """CMD_UNLINK: take back the transfer `victim`."""
+    """CMD_UNLINK: cancels the transfer `victim`."""
 
     sequence: int
     device_id: int
@@ -68,7 +68,7 @@ class Unlink(NamedTuple):
 
 
 class DeviceRecord(NamedTuple):
-    """What a server says about a device, apart from its interfaces; `speed` is 2 for full, 3 for high."""
+    """A server's description of a device without its interfaces; `speed` is 2 for full, 3 for high."""
 
     path: bytes
     bus_id: bytes
@@ -87,7 +87,7 @@ class DeviceRecord(NamedTuple):
 
 
 def take_request(stream: bytearray) -> DevicesRequest | ImportRequest | None:
-    """Cut the next message of a visitor off `stream`; None while it is not whole. Raises MalformedError."""
+    """Remove and return a client's next message from `stream`; None if incomplete. Raises MalformedError."""
     if len(stream) < _HEADER.size:
         return None
     version, code, _ = _HEADER.unpack_from(stream)
@@ -105,7 +105,7 @@ def take_request(stream: bytearray) -> DevicesRequest | ImportRequest | None:
 
 
 def take_command(stream: bytearray) -> Submit | Unlink | None:
-    """Cut the next message of an importer off `stream`; None while it is not whole. Raises MalformedError."""
+    """Remove and return an importer's next message from `stream`; None if incomplete. Raises MalformedError."""
     if len(stream) < _COMMAND.size:
         return None
     command, sequence, device_id, direction, endpoint, body = _COMMAND.unpack_from(stream)
@@ -134,7 +134,7 @@ def take_command(stream: bytearray) -> Submit | Unlink | None:
 
 
 def devices_reply(devices: list[tuple[DeviceRecord, list[tuple[int, int, int]]]]) -> bytes:
-    """OP_REP_DEVLIST: each device with class, subclass and protocol of its interfaces."""
+    """Return OP_REP_DEVLIST: each device with class, subclass and protocol of its interfaces."""
     reply = _HEADER.pack(_VERSION, _REPLY_DEVICES, 0) + len(devices).to_bytes(4, "big")
     for record, interfaces in devices:
         reply += _RECORD.pack(*record) + b"".join(bytes((*interface, 0)) for interface in interfaces)
@@ -142,17 +142,17 @@ def devices_reply(devices: list[tuple[DeviceRecord, list[tuple[int, int, int]]]]
 
 
 def import_reply(record: DeviceRecord | None) -> bytes:
-    """OP_REP_IMPORT; None refuses."""
+    """Return OP_REP_IMPORT; None rejects the import."""
     if record is None:
-        return _HEADER.pack(_VERSION, _REPLY_IMPORT, _REFUSED)
+        return _HEADER.pack(_VERSION, _REPLY_IMPORT, _REJECTED)
     return _HEADER.pack(_VERSION, _REPLY_IMPORT, 0) + _RECORD.pack(*record)
 
 
 def submit_return(sequence: int, status: int, actual: int, data: bytes | bytearray = b"") -> bytes:
-    """RET_SUBMIT; `actual` counts OUT bytes too, `data` is what was read."""
+    """Return RET_SUBMIT; `actual` is the number of bytes in either direction, `data` the IN data."""
     return _RETURN.pack(_RET_SUBMIT, sequence, 0, 0, 0, status, actual, 0, _NOT_ISOCHRONOUS, 0) + data
 
 
 def unlink_return(sequence: int, status: int) -> bytes:
-    """RET_UNLINK."""
+    """Return RET_UNLINK."""
     return _UNLINK_RETURN.pack(_RET_UNLINK, sequence, 0, 0, 0, status)

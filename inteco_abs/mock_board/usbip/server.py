@@ -1,6 +1,6 @@
-"""The mock board for any Linux: a USB/IP server, whose board the kernel's `vhci_hcd` makes into a real USB device.
+"""Exports the mock board over USB/IP, so that the kernel's `vhci_hcd` on any Linux can attach it as a USB device.
 
-USB/IP has neither password nor encryption, so the server stays on the loopback address unless told otherwise.
+USB/IP has neither password nor encryption, so the server listens on the loopback address by default.
 Sources: the kernel's `Documentation/usb/usbip_protocol.rst` and `drivers/usb/usbip/vhci_rx.c`.
 """
 
@@ -27,25 +27,25 @@ from inteco_abs.mock_board.usbip.messages import (
     take_command,
     take_request,
 )
-from inteco_abs.mock_board.usbip.usb_descriptors import Speed
+from inteco_abs.mock_board.usbip.usb_descriptors import UsbSpeed
 from inteco_abs.mock_board.usbip.usb_host import UsbHost
 
 BUS: Final = 1
 BUS_ID: Final = "1-1"
 _PATH: Final = b"/sys/devices/inteco-abs-mock/usb1/1-1"
-_SPEEDS: Final = {Speed.FULL: 2, Speed.HIGH: 3}
+_SPEEDS: Final = {UsbSpeed.FULL: 2, UsbSpeed.HIGH: 3}
 _ANYWHERE: Final = ("", "0.0.0.0", "::")  # noqa: S104
 
 _CATCH_UP_S: Final = 0.001
-"""The rig moves on this often while a host is there."""
+"""Interval at which the rig advances while the board is imported."""
 _IDLE_S: Final = 0.01
-_PATIENCE_S: Final = 10.0
-"""A visitor that has not said by then what it wants has to go."""
-_MOST_VISITORS: Final = 16
+_REQUEST_TIMEOUT_S: Final = 10.0
+"""Time for a client to send its request."""
+_MOST_CLIENTS: Final = 16
 
 
 class AttachFacts(NamedTuple):
-    """What somebody needs who wants to attach the board."""
+    """Facts for attaching the board to a computer."""
 
     bus_id: str
     vendor_id: int
@@ -54,18 +54,17 @@ class AttachFacts(NamedTuple):
     speed: str
     """"full" or "high"."""
     address: TcpAddress | UnixAddress
-    """Where the server listens, with the port it really has."""
+    """Address of the server, with its actual port."""
     attach: tuple[str, ...]
-    """Commands, to be run as root; none for a Unix socket, which `usbip` cannot reach."""
+    """Commands to run as root; none for a Unix socket, which `usbip` cannot reach."""
     detach: tuple[str, ...]
 
 
 class UsbIpServer:
-    """Offers the device of `host` at `address`: `bind`, then `serve` until `close`; or `step` in one's own loop.
+    """Exports the device of `host` at `address`: call `bind`, then `serve`, which ends at `close`, or `step` in a loop.
 
-    One import at a time; the next is accepted after a detach. Whoever sends what is not a message is hung up on and
-    counted in `malformed`. The outputs stay as they are when a peer leaves, as no RT-DAC board is known to do
-    anything else.
+    It accepts one import at a time. A peer that sends malformed bytes is disconnected and counted in `malformed`.
+    Outputs stay when a peer leaves, as on every known RT-DAC board.
     """
 
     def __init__(self, host: UsbHost, address: TcpAddress | UnixAddress | None = None) -> None:
@@ -73,11 +72,11 @@ class UsbIpServer:
         self._host = host
         self._address = address or TcpAddress()
         self._listener: socket.socket | None = None
-        self._visitors: dict[Connection, float] = {}  # with the time at which patience ends
+        self._clients: dict[Connection, float] = {}  # with their deadline, monotonic s
         self._importer: Connection | None = None
         self._attachment: Attachment | None = None
-        self._bell: socket.socket | None = None
-        self._rope: socket.socket | None = None
+        self._wake_receiver: socket.socket | None = None
+        self._wake_sender: socket.socket | None = None
         self._lock = threading.RLock()  # `close` may be called by a signal handler in the middle of `serve`
         self._serving = False
         self._closed = False
@@ -89,17 +88,17 @@ class UsbIpServer:
         return self._importer is not None
 
     def bind(self) -> AttachFacts:
-        """Listen from now on. Raises BoardError if the address is taken."""
+        """Start to listen. Raises BoardError if the address is in use."""
         self._listener = self._address.listen()
         self._listener.setblocking(False)
-        self._bell, self._rope = socket.socketpair()
+        self._wake_receiver, self._wake_sender = socket.socketpair()
         if isinstance(self._address, TcpAddress):
             self._address = self._address._replace(port=self._listener.getsockname()[1])
         return self.facts
 
     @property
     def facts(self) -> AttachFacts:
-        """What to tell the user."""
+        """Facts for attaching the board."""
         identity, address = self._host.device.identity, self._address
         attach: tuple[str, ...] = ()
         detach: tuple[str, ...] = ()
@@ -120,9 +119,9 @@ class UsbIpServer:
         )
 
     def serve(self, each_step: Callable[[], None] = lambda: None) -> None:
-        """Serve until `close` is called or an exception such as KeyboardInterrupt ends it; then hang up on all.
+        """Serve until `close` or an exception such as KeyboardInterrupt; then disconnect all peers.
 
-        `each_step` is called some hundred times a second.
+        Calls `each_step` some hundred times a second.
         """
         with self._lock:
             self._serving = not self._closed
@@ -134,49 +133,52 @@ class UsbIpServer:
             self._hang_up()
 
     def close(self) -> None:
-        """End `serve`, from any thread or signal handler; whoever has the board sees an unplug."""
+        """End `serve`, from any thread or signal handler; for the importer it is an unplug."""
         with self._lock:
             self._closed = True
             serving = self._serving
         if serving:
-            if self._rope is not None:
+            if self._wake_sender is not None:
                 with suppress(OSError):
-                    self._rope.send(b"!")
+                    self._wake_sender.send(b"!")
         else:
             self._hang_up()
 
     def step(self) -> None:
-        """Wait a moment for something to do, and do it."""
-        if self._listener is None or self._bell is None:
+        """Serve once, after a short wait."""
+        if self._listener is None or self._wake_receiver is None:
             raise BoardError("the USB/IP server must be bound to its address before it can serve")
-        peers = [*self._visitors, *([self._importer] if self._importer else [])]
-        reading: list[socket.socket | Connection] = [self._listener, self._bell]
+        peers = self._peers()
+        reading: list[socket.socket | Connection] = [self._listener, self._wake_receiver]
         reading += [peer for peer in peers if not peer.closing]
         writing = [peer for peer in peers if peer.unsent]
-        patience_s = min(_CATCH_UP_S, self._host.device.due_s) if self.busy else _IDLE_S
-        ready, writable, _ = select.select(reading, writing, [], patience_s)
+        timeout_s = min(_CATCH_UP_S, self._host.device.due_s) if self.busy else _IDLE_S
+        ready, writable, _ = select.select(reading, writing, [], timeout_s)
         for peer in writable:
             peer.flush()
-        for peer in peers:  # before the listener: a peer that has left makes room for the one that comes
+        for peer in peers:  # before the listener: a peer that has left makes room for the next
             if peer in ready:
-                self._listen_to(peer)
+                self._receive(peer)
         if self._listener in ready:
-            self._welcome(self._listener)
-        self._part()
+            self._accept(self._listener)
+        self._drop_finished()
         self._host.catch_up()
 
-    def _welcome(self, listener: socket.socket) -> None:
+    def _peers(self) -> list[Connection]:
+        return [*self._clients, *([self._importer] if self._importer else [])]
+
+    def _accept(self, listener: socket.socket) -> None:
         try:
             peer, _ = listener.accept()
         except OSError:
             return  # gone again
-        if len(self._visitors) < _MOST_VISITORS:
-            self._visitors[Connection(peer)] = time.monotonic() + _PATIENCE_S
+        if len(self._clients) < _MOST_CLIENTS:
+            self._clients[Connection(peer)] = time.monotonic() + _REQUEST_TIMEOUT_S
         else:
             peer.close()
 
-    def _listen_to(self, peer: Connection) -> None:
-        there = peer.receive()
+    def _receive(self, peer: Connection) -> None:
+        connected = peer.receive()
         try:
             if peer is not self._importer:
                 self._answer(peer)
@@ -185,33 +187,33 @@ class UsbIpServer:
                     self._attachment.handle(command)
         except MalformedError:
             self.malformed += 1
-            there = False
-        if not there:
+            connected = False
+        if not connected:
             self._drop(peer)
 
-    def _answer(self, visitor: Connection) -> None:
-        request = take_request(visitor.arrived)
+    def _answer(self, client: Connection) -> None:
+        request = take_request(client.arrived)
         if request is None:
             return
         if isinstance(request, DevicesRequest):
             found = [(self._record(), [self._host.device.identity.interface_class])] if self._host.plugged else []
-            visitor.send(devices_reply(found))
-            visitor.closing = True
+            client.send(devices_reply(found))
+            client.closing = True
         elif request.bus_id == BUS_ID.encode() and self._host.plugged and not self.busy:
-            self._import(visitor)
+            self._import(client)
         else:
-            visitor.send(import_reply(None))
-            visitor.closing = True
+            client.send(import_reply(None))
+            client.closing = True
 
-    def _import(self, visitor: Connection) -> None:
-        del self._visitors[visitor]
+    def _import(self, client: Connection) -> None:
+        del self._clients[client]
         self._host.reset()
         record = self._record()
-        self._attachment = Attachment(self._host, record.bus << 16 | record.device, visitor.send)
-        self._importer = visitor
-        visitor.send(import_reply(record))
-        if not self._host.plugged:  # unplugged by another thread in this very moment
-            visitor.cut()
+        self._attachment = Attachment(self._host, record.bus << 16 | record.device, client.send)
+        self._importer = client
+        client.send(import_reply(record))
+        if not self._host.plugged:  # another thread has just unplugged it
+            client.cut()
 
     def _record(self) -> DeviceRecord:
         device = self._host.device
@@ -236,27 +238,27 @@ class UsbIpServer:
         if importer is not None and not plugged:
             importer.cut()
 
-    def _part(self) -> None:
+    def _drop_finished(self) -> None:
         now = time.monotonic()
-        for visitor, until in list(self._visitors.items()):
-            if now > until or (visitor.closing and not visitor.unsent):
-                self._drop(visitor)
+        for client, deadline in list(self._clients.items()):
+            if now > deadline or (client.closing and not client.unsent):
+                self._drop(client)
 
     def _drop(self, peer: Connection) -> None:
         if peer is self._importer:
             if self._attachment is not None:
                 self._attachment.end()
             self._importer = self._attachment = None
-        self._visitors.pop(peer, None)
+        self._clients.pop(peer, None)
         peer.cut()
         peer.close()
 
     def _hang_up(self) -> None:
         with suppress(ValueError):
             self._host.listeners.remove(self._plugged)
-        for peer in [*self._visitors, *([self._importer] if self._importer else [])]:
+        for peer in self._peers():
             self._drop(peer)
-        for own in (self._listener, self._bell, self._rope):
+        for own in (self._listener, self._wake_receiver, self._wake_sender):
             if own is not None:
                 own.close()
         if isinstance(self._address, UnixAddress) and self._listener is not None:

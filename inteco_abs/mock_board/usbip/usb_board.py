@@ -1,4 +1,4 @@
-"""The mock RT-DAC/USB2 as a USB device: the bridge's firmware between the bus and the frames of `usb2`."""
+"""The mock RT-DAC/USB2 as a USB device: the bridge's firmware between the bus and the FPGA's frames."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _FROM_DEVICE: Final = 0xC0
 """Vendor request IN, recipient device: INFERRED, the defaults of the vendor's USB library."""
 _TO_DEVICE: Final = 0x40
 _MOST_UNREAD: Final = 8
-"""Answers that wait for the host. A bridge of this family has room for two at most (INFERRED); some more do no harm."""
+"""Answers that wait for the host. A bridge of this family has room for two at most (INFERRED)."""
 
 
 class UsbBoard(UsbDevice):
-    """The board that `front_end` is the FPGA of.
+    """A board whose FPGA is `front_end`.
 
-    What the real board does with a message that is not a frame, with a full queue and with a date's wrong address is
-    UNKNOWN; here the first is dropped and counted by the front end, the second and third are described below.
+    The real board's reaction to a message that is not a frame, to a full queue and to a date's wrong address is
+    UNKNOWN. Here the front end drops and counts the message, a full queue loses the answer, a wrong address gives STALL.
     """
 
     def __init__(self, front_end: FrontEnd, identity: UsbIdentity | None = None) -> None:
@@ -42,28 +42,28 @@ class UsbBoard(UsbDevice):
         self.front_end = front_end
         self.led = False
         self.jtag_transfers = 0
-        """Tries to use the endpoints that program the FPGA: each one is a mistake of the host."""
+        """Transfers to the endpoints that program the FPGA, each a mistake of the host."""
         self.lost_answers = 0
-        """Answers that found the queue full."""
+        """Answers lost in a full queue."""
 
     def catch_up(self) -> None:
-        """Move the rig on, so that little is left to do when the host waits for an answer."""
+        """Advance the rig."""
         self.front_end.device.catch_up()
 
     def packet_in(self, endpoint: int) -> UsbAnswer:
-        """One packet from the FPGA; never anything from JTAG."""
-        return self._refuse(endpoint) if endpoint == ENDPOINT_JTAG_IN else super().packet_in(endpoint)
+        """Return a packet from the FPGA; STALL for JTAG."""
+        return self._stall(endpoint) if endpoint == ENDPOINT_JTAG_IN else super().packet_in(endpoint)
 
     def packet_out(self, endpoint: int, packet: bytes) -> Handshake:
-        """One packet to the FPGA; never anything to JTAG."""
-        return self._refuse(endpoint) if endpoint == ENDPOINT_JTAG_OUT else super().packet_out(endpoint, packet)
+        """Receive a packet for the FPGA; STALL for JTAG."""
+        return self._stall(endpoint) if endpoint == ENDPOINT_JTAG_OUT else super().packet_out(endpoint, packet)
 
-    def _refuse(self, endpoint: int) -> Handshake:
+    def _stall(self, endpoint: int) -> Handshake:
         self.jtag_transfers += 1
-        self._halt(endpoint)
+        self._halted.add(endpoint)
         return Handshake.STALL
 
-    def _take(self, message: bytes) -> None:
+    def _receive(self, message: bytes) -> None:
         self.front_end.bulk_out(message)
         room = _MOST_UNREAD * (FRAME_BYTES // self.identity.speed.packet_bytes + 1)
         while answer := self.front_end.bulk_in(FRAME_BYTES):
@@ -73,12 +73,12 @@ class UsbBoard(UsbDevice):
                 self._send(ENDPOINT_IN, answer)
 
     def _vendor(self, setup: SetupPacket, data: bytes) -> UsbAnswer:
-        asked = setup.request_type, setup.request
-        if asked == (_FROM_DEVICE, REQUEST_DATE_ADDRESSES) and setup.value == 0:
+        request = setup.request_type, setup.request
+        if request == (_FROM_DEVICE, REQUEST_DATE_ADDRESSES) and setup.value == 0:
             return _ADDRESSES
-        if asked == (_FROM_DEVICE, REQUEST_DATE) and setup.value in _DATES:
+        if request == (_FROM_DEVICE, REQUEST_DATE) and setup.value in _DATES:
             return _DATES[setup.value].encode("utf-16-le").ljust(DATE_BYTES, b"\0")
-        if asked in {(_TO_DEVICE, REQUEST_LED_OFF), (_TO_DEVICE, REQUEST_LED_ON)} and not (setup.value or data):
+        if request in {(_TO_DEVICE, REQUEST_LED_OFF), (_TO_DEVICE, REQUEST_LED_ON)} and not (setup.value or data):
             self.led = setup.request == REQUEST_LED_ON
             return Handshake.ACK
         return Handshake.STALL  # also 0xA0, which loads firmware into a real bridge

@@ -1,8 +1,7 @@
-"""What a mock board says about itself on the bus: the descriptors of USB 2.0, chapter 9.
+"""Descriptors of a mock board on the bus (USB 2.0, chapter 9).
 
-The descriptors of the real boards have never been published. For the RT-DAC/USB2, which is the default here, ids are
-guesses, see `rtdac_usb2_bridge`; endpoints are those of the vendor's own program; class codes, release and current
-are made up.
+The real boards' descriptors are not published. The defaults are for the RT-DAC/USB2: the ids are guesses
+(`rtdac_usb2_bridge`), the endpoints those of the vendor's program, class codes, release and current arbitrary.
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ from firmware_protocol.rtdac_usb2_bridge import ENDPOINT_JTAG_IN, ENDPOINT_JTAG_
 
 PRODUCT: Final = "RT-DAC/USB2 (mock, simulated rig)"
 MOCK_SERIALS: Final = range(900_000_000, 1_000_000_000)
-"""Serial numbers of mock boards: nine digits with a leading 9, so that nobody takes their data for measurements."""
+"""Serial numbers of mock boards, nine digits from 9 on, so that their data cannot be mistaken for measurements."""
 RELEASE: Final = 0x0100
 CONFIGURATION: Final = 1
-"""The only configuration's value."""
+"""Value of the only configuration."""
 CONTROL_PACKET_BYTES: Final = 64
 ENDPOINTS: Final = (ENDPOINT_OUT, ENDPOINT_IN, ENDPOINT_JTAG_OUT, ENDPOINT_JTAG_IN)
 ENDPOINT_DIRECTION_IN: Final = 0x80
@@ -35,7 +34,7 @@ _LANGUAGE: Final = 0x0409
 """English (United States), the only language of the strings."""
 
 
-class Speed(Enum):
+class UsbSpeed(Enum):
     """Speed of the bus, by the size of a bulk packet in bytes (USB 2.0 section 5.8.3)."""
 
     FULL = 64
@@ -49,12 +48,12 @@ class Speed(Enum):
 
 @dataclass(frozen=True, slots=True)
 class UsbIdentity:
-    """What one mock board is called and what it has. Raises ValueError for what cannot be a mock's."""
+    """Ids, strings and endpoints of a mock board. Raises ValueError for those that no mock may have."""
 
     serial: int = MOCK_SERIALS.start + 1
     vendor_id: int = VENDOR_ID
     product_id: int = PRODUCT_ID
-    speed: Speed = Speed.HIGH
+    speed: UsbSpeed = UsbSpeed.HIGH
     manufacturer: str = MANUFACTURER
     product: str = PRODUCT
     release: int = RELEASE
@@ -65,14 +64,14 @@ class UsbIdentity:
     """Addresses of the bulk endpoints."""
 
     def __post_init__(self) -> None:
-        """Refuse ids that do not fit their field and serial numbers that a real board may have."""
+        """Reject ids that do not fit their field and serial numbers that a real board may have."""
         for name, value in (("vendor id", self.vendor_id), ("product id", self.product_id)):
             if not 0 < value <= 0xFFFF:
                 raise ValueError(f"{name} {value:#x}: must be in 0x0001..0xffff")
         if self.serial not in MOCK_SERIALS:
             raise ValueError(
-                f"serial number {self.serial}: a mock board's lies in {MOCK_SERIALS[0]}..{MOCK_SERIALS[-1]}, "
-                "so that nobody takes its data for measurements"
+                f"serial number {self.serial}: a mock board's must be in {MOCK_SERIALS[0]}..{MOCK_SERIALS[-1]}, "
+                "so that its data cannot be mistaken for measurements"
             )
 
     @property
@@ -81,7 +80,7 @@ class UsbIdentity:
         return self.manufacturer, self.product, str(self.serial)
 
     def descriptor(self, kind: int, index: int) -> bytes | None:
-        """Descriptor `index` of type `kind`, whole; None if there is none."""
+        """Return the whole descriptor `index` of type `kind`; None if there is none."""
         if (kind, index) == (_DEVICE, 0):
             return self._device()
         if (kind, index) == (_CONFIGURATION, 0):

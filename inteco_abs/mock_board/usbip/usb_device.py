@@ -1,8 +1,8 @@
-"""A USB device at packet level: what one token of the host gets, from the standard requests to the bulk endpoints.
+"""A USB device at packet level: its answers to standard requests and to tokens for its bulk endpoints.
 
-Packets and not bytes are the seam, because only then do short packets, zero-length packets, NAK, STALL and babble
-come out as on the wire. One configuration, one interface, one alternate setting, as `usb_descriptors` has them.
-Source: USB 2.0, chapters 8 and 9.
+The interface is packets, not bytes, so that short packets, zero-length packets, NAK, STALL and babble occur as on the
+wire. One configuration, one interface, one alternate setting, as in `usb_descriptors`. Source: USB 2.0, chapters 8
+and 9.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ _NO_STATUS: Final = b"\0\0"
 
 
 class Handshake(Enum):
-    """How a device answers a token or packet when it has no data to send."""
+    """Answer of a device without data."""
 
-    ACK = "taken"
-    NAK = "not now: ask again after the next kick"
-    STALL = "refused"
+    ACK = "accepted"
+    NAK = "not ready: ask again after `on_ready`"
+    STALL = "rejected"
 
 
 UsbAnswer = bytes | Handshake
@@ -53,13 +53,13 @@ class SetupPacket:
 
     @classmethod
     def unpack(cls, data: bytes) -> SetupPacket:
-        """The fields of eight bytes; raises ValueError for any other number of bytes."""
+        """Return the packet of eight bytes; raises ValueError for another length."""
         if len(data) != _SETUP.size:
             raise ValueError(f"a setup packet has {_SETUP.size} bytes, not {len(data)}")
         return cls(*_SETUP.unpack(data))
 
     def pack(self) -> bytes:
-        """The eight bytes."""
+        """Return the eight bytes."""
         return _SETUP.pack(self.request_type, self.request, self.value, self.index, self.length)
 
     @property
@@ -71,16 +71,16 @@ class SetupPacket:
 class UsbDevice(ABC):
     """A device that is plugged in. Not thread-safe: its host calls it under a lock.
 
-    `kick` is called when a host that got a NAK should ask again. Halts and waiting packets do not survive a bus
-    reset; what the firmware makes of messages does.
+    `on_ready` is called when a host that got a NAK should ask again. A bus reset clears halts and waiting packets, but
+    not the firmware's state.
     """
 
     largest_message_bytes: ClassVar[int] = 4096
-    """A longer message is cut here, so that a host that never ends one cannot fill the memory."""
+    """Limit of a message, so that a host that never ends one cannot fill the memory."""
 
     def __init__(self, identity: UsbIdentity) -> None:
         self.identity = identity
-        self.kick: Callable[[], None] = lambda: None
+        self.on_ready: Callable[[], None] = lambda: None
         self.configuration = 0
         self._halted: set[int] = set()
         self._arriving = bytearray()
@@ -88,18 +88,18 @@ class UsbDevice(ABC):
 
     @property
     def endpoints(self) -> tuple[int, ...]:
-        """Addresses of the bulk endpoints that exist now: none before a configuration is set."""
+        """Addresses of the bulk endpoints; none before a configuration is set."""
         return self.identity.endpoints if self.configuration else ()
 
     def reset(self) -> None:
-        """Bus reset: as after plugging in, but for what the firmware keeps."""
+        """Reset the bus: clear everything but the firmware's state."""
         self.configuration = 0
         self._halted.clear()
         self._arriving.clear()
         self._departing.clear()
 
     def control(self, setup: SetupPacket, data: bytes = b"") -> UsbAnswer:
-        """One control transfer; `data` is what the host sends. Data, ACK for done without data, NAK or STALL."""
+        """Execute a control transfer with the host's `data`; return data, ACK for success, NAK or STALL."""
         kind = setup.request_type & _KIND_MASK
         if kind == _STANDARD:
             answer = self._standard(setup)
@@ -112,14 +112,14 @@ class UsbDevice(ABC):
         return answer
 
     def packet_in(self, endpoint: int) -> UsbAnswer:
-        """The host asks bulk endpoint `endpoint` for one packet."""
+        """Return the next packet of a bulk IN endpoint, NAK or STALL."""
         if endpoint in self._halted:
             return Handshake.STALL
         waiting = self._departing.get(endpoint)
         return waiting.popleft() if waiting else Handshake.NAK
 
     def packet_out(self, endpoint: int, packet: bytes) -> Handshake:
-        """The host sends one packet to bulk endpoint `endpoint`."""
+        """Receive a packet at a bulk OUT endpoint."""
         if endpoint in self._halted:
             return Handshake.STALL
         self._arrive(packet)
@@ -127,57 +127,52 @@ class UsbDevice(ABC):
 
     @property
     def due_s(self) -> float:
-        """Time after which a host that got a NAK should ask again, whatever happens; endless if there is none."""
+        """Time after which a host that got a NAK should ask again, s; infinite if only `on_ready` counts."""
         return math.inf
 
     def _arrive(self, packet: bytes) -> None:
-        """Put packets together: one that is not full ends a message."""
+        """Join packets; a short one ends the message."""
         room = self.largest_message_bytes - len(self._arriving)
         self._arriving += packet[:room]
         if len(packet) < self.identity.speed.packet_bytes:
             message = bytes(self._arriving)
             self._arriving.clear()
-            self._take(message)
+            self._receive(message)
 
     @abstractmethod
     def catch_up(self) -> None:
-        """Use idle time."""
+        """Advance the rig in idle time, so that little is left to compute when the host waits for an answer."""
 
     @abstractmethod
-    def _take(self, message: bytes) -> None:
-        """The firmware gets a whole message of the bulk OUT endpoint."""
+    def _receive(self, message: bytes) -> None:
+        """Handle a whole message of the bulk OUT endpoint."""
 
     @abstractmethod
     def _vendor(self, setup: SetupPacket, data: bytes) -> UsbAnswer:
-        """The firmware gets a vendor request."""
+        """Handle a vendor request."""
 
     def _send(self, endpoint: int, message: bytes) -> None:
-        """Let `message` wait for the host, in packets of which the last is not full and may be empty."""
+        """Queue `message` for the host, in packets; the last is short and may be empty."""
         size = self.identity.speed.packet_bytes
-        self._offer(endpoint, [message[at : at + size] for at in range(0, len(message) + 1, size)])
-
-    def _offer(self, endpoint: int, packets: list[bytes]) -> None:
+        packets = (message[at : at + size] for at in range(0, len(message) + 1, size))
         self._departing.setdefault(endpoint, deque()).extend(packets)
-        self.kick()
+        self.on_ready()
 
     def _waiting(self, endpoint: int) -> int:
-        """Packets that the host has not fetched yet."""
+        """Return the number of packets that the host has not fetched yet."""
         return len(self._departing.get(endpoint, ()))
-
-    def _halt(self, endpoint: int) -> None:
-        self._halted.add(endpoint)
 
     def _standard(self, setup: SetupPacket) -> UsbAnswer:
         recipient = setup.request_type & ~_IN
         if recipient == _TO_DEVICE:
-            return self._asked(setup) if setup.reads else self._told(setup)
+            return self._read_device(setup) if setup.reads else self._write_device(setup)
         if recipient == _TO_INTERFACE and setup.index == 0 and self.configuration:
             return self._interface(setup)
         if recipient == _TO_ENDPOINT and (setup.index in self.endpoints or not setup.index & ~ENDPOINT_DIRECTION_IN):
             return self._endpoint(setup)
         return Handshake.STALL
 
-    def _asked(self, setup: SetupPacket) -> UsbAnswer:
+    def _read_device(self, setup: SetupPacket) -> UsbAnswer:
         if setup.request == _GET_DESCRIPTOR:
             found = self.identity.descriptor(setup.value >> 8, setup.value & 0xFF)
             return Handshake.STALL if found is None else found
@@ -185,7 +180,7 @@ class UsbDevice(ABC):
             return bytes((self.configuration,))
         return _NO_STATUS if setup.request == _GET_STATUS else Handshake.STALL
 
-    def _told(self, setup: SetupPacket) -> Handshake:
+    def _write_device(self, setup: SetupPacket) -> Handshake:
         if setup.request == _SET_CONFIGURATION:
             return self._configure(setup.value)
         return Handshake.ACK if setup.request == _SET_ADDRESS else Handshake.STALL
@@ -205,10 +200,10 @@ class UsbDevice(ABC):
         if setup.value != _ENDPOINT_HALT or setup.request not in {_SET_FEATURE, _CLEAR_FEATURE}:
             return Handshake.STALL
         if setup.request == _SET_FEATURE:
-            self._halt(setup.index)
+            self._halted.add(setup.index)
         else:
             self._halted.discard(setup.index)
-        self.kick()
+        self.on_ready()
         return Handshake.ACK
 
     def _configure(self, value: int) -> Handshake:
@@ -220,4 +215,4 @@ class UsbDevice(ABC):
 
     def _release_halts(self) -> None:
         self._halted.clear()
-        self.kick()
+        self.on_ready()

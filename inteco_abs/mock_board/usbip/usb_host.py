@@ -1,6 +1,6 @@
 """The host's side of the bus: requests (URBs) in one queue per endpoint, moved packet by packet to and from a device.
 
-It behaves towards those who submit as the kernel's USB core does, with its status numbers: 0, or a negative errno.
+It has the interface of the kernel's USB core, with its status numbers: 0, or a negative errno.
 Source: the kernel's `Documentation/driver-api/usb/error-codes.rst`.
 """
 
@@ -18,48 +18,48 @@ from inteco_abs.mock_board.usbip.usb_descriptors import ENDPOINT_DIRECTION_IN
 from inteco_abs.mock_board.usbip.usb_device import Handshake, SetupPacket, UsbDevice
 
 _FIRST_ADDRESS: Final = 2
-"""Device numbers count from here; 1 is the hub at the root."""
+"""First device number; 1 is the root hub."""
 
 
 @dataclass(eq=False, slots=True)
 class Urb:
-    """One transfer. What it needs is set by who submits it, how it ended by the host.
+    """One transfer. The caller sets its parameters, the host its result.
 
     `endpoint` is an address, with 0x80 for IN; 0 is control and needs `setup`. `length` is the room for IN data in
-    bytes. `complete` is called once, when `status` is final, from whichever thread made it so.
+    bytes. `complete` is called once, when `status` is final, from the thread that ended the transfer.
     """
 
     endpoint: int
     complete: Callable[[Urb], None]
     data: bytes = b""
-    """What the host sends."""
+    """OUT data."""
     length: int = 0
     setup: SetupPacket | None = None
     short_not_ok: bool = False
     """Less IN data than `length` is an error, -EREMOTEIO."""
     zero_packet: bool = False
-    """OUT data that end in a full packet are followed by an empty one."""
+    """An empty packet follows OUT data that end in a full one."""
 
     status: int | None = None
     """None while in flight, then 0 or a negative errno."""
     received: bytearray = field(default_factory=bytearray)
     sent: int = 0
     packets: deque[bytes] = field(default_factory=deque)
-    """OUT packets that the device has not taken yet: the host's own."""
+    """OUT packets that the device has not accepted yet; internal to the host."""
 
     @property
     def actual(self) -> int:
-        """Bytes that were transferred, also when it ended with an error."""
+        """Number of bytes transferred, also after an error."""
         return len(self.received) or self.sent
 
     @property
     def queue(self) -> int:
-        """Which queue it waits in; control transfers have one for both directions."""
+        """Number of its queue; control transfers have one for both directions."""
         return self.endpoint if self.endpoint & ~ENDPOINT_DIRECTION_IN else 0
 
 
 class UsbHost:
-    """One port with `device` plugged in. Calls may come from any thread.
+    """One port with `device` plugged in. Thread-safe.
 
     Completions and listeners run outside the lock, one at a time and in order. They may call the host again.
     """
@@ -67,17 +67,17 @@ class UsbHost:
     def __init__(self, device: UsbDevice) -> None:
         self.device = device
         self.address = _FIRST_ADDRESS
-        """Number of the device on its bus; a new one each time it is plugged in."""
+        """Number of the device on its bus; changes each time it is plugged in."""
         self.plugged = True
         self.listeners: list[Callable[[bool], None]] = []
-        """Told when the device was plugged in (True) or has gone (False)."""
+        """Called after the device is plugged in (True) or unplugged (False)."""
         self._lock = threading.RLock()
         self._queues: dict[int, deque[Urb]] = {}
         self._faults: dict[int, deque[int]] = {}
         self._deliveries: deque[Callable[[], None]] = deque()
         self._running = False
         self._again = False
-        device.kick = self._run
+        device.on_ready = self._run
 
     def submit(self, urb: Urb) -> None:
         """Queue a transfer. Raises OSError: ENODEV when unplugged, ENOENT for an endpoint that does not exist."""
@@ -92,7 +92,7 @@ class UsbHost:
         self._run()
 
     def cancel(self, urb: Urb) -> bool:
-        """End a transfer with -ENOENT; the bytes it has received stay. False if it had ended already."""
+        """End a transfer with -ENOENT, keeping its received bytes; return False if it had already ended."""
         with self._lock:
             if urb.status is not None:
                 return False
@@ -102,42 +102,42 @@ class UsbHost:
         return True
 
     def inject(self, endpoint: int, status: int) -> None:
-        """Let the next transfer on `endpoint` (0 for control) end with `status`, such as -EPROTO, without data."""
+        """End the next transfer on `endpoint` (0 for control) with `status`, such as -EPROTO, without data."""
         with self._lock:
             self._faults.setdefault(endpoint, deque()).append(status)
         self._run()
 
     def reset(self) -> None:
-        """Bus reset: the device is unconfigured, transfers in flight end with -EPROTO."""
+        """Reset the bus: unconfigure the device and end transfers in flight with -EPROTO."""
         with self._lock:
             self._flush(-errno.EPROTO)
             self.device.reset()
         self._run()
 
     def unplug(self) -> None:
-        """The device goes: transfers in flight end with -ESHUTDOWN."""
+        """Unplug the device: transfers in flight end with -ESHUTDOWN."""
         with self._lock:
             if not self.plugged:
                 return
             self.plugged = False
             self._faults.clear()
             self._flush(-errno.ESHUTDOWN)
-            self._tell(False)
+            self._notify(plugged=False)
         self._run()
 
     def plug(self) -> None:
-        """The device comes back, with a new number and unconfigured."""
+        """Plug the device in again, unconfigured and with a new number."""
         with self._lock:
             if self.plugged:
                 return
             self.plugged = True
             self.address += 1
             self.device.reset()
-            self._tell(True)
+            self._notify(plugged=True)
         self._run()
 
     def catch_up(self) -> None:
-        """Let the device use idle time, and ask it again: time alone may have given it something to say."""
+        """Let the device use idle time, then ask it again, as a timer may have made data available."""
         with self._lock:
             self.device.catch_up()
         self._run()
@@ -149,7 +149,7 @@ class UsbHost:
             packets.append(b"")
         return packets
 
-    def _tell(self, plugged: bool) -> None:
+    def _notify(self, *, plugged: bool) -> None:
         for listener in self.listeners:
             self._deliveries.append(partial(listener, plugged))
 
@@ -163,7 +163,7 @@ class UsbHost:
         self._deliveries.append(partial(urb.complete, urb))
 
     def _run(self) -> None:
-        """Move packets and deliver what has ended, until nothing moves; a call from inside only asks for more."""
+        """Move packets and run completions until nothing moves; a nested call only requests another round."""
         with self._lock:
             self._again = True
             if self._running:
@@ -193,14 +193,14 @@ class UsbHost:
             faults = self._faults.get(urb.queue)
             status = faults.popleft() if faults else self._move(urb)
             if urb.status is not None:
-                continue  # the device was unplugged by what it was just told
+                continue  # the transfer has unplugged the device
             if status is None:
                 return
             queue.popleft()
             self._finish(urb, status)
 
     def _move(self, urb: Urb) -> int | None:
-        """Exchange packets for `urb` until it ends; its status, or None while the device answers NAK."""
+        """Exchange packets for `urb` until it ends; return its status, or None while the device answers NAK."""
         if urb.setup is not None:
             return self._control(urb, urb.setup)
         return self._in(urb) if urb.endpoint & ENDPOINT_DIRECTION_IN else self._out(urb)

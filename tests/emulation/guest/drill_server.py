@@ -5,8 +5,8 @@ from pathlib import Path
 
 from drill import new_host
 
-from inteco_abs.mock_board import Speed, UnixAddress, UsbIpServer
+from inteco_abs.mock_board import UnixAddress, UsbIpServer, UsbSpeed
 
-server = UsbIpServer(new_host(Speed[sys.argv[2].upper()]), UnixAddress(Path(sys.argv[1])))
+server = UsbIpServer(new_host(UsbSpeed[sys.argv[2].upper()]), UnixAddress(Path(sys.argv[1])))
 server.bind()
 server.serve()

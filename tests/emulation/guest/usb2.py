@@ -10,7 +10,7 @@ from guest import bus
 from guest.scenario import SCRATCH, braking_stop, mock_board, prepare, tell
 
 from firmware_protocol.rtdac_usb2_bridge import VENDOR_ID
-from inteco_abs.mock_board import Speed
+from inteco_abs.mock_board import UsbSpeed
 
 RATE_HZ = 250
 """An exchange takes 1 ms of virtual time."""
@@ -19,7 +19,7 @@ RATE_HZ = 250
 def main():
     report = {"kernel": bus.kernel(), "checks": {}, "devices": {}}
     prepare(["inteco_abs.boards.transports.usb_async"])
-    for speed in Speed:
+    for speed in UsbSpeed:
         check_list(report, speed)
         tell(report)
     with mock_board() as folder:

@@ -117,7 +117,7 @@ class RtdacPci(Board):
     def _outputs_on(self) -> bool:
         return any(PWM_WIDTH.decode(raw) for raw in self._registers.run(self._echo)[1:])
 
-    def _take_over(self) -> None:
+    def _prepare_image(self) -> None:
         self._reset = self._reset_without_ours(pci.ENCODER_RESET.decode(self._registers.read(pci.ENCODER_RESET.offset)))
 
     def _reset_without_ours(self, found: int) -> int:
@@ -142,7 +142,7 @@ class RtdacPci(Board):
         """The writes that set both widths to zero, as offsets and values of 32 bits."""
         return b"".join(word.to_bytes(4, "little") for write in self._off for word in write)
 
-    def _adopt(self, image: bytes) -> None:
+    def _load_safe_image(self, image: bytes) -> None:
         words = [int.from_bytes(image[at : at + 4], "little") for at in range(0, len(image), 4)]
         self._off = tuple(map(Write, words[::2], words[1::2]))
 

@@ -127,9 +127,9 @@ class PciFrontEnd:
         elif offset in _PWM:
             register = _PWM[offset]
             self._unseen = self._unseen or register is PWM_WIDTH
-            self.device.take({self._name(register): register.decode(value)})
+            self.device.apply({self._name(register): register.decode(value)})
         elif offset == pci.ENCODER_RESET.offset:
-            self.device.take({"encoder_reset": pci.ENCODER_RESET.decode(value)})
+            self.device.apply({"encoder_reset": pci.ENCODER_RESET.decode(value)})
         else:
             self.rejected += 1
 

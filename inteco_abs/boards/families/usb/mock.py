@@ -131,7 +131,7 @@ MOCK: Final = MockFamily(
     front_end=UsbFrontEnd,
     reported=reported_frames(UsbFrontEnd),
     connected=lambda _wiring: _function_bit,
-    identity_at=HEADER_BYTES - 1,
+    identity_offset=HEADER_BYTES - 1,
     usb_device=lambda front_end, identity, serial: FtdiBoard(ByteStream(front_end), identity(ftdi_identity(serial))),
     stream=ByteStream,
 )

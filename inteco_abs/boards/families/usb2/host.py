@@ -141,7 +141,7 @@ HOST: Final = HostFamily(
     found=_found,
     folders=_usb_boards,
     place="USB port ",
-    in_its_place=_unprogrammed,
+    missing_board_sign=_unprogrammed,
     checks={
         "USB speed": _usb_speed,
         "USB autosuspend": _usb_autosuspend,

@@ -186,6 +186,6 @@ MOCK: Final = MockFamily(
     front_end=Usb2FrontEnd,
     reported=reported_frames(Usb2FrontEnd),
     connected=_connected,
-    identity_at=READ.place("logic_version").offset,
+    identity_offset=READ.place("logic_version").offset,
     usb_device=lambda front_end, identity, serial: UsbBoard(front_end, identity(UsbIdentity(serial=serial))),
 )
