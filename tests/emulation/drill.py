@@ -43,21 +43,21 @@ class DrillBoard(UsbBoard):
         if endpoint in self._held:
             return Handshake.NAK
         if endpoint == ENDPOINT_OUT and endpoint not in self._halted:
-            self._offer(ENDPOINT_IN, [packet])
+            self._queue(ENDPOINT_IN, [packet])
             return Handshake.ACK
         return super().packet_out(endpoint, packet)
 
     def _vendor(self, setup, data):
         match setup.request:
             case Drill.HALT:
-                self._halt(setup.index)
+                self._halted.add(setup.index)
             case Drill.HOLD:
                 (self._held.add if setup.value else self._held.discard)(setup.index)
                 self.on_ready()
             case Drill.UNPLUG:
                 self.host.unplug()
             case Drill.OFFER:
-                self._offer(ENDPOINT_IN, [data])
+                self._queue(ENDPOINT_IN, [data])
             case Drill.FAIL:
                 self.host.inject(setup.index, -setup.value)
             case Drill.STORE:

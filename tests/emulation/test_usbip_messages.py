@@ -214,7 +214,7 @@ def test_unlinks_racing_with_answers(attached, host):
     def feed():
         for _ in range(count):
             with host._lock:
-                host.device._offer(0x84, [b"x"])
+                host.device._queue(0x84, [b"x"])
 
     feeder = threading.Thread(target=feed)
     feeder.start()

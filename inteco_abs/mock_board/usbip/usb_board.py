@@ -34,7 +34,8 @@ class UsbBoard(UsbDevice):
     """A board whose FPGA is `front_end`.
 
     The real board's reaction to a message that is not a frame, to a full queue and to a date's wrong address is
-    UNKNOWN. Here the front end drops and counts the message, a full queue loses the answer, a wrong address gives STALL.
+    UNKNOWN. Here the front end drops and counts the message, a full queue loses the answer, and a wrong address gives
+    STALL.
     """
 
     def __init__(self, front_end: FrontEnd, identity: UsbIdentity | None = None) -> None:

@@ -154,7 +154,9 @@ class UsbDevice(ABC):
     def _send(self, endpoint: int, message: bytes) -> None:
         """Queue `message` for the host, in packets; the last is short and may be empty."""
         size = self.identity.speed.packet_bytes
-        packets = (message[at : at + size] for at in range(0, len(message) + 1, size))
+        self._queue(endpoint, [message[at : at + size] for at in range(0, len(message) + 1, size)])
+
+    def _queue(self, endpoint: int, packets: list[bytes]) -> None:
         self._departing.setdefault(endpoint, deque()).extend(packets)
         self.on_ready()
 
