@@ -2,15 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 from inteco_abs.control.controllers.base import Gain, Setup
+from inteco_abs.control.functions import Function
 from inteco_abs.signals import BrakeDemand, Estimate
 
 
-class ProportionalIntegral:
+@dataclass(frozen=True, slots=True)
+class LinearConstants:
+    """Reference and gains."""
+
+    reference: float
+    Kp: float
+    Ki: float
+    bias: float
+
+
+@dataclass(slots=True)
+class LinearState:
+    """The integral, as a duty."""
+
+    integral: float = 0.0
+
+
+def proportional_integral(k: LinearConstants, s: LinearState, estimate: Estimate, dt_s: float) -> BrakeDemand:
+    """Limited duty; anti-windup by conditional integration."""
+    error = k.reference - estimate.slip
+    step = k.Ki * error * dt_s
+    duty = k.bias + k.Kp * error + s.integral + step
+    if 0.0 <= duty <= 1.0 or (duty > 1.0) != (step > 0.0):
+        s.integral += step
+    duty = max(0.0, min(1.0, k.bias + k.Kp * error + s.integral))
+    return BrakeDemand(duty, 0.0, -error, (s.integral, 0.0, 0.0, 0.0))
+
+
+class ProportionalIntegral(LinearState):
     """Duty = bias + Kp*e + Ki*integral(e), e = reference - slip; the integral is held where it would wind up."""
 
+    __slots__ = ("k",)
+
+    function: ClassVar[Function] = staticmethod(proportional_integral)
     gains: ClassVar[tuple[Gain, ...]] = (
         Gain("Kp", 1.0, 0.0, 100.0, "1", "proportional"),
         Gain("Ki", 5.0, 0.0, 1000.0, "1/s", "integral"),
@@ -19,26 +52,45 @@ class ProportionalIntegral:
     internals: ClassVar[tuple[str, ...]] = ("integral_duty",)
 
     def __init__(self, setup: Setup, Kp: float, Ki: float, bias: float) -> None:
-        self._reference = setup.reference_slip
-        self._Kp = Kp
-        self._Ki = Ki
-        self._bias = bias
-        self._integral = 0.0
+        super().__init__()
+        self.k = LinearConstants(setup.reference_slip, Kp, Ki, bias)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
-        """Limited duty; anti-windup by conditional integration."""
-        error = self._reference - estimate.slip
-        step = self._Ki * error * dt_s
-        duty = self._bias + self._Kp * error + self._integral + step
-        if 0.0 <= duty <= 1.0 or (duty > 1.0) != (step > 0.0):
-            self._integral += step
-        duty = max(0.0, min(1.0, self._bias + self._Kp * error + self._integral))
-        return BrakeDemand(duty, 0.0, -error, (self._integral, 0.0, 0.0, 0.0))
+        """Limited duty."""
+        return proportional_integral(self.k, self, estimate, dt_s)
 
 
-class Steps:
+@dataclass(frozen=True, slots=True)
+class StepsConstants:
+    """Reference and gains."""
+
+    reference: float
+    first: float
+    rise: float
+    length_s: float
+
+
+@dataclass(slots=True)
+class StepsState:
+    """Time since the first demand."""
+
+    elapsed_s: float = 0.0
+
+
+def staircase(k: StepsConstants, s: StepsState, estimate: Estimate, dt_s: float) -> BrakeDemand:
+    """Duty of the current step; the first begins with the first demand."""
+    step = int(s.elapsed_s / k.length_s)
+    s.elapsed_s += dt_s
+    duty = max(0.0, min(1.0, k.first + k.rise * step))
+    return BrakeDemand(duty, 0.0, estimate.slip - k.reference, (0.0, 0.0, 0.0, 0.0))
+
+
+class Steps(StepsState):
     """A staircase of duties, independent of the slip: the brake steps of an identification."""
 
+    __slots__ = ("k",)
+
+    function: ClassVar[Function] = staticmethod(staircase)
     gains: ClassVar[tuple[Gain, ...]] = (
         Gain("first", 0.65, 0.0, 1.0, "1", "duty of the first step"),
         Gain("rise", 0.0, -1.0, 1.0, "1", "added from step to step"),
@@ -47,15 +99,9 @@ class Steps:
     internals: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, setup: Setup, first: float, rise: float, length_s: float) -> None:
-        self._reference = setup.reference_slip
-        self._first = first
-        self._rise = rise
-        self._length_s = length_s
-        self._elapsed_s = 0.0
+        super().__init__()
+        self.k = StepsConstants(setup.reference_slip, first, rise, length_s)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Duty of the current step; the first begins with the first demand."""
-        step = int(self._elapsed_s / self._length_s)
-        self._elapsed_s += dt_s
-        duty = max(0.0, min(1.0, self._first + self._rise * step))
-        return BrakeDemand(duty, 0.0, estimate.slip - self._reference)
+        return staircase(self.k, self, estimate, dt_s)

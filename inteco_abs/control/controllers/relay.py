@@ -2,41 +2,132 @@
 
 from __future__ import annotations
 
-from collections import deque
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import ClassVar, Final
 
 from inteco_abs.control.controllers.base import Gain, Setup
+from inteco_abs.control.functions import Function
 from inteco_abs.signals import BrakeDemand, Estimate
 
+_MOST_RATE_HZ: Final = 10_000.0
+"""Highest `loop.rate_hz`."""
+_ROOM: Final = 8
+"""Commands for which there is room beyond those of the dead time, for ticks that come early."""
 _LEVELS = (
     Gain("on_duty", 1.0, 0.0, 1.0, "1", "duty while the slip is below the reference"),
     Gain("off_duty", 0.0, 0.0, 1.0, "1", "duty while it is not"),
 )
 
 
-class Relay:
+@dataclass(frozen=True, slots=True)
+class RelayConstants:
+    """Reference and duties."""
+
+    reference: float
+    on_duty: float
+    off_duty: float
+
+
+@dataclass(slots=True)
+class RelayState:
+    """Whether the brake is on."""
+
+    on: bool = False
+
+
+def relay(k: RelayConstants, s: RelayState, estimate: Estimate, dt_s: float) -> BrakeDemand:  # noqa: ARG001  a static law
+    """Full or no brake by the slip error."""
+    switching = estimate.slip - k.reference
+    s.on = switching < 0.0
+    return BrakeDemand(k.on_duty if s.on else k.off_duty, 0.0, switching, (0.0, 0.0, 0.0, 0.0))
+
+
+class Relay(RelayState):
     """Brake on while the slip is below the reference, off above."""
 
+    __slots__ = ("k",)
+
+    function: ClassVar[Function] = staticmethod(relay)
     gains: ClassVar[tuple[Gain, ...]] = _LEVELS
     internals: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, setup: Setup, on_duty: float, off_duty: float) -> None:
-        self._reference = setup.reference_slip
-        self._on = on_duty
-        self._off = off_duty
+        super().__init__()
+        self.k = RelayConstants(setup.reference_slip, on_duty, off_duty)
 
-    def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:  # noqa: ARG002  a static law
-        switching = estimate.slip - self._reference
-        return BrakeDemand(self._on if switching < 0.0 else self._off, 0.0, switching)
+    def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
+        """Full or no brake by the slip error."""
+        return relay(self.k, self, estimate, dt_s)
 
 
-class SmithRelay:
+@dataclass(frozen=True, slots=True)
+class SmithConstants(RelayConstants):
+    """Of the brake and the slip that it makes, too."""
+
+    dead_time_s: float
+    rise_per_s: float
+    fall_per_s: float
+    length: int
+    """Commands that the rings hold."""
+
+
+@dataclass(slots=True)
+class SmithState:
+    """The commands that have not acted: rings of their durations in s, and of what each adds to the slip."""
+
+    durations_s: list[float]
+    rises: list[float]
+    first: int = 0
+    """Place of the oldest one."""
+    under_way: int = 0
+    waiting_s: float = 0.0
+    """Sum of their durations."""
+    rise: float = 0.0
+    """Sum of what they add."""
+    on: bool = False
+
+
+def smith_relay(k: SmithConstants, s: SmithState, estimate: Estimate, dt_s: float) -> BrakeDemand:
+    """Full or no brake by the error of the expected slip."""
+    _count(k, s, dt_s)
+    expected = estimate.slip + s.rise
+    switching = expected - k.reference
+    s.on = switching < 0.0
+    return BrakeDemand(k.on_duty if s.on else k.off_duty, 0.0, switching, (expected, 0.0, 0.0, 0.0))
+
+
+def _count(k: SmithConstants, s: SmithState, dt_s: float) -> None:
+    """Add the effect of the last period's command, and drop what has acted by now."""
+    if s.under_way == k.length:
+        _drop(k, s)
+    place, rise = (s.first + s.under_way) % k.length, (k.rise_per_s if s.on else -k.fall_per_s) * dt_s
+    s.durations_s[place], s.rises[place] = dt_s, rise
+    s.under_way += 1
+    s.waiting_s += dt_s
+    s.rise += rise
+    while s.under_way > 0 and s.waiting_s - s.durations_s[s.first] >= k.dead_time_s:
+        _drop(k, s)
+    if s.under_way == 0:
+        s.waiting_s = s.rise = 0.0  # rounding errors must not accumulate
+
+
+def _drop(k: SmithConstants, s: SmithState) -> None:
+    s.waiting_s -= s.durations_s[s.first]
+    s.rise -= s.rises[s.first]
+    s.first = (s.first + 1) % k.length
+    s.under_way -= 1
+
+
+class SmithRelay(SmithState):
     """Relay on the slip predicted for the end of the brake's dead time: a Smith predictor with an integrator as model.
 
     Each command that has not acted yet adds a ramp to the slip, up for brake on and down for brake off. Dead time and
     slopes are those of the vendor's demonstration (27 ms, +11 and -1.74 1/s).
     """
 
+    __slots__ = ("k",)
+
+    function: ClassVar[Function] = staticmethod(smith_relay)
     gains: ClassVar[tuple[Gain, ...]] = (
         *_LEVELS,
         Gain("dead_time_s", 0.027, 0.0, 0.2, "s", "time until a command acts"),
@@ -54,30 +145,11 @@ class SmithRelay:
         rise_per_s: float,
         fall_per_s: float,
     ) -> None:
-        self._reference = setup.reference_slip
-        self._duties = off_duty, on_duty
-        self._rates = -fall_per_s, rise_per_s
-        self._dead_time_s = dead_time_s
-        self._under_way: deque[tuple[float, float]] = deque()  # duration of each command that has not acted, its rise
-        self._waiting_s = 0.0
-        self._rise = 0.0
-        self._on = False
+        length = int(dead_time_s * _MOST_RATE_HZ) + _ROOM
+        super().__init__([0.0] * length, [0.0] * length)
+        reference = setup.reference_slip
+        self.k = SmithConstants(reference, on_duty, off_duty, dead_time_s, rise_per_s, fall_per_s, length)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
-        self._count(dt_s)
-        expected = estimate.slip + self._rise
-        switching = expected - self._reference
-        self._on = switching < 0.0
-        return BrakeDemand(self._duties[self._on], 0.0, switching, (expected, 0.0, 0.0, 0.0))
-
-    def _count(self, dt_s: float) -> None:
-        """Add the effect of the last period's command, and drop what has acted by now."""
-        self._under_way.append((dt_s, self._rates[self._on] * dt_s))
-        self._waiting_s += dt_s
-        self._rise += self._rates[self._on] * dt_s
-        while self._under_way and self._waiting_s - self._under_way[0][0] >= self._dead_time_s:
-            duration_s, rise = self._under_way.popleft()
-            self._waiting_s -= duration_s
-            self._rise -= rise
-        if not self._under_way:
-            self._waiting_s = self._rise = 0.0  # rounding errors must not accumulate
+        """Full or no brake by the error of the expected slip."""
+        return smith_relay(self.k, self, estimate, dt_s)

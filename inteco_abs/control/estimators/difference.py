@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from dataclasses import dataclass
+from typing import ClassVar, Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control.estimators.base import Estimator, TwoWheels
 from inteco_abs.control.estimators.registry import EstimatorSpec, parameter
+from inteco_abs.control.functions import Function
 from inteco_abs.rig import RigParameters
 
 _DEAD_ZONE_M_S: Final = 0.05
@@ -15,7 +17,39 @@ SLIP_OFFSET_M_S: Final = 0.01
 """Added to the road's rim speed in the denominator of the slip."""
 
 
-class HeldDifference:
+@dataclass(frozen=True, slots=True)
+class DifferenceConstants:
+    """Of one wheel."""
+
+    angle_ns: float
+    """Angle of one count in rad, times 1e9: speeds come from times in ns."""
+    zone_rad_s: float
+    due_ns: float
+    """T0, less what a sample may come early."""
+
+
+@dataclass(slots=True)
+class DifferenceState:
+    """Time and count of the newest difference, and its speed in rad/s."""
+
+    then_ns: int = -1
+    count: int = 0
+    speed: float = 0.0
+
+
+def difference(k: DifferenceConstants, s: DifferenceState, time_ns: int, count: int) -> float:
+    """Speed in rad/s behind the dead zone; 0 until the first T0 is over."""
+    elapsed_ns = time_ns - s.then_ns
+    if s.then_ns < 0:
+        s.then_ns, s.count = time_ns, count
+    elif elapsed_ns > 0 and elapsed_ns >= k.due_ns:
+        speed = (count - s.count) * k.angle_ns / elapsed_ns
+        s.speed = math.copysign(max(0.0, abs(speed) - k.zone_rad_s), speed)
+        s.then_ns, s.count = time_ns, count
+    return s.speed
+
+
+class HeldDifference(DifferenceState):
     """Every T0 = `hold_s`: (count - count a T0 ago)*2 pi/(N*T0), its rim speed through a dead zone, held for T0.
 
     The dead zone of +-0.05 m/s takes this much off what is beyond it, as Simulink's block does: 0.5 rad/s of either
@@ -25,26 +59,18 @@ class HeldDifference:
     (docs/facts/rig.md#measurement-and-limits).
     """
 
-    __slots__ = ("_angle_ns", "_count", "_due_ns", "_speed", "_then_ns", "_zone_rad_s")
+    __slots__ = ("k",)
+
+    function: ClassVar[Function] = staticmethod(difference)
 
     def __init__(self, counts_per_turn: int, radius_m: float, hold_s: float, period_s: float) -> None:
-        self._angle_ns = 2.0 * math.pi / counts_per_turn * 1e9
-        self._zone_rad_s = _DEAD_ZONE_M_S / radius_m
-        self._due_ns = (hold_s - 0.5 * period_s) * 1e9  # tolerates samples that come a little early
-        self._then_ns = -1
-        self._count = 0
-        self._speed = 0.0
+        super().__init__()
+        due_ns = (hold_s - 0.5 * period_s) * 1e9  # tolerates samples that come a little early
+        self.k = DifferenceConstants(2.0 * math.pi / counts_per_turn * 1e9, _DEAD_ZONE_M_S / radius_m, due_ns)
 
     def update(self, time_ns: int, count: int) -> float:
         """Speed in rad/s behind the dead zone; 0 until the first T0 is over."""
-        elapsed_ns = time_ns - self._then_ns
-        if self._then_ns < 0:
-            self._then_ns, self._count = time_ns, count
-        elif elapsed_ns > 0 and elapsed_ns >= self._due_ns:
-            speed = (count - self._count) * self._angle_ns / elapsed_ns
-            self._speed = math.copysign(max(0.0, abs(speed) - self._zone_rad_s), speed)
-            self._then_ns, self._count = time_ns, count
-        return self._speed
+        return difference(self.k, self, time_ns, count)
 
 
 def _difference(config: RigConfig, parameters: RigParameters) -> Estimator:

@@ -3,36 +3,63 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final
 
 from inteco_abs.config import EstimatorConfig, LoopConfig, RigConfig
-from inteco_abs.control.estimators.base import Angles
+from inteco_abs.control.estimators.angles import CountState, rad_per_count, turned
 from inteco_abs.control.estimators.registry import EstimatorSpec, on_both_wheels, parameter
+from inteco_abs.control.functions import Function
 from inteco_abs.errors import ConfigIssue
 
 
-class TrackingLoop:
+@dataclass(frozen=True, slots=True)
+class TrackingConstants:
+    """Of the spring and the damper."""
+
+    per_count: float
+    """rad"""
+    stiffness: float
+    """1/s2"""
+    damping: float
+    """1/s"""
+
+
+@dataclass(slots=True)
+class TrackingState(CountState):
+    """Of the model wheel, in rad and rad/s."""
+
+    angle: float = 0.0
+    speed: float = 0.0
+
+
+def tracking(k: TrackingConstants, s: TrackingState, time_ns: int, count: int) -> float:
+    """Speed in rad/s."""
+    angle, dt_s = turned(k.per_count, s, time_ns, count)
+    error = angle - s.angle
+    s.speed += k.stiffness * error * dt_s
+    s.angle += (s.speed + k.damping * error) * dt_s
+    return s.speed
+
+
+class TrackingLoop(TrackingState):
     """v += wn^2*e*T, th += (v + 2*zeta*wn*e)*T with e = angle - th: lag 2*zeta/wn, noise falling with wn.
 
     The loop of resolver and encoder converters; `natural_frequency_rad_s` is wn, the damping zeta is 0.9.
     """
 
-    __slots__ = ("_angle", "_angles", "_damping", "_speed", "_stiffness")
+    __slots__ = ("k",)
+
+    function: ClassVar[Function] = staticmethod(tracking)
 
     def __init__(self, counts_per_turn: int, natural_frequency_rad_s: float) -> None:
-        self._angles = Angles(counts_per_turn)
-        self._stiffness = natural_frequency_rad_s**2
-        self._damping = 2.0 * 0.9 * natural_frequency_rad_s
-        self._angle = 0.0
-        self._speed = 0.0
+        super().__init__()
+        stiffness, damping = natural_frequency_rad_s**2, 2.0 * 0.9 * natural_frequency_rad_s
+        self.k = TrackingConstants(rad_per_count(counts_per_turn), stiffness, damping)
 
     def update(self, time_ns: int, count: int) -> float:
         """Speed in rad/s."""
-        angle, dt_s = self._angles.update(time_ns, count)
-        error = angle - self._angle
-        self._speed += self._stiffness * error * dt_s
-        self._angle += (self._speed + self._damping * error) * dt_s
-        return self._speed
+        return tracking(self.k, self, time_ns, count)
 
 
 def _tracking(config: RigConfig) -> TrackingLoop:

@@ -1,0 +1,20 @@
+"""How estimators, controllers and speed filters give their function, so that it can be compiled for many rigs.
+
+Such a part is one function of constants and state. Its class derives from the state, a dataclass with slots, has the
+constants as `k`, a frozen dataclass with slots, and names the function as `function` in its own body: then the
+function called with `k` and the object itself does what `update` does. The leaves of both dataclasses are numbers,
+flags, and lists of numbers that keep their length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+Function = Callable[..., Any]
+"""Of constants and state at first; or a `functools.partial` of one, whose keywords are functions as well."""
+
+
+def function_of(part: object) -> Function | None:
+    """The function of `part`, or None: a subclass does not inherit it, as its `update` may do something else."""
+    return getattr(part, "function", None) if "function" in vars(type(part)) else None
