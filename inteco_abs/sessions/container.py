@@ -1,4 +1,4 @@
-"""The container of a session, MCAP: its records as a table, taken apart with no declared length believed.
+"""The container of a session, MCAP: its records as a table, parsed with a check of every declared length.
 
 Source: mcap.dev, specification, "Records".
 """
@@ -20,14 +20,14 @@ from lz4.frame import LZ4FrameDecompressor
 MAGIC: Final = b"\x89MCAP0\r\n"
 HEAD: Final = struct.Struct("<BQ")
 LARGEST_RECORD: Final = 1 << 26
-"""Bytes: what a chunk or an attachment of a session never reaches."""
+"""Bytes; chunks and attachments of a session are smaller."""
 _LARGEST_CHUNK: Final = 1 << 24
 _MOST_EXPANSION: Final = 100
-"""Bytes unpacked per byte of file; ticks of a wheel at rest reach about 40. More is a bomb, not a session."""
+"""Unpacked bytes per byte of file; a session at rest reaches about 40, a decompression bomb more."""
 _FEWEST_PARTS: Final = 100_000
-"""What any session may hold; an event for every tick of a whole stop is a tenth of it."""
+"""Allowed in any session; a log entry for every tick of a stop is a tenth of it."""
 _BYTES_OF_A_PART: Final = 8
-"""Of the file: ticks of a wheel at rest, drained by tens, need 40."""
+"""Bytes of file per part; ticks at rest, drained by tens, have 40."""
 _TEXT_OF_A_PART: Final = 32
 """Bytes of text that count as another part."""
 MESSAGE_HEAD: Final = 22
@@ -39,7 +39,7 @@ _NUMBERS: Final = struct.Struct("<HIQ")
 _SAME: Final = 11
 """Bytes of type, length and channel at the beginning of a message."""
 _ONE_BY_ONE: Final = 24
-"""Messages up to which a run is followed one by one: a recorder that drains often writes ten."""
+"""Messages of a run compared one by one before numpy takes over; a recorder that drains often writes ten."""
 
 
 class Opcode(IntEnum):
@@ -87,11 +87,11 @@ _KINDS: Final = {int(opcode): opcode.name.lower().replace("_", " ") for opcode i
 
 
 class DamagedError(Exception):
-    """A record contradicts itself, or the file."""
+    """A record is not valid, or contradicts the file."""
 
 
 class Entry(NamedTuple):
-    """A record that is all there."""
+    """A complete record."""
 
     opcode: int
     at: int
@@ -110,7 +110,7 @@ class Entry(NamedTuple):
 
 
 class FixedRun(NamedTuple):
-    """Messages of one channel and one size, one after the other in a chunk."""
+    """Consecutive messages of one channel and one size in a chunk."""
 
     channel: int
     rows: npt.NDArray[np.void]
@@ -118,19 +118,19 @@ class FixedRun(NamedTuple):
 
 
 class VariableRun(NamedTuple):
-    """Messages of one channel, of any sizes, one after the other in a chunk."""
+    """Consecutive messages of one channel, of any sizes, in a chunk."""
 
     channel: int
     number: int
-    """How many."""
+    """Number of messages."""
     records: bytes
     """The chunk."""
     start: int
     end: int
-    """Where in the chunk they are."""
+    """Offsets in the chunk."""
 
     def messages(self) -> Iterator[tuple[int, int, bytes]]:
-        """Sequence, log time in ns and data of each."""
+        """Sequence, log time in ns and data of each message."""
         at = self.start
         while at < self.end:
             _, length = HEAD.unpack_from(self.records, at)
@@ -141,7 +141,7 @@ class VariableRun(NamedTuple):
 
 
 class DecompressionBudget:
-    """How much the chunks of a file may unpack to, all together, and of how many parts.
+    """Limits of the unpacked bytes, and of the parts, of all chunks of a file.
 
     A part of a few packed bits becomes an object of some hundred bytes, and takes microseconds to make.
     """
@@ -151,27 +151,27 @@ class DecompressionBudget:
         self._parts = _FEWEST_PARTS + file_bytes // _BYTES_OF_A_PART
 
     def spend(self, size: int) -> None:
-        """Take `size` bytes; raises DamagedError if they are not left."""
+        """Use `size` bytes. Raises DamagedError if fewer are left."""
         if size > self._bytes:
             raise DamagedError("unpacks to more than a session of this size can hold")
         self._bytes -= size
 
     def part(self, number: int = 1, size: int = 0) -> None:
-        """Take so many parts, with texts of `size` bytes in them; raises DamagedError if they are not left."""
+        """Use `number` parts with texts of `size` bytes. Raises DamagedError if fewer are left."""
         self._parts -= number + size // _TEXT_OF_A_PART
         if self._parts < 0:
             raise DamagedError("holds more records, events, parameters and texts than a session of this size can")
 
 
 class RecordFile:
-    """The records of an open file in order, each only if it is all there; reads every byte once."""
+    """The complete records of an open file in order; reads every byte once."""
 
     def __init__(self, file: BinaryIO, size: int) -> None:
         self._file = file
         self._size = size
         self._crc = zlib.crc32(file.read(len(MAGIC)))
         self.crc = 0
-        """Checksum of everything before the newest record."""
+        """Checksum of the file before the current record."""
 
     def __iter__(self) -> Iterator[Entry]:
         at = len(MAGIC)
@@ -191,15 +191,12 @@ class RecordFile:
 
 
 def kind(opcode: int) -> str:
-    """A type of record in words."""
+    """Name of a type of record."""
     return _KINDS.get(opcode, f"record of type {opcode}")
 
 
 def fields(opcode: int, data: memoryview, *, exact: bool = False) -> list[Any]:
-    """Fields of a record by the table above; bytes behind them are a later version's, and refused if `exact`.
-
-    Raises DamagedError.
-    """
+    """Fields of a record as in `LAYOUTS`. Raises DamagedError, if `exact` also for bytes after them."""
     at, found = 0, list[Any]()
     try:
         for code in LAYOUTS[opcode]:
@@ -220,7 +217,7 @@ def fields(opcode: int, data: memoryview, *, exact: bool = False) -> list[Any]:
 
 
 def record(opcode: int, *values: Any) -> bytes:
-    """A record with these fields, in the order of the table above."""
+    """A record with these fields, in the order of `LAYOUTS`."""
     parts = []
     for code, value in zip(LAYOUTS[opcode], values, strict=True):
         if code in _LENGTHS:
@@ -232,7 +229,7 @@ def record(opcode: int, *values: Any) -> bytes:
 
 
 def text_map(data: memoryview, budget: DecompressionBudget | None = None) -> dict[str, str]:
-    """Texts by name, as metadata and channels have them; raises DamagedError."""
+    """Texts by name, as in metadata and channels. Raises DamagedError."""
     if budget is not None:
         budget.part(size=len(data))
     facts, at = {}, 0
@@ -254,7 +251,7 @@ def _text(data: memoryview, at: int) -> tuple[str, int]:
 
 
 def attachment(data: memoryview) -> tuple[str, str, bytes]:
-    """Name, media type and content of an attachment; raises DamagedError if its checksum fails."""
+    """Name, media type and content of an attachment. Raises DamagedError if its checksum is wrong."""
     _, _, name, media_type, content, crc = fields(Opcode.ATTACHMENT, data, exact=True)
     if crc not in (0, zlib.crc32(data[:-4])):
         raise DamagedError(f"attachment {name!r} fails its checksum")
@@ -262,7 +259,7 @@ def attachment(data: memoryview) -> tuple[str, str, bytes]:
 
 
 def unpack_chunk(data: memoryview, budget: DecompressionBudget, *, checked: bool = False) -> bytes:
-    """Records of a chunk; raises DamagedError if it contradicts itself, or if `checked` and it has no checksum."""
+    """Unpack the records of a chunk. Raises DamagedError if it is not valid or, with `checked`, has no checksum."""
     _, _, size, crc, compression, packed = fields(Opcode.CHUNK, data, exact=True)
     if size > _LARGEST_CHUNK:
         raise DamagedError(f"claims {size} bytes, more than {_LARGEST_CHUNK}")
@@ -279,7 +276,7 @@ def unpack_chunk(data: memoryview, budget: DecompressionBudget, *, checked: bool
 
 def _from_zstd(packed: memoryview, size: int) -> bytes:
     try:
-        # the frame's own header also claims a size, and would be believed before ours
+        # zstandard trusts the size in the frame's header more than max_output_size
         if zstandard.frame_content_size(packed) not in (-1, size):
             raise DamagedError("contradicts its own size")
         return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
@@ -288,8 +285,7 @@ def _from_zstd(packed: memoryview, size: int) -> bytes:
 
 
 def _from_lz4(packed: memoryview, size: int) -> bytes:
-    """As other programs compress anew; ours write zstd."""
-    try:
+    try:  # other programs write lz4, this one zstd
         raw: bytes = LZ4FrameDecompressor().decompress(bytes(packed), max_length=size + 1)
     except RuntimeError as error:
         raise DamagedError(str(error)) from error
@@ -301,18 +297,18 @@ _UNPACK: Final[dict[str, Callable[[memoryview, int], bytes]]] = {
     "zstd": _from_zstd,
     "lz4": _from_lz4,
 }
-"""By the name of a chunk's compression: its bytes, never many more than it claims."""
+"""Unpackers by name of the compression; the output is at most slightly larger than the declared size."""
 
 
 def chunk_parts(raw: bytes, variable_size: Collection[int] = ()) -> Iterator[Entry | FixedRun | VariableRun]:
-    """What an unpacked chunk holds, in order; raises DamagedError at a record that leaves it.
+    """Content of an unpacked chunk in order. Raises DamagedError at an incomplete record.
 
-    Messages of the channels `variable_size` come as one `VariableRun`, whose messages are not checked yet.
+    Messages of the channels `variable_size` come as `VariableRun`, and are not checked.
     """
     at = 0
     while at < len(raw):
         if at + HEAD.size > len(raw):
-            raise DamagedError(f"has {len(raw) - at} bytes behind its last record")
+            raise DamagedError(f"has {len(raw) - at} bytes after its last record")
         opcode, length = HEAD.unpack_from(raw, at)
         at += HEAD.size
         if length > len(raw) - at:
@@ -325,17 +321,17 @@ def chunk_parts(raw: bytes, variable_size: Collection[int] = ()) -> Iterator[Ent
             raise DamagedError(f"holds a message of {length} bytes, less than a message's head")
         (channel,) = _INTEGERS["H"].unpack_from(raw, at)
         if channel in variable_size:
-            stretch = _stretch(raw, at - HEAD.size, channel)
-            yield stretch
-            at = stretch.end
+            run = _variable_run(raw, at - HEAD.size, channel)
+            yield run
+            at = run.end
             continue
-        rows = _run(raw, at - HEAD.size, length)
+        rows = _fixed_run(raw, at - HEAD.size, length)
         yield FixedRun(channel, rows)
         at += len(rows) * (HEAD.size + length) - HEAD.size
 
 
-def _stretch(raw: bytes, start: int, channel: int) -> VariableRun:
-    """From `start` to the first record that is not a message of the channel, or is not all there."""
+def _variable_run(raw: bytes, start: int, channel: int) -> VariableRun:
+    """Messages from `start` to the first record that is not a complete message of the channel."""
     at, count, size, message, head = start, 0, len(raw), int(Opcode.MESSAGE), _MESSAGE_BEGIN.unpack_from
     while at + HEAD.size + MESSAGE_HEAD <= size:
         opcode, length, found = head(raw, at)
@@ -346,8 +342,8 @@ def _stretch(raw: bytes, start: int, channel: int) -> VariableRun:
     return VariableRun(channel, count, raw, start, at)
 
 
-def _run(raw: bytes, at: int, length: int) -> npt.NDArray[np.void]:
-    """The messages from `at` on whose type, length and channel are those of the first."""
+def _fixed_run(raw: bytes, at: int, length: int) -> npt.NDArray[np.void]:
+    """Messages from `at` with the type, length and channel of the first."""
     stride = HEAD.size + length
     most = (len(raw) - at) // stride
     head = raw[at : at + _SAME]
@@ -360,8 +356,8 @@ def _run(raw: bytes, at: int, length: int) -> npt.NDArray[np.void]:
 
 
 def _long_run(raw: bytes, at: int, stride: int, count: int, most: int) -> int:
-    """How long a run is that has at least `count` messages, and `most` if it goes on to the end."""
-    # these eleven bytes of every record, as two integers that overlap
+    """Length of a run of `count` to `most` messages."""
+    # the eleven bytes of type, length and channel of every record, as two overlapping integers
     heads = [np.ndarray(most, "<u8", raw, at + skip, (stride,)) for skip in (0, _SAME - 8)]
     ahead = _ONE_BY_ONE
     while count < most:
@@ -374,7 +370,6 @@ def _long_run(raw: bytes, at: int, stride: int, count: int, most: int) -> int:
 
 @lru_cache(maxsize=64)
 def message_dtype(size: int) -> np.dtype[np.void]:
-    """A message record with `size` bytes of data."""
+    """Numpy type of a message record with `size` bytes of data."""
     heads = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
-    layout: np.dtype[np.void] = np.dtype([*heads, ("log_time", "<u8"), ("publish_time", "<u8"), ("data", f"V{size}")])
-    return layout
+    return np.dtype([*heads, ("log_time", "<u8"), ("publish_time", "<u8"), ("data", f"V{size}")])

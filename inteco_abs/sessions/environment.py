@@ -14,7 +14,7 @@ from importlib.metadata import Distribution, distributions
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
-from inteco_abs.sessions.provenance import git_says, is_source_tree
+from inteco_abs.sessions.provenance import git_command, is_source_tree
 from inteco_abs.version import SOURCE_FOLDER
 
 MOST_DIFF_BYTES: Final = 1_000_000
@@ -23,7 +23,7 @@ DIFF_NAME: Final = "git.diff"
 
 
 class Enclosure(NamedTuple):
-    """A file that goes into a session."""
+    """A file for a session's attachments."""
 
     name: str
     media_type: str
@@ -37,7 +37,7 @@ class Environment(NamedTuple):
     software: Mapping[str, str] = {}
 
     def as_note(self) -> dict[str, Any]:
-        """For another process, as JSON has it."""
+        """As JSON values, for another process."""
         files = [[name, media_type, base64.b64encode(data).decode()] for name, media_type, data in self.files]
         return {"files": files, "software": self.software}
 
@@ -54,7 +54,7 @@ def current_environment() -> Environment:
     packages = installed_packages()
     files = [Enclosure(REQUIREMENTS_NAME, "text/plain", packages)]
     software = {"packages_sha256": hashlib.sha256(packages).hexdigest()}
-    diff, cut = changes(SOURCE_FOLDER)
+    diff, cut = uncommitted_changes(SOURCE_FOLDER)
     if diff:
         files.append(Enclosure(DIFF_NAME, "text/x-diff", diff))
     if cut:
@@ -63,13 +63,13 @@ def current_environment() -> Environment:
 
 
 def installed_packages() -> bytes:
-    """Every package that can be imported and its version, in the form that pip takes."""
+    """Installed packages and their versions in pip's format."""
     found = {f"{name}\n" for name in map(_named, distributions()) if name}
     return "".join(sorted(found, key=str.lower)).encode()
 
 
 def _named(package: Distribution) -> str:
-    """Name and version; nothing for a folder that an uninstalled package has left, or that cannot be read."""
+    """Name and version; empty for the remains of an uninstalled package, or metadata that cannot be read."""
     try:
         name, number = package.metadata["Name"], package.version
     except (OSError, ValueError, LookupError, AttributeError, TypeError):
@@ -77,18 +77,18 @@ def _named(package: Distribution) -> str:
     return f"{name}=={number}" if name and number else ""
 
 
-def changes(folder: Path, most_bytes: int = MOST_DIFF_BYTES) -> tuple[bytes, bool]:
-    """How the tracked files of the source tree around `folder` differ from its commit, and whether that was cut.
+def uncommitted_changes(folder: Path, most_bytes: int = MOST_DIFF_BYTES) -> tuple[bytes, bool]:
+    """Diff of the source tree around `folder` to its commit, and whether it was cut at `most_bytes`.
 
-    Nothing where there is no source tree, no git that can be started, or no difference.
+    Empty without a source tree, git or changes.
     """
     if not is_source_tree(folder):
         return b"", False
-    command = git_says(folder, "diff", "--no-ext-diff", "--no-textconv", "HEAD")
+    command = git_command(folder, "diff", "--no-ext-diff", "--no-textconv", "HEAD")
     try:
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as git:  # noqa: S603  fixed
             diff = git.stdout.read(most_bytes + 1) if git.stdout else b""
             git.kill()  # the rest is not needed
-    except OSError:  # a computer that can start no process can still record
+    except OSError:  # recording must work even if no process can be started
         return b"", False
     return diff[:most_bytes], len(diff) > most_bytes

@@ -1,4 +1,4 @@
-"""Writes a session's tables for other programs: CSV and NumPy in the base install, MATLAB and Parquet with an extra."""
+"""Exports a session's tables to CSV and NumPy and, with an extra, to MATLAB and Parquet."""
 
 from __future__ import annotations
 
@@ -23,37 +23,37 @@ from inteco_abs.sessions.tables import Table, columns_of, tables
 _BLOCK_ROWS: Final = 1 << 14
 
 
-class Written(NamedTuple):
-    """A file that an export made."""
+class ExportedFile(NamedTuple):
+    """A file of an export."""
 
     path: Path
     tables: tuple[str, ...]
     rows: int
-    """Of all of its tables."""
+    """Rows of all its tables."""
 
 
 class Export(NamedTuple):
-    """What an export made of a session."""
+    """Result of an export."""
 
     session: Session
-    files: list[Written]
+    files: list[ExportedFile]
 
 
 class _Format(NamedTuple):
     write: Callable[[Path, list[Table], Session], None]
     one_table_a_file: bool
     package: str = ""
-    """What it needs beyond the base install."""
+    """Required package; empty for the base install."""
     has_units: bool = True
-    """Whether units and meanings have a place in its files; else they are a table of their own."""
+    """Whether its files can hold units and meanings; else they get a separate table."""
 
 
 def export_session(source: Path, form: str, out: Path) -> Export:
-    """Write the session at `source` to `out` in one of `FORMATS`, by way of the disk: an hour needs little memory.
+    """Write the session at `source` to `out` in one of `FORMATS`; an hour needs little memory.
 
-    Where a file holds one table only, `out` has the ticks, and what else there is lies beside it, as `stop.truth.csv`
-    beside `stop.csv`; so do units and meanings, where the format has no place for them. Raises ConfigError,
-    SessionError, or AbsError where the format's package is not installed.
+    In a format with one table per file, `out` has the ticks; the other tables, and units and meanings if the format
+    cannot hold them, go to files beside it, such as `stop.truth.csv`. Raises ConfigError, SessionError, or AbsError
+    if the format's package is not installed.
     """
     chosen = FORMATS[form]
     if chosen.package and importlib.util.find_spec(chosen.package) is None:
@@ -70,7 +70,11 @@ def export_session(source: Path, form: str, out: Path) -> Export:
     with ExitStack() as parts:
         for path, group in zip(paths, groups, strict=True):
             _write(chosen, path, parts.enter_context(atomic_write(path)), group, session)
-    return Export(session, list(map(_written, paths, groups)))
+    files = [
+        ExportedFile(path, tuple(table.name for table in group), sum(len(table.rows) for table in group))
+        for path, group in zip(paths, groups, strict=True)
+    ]
+    return Export(session, files)
 
 
 def _write(chosen: _Format, path: Path, part: Path, group: list[Table], session: Session) -> None:
@@ -79,10 +83,6 @@ def _write(chosen: _Format, path: Path, part: Path, group: list[Table], session:
     except (OSError, ValueError) as error:  # scipy's own errors of arrays too large for its format are ValueErrors
         why = describe_disk(error) if isinstance(error, OSError) else error
         raise SessionError(f"{path} cannot be written: {why}") from error
-
-
-def _written(path: Path, group: list[Table]) -> Written:
-    return Written(path, tuple(table.name for table in group), sum(len(table.rows) for table in group))
 
 
 def _csv(path: Path, group: list[Table], _session: Session) -> None:
@@ -148,7 +148,7 @@ def _parquet(path: Path, group: list[Table], session: Session) -> None:
 
 
 def _texts(group: list[Table], session: Session) -> dict[str, str]:
-    """What is said about the numbers, as JSON."""
+    """Units, meanings and metadata as JSON."""
     return {
         "units": json.dumps({table.name: table.units for table in group}),
         "meanings": json.dumps({table.name: table.meanings for table in group}),

@@ -1,7 +1,7 @@
-"""Writes a run to its file; if the disk fails, to a second one, else from memory at the end.
+"""Writes a run to its file; if the disk fails, to a second file, or from memory at the end.
 
-It holds no row itself: a new file is copied from the one before, even if that has lost its name, and from the memory of
-the caller, which keeps rows until they are in a file.
+It keeps no rows: a new file is copied from the previous one, even if that was unlinked, and from the memory of the
+caller, which keeps rows until they are in a file.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from inteco_abs.sessions.files import atomic_write, require_own_file
 from inteco_abs.sessions.session_writer import RunEnd, RunHeader, RunResult, SessionWriter
 
 Opener = Callable[[Path], FileWriter]
-"""Opens a file for the session at a path; the same session, with the same times, whichever the path."""
-Say = Callable[[str, Path], None]
-"""Gets the disk's error and what follows from it, and the file that is now written."""
+"""Opens a file for the session at a path; id and times of the session do not depend on the path."""
+Report = Callable[[str, Path], None]
+"""Gets the disk's error with its consequence, and the file that is now written."""
 RowBlocks = Iterable[tuple[bytes, bytes]]
 """Ticks and states of the simulated rig in blocks, each back to back and in order."""
 
 
 def check_spill(config: RigConfig) -> None:
-    """Check `session.spill` before anything is opened. Raises ConfigError if it is not a folder."""
+    """Raise ConfigError if `session.spill` is not a folder."""
     folder = config.session.spill
     problem = ""
     try:
@@ -44,7 +44,7 @@ def check_spill(config: RigConfig) -> None:
 
 
 def spill_path(out: Path, config: RigConfig, session_id: str) -> Path | None:
-    """Second place for the session at `out`; None if none is configured."""
+    """Second path for the session at `out`; None if it is not configured."""
     if not config.session.spill:
         return None
     path = Path(config.session.spill).expanduser().absolute() / out.name
@@ -56,10 +56,10 @@ def spill_path(out: Path, config: RigConfig, session_id: str) -> Path | None:
 
 
 def joined(stored: Callable[[], RowBlocks], held: Callable[[], RowBlocks]) -> Iterator[tuple[bytes, bytes]]:
-    """A run, each row once, from what a file has `stored` and the newest part, `held` in memory.
+    """Each row of a run once: those `stored` in a file, then the newest, `held` in memory.
 
-    The file is read only if memory has not everything, and then first: meanwhile the loop may overwrite rows that are
-    in a file, never others. Raises what reading the file raises.
+    The file is read only if memory lacks the beginning, and then first: meanwhile the loop may overwrite rows that are
+    in the file, but no others. Raises the errors of reading the file.
     """
     first, _ = next(iter(held()), (b"", b""))
     tick = state_ns = -1
@@ -69,20 +69,20 @@ def joined(stored: Callable[[], RowBlocks], held: Callable[[], RowBlocks]) -> It
             state_ns = int(TRUTH.array(states)["time_ns"].max()) if states else state_ns
             yield ticks, states
     for ticks, states in held():
-        yield _behind(TICK, "tick", ticks, tick), _behind(TRUTH, "time_ns", states, state_ns)
+        yield _newer(TICK, "tick", ticks, tick), _newer(TRUTH, "time_ns", states, state_ns)
 
 
-def _behind(message: Message, column: str, rows: bytes, newest: int) -> bytes:
-    """The rows that are newer than `newest`; they are in order."""
+def _newer(message: Message, column: str, rows: bytes, newest: int) -> bytes:
+    """The rows after `newest`; rows are in order."""
     return rows[int((message.array(rows)[column].astype(np.int64) <= newest).sum()) * message.size :]
 
 
 class FailoverWriter:
     """Writes one run to a file at `out`. Raises SessionError if the disk fails before the header is written.
 
-    Later failures raise nothing before the end: the run moves to a file at `spill`, or, if that fails too, stays in
-    memory until `finish` tries both again. `held` returns the rows still in the caller's memory: at least all since the
-    newest `flush` after which this was `writing`.
+    After later failures the run continues in a file at `spill`, or, if that fails too, in memory until `finish` tries
+    both again. `held` returns the rows in the caller's memory: at least all since the latest `flush` after which
+    `writing` was true.
     """
 
     def __init__(
@@ -91,15 +91,15 @@ class FailoverWriter:
         opener: Opener,
         held: Callable[[], RowBlocks],
         spill: Path | None = None,
-        say: Say | None = None,
+        report: Report | None = None,
     ) -> None:
         self.path = out
-        """File that is being written, or was last."""
+        """File that is being written, or was the last one."""
         self._out, self._spill = out, spill
         self._session = out
         self._open = opener
         self._held = held
-        self._say = say or (lambda _text, _path: None)
+        self._report = report or (lambda _text, _path: None)
         self._problems: list[str] = []
         self._warnings: list[tuple[int, str]] = []
         self._recorder = opener(out)
@@ -114,13 +114,13 @@ class FailoverWriter:
 
     @property
     def writing(self) -> bool:
-        """Whether rows that are added reach a file, as far as is known."""
+        """Whether added rows reach a file, as far as is known."""
         return not self._failed
 
     @property
     def ticks(self) -> int:
-        """Ticks that were added."""
-        return self._writer.ticks if self._writer is not None else 0
+        """Number of ticks added."""
+        return self._writer.card.ticks if self._writer is not None else 0
 
     @property
     def header(self) -> RunHeader:
@@ -128,7 +128,7 @@ class FailoverWriter:
         return self._begun.header
 
     def write_header(self, config: RigConfig, header: RunHeader, session: Path) -> None:
-        """Write everything that explains the run before the first tick; `session` is the file's name for the user."""
+        """Write the header before the first tick; `session` is the file's name for the user."""
         self._session = session
         writer = SessionWriter(self._recorder, config, header, session)
         try:
@@ -140,7 +140,7 @@ class FailoverWriter:
         self._writer = writer
 
     def add_environment(self, found: Environment) -> None:
-        """Add the environment, if the header was written without."""
+        """Add the environment, if the header was written without it."""
         self._attempt(lambda: self._begun.add_environment(found))
 
     def add(self, ticks: bytes, truths: bytes) -> None:
@@ -153,7 +153,7 @@ class FailoverWriter:
     def flush(self) -> None:
         """Write everything so far to the file."""
         if not self._failed:
-            self._attempt(lambda: self._recorder.flush())  # noqa: PLW0108  of the recorder that there is then
+            self._attempt(lambda: self._recorder.flush())  # noqa: PLW0108  of the current recorder
 
     def warn(self, unix_ns: int, text: str) -> None:
         """Add a warning to the session's log."""
@@ -162,10 +162,7 @@ class FailoverWriter:
             self._attempt(lambda: self._recorder.warn(unix_ns, text))
 
     def finish(self, end: RunEnd) -> RunResult:
-        """Complete the file, or write it as a whole if that is possible by now.
-
-        Raises SessionError if no disk takes it.
-        """
+        """Complete the file; after a failure, try again to write all of it. Raises SessionError if every disk fails."""
         while not self._failed:
             try:
                 return self._reported(self._begun.finish(end))
@@ -173,21 +170,21 @@ class FailoverWriter:
                 self._move(error)
         for place in filter(None, (self._out, self._spill)):
             with suppress(AbsError):
-                return self._reported(self._as_a_whole(place, end))
+                return self._reported(self._complete(place, end))
         raise SessionError(f"{'; '.join(self._problems)}; the file could not be written again at the end either")
 
     def rows(self) -> Iterator[tuple[bytes, bytes]]:
-        """All rows, from the last file and memory; only after writing has ended."""
+        """All rows, from the last file and from memory; ends the writing."""
         return joined(self._stored, self._held)
 
     def discard(self) -> None:
-        """Remove the file: nothing ran, so there is nothing to keep. Raises SessionError if it cannot be removed."""
+        """Remove the file of a run without ticks. Raises SessionError if it cannot be removed."""
         self._recorder.discard()
 
     @property
     def _begun(self) -> SessionWriter:
         if self._writer is None:
-            raise RuntimeError("write_header comes first")
+            raise RuntimeError("call write_header first")
         return self._writer
 
     def _attempt(self, work: Callable[[], None]) -> None:
@@ -197,7 +194,7 @@ class FailoverWriter:
             self._move(error)
 
     def _move(self, error: SessionError) -> None:
-        """The disk failed: continue in the second place, if it takes everything so far."""
+        """Continue at the second path after a disk error, if everything so far can be written there."""
         known = len(self._problems)
         self._problems.append(str(error))
         self._failed = True
@@ -206,8 +203,8 @@ class FailoverWriter:
                 self._move_to(self._spill)
             except AbsError as second:
                 self._problems.append(in_a_line(second))
-        goes_on = "its ticks are kept in memory" if self._failed else f"it is written to {self.path} by now"
-        self._say(f"{'; '.join(self._problems[known:])}; the run goes on, and {goes_on}", self.path)
+        goes_on = "its ticks are kept in memory" if self._failed else f"it is now written to {self.path}"
+        self._report(f"{'; '.join(self._problems[known:])}; the run goes on, and {goes_on}", self.path)
 
     def _move_to(self, path: Path) -> None:
         recorder = self._open(path)
@@ -221,7 +218,7 @@ class FailoverWriter:
         self._close()
         self._recorder, self._writer, self.path, self._failed = recorder, writer, path, False
 
-    def _as_a_whole(self, place: Path, end: RunEnd) -> RunResult:
+    def _complete(self, place: Path, end: RunEnd) -> RunResult:
         with atomic_write(place) as part, self._open(part) as recorder:
             require_own_file(place, recorder.session_id)
             result = self._rewritten(recorder, place).finish(end)

@@ -1,4 +1,4 @@
-"""Writes a session: an MCAP file that explains itself from its first flush on."""
+"""Writes the file of a session: MCAP messages, metadata and attachments, durably, readable after each flush."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ _INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
 
 
 class _Disk(FileIO):
-    """A new file whose refusals are SessionErrors."""
+    """A new file that raises SessionError instead of OSError."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -74,24 +74,24 @@ class _Disk(FileIO):
         try:
             return super().write(data)
         except OSError as error:
-            raise self._refused(error) from error
+            raise self._failed(error) from error
 
     def close(self) -> None:
-        """Close the file; raises SessionError for what the disk refuses only now."""
+        """Close the file. Raises SessionError if its last bytes cannot be written."""
         try:
             super().close()
         except OSError as error:
-            raise self._refused(error) from error
+            raise self._failed(error) from error
 
     def sync(self) -> None:
-        """Wait until the disk has it for good."""
+        """Wait until the content is on the disk."""
         try:
             os.fsync(self.fileno())
         except OSError as error:
-            raise self._refused(error) from error
+            raise self._failed(error) from error
 
-    def require_its_place(self) -> None:
-        """Raise SessionError if the file is not where it was made: writing to it then goes well, and to nowhere."""
+    def require_linked(self) -> None:
+        """Raise SessionError if the file was removed or replaced: writing to it succeeds, but is lost."""
         try:
             found, ours = self.path.stat(), os.fstat(self.fileno())
         except OSError as error:
@@ -99,17 +99,16 @@ class _Disk(FileIO):
         if not os.path.samestat(found, ours):
             raise SessionError(f"{self.name} is gone: another file has its name")
 
-    def _refused(self, error: OSError) -> SessionError:
+    def _failed(self, error: OSError) -> SessionError:
         return SessionError(f"{self.name} cannot be written: {describe_disk(error)}")
 
 
 class FileWriter:
-    """A session being written at `path`; a context manager. Raises SessionError when the disk refuses.
+    """A session file being written at `path`; a context manager. Raises SessionError if the disk fails.
 
-    `session_id`, and `epoch_ns` (UNIX time of the monotonic clock's zero), are those of a session whose file is made
-    anew. With `durable`, the disk must have taken in every change of phase and the end before writing goes on, which
-    may take seconds. What is added first (`describe`, `attach`) reaches the file before the first tick. Leaving the
-    context closes the file; only `finish` makes it complete.
+    `session_id` and `epoch_ns` (UNIX time of the monotonic clock's zero) are given for another file of the same
+    session. With `durable`, each change of phase and the end are synced to the disk before writing continues, which may
+    take seconds. Leaving the context closes the file; only `finish` completes it.
     """
 
     def __init__(
@@ -130,13 +129,13 @@ class FileWriter:
         """UNIX time of the session's beginning."""
         self._durable = durable
         self._read = False
-        self._in_doubt = True  # whether the disk has yet to take in what a power cut must not take away
+        self._unsynced = True  # whether a change of phase, or the header, is not on the disk yet
         self._hash = hashlib.sha256()
         self._attached: dict[str, str] = {}
         self.written = 0
-        """Ticks in the file, or on their way into it."""
+        """Number of ticks added."""
         self._packed = self._truths = 0
-        """Ticks and truths that have been packed."""
+        """Number of ticks and of truths packed."""
         self._newest_ns = self.started_ns
         self._before = (int(Phase.UNKNOWN), int(Reason.NONE))
         self._log = set[tuple[int, int, str]]()
@@ -144,7 +143,7 @@ class FileWriter:
         self._file = BufferedWriter(self._disk)
         self._writer = McapWriter(self._file, f"inteco-abs/{version('inteco-abs')}")
         self._waiting, self._kind = bytearray(), TICK
-        """Drained messages of one kind on their way into the chunk."""
+        """Messages of one kind that are not in the chunk yet."""
         self._tick_channel = self._flat(TICK, {"internals": json.dumps(list(controller_internals))})
         self._truth_channel = -1
         self._event_channel = self._channel(LOG_TOPIC, LOG_NAME, log_descriptor(), {})
@@ -159,19 +158,19 @@ class FileWriter:
         try:
             self.close()
         except SessionError:
-            if error is None:  # else it has been said already
+            if error is None:  # another error was raised before
                 raise
 
     def close(self) -> None:
-        """No more is to come; without `finish` the file stays cut."""
+        """Close the file; without `finish` it stays cut."""
         (self._disk if self._read else self._file).close()
 
     def stored(self) -> Iterator[tuple[bytes, bytes]]:
-        """What the file has taken in by now, as `stored_rows`, even where it has lost its name; ends the writing.
+        """Rows in the file, as `stored_rows`, even if it was unlinked; ends the writing.
 
-        Raises SessionError if the disk does not give it back.
+        Raises SessionError if the disk cannot be read.
         """
-        self._read = True  # what has not been written is not written any more: the place in the file is another
+        self._read = True  # buffered bytes must not be written any more: the position in the file changes
         try:
             self._disk.seek(0)
             yield from stored_rows(self._disk, os.fstat(self._disk.fileno()).st_size, self.path)
@@ -180,16 +179,16 @@ class FileWriter:
 
     @property
     def payload_sha256(self) -> str:
-        """Hash over the tick payloads so far: independent of compression and of the time of day."""
+        """Hash of the tick payloads so far; independent of compression and time of day."""
         return self._hash.hexdigest()
 
     def describe(self, name: str, facts: Mapping[str, str]) -> None:
-        """Add the metadata record `inteco_abs.{name}`; a later one of the same name adds to it or replaces."""
+        """Add the metadata record `inteco_abs.{name}`; a later one of the same name updates it."""
         self._pack()
         self._writer.add_metadata(f"inteco_abs.{name}", facts)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Add a file."""
+        """Add an attachment."""
         self._pack()
         self._writer.add_attachment(self.started_ns, name, media_type, data)
         self._attached[ATTACHMENT_HASH + name] = hashlib.sha256(data).hexdigest()
@@ -198,16 +197,9 @@ class FileWriter:
         """Write the parameters in force from tick 0, and everything so far to the disk."""
         values = b"".join(chunk(1, chunk(1, name) + double(2, value)) for name, value in parameters.items())
         data = values + tag(2, 5) + struct.pack("<I", 0)
-        stamp = self.started_ns
-        self._writer.add_message(self._parameter_channel, stamp, data)
-        self.describe(
-            "session",
-            {
-                "format_version": FORMAT_VERSION,
-                "session_id": self.session_id,
-                "started_utc": utc(stamp),
-            },
-        )
+        self._writer.add_message(self._parameter_channel, self.started_ns, data)
+        facts = {"format_version": FORMAT_VERSION, "session_id": self.session_id, "started_utc": utc(self.started_ns)}
+        self.describe("session", facts)
         self.flush()
 
     def ticks(self, records: bytes) -> None:
@@ -221,7 +213,7 @@ class FileWriter:
         self._wait(TRUTH, records)
 
     def _wait(self, kind: Message, records: bytes) -> None:
-        """Keep drained messages until the flush, which packs them all at once: a tenth of the time."""
+        """Keep messages until the flush, which packs them all at once, in a tenth of the time."""
         if not records:
             return
         if kind is not self._kind:
@@ -258,32 +250,31 @@ class FileWriter:
         self._newest_ns = int(times_ns[-1])
 
     def frames(self, facts: Mapping[str, str], messages: Iterable[tuple[int, bytes]]) -> int:
-        """Add raw frames, as monotonic time in ns and message; how many there were. `facts` explain them.
+        """Add raw frames, as monotonic time in ns and message; return their number. `facts` describe the channel.
 
-        They have chunks of their own, so that a damaged one costs no tick.
+        They have separate chunks: a damaged one loses no ticks.
         """
         self.flush()
         channel = self._channel(IO_TOPIC, IO_NAME, io_frame_descriptor(), facts)
         count = 0
         for time_ns, data in messages:
-            stamp = self._epoch_ns + time_ns
-            self._writer.add_message(channel, stamp, data, count & 0xFFFFFFFF)
+            self._writer.add_message(channel, self._epoch_ns + time_ns, data, count & 0xFFFFFFFF)
             count += 1
         self.flush()
         return count
 
     def flush(self) -> None:
-        """Everything so far into the file, readable even if nothing follows. Raises SessionError if that is gone."""
+        """Write everything so far to the file, readable as it is. Raises SessionError if the file was removed."""
         self._pack()
         self._writer.end_chunk()
         self._settle()
 
     def warn(self, stamp_ns: int, text: str) -> None:
-        """Add a warning to the log at a wall clock time in ns."""
+        """Add a warning to the log, at a wall clock time in ns."""
         self.event(stamp_ns, _WARNING, text)
 
     def event(self, stamp_ns: int, level: int, text: str) -> None:
-        """Add a line to the log at a wall clock time in ns, unless it is there already."""
+        """Add an entry to the log, at a wall clock time in ns, unless it has the same one already."""
         self._pack()
         line = stamp_ns, level, text
         if line in self._log:
@@ -295,13 +286,10 @@ class FileWriter:
         self._writer.add_message(self._event_channel, stamp_ns, data)
 
     def finish(self, outcome: str, reason: str, result: Mapping[str, Any], ended_utc: str = "") -> None:
-        """Complete the file: how the run ended, its result card, the hash over its payloads, the index.
-
-        It ended now, unless `ended_utc` says when.
-        """
+        """Complete the file: outcome, result card, hash of the payloads, index. Without `ended_utc`, it ends now."""
         self._pack()
-        self._tell_result(result)
-        self.flush()  # the last ticks come before what is said about them
+        self._write_result(result)
+        self.flush()  # the last ticks come before the result
         self.describe(
             "session",
             {
@@ -317,18 +305,18 @@ class FileWriter:
         self.describe("result", {"card": json.dumps(result)})
         self.describe("integrity", {"payload_sha256": self.payload_sha256, **self._attached})
         self._writer.finish()
-        self._in_doubt = True
+        self._unsynced = True
         self._settle()
 
-    def _tell_result(self, card: Mapping[str, Any]) -> None:
-        """The card where any viewer finds it; ours read the metadata, which the index has at a glance."""
+    def _write_result(self, card: Mapping[str, Any]) -> None:
+        """Write the card as a message, for viewers; this program reads it from the metadata."""
         units = {"units": json.dumps({entry.name: entry.unit for entry in RESULT})}
         channel = self._channel(RESULT_TOPIC, RESULT_NAME, result_descriptor(), units)
         self._writer.add_message(channel, self._newest_ns, pack_result(card))
 
     def discard(self) -> None:
-        """Remove the file: nothing ran, so there is nothing to keep. Raises SessionError if it cannot be removed."""
-        with suppress(SessionError):  # what could not be written is not wanted any more
+        """Remove the file of a run without ticks. Raises SessionError if it cannot be removed."""
+        with suppress(SessionError):  # what could not be written is removed anyway
             self._file.close()
         try:
             self.path.unlink(missing_ok=True)
@@ -337,10 +325,10 @@ class FileWriter:
 
     def _settle(self) -> None:
         self._file.flush()
-        self._disk.require_its_place()
-        if self._durable and self._in_doubt:
+        self._disk.require_linked()
+        if self._durable and self._unsynced:
             self._disk.sync()
-        self._in_doubt = False
+        self._unsynced = False
 
     def _changed(self, stamp_ns: int, phase: int, reason: int) -> None:
         if phase != self._before[0]:
@@ -348,7 +336,7 @@ class FileWriter:
         if reason != self._before[1]:
             self.event(stamp_ns, _ERROR, f"{Reason(reason).name}: {EXPLANATIONS[Reason(reason)]}")
         self._before = (phase, reason)
-        self._in_doubt = True
+        self._unsynced = True
 
     def _flat(self, message: Message, metadata: Mapping[str, str]) -> int:
         facts = {
@@ -363,10 +351,10 @@ class FileWriter:
 
 
 def _plain(rows: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
-    """The rows as bytes, keys and all."""
+    """The rows as whole messages, keys included."""
     return rows.view(f"V{rows.itemsize}")
 
 
 def utc(unix_ns: int) -> str:
-    """Date and time as a session's metadata has them."""
+    """Date and time as in a session's metadata."""
     return datetime.fromtimestamp(unix_ns * 1e-9, UTC).isoformat(timespec="milliseconds")

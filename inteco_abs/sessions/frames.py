@@ -1,4 +1,4 @@
-"""The raw frames of a run: out of a recording of the wire into the session, and out of that again."""
+"""Raw frames of a run: from a recording of the wire into the session, and from the session into a capture."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from inteco_abs.sessions.reader import opened
 from inteco_abs.wire import Capture, Record, RecordKind
 
 Frames = Callable[[], AbstractContextManager[tuple[Capture, Iterable[Record]]]]
-"""Opens the recording: without its records, and these one by one. Raises CaptureError where there is none."""
+"""Opens the recording: its header, and its records one by one. Raises CaptureError if there is none."""
 _HEAD: Final = ("board", "recorded_by", "clock")
 
 
 def frame_facts(head: Capture) -> dict[str, str]:
-    """A recording's first line, for the channel of the frames."""
+    """Header of a recording, for the metadata of the frames' channel."""
     return {**{name: getattr(head, name) for name in _HEAD}, "start_ns": str(head.start_ns or 0)}
 
 
@@ -42,9 +42,9 @@ def packed_frames(head: Capture, records: Iterable[Record]) -> Iterator[tuple[in
 
 
 def read_frames(path: Path) -> Capture:
-    """The raw frames of the session at `path`, with a warning at their end if there may have been more.
+    """The raw frames of the session at `path`; a warning follows them if some may be missing.
 
-    Raises SessionError if it has none, if it cannot be read, or if it is damaged.
+    Raises SessionError if it has no frames, cannot be read, or is damaged.
     """
     messages: list[bytes] = []
     ended = False
@@ -80,7 +80,7 @@ def _messages(content: Content, raw: bytes) -> Iterator[bytes]:
 def _capture(path: Path, content: Content, messages: Iterable[bytes], missing: str) -> Capture:
     facts = content.channel_facts.get(IO_TOPIC)
     if facts is None:
-        raise SessionError(f"{path}: holds no raw frames: {missing or 'record them with inteco-abs run --frames'}")
+        raise SessionError(f"{path}: has no raw frames: {missing or 'record them with inteco-abs run --frames'}")
     try:
         start_ns = int(facts["start_ns"])
         board, recorded_by, clock = (facts[name] for name in _HEAD)
@@ -88,13 +88,13 @@ def _capture(path: Path, content: Content, messages: Iterable[bytes], missing: s
     except (KeyError, ValueError, OverflowError) as error:
         raise DamagedError(f"its raw frames cannot be read: {error}") from error
     if missing:
-        text = f"more messages may have passed, and are not in the session: {missing}"
+        text = f"the session may lack messages: {missing}"
         records.append(Record(records[-1].t_s if records else 0.0, RecordKind.WARNING, text=text))
     return Capture(board, recorded_by, clock, tuple(records), str(path), start_ns)
 
 
 def _record(frame: IoFrame, start_ns: int) -> Record:
-    t_s = round((frame.time_ns - start_ns) * 1e-9, 9)  # as a capture says it
+    t_s = round((frame.time_ns - start_ns) * 1e-9, 9)  # as in a capture
     return Record(t_s, _KINDS[frame.direction], None, frame.data, frame.text, frame.of)
 
 

@@ -31,11 +31,11 @@ _GROUPS: Final = (
     Opcode.ATTACHMENT_INDEX,
     Opcode.METADATA_INDEX,
 )
-"""Kinds of records at the end of the file, in order."""
+"""Types of records in the summary, in order."""
 
 
 class McapWriter:
-    """An MCAP file being written to `file`. A chunk ends with the message that brings it over `chunk_bytes` bytes."""
+    """Writes an MCAP file to `file`. A chunk ends with the message that makes it larger than `chunk_bytes`."""
 
     def __init__(self, file: BinaryIO, library: str, chunk_bytes: int = 1 << 20) -> None:
         self._file = file
@@ -48,10 +48,10 @@ class McapWriter:
         self._span_ns = _NEVER
         self._whole_span_ns = _NEVER
         self._numbers = dict.fromkeys(Opcode, 0)
-        """Records so far, by kind."""
+        """Number of records by type."""
         self._messages: dict[int, int] = {}
-        """Messages so far, by channel."""
-        # packed, the index of a chunk takes a tenth of an object's memory; a thousand stops have 80 000
+        """Number of messages by channel."""
+        # packed, a chunk's index takes a tenth of an object's memory; a thousand stops have 80 000
         self._summary = {group: bytearray() for group in _GROUPS}
         self._write(MAGIC)
         self._write(record(Opcode.HEADER, "", library))
@@ -77,7 +77,7 @@ class McapWriter:
     def add_messages(
         self, channel: int, first: int, times_ns: npt.NDArray[np.uint64], data: npt.NDArray[np.void]
     ) -> None:
-        """Add messages of one size at UNIX times in ns, with sequence numbers from `first` on."""
+        """Add messages of one size at UNIX times in ns; sequence numbers begin with `first`."""
         rows = np.empty(len(data), message_dtype(data.itemsize))
         size = rows.itemsize
         rows["opcode"], rows["length"], rows["channel"] = Opcode.MESSAGE, MESSAGE_HEAD + data.itemsize, channel
@@ -94,13 +94,13 @@ class McapWriter:
             self._take(channel, part.tobytes(), entries.tobytes(), span_ns)
 
     def add_metadata(self, name: str, facts: Mapping[str, str]) -> None:
-        """Add a metadata record; what the chunk has by now comes behind it."""
+        """Add a metadata record, in front of the unfinished chunk."""
         at, data = self._at, record(Opcode.METADATA, name, _packed(facts))
         self._write(data)
         self._list(Opcode.METADATA_INDEX, at, len(data), name)
 
     def add_attachment(self, unix_ns: int, name: str, media_type: str, content: bytes) -> None:
-        """Add a file; what the chunk has by now comes behind it."""
+        """Add an attachment, in front of the unfinished chunk."""
         at, data = self._at, record(Opcode.ATTACHMENT, unix_ns, unix_ns, name, media_type, content, 0)
         self._write(data[:-4] + struct.pack("<I", zlib.crc32(memoryview(data)[9:-4])))
         self._list(Opcode.ATTACHMENT_INDEX, at, len(data), unix_ns, unix_ns, len(content), name, media_type)
@@ -156,7 +156,7 @@ class McapWriter:
         self._end_full_chunk()
 
     def _declare(self, kind: Opcode, data: bytes) -> None:
-        """Schemas and channels stand before their first message, and in the index."""
+        """Add a schema or channel to the chunk and the summary."""
         self._chunk += data
         self._numbers[kind] += 1
         self._summary[kind] += data
@@ -181,6 +181,6 @@ def _joined(one: tuple[int, int], other: tuple[int, int]) -> tuple[int, int]:
 
 
 def _packed(facts: Mapping[str, str]) -> bytes:
-    """Texts by name, as metadata and channels have them."""
+    """Texts by name, as in metadata and channels."""
     texts = [text.encode() for item in facts.items() for text in item]
     return b"".join(struct.pack("<I", len(text)) + text for text in texts)

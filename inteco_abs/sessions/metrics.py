@@ -1,4 +1,4 @@
-"""The metrics of one stop, for a session's card and for Monte Carlo runs."""
+"""Metrics of one stop, for result cards and Monte Carlo runs."""
 
 from __future__ import annotations
 
@@ -30,47 +30,47 @@ class StopTrace:
     since_ns: Array
     """Time since braking began, ns."""
     slip: Array
-    """In 0..1: the true one where it is known."""
+    """True slip if known, else estimated, in 0..1."""
     slip_estimated: Array
     road_speed_rad_s: Array
-    """As true as the slip."""
+    """True speed if known, else estimated."""
     road_angle_rad: Array
-    """Turned since braking began."""
+    """Angle since braking began."""
     brake: Array
-    """Duty that each tick decided on, in 0..1."""
+    """Duty decided by each tick, in 0..1."""
 
 
-def stop_metrics(course: StopTrace, reference: float, parameters: RigParameters) -> dict[str, float | None]:
-    """Metrics of a stop of at least one tick with the slip `reference`; None where the stop has no such thing.
+def stop_metrics(trace: StopTrace, reference: float, parameters: RigParameters) -> dict[str, float | None]:
+    """Metrics of a stop of at least one tick with the slip `reference`; None for those that it does not have.
 
     Reaching is the first crossing of the reference, band entry the first slip within 0.01 of it. Slip RMS is that of
-    slip minus reference from 20 ms after band entry until the road wheel is below 10 rad/s; `fixed` the same from
-    0.25 s after braking began, `low_speed` for 10 to 60 rad/s, `above_60` for what is faster. Overshoot is the largest
-    slip minus reference after band entry, locked a slip above 0.9, both above 10 rad/s. The stop is the road wheel
-    below 0.5 rad/s. Variations are of the duty, and of the torque that `parameters` give it, per second above 10 rad/s.
+    slip minus reference from 20 ms after band entry until the road wheel is below 10 rad/s; `fixed` begins 0.25 s after
+    braking instead, `low_speed` is for 10 to 60 rad/s, `above_60` for faster. Overshoot is the largest slip minus
+    reference after band entry, locked a slip above 0.9, both above 10 rad/s. The stop is the road wheel below
+    0.5 rad/s. Variations of the duty, and of its torque by `parameters`, are per second above 10 rad/s.
     """
-    slip, speed = course.slip, course.road_speed_rad_s
+    slip, speed = trace.slip, trace.road_speed_rad_s
     error = slip - reference
-    time_s = course.since_ns * 1e-9
+    time_s = trace.since_ns * 1e-9
     entry = _first(time_s, np.abs(error) < BAND)
     slow = np.flatnonzero(speed < _LOWEST_RAD_S)
     fast = np.arange(len(slip)) < (slow[0] if len(slow) else len(slip))
-    settled = fast & (course.since_ns >= (_NEVER if entry is None else round((entry + _SETTLE_S) * 1e9)))
+    settled = fast & (trace.since_ns >= (_NEVER if entry is None else round((entry + _SETTLE_S) * 1e9)))
     standing = np.flatnonzero(speed < STANDSTILL_RAD_S)
     arrived = fast & (time_s >= (np.inf if entry is None else entry))
     return {
         "reaching_time_s": _first(time_s, slip >= reference),
         "band_entry_s": entry,
         "stop_time_s": float(time_s[standing[0]]) if len(standing) else None,
-        "stop_distance_m": float(course.road_angle_rad[standing[0]] * parameters.r2) if len(standing) else None,
+        "stop_distance_m": float(trace.road_angle_rad[standing[0]] * parameters.r2) if len(standing) else None,
         "slip_rms": _rms(error, settled),
-        "slip_rms_estimated": _rms(course.slip_estimated - reference, settled),
+        "slip_rms_estimated": _rms(trace.slip_estimated - reference, settled),
         "slip_rms_low_speed": _rms(error, settled & (speed <= _LOW_SPEED_RAD_S)),
         "slip_rms_above_60": _rms(error, settled & (speed > _LOW_SPEED_RAD_S)),
-        "slip_rms_fixed": _rms(error, fast & (course.since_ns >= round(_FIXED_START_S * 1e9))),
+        "slip_rms_fixed": _rms(error, fast & (trace.since_ns >= round(_FIXED_START_S * 1e9))),
         "overshoot": float(error[arrived].max()) if arrived.any() else None,
         "lock_fraction": float(np.mean(slip[fast] > _LOCKED_SLIP)) if fast.any() else None,
-        **_variations(course.brake[fast], float(time_s[slow[0]]) if len(slow) else 0.0, parameters),
+        **_variations(trace.brake[fast], float(time_s[slow[0]]) if len(slow) else 0.0, parameters),
     }
 
 

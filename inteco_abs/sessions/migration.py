@@ -1,11 +1,9 @@
-"""Brings sessions of other versions of the format to the columns and metadata of this one.
+"""Upgrades sessions of other format versions to the columns and metadata of this version.
 
-A file's rows have the layout of its own descriptor, and its columns and the members of its enumerations go by name.
-What this version has and the file has not, a step makes of what the file has. So a column keeps its meaning for ever:
-another meaning, or another unit, is another name.
+Rows are read by the descriptor in the file; columns and members of enumerations are matched by name, and a step makes
+the columns that the file lacks. So a column never changes its meaning: another meaning or unit needs another name.
 
-A new version of the format is one more step here, and one more small session in tests/sessions/archive; a step that
-was released stays as it is.
+A new format version adds a step here and a small session in tests/sessions/archive; released steps do not change.
 """
 
 from __future__ import annotations
@@ -26,58 +24,58 @@ Metadata = dict[str, dict[str, str]]
 """Facts by record name without `inteco_abs.`."""
 
 _NO_MEMBER: Final = 0xFF
-"""Number of a member that this version does not know, in an enumeration without UNKNOWN."""
+"""Number for an unknown member of an enumeration without UNKNOWN."""
 
 
-class Made(NamedTuple):
-    """A column that a version has brought."""
+class NewColumn(NamedTuple):
+    """A column that a version adds."""
 
     topic: str
     name: str
     make: Callable[..., Array]
-    """Takes the number of rows and the columns `of`; gives the new one."""
+    """Makes it from the number of rows and the columns `of`."""
     of: tuple[str, ...] = ()
-    """Columns as the version before has called them; those that have no other successor end with it."""
+    """Names of columns of the previous version, which it replaces."""
 
 
 class Migration(NamedTuple):
-    """What a session of the version before becomes."""
+    """Changes from the previous version."""
 
     to: int
-    """The version that it then has."""
-    columns: tuple[Made, ...] = ()
+    """The new version."""
+    columns: tuple[NewColumn, ...] = ()
     dropped: tuple[tuple[str, str], ...] = ()
-    """Topic and name of columns that end with nothing in their place."""
+    """Topic and name of columns without a successor."""
     metadata: Callable[[Metadata], Metadata] = lambda metadata: metadata
 
 
 def not_measured(rows: int) -> Array:
-    """A column of floating point that the version before has not had."""
+    """A column that the previous version did not measure: NaN."""
     return np.full(rows, np.nan)
 
 
 def renamed(_rows: int, column: Array) -> Array:
-    """A column that the version before has under another name."""
+    """A column with another name in the previous version."""
     return column
 
 
 FIRST: Final = 1
 STEPS: tuple[Migration, ...] = (
-    Migration(2, (Made("/sim/truth", "adhesion", not_measured),)),
+    Migration(2, (NewColumn("/sim/truth", "adhesion", not_measured),)),
     Migration(3),  # new reason RUN_UP_IMPLAUSIBLE, and guard.run_up_factor, which `parse_config` may find absent
     Migration(
         4,
         (
-            Made("/abs/tick", "drive_request", renamed, ("drive_wish",)),
-            Made("/abs/tick", "brake_request", renamed, ("brake_wish",)),
+            NewColumn("/abs/tick", "drive_request", renamed, ("drive_wish",)),
+            NewColumn("/abs/tick", "brake_request", renamed, ("brake_wish",)),
         ),
     ),
 )
-"""From each version to the next, beginning with the one behind `FIRST`."""
+"""From each version to the next, beginning after `FIRST`."""
 
 
 class UnsupportedError(DamagedError):
-    """The file is whole, and its messages are of another program, or too different a version of this one."""
+    """The file is intact, but another program, or a too different version of this one, wrote its messages."""
 
 
 def newest() -> int:
@@ -86,13 +84,13 @@ def newest() -> int:
 
 
 def version_of(metadata: Metadata) -> int:
-    """The version that a session says it has; the newest if it does not say, as one that was cut early."""
-    told = metadata.get("session", {}).get("format_version", "")
-    return int(told) if told.isdecimal() and len(told) < 10 else newest()
+    """Format version of a session; the newest if it is not recorded, as in a file that was cut early."""
+    version = metadata.get("session", {}).get("format_version", "")
+    return int(version) if version.isdecimal() and len(version) < 10 else newest()
 
 
 def migrated(metadata: Metadata) -> Metadata:
-    """The session's metadata in the words of this version."""
+    """The session's metadata as this version writes it."""
     version = version_of(metadata)
     for step in STEPS:
         if step.to > version:
@@ -101,31 +99,31 @@ def migrated(metadata: Metadata) -> Metadata:
 
 
 def newer(metadata: Metadata) -> str:
-    """Empty unless the session says that it is of a version behind the newest, else that it is."""
+    """Message about a format version newer than the newest known here; empty for other versions."""
     version = version_of(metadata)
     return f"its format {version} is newer than {newest()}, the newest known here" if version > newest() else ""
 
 
 class MessageLayout:
-    """Of messages of this version."""
+    """Layout of messages of this version."""
 
     unknown: tuple[str, ...] = ()
-    """Columns and members that this version does not know, and columns that it misses; in words."""
+    """Descriptions of unknown columns and members, and of missing columns."""
 
     def __init__(self, message: Message) -> None:
         self.message = message
 
     def well_formed(self, data: bytes) -> bool:
-        """Whether `data` is messages as the file declares them, back to back."""
+        """Whether `data` consists of messages as the file declares them, back to back."""
         return self.message.well_formed(data)
 
     def upgraded(self, data: bytes) -> bytes:
-        """The messages in `data` as this version has them."""
+        """The messages in `data` as messages of this version."""
         return data
 
 
 class _ForeignLayout(MessageLayout):
-    """Of messages that a file declares otherwise. Raises UnsupportedError if too much is missing."""
+    """Layout of messages that a file declares differently. Raises ValueError if an integer column is missing."""
 
     def __init__(self, own: Declared, today: Message) -> None:
         super().__init__(own.message)
@@ -179,12 +177,12 @@ class _ForeignLayout(MessageLayout):
                         yield f"{topic}.{column.name} {name} is not known"
 
 
-_ADVICE: Final = "another version of this program made it, or another program"
+_ADVICE: Final = "another version of this program wrote it, or another program"
 _LONGEST_DESCRIPTOR: Final = 1 << 16
 
 
 def message_layout(today: Message, name: str, descriptor: bytes) -> MessageLayout:
-    """Of messages that a file declares under the topic of `today`. Raises UnsupportedError if they are none of ours."""
+    """Layout of messages that a file declares for the topic of `today`. Raises UnsupportedError if not readable."""
     if len(descriptor) > _LONGEST_DESCRIPTOR:
         raise UnsupportedError(f"{today.topic} is declared in {len(descriptor)} bytes, more than {_LONGEST_DESCRIPTOR}")
     return _layout(today, name, descriptor, STEPS)
@@ -196,7 +194,7 @@ def _layout(today: Message, name: str, descriptor: bytes, _steps: tuple[Migratio
         return MessageLayout(today)
     try:
         if name != today.name:
-            raise ValueError(f"it is called {name}")  # noqa: TRY301  named below as all others
+            raise ValueError(f"it is called {name}")  # noqa: TRY301  gets its topic below, as all others
         return _ForeignLayout(declared(descriptor, name, today.topic), today)
     except ValueError as error:
         raise UnsupportedError(
@@ -204,8 +202,8 @@ def _layout(today: Message, name: str, descriptor: bytes, _steps: tuple[Migratio
         ) from error
 
 
-def _made(topic: str, there: set[str]) -> list[Made]:
-    """What the steps make, in order, of a file's own columns and of what was made of them."""
+def _made(topic: str, there: set[str]) -> list[NewColumn]:
+    """Columns that the steps make, in order, from the file's columns and from each other."""
     found = []
     for made in (made for step in STEPS for made in step.columns if made.topic == topic):
         if made.name not in there and there.issuperset(made.of):
@@ -215,17 +213,17 @@ def _made(topic: str, there: set[str]) -> list[Made]:
 
 
 def _serves(own: MessageKind | None, today: MessageKind) -> bool:
-    """Whether a column of one kind can say everything that was said in one of another."""
+    """Whether values of a column of kind `own` fit into one of kind `today`."""
     if own is None or (own.type_number == ENUM) != (today.type_number == ENUM):
         return False
     return np.can_cast(own.dtype, today.dtype, "safe")
 
 
 def _renumbered(members: type[IntEnum], own: Members) -> npt.NDArray[np.uint8]:
-    """Number in this version for each of the file's."""
+    """Member numbers of this version by those of the file."""
     here = members.__members__
-    strange = here.get("UNKNOWN", _NO_MEMBER)
-    numbers = np.full(1 << 8, strange, np.uint8)
+    unknown = here.get("UNKNOWN", _NO_MEMBER)
+    numbers = np.full(1 << 8, unknown, np.uint8)
     for number, name in own.items():
-        numbers[number] = here.get(name, strange)
+        numbers[number] = here.get(name, unknown)
     return numbers

@@ -1,4 +1,4 @@
-"""Where a session comes from: software, host, controller, board. All values are text."""
+"""Provenance of a session: software, host, controller. All values are text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from inteco_abs.version import SOURCE_FOLDER, __version__
 
 
 def software_facts() -> dict[str, str]:
-    """Versions of everything that decides, and the state of the source tree if there is one."""
+    """Versions of the program and its packages, and the state of the source tree if there is one."""
     packages = {f"package.{name}": version(name) for name in ("mcap", "numpy", "pydantic")}
     return {
         "version": __version__,
@@ -64,7 +64,7 @@ def controller_facts(config: RigConfig, gains: Mapping[str, float], source_sha25
 
 
 def profile_source(name: str) -> bytes:
-    """A shipped profile or the user's own as it was written; nothing where that cannot be read any more."""
+    """Content of a shipped profile or of the user's file; empty if it cannot be read any more."""
     if name in profiles():
         return profile_text(name).encode()
     try:
@@ -74,19 +74,19 @@ def profile_source(name: str) -> bytes:
 
 
 def is_source_tree(folder: Path) -> bool:
-    """Whether git keeps the package in `folder`, rather than a folder that happens to lie in somebody's repository."""
+    """Whether git tracks the package in `folder`; an installation inside of another repository is not tracked."""
     return _git(folder, "ls-files", "--error-unmatch", "__init__.py") is not None
 
 
-def git_says(folder: Path, *words: str) -> list[str]:
-    """Command line for the user's own git."""
+def git_command(folder: Path, *words: str) -> list[str]:
+    """Command line of git in `folder`."""
     return ["git", "-C", str(folder), *words]
 
 
 def _git(folder: Path, *words: str) -> str | None:
     try:
         answer = subprocess.run(  # noqa: S603  fixed words
-            git_says(folder, *words), capture_output=True, text=True, check=True, timeout=5
+            git_command(folder, *words), capture_output=True, text=True, check=True, timeout=5
         )
     except (OSError, subprocess.SubprocessError):
         return None
@@ -108,7 +108,7 @@ def _git_facts(folder: Path) -> dict[str, str]:
 
 
 def _line(path: str) -> str:
-    """What the kernel says in a file of one line; empty where it says nothing."""
+    """Content of a one-line file of the kernel; empty if it cannot be read."""
     try:
         return Path(path).read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError):

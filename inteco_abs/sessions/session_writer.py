@@ -1,4 +1,4 @@
-"""Writes a run's session: its header, every tick, how it ended."""
+"""Writes the session of a run to a `FileWriter`: header, ticks, result card and end."""
 
 from __future__ import annotations
 
@@ -26,28 +26,30 @@ EXIT_CODES: Final = {"fault": 5, "aborted": 5, "interrupted": 130}
 """Exit code by outcome; any other outcome is 0, or `LOSSES`."""
 LOSSES: Final = 3
 """Exit code of a completed run with overruns or losses."""
+_LIMITS: Final = ("brake_limit", "drive_limit", "over_speed_rad_s")
+"""Limits of the guard in the metadata record `rig`."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
-    """Everything that explains a run before it begins."""
+    """What is known of a run before it begins."""
 
     board: str
     """Address as the user gave it."""
     identity: Mapping[str, str]
-    """What the board says of itself."""
+    """What the board reports about itself."""
     virtual: bool
     gains: Mapping[str, float]
     internals: Sequence[str]
     """Names of the controller's values c0..c3."""
     controller_source: bytes
-    """Empty for a controller that ships."""
+    """Empty for a shipped controller."""
     facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """More metadata: software, host, real-time settings."""
     controller_package: str = ""
-    """Name and version of the controller's package; empty if it has none."""
+    """Name and version of the controller's package; empty without one."""
     profile: bytes = b""
-    """The profile's file, unchanged."""
+    """Content of the profile's file."""
     environment: Environment = field(default_factory=Environment)
 
 
@@ -57,17 +59,17 @@ class RunEnd:
 
     reason: Reason
     written: int
-    """Ticks that were decided."""
+    """Number of ticks that were decided."""
     detail: str = ""
-    """The controller's exception or the link's last error, if that is the reason."""
+    """The controller's exception or the link's last error, if it is the reason."""
     aborted: str = ""
-    """Why the run was cut off; empty if it ended properly."""
+    """Why the run was aborted; empty if it ended normally."""
     facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """More metadata."""
     died: Sequence[str] = ()
     """Processes that died, hung or were killed: of `loop`, `recorder`, `guardian`, `supervisor`."""
     frames: Frames | None = None
-    """Raw frames between host and board; None if they are not recorded."""
+    """Raw frames between host and board; None without a recording."""
 
     @property
     def outcome(self) -> str:
@@ -85,19 +87,19 @@ class RunResult:
     explanation: str
     card: dict[str, Any]
     trouble: str = ""
-    """Disk errors and what followed, or why raw frames are missing; empty if nothing went wrong."""
+    """Disk errors and their consequences, or why raw frames are missing; empty without problems."""
     injected: Mapping[str, str] = field(default_factory=dict)
-    """How often each injected fault has acted, by its text."""
+    """How often each injected fault acted."""
 
     @property
     def exit_code(self) -> int:
-        """5 safety stop, 130 interrupted, 3 done with overruns, losses or trouble with what was to be kept, 0 done."""
+        """5 safety stop, 130 interrupted, 3 done with overruns, losses or trouble with the session, 0 done."""
         losses = self.trouble or any(self.card[name] for name in ("overruns", "link_errors", "lost_ticks"))
         return EXIT_CODES.get(self.outcome, LOSSES if losses else 0)
 
 
 class SessionWriter:
-    """Writes one run through a `recorder` that was just opened; `session` is the file's name for the user."""
+    """Writes one run with a new `recorder`; `session` is the file's name for the user."""
 
     def __init__(self, recorder: FileWriter, config: RigConfig, header: RunHeader, session: Path | None = None) -> None:
         self._recorder = recorder
@@ -107,11 +109,6 @@ class SessionWriter:
         self._drawn = config.simulation.rig if simulated(header.board) else ""
         self.card = RunningCard(config)
         """The running result card, which continues from file to file."""
-
-    @property
-    def ticks(self) -> int:
-        """Ticks that have come so far."""
-        return self.card.ticks
 
     def write_header(self) -> None:
         """Write everything that explains the run to the disk, before the first tick."""
@@ -129,7 +126,7 @@ class SessionWriter:
                 "r1_m": repr(parameters.r1),
                 "r2_m": repr(parameters.r2),
                 "parameters": config.model.parameters,
-                **_limits(config),
+                **{name: repr(getattr(config.guard, name)) for name in _LIMITS},
                 **_sign_off(config),
                 "simulated": str(simulated(header.board)).lower(),
                 **self._physics(),
@@ -148,7 +145,7 @@ class SessionWriter:
         recorder.begin({"reference_slip": config.controller.reference_slip, **header.gains})
 
     def add_environment(self, found: Environment) -> None:
-        """Add the environment, where the run could not wait for it."""
+        """Add the environment, if the header was written without it."""
         self.header = replace(self.header, environment=found)
         self._enclose()
 
@@ -167,14 +164,14 @@ class SessionWriter:
         self._recorder.ticks(ticks)
 
     def continued(self, recorder: FileWriter, session: Path) -> SessionWriter:
-        """A writer to another file with the same header and card, and no row yet."""
+        """A writer to another file with the same header and card, without rows."""
         other = SessionWriter(recorder, self._config, self.header, session)
         other.write_header()
         other.card = self.card
         return other
 
     def finish(self, end: RunEnd) -> RunResult:
-        """Complete the file with the result card and the facts about the end."""
+        """Complete the file with the result card and the end of the run."""
         outcome = end.outcome
         parts = [EXPLANATIONS[end.reason]] if end.reason is not Reason.NONE or not end.aborted else []
         explanation = "; ".join([*parts, end.aborted] if end.aborted else parts)
@@ -191,13 +188,13 @@ class SessionWriter:
         return RunResult(outcome, end.reason, explanation, card, missing, end.facts.get("injected", {}))
 
     def _enclose_frames(self, frames: Frames) -> str:
-        """Write the raw frames behind all ticks; return why they are missing, or an empty text."""
+        """Write the raw frames after all ticks; return why they are missing, or an empty text."""
         try:
             with frames() as (head, records):
                 count = self._recorder.frames(frame_facts(head), packed_frames(head, records))
         except CaptureError as error:
             self._recorder.describe("frames", {"missing": str(error)})
-            return f"the session has not all raw frames: {error}"
+            return f"the session does not have all raw frames: {error}"
         self._recorder.describe("frames", {"messages": str(count)})
         return ""
 
@@ -233,19 +230,7 @@ class SessionWriter:
         }
 
 
-def _limits(config: RigConfig) -> dict[str, str]:
-    """The guard's limits."""
-    guard = config.guard
-    return {
-        "brake_limit": repr(guard.brake_limit),
-        "drive_limit": repr(guard.drive_limit),
-        "over_speed_rad_s": repr(guard.over_speed_rad_s),
-    }
-
-
 def _sign_off(config: RigConfig) -> dict[str, str]:
     """Who signed the profile off, and when; empty without a sign-off."""
     board = config.board
-    if not board.verified_by:
-        return {}
-    return {"verified_by": board.verified_by, "verified_on": str(board.verified_on)}
+    return {"verified_by": board.verified_by, "verified_on": str(board.verified_on)} if board.verified_by else {}

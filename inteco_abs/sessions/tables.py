@@ -1,4 +1,4 @@
-"""A session as tables, for other programs: columns as numpy has them, each with its unit and its meaning."""
+"""A session as tables of numpy columns, each with unit and meaning, for other programs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _COLUMN_COLUMNS: Final = {
 
 
 class Table(NamedTuple):
-    """Everything of one kind in a session, in the order of time."""
+    """Rows of one kind in a session, in order of time."""
 
     name: str
     """`tick`, `truth` or `events`; `columns` of these."""
@@ -39,19 +39,19 @@ class Table(NamedTuple):
     meanings: dict[str, str]
 
     def column(self, name: str, first: int = 0, end: int | None = None) -> npt.NDArray[Any]:
-        """Values of one column, without the gaps that rows have."""
+        """Values of one column as a contiguous array."""
         values: npt.NDArray[Any] = np.ascontiguousarray(self.rows[name][first:end])
         return values
 
 
 def tables(session: Session) -> list[Table]:
-    """`tick`, then `truth` and `events` where there are any."""
+    """Table `tick`, then `truth` and `events` unless they are empty."""
     found = [_of_message("tick", TICK, session.ticks), _of_message("truth", TRUTH, session.truth), _events(session)]
     return [table for table in found if table.name == "tick" or len(table.rows)]
 
 
 def columns_of(found: Sequence[Table]) -> Table:
-    """What the columns of tables are, as a table, for formats that have no other place for it."""
+    """Table of the columns' units and meanings, for formats that cannot hold them."""
     lines = [(table.name, name, unit, table.meanings[name]) for table in found for name, unit in table.units.items()]
     widths = [max(map(len, texts)) for texts in zip(*lines, strict=True)]
     names = tuple(_COLUMN_COLUMNS)
@@ -62,7 +62,7 @@ def columns_of(found: Sequence[Table]) -> Table:
 def to_pandas(session: Session, table: str = "tick") -> Any:
     """One of the session's `tables` as a pandas DataFrame, with `units` and `meanings` in its attrs.
 
-    Raises AbsError without pandas, ConfigError if the session has no such table.
+    Raises AbsError without pandas, ConfigError if the session does not have the table.
     """
     found = _named(session, table)
     try:
@@ -75,9 +75,9 @@ def to_pandas(session: Session, table: str = "tick") -> Any:
 
 
 def to_polars(session: Session, table: str = "tick") -> Any:
-    """One of the session's `tables` as a polars DataFrame, which has no place for units: they are in `tables`.
+    """One of the session's `tables` as a polars DataFrame, without units.
 
-    Raises AbsError without polars, ConfigError if the session has no such table.
+    Raises AbsError without polars, ConfigError if the session does not have the table.
     """
     found = _named(session, table)
     try:

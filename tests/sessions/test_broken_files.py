@@ -130,7 +130,7 @@ def test_cut_and_changed(trial):
     assert trial.lies == []
 
 
-def test_a_stretch_that_is_gone_or_doubled(trial):
+def test_bytes_that_are_missing_or_doubled(trial):
     generator = random.Random(5)
     for number in range(50):
         first, second = sorted(generator.sample(range(len(trial.data)), 2))

@@ -88,7 +88,7 @@ class TestStretches:
     def parts(self, raw):
         return list(chunk_parts(raw, {7}))
 
-    def test_messages_of_many_sizes_are_one_stretch(self):
+    def test_messages_of_many_sizes_are_one_run(self):
         (stretch,) = self.parts(self.RAW)
         assert (stretch.channel, stretch.number) == (7, 3)
         assert list(stretch.messages()) == [(0, 0, b"\0"), (1, 1000, b""), (2, 2000, b"\2\2\2")]
@@ -102,7 +102,7 @@ class TestStretches:
     @pytest.mark.parametrize(
         ("end", "problem"),
         [
-            (b"\5", "1 bytes behind its last record"),
+            (b"\5", "1 bytes after its last record"),
             (message(7, 9, 0)[:-1], "which leaves it"),
             (struct.pack("<BQ", Opcode.MESSAGE, 21) + bytes([7, 0]) * 11, "less than a message"),
         ],

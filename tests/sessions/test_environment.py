@@ -13,9 +13,9 @@ from inteco_abs.config import profile_text
 from inteco_abs.sessions.environment import (
     Enclosure,
     Environment,
-    changes,
     current_environment,
     installed_packages,
+    uncommitted_changes,
 )
 from inteco_abs.sessions.provenance import profile_source
 
@@ -39,21 +39,21 @@ def tree(tmp_path):
 
 
 def test_a_clean_tree_has_no_changes(tree):
-    assert changes(tree) == (b"", False)
+    assert uncommitted_changes(tree) == (b"", False)
 
 
 def test_changes_of_tracked_files_are_told_line_by_line(tree):
     (tree / "__init__.py").write_text("gain = 2\n")
-    diff, cut = changes(tree)
+    diff, cut = uncommitted_changes(tree)
     assert b"-gain = 1\n+gain = 2\n" in diff
     assert not cut
 
 
 def test_changes_are_cut_where_they_are_too_many_and_it_is_said(tree):
     (tree / "__init__.py").write_text("gain = 2\n" * 10_000)
-    whole, _ = changes(tree)
-    assert changes(tree, 1000) == (whole[:1000], True)
-    assert changes(tree, len(whole)) == (whole, False)
+    whole, _ = uncommitted_changes(tree)
+    assert uncommitted_changes(tree, 1000) == (whole[:1000], True)
+    assert uncommitted_changes(tree, len(whole)) == (whole, False)
 
 
 def test_somebody_elses_repository_around_the_package_is_none_of_ours(tree):
@@ -61,7 +61,7 @@ def test_somebody_elses_repository_around_the_package_is_none_of_ours(tree):
     folder.mkdir()
     (folder / "__init__.py").write_text("")
     (tree / "__init__.py").write_text("gain = 2\n")
-    assert changes(folder) == (b"", False)
+    assert uncommitted_changes(folder) == (b"", False)
 
 
 def test_packages_are_listed_as_pip_takes_them():
@@ -105,7 +105,7 @@ def test_a_session_has_packages_and_profile(quick):
 
 
 def test_a_session_has_the_changes_of_its_source_tree_if_there_are_any(quick):
-    diff, _ = changes(Path(inteco_abs.__file__).parent)
+    diff, _ = uncommitted_changes(Path(inteco_abs.__file__).parent)
     assert quick.session.attachments.get("git.diff", b"") == diff
 
 

@@ -78,7 +78,7 @@ class TestOut:
     def test_a_session_without_frames_says_how_to_get_them(self, bare, verb):
         refused = verb("wire", "show", bare.path)
         assert refused.code == 1
-        assert "holds no raw frames: record them with inteco-abs run --frames" in refused.err
+        assert "has no raw frames: record them with inteco-abs run --frames" in refused.err
 
     def test_a_file_that_is_not_there_is_named(self, verb, tmp_path):
         refused = verb("wire", "show", tmp_path / "none.mcap")
@@ -161,7 +161,7 @@ class TestDamage:
         *before, warning = read_frames(cut).records
         assert tuple(before) == capture.records[:kept]
         assert (warning.kind, warning.t_s) == (RecordKind.WARNING, before[-1].t_s)
-        assert warning.text == "more messages may have passed, and are not in the session: the file ends early"
+        assert warning.text == "the session may lack messages: the file ends early"
         session = read_session(tmp_path / "out.mcap")
         assert session.ticks.tobytes() == framed.session.ticks.tobytes()
         assert session.metadata["frames"]["messages"] == str(kept)
@@ -269,7 +269,7 @@ def test_without_a_recording_the_session_is_whole_and_says_why_it_has_no_frames(
     assert (session.incomplete, session.frames, len(session.ticks)) == ("", 0, len(tiny.session.ticks))
     assert session.metadata["frames"] == {"missing": "the loop's process ended before it had saved them"}
     assert "not all raw frames were kept" in validate(tmp_path / "told.mcap").findings[0].problem
-    with pytest.raises(SessionError, match="holds no raw frames: the loop's process ended"):
+    with pytest.raises(SessionError, match="has no raw frames: the loop's process ended"):
         read_frames(tmp_path / "told.mcap")
 
 

@@ -12,7 +12,7 @@ from inteco_abs.errors import SessionError
 from inteco_abs.format.schema import DOUBLE, FIXED32, FLOAT, Column, Message, MessageKind
 from inteco_abs.sessions import TICK, TRUTH, migration, read_session, recover_session, validate
 from inteco_abs.sessions.file_writer import FORMAT_VERSION
-from inteco_abs.sessions.migration import Made, Migration, not_measured
+from inteco_abs.sessions.migration import Migration, NewColumn, not_measured
 from inteco_abs.signals import Phase, Reason
 
 NOW, NEXT = str(migration.newest()), str(migration.newest() + 1)
@@ -224,7 +224,7 @@ def test_a_number_that_the_file_itself_does_not_declare_is_damage(later, also, n
 
 
 def test_a_step_supplies_a_column_that_older_sessions_have_not(later, steps, tiny, replayed):
-    steps(Migration(2, columns=(Made(TRUTH.topic, "brake_torque_nm", not_measured),)))
+    steps(Migration(2, columns=(NewColumn(TRUTH.topic, "brake_torque_nm", not_measured),)))
     session = read_session(later("1", truth=table(TRUTH, without={"brake_torque_nm"})))
     assert np.isnan(session.truth["brake_torque_nm"]).all()
     assert session.unsupported == ""
@@ -236,9 +236,9 @@ def test_a_step_makes_a_column_of_others(later, steps, tiny):
     brake_percent = Column("brake_percent", DOUBLE, "%", "brake duty")
     steps(
         Migration(
-            2, columns=(Made(TICK.topic, "brake_part", lambda _rows, percent: percent / 64.0, ("brake_percent",)),)
+            2, columns=(NewColumn(TICK.topic, "brake_part", lambda _rows, percent: percent / 64.0, ("brake_percent",)),)
         ),
-        Migration(3, columns=(Made(TICK.topic, "brake", lambda _rows, part: part, ("brake_part",)),)),
+        Migration(3, columns=(NewColumn(TICK.topic, "brake", lambda _rows, part: part, ("brake_part",)),)),
     )
     old = table(without={"brake"}, also=[brake_percent])
     run = tiny.session.ticks["brake"].max()
@@ -264,7 +264,7 @@ def test_steps_bring_metadata_up_to_date_in_order_and_only_those_that_are_due(la
 
 
 def test_an_older_session_is_recovered_as_one_of_this_version(later, steps, tmp_path, tiny):
-    steps(Migration(2, columns=(Made(TICK.topic, "c3", not_measured),)))
+    steps(Migration(2, columns=(NewColumn(TICK.topic, "c3", not_measured),)))
     path = later("0", tick=table(without={"c3"}))
     recovery = recover_session(path, tmp_path / "out.mcap")
     session = read_session(tmp_path / "out.mcap")

@@ -415,7 +415,7 @@ def test_when_the_folder_vanishes_the_run_goes_on_and_its_session_is_in_the_seco
     code, card, message = run.end()
     run.out = spill / "stop.mcap"
     assert (code, card["outcome"], card["session"]) == (3, "completed", str(run.out)), message
-    assert f"the run goes on, and it is written to {run.out} by now" in message
+    assert f"the run goes on, and it is now written to {run.out}" in message
     assert_nothing_lost(run, replayed)
     assert_left_nothing_behind(run)
 

@@ -80,7 +80,7 @@ def test_time_counts_from_the_first_tick_of_braking_or_of_all(session):
     assert since_s(before.ticks, start_ns(before))[0] == 0.0
 
 
-def test_stretches_are_the_phases_in_their_order(session):
+def test_spans_are_the_phases_in_their_order(session):
     found = phase_spans(session.ticks)
     expected = [Phase.IDLE, Phase.ARMED, Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED, Phase.DONE]
     assert [each.phase for each in found] == expected

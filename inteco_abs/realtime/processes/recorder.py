@@ -344,7 +344,7 @@ def rebuild(memory: RunMemory, job: Job, out: Path, session: Path | None = None)
             writer.add(records, states)
             _count(memory, records)
         end = replace(run_end(memory), frames=spooled_frames(memory, job))
-        note = f"the session was made from what the run left in memory, {writer.ticks} ticks"
+        note = f"the session was made from what the run left in memory, {writer.card.ticks} ticks"
         if gone:
             note += f"; those before tick {held_from} were in {file}, which is missing or another session's"
         return writer.finish(replace(end, detail=f"{end.detail}; {note}" if end.detail else note))
