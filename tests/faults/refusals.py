@@ -20,8 +20,7 @@ from inteco_abs.mock_board import Device
 from inteco_abs.realtime import TickRing, memory
 from inteco_abs.realtime.processes.recorder import recover_run
 from inteco_abs.rig import plant
-from inteco_abs.sessions import TICK, provenance, read_session, recover_session
-from inteco_abs.sessions import writer as recorder
+from inteco_abs.sessions import TICK, file_writer, provenance, read_session, recover_session
 from inteco_abs.sessions.mcap_writer import McapWriter
 from inteco_abs.signals import Phase
 from tests.faults.operations import Refusal, Requests, asking
@@ -159,8 +158,8 @@ def prepared_place():
         where = Place(Path(folder))
         patch.setattr(memory, "FOLDER", where.memory)
         patch.setattr(inteco_abs.experiment.virtual_run, "_SLICE_TICKS", 25)
-        patch.setattr(recorder, "McapWriter", partial(McapWriter, chunk_bytes=2048))
-        patch.setattr(recorder, "BufferedWriter", partial(BufferedWriter, buffer_size=1024))
+        patch.setattr(file_writer, "McapWriter", partial(McapWriter, chunk_bytes=2048))
+        patch.setattr(file_writer, "BufferedWriter", partial(BufferedWriter, buffer_size=1024))
         patch.setattr(plant, "MOST_CUTS", 1)
         patch.setattr(provenance, "_git", lambda *_: None)
         where.clear()

@@ -30,10 +30,10 @@ from inteco_abs.sessions import (
     FileWriter,
     RunEnd,
     RunHeader,
+    file_writer,
     read_session,
     recover_session,
 )
-from inteco_abs.sessions import writer as recorder
 from inteco_abs.sessions.mcap_writer import McapWriter
 from inteco_abs.signals import Reason
 from tests.faults.stage import SHORTEST, configured, ride
@@ -188,8 +188,8 @@ def recovered(left, again):
 def test_in_whatever_order_disks_fail_and_programs_die_every_tick_is_kept_and_none_is_wrong(
     monkeypatch, record_property
 ):
-    disk = type("FullDisk", (recorder._Disk, Full), {})
-    monkeypatch.setattr(recorder, "_Disk", disk)
-    monkeypatch.setattr(recorder, "McapWriter", partial(McapWriter, chunk_bytes=2048))
+    disk = type("FullDisk", (file_writer._Disk, Full), {})
+    monkeypatch.setattr(file_writer, "_Disk", disk)
+    monkeypatch.setattr(file_writer, "McapWriter", partial(McapWriter, chunk_bytes=2048))
     run_state_machine_as_test(Keeping, settings=FEW)
     record_property("figures", f"keeper: {Keeping.steps} steps, {Keeping.recoveries} recoveries of what a kill left")

@@ -5,8 +5,7 @@ from collections import Counter
 
 import pytest
 
-from inteco_abs.sessions import environment as surroundings
-from inteco_abs.sessions import provenance, read_session
+from inteco_abs.sessions import environment, provenance, read_session
 from tests.faults.operations import Refusal
 from tests.faults.refusals import LASTS, SCENES, prepared_place, problems, refuse
 
@@ -35,8 +34,8 @@ def told(record_property, scene: str, kinds: Counter[str], runs: int, bad: list[
 
 def test_a_git_that_cannot_be_started_keeps_no_run_from_its_end(place, record_property, monkeypatch):
     monkeypatch.setattr(provenance, "_git", GIT)
-    monkeypatch.setattr(surroundings, "installed_packages", lambda: b"")
-    cached = surroundings.current_environment
+    monkeypatch.setattr(environment, "installed_packages", lambda: b"")
+    cached = environment.current_environment
     cached.cache_clear()
     kinds = place.perform("a stop").requests.kinds
     starts = [number for number, kind in enumerate(kinds) if kind == "process"]

@@ -89,7 +89,7 @@ def test_a_note_of_them_gives_the_same_again():
 
 def test_a_cut_diff_is_told_among_the_facts(monkeypatch):
     current_environment.cache_clear()
-    monkeypatch.setattr("inteco_abs.sessions.environment.changes", lambda _folder: (b"x", True))
+    monkeypatch.setattr("inteco_abs.sessions.environment.uncommitted_changes", lambda _folder: (b"x", True))
     found = current_environment()
     current_environment.cache_clear()
     assert found.software["git_diff"] == "cut after its first 1000000 bytes"

@@ -15,7 +15,7 @@ from inteco_abs.errors import AbsError, BoardError, ConfigError, ReadOnlyError, 
 from inteco_abs.experiment import Plan, run_stop
 from inteco_abs.realtime import memory
 from inteco_abs.realtime.processes.recorder import recover_run
-from inteco_abs.sessions import FileWriter, read_session, writer
+from inteco_abs.sessions import FileWriter, file_writer, read_session
 from inteco_abs.signals import EXPLANATIONS, BrakeDemand, Phase, Reason
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
@@ -341,7 +341,7 @@ class TestLongerThanItsMemory:
             raise SessionError("no space left")
 
         with monkeypatch.context() as patch, pytest.raises(SessionError, match="Its ticks are kept in"):
-            disturbed(by=lambda: patch.setattr(writer._Disk, "write", refuse))
+            disturbed(by=lambda: patch.setattr(file_writer._Disk, "write", refuse))
         account = recover_run(rings(), tmp_path / "saved.mcap")
         session = read_session(tmp_path / "saved.mcap")
         assert (account.reason, account.card["lost_ticks"]) == (Reason.RECORDER_LOST, 0)

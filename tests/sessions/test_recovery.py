@@ -9,8 +9,7 @@ import zlib
 import pytest
 
 from inteco_abs.errors import ConfigError, SessionError
-from inteco_abs.sessions import TICK, FileWriter, content, read_session, recover_session, validate
-from inteco_abs.sessions import recovery as salvage
+from inteco_abs.sessions import TICK, FileWriter, content, read_session, recover_session, recovery, validate
 from inteco_abs.sessions.file_writer import utc
 from inteco_abs.sessions.migration import message_layout
 
@@ -239,7 +238,7 @@ def test_a_single_tick_that_is_missing_is_named(rescue, short, tmp_path):
 
 @pytest.mark.parametrize("ticks", [60, 20, 7])
 def test_in_however_many_blocks_it_is_copied_nothing_is_left_out(rescue, short, tmp_path, monkeypatch, ticks):
-    monkeypatch.setattr(salvage, "_BLOCK_TICKS", ticks)
+    monkeypatch.setattr(recovery, "_BLOCK_TICKS", ticks)
     session = read_session(short)
     times = session.epoch_ns + session.ticks["time_ns"].astype(int)
     with FileWriter(tmp_path / "told.mcap", int(session.ticks["time_ns"][0]), epoch_ns=session.epoch_ns) as recorder:
