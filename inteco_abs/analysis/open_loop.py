@@ -190,7 +190,7 @@ class _Alternative:
             demand = self._held
         elif before is Phase.STOPPED:
             self._controller = make_controller(*self._made_of)  # each stop begins with a fresh one
-        return Demand(estimate.slip, demand.torque_nm, demand.brake if type(demand.brake) is float else math.nan)
+        return Demand(estimate.slip, demand.torque_nm, demand.brake)
 
 
 def _divergence(

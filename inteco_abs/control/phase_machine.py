@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from copy import deepcopy
+from dataclasses import dataclass
 from numbers import Real
 from typing import Final, NamedTuple
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control.controllers import Controller
-from inteco_abs.control.count_speed import MovingAverageSpeed
+from inteco_abs.control.count_speed import Window, WindowConstants, empty_window, mean_speeds, window_constants
+from inteco_abs.control.functions import function_of
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason, Sample
 
 _NONE: Final = Reason.NONE
-_SPIN_UP, _BRAKING, _STOPPED = Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED
+_IDLE, _ARMED, _SPIN_UP = Phase.IDLE, Phase.ARMED, Phase.SPIN_UP
+_BRAKING, _STOPPED = Phase.BRAKING, Phase.STOPPED
 _START_WINDOW_S: Final = 0.020
 _STOP_WINDOW_S: Final = 0.050
 REST_COUNTS: Final = 4
@@ -31,10 +35,47 @@ class Request(NamedTuple):
     reason: Reason
 
 
-_NOTHING: Final = Request(Command.SAFE, _NO_DEMAND, Reason.NONE)
+@dataclass(frozen=True, slots=True)
+class MachineConstants:
+    """Of the section [experiment]."""
+
+    start_speed: float
+    """rad/s"""
+    stop_speed: float
+    """rad/s"""
+    drive_duty: float
+    idle_s: float
+    hold_s: float
+    spin_up_timeout_s: float
+    braking_timeout_s: float
+    start: WindowConstants
+    stop: WindowConstants
 
 
-class PhaseMachine:
+@dataclass(slots=True)
+class MachineState:
+    """Where the experiment stands."""
+
+    start: Window
+    """Of the road wheel, while it is driven."""
+    stop: Window
+    """Of the road wheel, while it is braked."""
+    phase: Phase
+    stops_left: int
+    """Stops to be done after this one."""
+    since_ns: int = -1
+    rest_wheel: int = 0
+    rest_road: int = 0
+    drive_request: float = 0.0
+    """Newest, as is `brake_request`."""
+    brake_request: float = 0.0
+    held: bool = False
+    """Whether that is the controller's last demand."""
+    reason: Reason = _NONE
+    """To stop, by the newest request."""
+
+
+class PhaseMachine(MachineState):
     """Advances by samples alone, so that a replay takes the same steps.
 
     It drives at `drive_duty` until the road wheel's mean speed over 20 ms reaches the start speed; then both outputs
@@ -44,85 +85,108 @@ class PhaseMachine:
     """
 
     def __init__(self, config: RigConfig, controller: Controller, phase: Phase = Phase.IDLE) -> None:
-        self.phase = phase
-        self._config = config.experiment
+        counts, rate, experiment = config.encoders.counts_per_turn, config.loop.rate_hz, config.experiment
+        start, stop = round(_START_WINDOW_S * rate), round(_STOP_WINDOW_S * rate)
+        self.k = MachineConstants(
+            start_speed=experiment.start_speed_rad_s,
+            stop_speed=experiment.stop_speed_rad_s,
+            drive_duty=experiment.drive_duty,
+            idle_s=experiment.idle_s,
+            hold_s=experiment.hold_s,
+            spin_up_timeout_s=experiment.spin_up_timeout_s,
+            braking_timeout_s=experiment.braking_timeout_s,
+            start=window_constants(counts, start),
+            stop=window_constants(counts, stop),
+        )
+        super().__init__(empty_window(start), empty_window(stop), phase, experiment.stops - 1)
         self._controller = controller
-        self._left = self._config.stops - 1  # stops still to be done after this one
-        self._as_made = deepcopy(controller) if self._left else controller
-        counts, rate = config.encoders.counts_per_turn, config.loop.rate_hz
-        self._start_speed = MovingAverageSpeed(counts, round(_START_WINDOW_S * rate))
-        self._stop_speed = MovingAverageSpeed(counts, round(_STOP_WINDOW_S * rate))
-        self._since_ns = -1
-        self._rest = (0, 0)
-        self._held = _NO_DEMAND
-        self._drive = Request(Command(self._config.drive_duty, 0.0), _NO_DEMAND, _NONE)
+        self._as_made = deepcopy(controller) if self.stops_left else controller
+        self._floats = function_of(controller) is not None
+        self._last = _NO_DEMAND
 
-    def fault(self) -> None:
-        """End the run: the guard has switched the outputs off."""
-        self.phase = Phase.FAULT
+    @property
+    def demand(self) -> BrakeDemand:
+        """Behind the newest request."""
+        return self._last if self.held else _NO_DEMAND
+
+    def fail(self) -> None:
+        """Request SAFE: estimator or controller failed."""
+        self.drive_request, self.brake_request, self.held = 0.0, 0.0, False
+        self.reason = Reason.CONTROLLER_ERROR
 
     def step(self, sample: Sample, estimate: Estimate) -> Request:
         """Advance by one sample."""
-        since_ns, phase = self._since_ns, self.phase
-        if since_ns < 0:
-            since_ns = self._since_ns = sample.time_ns
-            self._rest = (sample.wheel_count, sample.road_count)
-        elapsed_s = (sample.time_ns - since_ns) * 1e-9
-        if phase is _SPIN_UP:
-            return self._spin_up(sample, elapsed_s)
+        self.advance(sample, estimate)
+        return Request(Command(self.drive_request, self.brake_request), self.demand, self.reason)
+
+    def advance(self, sample: Sample, estimate: Estimate) -> None:
+        """As `step`, which leaves the request in the state."""
+        phase = self.phase
         if phase is _BRAKING:
-            return self._brake(sample, estimate, elapsed_s)
-        if phase is _STOPPED:
-            if elapsed_s < self._config.hold_s:
-                return Request(Command(0.0, self._held.brake), self._held, _NONE)
-            self._enter(Phase.IDLE if self._left else Phase.DONE, sample)
-            self._begin_again(sample)
-        elif phase in (Phase.IDLE, Phase.ARMED):
-            return self._wait(sample, elapsed_s)
-        return _NOTHING
+            demand = self._controller.update(estimate, sample.dt_s)
+            self._last = demand if self._floats else recordable(demand)
+        advance(self.k, self, sample, self._last.brake)
+        if phase is _STOPPED and self.phase is Phase.IDLE:
+            self._last, self._controller = _NO_DEMAND, deepcopy(self._as_made)
 
-    def _wait(self, sample: Sample, elapsed_s: float) -> Request:
-        wheel, road = self._rest
-        moved = max(abs(sample.wheel_count - wheel), abs(sample.road_count - road)) > REST_COUNTS
-        if elapsed_s >= self._config.idle_s and not moved:
-            self._enter(Phase.ARMED if self.phase is Phase.IDLE else Phase.SPIN_UP, sample)
-        return Request(Command.SAFE, _NO_DEMAND, Reason.WHEELS_MOVING if moved else _NONE)
 
-    def _spin_up(self, sample: Sample, elapsed_s: float) -> Request:
-        speed = self._start_speed.update(sample.time_ns, sample.road_count)
-        if elapsed_s >= _START_WINDOW_S and speed >= self._config.start_speed_rad_s:
-            self._enter(Phase.BRAKING, sample)
-            return _NOTHING
-        late = elapsed_s > self._config.spin_up_timeout_s
-        return self._drive._replace(reason=Reason.SPIN_UP_TIMEOUT) if late else self._drive
+def advance(k: MachineConstants, s: MachineState, sample: Sample, brake: float) -> None:
+    """Advance by one sample and leave the request in `s`; `brake` is the controller's last duty."""
+    _, time_ns, _, wheel_count, road_count, _ = sample
+    if s.since_ns < 0:
+        s.since_ns, s.rest_wheel, s.rest_road = time_ns, wheel_count, road_count
+    elapsed_s = (time_ns - s.since_ns) * 1e-9
+    phase, s.reason, s.held = s.phase, _NONE, False
+    if phase == _SPIN_UP:
+        speed = mean_speeds(k.start, s.start, time_ns, 0, road_count)[1]
+        s.drive_request, s.brake_request = k.drive_duty, 0.0
+        if elapsed_s >= _START_WINDOW_S and speed >= k.start_speed:
+            s.phase, s.since_ns, s.drive_request = _BRAKING, time_ns, 0.0
+        elif elapsed_s > k.spin_up_timeout_s:
+            s.reason = Reason.SPIN_UP_TIMEOUT
+    elif phase == _BRAKING:
+        s.drive_request, s.brake_request, s.held = 0.0, brake, True
+        _brake(k, s, time_ns, road_count, elapsed_s)
+    else:
+        s.drive_request = s.brake_request = 0.0
+        if phase == _STOPPED:
+            _hold(k, s, sample, elapsed_s, brake)
+        elif phase in (_IDLE, _ARMED):
+            _wait(k, s, time_ns, elapsed_s, max(abs(wheel_count - s.rest_wheel), abs(road_count - s.rest_road)))
 
-    def _brake(self, sample: Sample, estimate: Estimate, elapsed_s: float) -> Request:
-        speed = self._stop_speed.update(sample.time_ns, sample.road_count)
-        demand = self._held = recordable(self._controller.update(estimate, sample.dt_s))
-        if elapsed_s >= _STOP_WINDOW_S and abs(speed) < self._config.stop_speed_rad_s:
-            self._enter(Phase.STOPPED, sample)
-        late = elapsed_s > self._config.braking_timeout_s
-        return Request(Command(0.0, demand.brake), demand, Reason.BRAKING_TIMEOUT if late else _NONE)
 
-    def _begin_again(self, sample: Sample) -> None:
-        if not self._left:
-            return
-        self._left -= 1
-        self._rest = (sample.wheel_count, sample.road_count)
-        self._held = _NO_DEMAND
-        self._controller = deepcopy(self._as_made)
-        self._start_speed.clear()
-        self._stop_speed.clear()
+def _brake(k: MachineConstants, s: MachineState, time_ns: int, road_count: int, elapsed_s: float) -> None:
+    speed = mean_speeds(k.stop, s.stop, time_ns, 0, road_count)[1]
+    if elapsed_s >= _STOP_WINDOW_S and abs(speed) < k.stop_speed:
+        s.phase, s.since_ns = _STOPPED, time_ns
+    if elapsed_s > k.braking_timeout_s:
+        s.reason = Reason.BRAKING_TIMEOUT
 
-    def _enter(self, phase: Phase, sample: Sample) -> None:
-        self.phase = phase
-        self._since_ns = sample.time_ns
+
+def _hold(k: MachineConstants, s: MachineState, sample: Sample, elapsed_s: float, brake: float) -> None:
+    """Keep the brake on for a while, then go to the next stop, from rest, or to the end."""
+    if elapsed_s < k.hold_s:
+        s.brake_request, s.held = brake, True
+        return
+    s.phase, s.since_ns = Phase.DONE, sample.time_ns
+    if s.stops_left > 0:
+        s.phase, s.rest_wheel, s.rest_road = _IDLE, sample.wheel_count, sample.road_count
+        s.stops_left -= 1
+        s.start.oldest = s.stop.oldest = -1
+
+
+def _wait(k: MachineConstants, s: MachineState, time_ns: int, elapsed_s: float, moved: int) -> None:
+    """At rest, both wheels having `moved` by so many counts at most."""
+    if moved > REST_COUNTS:
+        s.reason = Reason.WHEELS_MOVING
+    elif elapsed_s >= k.idle_s:
+        s.phase, s.since_ns = _ARMED if s.phase == _IDLE else _SPIN_UP, time_ns
 
 
 def recordable(demand: BrakeDemand) -> BrakeDemand:
     """The demand of a user's controller with every logged value as a float; numpy's numbers are converted.
 
-    A duty that is not a number is left for the guard. Raises TypeError or ValueError for other values.
+    A duty that is not a number becomes NaN, at which the guard trips. Raises TypeError or ValueError for other values.
     """
     if type(demand) is not BrakeDemand:
         raise TypeError(f"update() must return a BrakeDemand, not {demand!r}")
@@ -130,7 +194,7 @@ def recordable(demand: BrakeDemand) -> BrakeDemand:
     if type(brake) is float:
         if type(torque) is float and type(switching) is float and tuple(map(type, internals)) == _FOUR_FLOATS:
             return demand
-    elif isinstance(brake, _NUMBERS) and not isinstance(brake, bool):
-        brake = float(brake)
+    else:
+        brake = float(brake) if isinstance(brake, _NUMBERS) and not isinstance(brake, bool) else math.nan
     c0, c1, c2, c3 = map(float, internals)
     return BrakeDemand(brake, float(torque), float(switching), (c0, c1, c2, c3))

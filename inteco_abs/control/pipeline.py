@@ -8,15 +8,14 @@ from typing import Final
 from inteco_abs.config import RigConfig
 from inteco_abs.control.controllers import Controller
 from inteco_abs.control.estimators import Estimator
-from inteco_abs.control.guard import Guard
-from inteco_abs.control.phase_machine import PhaseMachine, Request
-from inteco_abs.signals import UNTIMED, BrakeDemand, Command, Estimate, Phase, Reason, Sample, Tick, Timing
+from inteco_abs.control.guard import Guard, GuardConstants, GuardState, admit, trip
+from inteco_abs.control.phase_machine import MachineState, PhaseMachine
+from inteco_abs.signals import UNTIMED, Command, Estimate, Phase, Reason, Sample, Tick, Timing
 
 _NONE: Final = Reason.NONE
 _BRAKING: Final = Phase.BRAKING
 _OVER: Final = (Phase.DONE, Phase.FAULT)
 _NO_ESTIMATE: Final = Estimate(0.0, 0.0, 0.0, valid=False)
-_FAILED: Final = _NO_ESTIMATE, Request(Command.SAFE, BrakeDemand(0.0), Reason.CONTROLLER_ERROR)
 
 
 class Pipeline:
@@ -35,7 +34,7 @@ class Pipeline:
         self._estimator = estimator
         self._machine = PhaseMachine(config, controller, phase)
         self._guard = Guard(config)
-        self._decided = _NO_ESTIMATE, Request(Command.SAFE, BrakeDemand(0.0), Reason.NONE)
+        self._estimate = _NO_ESTIMATE
         self._reference_slip = config.controller.reference_slip
 
     @property
@@ -55,12 +54,11 @@ class Pipeline:
 
     def step(self, sample: Sample, stop_request: Reason = Reason.NONE, timing: Timing = UNTIMED) -> Tick:
         """Decide on one sample; the tick's `drive` and `brake` are the command for the next exchange."""
-        estimate, (request, demand, _) = self.decide(sample, stop_request)
-        phase = self._machine.phase
+        wheel_speed, road_speed, slip, valid, _ = self.decide(sample, stop_request)
+        machine = self._machine
+        phase = machine.phase
         tick, time_ns, dt_s, wheel_count, road_count, board_flags = sample
-        wheel_speed, road_speed, slip, valid, _ = estimate
-        _, torque_nm, switching, internals = demand
-        drive_request, brake_request = request
+        _, torque_nm, switching, internals = machine.demand
         late_us, io_us, busy_us, skipped = timing
         return Tick(
             time_ns,
@@ -78,8 +76,8 @@ class Pipeline:
             self._reference_slip if phase is _BRAKING else math.nan,
             switching,
             torque_nm,
-            drive_request,
-            brake_request if type(brake_request) is float else math.nan,
+            machine.drive_request,
+            machine.brake_request,
             *self.command,
             self._guard.reason,
             *internals,
@@ -89,28 +87,35 @@ class Pipeline:
             skipped,
         )
 
-    def decide(self, sample: Sample, stop_request: Reason = Reason.NONE) -> tuple[Estimate, Request]:
-        """As `step`, but return estimate and request only; `command` is what the guard admitted.
+    def decide(self, sample: Sample, stop_request: Reason = Reason.NONE) -> Estimate:
+        """As `step`, but return the estimate only; `command` is what the guard admitted.
 
-        For a sample with board flags they are those of the sample before.
+        For a sample with board flags the estimate, and what is requested, are those of the sample before.
         """
-        decided = self._decided
-        if self.error is not None:
-            decided = _FAILED
-        elif not sample.board_flags:
+        machine, guard, command = self._machine, self._guard, self.command
+        if not sample.board_flags and self.error is None:
             try:
-                estimate = self._estimator.update(sample, self.command)
-                decided = self._decided = estimate, self._machine.step(sample, estimate)
+                self._estimate = self._estimator.update(sample, command)
+                machine.advance(sample, self._estimate)
             except (Exception, SystemExit) as error:  # noqa: BLE001  a user's controller may raise anything; the rig must stop all the same
                 self.error = error
-                decided = _FAILED
-        estimate, (request, _, request_reason) = decided
-        guard = self._guard
-        if stop_request is not _NONE:
-            guard.trip(stop_request)
-        if request_reason is not _NONE:
-            guard.trip(request_reason)
-        self.command = guard.admit(request, sample, estimate)
-        if guard.reason is not _NONE:
-            self._machine.fault()
-        return decided
+                self._estimate = _NO_ESTIMATE
+                machine.fail()
+        admit_request(guard.k, guard, machine, sample, stop_request)
+        drive, brake = command
+        if machine.held or guard.drive != drive or guard.brake != brake:
+            self.command = Command(guard.drive, guard.brake)
+        return self._estimate
+
+
+def admit_request(
+    k: GuardConstants, s: GuardState, machine: MachineState, sample: Sample, stop_request: Reason
+) -> None:
+    """Leave in `s` what the guard admits of the machine's request; with any reason not to, the experiment is over."""
+    if stop_request != _NONE:
+        trip(s, stop_request)
+    if machine.reason != _NONE:
+        trip(s, machine.reason)
+    admit(k, s, sample, machine.drive_request, machine.brake_request)
+    if s.reason != _NONE:
+        machine.phase = Phase.FAULT

@@ -7,7 +7,8 @@ other, but not with the acceleration of the wheels' inertia by the drive motor, 
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from dataclasses import dataclass, field
+from typing import Final
 
 from inteco_abs.config import RigConfig
 from inteco_abs.rig import DriveMotor, RigParameters, nominal_drive_motor, nominal_parameters
@@ -37,7 +38,91 @@ are those 1700 rpm, and its mean is 30 rad/s2.
 """
 
 
-class RunUp:
+@dataclass(frozen=True, slots=True)
+class DriveConstants:
+    """A drive motor and both wheels rolling on each other."""
+
+    stall_nm: float
+    back_nm_s: float
+    """Torque that the motor loses per rad/s."""
+    friction_nm: float
+    drag_nm_s: float
+    inertia: float
+    """kg m2"""
+    factor: float
+    """How many times slower and faster than this drive a run-up may be."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunUpConstants:
+    """The published drive, and the one that the lab identified."""
+
+    published: DriveConstants
+    own: DriveConstants
+    identified: bool
+    """Whether there is such a one of its own."""
+    angle_ns: float
+    """Angle of one count, times 1e9."""
+    look_ns: int
+
+
+@dataclass(slots=True)
+class Bounds:
+    """The slowest and the fastest possible run-up: first-order approaches to speeds at which all torques balance."""
+
+    slow_end: float = 0.0
+    """rad/s"""
+    slow_lag_s: float = 0.0
+    fast_end: float = 0.0
+    fast_lag_s: float = 0.0
+    straight: float = 0.0
+    """rad/s2"""
+    least: float = 0.0
+    """Slowest speed that is possible now."""
+    most: float = 0.0
+
+
+@dataclass(slots=True)
+class RunUpState:
+    """The newest look, and the bounds since the second."""
+
+    published: Bounds = field(default_factory=Bounds)
+    own: Bounds = field(default_factory=Bounds)
+    duty: float = 0.0
+    then_ns: int = 0
+    then_count: int = 0
+    next_ns: int = 0
+    looks: int = 0
+
+
+def run_up_constants(config: RigConfig, factor: float) -> RunUpConstants:
+    """The square root of `factor` holds for a drive that was identified."""
+    model = config.model
+    published = _drive_constants(DriveMotor(), RigParameters.named(model.parameters), factor)
+    drive = nominal_drive_motor(model)
+    own = None if drive is None else _drive_constants(drive, nominal_parameters(model), math.sqrt(factor))
+    return RunUpConstants(
+        published,
+        own or published,
+        own is not None,
+        2.0 * math.pi / config.encoders.counts_per_turn * 1e9,
+        round(max(_LOOK_S, _LOOK_PERIODS / config.loop.rate_hz) * 1e9),
+    )
+
+
+def _drive_constants(drive: DriveMotor, parameters: RigParameters, factor: float) -> DriveConstants:
+    ratio = parameters.r2 / parameters.r1
+    return DriveConstants(
+        drive.stall_torque_nm,
+        drive.stall_torque_nm / drive.no_load_speed_rad_s,
+        parameters.M20 + parameters.M10 * ratio,
+        parameters.d2 + parameters.d1 * ratio * ratio,
+        parameters.J2 + parameters.J1 * ratio * ratio,
+        factor,
+    )
+
+
+class RunUp(RunUpState):
     """Compares the road wheel's mean speed over 0.1 s with the slowest and the fastest run-up that the drive may make.
 
     These are `factor` times slower and faster than the published drive's. Where a lab has identified its own drive,
@@ -47,90 +132,59 @@ class RunUp:
     """
 
     def __init__(self, config: RigConfig, factor: float) -> None:
-        model = config.model
-        self._rigs = [_Rig(DriveMotor(), RigParameters.named(model.parameters), factor)]
-        drive = nominal_drive_motor(model)
-        if drive is not None:
-            self._rigs.append(_Rig(drive, nominal_parameters(model), math.sqrt(factor)))
-        self._bounds: list[_Bounds] = []
-        self._angle_ns = 2.0 * math.pi / config.encoders.counts_per_turn * 1e9
-        self._look_ns = round(max(_LOOK_S, _LOOK_PERIODS / config.loop.rate_hz) * 1e9)
-        self._duty = 0.0
-        self._then_ns = self._then_count = 0
-        self._next_ns = 0
-        self._looks = 0
+        super().__init__()
+        self.k = run_up_constants(config, factor)
 
     def plausible(self, now_ns: int, road_count: int, applied: Command) -> bool:
         """Whether the drive can make this run-up under the newest `applied` command; True while that is unknown."""
-        duty, brake = applied
-        if duty < _JUDGED_DUTY:
-            self._duty = 0.0
-            return True
-        if duty != self._duty or brake >= _RELEASED_DUTY:
-            self._duty, self._looks = duty, 0
-            self._next_ns = now_ns + (_RELEASE_GRACE_NS if brake >= _RELEASED_DUTY else 0)
-        if now_ns < self._next_ns:
-            return True
-        elapsed_ns, counts = now_ns - self._then_ns, road_count - self._then_count
-        self._then_ns, self._then_count, self._next_ns = now_ns, road_count, now_ns + self._look_ns
-        self._looks += 1
-        if self._looks == 1:
-            return True
-        speed = counts * self._angle_ns / elapsed_ns
-        if self._looks > _FIRST_SPEED:
-            return all(bounds.allow(speed, elapsed_ns * 1e-9) for bounds in self._bounds)
-        self._bounds = [rig.bounds(duty, speed) for rig in self._rigs]
+        return plausible(self.k, self, now_ns, road_count, applied.drive, applied.brake)
+
+
+def plausible(k: RunUpConstants, s: RunUpState, now_ns: int, road_count: int, duty: float, brake: float) -> bool:
+    """`RunUp.plausible`, with `duty` of the drive."""
+    if duty < _JUDGED_DUTY:
+        s.duty = 0.0
         return True
+    if duty != s.duty or brake >= _RELEASED_DUTY:
+        s.duty, s.looks = duty, 0
+        s.next_ns = now_ns + (_RELEASE_GRACE_NS if brake >= _RELEASED_DUTY else 0)
+    if now_ns < s.next_ns:
+        return True
+    elapsed_ns, counts = now_ns - s.then_ns, road_count - s.then_count
+    s.then_ns, s.then_count, s.next_ns = now_ns, road_count, now_ns + k.look_ns
+    s.looks += 1
+    if s.looks == 1:
+        return True
+    speed = counts * k.angle_ns / elapsed_ns
+    if s.looks > _FIRST_SPEED:
+        elapsed_s = elapsed_ns * 1e-9
+        return _allow(s.published, speed, elapsed_s) and (not k.identified or _allow(s.own, speed, elapsed_s))
+    _begin(k.published, s.published, duty, speed)
+    _begin(k.own, s.own, duty, speed)
+    return True
 
 
-class _Approach(NamedTuple):
-    """First-order approach to the speed at which all torques balance."""
-
-    end: float
-    """That speed, rad/s."""
-    lag_s: float
-
-    def gain(self, speed: float, elapsed_s: float) -> float:
-        """Gain in rad/s over a time that is short against the lag; 0 beyond the end."""
-        return max(0.0, (self.end - speed) * elapsed_s / (self.lag_s + 0.5 * elapsed_s))
-
-
-class _Rig:
-    """A drive motor and both wheels rolling on each other."""
-
-    def __init__(self, drive: DriveMotor, parameters: RigParameters, factor: float) -> None:
-        ratio = parameters.r2 / parameters.r1
-        self._drive = drive
-        self._friction_nm = parameters.M20 + parameters.M10 * ratio
-        self._drag = parameters.d2 + parameters.d1 * ratio * ratio
-        self._inertia = parameters.J2 + parameters.J1 * ratio * ratio
-        self._factor = factor
-
-    def bounds(self, duty: float, speed: float) -> _Bounds:
-        """Bounds of a run-up that continues from `speed` (rad/s) with `duty` of the drive."""
-        stall, back = self._drive.stall_torque_nm, self._drive.stall_torque_nm / self._drive.no_load_speed_rad_s
-        slow = self._approach(stall * duty - _MORE_FRICTION * self._friction_nm, back, self._factor)
-        # with a chopper in discontinuous conduction the motor approaches its full speed at any duty
-        fast = self._approach(stall * duty - _LESS_FRICTION * self._friction_nm, back * duty, 1.0 / self._factor)
-        straight = _STRAIGHT_SHARE * (stall - self._friction_nm) / self._inertia * duty / self._factor
-        return _Bounds(slow, fast, straight, speed)
-
-    def _approach(self, torque_nm: float, back_nm: float, slower: float) -> _Approach:
-        """Approach under `torque_nm` at rest, which falls by `back_nm` per rad/s and by the wheels' drag."""
-        falling = back_nm + self._drag
-        return _Approach(torque_nm / falling, self._inertia / falling * slower)
+def _begin(k: DriveConstants, s: Bounds, duty: float, speed: float) -> None:
+    """Bounds of a run-up that continues from `speed` (rad/s) with `duty` of the drive."""
+    falling = k.back_nm_s + k.drag_nm_s
+    s.slow_end = (k.stall_nm * duty - _MORE_FRICTION * k.friction_nm) / falling
+    s.slow_lag_s = k.inertia / falling * k.factor
+    # with a chopper in discontinuous conduction the motor approaches its full speed at any duty
+    falling = k.back_nm_s * duty + k.drag_nm_s
+    s.fast_end = (k.stall_nm * duty - _LESS_FRICTION * k.friction_nm) / falling
+    s.fast_lag_s = k.inertia / falling * (1.0 / k.factor)
+    s.straight = _STRAIGHT_SHARE * (k.stall_nm - k.friction_nm) / k.inertia * duty / k.factor
+    s.least = min(speed, s.slow_end)  # above the final speed a wheel slows down
+    s.most = speed
 
 
-class _Bounds:
-    """The slowest and the fastest possible run-up."""
+def _allow(s: Bounds, speed: float, elapsed_s: float) -> bool:
+    """Whether `speed` (rad/s) is possible `elapsed_s` after the one before."""
+    s.least += min(_gain(s.slow_end, s.slow_lag_s, s.least, elapsed_s), s.straight * elapsed_s)
+    s.most += _gain(s.fast_end, s.fast_lag_s, s.most, elapsed_s)
+    return s.least - _SLACK_RAD_S <= speed <= s.most + _SLACK_RAD_S
 
-    def __init__(self, slow: _Approach, fast: _Approach, straight_rad_s2: float, speed: float) -> None:
-        self._slow, self._fast, self._straight = slow, fast, straight_rad_s2
-        self._least = min(speed, slow.end)  # above the final speed a wheel slows down
-        self._most = speed
 
-    def allow(self, speed: float, elapsed_s: float) -> bool:
-        """Whether `speed` (rad/s) is possible `elapsed_s` after the one before."""
-        self._least += min(self._slow.gain(self._least, elapsed_s), self._straight * elapsed_s)
-        self._most += self._fast.gain(self._most, elapsed_s)
-        return self._least - _SLACK_RAD_S <= speed <= self._most + _SLACK_RAD_S
+def _gain(end: float, lag_s: float, speed: float, elapsed_s: float) -> float:
+    """Gain in rad/s over a time that is short against the lag; 0 beyond the end."""
+    return max(0.0, (end - speed) * elapsed_s / (lag_s + 0.5 * elapsed_s))

@@ -6,55 +6,80 @@ Valid for a forward turning wheel that is slower at the rim than the road: s = s
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from inteco_abs.rig import RigParameters, adhesion
+from inteco_abs.rig.friction import formula, require_slip
 
 
-class BrakingModel:
+@dataclass(frozen=True, slots=True)
+class SlipConstants:
+    """The constants c_ij of equation (10), signs included, and what equations (5) and (11) need."""
+
+    c11: float
+    c12: float
+    c13: float
+    c14: float
+    c15: float
+    c16: float
+    c21: float
+    c22: float
+    c23: float
+    c24: float
+    c25: float
+    ratio: float
+    """r1/r2"""
+    lever: float
+    """L, in m."""
+    sin: float
+    """Of the lever's angle."""
+    cos: float
+    parameters: RigParameters
+
+
+def slip_terms(k: SlipConstants, slip: float, road_speed: float) -> tuple[float, float]:
+    """`BrakingModel.terms`, unchecked."""
+    mu = formula(k.parameters, slip)
+    S, rolling, ratio = mu / (k.lever * (k.sin - mu * k.cos)), 1.0 - slip, k.ratio
+    f = (
+        -(S * k.c11 + k.c13) * rolling
+        - ratio / road_speed * (S * k.c12 + k.c14)
+        + rolling / road_speed * ((S * k.c21 / ratio * rolling + k.c23) * road_speed + S * k.c22 + k.c24)
+    )
+    g = -ratio / road_speed * (k.c15 * S + k.c16 - k.c25 * S * rolling / ratio)
+    return f, g
+
+
+class BrakingModel(SlipConstants):
     """lam' = f(lam, x2) + g(lam, x2) * M1, with the constants c_ij of equation (10), signs included."""
 
-    __slots__ = (
-        "_cos",
-        "_lever",
-        "_ratio",
-        "_sin",
-        "c11",
-        "c12",
-        "c13",
-        "c14",
-        "c15",
-        "c16",
-        "c21",
-        "c22",
-        "c23",
-        "c24",
-        "c25",
-        "parameters",
-    )
+    __slots__ = ()
 
     def __init__(self, parameters: RigParameters) -> None:
         k = parameters
-        self.parameters = parameters
-        self.c11 = k.r1 * k.d1 / k.J1
-        self.c12 = (k.M10 + k.Mg) * k.r1 / k.J1
-        self.c13 = -k.d1 / k.J1
-        self.c14 = -k.M10 / k.J1
-        self.c15 = k.r1 / k.J1
-        self.c16 = -1.0 / k.J1
-        self.c21 = -k.r2 * k.d1 / k.J2
-        self.c22 = -(k.M10 + k.Mg) * k.r2 / k.J2
-        self.c23 = -k.d2 / k.J2
-        self.c24 = -k.M20 / k.J2
-        self.c25 = -k.r2 / k.J2
-        self._ratio = k.r1 / k.r2
-        self._lever = k.L
-        self._sin = math.sin(k.phi_rad)
-        self._cos = math.cos(k.phi_rad)
+        super().__init__(
+            c11=k.r1 * k.d1 / k.J1,
+            c12=(k.M10 + k.Mg) * k.r1 / k.J1,
+            c13=-k.d1 / k.J1,
+            c14=-k.M10 / k.J1,
+            c15=k.r1 / k.J1,
+            c16=-1.0 / k.J1,
+            c21=-k.r2 * k.d1 / k.J2,
+            c22=-(k.M10 + k.Mg) * k.r2 / k.J2,
+            c23=-k.d2 / k.J2,
+            c24=-k.M20 / k.J2,
+            c25=-k.r2 / k.J2,
+            ratio=k.r1 / k.r2,
+            lever=k.L,
+            sin=math.sin(k.phi_rad),
+            cos=math.cos(k.phi_rad),
+            parameters=parameters,
+        )
 
     def S(self, slip: float) -> float:
         """Abbreviation of equation (10), in 1/m: mu / (L * (sin phi - mu * cos phi))."""
         mu = adhesion(slip, self.parameters)
-        return mu / (self._lever * (self._sin - mu * self._cos))
+        return mu / (self.lever * (self.sin - mu * self.cos))
 
     def f(self, slip: float, road_speed: float) -> float:
         """Equation (16), in 1/s; slip in 0..1, `road_speed` > 0 in rad/s."""
@@ -68,16 +93,8 @@ class BrakingModel:
         """Both terms, f in 1/s and g in 1/(s N m). Raises ValueError unless slip is in 0..1 and road speed above 0."""
         if not road_speed > 0.0:
             raise ValueError(f"road_speed = {road_speed!r} rad/s: must be above 0, f and g grow like 1/speed")
-        S, rolling, ratio = self.S(slip), 1.0 - slip, self._ratio
-        f = (
-            -(S * self.c11 + self.c13) * rolling
-            - ratio / road_speed * (S * self.c12 + self.c14)
-            + rolling
-            / road_speed
-            * ((S * self.c21 / ratio * rolling + self.c23) * road_speed + S * self.c22 + self.c24)
-        )
-        g = -ratio / road_speed * (self.c15 * S + self.c16 - self.c25 * S * rolling / ratio)
-        return f, g
+        require_slip(slip)
+        return slip_terms(self, slip, road_speed)
 
 
 def reaching_law_torque(

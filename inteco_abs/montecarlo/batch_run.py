@@ -73,7 +73,7 @@ class _Stop:
         """Decide on one sample; the slip as estimated."""
         self.ticks += 1
         pipeline = self.pipeline
-        estimate, _ = pipeline.decide(sample)
+        estimate = pipeline.decide(sample)
         if pipeline.reason is not Reason.NONE:
             self.ended = sample.tick
             failure = pipeline.error

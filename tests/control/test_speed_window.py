@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from inteco_abs.control import MovingAverageSpeed, MovingWindow, TwoWheels
-from inteco_abs.control.count_speed import MovingAverageSpeeds
+from inteco_abs.control.count_speed import empty_window, mean_speeds, window_constants
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import Sample
 
@@ -88,16 +88,13 @@ tracks = st.lists(st.tuples(st.integers(-1000, 10_000_000), counts, counts), min
 @given(lengths, turns, tracks)
 @example(length=1, per_turn=2048, track=[(0, 0, 0), (1, 5, 7)])
 def test_both_wheels_at_once_have_the_speeds_of_each_to_the_last_bit(length, per_turn, track):
-    both, wheel, road = (
-        MovingAverageSpeeds(per_turn, length),
-        MovingAverageSpeed(per_turn, length),
-        MovingAverageSpeed(per_turn, length),
-    )
+    both, k = empty_window(length), window_constants(per_turn, length)
+    wheel, road = MovingAverageSpeed(per_turn, length), MovingAverageSpeed(per_turn, length)
     time_ns = 0
     for step_ns, wheel_count, road_count in track:
         time_ns += step_ns
         each = wheel.update(time_ns, wheel_count), road.update(time_ns, road_count)
-        assert both.update(time_ns, wheel_count, road_count) == each
+        assert mean_speeds(k, both, time_ns, wheel_count, road_count) == each
 
 
 @given(lengths, turns, tracks)

@@ -67,44 +67,45 @@ def moved(state, event):
         before.road_count + road,
         flags,
     )
-    pipeline = deepcopy(state.pipeline, {id(state.pipeline._machine._config): state.pipeline._machine._config})
+    pipeline = deepcopy(state.pipeline)
     tick = pipeline.step(sample, stop)
     return State(pipeline, sample, tick)
 
 
 def key(state):
     """What later inputs could tell: everything that changes, relative to now."""
-    return state.pipeline.command, *_relative(vars(state.pipeline), state.sample, 0)
+    return state.pipeline.command, *_relative(state.pipeline, state.sample, 0)
 
 
-def _relative(values, sample, depth):
-    for name, value in sorted(values.items()):
+def _relative(part, sample, depth):
+    for name, value in sorted(_parts(part).items()):  # k: constants
         if isinstance(value, bool | str | Phase | Reason) or value is None:
             yield name, value
+        elif isinstance(value, list):
+            yield name, *_in_order(name, value, part.oldest, sample)
         elif isinstance(value, int) and name.endswith("_ns") and value >= 0:
             yield name, min(sample.time_ns - value, 60 * PERIOD_NS)
-        elif isinstance(value, int | float):
+        elif name in ("rest_wheel", "wheel_before"):
+            yield name, sample.wheel_count - value
+        elif name in ("rest_road", "road_before", "then_count"):
+            yield name, sample.road_count - value
+        elif isinstance(value, int | float) and name != "oldest":
             yield name, round(value, 6)
-        elif isinstance(value, Sample):
-            yield name, sample.wheel_count - value.wheel_count, sample.road_count - value.road_count, value.board_flags
-        elif isinstance(value, deque):
-            yield name, *(tuple(_since(each, sample)) for each in value)
-        elif depth < 3 and (inner := _parts(value)):
-            yield name, *_relative(inner, sample, depth + 1)
+        elif depth < 3 and name != "k":
+            yield name, *_relative(value, sample, depth + 1)
 
 
 def _parts(value):
-    if hasattr(value, "__dict__"):
-        return vars(value)
-    return {each: getattr(value, each) for each in getattr(value, "__slots__", ()) if hasattr(value, each)}
+    slots = {each for kind in type(value).__mro__ for each in getattr(kind, "__slots__", ())}
+    return {each: getattr(value, each) for each in {*slots, *getattr(value, "__dict__", ())} if hasattr(value, each)}
 
 
-def _since(each, sample):
-    time_ns, *rest = each
-    yield sample.time_ns - time_ns
-    counts = (sample.wheel_count, sample.road_count)[-len(rest) :]
-    for value, now in zip(rest, counts, strict=True):
-        yield now - value if isinstance(value, int) else round(value, 3)
+def _in_order(name, ring, oldest, sample):
+    """From the oldest on; a ring that nothing was put in has nothing."""
+    now = {"times_ns": sample.time_ns, "road_times_ns": sample.time_ns}
+    now |= {"wheel_counts": sample.wheel_count, "road_counts": sample.road_count}
+    entries = [] if oldest < 0 else ring[oldest:] + ring[:oldest]
+    return tuple(now[name] - value if name in now else round(value, 3) for value in entries)
 
 
 def check(before, event, after):

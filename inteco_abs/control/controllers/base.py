@@ -7,10 +7,12 @@ A controller is a class with `gains`, `internals` and `update`. One that needs a
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from typing import ClassVar, Final, NamedTuple, Protocol
+from dataclasses import dataclass, fields, make_dataclass
+from functools import partial
+from typing import Any, ClassVar, Final, NamedTuple, Protocol
 
-from inteco_abs.control.slip_dynamics import BrakingModel
+from inteco_abs.control.functions import Function
+from inteco_abs.control.slip_dynamics import BrakingModel, SlipConstants, slip_terms
 from inteco_abs.rig import MEASURED_MAP, BrakeMap, RigParameters, brake_duty, brake_torque
 from inteco_abs.signals import BrakeDemand, Estimate
 
@@ -59,54 +61,118 @@ class Controller(Protocol):
         ...
 
 
-class ModelLaw(ABC):
+@dataclass(frozen=True, slots=True)
+class LawConstants:
+    """Of every `ModelLaw`; a law's own gains come on top, by their names."""
+
+    reference: float
+    hold_below: float
+    """rad/s"""
+    model: SlipConstants
+    full_nm: float
+    """Torque at full duty."""
+    lag_s: float
+
+
+@dataclass(slots=True)
+class LawState:
+    """The last demand, the brake's lag, and the law's integral."""
+
+    brake: float = 0.0
+    torque_nm: float = 0.0
+    switching: float = 0.0
+    f_per_s: float = 0.0
+    g_per_s_nm: float = 0.0
+    torque_eq_nm: float = 0.0
+    lagged_nm: float = 0.0
+    settled_nm: float = 0.0
+    integral: float = 0.0
+
+
+def model_law(k: LawConstants, s: LawState, estimate: Estimate, dt_s: float, rate: Function) -> BrakeDemand:
+    """Demand for a slip error that decays at `rate` in 1/s, limited to what the brake can do.
+
+    Raises ValueError for an estimate that is no slip or speed.
+    """
+    _, speed, slip, valid, _ = estimate
+    if not valid or speed <= k.hold_below:
+        internals = s.f_per_s, s.g_per_s_nm, s.torque_eq_nm, 0.0
+        return BrakeDemand(s.brake, s.torque_nm, s.switching, internals)
+    if not (speed > 0.0 and 0.0 <= slip <= 1.0):
+        raise ValueError("the estimate's slip must be in 0..1, and its road speed above 0 rad/s")
+    f, g = slip_terms(k.model, slip, speed)
+    switching = slip - k.reference
+    torque = -(f + rate(k, s, switching, speed, dt_s)) / g
+    settled = torque if k.lag_s == 0.0 else _ahead_of_lag(k, s, torque, dt_s)
+    brake, equivalent = min(1.0, brake_duty(settled, k.model.parameters)), -f / g
+    s.brake, s.torque_nm, s.switching = brake, torque, switching
+    s.f_per_s, s.g_per_s_nm, s.torque_eq_nm = f, g, equivalent
+    return BrakeDemand(brake, torque, switching, (f, g, equivalent, 0.0))
+
+
+def _ahead_of_lag(k: LawConstants, s: LawState, torque: float, dt_s: float) -> float:
+    """Settled torque in N m that brings a brake with the lag `lag_s` to `torque` within a period."""
+    share = 1.0 - math.exp(-dt_s / k.lag_s)
+    s.lagged_nm += (s.settled_nm - s.lagged_nm) * share
+    s.settled_nm = min(max(s.lagged_nm + (torque - s.lagged_nm) / share, 0.0), k.full_nm)
+    return s.settled_nm
+
+
+def saturated(k: LawConstants, s: LawState) -> bool:
+    """Whether the last torque was outside the brake's range; integrals are held then."""
+    return not 0.0 < s.torque_nm < k.full_nm
+
+
+def _approach(k: LawConstants, s: Any, switching: float, road_speed: float, dt_s: float) -> float:  # noqa: ARG001  a class's own
+    rate: float = s.approach(switching, road_speed, dt_s)
+    return rate
+
+
+class ModelLaw(LawState):
     """A law for the decay of the slip error, which inverts the slip model for the torque, equation (21).
 
     The brake's static map turns the torque into a duty. As in the paper, the brake is taken to be without lag, unless
     `lag_s` is given: then the duty is the one that reaches the torque within a period, as far as the brake can. Below
     `hold_below_rad_s` the last demand is held, because f and g grow without limit as the road stops.
+
+    A law is its `gains` and either a method `approach(switching, road_speed, dt_s)`, the rate in 1/s at which the slip
+    error `switching` shall decay (minus its wanted derivative), or, to be compiled for many rigs, a
+    `function = law(rate)` with `rate(k, s, switching, road_speed, dt_s)`, which finds the gains in `k`.
     """
 
+    gains: ClassVar[tuple[Gain, ...]] = (LAG,)
     internals: ClassVar[tuple[str, ...]] = ("f_per_s", "g_per_s_nm", "torque_eq_nm", "")
+    _rate: ClassVar[Function] = staticmethod(_approach)
+    _constants: ClassVar[type[LawConstants]] = LawConstants
 
-    def __init__(self, setup: Setup, lag_s: float = 0.0) -> None:
-        self._lag_s = lag_s
-        self._lagged_nm = 0.0
-        self._settled_nm = 0.0
-        self._reference = setup.reference_slip
-        self._hold_below = setup.hold_below_rad_s
-        self._model = BrakingModel(setup.parameters)
-        self._full_nm = brake_torque(1.0, setup.parameters)
-        self._last = BrakeDemand(0.0)
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        function = vars(cls).get("function")
+        if function is not None:
+            cls._rate = staticmethod(function.keywords["rate"])
+            own = [(gain.name, float) for gain in cls.gains if gain is not LAG]
+            cls._constants = make_dataclass(cls.__name__, own, bases=(LawConstants,), frozen=True, slots=True)
+        elif "approach" in vars(cls):
+            cls._rate = staticmethod(_approach)
+            cls._constants = LawConstants
 
-    @abstractmethod
-    def approach(self, switching: float, road_speed: float, dt_s: float) -> float:
-        """Rate at which the slip error `switching` shall decay, 1/s: minus its wanted derivative."""
+    def __init__(self, setup: Setup, *values: float, **gains: float) -> None:
+        """Gains by name, or in their order, `lag_s` last and 0 by default."""
+        super().__init__()
+        full_nm = brake_torque(1.0, setup.parameters)
+        model = BrakingModel(setup.parameters)
+        names = [*(field.name for field in fields(self._constants)[len(fields(LawConstants)) :]), LAG.name]
+        given = {LAG.name: 0.0, **dict(zip(names, values, strict=False)), **gains}
+        self.k = self._constants(setup.reference_slip, setup.hold_below_rad_s, model, full_nm, **given)
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Demand for that decay, limited to what the brake can do."""
-        slip, speed = estimate.slip, estimate.road_speed_rad_s
-        if not estimate.valid or speed <= self._hold_below:
-            return self._last
-        f, g = self._model.terms(slip, speed)
-        switching = slip - self._reference
-        torque = -(f + self.approach(switching, speed, dt_s)) / g
-        settled = torque if self._lag_s == 0.0 else self._ahead_of_lag(torque, dt_s)
-        duty = min(1.0, brake_duty(settled, self._model.parameters))
-        self._last = BrakeDemand(duty, torque, switching, (f, g, -f / g, 0.0))
-        return self._last
+        return model_law(self.k, self, estimate, dt_s, self._rate)
 
-    def _ahead_of_lag(self, torque: float, dt_s: float) -> float:
-        """Settled torque in N m that brings a brake with the lag `lag_s` to `torque` within a period."""
-        share = 1.0 - math.exp(-dt_s / self._lag_s)
-        self._lagged_nm += (self._settled_nm - self._lagged_nm) * share
-        self._settled_nm = min(max(self._lagged_nm + (torque - self._lagged_nm) / share, 0.0), self._full_nm)
-        return self._settled_nm
 
-    @property
-    def _saturated(self) -> bool:
-        """Whether the last torque was outside the brake's range; integrals are held then."""
-        return not 0.0 < self._last.torque_nm < self._full_nm
+def law(rate: Function) -> Function:
+    """The function of a `ModelLaw` with this rate."""
+    return partial(model_law, rate=rate)
 
 
 def sign(value: float) -> float:

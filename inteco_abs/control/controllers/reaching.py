@@ -3,11 +3,50 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from inteco_abs.control.controllers.base import LAG, Gain, ModelLaw, Setup, sign
+from inteco_abs.control.controllers.base import LAG, Gain, LawState, ModelLaw, law, saturated, sign
+from inteco_abs.control.functions import Function
 
 _MK = Gain("Mk", 2.0, 0.0, 1000.0, "1/s", "proportional rate: shortens the reaching phase")
+
+
+# each rate takes what the one that needs most takes: constants, state, slip error, road speed and time
+def _constant_plus_proportional(k: Any, _s: LawState, switching: float, _road_speed: float, _dt_s: float) -> float:
+    rate: float = k.Mk * switching + k.Mq * sign(switching)
+    return rate
+
+
+def _constant(k: Any, _s: LawState, switching: float, _road_speed: float, _dt_s: float) -> float:
+    rate: float = k.Mq * sign(switching)
+    return rate
+
+
+def _power(k: Any, _s: LawState, switching: float, _road_speed: float, _dt_s: float) -> float:
+    rate: float = k.K * math.copysign(abs(switching) ** k.alpha, switching)
+    return rate
+
+
+def _exponential(k: Any, _s: LawState, switching: float, _road_speed: float, _dt_s: float) -> float:
+    near = math.exp(-k.a * abs(switching) ** k.p)
+    rate: float = k.K / (k.d + (1.0 - k.d) * near) * sign(switching)
+    return rate
+
+
+def _with_boundary_layer(k: Any, s: LawState, switching: float, road_speed: float, dt_s: float) -> float:
+    if not saturated(k, s):
+        s.integral += switching * dt_s
+    share = max(-1.0, min(1.0, switching / k.width))
+    grown = max(1.0, k.v / road_speed)
+    rate: float = k.Mk * switching + k.Mq * grown * share + k.Ki * s.integral
+    return rate
+
+
+def _super_twisting(k: Any, s: LawState, switching: float, _road_speed: float, dt_s: float) -> float:
+    if not saturated(k, s):
+        s.integral += k.k2 * sign(switching) * dt_s
+    rate: float = k.k1 * math.copysign(math.sqrt(abs(switching)), switching) + s.integral
+    return rate
 
 
 class ReachingLaw(ModelLaw):
@@ -18,27 +57,14 @@ class ReachingLaw(ModelLaw):
         Gain("Mq", 1.0, 0.0, 1000.0, "1/s", "constant rate: rejects model error, as small as possible"),
         LAG,
     )
-
-    def __init__(self, setup: Setup, Mk: float, Mq: float, lag_s: float = 0.0) -> None:
-        super().__init__(setup, lag_s)
-        self._Mk = Mk
-        self._Mq = Mq
-
-    def approach(self, switching: float, road_speed: float, dt_s: float) -> float:  # noqa: ARG002  a static law
-        return self._Mk * switching + self._Mq * sign(switching)
+    function: ClassVar[Function] = law(_constant_plus_proportional)
 
 
 class ConstantRate(ModelLaw):
     """Conventional sliding mode control, which the paper compares with: s' = -Mq*sgn(s)."""
 
     gains: ClassVar[tuple[Gain, ...]] = (Gain("Mq", 1.0, 0.0, 1000.0, "1/s", "constant rate"), LAG)
-
-    def __init__(self, setup: Setup, Mq: float, lag_s: float = 0.0) -> None:
-        super().__init__(setup, lag_s)
-        self._Mq = Mq
-
-    def approach(self, switching: float, road_speed: float, dt_s: float) -> float:  # noqa: ARG002  a static law
-        return self._Mq * sign(switching)
+    function: ClassVar[Function] = law(_constant)
 
 
 class PowerRate(ModelLaw):
@@ -49,14 +75,7 @@ class PowerRate(ModelLaw):
         Gain("alpha", 0.5, 0.01, 1.0, "1", "1 is proportional, towards 0 constant rate"),
         LAG,
     )
-
-    def __init__(self, setup: Setup, K: float, alpha: float, lag_s: float = 0.0) -> None:
-        super().__init__(setup, lag_s)
-        self._K = K
-        self._alpha = alpha
-
-    def approach(self, switching: float, road_speed: float, dt_s: float) -> float:  # noqa: ARG002  a static law
-        return self._K * math.copysign(abs(switching) ** self._alpha, switching)
+    function: ClassVar[Function] = law(_power)
 
 
 class ExponentialRate(ModelLaw):
@@ -72,17 +91,7 @@ class ExponentialRate(ModelLaw):
         Gain("p", 1.0, 0.1, 5.0, "1", "exponent of the error in N"),
         LAG,
     )
-
-    def __init__(self, setup: Setup, K: float, d: float, a: float, p: float, lag_s: float = 0.0) -> None:
-        super().__init__(setup, lag_s)
-        self._K = K
-        self._d = d
-        self._a = a
-        self._p = p
-
-    def approach(self, switching: float, road_speed: float, dt_s: float) -> float:  # noqa: ARG002  a static law
-        near = math.exp(-self._a * abs(switching) ** self._p)
-        return self._K / (self._d + (1.0 - self._d) * near) * sign(switching)
+    function: ClassVar[Function] = law(_exponential)
 
 
 class BoundaryLayer(ModelLaw):
@@ -100,24 +109,7 @@ class BoundaryLayer(ModelLaw):
         Gain("Ki", 0.0, 0.0, 10_000.0, "1/s2", "integral rate"),
         LAG,
     )
-
-    def __init__(
-        self, setup: Setup, Mk: float, Mq: float, v: float, width: float, Ki: float, lag_s: float = 0.0
-    ) -> None:
-        super().__init__(setup, lag_s)
-        self._Mk = Mk
-        self._Mq = Mq
-        self._v = v
-        self._width = width
-        self._Ki = Ki
-        self._integral = 0.0
-
-    def approach(self, switching: float, road_speed: float, dt_s: float) -> float:
-        if not self._saturated:
-            self._integral += switching * dt_s
-        share = max(-1.0, min(1.0, switching / self._width))
-        grown = max(1.0, self._v / road_speed)
-        return self._Mk * switching + self._Mq * grown * share + self._Ki * self._integral
+    function: ClassVar[Function] = law(_with_boundary_layer)
 
 
 class SuperTwisting(ModelLaw):
@@ -128,14 +120,4 @@ class SuperTwisting(ModelLaw):
         Gain("k2", 2.0, 0.0, 10_000.0, "1/s2", "integral of the sign, held while the brake is at its limits"),
         LAG,
     )
-
-    def __init__(self, setup: Setup, k1: float, k2: float, lag_s: float = 0.0) -> None:
-        super().__init__(setup, lag_s)
-        self._k1 = k1
-        self._k2 = k2
-        self._w = 0.0
-
-    def approach(self, switching: float, road_speed: float, dt_s: float) -> float:  # noqa: ARG002  its own schedule
-        if not self._saturated:
-            self._w += self._k2 * sign(switching) * dt_s
-        return self._k1 * math.copysign(math.sqrt(abs(switching)), switching) + self._w
+    function: ClassVar[Function] = law(_super_twisting)

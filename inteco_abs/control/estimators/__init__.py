@@ -3,10 +3,11 @@
 from typing import Final
 
 from inteco_abs.control.estimators import difference, edge_time, kalman, moving_window, observer, tracking
-from inteco_abs.control.estimators.base import Estimator, MovingWindow, SpeedFilter, TwoWheels
+from inteco_abs.control.estimators.base import Estimator, SpeedFilter, TwoWheels
 from inteco_abs.control.estimators.difference import HeldDifference
 from inteco_abs.control.estimators.edge_time import EdgeTime
 from inteco_abs.control.estimators.kalman import KalmanFilter
+from inteco_abs.control.estimators.moving_window import MovingWindow
 from inteco_abs.control.estimators.observer import Observer
 from inteco_abs.control.estimators.registry import EstimatorSpec, Parameter, require_estimator
 from inteco_abs.control.estimators.tracking import TrackingLoop

@@ -6,9 +6,11 @@ Equal lag on both wheels cancels in the slip; unequal lag does not.
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
 
-from inteco_abs.control.count_speed import MovingAverageSpeeds
+from inteco_abs.control.functions import Function, function_of
 from inteco_abs.rig import RigParameters
 from inteco_abs.signals import Command, Estimate, Sample
 
@@ -32,51 +34,74 @@ class SpeedFilter(Protocol):
         ...
 
 
-class TwoWheels:
+@dataclass(frozen=True, slots=True)
+class TwoWheelsConstants:
+    """Of both wheels, and of the filters if those are functions."""
+
+    ratio: float
+    """r1/r2"""
+    offset: float
+    """Speed in rad/s that is added to the road's in the slip's denominator."""
+    wheel: Any
+    road: Any
+
+
+@dataclass(slots=True)
+class TwoWheelsState:
+    """Of the filters."""
+
+    wheel: Any
+    road: Any
+    valid: bool = False
+
+
+def two_wheels(
+    k: TwoWheelsConstants,
+    s: TwoWheelsState,
+    sample: Sample,
+    command: Command,  # noqa: ARG001  no model, no input
+    speed: Function,
+) -> Estimate:
+    """Estimate at the instant of `sample` by the filters' function `speed`; valid from the second sample on."""
+    _, time_ns, _, wheel_count, road_count, _ = sample
+    wheel = speed(k.wheel, s.wheel, time_ns, wheel_count)
+    road = speed(k.road, s.road, time_ns, road_count)
+    offset = k.offset
+    slip = 1.0 - (k.ratio * wheel + offset) / (road + offset) if road > 0.0 else 0.0
+    valid, s.valid = s.valid, True
+    return Estimate(wheel, road, 0.0 if slip < 0.0 else min(slip, 1.0), valid, None)
+
+
+def _filtered(k: None, s: SpeedFilter, time_ns: int, count: int) -> float:  # noqa: ARG001  a filter of any class
+    return s.update(time_ns, count)
+
+
+class TwoWheels(TwoWheelsState):
     """The same filter on `wheel` and `road`, and the slip of braking, equation (11).
 
     The slip is clipped to 0..1, as equation (8) is not defined outside; a driven or resting wheel reads 0. An
     `offset_m_s` is added to the road's rim speed in the denominator: (v2 - v1)/(v2 + offset).
     """
 
-    __slots__ = ("_offset", "_ratio", "_road", "_samples", "_wheel")
+    __slots__ = ("_speed", "k")
 
     def __init__(
         self, wheel: SpeedFilter, road: SpeedFilter, parameters: RigParameters, offset_m_s: float = 0.0
     ) -> None:
-        self._wheel = wheel
-        self._road = road
-        self._ratio = parameters.r1 / parameters.r2
-        self._offset = offset_m_s / parameters.r2
-        self._samples = 0
+        super().__init__(wheel, road)
+        speed = function_of(wheel) if type(wheel) is type(road) else None
+        self._speed = speed or _filtered
+        own = [getattr(each, "k", None) for each in (wheel, road)]
+        self.k = TwoWheelsConstants(parameters.r1 / parameters.r2, offset_m_s / parameters.r2, *own)
 
-    def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:  # noqa: ARG002  no model, no input
+    @property
+    def function(self) -> Function | None:
+        """That of the filters, on both wheels."""
+        return None if self._speed is _filtered else partial(two_wheels, speed=self._speed)
+
+    def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:
         """Estimate at the instant of `sample`; valid from the second sample on."""
-        wheel = self._wheel.update(sample.time_ns, sample.wheel_count)
-        road = self._road.update(sample.time_ns, sample.road_count)
-        offset = self._offset
-        slip = 1.0 - (self._ratio * wheel + offset) / (road + offset) if road > 0.0 else 0.0
-        self._samples += 1
-        return Estimate(wheel, road, 0.0 if slip < 0.0 else min(slip, 1.0), self._samples > 1)
-
-
-class MovingWindow:
-    """`TwoWheels` with a `MovingAverageSpeed` of `length` samples on each, in one step."""
-
-    __slots__ = ("_ratio", "_valid", "_windows")
-
-    def __init__(self, counts_per_turn: int, length: int, parameters: RigParameters) -> None:
-        self._windows = MovingAverageSpeeds(counts_per_turn, length)
-        self._ratio = parameters.r1 / parameters.r2
-        self._valid = False
-
-    def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:  # noqa: ARG002  no model, no input
-        """Estimate at the instant of `sample`; valid from the second sample on."""
-        _, time_ns, _, wheel_count, road_count, _ = sample
-        wheel, road = self._windows.update(time_ns, wheel_count, road_count)
-        slip = 1.0 - self._ratio * wheel / road if road > 0.0 else 0.0
-        valid, self._valid = self._valid, True
-        return Estimate(wheel, road, 0.0 if slip < 0.0 else min(slip, 1.0), valid)
+        return two_wheels(self.k, self, sample, command, self._speed)
 
 
 class Angles:
