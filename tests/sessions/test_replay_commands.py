@@ -191,7 +191,7 @@ def test_golden_adds_tests_and_lists(command, quick):
 
 def test_golden_ends_with_4_and_names_the_first_difference(command, quick, monkeypatch):
     assert command("golden", "add", quick.path, "--name", "one", "--reason", "why not")[0] == 0
-    monkeypatch.setattr("inteco_abs.control.controllers.reaching.ReachingLaw.approach", lambda *_: 1.0)
+    monkeypatch.setattr("inteco_abs.control.controllers.reaching.ReachingLaw._rate", lambda *_: 1.0)
     code, printed, _ = command("golden", "test", "one")
     assert code == 4
     assert "first at tick" in printed

@@ -143,18 +143,19 @@ class ModelLaw(LawState):
     gains: ClassVar[tuple[Gain, ...]] = (LAG,)
     internals: ClassVar[tuple[str, ...]] = ("f_per_s", "g_per_s_nm", "torque_eq_nm", "")
     _rate: ClassVar[Function] = staticmethod(_approach)
+    """In use: the function's, but for a subclass with its own `approach`."""
+    _shipped_rate: ClassVar[Function]
     _constants: ClassVar[type[LawConstants]] = LawConstants
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         function = vars(cls).get("function")
         if function is not None:
-            cls._rate = staticmethod(function.keywords["rate"])
+            cls._rate = cls._shipped_rate = staticmethod(function.keywords["rate"])
             own = [(gain.name, float) for gain in cls.gains if gain is not LAG]
             cls._constants = make_dataclass(cls.__name__, own, bases=(LawConstants,), frozen=True, slots=True)
         elif "approach" in vars(cls):
             cls._rate = staticmethod(_approach)
-            cls._constants = LawConstants
 
     def __init__(self, setup: Setup, *values: float, **gains: float) -> None:
         """Gains by name, or in their order, `lag_s` last and 0 by default."""
@@ -164,6 +165,11 @@ class ModelLaw(LawState):
         names = [*(field.name for field in fields(self._constants)[len(fields(LawConstants)) :]), LAG.name]
         given = {LAG.name: 0.0, **dict(zip(names, values, strict=False)), **gains}
         self.k = self._constants(setup.reference_slip, setup.hold_below_rad_s, model, full_nm, **given)
+
+    def approach(self, switching: float, road_speed: float, dt_s: float) -> float:
+        """Rate in 1/s at which the slip error shall decay."""
+        rate: float = self._shipped_rate(self.k, self, switching, road_speed, dt_s)
+        return rate
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
         """Demand for that decay, limited to what the brake can do."""
