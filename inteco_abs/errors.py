@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, Self
 
 _LONGEST: Final = 2000
-"""Characters of a foreign error's text that are worth keeping."""
+"""Characters that are kept of another library's error."""
 _ROOM: Final = "make room there, or name another place"
 _ELSEWHERE: Final = "name another place, where you may write"
 _TO_DO: Final = {
@@ -42,7 +42,7 @@ _TO_DO: Final = {
 """By errno: what to do when a file cannot be written."""
 _SCREEN_COLUMNS: Final = 80
 _SCREEN_LINES: Final = 20
-"""Of a screen of 24, for mistakes: the rest is for what comes before and after them."""
+"""Lines of a screen of 24 for the mistakes; the rest is for the text around them."""
 
 
 class AbsError(Exception):
@@ -77,11 +77,11 @@ class ConfigError(AbsError):
 
     @classmethod
     def of(cls, path: str, problem: str) -> Self:
-        """The error with this one issue."""
+        """Return the error with one issue."""
         return cls([ConfigIssue(path, problem)])
 
     def __reduce__(self) -> tuple[type[ConfigError], tuple[tuple[ConfigIssue, ...]]]:
-        """Made from its mistakes again, not from its text, where another process has raised it."""
+        """Rebuild an error of another process from its mistakes, not from its text."""
         return type(self), (self.mistakes,)
 
 
@@ -108,7 +108,7 @@ class ReadOnlyError(BoardError):
 
 
 class ControllerError(AbsError):
-    """A user's controller has failed in the process of its own; the text is that of its error."""
+    """A user's controller failed in its process; the text is that of its error."""
 
 
 class SessionError(AbsError):
@@ -130,18 +130,18 @@ class Stopped(ProbeError):  # noqa: N818  leaving is nothing wrong
 
 
 def _on_a_screen(lines: Sequence[str]) -> list[str]:
-    """The lines that fit on a screen, and the number of the others."""
+    """Return the lines that fit on a screen, and the number of the others."""
     shown, height = list[str](), 0
     for line in lines:
         height += -(-len(line) // _SCREEN_COLUMNS)
         if shown and height > _SCREEN_LINES:
-            return [*shown, f"  and {len(lines) - len(shown)} more, for when these are mended"]
+            return [*shown, f"  and {len(lines) - len(shown)} more, once these are fixed"]
         shown.append(line)
     return shown
 
 
 def refusals(conditions: Iterable[Callable[[], object]]) -> list[AbsError]:
-    """The errors that `conditions` raise; empty if all of them hold."""
+    """Return the errors that `conditions` raise; empty if all hold."""
     found = []
     for condition in conditions:
         try:
@@ -152,20 +152,20 @@ def refusals(conditions: Iterable[Callable[[], object]]) -> list[AbsError]:
 
 
 def near_match(word: str, known: Iterable[str]) -> str:
-    """`"; did you mean X?"`, or the known words when none is close: the tail of a message about a wrong name."""
+    """Return the end of a message about a wrong name: `"; did you mean X?"`, or the known names if none is similar."""
     known = sorted(known)
     near = difflib.get_close_matches(word, known, n=1)
     return f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
 
 
 def describe_disk(error: OSError) -> str:
-    """Why a file or folder cannot be written, and what to do about it."""
+    """Describe why a file or folder cannot be written, and what to do."""
     why = error.strerror or str(error)
     return f"{why}; {_TO_DO[error.errno]}" if error.errno in _TO_DO else why
 
 
 def near_file(path: Path) -> str:
-    """`"; did you mean X?"` for a missing file, if there is one with a similar name; else empty."""
+    """Return `"; did you mean X?"` for a missing file if another has a similar name; else an empty text."""
     try:
         names = [other.name for other in path.parent.iterdir() if other.exists()]  # not a link to nowhere
     except OSError:
@@ -174,23 +174,23 @@ def near_file(path: Path) -> str:
     return f"; did you mean {path.with_name(near[0])}?" if near else ""
 
 
-def in_a_line(error: AbsError) -> str:
-    """An error's text on one line."""
+def on_one_line(error: AbsError) -> str:
+    """Return an error's text on one line."""
     if isinstance(error, ConfigError):
         return "; ".join(mistake.problem for mistake in error.mistakes)
     return str(error)
 
 
 def place_in(error: BaseException, file: str) -> str:
-    """`", line N"` of `file` where `error` was raised, or an empty text."""
+    """Return `", line N"` of `file` where `error` was raised, or an empty text."""
     if isinstance(error, SyntaxError) and error.filename == file:
         return f", line {error.lineno}"
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     return f", line {lines[-1]}" if lines else ""
 
 
-def in_words(error: BaseException) -> str:
-    """Type, text and place of an error."""
+def describe_error(error: BaseException) -> str:
+    """Describe an error by type, text and place."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     text = str(error)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, TextIO
 
 from inteco_abs.boards import family_of
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.errors import ConfigError
 from inteco_abs.format import TRUTH
 from inteco_abs.mock_board import (
     Device,
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 _LOOK_S: Final = 0.1
 _CATCH_UP_S: Final = 0.005
 _LINGER_S: Final = 1.0
-"""How long the board stays without supervisor and host: the guardian may be about to come."""
+"""Time that the board stays without supervisor and host: the guardian may still connect."""
 
 
 def main(path: str) -> int:
@@ -64,7 +64,7 @@ def main(path: str) -> int:
     ring = memory.truth_ring(TRUTH.pack_into)
 
     def observe(truth: Truth) -> None:
-        with suppress(BufferError):  # without a recorder the board goes on
+        with suppress(BufferError):  # without a recorder the board continues
             ring.append(truth)
 
     schedule = Schedule(parse_faults(job.faults), time.monotonic_ns, job.seed)
@@ -78,7 +78,7 @@ def main(path: str) -> int:
             host.act()
             standstill.keep(front_end)
 
-        def awaited() -> bool:  # a supervisor that stands still asks for nothing; leaving lets it go on
+        def awaited() -> bool:  # a frozen supervisor requests nothing; leaving lets it continue
             return not host.frozen("supervisor") and alive(memory.words[Field.SUPERVISOR_PID])
 
         _serve(server, memory, schedule, between if job.faults else lambda: None, awaited)
@@ -106,18 +106,18 @@ def _front_end(job: Job, standstill: _Standstill, schedule: Schedule, observe: C
 
 
 class _Standstill:
-    """The computer stands still, between two exchanges; only rig and board, which are none of it, go on."""
+    """Suspends the process that holds the board, between two exchanges; rig and board continue."""
 
     def __init__(self, memory: RunMemory) -> None:
         self._words = memory.words
         self._seconds = 0.0
 
     def request(self, seconds: float) -> None:
-        """Stand still for so long once the exchange that goes on is over: amid it, it would be a slow board."""
+        """Suspend the holder for `seconds` after the current exchange: during it, the board would look slow."""
         self._seconds = seconds
 
     def keep(self, front_end: FrontEnd) -> None:
-        """Let whoever holds the board stand still if that is requested, once `front_end` has answered him."""
+        """Suspend the holder of the board if that is requested, once `front_end` has answered it."""
         if not self._seconds or not isinstance(front_end, FaultyFrontEnd) or not front_end.answered:
             return
         seconds, self._seconds = self._seconds, 0.0
@@ -145,7 +145,7 @@ class Mock:
     """Where the rig's true state goes, as JSON lines."""
     truth_hz: float = 20.0
     seen: ReportedBoard | None = None
-    """The board that it is a mock of; None: of no board that was ever seen."""
+    """Board of a report to imitate; None: the family's standard mock."""
 
     @property
     def name(self) -> str:
@@ -159,7 +159,7 @@ class Mock:
         return front_end_of(device) if self.seen is None else self.seen.front_end(device)
 
     def identity(self, like: UsbIdentity) -> UsbIdentity:
-        """What it says of itself on the bus; `like` unless a board was seen to say something else."""
+        """Return its identity on the bus: that of the report, else `like`."""
         return like if self.seen is None else self.seen.identity(like)
 
     def log(self, device: Device) -> Callable[[], None]:
@@ -176,11 +176,11 @@ def serve_usbip(mock: Mock, address: str, serial: int, say: Callable[[str], None
     front_end, kind = mock.front_end(), mock.config.board.kind
     make = mock_family(kind).usb_device
     if make is None:
-        raise ConfigError([ConfigIssue("--usbip", f"a mock {kind} board cannot be plugged into USB")])
+        raise ConfigError.of("--usbip", f"a mock {kind} board cannot be plugged into USB")
     try:
         bridge = make(front_end, mock.identity, serial)
     except ValueError as error:
-        raise ConfigError([ConfigIssue("--serial", str(error))]) from error
+        raise ConfigError.of("--serial", str(error)) from error
     server = UsbIpServer(UsbHost(bridge), place)
     facts = server.bind()
     with handle_signals(server.close):  # as an unplugged cable would end it
@@ -201,7 +201,7 @@ def serve_pty(mock: Mock, link: str, say: Callable[[str], None]) -> None:
     family = family_of(mock.config.board.kind)
     front_end, stream = mock.front_end(), mock_family(family.name).stream
     if stream is None:
-        raise ConfigError([ConfigIssue("--pty", f"a mock {family.name} board is not at a serial port")])
+        raise ConfigError.of("--pty", f"a mock {family.name} board is not at a serial port")
     server = PtyServer(stream(front_end), Path(link) if link else None)
     with handle_signals(server.close):
         say(f"{mock.name} at {link or server.name}; Ctrl-C unplugs it")

@@ -77,8 +77,8 @@ EXPLANATIONS: Final[dict[Reason, str]] = {
     Reason.MISSED_EXCHANGES: "too many exchanges with the board were late, slow or failed",
     Reason.CONTROLLER_ERROR: "the controller or estimator failed",
     Reason.GUARDIAN_LOST: "the guardian process died or hung, and it is what stops the motors if the loop dies",
-    Reason.SUPERVISOR_LOST: "the program that was started died, hung or was held up, perhaps by Ctrl-S, so nobody "
-    "could have stopped the run",
+    Reason.SUPERVISOR_LOST: "the program that was started died, hung or was held up, perhaps by Ctrl-S, so the "
+    "operator could not have stopped the run",
     Reason.RECORDER_LOST: "the recorder process died or hung, or could not write the session",
     Reason.RUN_UP_IMPLAUSIBLE: "the road wheel gains speed faster or slower than the drive motor can make it: check "
     "encoders.counts_per_turn first, then the drive's power and the emergency switch, and whether something rubs",

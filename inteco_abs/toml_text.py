@@ -30,10 +30,10 @@ def read_toml(file: Path, if_missing: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except NOT_TOML as error:
-        raise ConfigError.of(str(file), f"is not TOML: {in_words(error, text)}") from error
+        raise ConfigError.of(str(file), f"is not TOML: {describe_toml_error(error, text)}") from error
 
 
-def in_words(error: ValueError | RecursionError, text: str) -> str:
+def describe_toml_error(error: ValueError | RecursionError, text: str) -> str:
     """Description of the standard reader's error in `text`: place, line, and a correction if there is one."""
     if isinstance(error, RecursionError):
         return "its lists or tables are nested too deeply"

@@ -20,7 +20,7 @@ from inteco_abs.analysis.tolerance import Array
 from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig, SimulationConfig, load_config
 from inteco_abs.control import Controller, Gain, Pipeline, make_controller, make_estimator
-from inteco_abs.errors import SessionError, in_words
+from inteco_abs.errors import SessionError, describe_error
 from inteco_abs.format import TICK, TRUTH
 from inteco_abs.mock_board import Device, Truth, front_end_of
 from inteco_abs.sessions import Session, result_card
@@ -87,7 +87,7 @@ def continued(
             )
             ticks.append(pipeline.step(sample))
     if pipeline.error is not None:
-        raise SessionError(f"{session.path}: in simulation, it raised {in_words(pipeline.error)}")
+        raise SessionError(f"{session.path}: in simulation, it raised {describe_error(pipeline.error)}")
     rows, truth = TICK.array_of(ticks), TRUTH.array_of(rig.truths)
     logged = session.truth[session.truth["time_ns"] <= rows["time_ns"][row]]
     known = TRUTH.array(logged.tobytes() + truth.tobytes())  # np.concatenate would change the layout

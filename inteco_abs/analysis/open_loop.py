@@ -26,7 +26,7 @@ from inteco_abs.control import (
     preferred_estimator,
     recordable,
 )
-from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, in_words
+from inteco_abs.errors import ConfigError, ConfigIssue, SessionError, describe_error
 from inteco_abs.quantities import finite
 from inteco_abs.sessions import Session, session_config
 from inteco_abs.signals import BrakeDemand, Command, Phase, Sample
@@ -166,7 +166,9 @@ def _requests(session: Session, config: RigConfig, controllers: Mapping[str, typ
             try:
                 answer = alternative.step(Sample(tick, time_ns, dt_s, wheel, road), told, Phase(before), Phase(phase))
             except (Exception, SystemExit) as error:  # a user's controller may raise anything
-                raise SessionError(f"{session.path}: asked at tick {tick}, it raised {in_words(error)}") from error
+                raise SessionError(
+                    f"{session.path}: asked at tick {tick}, it raised {describe_error(error)}"
+                ) from error
         yield answer
         told, before = Command(drive, brake), phase
 

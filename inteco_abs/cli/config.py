@@ -75,7 +75,7 @@ def explain(key: str, board: str, as_json: bool) -> int:
     """
     from inteco_abs.boards import check_address, default_profile
     from inteco_abs.config import read_profile
-    from inteco_abs.config.explain import explain as in_words
+    from inteco_abs.config.explain import explain as explain_key
     from inteco_abs.config.explain import facts
     from inteco_abs.control import CONTROLLERS
 
@@ -85,7 +85,7 @@ def explain(key: str, board: str, as_json: bool) -> int:
     if as_json:
         print_json({"schema_version": 1, "keys": facts(key, below, CONTROLLERS)})
         return 0
-    say(in_words(key, below, CONTROLLERS))
+    say(explain_key(key, below, CONTROLLERS))
     return 0
 
 

@@ -32,9 +32,8 @@ def diff(a: Path, b: Path, only: tuple[str, ...], rel: float, as_json: bool) -> 
     """
     from inteco_abs.analysis import SECTIONS, diff_sessions
 
-    mistakes = [ConfigIssue("--only", f"no section {name!r}{near_match(name, SECTIONS)}") for name in only]
-    mistakes = [mistake for mistake, name in zip(mistakes, only, strict=True) if name not in SECTIONS]
-    if mistakes:
+    unknown = [name for name in only if name not in SECTIONS]
+    if mistakes := [ConfigIssue("--only", f"no section {name!r}{near_match(name, SECTIONS)}") for name in unknown]:
         raise ConfigError(mistakes)
     first, second = (read_whole(file, read_on_disk) for file in (a, b))
     found = diff_sessions(first, second, only, rel)

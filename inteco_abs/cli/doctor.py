@@ -15,9 +15,6 @@ from inteco_abs.errors import BoardError, ConfigError
 if TYPE_CHECKING:
     from inteco_abs.host import CheckResult
 
-if TYPE_CHECKING:
-    pass
-
 
 @click.command()
 @click.option(

@@ -46,7 +46,7 @@ def dry_run_option(function: Callable[..., Any]) -> Callable[..., Any]:
     )(function)
 
 
-def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: float = 0.0, as_json: bool) -> int:
+def check_start(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: float = 0.0, as_json: bool) -> int:
     """Print what these runs would do and what they would refuse; `own` are the verb's own conditions.
 
     Nothing is written to the board or to a disk. Exit code 0 if the first run would begin, 2 for wrong usage or
@@ -73,8 +73,8 @@ def rehearse(planned: Sequence[Planned], own: Iterable[Condition], *, pause_s: f
     return _exit_code(refused)
 
 
-def rehearse_by_hand(config: RigConfig, board: str, faults: Sequence[Fault], own: Iterable[Condition]) -> int:
-    """Print whether the panel could begin, as `rehearse` does for runs."""
+def check_manual_start(config: RigConfig, board: str, faults: Sequence[Fault], own: Iterable[Condition]) -> int:
+    """Print whether the panel could begin, as `check_start` does for runs."""
     from inteco_abs.commissioning import run_preflight
     from inteco_abs.commissioning.preflight_table import render_preflight
     from inteco_abs.experiment import manual_checks
@@ -95,7 +95,7 @@ def rehearse_by_hand(config: RigConfig, board: str, faults: Sequence[Fault], own
     return _exit_code(refused)
 
 
-def refuse_together(own: Iterable[Condition], error: ConfigError) -> ConfigError:
+def join_issues(own: Iterable[Condition], error: ConfigError) -> ConfigError:
     """The issues of a configuration together with those of the other options."""
     others = [one for one in refusals(own) if isinstance(one, ConfigError)]
     return ConfigError(list(dict.fromkeys(mistake for each in (*others, error) for mistake in each.mistakes)))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from inteco_abs.cli.dry_run import Planned, dry_run_option, rehearse
+from inteco_abs.cli.dry_run import Planned, check_start, dry_run_option
 from inteco_abs.cli.options import FILE, LOSSES, Finite, RunOptions, json_option, require_different, run_options
 from inteco_abs.cli.session_files import read_whole
 from inteco_abs.cli.terminal import print_json, say, show
@@ -192,7 +192,7 @@ def _record(options: RunOptions, out: Path | None, pause_s: float, *, dry_run: b
     pause_s = 0.0 if options.virtual else pause_s
     if dry_run:
         places = [partial(check_output, each.plan.out) for each in planned] if folder.is_dir() else []
-        return rehearse(planned, [partial(check_folder, folder), *places], pause_s=pause_s, as_json=as_json)
+        return check_start(planned, [partial(check_folder, folder), *places], pause_s=pause_s, as_json=as_json)
     with ensured_directory(folder):
         for number, each in enumerate(planned):
             if number:

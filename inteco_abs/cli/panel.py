@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 import click
 
-from inteco_abs.cli.dry_run import rehearse_by_hand
+from inteco_abs.cli.dry_run import check_manual_start
 from inteco_abs.cli.options import RunOptions, run_options
 from inteco_abs.cli.terminal import Terminal, on_terminal, say
 from inteco_abs.errors import AbsError, ConfigError
@@ -34,7 +34,7 @@ def panel(options: RunOptions, outputs: bool, dry_run: bool) -> int:
     if dry_run and not outputs:
         raise ConfigError.of("--dry-run", "only with --outputs: without them the panel only reads")
     if dry_run:
-        return rehearse_by_hand(rig, board, injected, (_require_textual, _require_terminal))
+        return check_manual_start(rig, board, injected, (_require_textual, _require_terminal))
     _require_textual()
     _require_terminal()
     from inteco_abs.cli.panel_screen import ARM_AGAIN, PanelApp

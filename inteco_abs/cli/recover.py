@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from inteco_abs.cli.options import FILE, LOSSES, json_option
 from inteco_abs.cli.session_files import check_session_file
 from inteco_abs.cli.terminal import plain, print_card, print_json, say
-
-if TYPE_CHECKING:
-    pass
 
 
 @click.command()

@@ -11,7 +11,7 @@ from typing import Final
 
 import click
 
-from inteco_abs.cli.dry_run import Condition, Planned, dry_run_option, refuse_together, rehearse
+from inteco_abs.cli.dry_run import Condition, Planned, check_start, dry_run_option, join_issues
 from inteco_abs.cli.options import (
     FILE,
     INTERRUPTED,
@@ -114,8 +114,8 @@ def _rehearse(
     try:
         rig, plan = options.plan(_session(folder, 1, count))
     except ConfigError as error:
-        raise refuse_together(places, error) from error
-    return rehearse([Planned(rig, plan, count)], places, pause_s=pause_s, as_json=as_json)
+        raise join_issues(places, error) from error
+    return check_start([Planned(rig, plan, count)], places, pause_s=pause_s, as_json=as_json)
 
 
 def _check_new(folder: Path) -> None:

@@ -35,7 +35,7 @@ STEPS: Final = (
     ),
     Step(
         "header",
-        "reads who the board is; puts logic_version and application_names into the profile",
+        "identifies the board; puts logic_version and application_names into the profile",
         "none: one READ request",
         "one program at a time; check cable and permissions; name the board's kind in --board",
         read_header,

@@ -18,7 +18,7 @@ _ONLY_READ: Final = "this step of the commissioning only reads"
 
 @contextmanager
 def open_for_reading(context: StepContext, config: RigConfig | None = None) -> Iterator[Board]:
-    """Open the board for reading only, whatever draft and sign-off say."""
+    """Open the board for reading only, regardless of draft and sign-off."""
     config = config or context.draft.config
     reading = replace(config, board=replace(config.board, read_only=_ONLY_READ))
     with context.rig.open(reading) as board:

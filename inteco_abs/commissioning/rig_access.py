@@ -69,10 +69,10 @@ class RigAccess(ABC):
     def beats(self, period_ns: int) -> Iterator[object]:
         """Endless beats, one a period."""
 
-    def turned(self, which: Wheel) -> None:  # noqa: B027  people have hands
+    def turned(self, which: Wheel) -> None:  # noqa: B027  only a simulated rig acts
         """The operator begins to turn this wheel."""
 
-    def powered(self, *, on: bool) -> None:  # noqa: B027  likewise
+    def powered(self, *, on: bool) -> None:  # noqa: B027  only a simulated rig acts
         """The operator has switched the power interface or the emergency switch."""
 
 

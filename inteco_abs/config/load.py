@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar, get_args
 from inteco_abs.config.model import DEFAULT_PROFILE, RigConfig, Section, Table, bare, key_types, section_of
 from inteco_abs.config.sign_off import signs_off, void_by_limits, void_by_wiring
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
-from inteco_abs.toml_text import NOT_TOML, in_words, read_toml
+from inteco_abs.toml_text import NOT_TOML, describe_toml_error, read_toml
 
 Check = Callable[[Mapping[str, Any]], Iterable[ConfigIssue]]
 """Checks the merged table, wrong values included, for what the sections' ranges cannot express."""
@@ -106,7 +106,7 @@ def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
     try:
         table = _stored(text)
     except NOT_TOML as error:
-        raise ConfigError.of("config.toml", f"is not TOML: {in_words(error, text)}") from error
+        raise ConfigError.of("config.toml", f"is not TOML: {describe_toml_error(error, text)}") from error
     return _validate(table, checks, [])
 
 
@@ -185,7 +185,7 @@ def apply_setting(table: Table, setting: str) -> list[ConfigIssue]:
     except tomllib.TOMLDecodeError:
         value = text.strip()
     except NOT_TOML as error:
-        return [ConfigIssue(key.strip(), f"is not a value that can be used: {in_words(error, text)}")]
+        return [ConfigIssue(key.strip(), f"is not a value that can be used: {describe_toml_error(error, text)}")]
     for part in path[:-1]:
         inner = table.setdefault(part, {})
         if not isinstance(inner, dict):

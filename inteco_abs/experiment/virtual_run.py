@@ -14,7 +14,7 @@ from typing import Final
 from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller, Pipeline, gains_in_force
-from inteco_abs.errors import SessionError, UnsafeError, in_words
+from inteco_abs.errors import SessionError, UnsafeError, describe_error
 from inteco_abs.experiment.plan import Plan, RunProgress, facts_of, job_of, ring_ticks
 from inteco_abs.mock_board import Device, FaultyDevice, FaultyFrontEnd, FaultyHost, FrontEnd, Schedule, front_end_of
 from inteco_abs.realtime import (
@@ -94,7 +94,7 @@ class VirtualRun:
                 unsafe = isinstance(error, UnsafeError) and self._ring.written > 0
                 if unsafe:
                     screen.warn(str(error))  # before all other messages
-                words = str(error) if unsafe else in_words(error)
+                words = str(error) if unsafe else describe_error(error)
                 result = self._given_up(writer, replace(self._end(board, words), frames=self._frames(around)), error)
                 if result is None or not unsafe:
                     raise

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from inteco_abs.errors import ConfigError, ConfigIssue
+from inteco_abs.errors import ConfigError
 from inteco_abs.host.checks import Check, Computer, Judgement, amber, green, red
 from inteco_abs.realtime import GUARDIAN_PRIORITY
 
@@ -46,7 +46,7 @@ def check_serial(serial: str) -> str:
     """Return `serial` if it can be an FTDI chip's serial number; else raise ConfigError."""
     if not _SERIAL.fullmatch(serial):
         problem = f"{serial!r}: must be 1 to 32 letters, digits, - and _, as inteco-abs doctor prints it"
-        raise ConfigError([ConfigIssue("--ftdi-serial", problem)])
+        raise ConfigError.of("--ftdi-serial", problem)
     return serial
 
 
@@ -68,7 +68,7 @@ def udev_rules(group: str, ftdi_serial: str = "") -> str:
     )
     return f"""\
 # {UDEV_FILE}
-# Opens the boards of the Inteco rigs to group {group} and to whoever sits at the computer, and keeps them quick.
+# Opens the boards of the Inteco rigs to group {group} and to the user at the computer, and keeps them fast.
 # {_INSTALL_RULES}
 
 ACTION=="remove", GOTO="inteco_abs_end"

@@ -11,7 +11,7 @@ import numpy as np
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Pipeline
-from inteco_abs.errors import in_words
+from inteco_abs.errors import describe_error
 from inteco_abs.montecarlo.batch import BatchPlant
 from inteco_abs.montecarlo.policies import PolicyFactory, TrueState
 from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, StopResults, Trace
@@ -77,7 +77,7 @@ class _Stop:
         if pipeline.reason is not Reason.NONE:
             self.ended = sample.tick
             failure = pipeline.error
-            self.error = EXPLANATIONS[pipeline.reason] if failure is None else in_words(failure)
+            self.error = EXPLANATIONS[pipeline.reason] if failure is None else describe_error(failure)
         elif self.began < 0 and pipeline.phase is Phase.BRAKING:
             self.began = sample.tick
         return estimate.slip

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from inteco_abs.boards import Board
 from inteco_abs.control import Pipeline
-from inteco_abs.errors import AbsError, in_words
+from inteco_abs.errors import AbsError, describe_error
 from inteco_abs.realtime.clock import Clock
 from inteco_abs.realtime.ring import TickRing
 from inteco_abs.signals import Command, Reason, Timing
@@ -100,7 +100,7 @@ class Loop:
 def detail_of(pipeline: Pipeline, board: Board) -> str:
     """Return the controller's or the link's last error if the run ended for it, else an empty text."""
     if pipeline.error is not None:
-        return str(pipeline.error) if isinstance(pipeline.error, AbsError) else in_words(pipeline.error)
+        return str(pipeline.error) if isinstance(pipeline.error, AbsError) else describe_error(pipeline.error)
     if pipeline.reason is Reason.MISSED_EXCHANGES and board.last_error is not None:
         return str(board.last_error)
     return ""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Final
 
-from inteco_abs.errors import AbsError, BoardError, UnsafeError, in_words
+from inteco_abs.errors import AbsError, BoardError, UnsafeError, describe_error
+from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory, alive
 
 PATIENCE_S: Final = 60.0
@@ -41,7 +43,18 @@ def stopped(memory: RunMemory) -> bool:
     return bool(words[Field.STOP] or words[Field.GUARDIAN_STOP]) or not alive(words[Field.SUPERVISOR_PID])
 
 
+def run_role(path: str, act: Callable[[RunMemory, Job], None]) -> int:
+    """Run one role of the run in the memory at `path`; post its AbsError, and return its exit code."""
+    memory = RunMemory.open(Path(path))
+    try:
+        act(memory, Job.of(memory))
+    except AbsError as error:
+        post_failure(memory, Mailbox.FAILURE, error)
+        return error.exit_code
+    return 0
+
+
 def post_failure(memory: RunMemory, note: Mailbox, error: BaseException) -> None:
     """Post an error for the supervisor, which raises it again."""
-    text = str(error) if isinstance(error, AbsError) else in_words(error)
+    text = str(error) if isinstance(error, AbsError) else describe_error(error)
     memory.post(note, {"kind": type(error).__name__, "text": text, "notes": getattr(error, "__notes__", [])})

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from inteco_abs.errors import in_words
+from inteco_abs.errors import describe_error
 from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.failure_rules import GUARDIAN_WINDOW_NS, POLL_S, Action, Silence, supervisor_does
 from inteco_abs.realtime.heartbeat import repeating
@@ -59,7 +59,7 @@ class ProcessWatch:
         try:
             self.look()
         except Exception as error:
-            self.failure = in_words(error)
+            self.failure = describe_error(error)
             raise  # ends the thread and its beat, so the guardian ends the run
 
     def look(self) -> None:

@@ -55,7 +55,7 @@ class Window:
 
     @property
     def truths(self) -> range:
-        """Numbers of the states likewise."""
+        """Numbers of the states that `more` has returned and that are still in memory."""
         return range(max(self._truths.held_from(self._spare), self._first_truth), self._truths_end)
 
     def held(self) -> Iterator[tuple[bytes, bytes]]:

@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from inteco_abs.config import RigConfig
-from inteco_abs.errors import AbsError, ConfigError, SessionError, describe_disk, in_a_line
+from inteco_abs.errors import AbsError, ConfigError, SessionError, describe_disk, on_one_line
 from inteco_abs.format import TICK, TRUTH, Message
 from inteco_abs.sessions.environment import Environment
 from inteco_abs.sessions.file_writer import FileWriter
@@ -202,7 +202,7 @@ class FailoverWriter:
             try:
                 self._move_to(self._spill)
             except AbsError as second:
-                self._problems.append(in_a_line(second))
+                self._problems.append(on_one_line(second))
         goes_on = "its ticks are kept in memory" if self._failed else f"it is now written to {self.path}"
         self._report(f"{'; '.join(self._problems[known:])}; the run goes on, and {goes_on}", self.path)
 

@@ -12,7 +12,7 @@ TIMEOUT_MS: Final = round(PATIENCE_S * 1e3)
 AT_ONCE_MS: Final = 1
 """Shortest time-out of libusb, which counts whole milliseconds."""
 RULES: Final = (
-    "inteco-abs doctor --rules prints the udev rule that opens the board to whoever sits at the computer and to the "
+    "inteco-abs doctor --rules prints the udev rule that opens the board to the user at the computer and to the "
     "group of serial ports (sudo usermod -aG dialout $USER, then log in again); then plug the board in again"
 )
 

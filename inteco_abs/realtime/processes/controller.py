@@ -2,7 +2,7 @@
 
 The loop asks and waits once a tick. The answer is numbers in fixed places, never code. The two share a CPU, with the
 controller's priority just below the loop's: a pipe is quickest there (`tools/bench_isolation`), and the loop's wait
-ends in time whatever the controller does.
+ends in time even if the controller hangs.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import IO, Any, Final, cast
 
 from inteco_abs.control import CONTROLLERS, Controller, Gain, Setup, recordable
-from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, ControllerError, in_words
+from inteco_abs.errors import BoardError, ConfigError, ConfigIssue, ControllerError, describe_error
 from inteco_abs.plugins import FROM_FILE, LOADING_MOST_S, Controllers, load_controller
 from inteco_abs.realtime.heartbeat import NO_MORE
 from inteco_abs.realtime.job import Job
@@ -66,7 +66,7 @@ class IsolatedController:
     def __init__(self, name: str, source: bytes, run: Path) -> None:
         self._name = name
         self._number = 0
-        self._process = _started(run)
+        self._process = _start_process(run)
         self._orders, self._answers = cast("IO[bytes]", self._process.stdin), cast("IO[bytes]", self._process.stdout)
         self._requests, self._replies = self._orders.fileno(), self._answers.fileno()
         poller = select.poll()
@@ -96,7 +96,7 @@ class IsolatedController:
             if self._poll(_LOOK_MS):
                 break
         else:
-            raise self._given_up(f"has not answered for {len(_LOOKS) * _LOOK_MS} ms")
+            raise self._give_up(f"has not answered for {len(_LOOKS) * _LOOK_MS} ms")
         reply = os.read(self._replies, _MOST_BYTES)
         if len(reply) == _REPLY.size:
             answered, *demand = _REPLY.unpack(reply)
@@ -111,14 +111,14 @@ class IsolatedController:
                 self._process.wait(_DYING_S)
             code = self._process.returncode
             if code is None:
-                return self._given_up("has closed the pipe of its answers")
+                return self._give_up("has closed the pipe of its answers")
             how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-            return self._given_up(f"has ended its process: {how}")
+            return self._give_up(f"has ended its process: {how}")
         if reply.startswith(_NUMBER.pack(-number)):
             return ControllerError(reply[_NUMBER.size :].decode(errors="replace"))
-        return self._given_up("has written into the pipe of its answers")
+        return self._give_up("has written into the pipe of its answers")
 
-    def _given_up(self, what: str) -> ControllerError:
+    def _give_up(self, what: str) -> ControllerError:
         self._process.kill()  # it may be busy, on the loop's own CPU
         return ControllerError(f"{self._name} {what}")
 
@@ -130,7 +130,7 @@ class IsolatedController:
         line, end = b"", time.monotonic() + LOADING_MOST_S
         while not line.endswith(b"\n"):
             if not self._poll(max(0.0, end - time.monotonic()) * 1e3):
-                raise self._given_up(f"was not loaded within {LOADING_MOST_S:g} s")
+                raise self._give_up(f"was not loaded within {LOADING_MOST_S:g} s")
             part = os.read(self._replies, _MOST_BYTES)
             if not part:
                 raise self._failure(b"", 0)
@@ -153,7 +153,7 @@ class IsolatedController:
         self._answers.close()
 
 
-def _started(run: Path) -> subprocess.Popen[bytes]:
+def _start_process(run: Path) -> subprocess.Popen[bytes]:
     try:
         return subprocess.Popen(  # noqa: S603  our own module
             # named like the other processes of the run; it does not open that file
@@ -222,7 +222,7 @@ def main(_path: str) -> int:
 
 
 def _serve(requests: int, replies: int) -> None:
-    controller = _made(requests, replies)
+    controller = _make_controller(requests, replies)
     if controller is None:
         return
     apply(controller_tuning())
@@ -231,11 +231,11 @@ def _serve(requests: int, replies: int) -> None:
     _answer(requests, replies, controller)
 
 
-def _made(requests: int, replies: int) -> Controller | None:
+def _make_controller(requests: int, replies: int) -> Controller | None:
     """Return the requested controller; None after an error, which was written as the answer."""
     with os.fdopen(requests, "rb", closefd=False) as orders:
         try:
-            kind: Any = _loaded(*pickle.load(orders))  # noqa: S301  it comes from the trusted parent
+            kind: Any = _load(*pickle.load(orders))  # noqa: S301  it comes from the trusted parent
             _write(replies, {"gains": kind.gains, "internals": kind.internals})
             setup, gains = pickle.load(orders)  # noqa: S301
             controller: Controller = kind(setup, **gains)
@@ -245,7 +245,7 @@ def _made(requests: int, replies: int) -> Controller | None:
             _write(replies, {"mistakes": error.mistakes})
             return None
         except BaseException as error:  # noqa: BLE001  the top of a process, with a user's code in it
-            _write(replies, {"error": in_words(error)})
+            _write(replies, {"error": describe_error(error)})
             return None
     return controller
 
@@ -269,10 +269,10 @@ def _answer(requests: int, replies: int, controller: Controller) -> None:
                 answer = (number, *_NO_NUMBERS)
             write(replies, pack(number, *answer))
     except BaseException as error:  # noqa: BLE001  as above
-        os.write(replies, (_NUMBER.pack(-number) + in_words(error).encode())[:_MOST_BYTES])
+        os.write(replies, (_NUMBER.pack(-number) + describe_error(error).encode())[:_MOST_BYTES])
 
 
-def _loaded(name: str, source: bytes) -> type[Controller]:
+def _load(name: str, source: bytes) -> type[Controller]:
     return load_controller(name, source)[0] if FROM_FILE in name else Controllers()[name]
 
 

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import os
 import time
-from pathlib import Path
 from typing import Final
 
 from inteco_abs.boards import open_board
-from inteco_abs.errors import AbsError
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Field, Mailbox, RunMemory
-from inteco_abs.realtime.ownership import holding, post_failure, stopped
+from inteco_abs.realtime.ownership import holding, run_role, stopped
 from inteco_abs.signals import Command
 
 _LONGEST_S: Final = 20.0
@@ -23,13 +21,7 @@ _PERIOD_S: Final = 0.001
 
 def main(path: str) -> int:
     """Hold the board of the job in the memory at `path` until killed, for 20 s at most."""
-    memory = RunMemory.open(Path(path))
-    try:
-        _hold(memory, Job.of(memory))
-    except AbsError as error:
-        post_failure(memory, Mailbox.FAILURE, error)
-        return error.exit_code
-    return 0
+    return run_role(path, _hold)
 
 
 def _hold(memory: RunMemory, job: Job) -> None:

@@ -102,7 +102,7 @@ def _record(memory: RunMemory, job: Job) -> None:
                 writer.discard()
                 return
             result = writer.finish(replace(run_end(memory), frames=spooled_frames(memory, job)))
-    post_result(memory, result)
+    memory.post(Mailbox.RESULT, asdict(result) | {"reason": int(result.reason)})
 
 
 def _opener(memory: RunMemory, job: Job, header: RunHeader, start_ns: int) -> Opener:
@@ -295,11 +295,6 @@ def describe_rescue(report: Any) -> str:
     if report["failure"]:
         return f"the {report['by']} could not make its board safe ({report['failure']}). {STILL_ON}"
     return f"the {report['by']} made its board safe in {(report['done_ns'] - report['seen_ns']) * 1e-6:.1f} ms"
-
-
-def post_result(memory: RunMemory, result: RunResult) -> None:
-    """Post the result for the supervisor."""
-    memory.post(Mailbox.RESULT, asdict(result) | {"reason": int(result.reason)})
 
 
 def recover_run(ring: Path, out: Path) -> RunResult:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from inteco_abs import errors
-from inteco_abs.errors import AbsError, BoardError, SessionError, UnsafeError, in_a_line
+from inteco_abs.errors import AbsError, BoardError, SessionError, UnsafeError, on_one_line
 from inteco_abs.realtime.alarm import Alarm
 from inteco_abs.realtime.disk_watch import DiskWatch
 from inteco_abs.realtime.foxglove_server import address
@@ -247,7 +247,8 @@ class Supervisor:
         self._alive_s = time.monotonic()
         while loop.poll() is None:
             watch.main_ns = time.monotonic_ns()
-            self._look_after("recorder", Reason.RECORDER_LOST)
+            if self._children["recorder"].poll() is not None and not self._words[Field.STOP]:
+                self._words[Field.STOP] = Reason.RECORDER_LOST
             alarm.look()
             disk.look(screen)
             self._kill_overdue_loop()
@@ -275,10 +276,6 @@ class Supervisor:
             self._alive_s = time.monotonic()
         elif time.monotonic() - self._alive_s > (_SAVING_S if words[Field.SAVING] else _PATIENCE_S):
             self._children["loop"].kill()
-
-    def _look_after(self, name: str, reason: Reason) -> None:
-        if self._children[name].poll() is not None and not self._words[Field.STOP]:
-            self._words[Field.STOP] = reason
 
     def _show(self, screen: Screen) -> None:
         snapshot = self.snapshot()
@@ -325,7 +322,7 @@ class Supervisor:
             try:
                 result = rebuild(memory, job, place, session)
             except AbsError as error:
-                refused.append(in_a_line(error))
+                refused.append(on_one_line(error))
                 continue
             if result is None or (len(refused) == 1 and not failure):
                 return result
