@@ -105,7 +105,7 @@ ROWS = [
     Row("a second place that is none", f"{SET} session.spill=nowhere", 2, ("session.spill", "nowhere"),
         "create it first"),
     Row("an empty key", f"{SET} =0.7", 2, ("--set =0.7",), "must look like guard.brake_limit=0.7"),
-    Row("a hundred unknown keys", FILE, 2, ("the configuration has 100 mistakes",), "once these are mended",
+    Row("a hundred unknown keys", FILE, 2, ("the configuration has 100 mistakes",), "once these are fixed",
         rig("[guard]\n" + "".join(f"key_{number} = 1\n" for number in range(100)))),
     Row("no such gain to design with", "design --set controller.gains.Mx=1", 2, ("unknown gain",), "Mk"),
     Row("a wrong file to show", "config show --config rig.toml", 2, ("rig.toml",), "config init"),
