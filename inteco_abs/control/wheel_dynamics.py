@@ -7,6 +7,7 @@ for its own estimates of adhesion and torque, and their derivatives.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from inteco_abs.rig import RigParameters
@@ -24,51 +25,75 @@ class Accelerations(NamedTuple):
     road_per_nm: float
 
 
-class WheelDynamics:
+@dataclass(frozen=True, slots=True)
+class WheelConstants:
+    """The rig, and its lever."""
+
+    parameters: RigParameters
+    sin: float
+    """Lever's length times the sine of its angle, m."""
+    cos: float
+
+
+def accelerations(
+    k: WheelConstants, wheel_speed: float, road_speed: float, torque: float, adhesion: float
+) -> Accelerations:
+    """At speeds in rad/s, with a brake torque in N m."""
+    p, sin = k.parameters, k.sin
+    r1, r2, J1, J2 = p.r1, p.r2, p.J1, p.J2
+    lever = sin - k.cos * adhesion
+    resisting = p.d1 * wheel_speed + torque + p.M10
+    normal = (p.Mg + resisting) / lever  # (5)
+    per_adhesion = normal * sin / lever  # the contact's force presses the lever down as well
+    share = adhesion / lever  # of that force per N m of brake torque
+    return Accelerations(
+        (r1 * normal * adhesion - resisting) / J1,
+        -(r2 * normal * adhesion + p.d2 * road_speed + p.M20) / J2,
+        r1 * per_adhesion / J1,
+        -r2 * per_adhesion / J2,
+        (r1 * share - 1.0) / J1,
+        -r2 * share / J2,
+    )
+
+
+def demanded_torque(
+    k: WheelConstants, slip: float, slip_rate: float, wheel_speed: float, road_speed: float, adhesion: float
+) -> tuple[float, float, float]:
+    """Brake torque in N m for a `slip_rate` in 1/s, and its derivatives by rate and adhesion.
+
+    (2) and (3) in lam' = ((1 - lam)*x2' - (r1/r2)*x1')/x2, the derivative of (11), are linear in the torque.
+    """
+    p = k.parameters
+    lever = k.sin - k.cos * adhesion
+    share = adhesion / lever
+    inertia = p.J1 * p.r2 / p.r1
+    rolling = inertia * (1.0 - slip) / p.J2
+    per_resisting = 1.0 - share * (p.r1 + rolling * p.r2)
+    slowing = rolling * (p.d2 * road_speed + p.M20)
+    resisting = (inertia * slip_rate * road_speed + slowing + p.Mg * (1.0 - per_resisting)) / per_resisting
+    pressing = (p.Mg + resisting) * (p.r1 + rolling * p.r2) * k.sin / lever**2
+    return (
+        resisting - p.d1 * wheel_speed - p.M10,
+        inertia * road_speed / per_resisting,
+        pressing / per_resisting,
+    )
+
+
+class WheelDynamics(WheelConstants):
     """Forward turning wheels, the upper one slower at its rim: s = s1 = s2 = 1."""
 
-    __slots__ = ("_cos", "_k", "_sin")
+    __slots__ = ()
 
     def __init__(self, parameters: RigParameters) -> None:
-        self._k = parameters
-        self._sin = parameters.L * math.sin(parameters.phi_rad)
-        self._cos = parameters.L * math.cos(parameters.phi_rad)
+        sin, cos = math.sin(parameters.phi_rad), math.cos(parameters.phi_rad)
+        super().__init__(parameters, parameters.L * sin, parameters.L * cos)
 
     def accelerations(self, wheel_speed: float, road_speed: float, torque: float, adhesion: float) -> Accelerations:
         """At speeds in rad/s, with a brake torque in N m."""
-        k = self._k
-        lever = self._sin - self._cos * adhesion
-        resisting = k.d1 * wheel_speed + torque + k.M10
-        normal = (k.Mg + resisting) / lever  # (5)
-        per_adhesion = normal * self._sin / lever  # the contact's force presses the lever down as well
-        share = adhesion / lever  # of that force per N m of brake torque
-        return Accelerations(
-            (k.r1 * normal * adhesion - resisting) / k.J1,
-            -(k.r2 * normal * adhesion + k.d2 * road_speed + k.M20) / k.J2,
-            k.r1 * per_adhesion / k.J1,
-            -k.r2 * per_adhesion / k.J2,
-            (k.r1 * share - 1.0) / k.J1,
-            -k.r2 * share / k.J2,
-        )
+        return accelerations(self, wheel_speed, road_speed, torque, adhesion)
 
     def torque(
         self, slip: float, slip_rate: float, wheel_speed: float, road_speed: float, adhesion: float
     ) -> tuple[float, float, float]:
-        """Brake torque in N m for a `slip_rate` in 1/s, and its derivatives by rate and adhesion.
-
-        (2) and (3) in lam' = ((1 - lam)*x2' - (r1/r2)*x1')/x2, the derivative of (11), are linear in the torque.
-        """
-        k = self._k
-        lever = self._sin - self._cos * adhesion
-        share = adhesion / lever
-        inertia = k.J1 * k.r2 / k.r1
-        rolling = inertia * (1.0 - slip) / k.J2
-        per_resisting = 1.0 - share * (k.r1 + rolling * k.r2)
-        slowing = rolling * (k.d2 * road_speed + k.M20)
-        resisting = (inertia * slip_rate * road_speed + slowing + k.Mg * (1.0 - per_resisting)) / per_resisting
-        pressing = (k.Mg + resisting) * (k.r1 + rolling * k.r2) * self._sin / lever**2
-        return (
-            resisting - k.d1 * wheel_speed - k.M10,
-            inertia * road_speed / per_resisting,
-            pressing / per_resisting,
-        )
+        """Brake torque in N m for a `slip_rate` in 1/s, and its derivatives by rate and adhesion."""
+        return demanded_torque(self, slip, slip_rate, wheel_speed, road_speed, adhesion)

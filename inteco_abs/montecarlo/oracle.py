@@ -95,4 +95,5 @@ class _OracleEstimator:
         cosine = factor * rig.load_ripple * math.sin(rig.load_ripple_phase_rad)
         sine = factor * rig.load_ripple * math.cos(rig.load_ripple_phase_rad)
         now = (state.wheel_angle, x1, 0.0, x2, state.brake_torque, 0.0, factor, cosine, sine)
-        return outlook(self._contact, k, self._pending, (*now, rig.brake_dead_time_s, max(1.0 / k.c31, _LEAST_LAG_S)))
+        lag_s = max(1.0 / k.c31, _LEAST_LAG_S)
+        return outlook(self._contact, self._pending.k, self._pending, (*now, rig.brake_dead_time_s, lag_s))

@@ -9,14 +9,14 @@ Points = tuple[tuple[float, float], ...]
 
 def interpolated(points: Points, duty: float) -> float:
     """Torque in N m at `duty` on straight lines between `points`."""
-    left, low = points[0]
-    if duty <= left:
-        return low
-    for right, high in points:
-        if duty < right:
-            return low + (high - low) * ((duty - left) / (right - left))
-        left, low = right, high
-    return low
+    left = points[0]
+    if duty <= left[0]:
+        return left[1]
+    for right in points:
+        if duty < right[0]:
+            return left[1] + (right[1] - left[1]) * ((duty - left[0]) / (right[0] - left[0]))
+        left = right
+    return left[1]
 
 
 class BrakeMap(NamedTuple):

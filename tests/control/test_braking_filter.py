@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from inteco_abs.control import PredictiveReaching, Setup
-from inteco_abs.control.estimators.braking_ekf import BrakingEkf, EkfTuning
-from inteco_abs.control.estimators.eccentricity import EccentricityFilter
+from inteco_abs.control.estimators.braking_ekf import EkfState, EkfTuning, correct, ekf_constants, predict
+from inteco_abs.control.estimators.prediction import DelayLine, ahead, outlook
 from inteco_abs.control.wheel_dynamics import WheelDynamics
 from inteco_abs.rig import MEASURED_MAP, AdhesionCurve, EncoderVariation, RigParameters, RigVariation, adhesion
 from inteco_abs.signals import Command, Estimate
@@ -60,7 +60,7 @@ def stop(rolling):
             plant = run.plant
             truth = plant.wheel_speed, plant.road_speed, plant.slip, plant.brake_torque
             estimate = run.tick(lambda seen: Command(0.0, law.update(seen, PERIOD_S).brake))
-            covariance = np.array(run.observer._filter._P)  # nothing else shows it
+            covariance = np.array(run.observer.ekf.P)
             moments.append(Moment(len(moments) * PERIOD_S, *truth, estimate, covariance))
         return moments
 
@@ -183,24 +183,29 @@ STATES = {
 START, STEPS, NEGLECTED = map(np.array, zip(*STATES.values(), strict=True))
 
 
-def anywhere(state, covariance):
-    """A filter in any state, where nothing public begins, with commands of rising duty under way."""
-    rig, disc = (
-        BrakingEkf(MASK, MEASURED_MAP, EkfTuning(), COUNT_RAD, PERIOD_S),
-        EccentricityFilter(COUNT_RAD, COUNT_RAD),
-    )
-    rig.begin(disc, disc)
+CONTACT = WheelDynamics(MASK)
+
+
+def under_way():
+    """Commands of rising duty."""
+    pending = DelayLine(PERIOD_S)
     for tick in range(60):
-        rig.tell(0.5 + 0.005 * tick, 1)
-    rig._x, rig._P = state.tolist(), covariance.tolist()
-    return rig
+        pending.tell(MEASURED_MAP.torque(0.5 + 0.005 * tick), 1)
+    return pending
+
+
+def anywhere(state, covariance):
+    """Constants, a filter in any state, and commands under way."""
+    pending = under_way()
+    k = ekf_constants(CONTACT, pending.k, EkfTuning(), COUNT_RAD)
+    return k, EkfState(state.tolist(), covariance.tolist()), pending
 
 
 def predicted(state, covariance):
     """States and covariance one step of 0.5 ms later."""
-    rig = anywhere(state, covariance)
-    rig._predict(PERIOD_S, 0)
-    return np.array(rig._x), np.array(rig._P)
+    k, rig, pending = anywhere(state, covariance)
+    predict(k, rig, pending, PERIOD_S, 0)
+    return np.array(rig.x), np.array(rig.P)
 
 
 @pytest.mark.parametrize("column", range(11), ids=STATES.keys())
@@ -223,22 +228,22 @@ def test_both_angles_correct_the_states_as_one_measurement():
     seen = np.eye(11)[[0, 2]]
     noise = (EkfTuning().count_noise * COUNT_RAD) ** 2 * np.eye(2)
     gain = covariance @ seen.T @ np.linalg.inv(seen @ covariance @ seen.T + noise)
-    rig = anywhere(START, covariance)
-    rig._correct(*measured)
-    assert rig._x == pytest.approx(START + gain @ (measured - START[[0, 2]]), rel=1e-9)
-    assert np.array(rig._P) == pytest.approx(covariance - gain @ seen @ covariance, rel=1e-6, abs=1e-15)
+    k, rig, _ = anywhere(START, covariance)
+    assert correct(k, rig, *measured)
+    assert rig.x == pytest.approx(START + gain @ (measured - START[[0, 2]]), rel=1e-9)
+    assert np.array(rig.P) == pytest.approx(covariance - gain @ seen @ covariance, rel=1e-6, abs=1e-15)
 
 
 def test_looking_ahead_is_a_straight_line_through_the_middle_of_the_ripple():
     state = START * [1, 1, 1, 1, 1, 0, 1, 0, 0, 1, 1] + [0, 0, 0, 0, 0, 0, 0, 0.03, 0.02, 0, 0]
-    rig = anywhere(state, np.zeros((11, 11)))
-    expected, contact, step_s = rig.outlook(), WheelDynamics(MASK), 1e-5
+    pending, step_s = under_way(), 1e-5
+    expected = outlook(CONTACT, pending.k, pending, state.tolist())
     angle, wheel, _, road = state[:4]
-    horizon_s, _, mean_nm = rig._pending.ahead(*state[[4, 9, 10]])
+    horizon_s, _, mean_nm = ahead(pending.k, pending, *state[[4, 9, 10]])
     for _ in range(round(horizon_s / step_s)):
         scale = state[6] + 0.03 * math.cos(angle) + 0.02 * math.sin(angle)
         mu = scale * adhesion(1.0 - MASK.r1 * wheel / (MASK.r2 * road), MASK)
-        moving = contact.accelerations(wheel, road, mean_nm, mu)
+        moving = CONTACT.accelerations(wheel, road, mean_nm, mu)
         angle, wheel, road = angle + step_s * wheel, wheel + step_s * moving.wheel, road + step_s * moving.road
     assert expected.wheel_speed_rad_s == pytest.approx(wheel, abs=0.02)
     assert expected.road_speed_rad_s == pytest.approx(road, abs=0.006)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inteco_abs.control.estimators.prediction import LONGEST_DEAD_TIME_S, DelayLine
+from inteco_abs.control.estimators.prediction import LONGEST_DEAD_TIME_S, DelayLine, ahead, arrived
 
 pytestmark = pytest.mark.untraced  # other tests reach these lines, too
 
@@ -46,7 +46,7 @@ class Told:
 @given(seed=SEEDS, dead_time=DEAD_TIMES)
 def test_what_arrives_is_the_mean_of_what_was_put_out_a_dead_time_before(period_s, seed, dead_time):
     told = Told(seed, period_s)
-    mean, slope = told.pending.arrived(dead_time)
+    mean, slope = arrived(told.pending.k, told.pending, dead_time, 0)
     assert mean == pytest.approx(told.mean(dead_time), abs=1e-9)
     share = dead_time / period_s % 1.0
     step_s = 0.5 * period_s * min(share, 1.0 - share)  # within which the mean is a straight line
@@ -59,7 +59,9 @@ def test_what_arrives_is_the_mean_of_what_was_put_out_a_dead_time_before(period_
 def test_what_arrived_in_a_tick_before_is_known_as_far_back_as_the_longest_dead_time(seed, dead_time, ago):
     told = Told(seed)
     back = min(ago, round(LONGEST_DEAD_TIME_S / PERIOD_S) + 1 - int(dead_time / PERIOD_S))
-    assert told.pending.arrived(dead_time, ago)[0] == pytest.approx(told.mean(dead_time, -back), abs=1e-9)
+    assert arrived(told.pending.k, told.pending, dead_time, ago)[0] == pytest.approx(
+        told.mean(dead_time, -back), abs=1e-9
+    )
 
 
 def lagged(torque, means, lag):
@@ -74,7 +76,7 @@ def lagged(torque, means, lag):
 @given(SEEDS, st.one_of(DEAD_TIMES, WHOLE), LAGS, st.floats(0.0, FULL_NM))
 def test_looking_ahead_is_the_lag_of_all_that_is_under_way(seed, dead_time, lag, torque):
     told, ticks = Told(seed), int(dead_time / PERIOD_S) + 1
-    horizon, then, mean = told.pending.ahead(torque, dead_time, lag)
+    horizon, then, mean = ahead(told.pending.k, told.pending, torque, dead_time, lag)
     exact_then, exact_mean = lagged(torque, [told.mean(dead_time, 1 + tick) for tick in range(ticks)], lag)
     assert horizon == pytest.approx(ticks * PERIOD_S, rel=1e-12)
     assert then == pytest.approx(exact_then, abs=1e-9)
@@ -83,7 +85,9 @@ def test_looking_ahead_is_the_lag_of_all_that_is_under_way(seed, dead_time, lag,
 
 @given(SEEDS, DEAD_TIMES, LAGS)
 def test_the_newest_command_is_just_about_to_come_through_at_the_horizon(seed, dead_time, lag):
-    (_, then, _), (_, later, _) = (Told(seed, last=each).pending.ahead(1.0, dead_time, lag) for each in (2.0, 3.0))
+    (_, then, _), (_, later, _) = (
+        ahead(line.k, line, 1.0, dead_time, lag) for line in (Told(seed, last=each).pending for each in (2.0, 3.0))
+    )
     share = 1.0 - dead_time / PERIOD_S % 1.0
     assert later - then == pytest.approx(share * (1.0 - math.exp(-PERIOD_S / lag)), abs=1e-9)
 
@@ -92,4 +96,4 @@ def test_the_newest_command_is_just_about_to_come_through_at_the_horizon(seed, d
 def test_a_gap_of_any_length_leaves_what_was_told_before_it(seed, dead_time, ticks):
     told = Told(seed)
     told.pending.tell(5.0, ticks)
-    assert told.pending.arrived(dead_time) == pytest.approx((told.newest, 0.0), abs=1e-9)
+    assert arrived(told.pending.k, told.pending, dead_time, 0) == pytest.approx((told.newest, 0.0), abs=1e-9)

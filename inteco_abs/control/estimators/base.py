@@ -5,7 +5,6 @@ Equal lag on both wheels cancels in the slip; unequal lag does not.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
@@ -102,22 +101,3 @@ class TwoWheels(TwoWheelsState):
     def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:
         """Estimate at the instant of `sample`; valid from the second sample on."""
         return two_wheels(self.k, self, sample, command, self._speed)
-
-
-class Angles:
-    """Angle in rad since the first sample, and the time in s since the sample before."""
-
-    __slots__ = ("_before_ns", "_origin", "_per_count")
-
-    def __init__(self, counts_per_turn: int) -> None:
-        self._per_count = 2.0 * math.pi / counts_per_turn
-        self._origin = 0
-        self._before_ns = -1
-
-    def update(self, time_ns: int, count: int) -> tuple[float, float]:
-        """Angle in rad and time in s; both 0 at the first sample."""
-        if self._before_ns < 0:
-            self._origin, self._before_ns = count, time_ns
-        elapsed_s = (time_ns - self._before_ns) * 1e-9
-        self._before_ns = time_ns
-        return (count - self._origin) * self._per_count, elapsed_s

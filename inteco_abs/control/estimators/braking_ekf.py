@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from inteco_abs.control.estimators.eccentricity import EccentricityFilter
-from inteco_abs.control.estimators.prediction import LONGEST_DEAD_TIME_S, DelayLine, braking_slip, outlook
-from inteco_abs.control.wheel_dynamics import WheelDynamics
-from inteco_abs.rig import BrakeMap, RigParameters, adhesion, adhesion_slope
-from inteco_abs.signals import Prediction
+from inteco_abs.control.estimators.eccentricity import DiscState
+from inteco_abs.control.estimators.prediction import (
+    LONGEST_DEAD_TIME_S,
+    NOT_A_SLIP,
+    DelayConstants,
+    DelayState,
+    arrived,
+    braking_slip,
+)
+from inteco_abs.control.wheel_dynamics import WheelConstants, accelerations
+from inteco_abs.rig.friction import formula, formula_slope
 
 _LONGEST_STEP_S: Final = 0.001
 """Of the explicit integration; longer steps would oscillate at little slip."""
-_DEAD_TIME_S: Final = (0.002, LONGEST_DEAD_TIME_S)
-_LAG_S: Final = (0.025, 0.090)
-"""Ranges to which both estimates are clamped."""
+_SHORTEST_DEAD_TIME_S: Final = 0.002
+_SHORTEST_LAG_S: Final = 0.025
+_LONGEST_LAG_S: Final = 0.090
+"""Both estimates are clamped to such ranges."""
 _WALK_AT_RAD_S: Final = 100.0
 _UNSETTLED: Final = 0.5
 """Standard deviation of the brake's torque at the start, as a share of the torque commanded last."""
@@ -24,7 +31,8 @@ _LOST_RAD: Final = 0.5
 """Innovation of a wheel's angle beyond which the filter has diverged."""
 _STEP_PAUSE_S: Final = 0.010
 """Shortest time between two steps of the adhesion."""
-Vector = list[float]
+Row = list[float]
+Tuple5 = tuple[float, float, float, float, float]
 
 
 class EkfTuning(NamedTuple):
@@ -69,8 +77,70 @@ class EkfTuning(NamedTuple):
     """Weight of a new innovation in that mean."""
 
 
-class BrakingEkf:
-    """An extended Kalman filter.
+@dataclass(frozen=True, slots=True)
+class EkfConstants:
+    """The rig, and the tuning: variances, and of the walks in 1 s."""
+
+    contact: WheelConstants
+    delay: DelayConstants
+    ratio: float
+    """r1/r2"""
+    count: float
+    """Of a reading's angle, rad2."""
+    dead_time_s: float
+    lag_s: float
+    torque: float
+    adhesion: float
+    ripple: float
+    dead_time: float
+    lag: float
+    wheel_walk: float
+    road_walk: float
+    torque_walk: float
+    lag_torque_walk: float
+    torque_per_swing: float
+    """Standard deviation, as in `EkfTuning`; so are the next two."""
+    lag_torque_per_swing: float
+    adhesion_walk: float
+    step_after_s: float
+    step_adhesion: float
+    step_delay_s: float
+    surprise: float
+    surprise_gain: float
+
+
+def ekf_constants(contact: WheelConstants, delay: DelayConstants, tuning: EkfTuning, count_rad: float) -> EkfConstants:
+    """For an encoder with counts of `count_rad`."""
+    return EkfConstants(
+        contact,
+        delay,
+        contact.parameters.r1 / contact.parameters.r2,
+        (tuning.count_noise * count_rad) ** 2,
+        tuning.dead_time_s,
+        tuning.lag_s,
+        torque=tuning.torque_sd_nm**2,
+        adhesion=tuning.adhesion_sd**2,
+        ripple=tuning.ripple_sd**2,
+        dead_time=tuning.dead_time_sd_s**2,
+        lag=tuning.lag_sd_s**2,
+        wheel_walk=tuning.wheel_walk_rad_s**2,
+        road_walk=tuning.road_walk_rad_s**2,
+        torque_walk=tuning.torque_walk_nm**2,
+        lag_torque_walk=tuning.lag_torque_walk_nm**2,
+        torque_per_swing=tuning.torque_per_swing,
+        lag_torque_per_swing=tuning.lag_torque_per_swing,
+        adhesion_walk=tuning.adhesion_walk,
+        step_after_s=tuning.step_after_s,
+        step_adhesion=tuning.step_adhesion,
+        step_delay_s=tuning.step_delay_s,
+        surprise=tuning.surprise,
+        surprise_gain=tuning.surprise_gain,
+    )
+
+
+@dataclass(slots=True)
+class EkfState:
+    """State of an extended Kalman filter.
 
     States: angle and speed of wheel and road; lagged brake torque; excess torque; factor on the adhesion of (8) and
     its ripple, cosine and sine in the wheel's angle; dead time and lag of the brake.
@@ -80,150 +150,240 @@ class BrakingEkf:
     torque.
     """
 
-    __slots__ = (
-        *("_P", "_x", "_pending", "_by_factor", "_surprise", "_step_in_s"),
-        *("_brake_map", "_contact", "_noise", "_parameters", "_ratio", "_spread"),
+    x: Row = field(default_factory=lambda: [0.0] * 11)
+    P: list[Row] = field(default_factory=lambda: [[0.0] * 11 for _ in range(11)])
+    """Covariances of the states."""
+    wheel_by_factor: float = 0.0
+    """Acceleration per adhesion factor."""
+    road_by_factor: float = 0.0
+    surprise: float = 0.0
+    step_in_s: float = 0.0
+    """Until a step of the adhesion may show."""
+
+
+def begin(k: EkfConstants, s: EkfState, pending: DelayState, wheel: DiscState, road: DiscState) -> None:
+    """Start from two rolling wheels, or again in the middle of braking, with the brake's last command."""
+    x, P, told = s.x, s.P, pending.torques[pending.newest]
+    for i in range(11):
+        x[i] = 0.0
+        for j in range(11):
+            P[i][j] = 0.0
+    x[0], x[1], x[2], x[3], x[4] = wheel.angle, wheel.speed, road.angle, road.speed, told
+    x[6], x[9], x[10] = 1.0, k.dead_time_s, k.lag_s
+    P[0][0], P[1][1], P[0][1] = wheel.P[0][0], wheel.P[1][1] + k.road_walk, wheel.P[0][1]
+    P[2][2], P[3][3], P[2][3] = road.P[0][0], road.P[1][1] + k.road_walk, road.P[0][1]
+    P[1][0], P[3][2] = P[0][1], P[2][3]
+    P[4][4] = (_UNSETTLED * told) ** 2
+    P[5][5], P[6][6], P[7][7], P[8][8] = k.torque, k.adhesion, k.ripple, k.ripple
+    P[9][9], P[10][10] = k.dead_time, k.lag
+    s.surprise, s.step_in_s = 0.0, k.step_after_s
+
+
+def braking_ekf(
+    k: EkfConstants, s: EkfState, pending: DelayState, wheel_angle: float, road_angle: float, dt_s: float, ticks: int
+) -> bool:
+    """Advance by `dt_s`, which is `ticks` ticks, and correct by the measured angles in rad.
+
+    False if the filter has diverged from them: its state is no longer valid then.
+    """
+    steps = max(ticks, math.ceil(dt_s / _LONGEST_STEP_S - 1e-6))
+    for left in range(steps - 1, -1, -1):
+        predict(k, s, pending, dt_s / steps, left * ticks // steps)
+    if not correct(k, s, wheel_angle, road_angle):
+        return False
+    s.step_in_s -= dt_s
+    if s.step_in_s <= 0.0 and abs(s.surprise) > k.surprise:
+        _allow_step(k, s)
+    x = s.x
+    x[9] = min(max(x[9], _SHORTEST_DEAD_TIME_S), LONGEST_DEAD_TIME_S)
+    x[10] = min(max(x[10], _SHORTEST_LAG_S), _LONGEST_LAG_S)
+    return True
+
+
+class _Transition(NamedTuple):
+    """What the transition's Jacobian is made of."""
+
+    T: float
+    left: float
+    rolling: float
+    by_dead_time: float
+    by_lag: float
+    mu: float
+    turned: float
+    turned_sine: float
+    by_x1: float
+    by_x2: float
+    wheel_by_mu: float
+    wheel_by_nm: float
+    road_by_mu: float
+    road_by_nm: float
+    d1: float
+
+
+def _carried(
+    t: _Transition,
+    e_th1: float,
+    e1: float,
+    e_th2: float,
+    e2: float,
+    e_M: float,
+    e_d: float,
+    e_factor: float,
+    e_cosine: float,
+    e_sine: float,
+    e_dead: float,
+    e_lag: float,
+) -> Tuple5:
+    """The Jacobian times a vector of states: its first five; the others stay."""
+    T, left, rolling, by_dead_time, by_lag, mu, turned, turned_sine, by_x1, by_x2, a, b, c, d, d1 = t
+    e_mu = mu * (e_factor + turned * e_cosine + turned_sine * e_sine) + by_x1 * e1 + by_x2 * e2
+    e_torque = e_M + e_d + d1 * e1
+    return (
+        e_th1 + T * e1,
+        e1 + T * (a * e_mu + b * e_torque),
+        e_th2 + T * e2,
+        rolling * e2 + T * (c * e_mu + d * e_torque),
+        left * e_M + by_dead_time * e_dead + by_lag * e_lag,
     )
 
-    def __init__(
-        self, parameters: RigParameters, brake_map: BrakeMap, spread: EkfTuning, count_rad: float, period_s: float
-    ) -> None:
-        self._brake_map = brake_map
-        self._parameters = parameters
-        self._contact = WheelDynamics(parameters)
-        self._ratio = parameters.r1 / parameters.r2
-        self._spread = spread
-        self._noise = (spread.count_noise * count_rad) ** 2
-        self._pending = DelayLine(period_s)
-        self._x: Vector = []
-        self._P: list[Vector] = []
-        self._by_factor = 0.0, 0.0  # accelerations per adhesion factor
-        self._surprise = 0.0
-        self._step_in_s = 0.0  # until a step may show
 
-    def tell(self, duty: float, ticks: int) -> None:
-        """Record the duty in force from the current sample on, which is `ticks` ticks after the last one."""
-        self._pending.tell(self._brake_map.torque(duty), ticks)
+def predict(k: EkfConstants, s: EkfState, pending: DelayState, T: float, ago: int) -> None:
+    """Advance by `T` in s, which ends `ago` ticks before the newest command."""
+    x, p = s.x, k.contact.parameters
+    th1, x1, th2, x2, M, lag = x[0], x[1], x[2], x[3], x[4], x[10]
+    settled, later = arrived(k.delay, pending, x[9], ago)
+    left = math.exp(-T / lag)
+    slip = braking_slip(x1, x2, p)
+    if not 0.0 <= slip <= 1.0:
+        raise ValueError(NOT_A_SLIP)
+    turned, turned_sine = math.cos(th1), math.sin(th1)
+    mu = formula(p, slip)
+    scale = x[6] + x[7] * turned + x[8] * turned_sine
+    torque = settled + (M - settled) * 0.5 * (1.0 + left) + x[5]
+    a1, a2, wheel_by_mu, road_by_mu, wheel_by_nm, road_by_nm = accelerations(k.contact, x1, x2, torque, scale * mu)
+    steepness = scale * formula_slope(p, slip) / max(x2, 1.0)
+    half, rolling, by_lag = 0.5 * T * T, 1.0 - T * p.d2 / p.J2, (M - settled) * left * T / lag**2
+    t = _Transition(
+        T,
+        left,
+        rolling,
+        (1.0 - left) * later,
+        by_lag,
+        mu,
+        turned,
+        turned_sine,
+        -steepness * k.ratio,
+        steepness * (1.0 - slip),
+        wheel_by_mu,
+        wheel_by_nm,
+        road_by_mu,
+        road_by_nm,
+        p.d1,
+    )
+    s.wheel_by_factor, s.road_by_factor = wheel_by_mu * mu, road_by_mu * mu
+    x[0], x[1], x[2], x[3] = th1 + T * x1 + half * a1, x1 + T * a1, th2 + T * x2 + half * a2, x2 + T * a2
+    x[4] = settled + (M - settled) * left
+    _carry(s.P, t)
+    _widen(k, s.P, T, (settled - M) / lag, x2)
 
-    def begin(self, wheel: EccentricityFilter, road: EccentricityFilter) -> None:
-        """Start from two rolling wheels, or again in the middle of braking, with the brake's last command."""
-        spread, told = self._spread, self._pending.newest
-        self._x = [wheel.angle, wheel.speed, road.angle, road.speed, told, 0.0, 1.0, 0.0, 0.0]
-        self._x += [spread.dead_time_s, spread.lag_s]
-        self._P = [[0.0] * 11 for _ in range(11)]
-        for i, disc in ((0, wheel), (2, road)):
-            angle, speed, both = disc.spread
-            self._P[i][i], self._P[i + 1][i + 1] = angle, speed + spread.road_walk_rad_s**2
-            self._P[i][i + 1] = self._P[i + 1][i] = both
-        self._P[4][4] = (_UNSETTLED * told) ** 2
-        deviations = (spread.torque_sd_nm, spread.adhesion_sd, spread.ripple_sd, spread.ripple_sd)
-        for i, deviation in enumerate((*deviations, spread.dead_time_sd_s, spread.lag_sd_s), 5):
-            self._P[i][i] = deviation**2
-        self._surprise, self._step_in_s = 0.0, spread.step_after_s
 
-    @property
-    def speeds(self) -> tuple[float, float]:
-        """Speeds of wheel and road, rad/s."""
-        return self._x[1], self._x[3]
+def _carry(P: list[Row], t: _Transition) -> None:
+    """Carry the covariances along, first their rows, then their columns."""
+    p5, p6, p7, p8, p9, p10 = P[5], P[6], P[7], P[8], P[9], P[10]
+    r = P[0]
+    t0 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10])
+    r = P[1]
+    t1 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10])
+    r = P[2]
+    t2 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10])
+    r = P[3]
+    t3 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10])
+    r = P[4]
+    t4 = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10])
+    for r in (p5, p6, p7, p8, p9, p10):
+        r[0], r[1], r[2], r[3], r[4] = _carried(t, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10])
+    for j in range(5):
+        a, b, c, d, e, f = p5[j], p6[j], p7[j], p8[j], p9[j], p10[j]
+        r = P[j]
+        r[0], r[1], r[2], r[3], r[4] = _carried(t, t0[j], t1[j], t2[j], t3[j], t4[j], a, b, c, d, e, f)
+        r[5], r[6], r[7], r[8], r[9], r[10] = a, b, c, d, e, f
 
-    def update(self, wheel_angle: float, road_angle: float, dt_s: float, ticks: int) -> bool:
-        """Advance by `dt_s`, which is `ticks` ticks, and correct by the measured angles in rad.
 
-        False if the filter has diverged from them: its state is no longer valid then.
-        """
-        steps = max(ticks, math.ceil(dt_s / _LONGEST_STEP_S - 1e-6))
-        for left in range(steps - 1, -1, -1):
-            self._predict(dt_s / steps, left * ticks // steps)
-        if not self._correct(wheel_angle, road_angle):
-            return False
-        self._step_in_s -= dt_s
-        if self._step_in_s <= 0.0 and abs(self._surprise) > self._spread.surprise:
-            self._allow_step()
-        x = self._x
-        x[9] = min(max(x[9], _DEAD_TIME_S[0]), _DEAD_TIME_S[1])
-        x[10] = min(max(x[10], _LAG_S[0]), _LAG_S[1])
-        return True
+def _widen(k: EkfConstants, P: list[Row], T: float, swing: float, x2: float) -> None:
+    """Add the walks of a step of `T` in s, with the brake's torque changing by `swing` in N m/s."""
+    P[1][1] += T * k.wheel_walk
+    P[3][3] += T * k.road_walk
+    P[4][4] += T * (k.lag_torque_walk + (k.lag_torque_per_swing * swing) ** 2)
+    P[5][5] += T * (k.torque_walk + (k.torque_per_swing * swing) ** 2)
+    P[6][6] += T * (k.adhesion_walk * x2 / _WALK_AT_RAD_S) ** 2
 
-    def outlook(self) -> Prediction:
-        """Prediction for the instant at which the next command reaches the brake."""
-        return outlook(self._contact, self._parameters, self._pending, self._x)
 
-    def _predict(self, T: float, ago: int) -> None:
-        th1, x1, th2, x2, M, d, factor, cosine, sine, dead_time, lag = self._x
-        k, spread = self._parameters, self._spread
-        settled, later = self._pending.arrived(dead_time, ago)
-        left = math.exp(-T / lag)
-        slip = braking_slip(x1, x2, k)
-        turned, turned_sine = math.cos(th1), math.sin(th1)
-        mu = adhesion(slip, k)
-        scale = factor + cosine * turned + sine * turned_sine
-        moving = self._contact.accelerations(x1, x2, settled + (M - settled) * 0.5 * (1.0 + left) + d, scale * mu)
-        a1, a2, wheel_by_mu, road_by_mu, wheel_by_nm, road_by_nm = moving
-        x2_safe = max(x2, 1.0)
-        steepness = scale * adhesion_slope(slip, k) / x2_safe
-        by_x1, by_x2 = -steepness * self._ratio, steepness * (1.0 - slip)
-        by_dead_time = (1.0 - left) * later
-        by_lag = (M - settled) * left * T / lag**2
-        rolling = 1.0 - T * k.d2 / k.J2
+def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float) -> bool:
+    """Sequential correction by both angles: the second uses the covariance that the first leaves."""
+    P, x = s.P, s.x
+    wheel_error = wheel_angle - x[0]
+    if not (abs(wheel_error) < _LOST_RAD and abs(road_angle - x[2]) < _LOST_RAD):
+        return False  # also catches NaN
+    r = P[0]
+    w0, w1, w2, w3, w4, w5, w6 = r[0], r[1], r[2], r[3], r[4], r[5], r[6]
+    w7, w8, w9, w10 = r[7], r[8], r[9], r[10]
+    scale = 1.0 / (w0 + k.count)
+    first = (
+        w0 * scale,
+        w1 * scale,
+        w2 * scale,
+        w3 * scale,
+        w4 * scale,
+        w5 * scale,
+        w6 * scale,
+        w7 * scale,
+        w8 * scale,
+        w9 * scale,
+        w10 * scale,
+    )
+    r, b = P[2], first[2]
+    v0, v1, v2, v3, v4, v5 = r[0] - b * w0, r[1] - b * w1, r[2] - b * w2, r[3] - b * w3, r[4] - b * w4, r[5] - b * w5
+    v6, v7, v8, v9, v10 = r[6] - b * w6, r[7] - b * w7, r[8] - b * w8, r[9] - b * w9, r[10] - b * w10
+    s.surprise += k.surprise_gain * (wheel_error * math.sqrt(scale) - s.surprise)
+    road_error = road_angle - x[2] - b * wheel_error
+    scale = 1.0 / (v2 + k.count)
+    second = (
+        v0 * scale,
+        v1 * scale,
+        v2 * scale,
+        v3 * scale,
+        v4 * scale,
+        v5 * scale,
+        v6 * scale,
+        v7 * scale,
+        v8 * scale,
+        v9 * scale,
+        v10 * scale,
+    )
+    for i in range(11):
+        a, b, r = first[i], second[i], P[i]
+        x[i] = x[i] + a * wheel_error + b * road_error
+        r[0] = r[0] - a * w0 - b * v0
+        r[1] = r[1] - a * w1 - b * v1
+        r[2] = r[2] - a * w2 - b * v2
+        r[3] = r[3] - a * w3 - b * v3
+        r[4] = r[4] - a * w4 - b * v4
+        r[5] = r[5] - a * w5 - b * v5
+        r[6] = r[6] - a * w6 - b * v6
+        r[7] = r[7] - a * w7 - b * v7
+        r[8] = r[8] - a * w8 - b * v8
+        r[9] = r[9] - a * w9 - b * v9
+        r[10] = r[10] - a * w10 - b * v10
+    return True
 
-        def carried(row: Sequence[float]) -> Vector:
-            """The transition's Jacobian times a vector of states."""
-            e_th1, e1, e_th2, e2, e_M, e_d, e_factor, e_cosine, e_sine, e_dead, e_lag = row
-            e_mu = mu * (e_factor + turned * e_cosine + turned_sine * e_sine) + by_x1 * e1 + by_x2 * e2
-            e_torque = e_M + e_d + k.d1 * e1
-            return [
-                e_th1 + T * e1,
-                e1 + T * (wheel_by_mu * e_mu + wheel_by_nm * e_torque),
-                e_th2 + T * e2,
-                rolling * e2 + T * (road_by_mu * e_mu + road_by_nm * e_torque),
-                left * e_M + by_dead_time * e_dead + by_lag * e_lag,
-                *row[5:],
-            ]
 
-        self._by_factor = wheel_by_mu * mu, road_by_mu * mu
-        half = 0.5 * T * T
-        self._x[:5] = [
-            th1 + T * x1 + half * a1,
-            x1 + T * a1,
-            th2 + T * x2 + half * a2,
-            x2 + T * a2,
-            settled + (M - settled) * left,
-        ]
-        rows = [carried(row) for row in self._P]
-        P = [carried(column) for column in list(zip(*rows, strict=True))[:5]] + rows[5:]
-        swing = (settled - M) / lag
-        P[1][1] += T * spread.wheel_walk_rad_s**2
-        P[3][3] += T * spread.road_walk_rad_s**2
-        P[4][4] += T * (spread.lag_torque_walk_nm**2 + (spread.lag_torque_per_swing * swing) ** 2)
-        P[5][5] += T * (spread.torque_walk_nm**2 + (spread.torque_per_swing * swing) ** 2)
-        P[6][6] += T * (spread.adhesion_walk * x2 / _WALK_AT_RAD_S) ** 2
-        self._P = P
-
-    def _correct(self, wheel_angle: float, road_angle: float) -> bool:
-        """Sequential correction by both angles: the second uses the covariance that the first leaves."""
-        P, x = self._P, self._x
-        wheel, road = P[0], P[2]
-        if not (abs(wheel_angle - x[0]) < _LOST_RAD and abs(road_angle - x[2]) < _LOST_RAD):
-            return False  # also catches NaN
-        wheel_scale = 1.0 / (wheel[0] + self._noise)
-        first = [w * wheel_scale for w in wheel]
-        road = [r - first[2] * w for r, w in zip(road, wheel, strict=True)]
-        road_scale = 1.0 / (road[2] + self._noise)
-        second = [r * road_scale for r in road]
-        wheel_error = wheel_angle - x[0]
-        self._surprise += self._spread.surprise_gain * (wheel_error * math.sqrt(wheel_scale) - self._surprise)
-        road_error = road_angle - x[2] - first[2] * wheel_error
-        self._x = [v + a * wheel_error + b * road_error for v, a, b in zip(x, first, second, strict=True)]
-        self._P = [
-            [p - a * w - b * r for p, w, r in zip(row, wheel, road, strict=True)]
-            for row, a, b in zip(P, first, second, strict=True)
-        ]
-        return True
-
-    def _allow_step(self) -> None:
-        """Add the covariance of a step of the adhesion `step_delay_s` ago, and of its effect on the wheels since."""
-        ago, (wheel, road) = self._spread.step_delay_s, self._by_factor
-        moved = [0.5 * ago * ago * wheel, ago * wheel, 0.5 * ago * ago * road, ago * road, 0.0, 0.0, 1.0]
-        moved = [self._spread.step_adhesion * each for each in moved] + [0.0] * 4
-        self._P = [[p + a * b for p, b in zip(row, moved, strict=True)] for row, a in zip(self._P, moved, strict=True)]
-        self._surprise, self._step_in_s = 0.0, _STEP_PAUSE_S
+def _allow_step(k: EkfConstants, s: EkfState) -> None:
+    """Add the covariance of a step of the adhesion `step_delay_s` ago, and of its effect on the wheels since."""
+    ago, size = k.step_delay_s, k.step_adhesion
+    wheel, road = s.wheel_by_factor, s.road_by_factor
+    half = 0.5 * ago * ago
+    moved = size * (half * wheel), size * (ago * wheel), size * (half * road), size * (ago * road), 0.0, 0.0, size
+    for i in range(7):
+        for j in range(7):
+            s.P[i][j] += moved[i] * moved[j]
+    s.surprise, s.step_in_s = 0.0, _STEP_PAUSE_S

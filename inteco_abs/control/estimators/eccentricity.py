@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import Final
 
-_SPEED_SD: Final = 200.0
+from inteco_abs.control.estimators.angles import CountState
+
+Row = list[float]
+
+ANY_SPEED_SD: Final = 200.0
 _ACCELERATION_SD: Final = 50.0
 """Standard deviations before the first count, in rad/s and rad/s2: any speed and acceleration of the rig."""
 _WAVE_SD_COUNTS: Final = 0.6
@@ -16,74 +21,104 @@ _LEARNING_RAD_S: Final = 60.0
 """Speed above which a turn is short enough to separate the disc from the motion."""
 
 
-class EccentricityFilter:
+@dataclass(frozen=True, slots=True)
+class DiscConstants:
+    """Of the noise of a disc's count."""
+
+    noise: float
+    """Variance, rad2."""
+    wave: float
+    """Variance of each component of the disc's error before the first count, rad2."""
+
+
+def disc_constants(count_rad: float, noise_rad: float) -> DiscConstants:
+    """With a standard deviation of `noise_rad`."""
+    return DiscConstants(noise_rad**2, (_WAVE_SD_COUNTS * count_rad) ** 2)
+
+
+@dataclass(slots=True)
+class DiscState(CountState):
     """Kalman filter of angle, speed and acceleration, and of the error that a disc off centre adds to the angle.
 
-    z = th + c*cos(z) + s*sin(z) + noise, th''' white; the noise `noise_rad` is that of a count. Once c and s are
-    learnt, the error is known in any later braking as well.
+    z = th + c*cos(z) + s*sin(z) + noise, th''' white; the noise is that of a count. Once c and s are learnt, the error
+    is known in any later braking as well.
     """
 
-    __slots__ = ("_P", "_noise", "_x")
+    angle: float = 0.0
+    """In rad, without the disc's error."""
+    speed: float = 0.0
+    """In rad/s."""
+    acceleration: float = 0.0
+    cosine: float = 0.0
+    sine: float = 0.0
+    P: list[list[float]] = field(default_factory=lambda: [[0.0] * 5 for _ in range(5)])
+    """Covariances of these five."""
 
-    def __init__(self, count_rad: float, noise_rad: float) -> None:
-        wave = (_WAVE_SD_COUNTS * count_rad) ** 2
-        self._noise = noise_rad**2
-        self._x = [0.0] * 5
-        self._P = [[0.0] * 5 for _ in range(5)]
-        self._P[3][3] = self._P[4][4] = wave
-        self.restart(0.0)
 
-    @property
-    def angle(self) -> float:
-        """In rad, without the disc's error."""
-        return self._x[0]
+def rolling_wheel(k: DiscConstants) -> DiscState:
+    """Before the first count."""
+    s = DiscState()
+    s.P[3][3] = s.P[4][4] = k.wave
+    restart(k, s, 0.0, 0.0, ANY_SPEED_SD)
+    return s
 
-    @property
-    def speed(self) -> float:
-        """In rad/s."""
-        return self._x[1]
 
-    @property
-    def spread(self) -> tuple[float, float, float]:
-        """Variances of angle and speed, and their covariance."""
-        return self._P[0][0], self._P[1][1], self._P[0][1]
+def restart(k: DiscConstants, s: DiscState, angle: float, speed: float, deviation: float) -> None:
+    """Restart at `angle` in rad and `speed` with its `deviation` in rad/s; what was learnt of the disc is kept."""
+    s.angle, s.speed, s.acceleration = straight(s, angle), speed, 0.0
+    P = s.P
+    for i in range(3):
+        for j in range(5):
+            P[i][j] = P[j][i] = 0.0
+    P[0][0], P[1][1], P[2][2] = k.noise, deviation * deviation, _ACCELERATION_SD * _ACCELERATION_SD
 
-    def restart(self, angle: float, speed: float = 0.0, deviation: float = _SPEED_SD) -> None:
-        """Restart at `angle` in rad and `speed` with its `deviation` in rad/s; what was learnt of the disc is kept."""
-        self._x[:3] = [self.straight(angle), speed, 0.0]
-        for i, variance in enumerate((self._noise, deviation**2, _ACCELERATION_SD**2)):
-            self._P[i] = [0.0] * 5
-            self._P[i][i] = variance
-        for i in (3, 4):
-            self._P[i][:3] = [0.0] * 3
 
-    def straight(self, angle: float) -> float:
-        """The wheel's angle, from the disc's `angle`, in rad."""
-        return angle - self._x[3] * math.cos(angle) - self._x[4] * math.sin(angle)
+def straight(s: DiscState, angle: float) -> float:
+    """The wheel's angle, from the disc's `angle`, in rad."""
+    return angle - s.cosine * math.cos(angle) - s.sine * math.sin(angle)
 
-    def update(self, angle: float, dt_s: float) -> None:
-        """Advance by `dt_s`, and correct by the disc's `angle` in rad."""
-        if dt_s > 0.0:
-            self._predict(dt_s)
-        quick = self._x[1] > _LEARNING_RAD_S
-        cosine, sine = (math.cos(angle), math.sin(angle)) if quick else (0.0, 0.0)
-        P, x = self._P, self._x
-        expected = [row[0] + cosine * row[3] + sine * row[4] for row in P]
-        variance = expected[0] + cosine * expected[3] + sine * expected[4] + self._noise
-        error = (angle - x[0] - cosine * x[3] - sine * x[4]) / variance
-        self._x = [value + e * error for value, e in zip(x, expected, strict=True)]
-        for i, row in enumerate(P):
-            gain = expected[i] / variance
-            P[i] = [value - gain * e for value, e in zip(row, expected, strict=True)]
 
-    def _predict(self, T: float) -> None:
-        half = 0.5 * T * T
-        th, v, a, *wave = self._x
-        self._x = [th + v * T + a * half, v + a * T, a, *wave]
-        carried = [[r[0] + T * r[1] + half * r[2], r[1] + T * r[2], r[2], r[3], r[4]] for r in self._P]
-        angle, speed, acceleration, *rest = carried
-        P = self._P
-        P[0] = [p + T * q + half * r for p, q, r in zip(angle, speed, acceleration, strict=True)]
-        P[1] = [q + T * r for q, r in zip(speed, acceleration, strict=True)]
-        P[2], P[3], P[4] = acceleration, *rest
-        P[2][2] += _JERK_DENSITY * T
+def follow(k: DiscConstants, s: DiscState, angle: float, dt_s: float) -> None:
+    """Advance by `dt_s`, and correct by the disc's `angle` in rad."""
+    P = s.P
+    p0, p1, p2, p3, p4 = P[0], P[1], P[2], P[3], P[4]
+    if dt_s > 0.0:
+        _predict(s, p0, p1, p2, p3, p4, dt_s)
+    cosine = sine = 0.0
+    if s.speed > _LEARNING_RAD_S:
+        cosine, sine = math.cos(angle), math.sin(angle)
+    e0 = p0[0] + cosine * p0[3] + sine * p0[4]
+    e1 = p1[0] + cosine * p1[3] + sine * p1[4]
+    e2 = p2[0] + cosine * p2[3] + sine * p2[4]
+    e3 = p3[0] + cosine * p3[3] + sine * p3[4]
+    e4 = p4[0] + cosine * p4[3] + sine * p4[4]
+    variance = e0 + cosine * e3 + sine * e4 + k.noise
+    error = (angle - s.angle - cosine * s.cosine - sine * s.sine) / variance
+    s.angle += e0 * error
+    s.speed += e1 * error
+    s.acceleration += e2 * error
+    s.cosine += e3 * error
+    s.sine += e4 * error
+    for row, e in ((p0, e0), (p1, e1), (p2, e2), (p3, e3), (p4, e4)):
+        gain = e / variance
+        row[0] -= gain * e0
+        row[1] -= gain * e1
+        row[2] -= gain * e2
+        row[3] -= gain * e3
+        row[4] -= gain * e4
+
+
+def _predict(s: DiscState, p0: Row, p1: Row, p2: Row, p3: Row, p4: Row, T: float) -> None:
+    half = 0.5 * T * T
+    v, a = s.speed, s.acceleration
+    s.angle = s.angle + v * T + a * half
+    s.speed = v + a * T
+    for row in (p0, p1, p2, p3, p4):
+        speed, acceleration = row[1], row[2]
+        row[0] = row[0] + T * speed + half * acceleration
+        row[1] = speed + T * acceleration
+    for j in range(5):
+        speed, acceleration = p1[j], p2[j]
+        p0[j] = p0[j] + T * speed + half * acceleration
+        p1[j] = speed + T * acceleration
+    p2[2] += _JERK_DENSITY * T

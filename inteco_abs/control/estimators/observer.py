@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
-import math
-from typing import Final
+from dataclasses import dataclass
+from typing import ClassVar, Final
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control.estimators.base import Angles
-from inteco_abs.control.estimators.braking_ekf import BrakingEkf, EkfTuning
-from inteco_abs.control.estimators.eccentricity import EccentricityFilter
-from inteco_abs.control.estimators.prediction import braking_slip
+from inteco_abs.control.estimators.angles import rad_per_count, turned
+from inteco_abs.control.estimators.braking_ekf import (
+    EkfConstants,
+    EkfState,
+    EkfTuning,
+    begin,
+    braking_ekf,
+    ekf_constants,
+)
+from inteco_abs.control.estimators.eccentricity import (
+    ANY_SPEED_SD,
+    DiscConstants,
+    DiscState,
+    disc_constants,
+    follow,
+    restart,
+    rolling_wheel,
+    straight,
+)
+from inteco_abs.control.estimators.prediction import DelayLine, DelayState, braking_slip, outlook, tell
 from inteco_abs.control.estimators.registry import EstimatorSpec
+from inteco_abs.control.functions import Function
+from inteco_abs.control.wheel_dynamics import WheelDynamics
 from inteco_abs.rig import MEASURED_MAP, BrakeMap, RigParameters, nominal_brake_map
+from inteco_abs.rig.brake_map import Points, interpolated
 from inteco_abs.signals import Command, Estimate, Sample
 
 _BRAKING_FROM_RAD_S: Final = 10.0
@@ -25,13 +44,85 @@ _SAMPLES: Final = 3
 """Samples until there is a speed."""
 
 
-class Observer:
+@dataclass(frozen=True, slots=True)
+class ObserverConstants:
+    """Of the filters of wheels and rig."""
+
+    disc: DiscConstants
+    ekf: EkfConstants
+    per_count: float
+    """rad"""
+    points: Points
+    """Of the brake's map."""
+
+
+@dataclass(slots=True)
+class ObserverState:
+    """Of both wheels, which are followed while they roll, and of the rig, which is while it brakes."""
+
+    wheel: DiscState
+    road: DiscState
+    ekf: EkfState
+    pending: DelayState
+    braking: bool = False
+    samples: int = 0
+
+
+def observe(k: ObserverConstants, s: ObserverState, sample: Sample, command: Command) -> Estimate:
+    """Estimate at the instant of `sample`; valid from the third sample on."""
+    _, time_ns, _, wheel_count, road_count, _ = sample
+    drive, brake = command
+    wheel_angle, dt_s = turned(k.per_count, s.wheel, time_ns, wheel_count)
+    road_angle, _ = turned(k.per_count, s.road, time_ns, road_count)
+    s.samples += 1
+    ticks = max(1, round(dt_s / k.ekf.delay.period_s))
+    tell(k.ekf.delay, s.pending, interpolated(k.points, brake), ticks)
+    if s.braking:
+        _brake(k, s, wheel_angle, road_angle, dt_s, ticks, drive)
+    else:
+        follow(k.disc, s.wheel, wheel_angle, dt_s)
+        follow(k.disc, s.road, road_angle, dt_s)
+        if drive <= 0.0 and s.road.speed > _BRAKING_FROM_RAD_S and s.samples >= _SAMPLES:
+            s.braking = True
+            begin(k.ekf, s.ekf, s.pending, s.wheel, s.road)
+    braking, x = s.braking, s.ekf.x
+    wheel_speed, road_speed = (x[1], x[3]) if braking else (s.wheel.speed, s.road.speed)
+    slip = braking_slip(wheel_speed, road_speed, k.ekf.contact.parameters)
+    seen = outlook(k.ekf.contact, k.ekf.delay, s.pending, x) if braking else None
+    return Estimate(wheel_speed, road_speed, slip, s.samples >= _SAMPLES, seen)
+
+
+def _brake(
+    k: ObserverConstants,
+    s: ObserverState,
+    wheel_angle: float,
+    road_angle: float,
+    dt_s: float,
+    ticks: int,
+    drive: float,
+) -> None:
+    """Advance the rig's filter, and hand the wheels over to theirs where it is lost or braking has ended."""
+    disc, wheel, road, x = k.disc, s.wheel, s.road, s.ekf.x
+    angles = straight(wheel, wheel_angle), straight(road, road_angle)
+    if not (dt_s <= _LONGEST_GAP_S and braking_ekf(k.ekf, s.ekf, s.pending, angles[0], angles[1], dt_s, ticks)):
+        s.braking = False
+        restart(disc, wheel, wheel_angle, 0.0, ANY_SPEED_SD)
+        restart(disc, road, road_angle, 0.0, ANY_SPEED_SD)
+    elif drive > 0.0 or x[3] < _BRAKING_UNTIL_RAD_S:
+        s.braking = False
+        restart(disc, wheel, wheel_angle, x[1], _HANDED_OVER_SD)
+        restart(disc, road, road_angle, x[3], _HANDED_OVER_SD)
+
+
+class Observer(ObserverState):
     """A filter per wheel while the wheels roll, which learns the encoders' discs; one for the rig while it brakes.
 
     Braking begins when the drive is off while the road turns. Only from then on estimates have a prediction.
     """
 
-    __slots__ = ("_angles", "_braking", "_discs", "_filter", "_parameters", "_period_s", "_samples")
+    __slots__ = ("k",)
+
+    function: ClassVar[Function] = staticmethod(observe)
 
     def __init__(
         self,
@@ -41,49 +132,15 @@ class Observer:
         spread: EkfTuning | None = None,
         brake_map: BrakeMap = MEASURED_MAP,
     ) -> None:
-        spread = spread or EkfTuning()
-        count_rad = 2.0 * math.pi / counts_per_turn
-        self._angles = Angles(counts_per_turn), Angles(counts_per_turn)
-        self._discs = tuple(EccentricityFilter(count_rad, spread.count_noise * count_rad) for _ in range(2))
-        self._filter = BrakingEkf(parameters, brake_map, spread, count_rad, period_s)
-        self._parameters = parameters
-        self._period_s = period_s
-        self._braking = False
-        self._samples = 0
+        spread, count_rad, pending = spread or EkfTuning(), rad_per_count(counts_per_turn), DelayLine(period_s)
+        disc = disc_constants(count_rad, spread.count_noise * count_rad)
+        ekf = ekf_constants(WheelDynamics(parameters), pending.k, spread, count_rad)
+        super().__init__(rolling_wheel(disc), rolling_wheel(disc), EkfState(), pending)
+        self.k = ObserverConstants(disc, ekf, count_rad, brake_map.points)
 
     def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:
         """Estimate at the instant of `sample`; valid from the third sample on."""
-        wheel_angle, dt_s = self._angles[0].update(sample.time_ns, sample.wheel_count)
-        road_angle, _ = self._angles[1].update(sample.time_ns, sample.road_count)
-        self._samples += 1
-        ticks = max(1, round(dt_s / self._period_s))
-        self._filter.tell(command.brake, ticks)
-        wheel, road = self._discs
-        if self._braking:
-            angles = wheel.straight(wheel_angle), road.straight(road_angle)
-            found = dt_s <= _LONGEST_GAP_S and self._filter.update(*angles, dt_s, ticks)
-            wheel_speed, road_speed = self._filter.speeds
-            if not found:
-                self._braking = False
-                wheel.restart(wheel_angle)
-                road.restart(road_angle)
-            elif command.drive > 0.0 or road_speed < _BRAKING_UNTIL_RAD_S:
-                self._braking = False
-                wheel.restart(wheel_angle, wheel_speed, _HANDED_OVER_SD)
-                road.restart(road_angle, road_speed, _HANDED_OVER_SD)
-        else:
-            wheel.update(wheel_angle, dt_s)
-            road.update(road_angle, dt_s)
-            if command.drive <= 0.0 and road.speed > _BRAKING_FROM_RAD_S and self._samples >= _SAMPLES:
-                self._braking = True
-                self._filter.begin(wheel, road)
-        return self._estimate()
-
-    def _estimate(self) -> Estimate:
-        wheel_speed, road_speed = self._filter.speeds if self._braking else (disc.speed for disc in self._discs)
-        slip = braking_slip(wheel_speed, road_speed, self._parameters)
-        outlook = self._filter.outlook() if self._braking else None
-        return Estimate(wheel_speed, road_speed, slip, self._samples >= _SAMPLES, outlook)
+        return observe(self.k, self, sample, command)
 
 
 def _observer(config: RigConfig, parameters: RigParameters) -> Observer:

@@ -3,76 +3,112 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import Final
 
-from inteco_abs.control.wheel_dynamics import WheelDynamics
-from inteco_abs.rig import RigParameters, adhesion
+from inteco_abs.control.wheel_dynamics import WheelConstants, accelerations
+from inteco_abs.rig import RigParameters
+from inteco_abs.rig.friction import formula
 from inteco_abs.signals import Prediction
 
 LONGEST_DEAD_TIME_S: Final = 0.030
+NOT_A_SLIP: Final = "the observer's speeds are not numbers"
 
 
-class DelayLine:
+@dataclass(frozen=True, slots=True)
+class DelayConstants:
+    """Of a delay line."""
+
+    period_s: float
+    length: int
+    """Commands that it holds."""
+
+
+@dataclass(slots=True)
+class DelayState:
     """Commands on their way to the brake, each as the torque in N m that the brake settles to."""
 
-    __slots__ = ("_period_s", "_torques")
+    torques: list[float]
+    """A ring that is written twice, so that its content stands in one piece up to the newest."""
+    newest: int
+    """Place of the newest in the second half."""
+
+
+class DelayLine(DelayState):
+    """The commands of a dead time up to 30 ms, at one a period."""
+
+    __slots__ = ("k",)
 
     def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
-        ticks = int(LONGEST_DEAD_TIME_S / period_s) + 4
-        self._torques = deque([0.0] * ticks, ticks)  # the newest is last
+        length = int(LONGEST_DEAD_TIME_S / period_s) + 4
+        super().__init__([0.0] * (2 * length), length)
+        self.k = DelayConstants(period_s, length)
 
     def tell(self, torque: float, ticks: int) -> None:
-        """Add the command in force from the current sample on; in the `ticks` ticks before, the previous one was."""
-        self._torques.extend([self._torques[-1]] * min(ticks - 1, len(self._torques)))
-        self._torques.append(torque)
-
-    @property
-    def newest(self) -> float:
-        """The last command."""
-        return self._torques[-1]
-
-    def arrived(self, dead_time: float, ago: int = 0) -> tuple[float, float]:
-        """What acted on the brake in the period that ended `ago` ticks ago; its derivative by the dead time in s."""
-        ticks, late = self._split(dead_time)
-        newest = min(ticks + ago, len(self._torques) - 3)
-        newer, older = self._torques[-2 - newest], self._torques[-3 - newest]
-        return newer + late * (older - newer), (older - newer) / self._period_s
-
-    def ahead(self, torque: float, dead_time: float, lag: float) -> tuple[float, float, float]:
-        """From `torque` now: time in s until the next command acts, the torque then, and its mean until then."""
-        ticks, late = self._split(dead_time)
-        left = math.exp(-self._period_s / lag)
-        total = 0.0
-        for before, newest in pairwise(list(self._torques)[-ticks - 2 :]):
-            settled = newest + late * (before - newest)
-            total += settled + (torque - settled) * 0.5 * (1.0 + left)
-            torque = settled + (torque - settled) * left
-        return (ticks + 1) * self._period_s, torque, total / (ticks + 1)
-
-    def _split(self, dead_time: float) -> tuple[int, float]:
-        """Whole ticks, and the share of a tick beyond them."""
-        ticks = dead_time / self._period_s
-        return int(ticks), ticks - int(ticks)
+        """As the function `tell`."""
+        tell(self.k, self, torque, ticks)
 
 
-def outlook(
-    contact: WheelDynamics, parameters: RigParameters, pending: DelayLine, state: Sequence[float]
-) -> Prediction:
-    """Prediction from the states of `BrakingEkf`."""
-    th1, x1, _, x2, lagged, excess, factor, cosine, sine, dead_time, lag = state
-    horizon, then, mean = pending.ahead(lagged, dead_time, lag)
+def tell(k: DelayConstants, s: DelayState, torque: float, ticks: int) -> None:
+    """Add the command in force from the current sample on; in the `ticks` ticks before, the previous one was."""
+    before = s.torques[s.newest]
+    for _ in range(min(ticks - 1, k.length)):
+        _append(k, s, before)
+    _append(k, s, torque)
+
+
+def _append(k: DelayConstants, s: DelayState, torque: float) -> None:
+    newest = s.newest + 1
+    if newest == 2 * k.length:
+        newest = k.length
+    s.newest = newest
+    s.torques[newest] = s.torques[newest - k.length] = torque
+
+
+def arrived(k: DelayConstants, s: DelayState, dead_time: float, ago: int) -> tuple[float, float]:
+    """What acted on the brake in the period that ended `ago` ticks ago; its derivative by the dead time in s."""
+    passed = dead_time / k.period_s
+    ticks = int(passed)
+    late = passed - ticks
+    place = s.newest - 1 - min(ticks + ago, k.length - 3)
+    newer, older = s.torques[place], s.torques[place - 1]
+    return newer + late * (older - newer), (older - newer) / k.period_s
+
+
+def ahead(k: DelayConstants, s: DelayState, torque: float, dead_time: float, lag: float) -> tuple[float, float, float]:
+    """From `torque` now: time in s until the next command acts, the torque then, and its mean until then."""
+    passed = dead_time / k.period_s
+    ticks = int(passed)
+    late = passed - ticks
+    left = math.exp(-k.period_s / lag)
+    half = 0.5 * (1.0 + left)
+    total, oldest = 0.0, s.newest - min(ticks + 1, k.length - 1)
+    before = s.torques[oldest]
+    for newest in s.torques[oldest + 1 : s.newest + 1]:
+        settled = newest + late * (before - newest)
+        away = torque - settled
+        total += settled + away * half
+        torque = settled + away * left
+        before = newest
+    return (ticks + 1) * k.period_s, torque, total / (ticks + 1)
+
+
+def outlook(k: WheelConstants, delay: DelayConstants, pending: DelayState, state: Sequence[float]) -> Prediction:
+    """Prediction from the states of `braking_ekf`."""
+    th1, x1, x2, factor, cosine, sine = state[0], state[1], state[3], state[6], state[7], state[8]
+    excess, dead_time, lag = state[5], state[9], state[10]
+    horizon, then, mean = ahead(delay, pending, state[4], dead_time, lag)
     halfway = th1 + 0.5 * horizon * x1
     scale = factor + cosine * math.cos(halfway) + sine * math.sin(halfway)
-    mu = scale * adhesion(braking_slip(x1, x2, parameters), parameters)
-    moving = contact.accelerations(x1, x2, mean + excess, mu)
+    slip = braking_slip(x1, x2, k.parameters)
+    if not 0.0 <= slip <= 1.0:
+        raise ValueError(NOT_A_SLIP)
+    wheel, road, _, _, _, _ = accelerations(k, x1, x2, mean + excess, scale * formula(k.parameters, slip))
     return Prediction(
-        th1 + horizon * (x1 + 0.5 * horizon * moving.wheel),
-        x1 + horizon * moving.wheel,
-        x2 + horizon * moving.road,
+        th1 + horizon * (x1 + 0.5 * horizon * wheel),
+        x1 + horizon * wheel,
+        x2 + horizon * road,
         then,
         excess,
         factor,
@@ -84,8 +120,10 @@ def outlook(
 
 
 def braking_slip(wheel_speed: float, road_speed: float, parameters: RigParameters) -> float:
-    """Equation (11), within 0..1; 0 for a road that does not turn forward."""
+    """Equation (11), within 0..1; 0 for a road that does not turn forward, NaN for a speed that is not a number."""
     if road_speed <= 0.0:
         return 0.0
     slip = 1.0 - parameters.r1 * wheel_speed / (parameters.r2 * road_speed)
-    return min(max(slip, 0.0), 1.0)
+    if slip < 0.0:
+        return 0.0
+    return 1.0 if slip > 1.0 else slip  # noqa: FURB136  NaN stays NaN, compiled as well
