@@ -19,9 +19,11 @@ import difflib
 import errno
 import traceback
 from collections.abc import Callable, Iterable, Sequence
+from datetime import date, time
 from pathlib import Path
 from typing import Final, NamedTuple, Self
 
+_LONGEST_VALUE: Final = 60
 _LONGEST: Final = 2000
 """Characters that are kept of another library's error."""
 _ROOM: Final = "make room there, or name another place"
@@ -52,10 +54,15 @@ class AbsError(Exception):
 
 
 class ConfigIssue(NamedTuple):
-    """One thing wrong in a configuration: dotted key, and what is wrong with its value."""
+    """One thing wrong in a configuration: dotted key, what is wrong with its value, and the file and line it is in."""
 
     path: str
     problem: str
+    place: str = ""
+
+    def __str__(self) -> str:
+        where = f" ({self.place})" if self.place else ""
+        return f"{self.path}{where}: {self.problem}"
 
     @property
     def typed(self) -> bool:
@@ -70,7 +77,7 @@ class ConfigError(AbsError):
 
     def __init__(self, mistakes: Sequence[ConfigIssue]) -> None:
         self.mistakes = tuple(mistakes)
-        lines = [f"  {mistake.path}: {mistake.problem}" for mistake in self.mistakes]
+        lines = [f"  {mistake}" for mistake in self.mistakes]
         count = f"{len(lines)} mistakes" if len(lines) > 1 else "a mistake"
         place = "command line" if all(mistake.typed for mistake in self.mistakes) else "configuration"
         super().__init__("\n".join([f"the {place} has {count}; nothing was started:", *_on_a_screen(lines)]))
@@ -162,6 +169,16 @@ def describe_disk(error: OSError) -> str:
     """Describe why a file or folder cannot be written, and what to do."""
     why = error.strerror or str(error)
     return f"{why}; {_TO_DO[error.errno]}" if error.errno in _TO_DO else why
+
+
+def shortened(value: object) -> str:
+    """A value as in a TOML file, on one line of at most 63 characters."""
+    try:
+        text = str(value).lower() if isinstance(value, bool) else repr(value)
+    except ValueError:  # Python prints no integer of more than 4300 digits
+        return "a number of absurdly many digits"
+    text = value.isoformat() if isinstance(value, date | time) else text
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
 
 
 def near_file(path: Path) -> str:

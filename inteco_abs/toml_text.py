@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +16,8 @@ NOT_TOML: Final = (ValueError, RecursionError)
 """What the standard reader raises: besides its own error, for absurdly long numbers and deep nesting."""
 _LARGEST_FILE: Final = 1_000_000
 _LONGEST_LINE: Final = 60
+_LONGEST_STATEMENT: Final = 100
+"""Lines of one value; each of them is a try to read it."""
 _PLACE: Final = re.compile(r"\(at line (\d+), column \d+\)")
 _TWICE: Final = ("Cannot overwrite a value", "Cannot declare", "Cannot mutate")
 _WORD: Final = re.compile(r"[^\W\d][\w.:-]*")
@@ -31,6 +34,39 @@ def read_toml(file: Path, if_missing: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except NOT_TOML as error:
         raise ConfigError.of(str(file), f"is not TOML: {describe_toml_error(error, text)}") from error
+
+
+def line_of(file: Path, path: str) -> int | None:
+    """Line on which the value at the dotted `path` begins in a file that `read_toml` accepts; None if it has none.
+
+    The standard reader gives no lines, so each statement is read by itself.
+    """
+    section, statement, begun = "", "", 1
+    for number, line in enumerate(file.read_text(encoding="utf-8").split("\n"), 1):
+        statement += f"{line}\n"
+        try:
+            names = list(_dotted(tomllib.loads(statement)))
+        except tomllib.TOMLDecodeError:
+            if number - begun > _LONGEST_STATEMENT:
+                return None
+            continue
+        if statement.lstrip().startswith("["):
+            section = f"{names[-1]}."
+            names = names[-1:]
+        else:
+            names = [section + name for name in names]
+        if path in names:
+            return begun
+        statement, begun = "", number + 1
+    return None
+
+
+def _dotted(table: dict[str, Any]) -> Iterator[str]:
+    """Paths of all keys, sections included."""
+    for key, value in table.items():
+        yield key
+        if isinstance(value, dict):
+            yield from (f"{key}.{name}" for name in _dotted(value))
 
 
 def describe_toml_error(error: ValueError | RecursionError, text: str) -> str:

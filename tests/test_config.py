@@ -234,8 +234,8 @@ def test_five_different_mistakes_are_all_reported_with_key_value_and_what_is_all
     assert mistakes(file=file) == {
         "guard.brake_limit": "1.5: must be a number above 0 and at most 1",
         "guard.missed_in_arow": "unknown key; did you mean missed_in_a_row?",
-        "experiment.start_speed_rad_s": "nan: must be a number at least 10 and at most 240",
-        "experiment.hold_s": "true: must be a number at least 0 and at most 10",
+        "experiment.start_speed_rad_s": "nan: must be a number at least 10 and at most 240 rad/s",
+        "experiment.hold_s": "true: must be a number at least 0 and at most 10 s",
         "board.drive_pwm": "'0': must be a whole number at least 0 and at most 7; write it without quotes",
     }
 
@@ -246,7 +246,7 @@ def test_the_text_of_the_error_names_every_mistake_on_a_line_and_that_nothing_wa
     first, *others = str(caught.value).splitlines()
     assert first == "the configuration has 2 mistakes; nothing was started:"
     assert others == [
-        "  experiment.hold_s: 11: must be a number at least 0 and at most 10",
+        "  experiment.hold_s: 11: must be a number at least 0 and at most 10 s",
         "  guard.brake_limit: 2: must be a number above 0 and at most 1",
     ]
 
@@ -565,3 +565,81 @@ def test_a_file_of_the_largest_size_is_read(written):
 def test_numbers_keep_their_last_digit_through_the_text():
     third = math.nextafter(1.0 / 3.0, 1.0)
     assert parse_config(load_config(settings=[f"guard.brake_limit={third!r}"]).to_toml()).guard.brake_limit == third
+
+
+# what a message says of type, range, unit and place
+
+
+@pytest.mark.parametrize(
+    ("setting", "must_be"),
+    [
+        ("loop.rate_hz=abc", "must be a number at least 50 and at most 10000 Hz"),
+        ("estimator.window_s=true", "must be a number above 0 and at most 0.5 s"),
+        ("guard.run_up_factor=abc", "must be a number at least 1.1 and at most 10"),
+        ("board.simulated=1", "must be true or false"),
+        ("board.verified_on=3", "must be a date such as 2026-01-31"),
+        ("board.pwm_mode=8", 'must be one of "8-bit", "12-bit"'),
+        ("board.pwm_pins=x", "must be a list of values, each a whole number at least 0 and at most 25"),
+        ("board.pwm_pins.0=x", "must be a list of values, each a whole number at least 0 and at most 25"),
+        ("board.pwm_pins=[99]", "must be a whole number at least 0 and at most 25"),
+        ("board.application_names=[1]", "must be text"),
+        ("board.constants=3", "must be a table of values, each a whole number at least 0 and at most 4294967295"),
+        ("board.constants.w31=-1", "must be a whole number at least 0 and at most 4294967295"),
+        ("board.evidence=3", "must be a table of values, each a section"),
+        ("model.identified.J1=abc", "must be a number above 0 and at most 1000000"),
+        ("model.identified.brake_duties=[0.5]", "must be a list of at least 2 values, each a number at least 0"),
+        ("model.identified.brake_torques_nm=[0,true]", "must be a number at least 0 and at most 100"),
+        ("board.numbering_pins=[1,2,3,4,5,6,7,8,9]", "must be a list of at most 8 values, each a whole number"),
+        ("controller.gains=3", "must be a table of values, each a number"),
+        ("controller.gains.Mk=abc", "'abc': must be a number in 0..1000 1/s (prop"),
+        ("controller.gains.Mk=true", "true: must be a number in 0..1000 1/s"),
+        ("controller.gains.Mk=nan", "nan: must be a number in 0..1000 1/s"),
+        ("controller.gains.lag_s=10ms", "'10ms': must be a number in 0..0.2 s (lag of the brake to be inverted; 0: no lag)"),
+        (f"controller.gains.Mk=0x{'f' * 4000}", "absurdly many digits: must be a number in 0..1000 1/s"),
+    ],
+    ids=lambda text: text[:40],
+)  # fmt: skip
+def test_a_value_of_a_wrong_type_is_told_type_range_and_unit(setting, must_be):
+    with pytest.raises(ConfigError) as caught:
+        load_config(settings=[setting], checks=[control_check()])
+    assert must_be in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "line"),
+    [
+        ("[guard]\n\n# limit\nbrake_limit = 9\n", "guard.brake_limit", 4),
+        ("guard.brake_limit = 9", "guard.brake_limit", 1),
+        ("\r\n[guard]\r\nbrake_limit = 9\r\n", "guard.brake_limit", 3),
+        ("guard = { drive_limit = 0.7, brake_limit = 9 }\n", "guard.brake_limit", 1),
+        ("[ guard ] # x\n'brake_limit' = 9\n", "guard.brake_limit", 2),
+        ("[session]\nspill = '''\n[guard]\nbrake_limit = 9\n'''\n[guard]\nbrake_limit = 8\n", "guard.brake_limit", 7),
+        ("[controller.gains]\nMk = 1\nMq = -1\n", "controller.gains.Mq", 3),
+        ("[board]\npwm_pins = [\n  2,\n  99,\n]\n", "board.pwm_pins.1", 2),
+        ("[experiment]\nidle_s = 1\n[gurad]\nbrake_limit = 1\n", "gurad", 3),
+        ("[guard]\nx = 1\n[guard.deep]\ny = 1\n", "guard.deep", 3),
+    ],
+)
+def test_a_mistake_in_a_file_names_the_file_and_the_line_beside_the_key(written, text, key, line):
+    file = written(text)
+    with pytest.raises(ConfigError, match=rf"(?m)^  {key} \({file}, line {line}\): "):
+        load_config(file, checks=[control_check()])
+
+
+def test_a_mistake_in_a_profile_file_names_it_unless_the_file_or_the_command_line_has_the_key(tmp_path, written):
+    profile = tmp_path / "lab.toml"
+    profile.write_text("[board]\nlogic_version = 1\n[guard]\nbrake_limit = 7\n")
+    named = f'profile = "{profile}"\n'
+    for text, setting, place in (
+        (named, "guard.drive_limit=0.5", f"{profile}, line 4"),
+        (f"{named}[guard]\nbrake_limit = 8\n", "guard.drive_limit=0.5", f"{written('')}, line 3"),
+        (f"{named}[guard]\nbrake_limit = 8\n", "guard.brake_limit=9", ""),
+    ):
+        with pytest.raises(ConfigError) as caught:
+            load_config(written(text), [setting])
+        assert [mistake.place for mistake in caught.value.mistakes] == [place]
+
+
+def test_a_value_of_more_lines_than_anyone_writes_has_no_line_but_its_message(written):
+    file = written("[guard]\nbrake_limit = [" + "\n1," * 5000 + "]\n")
+    assert mistakes(file=file)["guard.brake_limit"].endswith("must be a number above 0 and at most 1")

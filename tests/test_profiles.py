@@ -124,7 +124,7 @@ class TestSignature:
         file = tmp_path / "lab.toml"
         text = LAB.format(signed_logic="0x0103")
         file.write_text("\n".join(line for line in text.splitlines() if not line.startswith(key)), encoding="utf-8")
-        with pytest.raises(ConfigError, match=f"board.verified_by: a sign-off needs board.{key}"):
+        with pytest.raises(ConfigError, match=rf"board.verified_by \(.*line 5\): a sign-off needs board.{key}"):
             load_config(settings=[f"profile={file}"])
 
     @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import click
 
 from inteco_abs.cli.terminal import print_json, show
-from inteco_abs.errors import AbsError, ConfigError, refusals
+from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, refusals
 
 if TYPE_CHECKING:
     from inteco_abs.commissioning import Preflight, RigAccess
@@ -160,8 +160,8 @@ def _refusals(refused: Iterable[AbsError]) -> list[dict[str, str]]:
     """One entry per issue, each once: several runs may share one."""
     found = []
     for error in refused:
-        mistakes = error.mistakes if isinstance(error, ConfigError) else [("", str(error))]
-        found += [{"error": type(error).__name__, "where": where, "problem": problem} for where, problem in mistakes]
+        mistakes = error.mistakes if isinstance(error, ConfigError) else [ConfigIssue("", str(error))]
+        found += [{"error": type(error).__name__, "where": each.path, "problem": each.problem} for each in mistakes]
     return [one for number, one in enumerate(found) if one not in found[:number]]
 
 

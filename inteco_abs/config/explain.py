@@ -7,11 +7,11 @@ import json
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import date
-from typing import Any, Final, Literal, NamedTuple, get_args, get_origin
+from typing import Any, Final, NamedTuple
 
 import tomli_w
 
-from inteco_abs.config.model import RigConfig, Section, bare, defaults, key_types, limits
+from inteco_abs.config.model import RigConfig, Section, defaults, key_types, limits
 from inteco_abs.config.validation import meanings
 from inteco_abs.errors import ConfigError, near_match
 
@@ -133,7 +133,7 @@ def _keys(section: type[Section], above: tuple[str, ...]) -> Iterator[ConfigKey]
         if isinstance(kind, type) and issubclass(kind, Section):
             yield from _keys(kind, location)
         else:
-            yield ConfigKey(".".join(location), limits(location) or _kind(kind), usual.get(name), meaning[name])
+            yield ConfigKey(".".join(location), limits(location), usual.get(name), meaning[name])
 
 
 def _gains(controllers: Controllers) -> Iterator[ConfigKey]:
@@ -142,17 +142,6 @@ def _gains(controllers: Controllers) -> Iterator[ConfigKey]:
             unit = "" if gain.unit == "1" else f" {gain.unit}"
             kind = f"a number at least {gain.low:g} and at most {gain.high:g}{unit}"
             yield ConfigKey(f"{_GAINS}.{gain.name}", kind, gain.default, f"of {name}: {gain.meaning}", name)
-
-
-def _kind(key_type: Any) -> str:
-    """Type of a key that `limits` cannot describe: choices, lists, tables, optional keys."""
-    outer = get_args(bare(key_type))
-    parts = bare(key_type), *outer, *(inner for one in outer for inner in get_args(one))
-    choices = [one for part in parts if get_origin(part) is Literal for one in get_args(part)]
-    if choices:
-        return f"one of {', '.join(map(json.dumps, choices))}"
-    names: dict[Any, str] = {bool: "true or false", list: "a list", dict: "a table", date: "a date", float: "a number"}
-    return next((names[kind] for part in parts for kind in (get_origin(part), part) if kind in names), "a whole number")
 
 
 def _in_full(key: ConfigKey, below: Mapping[str, Any]) -> str:

@@ -6,6 +6,7 @@ stored whole in every session.
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
@@ -15,10 +16,12 @@ from typing import Any, Final, TypeVar, get_args
 from inteco_abs.config.model import DEFAULT_PROFILE, RigConfig, Section, Table, bare, key_types, section_of
 from inteco_abs.config.sign_off import signs_off, void_by_limits, void_by_wiring
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match
-from inteco_abs.toml_text import NOT_TOML, describe_toml_error, read_toml
+from inteco_abs.toml_text import NOT_TOML, describe_toml_error, line_of, read_toml
 
 Check = Callable[[Mapping[str, Any]], Iterable[ConfigIssue]]
 """Checks the merged table, wrong values included, for what the sections' ranges cannot express."""
+_INDEX: Final = re.compile(r"(\.\d+)+$")
+"""Of a value in a list, at the end of a path."""
 _PROFILES: Final = Path(__file__).parents[1] / "profiles"
 
 
@@ -58,7 +61,22 @@ def load_config(
     void = _void(below, in_file, filed, over, merged)
     if void and isinstance(merged["board"], dict):
         merged["board"] = {**merged["board"], "read_only": void}
-    return _validate(merged if follows is None else _merge(follows(merged), merged), checks, mistakes)
+    try:
+        return _validate(merged if follows is None else _merge(follows(merged), merged), checks, mistakes)
+    except ConfigError as error:
+        files = [*([] if file is None else [file]), *([Path(name)] if str(name).endswith(".toml") else [])]
+        raise ConfigError([_placed(issue, over, files) for issue in error.mistakes]) from None
+
+
+def _placed(issue: ConfigIssue, over: Table, files: Iterable[Path]) -> ConfigIssue:
+    """The issue with the first file and line that has its key, unless the command line has it."""
+    path = _INDEX.sub("", issue.path)
+    if path not in _leaves(over):
+        for file in files:
+            line = line_of(file, path)
+            if line is not None:
+                return issue._replace(place=f"{file}, line {line}")
+    return issue
 
 
 def origins(file: Path | None = None, settings: Sequence[str] = (), profile: str = DEFAULT_PROFILE) -> dict[str, str]:
@@ -146,8 +164,9 @@ def _validate(table: Table, checks: Iterable[Check], mistakes: list[ConfigIssue]
     from inteco_abs.config.validation import validated  # noqa: PLC0415 - loads pydantic, which most processes never use
 
     config = validated(table, mistakes)
-    for check in checks:
-        mistakes.extend(check(table))
+    found = [issue for check in checks for issue in check(table)]
+    known = {issue.path for issue in found}  # a check knows a gain's range, the types do not
+    mistakes[:] = [*(issue for issue in mistakes if issue.path not in known), *found]
     if config is None or mistakes:
         raise ConfigError(mistakes)
     return config

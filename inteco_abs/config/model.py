@@ -8,12 +8,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from datetime import date
-from typing import Annotated, Any, ClassVar, Final, Literal, TypeGuard, get_origin, get_type_hints
+from types import NoneType
+from typing import Annotated, Any, ClassVar, Final, Literal, TypeGuard, get_args, get_origin, get_type_hints
 
 from annotated_types import Interval, MaxLen, MinLen
 
 from firmware_protocol.rtdac_usb2 import TIMER_HZ
 from firmware_protocol.rtdac_usb2_bridge import MANUFACTURER
+from inteco_abs.quantities import unit_of
 
 DEFAULT_PROFILE: Final = "sim_usb2"
 MOCK_NAMES: Final = ("ABSSIM", "ABSIM")
@@ -410,16 +412,18 @@ def defaults(section: type[Section]) -> Table:
 
 def section_at(location: Sequence[Any]) -> type[Section] | None:
     """The section at a path of keys from the top; None if there is none."""
-    found: Any = RigConfig
-    for part in location:
-        found = key_types(found).get(part) if _is_section(found) else None
+    found = type_at(location)
     return found if _is_section(found) else None
 
 
 def type_at(location: Sequence[Any]) -> Any:
-    """Type of the key at a path from the top, with its range; None if there is no such key."""
-    section = section_at(location[:-1])
-    return None if section is None else key_types(section).get(location[-1])
+    """Type of what is at a path of keys from the top, with its range; None if there is no such key."""
+    if not location:
+        return RigConfig
+    above = _required(type_at(location[:-1]))
+    if _is_section(above):
+        return key_types(above).get(location[-1])
+    return get_args(bare(above))[-1] if get_origin(bare(above)) in _HOLDING else None
 
 
 def bare(key_type: Any) -> Any:
@@ -427,28 +431,54 @@ def bare(key_type: Any) -> Any:
     return key_type.__origin__ if get_origin(key_type) is Annotated else key_type
 
 
-def bounds(key_type: Any, *names: Literal["ge", "gt", "le", "lt"]) -> list[float]:
-    """Limits of a key's range, of those named."""
+def bounds(key_type: Any, *names: str) -> list[float]:
+    """Limits of a key's range, of those named: ge, gt, le, lt; min_length and max_length of a list."""
     rules = key_type.__metadata__ if get_origin(key_type) is Annotated else ()
     found = (getattr(rule, name, None) for rule in rules for name in names)
     return [bound for bound in found if bound is not None]
 
 
 def limits(location: Sequence[Any]) -> str:
-    """Type and range of the key at `location`, as in "a number at least 0 and below 1"; empty if not so simple."""
-    key_type = type_at(location)
-    if bare(key_type) not in _NAMES:
-        return ""
-    found = [f"{words} {bound:.12g}" for limit, words in _LIMITS.items() for bound in bounds(key_type, limit)]
-    return " ".join([_NAMES[bare(key_type)], " and ".join(found)]).strip()
+    """Type, range and unit of the value at `location`, as in "a number above 0 and at most 0.5 s"."""
+    found = _described(_required(type_at(location)))
+    unit = unit_of(str(location[-1]))
+    return f"{found} {unit}" if unit and found[-1].isdigit() else found
 
 
-_NAMES: Final[dict[Any, str]] = {float: "a number", int: "a whole number", str: "text"}
-_LIMITS: Final[dict[Literal["ge", "gt", "le", "lt"], str]] = {
+def _described(key_type: Any) -> str:
+    kind, values = bare(key_type), get_args(bare(key_type))
+    if get_origin(kind) is Literal:
+        return "one of " + ", ".join(f'"{one}"' if isinstance(one, str) else str(one) for one in values)
+    if _is_section(kind):
+        return "a section"
+    ranges = [f"{words} {bound:.12g}" for rule, words in _LIMITS.items() for bound in bounds(key_type, rule)]
+    if get_origin(kind) in _HOLDING:
+        number = " and ".join([*ranges, "values"]).replace(" and values", " values")
+        return f"{_HOLDING[get_origin(kind)]} of {number}, each {_described(values[-1])}"
+    return " ".join([_NAMES[kind], " and ".join(ranges)]).strip()
+
+
+def _required(key_type: Any) -> Any:
+    """Type of an optional key's value, or the type itself."""
+    types = get_args(key_type)
+    return next(one for one in types if one is not NoneType) if NoneType in types else key_type
+
+
+_NAMES: Final[dict[Any, str]] = {
+    float: "a number",
+    int: "a whole number",
+    str: "text",
+    bool: "true or false",
+    date: "a date such as 2026-01-31",
+}
+_HOLDING: Final[dict[Any, str]] = {list: "a list", dict: "a table"}
+_LIMITS: Final = {
     "ge": "at least",
     "gt": "above",
     "le": "at most",
     "lt": "below",
+    "min_length": "at least",
+    "max_length": "at most",
 }
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import operator
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
-from datetime import date, time
 from functools import cache
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
@@ -29,11 +28,10 @@ from inteco_abs.config.model import (
     section_of,
     type_at,
 )
-from inteco_abs.errors import ConfigIssue, near_match
+from inteco_abs.errors import ConfigIssue, near_match, shortened
 from inteco_abs.quantities import number_hint, other_unit, unit_of
 
 _ADAPTER: Final = TypeAdapter(RigConfig)
-_LONGEST_VALUE: Final = 60
 
 
 def validated(table: Table, issues: list[ConfigIssue]) -> RigConfig | None:
@@ -133,7 +131,7 @@ def _brake_map_mistakes(identified: Table) -> Iterator[ConfigIssue]:
     for key, values in zip(keys, lists, strict=True):
         numbers = [value for value in values if isinstance(value, int | float)]
         if any(following <= value for value, following in pairwise(numbers)):
-            yield ConfigIssue(f"model.identified.{key}", f"{_short(values)}: must rise from value to value")
+            yield ConfigIssue(f"model.identified.{key}", f"{shortened(values)}: must rise from value to value")
 
 
 _CEILINGS: Final = {"guard.over_speed_rad_s": "the rig's own limit, which no configuration can raise"}
@@ -153,12 +151,9 @@ def _issue(detail: Any) -> ConfigIssue:
     if kind == "missing":
         return ConfigIssue(path, "is missing; a profile normally provides it")
     if kind == "dataclass_type":
-        return ConfigIssue(path, f"{_short(value)}: must be a section, as [{path}] with its keys below")
-    allowed = limits(location)
-    message = detail["msg"].replace("Input should be", "must be")
-    wanted = f"must be {allowed}" if allowed else message[0].lower() + message[1:]
+        return ConfigIssue(path, f"{shortened(value)}: must be a section, as [{path}] with its keys below")
     ceiling = f" ({_CEILINGS[path]})" if path in _CEILINGS and kind == "less_than_equal" else ""
-    return ConfigIssue(path, f"{_short(value)}: {wanted}{ceiling}{_meant(location, value, kind)}")
+    return ConfigIssue(path, f"{shortened(value)}: must be {limits(location)}{ceiling}{_meant(location, value, kind)}")
 
 
 def _meant(location: Sequence[Any], value: object, kind: str) -> str:
@@ -173,10 +168,3 @@ def _meant(location: Sequence[Any], value: object, kind: str) -> str:
         return ""
     low, high = bounds(key_type, "ge", "gt"), bounds(key_type, "le", "lt")
     return other_unit(value, unit, low[0], high[0]) if low and high else ""
-
-
-def _short(value: object) -> str:
-    """The value as in the file, shortened."""
-    text = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
-    text = value.isoformat() if isinstance(value, date | time) else text
-    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
-from typing import Any, Final
+from typing import Any
 
 from inteco_abs.config import Check, RigConfig, section_of
 from inteco_abs.control.controllers import CONTROLLERS, Controller, Gain, Setup
 from inteco_abs.control.estimators import ESTIMATORS, Estimator
 from inteco_abs.control.pipeline import Pipeline
-from inteco_abs.errors import ConfigError, ConfigIssue, near_match, place_in
+from inteco_abs.errors import ConfigError, ConfigIssue, near_match, place_in, shortened
+from inteco_abs.quantities import number_hint
 from inteco_abs.rig import nominal_brake_map, nominal_parameters
-
-_LARGEST: Final = 1e300
-"""Larger numbers are reported by the check of types and ranges."""
 
 
 def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Pipeline:
@@ -141,6 +139,8 @@ def _check_gains(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterator
         path, gain = f"controller.gains.{name}", known.get(name)
         if gain is None:
             yield ConfigIssue(path, f"unknown gain{near_match(name, known) if known else '; the controller has none'}")
-        elif isinstance(value, int | float) and abs(value) <= _LARGEST and not gain.low <= value <= gain.high:
-            unit = "" if gain.unit == "1" else f" {gain.unit}"
-            yield ConfigIssue(path, f"{value!r}: must be in {gain.low:g}..{gain.high:g}{unit} ({gain.meaning})")
+        elif isinstance(value, bool) or not isinstance(value, int | float) or not gain.low <= value <= gain.high:
+            unit = "" if gain.unit == "1" else gain.unit
+            wanted = f"must be a number in {gain.low:g}..{gain.high:g} {unit}".rstrip()
+            hint = number_hint(value, unit) if isinstance(value, str) else ""
+            yield ConfigIssue(path, f"{shortened(value)}: {wanted} ({gain.meaning}){hint}")
