@@ -182,9 +182,11 @@ def shortened(value: object) -> str:
 
 
 def near_file(path: Path) -> str:
-    """Return `"; did you mean X?"` for a missing file if another has a similar name; else an empty text."""
+    """Return the end of a message about a missing file: `"; did you mean X?"` or `"; there is no folder X"`, or ""."""
     try:
         names = [other.name for other in path.parent.iterdir() if other.exists()]  # not a link to nowhere
+    except FileNotFoundError:
+        return f"; there is no folder {path.parent}"
     except OSError:
         return ""
     near = difflib.get_close_matches(path.name, names, n=1)

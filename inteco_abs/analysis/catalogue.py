@@ -8,7 +8,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
-from inteco_abs.errors import SessionError
+from inteco_abs.errors import SessionError, near_file
 from inteco_abs.sessions import (
     DamagedError,
     Metadata,
@@ -52,7 +52,8 @@ def session_files(folder: Path, *, nested: bool = False) -> list[Path]:
         found = folder.rglob(f"*{SUFFIX}") if nested else folder.iterdir()
         return sorted(path for path in found if path.suffix == SUFFIX and not path.is_dir())
     except OSError as error:
-        hint = f"; it is a file: inteco-abs info {folder}" if folder.is_file() else ""
+        hint = f"; it is a file: inteco-abs info {folder}" if folder.is_file() else near_file(folder)
+        hint = hint or "; name a folder with sessions"
         raise SessionError(f"{folder}: cannot be listed: {error.strerror}{hint}") from error
 
 

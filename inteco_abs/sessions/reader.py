@@ -236,8 +236,10 @@ def regular_file(path: Path) -> Iterator[tuple[BinaryIO, int]]:
         with path.open("rb") as file:
             yield file, os.fstat(file.fileno()).st_size
     except OSError as error:
-        near = near_file(path) if isinstance(error, FileNotFoundError) else ""
-        raise SessionError(f"{path}: cannot be read: {error.strerror}{near}") from error
+        hint = ""
+        if isinstance(error, FileNotFoundError):
+            hint = near_file(path) or f"; inteco-abs list {path.parent} shows the sessions there"
+        raise SessionError(f"{path}: cannot be read: {error.strerror}{hint}") from error
 
 
 def _read(file: BinaryIO, size: int, content: Content) -> tuple[Content, str]:

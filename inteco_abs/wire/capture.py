@@ -27,7 +27,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from inteco_abs.errors import CaptureError, describe_disk
+from inteco_abs.errors import CaptureError, describe_disk, near_file
 
 if TYPE_CHECKING:
     from inteco_abs.boards.board_report import BoardReport  # loads pydantic, which no run needs
@@ -150,7 +150,7 @@ def read_capture(path: Path) -> Capture:
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise CaptureError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise CaptureError(f"{path}: cannot be read: {error.strerror or error}{_instead(path)}") from error
     except UnicodeDecodeError as error:
         raise CaptureError(f"{path}: not text; for a Wireshark capture, run inteco-abs wire import first") from error
     lines = text.split("\n")
@@ -172,8 +172,17 @@ def opened_capture(path: Path) -> Iterator[tuple[Capture, Iterator[Record]]]:
     try:
         with path.open(encoding="utf-8") as file:
             yield _parts(file, str(path))
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be read: {error.strerror or error}{_instead(path)}") from error
+    except UnicodeDecodeError as error:
         raise CaptureError(f"{path}: cannot be read: {error}") from error
+
+
+def _instead(path: Path) -> str:
+    """What to name instead of a file that is missing."""
+    if path.exists():
+        return ""
+    return near_file(path) or "; run --record-wire FILE and inteco-abs wire import write captures"
 
 
 def _parts(lines: Iterable[str], name: str) -> tuple[Capture, Iterator[Record]]:

@@ -42,13 +42,15 @@ ROWS = [
         rig("[guard]\nbrake_limt = 0.7\n")),
     Row("nearly a section", f"{SET} gaurd.brake_limit=0.7", 2, ("gaurd: unknown key",), "did you mean guard?"),
     Row("a key of another program", f"{SET} loop.priority=9", 2, ("loop.priority",), "known: rate_hz, ring_s"),
-    Row("a version that there is not", FILE, 2, ("format: unknown key",), "known: board, controller",
+    Row("a version that there is not", FILE, 2, ("format (rig.toml, line 1): unknown key",), "known: board, controller",
         rig("format = 2\n")),
-    Row("an include", FILE, 2, ("include: unknown key",), "known: board", rig('include = "../other.toml"\n')),
-    Row("a value for a section", FILE, 2, ("guard: 5",), "must be a section, as [guard]", rig("guard = 5\n")),
+    Row("an include", FILE, 2, ("include (rig.toml, line 1): unknown key",), "known: board",
+        rig('include = "../other.toml"\n')),
+    Row("a value for a section", FILE, 2, ("guard (rig.toml, line 1): 5",), "must be a section, as [guard]",
+        rig("guard = 5\n")),
     Row("a section for a value", f"{SET} guard.brake_limit.x=1", 2, ("guard.brake_limit",), "a number above 0"),
-    Row("a number in quotes", FILE, 2, ("experiment.start_speed_rad_s: '180'", "10"), "write it without quotes",
-        rig('[experiment]\nstart_speed_rad_s = "180"\n')),
+    Row("a number in quotes", FILE, 2, ("experiment.start_speed_rad_s (rig.toml, line 2): '180'", "10"),
+        "write it without quotes", rig('[experiment]\nstart_speed_rad_s = "180"\n')),
     Row("a truth for a number", f"{SET} experiment.hold_s=true", 2, ("true",), "a number at least 0 and at most 10"),
     Row("a list for a number", f"{SET} experiment.hold_s=[1]", 2, ("[1]",), "a number at least 0 and at most 10"),
     Row("a date for a number", f"{SET} experiment.hold_s=2026-01-01", 2, ("2026-01-01:",), "a number at least 0"),
@@ -134,12 +136,12 @@ def test_five_mistakes_are_all_reported_at_once(main_here, tmp_path):
         """
     )
     run = main_here("run", "--config", "rig.toml", check=2)
-    for path in (
-        "colour",
-        "guard.brake_limit",
-        "experiment.start_speed_rad_s",
-        "experiment.stop_speed",
-        "controller.name",
+    for line, path in (
+        (2, "colour"),
+        (4, "guard.brake_limit"),
+        (6, "experiment.start_speed_rad_s"),
+        (7, "experiment.stop_speed"),
+        (9, "controller.name"),
     ):
-        assert f"{path}: " in run.stderr
+        assert f"{path} (rig.toml, line {line}): " in run.stderr
     assert "5 mistakes" in run.stderr

@@ -40,7 +40,10 @@ def foreign(place):
 
 
 INPUTS = [
-    Row("no session", "info missing.mcap", 1, ("missing.mcap",), "No such file"),
+    Row("no session", "info missing.mcap", 1, ("missing.mcap", "No such file"), "inteco-abs list . shows"),
+    Row("no folder", "replay runs/missing.mcap", 1, ("missing.mcap", "No such file"), "there is no folder runs"),
+    Row("no capture", "wire show missing.wire", 1, ("missing.wire", "No such file"), "inteco-abs wire import write"),
+    Row("no folder of sessions", "list missing", 1, ("missing", "No such file"), "name a folder with sessions"),
     Row("nearly a session", "info stpo.mcap", 1, ("stpo.mcap", "No such file"), "did you mean stop.mcap?",
         (session(),)),
     Row("a link to nowhere", "info stpo.mcap", 1, ("stpo.mcap", "No such file"), "did you mean stop.mcap?",
