@@ -4,7 +4,7 @@ from inteco_abs.analysis.baseline import previous_card
 from inteco_abs.analysis.catalogue import COLUMNS, session_files, session_row, sort_rows
 from inteco_abs.analysis.closed_loop import Continuation, continued, distance
 from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_sessions, settings_of
-from inteco_abs.analysis.gains import REFERENCE, changed_gains
+from inteco_abs.analysis.gains import REFERENCE, changed_gains, recorded_gains
 from inteco_abs.analysis.golden import Golden, GoldenFolder, GoldenResult
 from inteco_abs.analysis.open_loop import WhatIf, alternative, braking_row, since_braking_s, what_if
 from inteco_abs.analysis.replay import FirstDifference, Replay, before_the_gap, replay_session, require_known
@@ -39,6 +39,7 @@ __all__ = [
     "metric_statistics",
     "parse_tolerances",
     "previous_card",
+    "recorded_gains",
     "replay_session",
     "require_known",
     "session_files",

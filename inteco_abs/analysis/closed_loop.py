@@ -1,8 +1,8 @@
-"""A run continued in simulation: the plant takes over from a logged tick, and from there on it reacts.
+"""Continues a recorded run in simulation from a logged tick, with a plant that reacts.
 
-The mock board gets the logged commands at the logged times up to that tick, so that what is on its way to the brake
-is right; then the plant is put into the logged state. A run of the mock board in virtual time is continued to the
-last bit; of any other, the state is as good as what was logged of it, and the plant as good as its parameters.
+Up to that tick the mock board gets the logged commands at the logged times, which fills the brake's dead time; then the
+plant is set to the logged state. A run of the mock board in virtual time continues bit for bit; any other as well as
+its log and the plant's parameters allow.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ _RUNNING: Final = (Phase.SPIN_UP, Phase.BRAKING)
 
 @dataclass(frozen=True, slots=True)
 class Continuation:
-    """A session up to a tick, and what the simulation made of it from there on."""
+    """A session up to a tick, and its simulated continuation."""
 
     row: int
-    """Of the last logged tick; the plant has it from there."""
+    """Row of the last logged tick."""
     state_from: str
-    """`truth` or `estimates`: where the plant's state came from."""
+    """Source of the plant's state: `truth` or `estimates`."""
     rig: str
     """The drawn rig, or the name of the published parameters."""
     ticks: Array
     truth: Array
     """True states of the continuation alone."""
     card: dict[str, Any]
-    """Of the whole stop, as in the session's own; where the log knows no truth, by the estimates."""
+    """Result card of the whole stop; by the estimates if the log has no truth."""
 
 
 def continued(
@@ -56,10 +56,10 @@ def continued(
     controllers: Mapping[str, type[Controller]],
     at_s: float = 0.0,
 ) -> Continuation:
-    """`session`, run with `own`, as if the estimator and controller of `other` had decided from `at_s` on.
+    """`session`, run with `own`, as if the estimator and controller of `other` had decided from `at_s`.
 
-    `at_s` is since braking began; the board's delay is the same: a command is put out at the next tick. Raises
-    SessionError if the run was over by then, BoardError as the mock board does.
+    `at_s` is since braking began. Each command takes effect at the next tick, as on a board. Raises SessionError if
+    the run was over by then, or the errors of the mock board.
     """
     row = _row_at(session, at_s)
     simulation = own if _was_simulated(session) else _in_simulation(own)
@@ -98,7 +98,7 @@ def continued(
 
 
 def distance(session: Session, closed: Continuation) -> dict[str, float | None]:
-    """RMS of what the continuation leaves the log by, over the ticks in which both brake; None if there are none."""
+    """RMS difference between continuation and log over the ticks in which both brake; None if there are none."""
     ticks = closed.ticks[closed.row + 1 : len(session.ticks)]
     logged = session.ticks[closed.row + 1 : len(closed.ticks)]
     braking = (ticks["phase"] == Phase.BRAKING) & (logged["phase"] == Phase.BRAKING)
@@ -123,22 +123,22 @@ def _was_simulated(session: Session) -> bool:
 
 
 def _in_simulation(config: RigConfig) -> RigConfig:
-    """A real rig's configuration, with the mock board and the published rig in its place."""
+    """A real rig's configuration with the mock board and the published rig instead."""
     return replace(config, board=load_config(profile=_SIMULATED_PROFILE).board, simulation=SimulationConfig())
 
 
 @dataclass(slots=True)
 class _Log:
-    """What was asked for at each tick, until the successor decides."""
+    """The logged demands, used up to `from_row`."""
 
     demands: Array
     from_row: int
     row: int = -1
-    """The tick that is being decided."""
+    """The current row."""
 
 
 class _Successor:
-    """Controller that asks for what the log says, with another one beside it that takes over."""
+    """Demands what the log has, then what another controller demands, which is updated from the start."""
 
     gains: ClassVar[tuple[Gain, ...]] = ()
     internals: ClassVar[tuple[str, ...]] = ()
@@ -148,7 +148,7 @@ class _Successor:
         self._controller = controller
 
     def update(self, estimate: Estimate, dt_s: float) -> BrakeDemand:
-        """The log's demand, or from the agreed tick on the other's."""
+        """The log's demand, or from the row on the other controller's."""
         own = self._controller.update(estimate, dt_s)
         if self._log.row >= self._log.from_row:
             return own
@@ -156,12 +156,12 @@ class _Successor:
         return BrakeDemand(brake, torque_nm, switching, tuple(internals))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """For the next stop of a session: there is one log."""
+        """For the next stop of a session, which shares the log."""
         return type(self)(self._log, deepcopy(self._controller, memo))
 
 
 class _Rig:
-    """The mock board of a session, which gets its commands at given times."""
+    """The mock board of a session, with a clock that is set to the logged times."""
 
     def __init__(self, session: Session, config: RigConfig) -> None:
         self._session = session
@@ -172,12 +172,12 @@ class _Rig:
         self.board: Board = board_behind(InProcessLink(front_end_of(self._device)), config, self._time_ns)
 
     def exchange(self, time_ns: int, command: Command) -> Sample:
-        """Write and read at that time."""
+        """Exchange at that time."""
         self._now_ns = time_ns
         return self.board.exchange(command)
 
     def put_into_state(self, row: int) -> str:
-        """Of a logged tick: the true one where it is known, else the estimated speeds, with the brake as it is."""
+        """Set the plant to the true state of a logged tick, or to its estimated speeds; return which of the two."""
         plant, truth, logged = self._device.plant, self._session.truth, self._session.ticks[row]
         newest = int(np.searchsorted(truth["time_ns"], logged["time_ns"], side="right")) - 1
         source = truth[newest] if newest >= 0 else logged

@@ -1,4 +1,4 @@
-"""What changed between two sessions: how they went, and what they were run with."""
+"""Differences between two sessions: outcome, metrics, signals, settings, software and host."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from inteco_abs.analysis.gains import recorded_gains
 from inteco_abs.format import DOUBLE, TICK, TRUTH, Message, Role
 from inteco_abs.sessions import CONFIG_NAME, Session, card_of
 from inteco_abs.signals import Phase
@@ -28,7 +29,7 @@ Array = npt.NDArray[Any]
 
 
 class Change(NamedTuple):
-    """A value that is another one in the second session; None where there is none."""
+    """A value that differs between two sessions; None if a session does not have it."""
 
     key: str
     a: Any
@@ -36,39 +37,38 @@ class Change(NamedTuple):
 
 
 class SignalChange(NamedTuple):
-    """How far a signal of the second session is from the first one's."""
+    """Difference between a signal of two sessions."""
 
     key: str
     unit: str
     max_difference: float
     at_s: float
-    """Where that is, since braking began."""
+    """Time of the largest difference since braking began."""
     rms_difference: float
     one_sided: int
-    """Ticks at which only one of the two is a number."""
+    """Number of ticks at which only one of the two is a number."""
     ticks: int
-    """Ticks compared."""
+    """Number of ticks compared."""
 
 
 @dataclass(frozen=True, slots=True)
 class Diff:
-    """Changes by section, in the order of `SECTIONS`; sections that were not asked for are left out."""
+    """Changes by requested section, in the order of `SECTIONS`."""
 
     changes: dict[str, list[Change | SignalChange]]
 
     @property
     def equal(self) -> bool:
-        """Nothing that was asked for differs."""
+        """Whether nothing differs in the requested sections."""
         return not any(self.changes.values())
 
 
 def diff_sessions(a: Session, b: Session, sections: tuple[str, ...] = (), rel: float = 0.0) -> Diff:
-    """What of `sections`, by default of all, is not the same in `a` and `b`.
+    """Differences of `a` and `b` in `sections`, by default in all.
 
-    Metrics are the same within `rel` times the larger of the two, signals within `rel` times the first one's peak.
-    Signals are compared from the start of braking on, each tick of `a` with the one of `b` that is nearest in time;
-    where one of the two never braked, from the first tick on. What differs of every two runs (session, date, command
-    line) is not compared.
+    Metrics are equal within `rel` times the larger of the two, signals within `rel` times the peak in `a`. Signals are
+    compared from the start of braking, or from the first tick if one session never braked; each tick of `a` with the
+    one of `b` nearest in time. Session, date and command line are not compared.
     """
     return Diff(
         {name: list(compare(a, b, rel)) for name, compare in _SECTIONS.items() if name in (sections or SECTIONS)}
@@ -85,7 +85,7 @@ def _same(a: Any, b: Any, rel: float) -> bool:
     if isinstance(a, int | float) and isinstance(b, int | float):
         try:
             return bool(a == b or abs(a - b) <= rel * max(abs(a), abs(b)) or (math.isnan(a) and math.isnan(b)))
-        except OverflowError:  # TOML's integers have no end here, and a double holds no more than 309 digits
+        except OverflowError:  # TOML's integers may have more than the 309 digits of a double
             return False
     return bool(a == b)
 
@@ -112,15 +112,7 @@ def _metrics(session: Session) -> dict[str, Any]:
 
 
 def _gains(a: Session, b: Session, _rel: float) -> Iterator[Change]:
-    def gains(session: Session) -> dict[str, str]:
-        facts = session.metadata.get("controller", {})
-        return {
-            key.removeprefix("gain."): value
-            for key, value in facts.items()
-            if key.startswith("gain.") and not key.endswith(".hex")
-        }
-
-    return _changes(gains(a), gains(b))
+    return _changes(recorded_gains(a), recorded_gains(b))
 
 
 def _configuration(a: Session, b: Session, _rel: float) -> Iterator[Change]:
@@ -128,13 +120,13 @@ def _configuration(a: Session, b: Session, _rel: float) -> Iterator[Change]:
 
 
 def settings_of(session: Session) -> dict[str, Any]:
-    """Every setting that the session was run with, under its dotted key; none where no configuration is in it."""
+    """Every setting of the session's run by dotted key; empty without a configuration."""
     stored = session.attachments.get(CONFIG_NAME)
     if stored is None:
         return {}
     try:
         return dict(_dotted("", tomllib.loads(stored.decode("utf-8"))))
-    except (ValueError, RecursionError):  # no TOML: the files are the same, or not
+    except (ValueError, RecursionError):  # not TOML: compare the files
         return {CONFIG_NAME: f"unreadable, sha256 {hashlib.sha256(stored).hexdigest()}"}
 
 
@@ -170,15 +162,15 @@ def _signals(a: Session, b: Session, rel: float) -> Iterator[Change | SignalChan
     starts = _starts(a.ticks, b.ticks)
     internals = [session.channels.get(TICK.topic, {}).get("internals") for session in (a, b)]
     left_out = () if internals[0] == internals[1] else _INTERNALS
-    yield from _compare(TICK, _pair(a.ticks, b.ticks, starts), rel, left_out)
+    yield from _compare(TICK, _align(a.ticks, b.ticks, starts), rel, left_out)
     if len(a.truth) and len(b.truth):
-        yield from _compare(TRUTH, _pair(a.truth, b.truth, starts), rel)
+        yield from _compare(TRUTH, _align(a.truth, b.truth, starts), rel)
     else:
         yield from _changes({"truth": bool(len(a.truth))}, {"truth": bool(len(b.truth))})
 
 
-class _Pair(NamedTuple):
-    """Rows of both sessions that go together."""
+class _AlignedRows(NamedTuple):
+    """Rows of both sessions at the same times."""
 
     a: Array
     b: Array
@@ -186,17 +178,17 @@ class _Pair(NamedTuple):
 
 
 def _starts(a: Array, b: Array) -> tuple[int, int]:
-    """When braking began in each, or, if one of them never braked, when each began; ns."""
+    """Start of braking in each, or of each session if one never braked, ns."""
     braking = [np.flatnonzero(ticks["phase"] == Phase.BRAKING) for ticks in (a, b)]
     first = [int(where[0]) for where in braking if len(where)]
     rows = first if len(first) == len(braking) else [0, 0]
     return int(a["time_ns"][rows[0]]), int(b["time_ns"][rows[1]])
 
 
-def _pair(a: Array, b: Array, starts: tuple[int, int]) -> _Pair:
-    """Each row of `a` since its start, up to where one of the two ends, with the nearest of `b`.
+def _align(a: Array, b: Array, starts: tuple[int, int]) -> _AlignedRows:
+    """Each row of `a` since its start, up to the end of the shorter one, with the nearest of `b`.
 
-    Of several rows at one instant, as when the outputs are made safe at the end, the last counts.
+    Of several rows at one time, as when the outputs are made safe at the end, the last is used.
     """
     a, b = (rows[np.diff(rows["time_ns"], append=_NEVER) > 0] for rows in (a, b))
     times_a, times_b = (rows["time_ns"].astype(np.int64) - start for rows, start in zip((a, b), starts, strict=True))
@@ -205,15 +197,17 @@ def _pair(a: Array, b: Array, starts: tuple[int, int]) -> _Pair:
     after = np.minimum(np.searchsorted(times_b, wanted), len(times_b) - 1)
     before = np.maximum(after - 1, 0)
     nearest = np.where(wanted - times_b[before] < times_b[after] - wanted, before, after)
-    return _Pair(a[kept], b[nearest], wanted * 1e-9)
+    return _AlignedRows(a[kept], b[nearest], wanted * 1e-9)
 
 
-def _compare(message: Message, pair: _Pair, rel: float, left_out: tuple[str, ...] = ()) -> Iterator[SignalChange]:
+def _compare(
+    message: Message, rows: _AlignedRows, rel: float, left_out: tuple[str, ...] = ()
+) -> Iterator[SignalChange]:
     prefix = "" if message is TICK else "truth."
     for column in message.columns:
-        told = message is TRUTH or column.role is Role.OUTPUT
-        if column.kind is DOUBLE and told and column.name not in left_out:
-            change = _signal(pair.a[column.name], pair.b[column.name], pair.since_s, rel)
+        compared = message is TRUTH or column.role is Role.OUTPUT
+        if column.kind is DOUBLE and compared and column.name not in left_out:
+            change = _signal(rows.a[column.name], rows.b[column.name], rows.since_s, rel)
             if change is not None:
                 yield change._replace(key=prefix + column.name, unit=column.unit)
 
@@ -243,4 +237,4 @@ _SECTIONS: Final[dict[str, Callable[[Session, Session, float], Iterator[Change |
     "rig": _facts("rig"),
 }
 SECTIONS: Final = tuple(_SECTIONS)
-"""What can be asked for, in the order in which it is told."""
+"""Names of the sections, in order of the output."""

@@ -1,4 +1,4 @@
-"""Gains and reference as a session has recorded them, in three places, against those that a replay is run with."""
+"""Gains and reference as recorded in a session, in three places, compared with those of a replay."""
 
 from __future__ import annotations
 
@@ -13,14 +13,24 @@ _GAIN: Final = "gain."
 _HEX: Final = ".hex"
 
 
-def changed_gains(session: Session, configured: Mapping[str, float]) -> dict[str, dict[str, str | None]]:
-    """Gains, and the reference, that are not everywhere in the session what they are `configured` to be.
+def recorded_gains(session: Session) -> dict[str, str]:
+    """Gains of a session's run by name, as decimal text."""
+    facts = session.metadata.get("controller", {})
+    return {
+        key.removeprefix(_GAIN): value
+        for key, value in facts.items()
+        if key.startswith(_GAIN) and not key.endswith(_HEX)
+    }
 
-    By name: what was `recorded`, `where`, and what is `configured`, exactly; None where it is not. A gain that the
-    session has recorded nowhere is none of them: the controller has it since.
+
+def changed_gains(session: Session, configured: Mapping[str, float]) -> dict[str, dict[str, str | None]]:
+    """Gains, and the reference, whose recorded values differ from the `configured` ones.
+
+    By name: the value `recorded`, `where`, and the value `configured`, exactly; None if it is missing. A gain that the
+    session does not have at all is left out: the controller got it later.
     """
-    told = session.metadata.get("controller", {})
-    metadata = {key: value for key, value in told.items() if key.startswith(_GAIN) or key == REFERENCE}
+    facts = session.metadata.get("controller", {})
+    metadata = {key: value for key, value in facts.items() if key.startswith(_GAIN) or key == REFERENCE}
     message = {
         name: value.hex() for part in session.parameters if part.tick == 0 for name, value in part.values.items()
     }

@@ -1,7 +1,7 @@
-"""Recorded runs kept as regression tests: the decisions of today must be those that a session has logged.
+"""Golden sessions: recorded runs as regression tests, whose logged decisions a replay must reproduce.
 
-A folder holds small copies of sessions, and `golden.toml` with what is to be known of each: its hash, tolerances
-if it has any, and for every version of it when and why it was made, and by what software.
+A folder has small copies of sessions, and `golden.toml` with the tolerances and the history of each: date, reason,
+hash and software of every version.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from typing import Any, Final, Self
 import numpy as np
 import tomli_w
 
+from inteco_abs.analysis.gains import recorded_gains
 from inteco_abs.analysis.open_loop import since_braking_s
 from inteco_abs.analysis.replay import Replay, decisions, replay_session, require_known
 from inteco_abs.analysis.tolerance import Array, parse_tolerances
@@ -42,14 +43,14 @@ from inteco_abs.signals import Phase
 
 TABLE_NAME: Final = "golden.toml"
 FEWEST_BRAKING_TICKS: Final = 100
-"""In fewer, next to nothing is tested."""
+"""Fewer test next to nothing."""
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 _KEPT: Final = ("software", "rig", "drawn_rig", "controller")
-"""Metadata that a copy keeps; not the host's."""
+"""Metadata that a copy keeps; facts about the host are left out."""
 _SOFTWARE: Final = ("version", "python", "libc", "git_commit", "git_dirty")
-"""Which of these facts a version keeps."""
+"""Facts about the software that the history keeps."""
 _NOT_KEPT: Final = ("argv",)
-"""Of the software: it names folders."""
+"""Facts about the software that a copy leaves out, as they name folders."""
 _TIMING: Final = tuple(column.name for column in TICK.columns if column.role is Role.TIMING)
 
 ControllerTypes = Mapping[str, type[Controller]]
@@ -63,7 +64,7 @@ class Version:
     reason: str
     file_sha256: str
     changed_ticks: int
-    """Ticks in which it is not the version before; 0 for the first."""
+    """Number of ticks that differ from the previous version; 0 for the first."""
     software: dict[str, str]
 
 
@@ -74,12 +75,12 @@ class Golden:
     name: str
     ticks: int
     tolerances: tuple[str, ...]
-    """As for `replay --tol`; none: every bit counts."""
+    """As for `replay --tol`; empty: every bit must agree."""
     history: tuple[Version, ...]
 
     @classmethod
     def of(cls, name: str, table: Mapping[str, Any]) -> Self:
-        """From its table in golden.toml; raises KeyError or TypeError if that is none."""
+        """From its table in golden.toml. Raises KeyError or TypeError if that is not valid."""
         history = tuple(Version(**version) for version in table["history"])
         if not history:
             raise KeyError("history")
@@ -88,7 +89,7 @@ class Golden:
 
 @dataclass(frozen=True, slots=True)
 class GoldenResult:
-    """What a test of one golden session has found."""
+    """Result of the test of one golden session."""
 
     name: str
     problem: str
@@ -107,7 +108,7 @@ class GoldenFolder:
         return iter(self._goldens.values())
 
     def chosen(self, names: Sequence[str]) -> list[Golden]:
-        """Those with these names, or all; raises ConfigError for a name that is none, and if there is nothing."""
+        """Those with these names, or all. Raises ConfigError for an unknown name, or if the folder is empty."""
         if not self._goldens:
             problem = f"{self.path} holds no golden session; add one: inteco-abs golden add FILE --reason TEXT"
             raise ConfigError.of("--folder", problem)
@@ -132,8 +133,8 @@ class GoldenFolder:
     ) -> Golden:
         """Keep a copy of `session` as `name`, without the simulation's truth, up to `until_s` after braking began.
 
-        Raises ConfigError for a name that is none or taken, and without a reason; SessionError for a session that
-        proves nothing: that was cut, hardly brakes, or does not replay now, or that is not all known here.
+        Raises ConfigError for a wrong name or a missing reason; SessionError for a session that was cut, hardly brakes,
+        does not replay, or is not fully supported.
         """
         self._check_name(name)
         _require_reason(reason)
@@ -161,9 +162,9 @@ class GoldenFolder:
         return [self._test(golden, controllers) for golden in self.chosen(names)]
 
     def update(self, name: str, reason: str, controllers: ControllerTypes) -> Golden:
-        """Take the decisions of today for those of the golden session; its inputs stay.
+        """Replace the logged decisions by those of this version; the inputs stay.
 
-        Raises ConfigError for an unknown name, without a reason, and if no tick would change.
+        Raises ConfigError for an unknown name, a missing reason, or if no tick would change.
         """
         _require_reason(reason)
         (golden,) = self.chosen([name])
@@ -176,8 +177,7 @@ class GoldenFolder:
         rows = np.frombuffer(payload, np.uint8).reshape(-1, TICK.size)
         changed = int((rows != np.frombuffer(session.payload, np.uint8).reshape(rows.shape)).any(axis=1).sum())
         if not changed:
-            problem = "replays to the last bit, so there is nothing to update"
-            raise ConfigError.of(name, problem)
+            raise ConfigError.of(name, "replays bit for bit, so there is nothing to update")
         part = self._part(name)
         try:
             _write_copy(session, payload, part)
@@ -187,7 +187,7 @@ class GoldenFolder:
             part.unlink(missing_ok=True)
 
     def file(self, golden: Golden) -> Path:
-        """Its session."""
+        """Path of its session."""
         return self.path / f"{golden.name}.mcap"
 
     def _test(self, golden: Golden, controllers: ControllerTypes) -> GoldenResult:
@@ -219,7 +219,7 @@ class GoldenFolder:
         return self.path / f".{name}.{os.getpid()}.part"
 
     def _keep(self, golden: Golden, part: Path) -> Golden:
-        """The file first: a table that knows of a version that is not there would be worse than the reverse."""
+        """Write the file before the table: a table without its file would be worse than the reverse."""
         goldens = {**self._goldens, golden.name: golden}
         tables = {name: _table(each) for name, each in sorted(goldens.items())}
         text = tomli_w.dumps({"schema_version": 1, "golden": tables}, multiline_strings=False)
@@ -294,27 +294,20 @@ def _sha256(file: Path) -> str:
 
 
 def _write_copy(session: Session, payload: bytes, path: Path) -> None:
-    """The session with other ticks, without truth and without what it says of the host."""
+    """Write the session with other ticks, without truth and facts about the host."""
     config: RigConfig = session_config(session, ())
     ticks = TICK.array(payload)
     internals = json.loads(session.channels[TICK.topic].get("internals", "[]"))
-    told = session.metadata.get("session", {})
-    with FileWriter(path, int(ticks["time_ns"][0]), internals, told.get("session_id", "")) as recorder:
+    facts_of_run = session.metadata.get("session", {})
+    with FileWriter(path, int(ticks["time_ns"][0]), internals, facts_of_run.get("session_id", "")) as recorder:
         for name in _KEPT:
             if name in session.metadata:
                 facts = session.metadata[name]
                 recorder.describe(name, {key: value for key, value in facts.items() if key not in _NOT_KEPT})
         for name, data in session.attachments.items():
             recorder.attach(name, "application/toml" if name == CONFIG_NAME else "application/octet-stream", data)
-        recorder.begin({"reference_slip": config.controller.reference_slip, **_gains(session)})
+        gains = {name: float(value) for name, value in recorded_gains(session).items()}
+        recorder.begin({"reference_slip": config.controller.reference_slip, **gains})
         recorder.ticks(payload)
         card = {**result_card(config, ticks, TRUTH.array(b"")), "lost_ticks": 0}
-        recorder.finish(told.get("outcome", ""), told.get("reason", ""), card)
-
-
-def _gains(session: Session) -> dict[str, float]:
-    facts = session.metadata.get("controller", {})
-    hexes = {
-        key.split(".")[1]: value for key, value in facts.items() if key.startswith("gain.") and key.endswith(".hex")
-    }
-    return {name: float.fromhex(value) for name, value in hexes.items()}
+        recorder.finish(facts_of_run.get("outcome", ""), facts_of_run.get("reason", ""), card)

@@ -1,7 +1,6 @@
-"""Demands of another controller or estimator, or of other gains, on the counts that a session has logged.
+"""Demands of another controller or estimator, or of other gains, for the counts that a session has logged.
 
-Open loop: the logged counts do not react. Once the demands diverge from the log, the situation is no longer the
-controller's own.
+Open loop: the logged counts do not react. After the demands diverge from the log, they are hypothetical.
 """
 
 from __future__ import annotations
@@ -82,15 +81,15 @@ class WhatIf:
 
 
 def alternative(session: Session, settings: Sequence[str], controllers: Mapping[str, type[Controller]]) -> RigConfig:
-    """The session's configuration with `settings` over it; another controller begins with its own default gains.
+    """The session's configuration changed by `settings`; another controller begins with its default gains.
 
-    Raises ConfigError with every mistake, SessionError if the session's configuration cannot be used.
+    Raises ConfigError with all mistakes, SessionError if the session's configuration cannot be used.
     """
     table = tomllib.loads(session_config(session, ()).to_toml())
     chosen: dict[str, Any] = {}
     mistakes = [mistake for setting in settings for mistake in apply_setting(chosen, setting)]
     mistakes += [
-        ConfigIssue(key, f"is not part of what can be asked about; that are {', '.join(f'{each}.*' for each in _OPEN)}")
+        ConfigIssue(key, f"cannot be changed here: must be one of {', '.join(f'{each}.*' for each in _OPEN)}")
         for key in chosen
         if key not in _OPEN
     ]
@@ -105,19 +104,17 @@ def alternative(session: Session, settings: Sequence[str], controllers: Mapping[
     for setting in settings:
         apply_setting(table, setting)
     if table["controller"]["name"] != before:
-        own = chosen["controller"].get("gains", {})
-        table["controller"]["gains"] = own
+        table["controller"]["gains"] = chosen["controller"].get("gains", {})
     if "estimator" not in chosen:
-        needed = preferred_estimator(controllers)(table).get("estimator", {})
-        table["estimator"] |= needed
+        table["estimator"] |= preferred_estimator(controllers)(table).get("estimator", {})
     return parse_config(tomli_w.dumps(table), (control_check(controllers),))
 
 
 def braking_row(session: Session) -> int:
-    """Row of the first tick of braking; raises SessionError if there is none."""
+    """Row of the first tick of braking. Raises SessionError without one."""
     rows = np.flatnonzero(session.ticks["phase"] == Phase.BRAKING)
     if not len(rows):
-        raise SessionError(f"{session.path}: the run ended before braking; there is nothing to ask about")
+        raise SessionError(f"{session.path}: the run ended before braking; there is nothing to compare")
     return int(rows[0])
 
 
@@ -136,12 +133,11 @@ def what_if(
     duty: float = DUTY_THRESHOLD,
     torque_nm: float = TORQUE_THRESHOLD_NM,
 ) -> WhatIf:
-    """What the estimator and controller of `config` ask for on the logged counts, and where that leaves the log.
+    """Demands of the estimator and controller of `config` for the logged counts, and where they leave the log.
 
-    They run along from the first tick; from `at_s` after braking began on they are looked at, or always. `duty` and
-    `torque_nm` are how far they may be from the log without having left it.
-    Raises SessionError if there was no braking, if the run was over by `at_s`, or if the estimator or controller
-    raises.
+    They are updated from the first tick, and compared from `at_s` after braking began, or always. `duty` and
+    `torque_nm` are the largest differences that still agree with the log. Raises SessionError without braking, if the
+    run was over by `at_s`, or if the estimator or controller raises.
     """
     require_known(session)
     since_s = since_braking_s(session)
@@ -160,38 +156,39 @@ def what_if(
 
 def _requests(session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> Iterator[Demand]:
     alternative = _Alternative(config, controllers)
-    answer, told, before = Demand(0.0, 0.0, 0.0), Command.SAFE, Phase.UNKNOWN
+    answer, command, before = Demand(0.0, 0.0, 0.0), Command.SAFE, Phase.UNKNOWN
     for tick, time_ns, dt_s, wheel, road, flags, drive, brake, phase in session.ticks[_LOGGED].tolist():
-        if not flags:  # else the run went on with what it had
+        if not flags:  # without a valid sample the run kept its previous demand
+            sample = Sample(tick, time_ns, dt_s, wheel, road)
             try:
-                answer = alternative.step(Sample(tick, time_ns, dt_s, wheel, road), told, Phase(before), Phase(phase))
+                answer = alternative.step(sample, command, Phase(before), Phase(phase))
             except (Exception, SystemExit) as error:  # a user's controller may raise anything
                 raise SessionError(
                     f"{session.path}: asked at tick {tick}, it raised {describe_error(error)}"
                 ) from error
         yield answer
-        told, before = Command(drive, brake), phase
+        command, before = Command(drive, brake), phase
 
 
 class _Alternative:
-    """Estimator and controller, the latter asked where the log's was: from the tick after braking began on."""
+    """Estimator and controller; the controller is updated where the log's was: from the tick after braking began."""
 
     def __init__(self, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> None:
-        self._made_of = config, controllers
+        self._arguments = config, controllers
         self._estimator = make_estimator(config)
         self._controller = make_controller(config, controllers)
         self._held = _NO_DEMAND
 
-    def step(self, sample: Sample, told: Command, before: Phase, phase: Phase) -> Demand:
-        """What is asked for in a tick that goes from one phase to the next."""
-        estimate = self._estimator.update(sample, told)
+    def step(self, sample: Sample, command: Command, before: Phase, phase: Phase) -> Demand:
+        """Demand of a tick that goes from one phase to the next."""
+        estimate = self._estimator.update(sample, command)
         demand = _NO_DEMAND
         if before is Phase.BRAKING:
             demand = self._held = recordable(self._controller.update(estimate, sample.dt_s))
         elif before is Phase.STOPPED and phase is Phase.STOPPED:
             demand = self._held
         elif before is Phase.STOPPED:
-            self._controller = make_controller(*self._made_of)  # each stop begins with a fresh one
+            self._controller = make_controller(*self._arguments)  # each stop begins with a new one
         return Demand(estimate.slip, demand.torque_nm, demand.brake)
 
 

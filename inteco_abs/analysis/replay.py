@@ -1,4 +1,4 @@
-"""Runs the decision path again on logged inputs and compares every output: bit for bit, or within tolerances."""
+"""Repeats the decisions on logged inputs and compares every output, bit for bit or within tolerances."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from inteco_abs.signals import BoardFlags, Phase, Reason, Sample
 _INPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.INPUT)
 _COMPARED: Final = ("time_ns", "tick", "dt_s", *OUTPUTS)
 _LONGEST_S: Final = (1 << 64) * 1e-9
-"""What a clock of 64 bits can count, ns."""
+"""Range of a clock of 64 bits in ns."""
 _NO_FLAGS: Final = BoardFlags.NONE  # two enums looked up by value would take a tenth of a tick
 _NO_REQUEST: Final = Reason.NONE
 
@@ -38,10 +38,7 @@ class FirstDifference:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """Outcome of a replay: how many ticks, how many of them differ, where first, and which fields how often.
-
-    Differences within the tolerances do not count.
-    """
+    """Result of a replay; differences within the tolerances do not count as such."""
 
     ticks: int
     braking_ticks: int
@@ -49,19 +46,19 @@ class Replay:
     first: FirstDifference | None
     by_field: dict[str, int]
     agreeing_ticks: int = 0
-    """Length of the longest beginning in which nothing differs."""
+    """Number of ticks before the first difference."""
     agreeing_s: float = 0.0
-    """From the first tick to the last of these."""
+    """Time from the first to the last of these ticks."""
     tolerated: dict[str, int] = field(default_factory=dict)
-    """Ticks that differ in their bits and yet are within the tolerance, by field."""
+    """Number of ticks that differ within the tolerance, by field."""
     shifts: tuple[Shift, ...] = ()
-    """Changes of phases, flags and reasons that come early or late, or not at all."""
+    """Changes of phases, flags and reasons that come early, late, or not at all."""
 
 
 def before_the_gap(session: Session) -> Session:
-    """A recovered session up to its first gap: what was decided behind it rests on ticks that are missing.
+    """A recovered session up to its first gap, as later decisions depend on the missing ticks.
 
-    Any other session is given back as it is: there, a gap is a difference. Raises SessionError if the gap comes first.
+    Any other session is returned unchanged: there, a gap is a difference. Raises SessionError if it begins with a gap.
     """
     if session.metadata.get("session", {}).get("outcome") != RECOVERED:
         return session
@@ -76,9 +73,9 @@ def before_the_gap(session: Session) -> Session:
 
 
 def replay_session(session: Session, pipeline: Pipeline, tolerances: Mapping[str, Tolerance] | None = None) -> Replay:
-    """Drive a fresh `pipeline` with the session's inputs and compare; fields without a tolerance must agree exactly.
+    """Run a new `pipeline` on the session's inputs and compare; fields without a tolerance must agree exactly.
 
-    Of the inputs, those that follow from others are checked as well. Raises SessionError if there are no ticks.
+    Inputs that follow from others are compared as well. Raises SessionError if there are no ticks.
     """
     logged, again = session.ticks, decisions(session, pipeline)
     _imply_inputs(logged, again)
@@ -109,41 +106,41 @@ def replay_session(session: Session, pipeline: Pipeline, tolerances: Mapping[str
 
 
 def decisions(session: Session, pipeline: Pipeline) -> Array:
-    """What a fresh `pipeline` makes of the session's inputs: rows as in `session.ticks`, with timing all zero.
+    """Decisions of a new `pipeline` on the session's inputs: rows as in `session.ticks`, with zero timing.
 
     Raises SessionError if there are no ticks.
     """
     if not len(session.ticks):
-        raise SessionError(f"{session.path}: holds no ticks")
+        raise SessionError(f"{session.path}: has no ticks")
     return TICK.array_of(starmap(pipeline.step, samples(session)))
 
 
 def require_known(session: Session) -> None:
-    """Raises SessionError if the session holds what this version does not know: its decisions may rest on that."""
+    """Raise SessionError if this version does not know all of the session, on which decisions may depend."""
     if session.unsupported:
         raise SessionError(f"{session.path}: cannot be replayed: {session.unsupported}; replay it with that")
 
 
 def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
-    """The session's inputs as a pipeline takes them: sample, and why somebody asked to stop.
+    """The session's inputs: samples, and reasons of requested stops.
 
-    Raises SessionError for what this version does not know, and for a dt_s that no clock can have measured.
+    Raises SessionError for a session that is not fully supported, or an impossible dt_s.
     """
     require_known(session)
     impossible = np.flatnonzero(~(np.abs(session.ticks["dt_s"]) < _LONGEST_S))
     if len(impossible):
         tick, dt_s = (session.ticks[name][impossible[0]] for name in ("tick", "dt_s"))
-        raise SessionError(f"{session.path}: tick {tick}: dt_s is {dt_s}, which no clock can have measured")
+        raise SessionError(f"{session.path}: tick {tick}: dt_s is {dt_s} s: must be less than {_LONGEST_S:.0f} s")
     for time_ns, tick, dt_s, wheel, road, flags, request in TICK.values(session.payload, _INPUTS):
         sample = Sample(tick, time_ns, dt_s, wheel, road, BoardFlags(flags) if flags else _NO_FLAGS)
         yield sample, Reason(request) if request else _NO_REQUEST
 
 
 def _imply_inputs(logged: Array, again: Array) -> None:
-    """Put into `again` what those inputs should be that follow from others, so that they can be compared as well.
+    """Compute the inputs in `again` that follow from others, for the comparison.
 
-    Ticks are numbered one by one, and dt_s is the time since the tick before. Where it is wrong before and after a
-    tick, that tick's time is.
+    Ticks are consecutive, and dt_s is the time since the previous tick; if it is wrong before and after a tick, that
+    tick's time is wrong.
     """
     numbers, times_ns = logged["tick"].astype(np.int64), logged["time_ns"].astype(np.int64)
     again["tick"][1:] = numbers[:-1] + 1

@@ -23,7 +23,7 @@ METRICS: Final = tuple(UNITS)
 
 
 class MetricStatistics(NamedTuple):
-    """Of one metric over the stops that have it."""
+    """Statistics of one metric over the stops that have it."""
 
     stops: int
     mean: float
@@ -36,7 +36,7 @@ class MetricStatistics(NamedTuple):
 
 
 def metric_statistics(cards: Sequence[Mapping[str, Any]]) -> dict[str, MetricStatistics]:
-    """By metric; one that no stop has is left out."""
+    """Statistics by metric; metrics that no stop has are left out."""
     found = {}
     for name in METRICS:
         points = [(number, card[name]) for number, card in enumerate(cards) if card.get(name) is not None]

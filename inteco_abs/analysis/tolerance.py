@@ -1,6 +1,7 @@
-"""How far a replayed signal may be from the logged one, in value and in time; how much a flag comes early or late.
+"""Tolerances of replayed signals in value and time, and shifts of flags.
 
-The words are Simulink Test's: absolute, relative, leading, lagging (docs/facts/sessions.md#comparison-of-signals).
+The terms are those of Simulink Test: absolute, relative, leading, lagging
+(docs/facts/sessions.md#comparison-of-signals).
 """
 
 from __future__ import annotations
@@ -21,19 +22,19 @@ Array = npt.NDArray[Any]
 OUTPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.OUTPUT)
 _KINDS: Final = {column.name: column.kind for column in TICK.columns if column.role is Role.OUTPUT}
 DISCRETE: Final = tuple(name for name, kind in _KINDS.items() if kind.code != "d")
-"""Outputs that are not numbers: a flag or one of several."""
+"""Outputs that are flags or enumerations."""
 ALL: Final = "*"
 _SYNTAX: Final = "must look like brake=1e-9, slip=1e-9:1e-6, or phase=::0.002:0.002"
 _LONGEST_S: Final = 1.0
-"""Of lead and lag: beyond, it is another stop."""
+"""Largest lead and lag; a longer one would reach another stop."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """A replayed value is accepted if it is near a logged one of about the same time.
+    """Accepts a replayed value that is near a logged one at about the same time.
 
-    Near: |replayed - logged| <= max(abs, rel*|logged|), or between two such values; NaN is near NaN. About the same
-    time: the replayed signal may come up to `lead_s` earlier or `lag_s` later.
+    Near: |replayed - logged| <= max(abs, rel*|logged|), or between two such values; NaN is near NaN. The replayed
+    signal may come up to `lead_s` earlier or `lag_s` later.
     """
 
     abs: float = 0.0
@@ -42,7 +43,7 @@ class Tolerance:
     lag_s: float = 0.0
 
     def accepts(self, logged: Array, replayed: Array, time_ns: Array) -> Array:
-        """Which of the replayed values; one for each tick."""
+        """Whether each tick's replayed value is accepted."""
         times_ns = time_ns.astype(np.int64)
         first = np.searchsorted(times_ns, times_ns - round(self.lag_s * 1e9), side="left")
         end = np.searchsorted(times_ns, times_ns + round(self.lead_s * 1e9), side="right")
@@ -68,7 +69,7 @@ def _same(logged: Array, replayed: Array, first: Array, end: Array) -> Array:
 
 
 def _window(first: Array, end: Array) -> Iterator[tuple[Array, Array]]:
-    """Rows, and for each of them one of its window `first`..`end`; again and again, until all have come."""
+    """Rows, and for each of them one row of its window `first`..`end`, until all have been yielded."""
     for k in range(int((end - first).max())):
         rows = np.flatnonzero(first + k < end)
         yield rows, first[rows] + k
@@ -76,19 +77,19 @@ def _window(first: Array, end: Array) -> Iterator[tuple[Array, Array]]:
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """A change of a flag, phase or reason that replay and log do not make at the same tick."""
+    """A change of a flag, phase or reason at different ticks in replay and log."""
 
     field: str
     value: str
-    """What it changes to."""
+    """The value after the change."""
     logged_tick: int | None
     replayed_tick: int | None
     late_ticks: int | None
-    """How much later the replay makes it; None where one of them never does."""
+    """Delay of the replay; None if one of them does not have the change."""
 
 
 def shifts(name: str, logged: Array, replayed: Array) -> Iterator[Shift]:
-    """Changes of one discrete output that are not the same; the n-th to a value is the n-th in log and replay."""
+    """Differing changes of one discrete output; the n-th change to a value in log and replay are compared."""
     before, after = (_changes(rows[name], logged["tick"]) for rows in (logged, replayed))
     for change in sorted({**after, **before}, key={**after, **before}.__getitem__):
         then, now = before.get(change), after.get(change)
@@ -99,7 +100,7 @@ def shifts(name: str, logged: Array, replayed: Array) -> Iterator[Shift]:
 
 
 def _changes(values: Array, ticks: Array) -> dict[tuple[int, int], int]:
-    """Tick of each change, by the value after it and how often that came before."""
+    """Tick of each change, by the new value and the number of earlier changes to it."""
     found: dict[tuple[int, int], int] = {}
     counts: dict[int, int] = {}
     for row in [0, *(np.flatnonzero(values[1:] != values[:-1]) + 1).tolist()]:

@@ -1,9 +1,10 @@
-"""What is wrong with gains, with the number that says so and what can be done."""
+"""Problems of gains, each with its figures and what can be done."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from itertools import groupby
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -11,18 +12,25 @@ import numpy as np
 from inteco_abs.control import BoundaryLayer
 from inteco_abs.gain_design.bounds import AtSlip, Bounds, Floats, worst
 from inteco_abs.gain_design.gains import Gains
-from inteco_abs.gain_design.intervals import Interval, in_words, where_lost
 from inteco_abs.gain_design.reaching import Reaching
 from inteco_abs.rig import RigParameters, brake_duty, brake_torque
 
 _LATE_PERIODS: Final = 3.0
 """By which a sampled law may reach later than (20)."""
 _TO_SPARE: Final = 1.01
+_HALVINGS: Final = 30
 _FASTEST_V: Final = next(gain.high for gain in BoundaryLayer.gains if gain.name == "v")
 
 
+class Interval(NamedTuple):
+    """Range of road speeds, rad/s."""
+
+    low: float
+    high: float
+
+
 class Advice(NamedTuple):
-    """Something to look at."""
+    """A problem of the gains, and what can be done."""
 
     about: str
     found: str
@@ -30,14 +38,14 @@ class Advice(NamedTuple):
 
 
 class Case(NamedTuple):
-    """What is judged."""
+    """The gains, and the rigs and limits for which they are assessed."""
 
     gains: Gains
     nominal: RigParameters
     reference: AtSlip
     """The box at the reference slip."""
     slips: tuple[AtSlip, ...]
-    """The box where the conditions of sliding shall hold."""
+    """The box at the slips for which the conditions of sliding must hold."""
     speeds: Floats
     """Rising, rad/s."""
     brake_limit: float
@@ -50,19 +58,19 @@ class Case(NamedTuple):
         return brake_torque(self.brake_limit, self.nominal)
 
     def bounds(self, speeds: Floats) -> Bounds:
-        """F to (26), of the worst slip."""
+        """Bounds at the worst slip."""
         return worst(self.slips, speeds)
 
-    def lost(self, margin: Callable[[Floats], Floats]) -> list[Interval]:
-        """Where `margin` over road speed is not above 0."""
-        return where_lost(margin, self.speeds)
+    def lost(self, margin: Callable[[Floats], Floats]) -> str:
+        """Road speeds at which `margin` is not above 0, as text; empty without any."""
+        return describe_intervals(where_lost(margin, self.speeds), self.speeds)
 
     def margin_25(self, speeds: Floats) -> Floats:
-        """Mq above what (25) asks for, 1/s."""
+        """Mq minus the bound of (25), 1/s."""
         return self.gains.switching(speeds) - self.bounds(speeds).mq_25
 
     def margin_26(self, speeds: Floats) -> Floats:
-        """Likewise (26)."""
+        """Mq minus the bound of (26), 1/s."""
         return self.gains.switching(speeds) - self.bounds(speeds).mq_26
 
     def torque_eq(self, speeds: Floats) -> Floats:
@@ -70,12 +78,51 @@ class Case(NamedTuple):
         return -self.reference.f(speeds) / self.reference.g(speeds)
 
     def torque_swing(self, speeds: Floats) -> Floats:
-        """What switching adds to that or takes from it, Mq/g, N m."""
+        """Change of that torque by switching, Mq/g, N m."""
         return self.gains.switching(speeds) / self.reference.g(speeds)
 
 
+def where_lost(margin: Callable[[Floats], Floats], speeds: Floats) -> list[Interval]:
+    """Where `margin` is not above 0: found at rising `speeds`, the ends refined by bisection."""
+
+    def edge(lost: float, kept: float) -> float:
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (lost + kept)
+            if margin(np.array([middle]))[0] > 0.0:
+                kept = middle
+            else:
+                lost = middle
+        return lost
+
+    found = []
+    for holds, run in groupby(enumerate(margin(speeds) > 0.0), key=lambda one: bool(one[1])):
+        if not holds:
+            first, *rest = (index for index, _ in run)
+            last = rest[-1] if rest else first
+            low = edge(speeds[first], speeds[first - 1]) if first > 0 else speeds[first]
+            high = edge(speeds[last], speeds[last + 1]) if last + 1 < len(speeds) else speeds[last]
+            found.append(Interval(float(low), float(high)))
+    return found
+
+
+def describe_intervals(intervals: list[Interval], speeds: Floats) -> str:
+    """Text such as "below 71.3 rad/s"."""
+
+    def one(interval: Interval) -> str:
+        from_start, to_end = interval.low <= speeds[0], interval.high >= speeds[-1]
+        if from_start and to_end:
+            return "at every speed"
+        if from_start:
+            return f"below {interval.high:.1f} rad/s"
+        if to_end:
+            return f"above {interval.low:.1f} rad/s"
+        return f"from {interval.low:.1f} to {interval.high:.1f} rad/s"
+
+    return " and ".join(map(one, intervals))
+
+
 def advice(case: Case, ways: list[Reaching]) -> list[Advice]:
-    """Everything there is to look at."""
+    """All problems of the gains."""
     found = [*_existence(case), *_holding(case), *_saturation(case), *_layer(case)]
     return [*found, *(one for way in ways for one in _lateness(case, way))]
 
@@ -90,7 +137,7 @@ def _existence(case: Case) -> Iterator[Advice]:
     elif lost:
         at = int(np.argmin(case.margin_25(case.speeds)))
         found = (
-            f"sliding is not guaranteed {in_words(lost, case.speeds)}: at {case.speeds[at]:g} rad/s (25) asks for an "
+            f"sliding is not guaranteed {lost}: at {case.speeds[at]:g} rad/s (25) asks for an "
             f"Mq above {bounds.mq_25[at]:.3g} 1/s, it is {case.gains.switching(case.speeds)[at]:.3g}"
         )
         yield Advice("existence", found, _enough(case, bounds))
@@ -100,7 +147,7 @@ def _existence(case: Case) -> Iterator[Advice]:
 
 
 def _enough(case: Case, bounds: Bounds) -> str:
-    """The smallest gains that fulfil (25), with a little to spare."""
+    """The smallest gains that fulfil (25), with a margin of 1 %."""
     constant = _TO_SPARE * float(bounds.mq_25.max())
     if constant == 0.0:
         return "any Mq above 0"
@@ -111,15 +158,15 @@ def _enough(case: Case, bounds: Bounds) -> str:
 
 
 def _holding(case: Case) -> Iterator[Advice]:
-    """Whether each rig's brake can hold the reference at all; where g may be negative that says nothing."""
-    if not case.reference.g_positive:
+    """Whether each rig's brake can hold the reference slip."""
+    if not case.reference.g_positive:  # the torque has no bounds then
         return
     needed = float(case.reference.holding_torques(case.speeds)[1].max())
     lost = case.lost(lambda speeds: case.limit_nm - case.reference.holding_torques(speeds)[1])
     if lost:
         duty = brake_duty(needed, case.nominal)
         found = (
-            f"the brake cannot hold the reference slip on every rig of the set {in_words(lost, case.speeds)}: the law "
+            f"the brake cannot hold the reference slip on every rig of the set {lost}: the law "
             f"must ask for up to {needed:.3g} N m, {_limit(case)}"
         )
         fix = f"guard.brake_limit above {_rounded_up(duty)}, if the brake's supply bears it" if duty < 1.0 else ""
@@ -127,7 +174,7 @@ def _holding(case: Case) -> Iterator[Advice]:
     spare = float(case.reference.holding_torques(case.speeds)[0].min())
     lost = case.lost(lambda speeds: case.reference.holding_torques(speeds)[0])
     if lost:
-        found = f"with the brake released the slip is above its reference {in_words(lost, case.speeds)} on some rigs: "
+        found = f"with the brake released the slip is above its reference {lost} on some rigs: "
         yield Advice(
             "holding", f"{found}the law must ask for {spare:.3g} N m", "a higher reference, or less uncertainty"
         )
@@ -150,10 +197,7 @@ def _saturation(case: Case) -> Iterator[Advice]:
         asked = case.limit_nm - margin(case.speeds)[at] if margin is above else margin(case.speeds)[at]
         room = margin(case.speeds) + case.torque_swing(case.speeds)
         most = float((room * case.reference.g(case.speeds) / case.gains.grown(case.speeds)).min())
-        found = (
-            f"switching saturates the brake {in_words(lost, case.speeds)}: {what} is {asked:.3g} N m at "
-            f"{case.speeds[at]:g} rad/s, {end}"
-        )
+        found = f"switching saturates the brake {lost}: {what} is {asked:.3g} N m at {case.speeds[at]:g} rad/s, {end}"
         yield Advice(
             "saturation",
             found,
@@ -162,21 +206,21 @@ def _saturation(case: Case) -> Iterator[Advice]:
 
 
 def _layer(case: Case) -> Iterator[Advice]:
-    """A sampled boundary layer is stable while one period takes the error less than twice as far as it is."""
+    """A sampled boundary layer is stable if one period changes an error by less than twice its size."""
     lost = case.lost(lambda speeds: 2.0 - layer_step(case, speeds)) if case.gains.width > 0.0 else []
     if lost:
         least = float((case.gains.switching(case.speeds) * case.period_s / 2.0).max())
-        found = f"the boundary layer is too thin to keep the law from chattering {in_words(lost, case.speeds)}"
+        found = f"the boundary layer is too thin to keep the law from chattering {lost}"
         yield Advice("chattering", found, f"controller.gains.width = {_TO_SPARE * least:.2g}, or less Mk")
 
 
 def layer_step(case: Case, speeds: Floats) -> Floats:
-    """Share of an error within the boundary layer that one period takes away."""
+    """Share by which one period reduces an error within the boundary layer."""
     return (case.gains.Mk + case.gains.switching(speeds) / case.gains.width) * case.period_s
 
 
 def _lateness(case: Case, way: Reaching) -> Iterator[Advice]:
-    """Reaching later than (20) because of the brake's limits."""
+    """Reaching later than by (20), because of the brake's limits."""
     late = _LATE_PERIODS * case.period_s
     if way.time_s <= way.bound_s + late:
         return

@@ -1,7 +1,6 @@
-"""Gains for a rig that is not known exactly: what (20), (25) and (26) say, and whether the brake can do it.
+"""Assesses gains for an uncertain rig by (20), (25), (26) and the limits of the brake.
 
-Everything is about an ideal loop: slip measured exactly, a brake without lag, no delay. On a rig it is the least that
-the gains must fulfil.
+The loop is ideal: exact slip, a brake without lag, no delay. So the results are necessary, not sufficient, on a rig.
 """
 
 from __future__ import annotations
@@ -15,28 +14,27 @@ import numpy as np
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control import gains_in_force
-from inteco_abs.gain_design.advice import Advice, Case, advice, layer_step
+from inteco_abs.gain_design.advice import Advice, Case, Interval, advice, layer_step, where_lost
 from inteco_abs.gain_design.bounds import AtSlip, Bounds, Floats
 from inteco_abs.gain_design.gains import gains_of
-from inteco_abs.gain_design.intervals import Interval
 from inteco_abs.gain_design.reaching import Reaching, reaching
 from inteco_abs.gain_design.uncertainty import Box
 from inteco_abs.quantities import finite
 
 _SLIPS: Final = 21
-"""At which a band is looked at."""
+"""Number of slips in a band."""
 _FEWEST_SPEEDS: Final = 11
 
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """What there is to say about one set of gains on one box of rigs."""
+    """Assessment of one set of gains on one box of rigs."""
 
     config: RigConfig
     box: Box
     case: Case
     curves: Mapping[str, Floats]
-    """Numbers over `road_speed_rad_s`; names end with their units."""
+    """Values over `road_speed_rad_s`; names end with their units."""
     fails_25: Sequence[Interval]
     """Where (25) does not hold, and so sliding is not guaranteed."""
     fails_26: Sequence[Interval]
@@ -44,7 +42,7 @@ class Assessment:
     advice: Sequence[Advice]
 
     def report(self) -> dict[str, Any]:
-        """All of it for JSON; what is infinite is None."""
+        """Report for JSON; None for infinite values."""
         controller, curves = self.config.controller, self.curves
         return {
             "schema_version": 1,
@@ -76,11 +74,11 @@ def judge_gains(
     slip_band: tuple[float, float] | None = None,
     from_slips: Sequence[float] = (0.0,),
 ) -> Assessment:
-    """Look at the configured gains over road speeds from..to, rad/s, both above 0.
+    """Assess the configured gains over road speeds from..to, rad/s, both above 0.
 
-    The conditions of sliding are those of the reference slip, or of the worst slip in a band; the torques are those
-    that hold the reference. Raises ConfigError for a controller without a switching gain, or a box with rigs that
-    cannot be.
+    The conditions of sliding are those at the reference slip, or at the worst slip of a band; the torques are those
+    that hold the reference. Raises ConfigError for a controller without a switching gain, or a box with impossible
+    rigs.
     """
     gains, low, high = gains_of(config), *speeds
     reference = AtSlip(box, config.controller.reference_slip)
@@ -100,15 +98,15 @@ def judge_gains(
         box,
         case,
         curves=_curves(case),
-        fails_25=case.lost(case.margin_25),
-        fails_26=case.lost(case.margin_26),
+        fails_25=where_lost(case.margin_25, case.speeds),
+        fails_26=where_lost(case.margin_26, case.speeds),
         reaching=ways,
         advice=advice(case, ways),
     )
 
 
 def _curves(case: Case) -> dict[str, Floats]:
-    """Everything that depends on the road speed."""
+    """Values over the road speed."""
     x2, reference = case.speeds, case.reference
     bounds: Bounds = case.bounds(x2)
     holding = reference.holding_torques(x2)

@@ -1,9 +1,9 @@
-"""Conditions of sliding over a box of rigs: F, eps_f, eps_g, and the gains that (25) and (26) ask for.
+"""Conditions of sliding over a box of rigs: F, eps_f, eps_g, and the gains required by (25) and (26).
 
 All extremes are taken over the corners of the box, because every quantity here is monotone in each uncertain number
 while the others stay: f and g are affine in S, 1/J1, 1/J2, d1, d2, M10, M20, Mg and in the brake's numbers, f/g is a
 ratio of such without a pole as long as g > 0, and S itself is monotone in everything that makes it. For the radii,
-which come in squares too, that holds around the published geometry; tests sample it.
+which occur squared, that holds near the published geometry; tests sample it.
 
 At one slip f = a/x2 + b and g = c/x2 (fact of equations (16) and (17)), so one corner is three numbers.
 """
@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 
 
 class Terms(NamedTuple):
-    """f = a/x2 + b in 1/s and g = c/x2 in 1/(s N m), for the torque that the law asks for, as the rig takes it."""
+    """f = a/x2 + b in 1/s and g = c/x2 in 1/(s N m) of a rig, for the torque that the law demands."""
 
     a: float
     b: float
@@ -36,7 +36,7 @@ class Terms(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """One row of numbers over road speed each; infinite where the assumption that it needs does not hold."""
+    """Bounds over road speed; infinite if the assumption they need does not hold."""
 
     F: Floats
     """Largest |f_hat|, 1/s."""
@@ -53,9 +53,8 @@ class Bounds(NamedTuple):
 def terms(drawn: SampledRig, slip: float, nominal: RigParameters) -> Terms:
     """Terms of one rig at `slip` in 0..1, 0 excluded.
 
-    The law makes a duty out of its torque by the line of `nominal`; what the rig's brake makes of that duty is a
-    factor on g and, as its offset works like a torque from outside, an addition to f. Raises ConfigError for a rig
-    whose lever would jam.
+    The law converts torque to duty by the line of `nominal`. The rig's own brake line then scales g and, as its offset
+    acts like an external torque, adds to f. Raises ConfigError for a rig whose lever would jam.
     """
     rig, k = drawn.rig, drawn.rig.parameters
     mu = AdhesionCurve(rig.adhesion_scale, rig.adhesion_blend).adhesion(slip, k)
@@ -91,7 +90,7 @@ class AtSlip:
         return self.nominal.c / speeds
 
     def bounds(self, speeds: Floats) -> Bounds:
-        """F to (26) over road speeds > 0."""
+        """Bounds over road speeds > 0."""
         f_hat = self.f(speeds)
         f = self._a / speeds + self._b
         ratio = self._c / self.nominal.c
@@ -105,7 +104,7 @@ class AtSlip:
         return Bounds(F, eps_f, eps_g, mq_25, mq_26)
 
     def holding_torques(self, speeds: Floats) -> tuple[Floats, Floats]:
-        """Smallest and largest torque that the law must ask for to hold the slip, -f/g over the box, in N m."""
+        """Smallest and largest torque that holds the slip, -f/g over the box, in N m."""
         if not self.g_positive:
             return np.full_like(speeds, -math.inf), np.full_like(speeds, math.inf)
         torques = -(self._a + self._b * speeds) / self._c

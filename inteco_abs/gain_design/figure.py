@@ -1,4 +1,4 @@
-"""A design as a figure over the road speed: the gain that is asked for, the brake's budget, the uncertainty."""
+"""Figure of an assessment over the road speed: required gain, torque of the brake, uncertainty."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ _BLUE, _RED, _GREEN = COLOURS
 
 
 def draw_design(report: Mapping[str, Any], path: Path) -> None:
-    """Draw the report of a judgement to `path` (.png, .svg or .pdf).
+    """Draw the report of an assessment to `path` (.png, .svg or .pdf), readable in grey, without infinite values.
 
-    Every line has a dash or a place of its own, so that the figure can be read in grey too. What has no bound is not
-    drawn. Raises ConfigError for a path that cannot be drawn to, AbsError without matplotlib.
+    Raises ConfigError for a wrong path, AbsError without matplotlib.
     """
     check_figure(path)
     from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
@@ -39,7 +38,7 @@ def draw_design(report: Mapping[str, Any], path: Path) -> None:
         panel.set_xlim(speeds[0], speeds[-1])
     for panel in (axes[0], axes[2]):
         if not panel.dataLim.y1 > 0.0:
-            continue  # no uncertainty and no gain: a logarithm has nothing to show
+            continue  # without uncertainty and gain, a logarithmic axis has no range
         panel.set_yscale("log")
         panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         panel.yaxis.set_major_formatter("{x:g}")

@@ -1,4 +1,4 @@
-"""The gains that (20) to (26) are about."""
+"""The gains in equations (20) to (26)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LAWS: Final = ("reaching-law", "constant-rate", "boundary-layer")
 
 
 class Gains(NamedTuple):
-    """What the laws have in common; zeros where one has nothing of it. The integral of `boundary-layer` is left out."""
+    """Gains of a law, 0 for those that it does not have; without the integral gain of `boundary-layer`."""
 
     Mk: float
     Mq: float
@@ -33,7 +33,7 @@ class Gains(NamedTuple):
         return self.Mq * self.grown(speeds)
 
     def time_bound(self, slip: float, reference: float) -> float:
-        """Equation (20) in s, up to the boundary layer if there is one; infinite without a constant rate."""
+        """Equation (20) in s, to the boundary layer if there is one; infinite without a constant rate."""
         error, Mk, Mq = abs(slip - reference), self.Mk, self.Mq
         if error <= self.width:
             return 0.0

@@ -16,21 +16,21 @@ _STRONG_NM: Final = 10_000.0
 
 
 class Reaching(NamedTuple):
-    """From one slip to the reference, from the start of braking on."""
+    """Reaching the reference from one slip at the start of braking."""
 
     from_slip: float
     bound_s: float
-    """By (20), s; infinite without a constant rate."""
+    """Time by (20), s; infinite without a constant rate."""
     time_s: float
-    """Seen with the brake within its limits, s; infinite if the road gets too slow before."""
+    """Simulated time with the brake's limits, s; infinite if the road gets too slow before."""
     lowest_torque_nm: float
-    """Smallest torque that the law asks for where a brake of any torque above 0 does what it says."""
+    """Smallest torque that the law demands of a brake without an upper limit."""
     peak_torque_nm: float
-    """Largest."""
+    """Largest torque that it demands."""
 
 
 def reaching(config: RigConfig, from_slip: float, width: float, bound_s: float) -> Reaching:
-    """Simulate until the slip error changes its sign or is within `width`, with the brake's limit and without."""
+    """Simulate until the slip error changes its sign or is within `width`, with and without the brake's limit."""
     nominal = nominal_parameters(config.model)
     strong = replace(nominal, b1=_STRONG_NM, b2=0.0, u0=0.0)  # as a duty of 1 is never asked for, there is no limit
     _, asked_nm = _way(config, strong, 1.0, from_slip, width)
@@ -41,7 +41,7 @@ def reaching(config: RigConfig, from_slip: float, width: float, bound_s: float) 
 def _way(
     config: RigConfig, parameters: RigParameters, duty_limit: float, from_slip: float, width: float
 ) -> tuple[float, list[float]]:
-    """Time to the reference in s, and the torques that the law has asked for in N m."""
+    """Time to the reference in s, and the torques demanded in N m."""
     reference, hold_below = config.controller.reference_slip, config.controller.hold_below_rad_s
     make: Any = CONTROLLERS[config.controller.name]  # each controller's constructor takes its own gains
     law = make(Setup(reference, parameters, hold_below), **gains_in_force(config))

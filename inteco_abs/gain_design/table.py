@@ -1,4 +1,4 @@
-"""A design on a terminal: what the conditions ask for over the road speed, and what to look at."""
+"""Table of an assessment for a terminal: the conditions over the road speed, and the advice."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _COLUMNS: Final = (
 
 
 def render_design(report: Mapping[str, Any]) -> RenderableType:
-    """The report of a judgement as a panel; what has no bound is a dash."""
+    """The report of an assessment as a panel; a dash for infinite values."""
     body = [_facts(report), Text(), _table(report["curves"]), Text()]
     for one in report["advice"]:
         body += [

@@ -22,8 +22,8 @@ HARD: Final = (
     "brake_gain=5%",
     "brake_duty_offset=0.02",
 )
-"""The population `hard`, but for what no number says: the shape of its measured brake map, up to 1.2 N m off the
-straight line, for which `b2=1.2` stands. Its lag, dead time and encoders do not enter the conditions of sliding."""
+"""The population `hard`, except for the shape of its measured brake map, which is up to 1.2 N m off the straight line;
+`b2=1.2` covers it. Lag, dead time and encoders are not in the conditions of sliding."""
 _OF_THE_RIG: Final = {
     "mu": "adhesion_scale",
     "adhesion_blend": "adhesion_blend",
@@ -31,7 +31,7 @@ _OF_THE_RIG: Final = {
     "brake_duty_offset": "brake_duty_offset",
 }
 _FROM_ZERO: Final = {"adhesion_blend": 1.0, "brake_duty_offset": 0.2}
-"""Of what the published rig has nothing, the most there can be; stated as a number, as there is no percent of 0."""
+"""Largest value of parameters that are 0 on the published rig; given as a number, as 0 has no percentage."""
 _TERMS: Final = ("f", "g")
 _WITHOUT_EFFECT: Final = {
     "c31": "the brake's lag is not in the law, and (25) and (26) do not see it",
@@ -44,11 +44,11 @@ KNOWN: Final = (
     *_OF_THE_RIG,
     *_TERMS,
 )
-"""What can be uncertain: constants of the model and of the brake's line, factors on adhesion and brake, f and g."""
+"""Parameters that can be uncertain: constants of model and brake line, factors on adhesion and brake, f and g."""
 
 
 class ParameterRange(NamedTuple):
-    """From where to where one number may be, in its own unit."""
+    """Range of one parameter, in its unit."""
 
     name: str
     low: float
@@ -60,35 +60,35 @@ class SampledRig(NamedTuple):
 
     rig: RigVariation
     f_factor: float
-    """What f is multiplied by, besides all that the rig's own numbers do to it."""
+    """Factor on f, besides the effect of the rig's parameters."""
     g_factor: float
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """Every combination of the spreads around the parameters that the controller believes in."""
+    """All rigs within the ranges around the controller's nominal parameters."""
 
     nominal: RigParameters
     spreads: tuple[ParameterRange, ...]
 
     def draw(self, values: Mapping[str, float]) -> SampledRig:
-        """The rig with these numbers; those that are not named are nominal."""
+        """The rig with these values; all others are nominal."""
         own: dict[str, Any] = {_OF_THE_RIG[name]: value for name, value in values.items() if name in _OF_THE_RIG}
         constants = {name: value for name, value in values.items() if name not in {*_OF_THE_RIG, *_TERMS}}
         rig = replace(RigVariation(replace(self.nominal, **constants)), **own)
         return SampledRig(rig, values.get("f", 1.0), values.get("g", 1.0))
 
     def corners(self) -> Iterator[SampledRig]:
-        """The rigs that have each number at one of its ends."""
+        """The rigs with each parameter at one end of its range."""
         names = [spread.name for spread in self.spreads]
         for ends in product(*((spread.low, spread.high) for spread in self.spreads)):
             yield self.draw(dict(zip(names, ends, strict=True)))
 
 
 def stated_box(statements: Sequence[str], nominal: RigParameters) -> Box:
-    """Box of statements such as `J1=5%` (of the nominal value) or `M10=0.002` (in its own unit), each both ways.
+    """Box of statements such as `J1=5%` (of the nominal value) or `M10=0.002` (in its unit), in both directions.
 
-    Raises ConfigError with everything that is wrong with them.
+    Raises ConfigError with all mistakes.
     """
     spreads: dict[str, ParameterRange] = {}
     mistakes = []
@@ -113,7 +113,7 @@ def stated_box(statements: Sequence[str], nominal: RigParameters) -> Box:
 
 
 def _spread(statement: str, nominal: RigParameters) -> ParameterRange:
-    """One statement in numbers; raises ValueError with what is wrong with it."""
+    """Parse one statement. Raises ValueError."""
     name, equals, text = (part.strip() for part in statement.partition("="))
     if not equals or not name:
         raise ValueError("must look like J1=5% or M10=0.002")

@@ -1,11 +1,11 @@
-"""The result of a fit: each parameter with its interval, and the file that other commands accept."""
+"""Result of an identification: each parameter with its interval, and the section [model.identified]."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -17,14 +17,14 @@ from inteco_abs.identification.segments import Segment, SegmentKind
 from inteco_abs.rig import DriveMotor, RigParameters, adhesion, measured_torque
 
 SLIPS: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
-"""At which the friction curve is reported."""
+"""Slips at which the friction curve is reported."""
 _SHARE: Final = 0.95
 _LEARNED: Final = 0.5
-"""Of the prior's standard deviation: with more left, the sessions do not identify a number."""
+"""Largest standard deviation of an identified parameter, as a share of the prior's."""
 _STEP: Final = 1e-5
 _LEAST_SLOPE_NM: Final = 1e-4
 _WORKING_SHARE: Final = 0.25
-"""Of the largest torque: from here on the brake's points make its straight line."""
+"""Share of the largest torque above which the points of the brake map are fitted by a straight line."""
 _NEEDED: Final[Mapping[str, tuple[SegmentKind, str]]] = {
     "d": ("coast-down", "a coast-down"),
     "M0": ("coast-down", "a coast-down"),
@@ -34,12 +34,12 @@ _NEEDED: Final[Mapping[str, tuple[SegmentKind, str]]] = {
     "brake_dead_time": ("braking", "brake steps"),
 }
 
-Status = Literal["identified", "assumed", "not identified"]
+EstimateStatus = Literal["identified", "assumed", "not identified"]
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterEstimate:
-    """One number of the rig, with its interval of 95 %."""
+    """One parameter of the rig with its interval of 95 %."""
 
     name: str
     unit: str
@@ -47,9 +47,9 @@ class ParameterEstimate:
     low: float
     high: float
     published: float
-    status: Status
+    status: EstimateStatus
     why: str = ""
-    """Of one that is not identified: what is missing."""
+    """Why it is not identified; empty for other parameters."""
 
     def facts(self) -> dict[str, Any]:
         """For JSON."""
@@ -57,11 +57,13 @@ class ParameterEstimate:
         return facts | {"published": None if math.isnan(self.published) else self.published}
 
 
-class _Derived:
-    """A number that follows from those of the search."""
+class _Derived(NamedTuple):
+    """A quantity that follows from the fit parameters."""
 
-    def __init__(self, name: str, unit: str, of: Callable[[Mapping[str, float]], float], published: float) -> None:
-        self.name, self.unit, self.of, self.published = name, unit, of, published
+    name: str
+    unit: str
+    of: Callable[[Mapping[str, float]], float]
+    published: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +76,7 @@ class Identification:
 
     @property
     def missing(self) -> list[ParameterEstimate]:
-        """What could not be identified."""
+        """Parameters that are not identified."""
         return [each for each in self.estimates if each.status == "not identified"]
 
     def report(self) -> dict[str, Any]:
@@ -89,27 +91,27 @@ class Identification:
                     "session": channel.segment.session,
                     "segment": channel.segment.kind,
                     "wheel": channel.wheel,
-                    "rms_counts": float(np.sqrt(np.mean(left * left))),
-                    "samples": len(left),
+                    "rms_counts": float(np.sqrt(np.mean(residual * residual))),
+                    "samples": len(residual),
                 }
-                for channel, left in self.fit.left
+                for channel, residual in self.fit.residuals
             ],
         }
 
     def traces(self) -> list[dict[str, Any]]:
-        """What is left unexplained, for a figure: measured minus simulated counts, by segment and wheel."""
+        """Residuals for a figure: measured minus simulated counts, by segment and wheel."""
         return [
             {
                 "segment": f"{channel.segment.session}, {channel.segment.kind}",
                 "wheel": channel.wheel,
                 "time_s": channel.segment.time_s[channel.segment.compared],
-                "left_counts": left,
+                "residual_counts": residual,
             }
-            for channel, left in self.fit.left
+            for channel, residual in self.fit.residuals
         ]
 
     def to_toml(self) -> str:
-        """The section [model.identified]; what was not identified is left out, and stays as published."""
+        """The section [model.identified]; parameters that are not identified keep their published values."""
         by_name = {each.name: each for each in self.estimates}
         parameters = self.fit.priors.parameters(self.fit.values())
 
@@ -142,7 +144,7 @@ class Identification:
 def identify(
     segments: Sequence[Segment], base: RigParameters, assumed: Mapping[str, float] = ASSUMED
 ) -> Identification:
-    """The rig of `segments`, whose prior is `base`: geometry exactly, `assumed` within these shares."""
+    """Identify the rig of `segments`; `base` is the prior, `assumed` the uncertainty of what is assumed, as shares."""
     levels = tuple(sorted({level for segment in segments for level in segment.levels}))
     found = fit(segments, Priors(base, levels, {**ASSUMED, **assumed}))
     kinds = {segment.kind for segment in segments}
@@ -161,7 +163,7 @@ def _estimates(found: Fit, kinds: set[SegmentKind]) -> Iterator[ParameterEstimat
         why = "" if kind in kinds or derived.name in assumed else f"no session has {what}"
         if not why and derived.name not in assumed and sd > _LEARNED * before:
             why = "the sessions do not separate it from the rest"
-        status: Status = "assumed" if derived.name in assumed else "not identified" if why else "identified"
+        status: EstimateStatus = "assumed" if derived.name in assumed else "not identified" if why else "identified"
         off = deviations * sd
         yield ParameterEstimate(
             derived.name, derived.unit, value, value - off, value + off, derived.published, status, why
@@ -169,7 +171,7 @@ def _estimates(found: Fit, kinds: set[SegmentKind]) -> Iterator[ParameterEstimat
 
 
 def _slope(derived: _Derived, found: Fit) -> Any:
-    """By each number of the search."""
+    """Slope by each fit parameter."""
     rows = np.repeat(found.found[None, :], 2 * len(found.found), axis=0)
     count = len(found.found)
     rows[np.arange(count), np.arange(count)] += _STEP
@@ -218,9 +220,10 @@ def _mu_name(slip: float) -> str:
 
 
 def _brake_map(points: Sequence[tuple[float, float]], base: RigParameters) -> dict[str, Any]:
-    """The points as they may stand in a configuration, rising, and the straight line that is nearest to them.
+    """The points of the brake map for a configuration, rising, and the straight line nearest to them.
 
-    Where the torque begins was not seen: at the published end of the dead zone, or at the first duty if that is lower.
+    The beginning of the torque is not observed: it is set to the published end of the dead zone, or below the first
+    duty if that is lower.
     """
     if len(points) < 2:
         return {}

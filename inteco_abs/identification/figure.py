@@ -1,4 +1,4 @@
-"""What an identification leaves unexplained, trace by trace, in counts."""
+"""Figure of the residuals of an identification, in counts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _OF_WHEEL: Final = {"wheel": COLOURS[0], "road": COLOURS[1]}
 def draw_residuals(traces: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Draw measured minus simulated counts, a panel for each segment, to `path` (.png, .svg or .pdf).
 
-    Raises ConfigError for a path that cannot be drawn to, AbsError without matplotlib.
+    Raises ConfigError for a wrong path, AbsError without matplotlib.
     """
     check_figure(path)
     from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
@@ -28,7 +28,7 @@ def draw_residuals(traces: Sequence[Mapping[str, Any]], path: Path) -> None:
     lines = {}
     for trace in traces:
         wheel, panel = trace["wheel"], by_segment[trace["segment"]]
-        (lines[wheel],) = panel.plot(trace["time_s"], trace["left_counts"], color=_OF_WHEEL[wheel], lw=0.6)
+        (lines[wheel],) = panel.plot(trace["time_s"], trace["residual_counts"], color=_OF_WHEEL[wheel], lw=0.6)
         panel.set_title(trace["segment"], fontsize="small")
         panel.grid(alpha=0.3)
     for panel in panels[len(segments) :]:

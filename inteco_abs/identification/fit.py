@@ -1,4 +1,4 @@
-"""The numbers that explain all segments best, and how well they are known: least squares on the counts."""
+"""Fits the parameters to the counts of all segments by least squares, with their covariance."""
 
 from __future__ import annotations
 
@@ -17,49 +17,44 @@ from inteco_abs.identification.simulation import angles
 Wheel = Literal["wheel", "road"]
 
 _ROUNDS: Final = ((300.0, 20), (30.0, 20), (5.0, 20), (1.0, 60))
-"""Deviation of every residual in counts, and most evaluations: the first, in which little is known, must not trust the
-counts too finely, and only the last need come to an end."""
+"""Standard deviation of a residual in counts, and most evaluations, of each round: the first rounds, far from the
+solution, weigh the counts less, and only the last must converge."""
 _TOLERANCE: Final = 1e-4
 _SPEED_SD_RAD_S: Final = 5.0
-"""Of the speeds with which a segment begins, beyond what its first counts show."""
+"""Standard deviation of a segment's start speeds around those of its first counts."""
 _STEP: Final = 1e-5
-"""For differences, of all numbers."""
+"""Step of the differences, for all parameters."""
 _EVERYWHERE: Final = ("J1", "Mg", "d1", "M10", "d", "M0", "a")
 _DEPENDS: Final[Mapping[str, tuple[str, ...]]] = {
     "run-up": (*_EVERYWHERE, "stall", "no_load"),
     "coast-down": _EVERYWHERE,
     "braking": (*_EVERYWHERE, "w4", "w1/w4", "w2/w4", "w3/w4", "p", "lag", "dead_time"),
 }
-"""What moves the wheels in each kind of segment, besides the brake's torques. The scale never does."""
+"""Parameters that affect each kind of segment, besides the brake's torques; the scale affects none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One wheel's counts in one segment.
 
-    Only the road's where the wheels roll: how much the wheel creeps there depends on radii and contact more finely
-    than they are known.
+    While the wheels roll, only the road's: the creep of the wheel depends on radii and contact more finely than they
+    are known.
     """
 
     segment: Segment
     wheel: Wheel
     counts: Floats
     basis: Floats
-    """Orthonormal: a constant, and a disc off centre. No count says where the encoder began."""
-
-    @property
-    def name(self) -> str:
-        """For people."""
-        return f"{self.segment.session} {self.segment.kind} {self.wheel}"
+    """Orthonormal: a constant, as the encoder's start angle is unknown, and the error of an eccentric disc."""
 
     def free(self, rows: Floats) -> Floats:
-        """`rows` in counts, without what a constant and an off-centre disc explain."""
-        left: Floats = rows - (rows @ self.basis) @ self.basis.T
-        return left
+        """`rows` in counts, without the constant and the eccentricity."""
+        residual: Floats = rows - (rows @ self.basis) @ self.basis.T
+        return residual
 
 
 def channels(segment: Segment) -> list[Channel]:
-    """What of a segment is compared."""
+    """The channels of a segment that are compared with the model."""
     found = []
     wheels: tuple[Wheel, ...] = ("wheel", "road") if segment.kind == "braking" else ("road",)
     for wheel in wheels:
@@ -72,31 +67,30 @@ def channels(segment: Segment) -> list[Channel]:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What was found, as the search sees it."""
+    """Result of the fit, in the coordinates of the search."""
 
     priors: Priors
     found: Floats
     covariance: Floats
     before: Floats
     """Covariance of the priors."""
-    left: tuple[tuple[Channel, Floats], ...]
-    """Measured minus simulated, in counts."""
+    residuals: tuple[tuple[Channel, Floats], ...]
+    """Measured minus simulated counts."""
     converged: bool
 
     def values(self) -> dict[str, float]:
-        """The numbers of the search by their names."""
+        """Fit parameters by name."""
         return self.priors.values(self.found.tolist())
 
 
 def fit(segments: Sequence[Segment], priors: Priors) -> Fit:
-    """Least squares of count residuals and of deviations from the priors, each over its standard deviation.
+    """Least squares of count residuals and deviations from the priors, each over its standard deviation.
 
-    All counts weigh the same: weighed by what is left of them, what the model explains badly would be explained still
-    worse. How uncertain that leaves the numbers is reckoned from what is really left, neighbours that hang together
-    included (the covariance that Huber and White have for wrong weights).
+    All counts have the same weight: weights by the residuals would fit what the model explains badly still worse. The
+    covariance is computed from the actual, correlated residuals (Huber and White's covariance for wrong weights).
 
-    What is assumed is kept as it is. What it does to the rest is added to their covariance: with H = jacobian' *
-    jacobian, a change of what is assumed (a) moves what is found (f) by S = -H_ff^-1 * H_fa.
+    Assumed parameters stay fixed; their uncertainty is added to the covariance of the others: with H = jacobian' *
+    jacobian, a change of the assumed (a) changes the fitted (f) by S = -H_ff^-1 * H_fa.
     """
     rolling = _Problem([each for each in segments if each.kind != "braking"], priors)
     begun, _ = _searched(rolling, rolling.start)
@@ -113,16 +107,16 @@ def fit(segments: Sequence[Segment], priors: Priors) -> Fit:
     moved[free] = -inverse @ information[np.ix_(free, ~free)]
     covariance = np.asarray(moved @ before[: len(ASSUMED), : len(ASSUMED)] @ moved.T, np.float64)
     whole = problem.whole(found)
-    left = tuple(problem.left(found))
-    real = [np.full(len(each), _effective_deviation(each) / problem.noise) for _, each in left]
+    residuals = tuple(problem.count_residuals(found))
+    real = [np.full(len(each), _effective_deviation(each) / problem.noise) for _, each in residuals]
     scattered = jacobian[:, free] * np.concatenate([*real, np.ones(len(whole))])[:, None]
-    pulls = _pulls(left, jacobian[:, free], problem.noise)
+    pulls = _pulls(residuals, jacobian[:, free], problem.noise)
     covariance[np.ix_(free, free)] += inverse @ (scattered.T @ scattered + pulls.T @ pulls) @ inverse
-    return Fit(priors, whole[:count], covariance[:count, :count], before, left, converged)
+    return Fit(priors, whole[:count], covariance[:count, :count], before, residuals, converged)
 
 
 def _searched(problem: _Problem, start: Floats) -> tuple[Floats, bool]:
-    """The best numbers from `start` on, and whether the search came to an end."""
+    """The best parameters from `start`, and whether the search converged."""
     found, converged = start, False
     for problem.noise, evaluations in _ROUNDS:
         outcome = least_squares(
@@ -140,7 +134,7 @@ def _searched(problem: _Problem, start: Floats) -> tuple[Floats, bool]:
 
 
 class _Problem:
-    """Residuals over their deviations, and their slopes; the last of the numbers are each segment's own speeds."""
+    """Normalised residuals and their slopes; the last parameters are the start speeds of the segments."""
 
     def __init__(self, segments: Sequence[Segment], priors: Priors) -> None:
         self._priors = priors
@@ -152,23 +146,23 @@ class _Problem:
         self._places = {each.name: place for place, each in enumerate(priors.fit_parameters)}
         self._prior = np.array([each.start for each in priors.fit_parameters] + speeds)
         self.free = np.arange(len(self._prior)) >= len(ASSUMED)
-        """What is not assumed."""
+        """Mask of the parameters that are not assumed."""
         self.start = self._prior[self.free]
         count = len(priors.fit_parameters)
         self._weights = np.eye(len(self._prior)) / _SPEED_SD_RAD_S
         self._weights[:count, :count] = priors.weights
 
     def whole(self, found: Floats) -> Floats:
-        """All numbers: what is assumed, and the rest as `found`."""
+        """All parameters: the assumed ones, then `found`."""
         return np.concatenate([self._prior[~self.free], found])
 
     def residuals(self, found: Floats) -> Floats:
-        """All of them."""
-        parts = [left / self.noise for _, left in self.left(found)]
+        """Normalised residuals of counts and priors."""
+        parts = [residual / self.noise for _, residual in self.count_residuals(found)]
         return np.concatenate([*parts, self._weights @ (self.whole(found) - self._prior)])
 
-    def left(self, found: Floats) -> list[tuple[Channel, Floats]]:
-        """Measured minus simulated, in counts, by channel."""
+    def count_residuals(self, found: Floats) -> list[tuple[Channel, Floats]]:
+        """Measured minus simulated counts by channel."""
         x = self.whole(found)
         parts = []
         for segment, its_channels, own in self._each():
@@ -181,7 +175,7 @@ class _Problem:
         return self.slopes(found, assumed=False)[:, self.free]
 
     def slopes(self, found: Floats, *, assumed: bool) -> Floats:
-        """By forward differences, all those of a segment in one batch; those by what is assumed only if wanted."""
+        """Slopes by forward differences, in one batch for each segment; by assumed parameters only if `assumed`."""
         x = self.whole(found)
         blocks = []
         for segment, its_channels, own in self._each():
@@ -198,7 +192,7 @@ class _Problem:
         return np.concatenate([*blocks, self._weights])
 
     def _each(self) -> Iterator[tuple[Segment, list[Channel], tuple[int, ...]]]:
-        """Segments, their channels, and the places of their own two speeds, if any."""
+        """Segments, their channels, and the places of their start speeds, if any."""
         place = len(self._priors.fit_parameters)
         for segment, its_channels in self._segments:
             own = () if segment.kind == "run-up" else (place, place + 1)
@@ -214,14 +208,14 @@ class _Problem:
         return {"wheel": wheel * per_rad, "road": road * per_rad}
 
 
-def _pulls(left: Sequence[tuple[Channel, Floats]], jacobian: Floats, noise: float) -> Floats:
-    """Where each segment would draw the numbers by itself; in sum, nowhere. A row for each segment.
+def _pulls(residuals: Sequence[tuple[Channel, Floats]], jacobian: Floats, noise: float) -> Floats:
+    """Gradient of each segment's residuals, a row for each segment; the sum is zero at the solution.
 
-    What the model has wrong draws segments apart: their covariance takes segments, not samples, as independent.
+    Errors of the model pull segments apart: their covariance treats segments, not samples, as independent.
     """
     rows: dict[int, Floats] = {}
     place = 0
-    for channel, residual in left:
+    for channel, residual in residuals:
         part = jacobian[place : place + len(residual)].T @ (residual / noise)
         place += len(residual)
         rows[id(channel.segment)] = rows.get(id(channel.segment), np.zeros_like(part)) + part
@@ -229,15 +223,15 @@ def _pulls(left: Sequence[tuple[Channel, Floats]], jacobian: Floats, noise: floa
     return np.array(list(rows.values())) * math.sqrt(count / max(count - 1, 1))
 
 
-def _effective_deviation(left: Floats) -> float:
-    """Deviation of one sample with which independent samples would say as much as these, which hang together.
+def _effective_deviation(residual: Floats) -> float:
+    """Standard deviation of independent samples with the same information as these correlated ones.
 
-    sigma*sqrt(tau), tau = 1 + 2*(sum of the autocorrelation up to where it is negative).
+    sigma*sqrt(tau), tau = 1 + 2*(sum of the autocorrelation up to its first negative value).
     """
-    variance = float(np.mean(left * left))
-    size = 1 << (2 * len(left) - 1).bit_length()
-    spectrum = np.fft.rfft(left, size)
-    correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[: len(left)] / (len(left) * variance)
+    variance, count = float(np.mean(residual * residual)), len(residual)
+    size = 1 << (2 * count - 1).bit_length()
+    spectrum = np.fft.rfft(residual, size)
+    correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[:count] / (count * variance)
     negative = np.flatnonzero(correlation < 0.0)
-    tau = 2.0 * float(correlation[: negative[0] if len(negative) else len(left)].sum()) - 1.0
+    tau = 2.0 * float(correlation[: negative[0] if len(negative) else count].sum()) - 1.0
     return math.sqrt(variance * max(tau, 1.0))

@@ -1,10 +1,9 @@
-"""The numbers of a rig that a fit looks for or assumes, and what is known of them before (their priors).
+"""The parameters of a rig that a fit determines or assumes, and their priors.
 
-Counts have no scale: inertias, frictions, torques and the lever's moment may all be multiplied by one number, and
-nothing that can be seen changes. So the search is about ratios to the moment of inertia of both wheels as they roll,
-J = J2 + (r2/r1)^2*J1, at its prior, and `scale` is the ratio of the true J to that. No count says
-anything about it. What is known of a run-up and a coast-down is then one number each, however the wheels share
-it: d = d2 + (r2/r1)^2*d1, and M0 = M20 + (r2/r1)*M10.
+Counts have no scale: if inertias, frictions, torques and the lever's moment are all multiplied by one number, the
+counts stay the same. So the search is for ratios to the moment of inertia of both wheels as they roll,
+J = J2 + (r2/r1)^2*J1, at its prior; `scale`, the ratio of the true J to that, cannot be identified. Run-up and
+coast-down then determine only the sums over both wheels: d = d2 + (r2/r1)^2*d1, and M0 = M20 + (r2/r1)*M10.
 """
 
 from __future__ import annotations
@@ -23,31 +22,31 @@ from inteco_abs.rig import DriveMotor, RigParameters, RigVariation, measured_tor
 Floats = npt.NDArray[np.float64]
 
 ASSUMED: Final[Mapping[str, float]] = {"J1": 0.05, "J2": 0.05, "Mg": 0.05, "d1": 0.2, "M10": 0.6}
-"""What is assumed, and how far it may be off both ways, as a share. M10: the manual's table 3 has 0.0022 to 0.0050
-N m for one rig; the others as in the population `hard`."""
+"""Assumed parameters, and their uncertainty in both directions as a share. M10: the manual's table 3 has 0.0022 to
+0.0050 N m for one rig; the others as in the population `hard`."""
 FULL_NM: Final = 20.0
-"""More than any brake of this rig gives: torques are handed to the plant as shares of this."""
+"""More than any brake of this rig gives; the plant gets torques as shares of it."""
 _UNIFORM: Final = math.sqrt(3.0)
-"""Half the width of an even spread over its standard deviation."""
+"""Half the width of a uniform distribution over its standard deviation."""
 
 
 class FitParameter(NamedTuple):
-    """One number of the search. With `log` the search sees the logarithm of its ratio to the prior."""
+    """One parameter of the search. With `log`, its coordinate is the logarithm of its ratio to the prior."""
 
     name: str
     prior: float
     sd: float
-    """Standard deviation of the prior, as the search sees it."""
+    """Standard deviation of the prior of the coordinate."""
     log: bool = True
 
     @property
     def start(self) -> float:
-        """Where the search begins."""
+        """Coordinate at which the search begins."""
         return 0.0 if self.log else self.prior
 
-    def value(self, seen: float) -> float:
-        """The number itself."""
-        return self.prior * math.exp(seen) if self.log else seen
+    def value(self, coordinate: float) -> float:
+        """Value of the parameter."""
+        return self.prior * math.exp(coordinate) if self.log else coordinate
 
 
 def torque_name(duty: float) -> str:
@@ -57,7 +56,7 @@ def torque_name(duty: float) -> str:
 
 @dataclass(frozen=True)
 class Priors:
-    """All numbers of the search for a rig that is `base` as far as is known, its brake driven with `levels`."""
+    """All parameters of the search around the rig `base`, with its brake driven at the duties `levels`."""
 
     base: RigParameters
     levels: tuple[float, ...]
@@ -65,7 +64,7 @@ class Priors:
 
     @cached_property
     def fit_parameters(self) -> tuple[FitParameter, ...]:
-        """What is assumed, as in ASSUMED (`scale` is in place of J2), then what is looked for."""
+        """The parameters of ASSUMED (with `scale` instead of J2), then those to be found."""
         k, motor, share = self.base, DriveMotor(), self.rolling_share
         lag = 1.0 / k.c31 if math.isfinite(k.c31) else 0.05
         return (
@@ -93,7 +92,7 @@ class Priors:
     def weights(self) -> Floats:
         """The priors as rows of equations, each over its standard deviation.
 
-        J1, J2 and Mg have priors of their own, which hold the scale; all else has one of its ratio to J.
+        J1, J2 and Mg have absolute priors, which fix the scale; all others have priors of their ratio to J.
         """
         names = [each.name for each in self.fit_parameters]
         scale, J1, Mg = (names.index(name) for name in ("scale", "J1", "Mg"))
@@ -111,15 +110,15 @@ class Priors:
 
     @property
     def rolling_share(self) -> float:
-        """Of the wheel's inertia and viscous friction in those of both wheels as they roll."""
+        """Weight of the wheel's inertia and viscous friction in those of both wheels as they roll."""
         return (self.base.r2 / self.base.r1) ** 2
 
-    def values(self, seen: Iterable[float]) -> dict[str, float]:
-        """Numbers of the search, by their names, from what the search sees."""
-        return {each.name: each.value(one) for each, one in zip(self.fit_parameters, seen, strict=False)}
+    def values(self, coordinates: Iterable[float]) -> dict[str, float]:
+        """Parameters by name, from the coordinates of the search."""
+        return {each.name: each.value(one) for each, one in zip(self.fit_parameters, coordinates, strict=False)}
 
     def parameters(self, values: Mapping[str, float], *, scaled: bool = True) -> RigParameters:
-        """The rig's constants; with the prior's scale, if not `scaled`. Its brake's map is as in `base`."""
+        """The rig's constants, with the prior's scale unless `scaled`; the brake map is that of `base`."""
         k, share, scale = self.base, self.rolling_share, values["scale"] if scaled else 1.0
         J1, d1, M10, w4 = values["J1"], values["d1"], values["M10"], values["w4"]
         return replace(
@@ -141,14 +140,14 @@ class Priors:
         )
 
     def variation(self, values: Mapping[str, float]) -> RigVariation:
-        """The rig in the search, with the prior's scale; its brake takes a torque as a share of FULL_NM."""
+        """The simulated rig, with the prior's scale; its duty is a torque as a share of FULL_NM."""
         parameters = replace(self.parameters(values, scaled=False), b1=FULL_NM, b2=0.0, u0=0.0)
         return RigVariation(parameters, brake_dead_time_s=min(max(values["dead_time"], 0.0), _LONGEST_DEAD_TIME_S))
 
 
 _LEAST: Final = 0.01
-"""Least share of its prior for a number that is the difference of others."""
+"""Least share of its prior for a parameter that is the difference of others."""
 _LONGEST_DEAD_TIME_S: Final = 0.2
-"""As a `RigVariation` may have it."""
+"""Limit of `RigVariation`."""
 _SHORTEST_LAG_S: Final = 1e-4
-"""As good as none, which a brake without lag has."""
+"""Practically none, as of a brake without lag."""

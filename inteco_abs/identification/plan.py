@@ -1,4 +1,4 @@
-"""The experiments from which a rig can be identified, each a run of its own with the open-loop controller `steps`."""
+"""The runs from which a rig can be identified, with the open-loop controller `steps`."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class PlannedRun(NamedTuple):
     """One run of the plan."""
 
     name: str
-    """For the session's file."""
+    """Name for the session's file."""
     shows: str
-    """What it is recorded for."""
+    """What the run shows."""
     settings: tuple[str, ...]
-    """As for `--set`, over the configuration."""
+    """Settings as for `--set`."""
 
 
 def experiments(brake_limit: float) -> tuple[PlannedRun, ...]:
-    """What is to be recorded, with brake duties up to `brake_limit`, the guard's."""
+    """The runs to record, with brake duties up to the guard's `brake_limit`."""
     stops = [
         PlannedRun(f"stop-{duty * 100:03.0f}", f"one brake step, to {duty:g}", _steps(duty, 0.0, 60.0))
         for duty in _STOPS

@@ -1,4 +1,4 @@
-"""What a session shows: run-ups, coast-downs and brakings, as counts over time with the duties in force."""
+"""Segments of sessions: run-ups, coast-downs and brakings, as counts over time with the duties in force."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ Floats = npt.NDArray[np.float64]
 SegmentKind = Literal["run-up", "coast-down", "braking"]
 
 SAMPLE_S: Final[dict[SegmentKind, float]] = {"run-up": 0.020, "coast-down": 0.050, "braking": 0.004}
-"""Time between two samples that are compared with the model: there are more than are needed."""
+"""Time between two samples that are compared with the model; more samples would not help."""
 _SPEED_WINDOW_S: Final = 0.020
 _SLOWEST_RAD_S: Final[dict[SegmentKind, float]] = {"run-up": 0.0, "coast-down": 1.0, "braking": 3.0}
-"""Of the road: below, a segment ends. There, slip has no meaning and counts come one by one."""
+"""Road speed at which a segment ends; below, slip has no meaning and counts are too few."""
 _FEWEST_SAMPLES: Final = 50
 _MOST_RUN_UPS: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """One part of a session: samples, and the duties in force from each of them on."""
+    """One part of a session: samples, and the duties in force from each sample."""
 
     session: str
     kind: SegmentKind
@@ -38,15 +38,15 @@ class Segment:
     drive: Floats
     brake: Floats
     compared: npt.NDArray[np.bool_]
-    """Samples that are compared with the model; the others are there because a duty changes."""
+    """Samples that are compared with the model; at the others a duty changes."""
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """Brake duties above 0 that occur."""
+        """Brake duties above 0."""
         return tuple(sorted({round(float(duty), 4) for duty in self.brake if duty > 0.0}))
 
     def start_speeds(self) -> tuple[float, float]:
-        """Of wheel and road, rad/s, by a straight line through the first samples; 0 at the start of a run-up."""
+        """Speeds of wheel and road, rad/s, by a straight line through the first samples; 0 at the start of a run-up."""
         if self.kind == "run-up":
             return 0.0, 0.0
         first = self.time_s <= max(_SPEED_WINDOW_S, self.time_s[min(5, len(self.time_s) - 1)])
@@ -63,9 +63,9 @@ def segment(
     counts: tuple[Floats, Floats],
     duties: tuple[Floats, Floats],
 ) -> Segment | None:
-    """From everything between two changes of phase; None where nothing is left that is fast and long enough.
+    """The segment between two changes of phase; None if it is too slow or too short.
 
-    `counts` are those of wheel and road, `duties` those of drive and brake in force from each sample on.
+    `counts` are those of wheel and road, `duties` those of drive and brake in force from each sample.
     """
     (wheel, road), (drive, brake) = counts, duties
     ahead = np.searchsorted(time_s, time_s + _SPEED_WINDOW_S).clip(max=len(time_s) - 1)
@@ -94,11 +94,11 @@ def segment(
 
 
 def segments(session: Session, counts_per_turn: int) -> Iterator[Segment]:
-    """Everything in `session` that can be used. A tick's duties are put out at the next one."""
+    """All usable segments of `session`. A tick's duties take effect at the next one."""
     ticks = session.ticks
     if not len(ticks):
         return
-    phase, good = ticks["phase"], ticks["board_flags"] == 0  # any flag: it is not known when the counts were read
+    phase, good = ticks["phase"], ticks["board_flags"] == 0  # with a flag, the counts may be older than the tick
     in_force = {name: np.concatenate([[0.0], ticks[name][:-1]]) for name in ("drive", "brake")}
     edges = np.flatnonzero(np.diff(phase.astype(np.int16))) + 1
     for first, end in zip([0, *edges], [*edges, len(ticks)], strict=True):
@@ -115,7 +115,7 @@ def segments(session: Session, counts_per_turn: int) -> Iterator[Segment]:
 
 
 def chosen(found: Iterable[Segment]) -> list[Segment]:
-    """Those that are worth their time: run-ups are all alike, and two of them say what all do."""
+    """The segments to fit: all, but only the first two run-ups, as run-ups are alike."""
     kept, run_ups = [], 0
     for each in found:
         run_ups += each.kind == "run-up"

@@ -1,4 +1,4 @@
-"""What a segment should have counted, by the product's own physics, for several sets of numbers at once."""
+"""Simulates the counts of a segment for several sets of parameters at once."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from inteco_abs.montecarlo import BatchPlant
 from inteco_abs.rig import DriveMotor
 
 _STEP_S: Final[dict[SegmentKind, float]] = {"run-up": 0.005, "coast-down": 0.005, "braking": 0.001}
-"""Of the integration."""
+"""Step of the integration."""
 
 
 def angles(
     segment: Segment, priors: Priors, sets: Sequence[Mapping[str, float]], speeds: Sequence[tuple[float, float]]
 ) -> tuple[Floats, Floats]:
-    """Angles in rad of wheel and road at the compared samples, a row for each set of numbers.
+    """Angles in rad of wheel and road at the compared samples, a row for each set of parameters.
 
     `speeds` are those of wheel and road at the first sample, rad/s, a pair for each set.
     """

@@ -1,4 +1,4 @@
-"""An identification on a terminal: every number with its interval, beside the published one."""
+"""Table of an identification for a terminal: each parameter with its interval and published value."""
 
 from __future__ import annotations
 
@@ -32,5 +32,5 @@ def render_identification(report: Mapping[str, Any]) -> RenderableType:
         interval = f"{each['low']:.4g} .. {each['high']:.4g}"
         table.add_row(name, f"{each['value']:.4g}", interval, each["unit"], published, style=_STYLES[each["status"]])
     worst = max((one["rms_counts"] for one in report["residuals"]), default=math.nan)
-    summary = f"left unexplained: at most {worst:.2g} counts rms in one of {len(report['residuals'])} traces"
+    summary = f"residuals: at most {worst:.2g} counts rms in one of {len(report['residuals'])} traces"
     return Panel(Group(table, Text(), *reasons, Text(summary, "dim")), title="identification", expand=False)

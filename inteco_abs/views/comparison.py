@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.analysis import settings_of
+from inteco_abs.analysis import recorded_gains, settings_of
 from inteco_abs.errors import ConfigError, ConfigIssue
 from inteco_abs.sessions import Session
 from inteco_abs.signals import Phase
@@ -98,21 +98,12 @@ def _controllers(sessions: Sequence[Session]) -> list[list[str]]:
 def _gains(sessions: Sequence[Session]) -> list[list[str]]:
     """Gains that differ between sessions of the same controller."""
     found: list[list[str]] = []
-    gains = [gains_of(session) for session in sessions]
+    gains = list(map(recorded_gains, sessions))
     names = [session.metadata.get("controller", {}).get("name", "") for session in sessions]
     for own, name in zip(gains, names, strict=True):
         peers = [other for other, its_name in zip(gains, names, strict=True) if its_name == name]
         found.append([f"{key} {_short(value)}" for key, value in own.items() if {p.get(key) for p in peers} != {value}])
     return found
-
-
-def gains_of(session: Session) -> dict[str, str]:
-    """Gains of a session's run by name, as decimal text."""
-    return {
-        key.removeprefix("gain."): value
-        for key, value in session.metadata.get("controller", {}).items()
-        if key.startswith("gain.") and not key.endswith(".hex")
-    }
 
 
 def _rigs(sessions: Sequence[Session]) -> list[list[str]]:

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from inteco_abs.control import BrakingModel
 from inteco_abs.errors import ConfigError
 from inteco_abs.gain_design import HARD, KNOWN, Box, ParameterRange, stated_box
+from inteco_abs.gain_design.advice import Interval, describe_intervals, where_lost
 from inteco_abs.gain_design.bounds import AtSlip, terms, worst
-from inteco_abs.gain_design.intervals import Interval, in_words, where_lost
 from inteco_abs.rig import RigParameters, RigVariation, brake_duty, draw, holding_torque, settled_torque, wheel_slip
 from inteco_abs.rig.model import rates
 from inteco_abs.rig.state import Constants, State
@@ -241,4 +241,4 @@ def test_where_something_is_lost_is_found_between_the_speeds_looked_at(margin, e
     found = where_lost(margin, GRID)
     assert [tuple(one) for one in found] == [pytest.approx(one, abs=1e-6) for one in expected]
     assert all(type(one) is Interval for one in found)
-    assert in_words(found, GRID) == words
+    assert describe_intervals(found, GRID) == words

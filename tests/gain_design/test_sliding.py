@@ -8,8 +8,8 @@ import pytest
 
 from inteco_abs.control import BrakingModel, reaching_law_torque
 from inteco_abs.gain_design import Box, ParameterRange
+from inteco_abs.gain_design.advice import where_lost
 from inteco_abs.gain_design.bounds import AtSlip
-from inteco_abs.gain_design.intervals import where_lost
 from inteco_abs.rig import Plant, RigParameters, RigVariation, brake_duty
 
 MASK = RigParameters.named("mask")

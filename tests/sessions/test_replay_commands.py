@@ -151,7 +151,7 @@ def test_what_if_draws(command, quick, tmp_path):
     ("arguments", "words"),
     [
         ((), "nothing to compare"),
-        (("--set", "loop.rate_hz=100"), "is not part of what can be asked about"),
+        (("--set", "loop.rate_hz=100"), "cannot be changed here"),
         (("--set", "controller.gains.Mk=x"), "controller.gains.Mk: 'x'"),
         (("--controller", "rely"), "did you mean relay"),
         (("--estimator", "kalmn"), "did you mean kalman"),

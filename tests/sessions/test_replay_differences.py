@@ -268,7 +268,7 @@ def test_a_session_that_has_recorded_no_gains_has_none_that_changed(quick):
 
 def test_a_session_without_ticks_cannot_be_replayed(quick, replayed):
     session = quick.session
-    with pytest.raises(SessionError, match="holds no ticks"):
+    with pytest.raises(SessionError, match="has no ticks"):
         replayed(replace(session, payload=b"", ticks=session.ticks[:0]))
 
 

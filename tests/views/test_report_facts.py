@@ -10,7 +10,7 @@ from inteco_abs.sessions import read_session, recover_session
 from inteco_abs.sessions.content import LogEntry
 from inteco_abs.signals import BoardFlags, Phase
 from inteco_abs.views.report.commands import repeat_commands, replay_commands
-from inteco_abs.views.report.facts import result_rows, tables
+from inteco_abs.views.report.facts import fact_tables, result_rows
 from inteco_abs.views.report.traces import traces_of
 from inteco_abs.views.report.warnings import outcome_of, warnings_of
 
@@ -54,7 +54,7 @@ class TestResult:
 
 class TestTables:
     def test_gains_configuration_software_host_and_hash(self, session):
-        found = {facts.title: {row.name: row.values[0] for row in facts.rows} for facts in tables([session])}
+        found = {facts.title: {row.name: row.values[0] for row in facts.rows} for facts in fact_tables([session])}
         assert found["controller and gains"]["Mk"] == "2.0"
         assert found["configuration"]["guard.brake_limit"] == "1.0"
         assert found["integrity"]["payload_sha256"] == session.metadata["integrity"]["payload_sha256"]
@@ -62,14 +62,14 @@ class TestTables:
         assert found["host"].keys() == session.metadata["host"].keys()
 
     def test_sessions_stand_beside_one_another(self, session, others):
-        (gains, *_) = tables([session, *others])
+        (gains, *_) = fact_tables([session, *others])
         rows = {row.name: row for row in gains.rows}
         assert rows["Mk"].values == ("2.0", "10.0", "–")
         assert rows["Mk"].differs
         assert not rows["estimator"].differs
 
     def test_nothing_is_told_of_a_session_that_tells_nothing(self, session):
-        assert tables([replace(session, metadata={}, attachments={})]) == []
+        assert fact_tables([replace(session, metadata={}, attachments={})]) == []
 
 
 class TestWarnings:

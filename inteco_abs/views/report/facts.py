@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from inteco_abs.analysis import settings_of
+from inteco_abs.analysis import recorded_gains, settings_of
 from inteco_abs.sessions import Session, card_of
-from inteco_abs.views.comparison import gains_of
 from inteco_abs.views.result_panel import ROWS
 
 NOTHING: Final = "–"
@@ -44,9 +43,9 @@ def result_rows(sessions: Sequence[Session]) -> list[Row]:
     return rows
 
 
-def tables(sessions: Sequence[Session]) -> list[FactTable]:
+def fact_tables(sessions: Sequence[Session]) -> list[FactTable]:
     """Gains, configuration and every metadata record; the payload's hash is in `integrity`."""
-    gains = [{**_controller(session), **gains_of(session)} for session in sessions]
+    gains = [{**_controller(session), **recorded_gains(session)} for session in sessions]
     settings = [{key: str(value) for key, value in settings_of(session).items()} for session in sessions]
     records = dict.fromkeys(name for session in sessions for name in session.metadata if name not in _SHOWN_ELSEWHERE)
     found = [_facts("controller and gains", gains), _facts("configuration", settings)]

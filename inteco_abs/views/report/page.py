@@ -16,7 +16,7 @@ from inteco_abs.version import __version__
 from inteco_abs.views.comparison import held_rows, labels, require_distinct
 from inteco_abs.views.figure import svg_of
 from inteco_abs.views.report.commands import repeat_commands, replay_commands
-from inteco_abs.views.report.facts import result_rows, tables
+from inteco_abs.views.report.facts import fact_tables, result_rows
 from inteco_abs.views.report.traces import MARGIN_S, Look, ReportTrace, look_of, traces_of
 from inteco_abs.views.report.warnings import outcome_of, warnings_of
 
@@ -60,7 +60,7 @@ def report_page(sessions: Sequence[Session]) -> str:
         version=__version__,
         sessions=list(map(_facts, map(look_of, range(len(sessions))), sessions, labels(sessions))),
         result=result_rows(sessions),
-        tables=tables(sessions),
+        tables=fact_tables(sessions),
         span=_span(traces),
         density=[_density(trace, alone=len(sessions) == 1) for trace in traces],
         panels=panels,
