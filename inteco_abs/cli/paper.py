@@ -78,18 +78,18 @@ def _check_folder(folder: Path) -> None:
 
 def _write(found: Reproduction, report: Mapping[str, Any], folder: Path, command: str) -> Iterator[Path]:
     """Write all files; yields each path."""
-    from inteco_abs.paper.table import draw_course, paper_markdown
+    from inteco_abs.paper.table import draw_trace, paper_markdown
 
     try:
         folder.mkdir(exist_ok=True)
-        for course in found.courses:
-            rows = zip(*(column.tolist() for column in course.columns.values()), strict=True)
+        for trace in found.traces:
+            rows = zip(*(column.tolist() for column in trace.columns.values()), strict=True)
             write_csv(
-                [dict(zip(course.columns, row, strict=True)) for row in rows], path := folder / f"{course.name}.csv"
+                [dict(zip(trace.columns, row, strict=True)) for row in rows], path := folder / f"{trace.name}.csv"
             )
             yield path
             for suffix in _FORMATS:
-                draw_course(course.columns, course.title, path := folder / f"{course.name}.{suffix}")
+                draw_trace(trace.columns, trace.title, path := folder / f"{trace.name}.{suffix}")
                 yield path
         write_csv(found.records(), path := folder / "stops.csv")
         yield path

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inteco_abs.views.figure import COLOURS, check_figure, save_figure
+from inteco_abs.views.figure import COLOURS, check_figure, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,11 +22,10 @@ def draw_design(report: Mapping[str, Any], path: Path) -> None:
     Raises ConfigError for a wrong path, AbsError without matplotlib.
     """
     check_figure(path)
-    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
-    from matplotlib.ticker import LogLocator  # noqa: PLC0415  likewise
+    from matplotlib.ticker import LogLocator  # noqa: PLC0415  heavy, and an extra
 
     curves = {name: np.array(values, float) for name, values in report["curves"].items()}
-    figure = Figure(figsize=(8.4, 7.2), layout="constrained")
+    figure = new_figure(8.4, 7.2)
     axes = figure.subplots(3, sharex=True)
     _gain(axes[0], curves)
     _torque(axes[1], curves, report["largest_torque_nm"])

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from inteco_abs.views.figure import COLOURS, check_figure, save_figure
+from inteco_abs.views.figure import COLOURS, check_figure, new_figure, save_figure
 
 _COLUMNS: Final = 3
 _OF_WHEEL: Final = {"wheel": COLOURS[0], "road": COLOURS[1]}
@@ -18,11 +18,9 @@ def draw_residuals(traces: Sequence[Mapping[str, Any]], path: Path) -> None:
     Raises ConfigError for a wrong path, AbsError without matplotlib.
     """
     check_figure(path)
-    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
-
     segments = list(dict.fromkeys(trace["segment"] for trace in traces))
     rows = -(-len(segments) // _COLUMNS)
-    figure = Figure(figsize=(3.4 * _COLUMNS, 2.1 * rows + 0.6), layout="constrained")
+    figure = new_figure(3.4 * _COLUMNS, 2.1 * rows + 0.6)
     panels = list(figure.subplots(rows, _COLUMNS, squeeze=False).flat)
     by_segment = dict(zip(segments, panels, strict=False))
     lines = {}

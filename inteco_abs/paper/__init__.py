@@ -1,4 +1,4 @@
-"""Reproduction of the paper: its two stops, its law beside constant-rate control, and where its recipe breaks."""
+"""Reproduction of the paper: its two stops, its law compared with constant-rate control, and the law's limits."""
 
 from inteco_abs.paper.cases import Law, PaperCondition, paper_conditions
 from inteco_abs.paper.comparison import Comparison, compare, verdict

@@ -1,8 +1,8 @@
-"""Which laws meet under which conditions.
+"""The laws and the conditions under which they are compared.
 
-The paper compares with constant-rate control, s' = -Mq*sgn(s), and prints no gains of it. Two of them are fair: with
-the same Mq it chatters as much, and reaches later; with the Mq that takes as long from slip 0 to the reference by (20),
-Mq' = reference/t, it reaches as soon, and chatters more. What is better than both is better.
+The paper compares its law with constant-rate control, s' = -Mq*sgn(s), whose gain it does not give. Two gains are fair:
+with the same Mq it chatters as much and reaches later; with Mq' = reference/t, t by (20) from slip 0 to the reference,
+it reaches as soon and chatters more. A law that is better than both is better.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ REFERENCE: Final = 0.2
 SIMULATION_GAINS: Final = (2.0, 1.0)
 """Mk and Mq of the paper's Fig. 2, 1/s."""
 EXPERIMENT_GAINS: Final = (10.0, 4.0)
-"""Of its Fig. 3, on the rig."""
+"""Mk and Mq of its Fig. 3, on the rig, 1/s."""
 _EULER: Final = "euler"
 _WINDOW: Final = "moving-window"
 _VENDORS_DUTY: Final = 0.7
@@ -29,10 +29,10 @@ _RUN_UP_FROM_RAD_S: Final = 165.0
 
 
 class Law(NamedTuple):
-    """One way to reach the surface."""
+    """A reaching law with its gains."""
 
     pairing: str
-    """What makes it a fair rival of the paper's law; empty for that law itself."""
+    """Why it is a fair rival of the paper's law; empty for that law."""
     controller: str
     Mk: float
     """1/s; 0 for constant-rate."""
@@ -40,7 +40,7 @@ class Law(NamedTuple):
     """1/s."""
 
     def config(self, estimator: str) -> RigConfig:
-        """With the given estimator, over 10 ms if it has a window, and what limit of duty the rig has."""
+        """Configuration with the estimator, a window of 10 ms, and only the rig's limit of duty."""
         settings = [
             f"controller.name={self.controller}",
             f"controller.reference_slip={REFERENCE}",
@@ -54,7 +54,7 @@ class Law(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PaperCondition:
-    """Rigs and an estimator, and the laws that are tried on them, the paper's first."""
+    """Rigs, an estimator, and the laws to run on them, the paper's first."""
 
     name: str
     """For files and tables."""
@@ -66,13 +66,13 @@ class PaperCondition:
     """As in `Experiment`."""
 
     def experiment(self, law: Law) -> Experiment:
-        """Of one of the laws."""
+        """The Monte Carlo experiment of one of the laws."""
         config = law.config(self.estimator)
         return Experiment(self.draws.rigs, config, ConfiguredPolicy(config, CONTROLLERS), self.run_up_from_rad_s)
 
 
 def paper_conditions(draws: int) -> tuple[PaperCondition, ...]:
-    """All conditions, those of the experiment on so many rigs."""
+    """All conditions; those of the experiment have `draws` rigs."""
     simulation, experiment = _laws(*SIMULATION_GAINS), _laws(*EXPERIMENT_GAINS)
     nominal, capped = parse_draws("nominal:0"), _capped(draws)
     title = "experiment (Fig. 3): lag, noise, duty of at most 0.7"
@@ -95,7 +95,7 @@ def _laws(Mk: float, Mq: float) -> tuple[Law, ...]:
 
 
 def _capped(count: int) -> SampleSet:
-    """The first rigs of `capped` that can hold the slip at all: of the others no law can be judged."""
+    """The first rigs of `capped` whose brake can hold the slip."""
     last = count
     while len((found := parse_draws(f"capped:0-{last}")).seeds) < count:
         last += count
@@ -103,7 +103,7 @@ def _capped(count: int) -> SampleSet:
 
 
 def _breaks(nominal: SampleSet, law: Law) -> Iterator[PaperCondition]:
-    """The simulation with one thing each that the paper's recipe leaves out."""
+    """The simulation with one effect each that the paper's simulation leaves out."""
     (rig,) = nominal.rigs
     published = RigParameters.named("mask")
     lag = replace(rig, parameters=published)

@@ -1,4 +1,4 @@
-"""Two laws on the same rigs: ratios draw by draw, and what they say of the paper's claim."""
+"""Compares two laws on the same rigs, and judges the paper's claim."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from inteco_abs.montecarlo import StopResults
 from inteco_abs.quantities import finite
 
 ACCURACY: Final = "slip_rms_fixed_true"
-"""What the claim is judged by: every stop has it, however late its slip arrives, or never."""
+"""Metric of the claim; every stop has it, even if its slip never reaches the reference."""
 RATIOS: Final = (
     "reaching_time_s",
     "slip_rms_true",
@@ -30,23 +30,22 @@ class Comparison(NamedTuple):
     """The paper's law against a rival."""
 
     ratios: dict[str, float | None]
-    """Median over the rigs of what the paper's law has, divided by what the rival has on the same rig; None where one
-    of the stops has no such metric."""
+    """Median over the rigs of the paper's law's metric divided by the rival's on the same rig; None if a stop lacks
+    the metric."""
     stops: int
     better: int
-    """Stops in which the paper's law was the more accurate."""
+    """Number of stops in which the paper's law is more accurate."""
     worse: int
     confirmed: bool
-    """Whether the paper's claim of better accuracy is."""
+    """Whether the paper's claim of better accuracy is confirmed."""
     words: str
-    """Why, with the figures."""
+    """The reason with its figures."""
 
 
 def compare(ours: StopResults, rival: StopResults) -> Comparison:
-    """Judge the claim that `ours` are more accurate than those of the `rival`, on the same rigs in the same order.
+    """Judge the claim that `ours` are more accurate than the `rival`'s, on the same rigs in the same order.
 
-    It is confirmed by a median ratio of slip RMS below 0.99 and, of several rigs, more wins than chance gives in one of
-    twenty cases (sign test, both sides).
+    It is confirmed by a median ratio of slip RMS below 0.99 and, for several rigs, a two-sided sign test at 5 %.
     """
     ratios = {name: _median(ours[name] / rival[name]) for name in RATIOS}
     better = int(np.sum(ours[ACCURACY] < rival[ACCURACY]))
@@ -66,7 +65,7 @@ def compare(ours: StopResults, rival: StopResults) -> Comparison:
 
 
 def verdict(comparisons: Mapping[str, Comparison]) -> str:
-    """What all rivals together, by their pairing, say of the claim."""
+    """The verdict on the claim from all rivals, by pairing."""
     judged = [one.confirmed for one in comparisons.values()]
     found = "confirmed" if all(judged) else "confirmed in part" if any(judged) else "not confirmed"
     against = (f"against {pairing}: {one.words}" for pairing, one in comparisons.items())
@@ -89,7 +88,7 @@ def _median(ratios: NDArray[np.float64]) -> float | None:
 
 
 def _chance(wins: int, losses: int) -> float:
-    """How likely a fair coin gives a result as uneven as this one, or more so."""
+    """p-value of the two-sided sign test."""
     count = wins + losses
     tail = sum(math.comb(count, k) for k in range(max(wins, losses), count + 1))
     return min(1.0, 2.0 * tail / 2.0**count)

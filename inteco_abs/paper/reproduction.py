@@ -30,7 +30,7 @@ SHOWN: Final = (
 """Metrics of the table, out of METRICS."""
 _DRAWN: Final = ("simulation", "experiment-window", "experiment-euler")
 _SHARD: Final = 5
-"""Rigs: a stop of one takes some 0.05 s, so that a bar moves."""
+"""Rigs in a shard: a stop takes some 0.05 s, so the progress bar moves steadily."""
 _SLOWEST_RAD_S: Final = 10.0
 
 
@@ -42,10 +42,10 @@ class PaperRow:
     law: Law
     stops: StopResults
     comparison: Comparison | None
-    """With the paper's law under this condition; None for that law itself."""
+    """Comparison with the paper's law under this condition; None for that law."""
 
     def facts(self) -> dict[str, Any]:
-        """As JSON has it; None for what is infinite, because a stop has no such thing."""
+        """Values for JSON; None for metrics that a stop does not have."""
         condition, law, compared = self.condition, self.law, self.comparison
         spreads = self.stops.summary().spreads
         return {
@@ -65,7 +65,7 @@ class PaperRow:
         }
 
     def records(self) -> Iterator[dict[str, Any]]:
-        """One for each stop; None where it has no such metric."""
+        """A record for each stop; None for metrics that it does not have."""
         condition, law = self.condition, self.law
         stops = zip(condition.draws.seeds, self.stops.metrics.tolist(), self.stops.errors, strict=True)
         for seed, values, error in stops:
@@ -90,29 +90,29 @@ class PaperTrace:
     name: str
     title: str
     columns: dict[str, NDArray[np.float64]]
-    """An entry per tick from the first of braking on; names end with units, slip and duty have none."""
+    """An entry per tick from the first of braking; names end with units, slip and duty have none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
-    """All that was found."""
+    """Results of all conditions."""
 
     rows: tuple[PaperRow, ...]
-    courses: tuple[PaperTrace, ...]
+    traces: tuple[PaperTrace, ...]
 
     def report(self) -> dict[str, Any]:
         """For JSON, tables and figures."""
         return {
             "schema_version": 1,
             "reference_slip": REFERENCE,
-            "simulation": _simulation(self.rows[0], self.courses[0]),
+            "simulation": _simulation(self.rows[0], self.traces[0]),
             "rows": [row.facts() for row in self.rows],
             "verdicts": {name: verdict(rivals) for name, rivals in self._comparisons().items()},
-            "figures": {course.name: course.title for course in self.courses},
+            "figures": {trace.name: trace.title for trace in self.traces},
         }
 
     def _comparisons(self) -> dict[str, dict[str, Comparison]]:
-        """By condition and pairing, where there are any."""
+        """Comparisons by condition and pairing."""
         found: dict[str, dict[str, Comparison]] = {}
         for row in self.rows:
             if row.comparison is not None:
@@ -125,12 +125,12 @@ class Reproduction:
 
 
 def reproduce(draws: int, progress: Progress | None = None) -> Reproduction:
-    """Brake under all conditions, those of the experiment on `draws` >= 1 rigs; the same every time."""
+    """Run all conditions, those of the experiment on `draws` >= 1 rigs; deterministic."""
     pairs = [(condition, law) for condition in paper_conditions(draws) for law in condition.laws]
     outcomes = run_all([condition.experiment(law) for condition, law in pairs], shard=_SHARD, progress=progress)
     rows = tuple(_rows(pairs, outcomes))
     drawn = {row.condition.name: row for row in rows if row.comparison is None}
-    return Reproduction(rows, tuple(_course(drawn[name]) for name in _DRAWN))
+    return Reproduction(rows, tuple(_trace(drawn[name]) for name in _DRAWN))
 
 
 def _rows(pairs: Sequence[tuple[PaperCondition, Law]], outcomes: Sequence[StopResults]) -> Iterator[PaperRow]:
@@ -140,8 +140,8 @@ def _rows(pairs: Sequence[tuple[PaperCondition, Law]], outcomes: Sequence[StopRe
         yield PaperRow(condition, law, stops, compare(ours, stops) if law.pairing else None)
 
 
-def _course(row: PaperRow) -> PaperTrace:
-    """The stop in the middle of a row, by its slip RMS; braked once more, as it then comes out to the last digit."""
+def _trace(row: PaperRow) -> PaperTrace:
+    """Trace of the stop with the median slip RMS of a row; it is simulated again, with the same result."""
     order = np.argsort(row.stops[ACCURACY], kind="stable")
     place = int(order[(len(order) - 1) // 2])
     draws, law = row.condition.draws, row.law
@@ -162,11 +162,11 @@ def _course(row: PaperRow) -> PaperTrace:
     return PaperTrace(row.condition.name, title, columns)
 
 
-def _simulation(row: PaperRow, course: PaperTrace) -> dict[str, Any]:
-    """What theory says of an ideal loop, beside what was seen."""
+def _simulation(row: PaperRow, trace: PaperTrace) -> dict[str, Any]:
+    """Simulated values of an ideal loop and their theoretical ones."""
     law, (stop,) = row.law, row.records()
-    fast = course.columns["road_speed_rad_s"][:-1] > _SLOWEST_RAD_S
-    torques = course.columns["brake_torque_nm"][1:][fast]  # what a tick decides acts until the next
+    fast = trace.columns["road_speed_rad_s"][:-1] > _SLOWEST_RAD_S
+    torques = trace.columns["brake_torque_nm"][1:][fast]  # the decision of a tick acts until the next
     return {
         "reaching_time_bound_s": reaching_time_bound(0.0, REFERENCE, law.Mk, law.Mq),
         "reaching_time_s": stop["reaching_time_s"],

@@ -1,4 +1,4 @@
-"""The paper's comparison as a table for a terminal or a file, and its stops as figures."""
+"""Tables of the reproduction for a terminal or a file, and figures of its stops."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from inteco_abs.views.figure import COLOURS, require_matplotlib, save_figure
+from inteco_abs.views.figure import COLOURS, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,7 +74,7 @@ def _table(title: str, rows: Sequence[tuple[str, Mapping[str, Any]]]) -> Table:
 
 
 def paper_markdown(report: Mapping[str, Any], command: str) -> str:
-    """The same as the text of a file, made by `command`."""
+    """The same as Markdown, made by `command`."""
     compared, alone = _grouped(report)
     lines = ["# The paper again", "", f"Made by `{command}`.", ""]
     for title, rows in (*compared, (_BROKEN, alone)):
@@ -94,7 +94,7 @@ def _line(cells: Sequence[str]) -> str:
 def _grouped(
     report: Mapping[str, Any],
 ) -> tuple[list[tuple[str, list[Mapping[str, Any]]]], list[Mapping[str, Any]]]:
-    """Conditions with rivals, by title, and the rows of those without."""
+    """Rows of the conditions with rivals, with titles, and rows of those without."""
     conditions = [list(rows) for _, rows in groupby(report["rows"], lambda row: row["condition"])]
     compared = [(_title(rows[0]), rows) for rows in conditions if len(rows) > 1]
     return compared, [rows[0] for rows in conditions if len(rows) == 1]
@@ -138,17 +138,14 @@ def _verdicts(report: Mapping[str, Any]) -> Iterator[str]:
     yield from (f"{condition}: {words}" for condition, words in report["verdicts"].items())
 
 
-def draw_course(columns: Mapping[str, Any], title: str, path: Path) -> None:
+def draw_trace(columns: Mapping[str, Any], title: str, path: Path) -> None:
     """Draw a stop to `path` (.png, .svg or .pdf) in the paper's three panels: speeds, slip, brake torque.
 
-    The estimated slip is drawn if there is one, and a file of that name is replaced. Raises AbsError if it cannot be
-    written, or without matplotlib.
+    The estimated slip is drawn if there is one; an existing file is replaced. Raises AbsError if it cannot be written,
+    or without matplotlib.
     """
-    require_matplotlib()
-    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
-
     time_s = columns["time_s"]
-    figure = Figure(figsize=(7.0, 7.2), layout="constrained")
+    figure = new_figure(7.0, 7.2)
     speeds, slip, torque = figure.subplots(3, sharex=True)
     speeds.plot(time_s, columns["road_speed_rad_s"], color=_RED, lw=1.2, label="vehicle (road wheel)")
     speeds.plot(time_s, columns["wheel_speed_rad_s"], color=_BLUE, lw=1.2, ls="--", label="braked wheel")

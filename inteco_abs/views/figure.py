@@ -36,7 +36,7 @@ _TRUETYPE: Final = 42
 _DPI: Final = 300
 _PRINTED_POINTS: Final = 1200
 _DRAWN_POINTS: Final = 100_000
-"""Of each line in a file: many stops in one session would otherwise take gigabytes."""
+"""Points of each line in a file; without a limit, many stops in one session take gigabytes."""
 _DRAWN: Final[Sequence[str]] = (
     "wheel_speed_rad_s", "road_speed_rad_s", "slip", "slip_reference", "torque_demand_nm", "brake", "brake_torque_nm",
 )  # fmt: skip
@@ -55,7 +55,7 @@ _SALT: Final = "inteco-abs"
 Array = npt.NDArray[Any]
 
 
-class Width(NamedTuple):
+class FigureSize(NamedTuple):
     """Size of a figure, its font, and letters in a line of its labels."""
 
     width_mm: float
@@ -64,11 +64,11 @@ class Width(NamedTuple):
     label_letters: int
 
 
-WIDTHS: Final = {"one": Width(88.0, 135.0, 7.0, 56), "two": Width(180.0, 165.0, 8.0, 115)}
+WIDTHS: Final = {"one": FigureSize(88.0, 135.0, 7.0, 56), "two": FigureSize(180.0, 165.0, 8.0, 115)}
 """By number of columns on a journal's page."""
 
 
-class _Part(NamedTuple):
+class _DrawnSession(NamedTuple):
     """A session to draw, and the start and end of its time axis."""
 
     ticks: Array
@@ -93,6 +93,14 @@ def require_matplotlib() -> None:
     """Raise AbsError without matplotlib."""
     if importlib.util.find_spec("matplotlib") is None:
         raise AbsError("figures need matplotlib: pip install 'inteco-abs[figures]'")
+
+
+def new_figure(width_inch: float, height_inch: float) -> Figure:
+    """An empty matplotlib figure. Raises AbsError without matplotlib."""
+    require_matplotlib()
+    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
+
+    return Figure((width_inch, height_inch), layout="constrained")
 
 
 def draw_stops(sessions: Sequence[Session], path: Path, width: str = "two") -> None:
@@ -138,19 +146,17 @@ def save_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
 
 
 @contextmanager
-def _style(width: Width) -> Iterator[None]:
+def _style(width: FigureSize) -> Iterator[None]:
     from matplotlib import rc_context  # noqa: PLC0415  heavy, and an extra
 
     with rc_context({"font.size": width.font_pt, "axes.linewidth": 0.6}):
         yield
 
 
-def _drawn(sessions: Sequence[Session], width: Width, most: int = _DRAWN_POINTS) -> Figure:
+def _drawn(sessions: Sequence[Session], width: FigureSize, most: int = _DRAWN_POINTS) -> Figure:
     """The figure, with lines of about `most` points."""
-    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
-
     parts = [_part(session, label, most) for session, label in zip(sessions, labels(sessions), strict=True)]
-    figure = Figure((width.width_mm / _MM_PER_INCH, width.height_mm / _MM_PER_INCH), layout="constrained")
+    figure = new_figure(width.width_mm / _MM_PER_INCH, width.height_mm / _MM_PER_INCH)
     axes = figure.subplots(3, sharex=True)
     if len(parts) == 1:
         _alone(axes, parts[0])
@@ -188,7 +194,7 @@ def slip_top(stops: Iterable[Array]) -> float:
     return min(_SLIP_STEP * math.ceil(_SLIP_AIR * highest / _SLIP_STEP), _WHOLE_SLIP)
 
 
-def _slip_rows(part: _Part, parts: Sequence[_Part]) -> Iterator[Array]:
+def _slip_rows(part: _DrawnSession, parts: Sequence[_DrawnSession]) -> Iterator[Array]:
     """Rows shown in the slip panel: estimated and true of one session; of several, one of the two."""
     drawn = [part.ticks]
     if len(parts) == 1:
@@ -200,8 +206,8 @@ def _slip_rows(part: _Part, parts: Sequence[_Part]) -> Iterator[Array]:
         yield rows[(time_s >= -_BEFORE_S) & (time_s <= part.end_s)]
 
 
-def _true(parts: Sequence[_Part]) -> bool:
-    """Whether true slip and torque are known for all, for a fair comparison."""
+def _true(parts: Sequence[_DrawnSession]) -> bool:
+    """Whether true slip and torque are known for all sessions."""
     return all(len(part.truth) for part in parts)
 
 
@@ -210,17 +216,17 @@ def _slip(rows: Array) -> Array:
     return np.where(rows["road_speed_rad_s"] >= _AT_REST_RAD_S, rows["slip"], np.nan)
 
 
-def _part(session: Session, label: str, most: int) -> _Part:
+def _part(session: Session, label: str, most: int) -> _DrawnSession:
     held = held_rows(session.ticks)
     if not len(held):
         raise AbsError(f"{session.path}: the run ended before braking; there is nothing to draw")
     start = start_ns(session)
     end_s = float((int(session.ticks["time_ns"][held[-1]]) - start) * 1e-9)
-    part = _Part(session.ticks, session.truth, label, start, end_s)
+    part = _DrawnSession(session.ticks, session.truth, label, start, end_s)
     return part._replace(ticks=_decimated(part.ticks, part, most), truth=_decimated(part.truth, part, most))
 
 
-def _decimated(rows: Array, part: _Part, most: int) -> Array:
+def _decimated(rows: Array, part: _DrawnSession, most: int) -> Array:
     """The shown rows in about `most` points with all extremes; `rows` themselves if there are fewer."""
     if len(rows) <= most:
         return rows
@@ -235,11 +241,11 @@ def _decimated(rows: Array, part: _Part, most: int) -> Array:
     return few
 
 
-def _wrapped(label: str, width: Width) -> str:
+def _wrapped(label: str, width: FigureSize) -> str:
     return textwrap.fill(label, width.label_letters, max_lines=2, placeholder=" ...")
 
 
-def _alone(axes: Sequence[Axes], part: _Part) -> None:
+def _alone(axes: Sequence[Axes], part: _DrawnSession) -> None:
     ticks, truth = part.ticks, part.truth
     time_s, truth_s = since_s(ticks, part.start_ns), since_s(truth, part.start_ns)
     speeds, slip, torque = axes
@@ -261,7 +267,7 @@ def _alone(axes: Sequence[Axes], part: _Part) -> None:
     duty.set_ylim(-0.02, 1.0)
 
 
-def _compared(axes: Sequence[Axes], parts: Sequence[_Part]) -> None:
+def _compared(axes: Sequence[Axes], parts: Sequence[_DrawnSession]) -> None:
     true = _true(parts)
     speeds, slip, torque = axes
     for part, colour, dash in zip(parts, PALETTE, _DASHES, strict=False):
@@ -280,7 +286,7 @@ def _compared(axes: Sequence[Axes], parts: Sequence[_Part]) -> None:
     torque.set_ylabel("brake torque, true [N m]" if true else "brake torque, asked [N m]")
 
 
-def _name_sessions(figure: Figure, speeds: Axes, parts: Sequence[_Part], width: Width) -> None:
+def _name_sessions(figure: Figure, speeds: Axes, parts: Sequence[_DrawnSession], width: FigureSize) -> None:
     from matplotlib.lines import Line2D  # noqa: PLC0415  heavy, and an extra
 
     looks = zip(parts, PALETTE, _DASHES, strict=False)

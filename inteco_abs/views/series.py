@@ -15,7 +15,7 @@ from inteco_abs.errors import AbsError
 from inteco_abs.sessions import Session
 from inteco_abs.views.comparison import held_rows, since_s, start_ns
 from inteco_abs.views.decimation import decimate
-from inteco_abs.views.figure import check_figure, save_figure, slip_top
+from inteco_abs.views.figure import check_figure, new_figure, save_figure, slip_top
 from inteco_abs.views.result_panel import ROWS
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _PANELS: Final = (
 )  # fmt: skip
 _AT_REST_RAD_S: Final = 1.0
 _POINTS: Final = 4000
-"""Of each line: a thousand stops would otherwise take gigabytes."""
+"""Points of each line; without a limit, a thousand stops take gigabytes."""
 
 
 def render_series(spreads: Mapping[str, MetricStatistics]) -> Table:
@@ -58,12 +58,11 @@ def draw_series(sessions: Sequence[Session], path: Path) -> None:
     """
     check_figure(path)
     from matplotlib import colormaps  # noqa: PLC0415  heavy, and an extra
-    from matplotlib.figure import Figure  # noqa: PLC0415  likewise
 
     braked = [session for session in sessions if len(held_rows(session.ticks))]
     if not braked:
         raise AbsError("none of the stops of the series came to braking; there is nothing to draw")
-    figure = Figure((7.1, 6.5), layout="constrained")
+    figure = new_figure(7.1, 6.5)
     panels = figure.subplots(len(_PANELS), sharex=True)
     colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(braked)))
     for number, (session, colour) in enumerate(zip(braked, colours, strict=True), 1):

@@ -17,19 +17,19 @@ from inteco_abs.analysis import Continuation, WhatIf, braking_row, since_braking
 from inteco_abs.quantities import shown
 from inteco_abs.sessions import Session
 from inteco_abs.signals import Phase
-from inteco_abs.views.figure import check_figure, save_figure
+from inteco_abs.views.comparison import PALETTE
+from inteco_abs.views.figure import check_figure, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST: Final = 7
 """Alternatives that a figure can distinguish."""
-_COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442")
-"""Okabe and Ito: distinct for every kind of colour vision."""
+_COLOURS: Final = (*PALETTE, "#f0e442")
 _PANELS: Final = (
     ("slip", "slip [1]", (0.0, 1.02)),
-    ("torque_demand_nm", "torque asked for [N m]", (-0.5, 12.0)),
-    ("brake_request", "brake duty asked for [1]", (-0.02, 1.05)),
+    ("torque_demand_nm", "demanded torque [N m]", (-0.5, 12.0)),
+    ("brake_request", "requested brake duty [1]", (-0.02, 1.05)),
 )
 _MARGIN_S: Final = 0.1
 _REQUESTS: Final = {"slip": "slip, 1", "torque_demand_nm": "torque, N m", "brake_request": "brake duty, 1"}
@@ -98,10 +98,8 @@ def draw_what_if(session: Session, alternatives: Sequence[WhatIfTrace], path: Pa
     simulation.
     """
     check_figure(path)
-    from matplotlib.figure import Figure  # noqa: PLC0415  heavy, and an extra
-
     since_s = since_braking_s(session)
-    figure = Figure(figsize=(7.0, 7.6), layout="constrained")
+    figure = new_figure(7.0, 7.6)
     axes: Sequence[Axes] = figure.subplots(len(_PANELS), sharex=True)
     for panel, (field, label, limits) in zip(axes, _PANELS, strict=True):
         panel.plot(since_s, session.ticks[field], color="black", lw=1.4, label="log")

@@ -104,13 +104,13 @@ def test_the_experiment_has_as_many_rigs_as_asked_for_all_of_which_can_hold_the_
 def test_the_figures_stop_is_the_one_in_the_middle(reproduced):
     ours = [one for one in reproduced.records() if one["condition"] == "experiment-window" and not one["pairing"]]
     middle = min(ours, key=lambda one: one["slip_rms_fixed_true"])  # the better of two
-    course = {one.name: one for one in reproduced.courses}["experiment-window"]
-    assert course.title.endswith(f"Mk = 10, Mq = 4, rig capped:{middle['seed']}")
-    assert course.columns["time_s"][-1] == pytest.approx(middle["stop_time_s"])
+    trace = {one.name: one for one in reproduced.traces}["experiment-window"]
+    assert trace.title.endswith(f"Mk = 10, Mq = 4, rig capped:{middle['seed']}")
+    assert trace.columns["time_s"][-1] == pytest.approx(middle["stop_time_s"])
 
 
 def test_only_what_was_estimated_is_told_as_such(reproduced):
-    simulation, window, euler = reproduced.courses
+    simulation, window, euler = reproduced.traces
     assert "slip_estimated" not in simulation.columns
-    for course in (window, euler):
-        assert np.abs(course.columns["slip_estimated"] - course.columns["slip"]).max() > 0.01
+    for trace in (window, euler):
+        assert np.abs(trace.columns["slip_estimated"] - trace.columns["slip"]).max() > 0.01
