@@ -1,4 +1,4 @@
-"""Plan of a run, the conditions before anything is opened, and the job for the run's processes."""
+"""Plan of a run, its checks before anything is opened, and the job for its processes."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from inteco_abs.wire import check_recordable, check_target
 
 _SPARE_S: Final = 2.0
 _LONGEST_RING_S: Final = 60.0
-"""The ring holds the latest ticks, the file older ones: a disk may stall for so long. A run without recorder ends in
-a second. Every process of the run has the whole ring mapped: 38 MB at 2 kHz."""
+"""The ring has the latest ticks, the file older ones: a disk may stall for this time. A run without recorder ends within
+a second. Every process of the run maps the whole ring: 38 MB at 2 kHz."""
 _SHORTEST_RING_S: Final = 4.0
 """Long enough for the recorder to be found dead and the run to end before the ring is full."""
 
 RunProgress = Callable[[Phase, int], None]
-"""Called with the phase and the number of ticks so far, between slices of a virtual run."""
+"""Called with phase and number of ticks between slices of a virtual run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What to run, besides the configuration."""
+    """A run, besides its configuration."""
 
     out: Path
     board: str = "sim:"
@@ -43,11 +43,11 @@ class Plan:
     seed: int = 0
     controllers: Mapping[str, type[Controller]] = field(default_factory=lambda: CONTROLLERS)
     controller_source: bytes = b""
-    """Source of a controller that does not ship, kept in the session; in real time it runs in another process."""
+    """Source of a user's controller, kept in the session; in real time it runs in another process."""
     wire: Path | None = None
-    """Capture to write: everything that passes between host and board."""
+    """Capture to write, with all messages between host and board."""
     frames: bool = False
-    """Whether the session also holds these messages."""
+    """Whether the session also keeps these messages."""
     controller_package: str = ""
     """Name and version of the installed package with the controller; empty without one."""
     live_port: int | None = None
@@ -57,7 +57,7 @@ class Plan:
 
 
 def run_checks(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
-    """Conditions before anything is opened, besides a place for the session; each raises AbsError unless it holds."""
+    """Checks before anything is opened, besides that of the session's path; each raises AbsError if it fails."""
     yield partial(check_address, plan.board)
     yield partial(check_kind, plan.board, config)
     yield partial(check_limits, plan.board, config)
@@ -74,7 +74,7 @@ def run_checks(config: RigConfig, plan: Plan) -> Iterator[Callable[[], object]]:
 
 
 def _check_time(config: RigConfig, plan: Plan) -> None:
-    """Raise AbsError if the run is not possible in virtual or real time, as asked."""
+    """Raise AbsError if the run is not possible in the requested virtual or real time."""
     if not plan.virtual:
         require_linux()
         _require_origin(config, plan)

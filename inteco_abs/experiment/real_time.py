@@ -21,7 +21,7 @@ from inteco_abs.realtime.processes.supervisor import Supervisor
 from inteco_abs.sessions import TICK, TRUTH, RunResult
 
 _PANEL_RING_S: Final = 30.0
-"""A screen that takes no ticks for longer is taken as ended."""
+"""After this time without reading ticks, a screen counts as ended."""
 
 
 def run_in_real_time(config: RigConfig, plan: Plan, screen: Screen) -> RunResult:
@@ -52,7 +52,7 @@ def processes(
                 supervisor.spawn("board", "inteco_abs.mock_board_process", str(memory.path))
             yield memory, supervisor
         finally:
-            supervisor.end()  # also if an interrupt comes before it runs
+            supervisor.end()  # also after an interrupt before its start
     finally:
         memory.remove()
 
@@ -81,7 +81,7 @@ def measure_round_trips(config: RigConfig, board: str) -> RoundTrips:
 def manual_checks(
     config: RigConfig, board: str, faults: Sequence[Fault] = (), *, outputs: bool = True
 ) -> Iterator[Callable[[], object]]:
-    """Conditions before a board is opened for manual control; each raises AbsError unless it holds."""
+    """Checks before a board is opened for manual control; each raises AbsError if it fails."""
     yield partial(check_address, board)
     yield partial(check_kind, board, config)
     if outputs:
@@ -95,11 +95,11 @@ def manual_checks(
 def manual_control(
     config: RigConfig, board: str, *, outputs: bool, faults: tuple[Fault, ...] = ()
 ) -> Iterator[ManualClient]:
-    """Hold a board by a process of its own, for output or for reading only.
+    """Control a board from another process, with outputs or for reading only.
 
-    `faults` are injected into the mock board. Leaving ends with SAFE, read back. Raises ReadOnlyError if the profile
-    does not allow outputs, BoardError if the board cannot be opened or its process died, UnsafeError if SAFE was not
-    confirmed.
+    `faults` are injected into the mock board. Leaving the context ends with SAFE, read back. Raises ReadOnlyError if
+    the profile does not allow outputs, BoardError if the board cannot be opened or its process died, UnsafeError if
+    SAFE was not confirmed.
     """
     for condition in manual_checks(config, board, faults, outputs=outputs):
         condition()

@@ -1,4 +1,4 @@
-"""A bound on the time that a user's code may take before a run."""
+"""Time limit for a user's code before a run."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _AGAIN_S: Final = 1.0
 
 
 class _TimeUp(BaseException):
-    """For code that catches every Exception, and so the first one that says that its time is up."""
+    """Raised after TimeoutError, for code that catches every Exception."""
 
 
 @contextmanager
 def time_limit() -> Iterator[None]:
     """Raise TimeoutError, then ConfigError, in code that takes longer than 60 s.
 
-    Only in the main thread, which gets signals, on POSIX. An alarm that the caller has set goes on afterwards.
+    Only in the main thread, which gets signals, on POSIX. An alarm of the caller continues afterwards.
     """
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "setitimer"):
         yield

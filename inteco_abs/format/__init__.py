@@ -1,6 +1,6 @@
-"""What is kept of a run, byte by byte: the loop packs it, MCAP stores it, numpy reads it, any viewer decodes it."""
+"""The messages of a session, byte by byte: the loop packs them, MCAP stores them, numpy and viewers read them."""
 
-from inteco_abs.format.declared_layout import Declared, Members, declared
+from inteco_abs.format.declared_layout import DeclaredMessage, Members, declared_message
 from inteco_abs.format.descriptors import ENUM
 from inteco_abs.format.io_frame import (
     IO_NAME,
@@ -47,7 +47,7 @@ __all__ = [
     "TICK",
     "TRUTH",
     "Column",
-    "Declared",
+    "DeclaredMessage",
     "Direction",
     "IoFrame",
     "Members",
@@ -55,7 +55,7 @@ __all__ = [
     "MessageKind",
     "Role",
     "chunk",
-    "declared",
+    "declared_message",
     "double",
     "fields",
     "integer",

@@ -1,4 +1,4 @@
-"""The layout of a flat message as the descriptor in a file declares it, which may be of another version.
+"""Reads the layout of a flat message from the descriptor in a file, which may be of another version.
 
 Numbers of fields and types are those of `descriptor.proto` (protobuf.dev).
 """
@@ -15,7 +15,7 @@ from inteco_abs.format.schema import BOOL, DOUBLE, FIXED32, FIXED64, FLOAT, SFIX
 _SFIXED32: Final = MessageKind(15, 5, "i", "<i4")
 _ENUM: Final = MessageKind(ENUM, 0, "B", "u1")
 _KINDS: Final = {kind.type_number: kind for kind in (DOUBLE, FLOAT, FIXED64, FIXED32, _SFIXED32, SFIXED64, BOOL, _ENUM)}
-"""Types of one width each; an enum as long as its values take one byte."""
+"""Types of fixed width; an enum has one byte if its values are below 128."""
 _MOST_FIELDS: Final = 256
 _HIGHEST_ENUM: Final = 0x7F
 _REPEATED: Final = 3
@@ -27,18 +27,18 @@ _VALUES, _VALUE_NUMBER = 2, 2
 
 Parts = Mapping[int, list[int | bytes]]
 Members = Mapping[int, str]
-"""Names by number, without the name of their enumeration."""
+"""Names by number, without the prefix of their enumeration."""
 
 
-class Declared(NamedTuple):
-    """A message, and the members of each of its columns that is an enumeration."""
+class DeclaredMessage(NamedTuple):
+    """A message, and the members of each of its enumeration columns."""
 
     message: Message
     members: Mapping[str, Members]
 
 
-def declared(descriptor: bytes, name: str, topic: str) -> Declared:
-    """The message called `name` in a serialised FileDescriptorSet. Raises ValueError if it has no constant layout."""
+def declared_message(descriptor: bytes, name: str, topic: str) -> DeclaredMessage:
+    """The message `name` in a serialised FileDescriptorSet. Raises ValueError if it has no constant layout."""
     enums: dict[str, Members] = {}
     found: Parts | None = None
     for file in _messages(_parts(descriptor), _FILE):
@@ -56,12 +56,10 @@ def declared(descriptor: bytes, name: str, topic: str) -> Declared:
     return _of_fields(name, topic, _messages(found, _FIELDS), enums)
 
 
-def _of_fields(name: str, topic: str, found: list[Parts], enums: Mapping[str, Members]) -> Declared:
+def _of_fields(name: str, topic: str, found: list[Parts], enums: Mapping[str, Members]) -> DeclaredMessage:
     by_name = {_text(field, _NAME): field for field in found}
     if not 0 < len(found) <= _MOST_FIELDS or len(by_name) < len(found):
-        raise ValueError(
-            f"its {name} has {len(found)} fields: must be 1 to {_MOST_FIELDS}, each with a name of its own"
-        )
+        raise ValueError(f"its {name} has {len(found)} fields: must be 1 to {_MOST_FIELDS} with different names")
     columns, members = [], {}
     numbered = sorted(by_name.items(), key=lambda each: _number(each[1], _NUMBER))
     for each, field in numbered:
@@ -72,11 +70,11 @@ def _of_fields(name: str, topic: str, found: list[Parts], enums: Mapping[str, Me
         if kind is _ENUM:
             members[each] = enums.get(_text(field, _TYPE_NAME), {})
     numbers = [_number(field, _NUMBER) for _, field in numbered]
-    return Declared(Message(name.rpartition(".")[2], topic, columns, numbers), members)
+    return DeclaredMessage(Message(name.rpartition(".")[2], topic, columns, numbers), members)
 
 
 def _members(enum: Parts) -> Members:
-    """A member's number may be one that no byte holds: then it stands in no message of constant layout."""
+    """Members of an enumeration; those that do not fit into a byte cannot occur in a constant layout."""
     prefix = f"{_text(enum, _NAME).upper()}_"
     values = {_number(value, _VALUE_NUMBER): _text(value, _NAME) for value in _messages(enum, _VALUES)}
     return {number: name.removeprefix(prefix) for number, name in values.items() if number <= _HIGHEST_ENUM}
@@ -96,12 +94,12 @@ def _messages(parts: Parts, number: int) -> list[Parts]:
 def _text(parts: Parts, number: int) -> str:
     value = parts.get(number, [b""])[-1]
     if not isinstance(value, bytes):
-        raise ValueError("a number is in the place of a name")  # noqa: TRY004  as everything else in the descriptor
+        raise ValueError("a name is a number")  # noqa: TRY004  as every error of the descriptor
     return value.decode("utf-8")
 
 
 def _number(parts: Parts, number: int) -> int:
     value = parts.get(number, [0])[-1]
     if not isinstance(value, int):
-        raise ValueError("bytes are in the place of a number")  # noqa: TRY004  as everything else in the descriptor
+        raise ValueError("a number is bytes")  # noqa: TRY004  as every error of the descriptor
     return value

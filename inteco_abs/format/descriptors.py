@@ -20,7 +20,7 @@ _OPTIONAL, _REPEATED = 1, 3
 
 
 def field(name: str, number: int, kind: int, of: str = "", *, repeated: bool = False) -> bytes:
-    """FieldDescriptorProto; `of` is the full name of the message or enum that the field is of."""
+    """FieldDescriptorProto; `of` is the full name of the field's message or enum type."""
     label = _REPEATED if repeated else _OPTIONAL
     body = chunk(1, name) + integer(3, number) + integer(4, label) + integer(5, kind)
     return body + chunk(6, f".{of}") if of else body

@@ -1,4 +1,4 @@
-"""What has passed between host and board, message by message: for work on the protocol, and only if asked for."""
+"""Raw frames between host and board as messages, recorded on request for work on the protocol."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TIME_KEY: Final = tag(1, FIXED64.wire_type)
 
 
 class Direction(IntEnum):
-    """What happened."""
+    """Direction of a frame, or another event."""
 
     UNKNOWN = 0
     OUT = 1
@@ -25,22 +25,22 @@ class Direction(IntEnum):
     IN = 2
     """The board answered."""
     ERROR = 3
-    """A message was not taken, or an answer did not come."""
+    """Writing failed, or no answer came."""
     WARNING = 4
-    """About the recording itself."""
+    """A warning about the recording."""
 
 
 class IoFrame(NamedTuple):
-    """One message between host and board, or one that failed. Fields are numbered from 1 in this order."""
+    """One frame between host and board, or a failed one. Fields are numbered from 1 in this order."""
 
     time_ns: int
     """Monotonic clock, as in the ticks."""
     direction: Direction
     data: bytes = b""
     text: str = ""
-    """What an error or a warning says."""
+    """Text of an error or a warning."""
     of: str = ""
-    """Of an error: what failed, "out", "in" or "exchange"."""
+    """What failed: "out", "in" or "exchange"; empty without an error."""
 
 
 def io_frame_descriptor() -> bytes:
@@ -64,7 +64,7 @@ def pack_io_frame(frame: IoFrame) -> bytes:
 
 
 def unpack_io_frame(data: bytes) -> IoFrame:
-    """A message as the frame; what a later version has added is left out. Raises ValueError if it is not valid."""
+    """Decode a message; fields of a later version are ignored. Raises ValueError if it is not valid."""
     found = dict(fields(data))
     time_ns, direction = found.get(1, bytes(_TIME.size)), found.get(2, 0)
     parts = [found.get(number, b"") for number in (3, 4, 5)]
@@ -72,6 +72,6 @@ def unpack_io_frame(data: bytes) -> IoFrame:
         raise ValueError("its time or its direction is not valid")
     texts = [part for part in parts if isinstance(part, bytes)]
     if len(texts) < len(parts):
-        raise ValueError("a number is in the place of bytes")
+        raise ValueError("bytes are a number")
     raw, text, of = texts
     return IoFrame(_TIME.unpack(time_ns)[0], Direction(direction), raw, text.decode("utf-8"), of.decode("utf-8"))

@@ -1,7 +1,6 @@
-"""The little of protobuf's wire format that a session needs, without generated code.
+"""The part of protobuf's wire format that a session needs, without generated code.
 
-Source: protobuf.dev, "Encoding" and `descriptor.proto`. Tests decode everything written here with the official
-library.
+Source: protobuf.dev, "Encoding" and `descriptor.proto`. Tests decode everything with the official library.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ def chunk(number: int, data: bytes | str) -> bytes:
 
 
 def fields(data: bytes) -> Iterator[tuple[int, int | bytes]]:
-    """Number and value of each field of an encoded message; fixed-width ones as bytes. Raises ValueError."""
+    """Number and value of each field of an encoded message; fixed-width values as bytes. Raises ValueError."""
     at = 0
     while at < len(data):
         key, at = _read_varint(data, at)

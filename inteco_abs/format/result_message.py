@@ -1,4 +1,4 @@
-"""The result card as a message of its own, for programs that read no metadata: one for each session, at its end."""
+"""The result card as a message at the end of each session, for programs that do not read metadata."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RESULT_NAME: Final = f"{PACKAGE}.Result"
 
 
 class ResultField(NamedTuple):
-    """One value of the card. Fields are numbered from 1 in the order of `RESULT`, so new ones go last."""
+    """One value of the card. Fields are numbered from 1 in the order of `RESULT`; new ones are appended."""
 
     name: str
     """As in the card; `lateness_us_p50` is its `lateness_us["p50"]`."""
@@ -66,7 +66,7 @@ def result_descriptor() -> bytes:
 
 
 def pack_result(card: Mapping[str, Any]) -> bytes:
-    """The card as a message. A number that is not known is NaN: left out, it would be read as 0."""
+    """The card as a message. An unknown number is NaN, as a missing field is read as 0."""
     late = {f"lateness_us_{name}": value for name, value in card["lateness_us"].items()}
     values = {**card, **late}
     return b"".join(_field(number, entry, values.get(entry.name)) for number, entry in enumerate(RESULT, 1))

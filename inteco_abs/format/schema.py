@@ -1,7 +1,7 @@
-"""What a session holds, declared once: protobuf schema, constant byte layout and numpy dtype come from one table.
+"""The messages of a session: one table gives protobuf schema, constant byte layout and numpy dtype.
 
-A message is flat, every field is always written, in order, with a fixed-width type; so its bytes have a constant
-layout: the loop packs them, MCAP stores them, numpy reads them, and any protobuf parser understands them.
+A message is flat, and every field is always written, in order, with a fixed-width type. So its bytes have a constant
+layout that numpy reads and any protobuf parser understands.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class Message:
         return self._keyless(names).iter_unpack(data)
 
     def array_of(self, rows: Iterable[Sequence[Any]]) -> npt.NDArray[np.void]:
-        """Structured array, one's own, with a row for each of `rows`. Its bytes have no keys and are not messages."""
+        """New structured array with a row for each of `rows`. Its bytes have no keys, so they are not messages."""
         pack = self._keyless({column.name for column in self.columns}).pack
         return self.array(bytearray().join(starmap(pack, rows)))
 
@@ -138,11 +138,11 @@ class Message:
         return view
 
     def blank(self, rows: int) -> bytearray:
-        """So many messages back to back, with zero in every column."""
+        """`rows` messages back to back, with zero in every column."""
         return bytearray(self.pack([0] * len(self.columns))) * rows
 
     def well_formed(self, data: bytes) -> bool:
-        """Whether every message in `data` has this layout: length, all keys, and values that its enums have."""
+        """Whether every message in `data` has this layout: length, all keys, and valid enum values."""
         if len(data) % self.size:
             return False
         numpy = _numpy()
@@ -152,7 +152,7 @@ class Message:
 
     @cached_property
     def _fixed(self) -> tuple[npt.NDArray[Any], ...]:
-        """Where the keys' bytes are and what they are; where the enums are and how many members each has."""
+        """Places and values of the keys' bytes; places and numbers of members of the enums."""
         places = [at for end, key in zip(self._offsets, self._keys, strict=True) for at in range(end - len(key), end)]
         array = _numpy().array
         return (
@@ -163,9 +163,9 @@ class Message:
         )
 
     def repacked(self, data: bytes) -> bytes:
-        """One message with the constant layout that another program encoded anew: fields left out are zero.
+        """A message that another program encoded again without zeros, in the constant layout, bit for bit as packed.
 
-        Bit for bit what was packed first. Raises ValueError if it has another field, one twice, or none at all.
+        Raises ValueError for an unknown or repeated field, or an empty message.
         """
         widths = {
             number: struct.calcsize(column.kind.code)
@@ -184,7 +184,7 @@ class Message:
         return b"".join(key + raw for key, raw, _ in parts)
 
     def descriptor(self) -> bytes:
-        """FileDescriptorSet with this message and its enums, as MCAP's protobuf encoding wants it."""
+        """FileDescriptorSet with this message and its enums, as MCAP requires."""
         return self._descriptor
 
     @cached_property
@@ -197,7 +197,7 @@ class Message:
 
 
 def _numpy() -> Any:
-    """Loaded by who reads. The loop's process only packs, and dies faster without 80 MB more."""
+    """numpy, imported on the first read: the loop's process only packs, and dies faster without 80 MB more."""
     return import_module("numpy")
 
 
@@ -270,7 +270,7 @@ TRUTH: Final = Message(
         Column("adhesion", _D, "1", "adhesion coefficient of the road at the true slip", _IN),
     ),
 )
-"""State of the simulated rig at each write of the host, and what that made of the outputs; a real rig has none."""
+"""State of the simulated rig at each write of the host, with the new outputs; a real rig has none."""
 
 if tuple(column.name for column in TICK.columns) != Tick._fields:
     raise TypeError("the columns of TICK must be the fields of signals.Tick")

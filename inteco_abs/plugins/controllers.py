@@ -1,4 +1,4 @@
-"""All controllers by name: those that ship, the user's own, and those of installed packages."""
+"""All controllers by name: shipped ones, the user's, and those of installed packages."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from inteco_abs.plugins.shape import require_controller
 
 
 def installed_controllers() -> Registry[type[Controller]]:
-    """Controllers that ship, and those of the packages installed now."""
+    """Shipped controllers, and those of installed packages."""
     return Registry("a controller", "inteco_abs.controllers", "controller.name", CONTROLLERS, require_controller)
 
 
 class Origin(NamedTuple):
-    """Origin of a controller that does not ship, as sessions keep it."""
+    """Origin of a controller that is not shipped, for the session."""
 
     source: bytes = b""
-    """Of the file, or of the package's module if it can be read."""
+    """Source of the file, or of the package's module if it can be read."""
     package: str = ""
     """Name and version of the package; empty if it comes from a file."""
 
 
 class Controllers(Mapping[str, type[Controller]]):
-    """Controllers by name: `own` first, then those that ship, then those of packages, imported when used.
+    """Controllers by name: `own` first, then shipped ones, then those of packages, imported when used.
 
-    A package's controller raises ConfigError if it cannot be imported or is not a controller.
+    Access raises ConfigError if a package's controller cannot be imported or is not a controller.
     """
 
     def __init__(self, own: Mapping[str, tuple[type[Controller], Origin]] | None = None) -> None:
@@ -51,7 +51,7 @@ class Controllers(Mapping[str, type[Controller]]):
         return sum(1 for _ in self)
 
     def origin(self, name: str) -> Origin:
-        """Origin of the controller `name`; empty if it ships."""
+        """Origin of the controller `name`; empty if it is shipped."""
         if name in self._own:
             return self._own[name][1]
         if name in CONTROLLERS:

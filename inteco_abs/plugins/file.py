@@ -13,7 +13,7 @@ from inteco_abs.errors import ConfigError, near_file, near_match
 from inteco_abs.plugins.shape import require_controller
 
 FROM_FILE: Final = ".py:"
-"""In the name of a controller that comes from a user's file."""
+"""Part of the name of a controller from a user's file."""
 _PATH: Final = "--controller"
 
 
@@ -24,7 +24,7 @@ def load_controller(name: str, source: bytes | None = None) -> tuple[type[Contro
     """
     file, _, class_name = name.rpartition(":")
     path = Path(file)
-    if source is None and path.exists() and not path.is_file():  # to open a pipe is to wait for its writer
+    if source is None and path.exists() and not path.is_file():  # opening a pipe waits for its writer
         raise _mistake(f"{file}: not a regular file; name a file as in law.py:Class")
     try:
         source = path.read_bytes() if source is None else source
@@ -33,7 +33,7 @@ def load_controller(name: str, source: bytes | None = None) -> tuple[type[Contro
         raise _mistake(f"{file}: cannot be read: {error.strerror}{hint}") from error
     module = ModuleType(f"inteco_abs_user_{path.stem}")
     module.__file__ = str(path)
-    sys.modules[module.__name__] = module  # dataclasses and pickles look their module up there
+    sys.modules[module.__name__] = module  # for dataclasses and pickle
     with foreign_code(_PATH, file):
         # exactly the bytes that the session keeps, not a cached version
         exec(compile(source, file, "exec"), vars(module))  # noqa: S102  the user named this file to be run

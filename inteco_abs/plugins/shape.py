@@ -36,14 +36,14 @@ def _problem_of(kind: object, name: str) -> str:
     if not isinstance(internals, tuple) or len(internals) > _MOST_INTERNALS:
         problems.append(f"{name}.internals must be a tuple of at most {_MOST_INTERNALS} names; () if it logs none")
     if not isinstance(getattr(kind, "estimator", ""), str):
-        problems.append(f"{name}.estimator must be the name of the estimator that it needs; without it any will do")
+        problems.append(f"{name}.estimator must be the name of the estimator that it needs; omit it if any will do")
     return problems[0] if problems else ""
 
 
 def _problem_of_gain(gain: Gain) -> str:
     name: object = gain.name
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
-        return "must be a name that an argument of its constructor can have"
+        return "must be a valid name of a constructor's argument"
     numbers: tuple[object, ...] = (gain.low, gain.default, gain.high)
     if not all(isinstance(number, int | float) and math.isfinite(number) for number in numbers):
         return f"low, default and high are {numbers}: must be finite numbers"

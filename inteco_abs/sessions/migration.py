@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from inteco_abs.format import DOUBLE, ENUM, FLOAT, Declared, Members, Message, MessageKind, declared
+from inteco_abs.format import DOUBLE, ENUM, FLOAT, DeclaredMessage, Members, Message, MessageKind, declared_message
 from inteco_abs.sessions.container import DamagedError
 
 Array = npt.NDArray[Any]
@@ -125,7 +125,7 @@ class MessageLayout:
 class _ForeignLayout(MessageLayout):
     """Layout of messages that a file declares differently. Raises ValueError if an integer column is missing."""
 
-    def __init__(self, own: Declared, today: Message) -> None:
+    def __init__(self, own: DeclaredMessage, today: Message) -> None:
         super().__init__(own.message)
         self._members, self._today = own.members, today
         kinds = {column.name: column.kind for column in own.message.columns}
@@ -195,7 +195,7 @@ def _layout(today: Message, name: str, descriptor: bytes, _steps: tuple[Migratio
     try:
         if name != today.name:
             raise ValueError(f"it is called {name}")  # noqa: TRY301  gets its topic below, as all others
-        return _ForeignLayout(declared(descriptor, name, today.topic), today)
+        return _ForeignLayout(declared_message(descriptor, name, today.topic), today)
     except ValueError as error:
         raise UnsupportedError(
             f"{today.topic} has another layout than {today.name} here: {error}; {_ADVICE}"
