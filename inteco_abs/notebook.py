@@ -36,7 +36,7 @@ class Session(sessions.Session):
         """The result card, with the keys of `run --json`. Raises AbsError if the session has none."""
         card = card_of(self)
         if card is None:
-            raise AbsError(f"{self.path}: has no result card, and too little to make one of")
+            raise AbsError(f"{self.path}: has no result card, and no usable configuration to compute one")
         return card
 
     def to_pandas(self, table: str = "tick") -> Any:
@@ -128,7 +128,7 @@ class Rig:
         """
         chosen: dict[str, Any] = dict(settings or {})
         given: Mapping[str, object] = gains or {}
-        for name, value in given.items():  # also numpy's numbers; the configuration refuses what is not a number
+        for name, value in given.items():  # also numpy's numbers; the configuration checks the type
             chosen[f"controller.gains.{name}"] = float(value) if isinstance(value, SupportsFloat) else value
         if estimator is not None:
             chosen["estimator.name"] = estimator
@@ -138,9 +138,7 @@ class Rig:
         path = Path(out) if out is not None else _default_out()
         virtual = simulated(self.board) if real_time is None else not real_time
         if isinstance(controller, type) and not virtual:
-            problem = (
-                f"{_name(controller)} is a class of this process, and real time needs one from a file: file.py:Class"
-            )
+            problem = f"{_name(controller)} is a class of this process; real time needs a file: file.py:Class"
             raise ConfigError.of("controller", problem)
         run_experiment(
             config, Plan(path, self.board, virtual, seed, known, origin.source, controller_package=origin.package)
@@ -194,7 +192,7 @@ def _name(controller: str | type[Controller]) -> str:
 
 
 def _source(controller: type[Controller]) -> bytes:
-    """Source of the class, for the session; empty where it cannot be found, as at a prompt."""
+    """Source of the class, for the session; empty if it cannot be found, as at a prompt."""
     try:
         return inspect.getsource(controller).encode()
     except (OSError, TypeError):
@@ -206,5 +204,5 @@ def _default_out() -> Path:
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
-        raise AbsError(f"no folder {folder} can be made here ({error.strerror}); name a file with out=") from error
+        raise AbsError(f"the folder {folder} cannot be made here ({error.strerror}); name a file with out=") from error
     return folder / f"stop-{datetime.now().astimezone():%Y%m%d-%H%M%S-%f}.mcap"

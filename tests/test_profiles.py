@@ -259,7 +259,7 @@ class TestLimits:
         with pytest.raises(ConfigError) as refused:
             check_limits("usb2:", load_config(settings=asked))
         told = {one.path: one.problem for one in refused.value.mistakes}
-        signs = ": more takes a signed profile; inteco-abs commission has you sign"
+        signs = ": more needs a signed profile; sign one with inteco-abs commission"
         assert told == {
             "guard.silence_s": f"at most 0.05, and 0.08 is asked for{signs}",
             "guard.brake_limit": f"at most 0.7, and 0.8 is asked for{signs}",
@@ -326,7 +326,7 @@ class TestEvidence:
             load_config(settings=['board.evidence.drive_pwm={status="sure"}'])
 
     def test_it_cannot_be_claimed_on_the_command_line(self):
-        with pytest.raises(ConfigError, match=r"board\.evidence\.road_sign: evidence stands in a file"):
+        with pytest.raises(ConfigError, match=r"board\.evidence\.road_sign: evidence belongs in a file"):
             load_config(settings=["profile=pci_abs_50f", 'board.evidence.road_sign={status="confirmed"}'])
 
     def test_a_profile_for_reading_never_drives_even_when_signed(self):

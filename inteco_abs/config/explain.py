@@ -24,7 +24,7 @@ _PROFILES: Final = "The section [board] comes with the profile; `inteco-abs prof
 
 
 Controllers = Mapping[str, Any]
-"""Controllers by name; each has `gains` with name, default, low, high, unit and meaning."""
+"""Controllers by name, each with `gains` as in `Controller`."""
 
 
 class ConfigKey(NamedTuple):
@@ -60,7 +60,7 @@ def explain(path: str, below: Mapping[str, Any], controllers: Controllers) -> st
 
 
 def facts(path: str, below: Mapping[str, Any], controllers: Controllers) -> list[dict[str, Any]]:
-    """The same for programs: path, type and range, default, profile's value, and meaning of each key."""
+    """The same as data: path, type and range, default, value of the profile, and meaning of each key."""
     mine, within = _asked(path, controllers)
     return [
         {

@@ -1,4 +1,4 @@
-"""Ceilings of the guard's limits on a real board, which no sign-off lifts."""
+"""Ceilings of the guard's limits on a real board, which no sign-off raises."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class _Ceiling(NamedTuple):
     """Ceiling of one limit of the guard on a real board."""
 
     seconds: float | None
-    """As a time, which the loop's rate turns into a number of exchanges; None: `least` is the ceiling."""
+    """Ceiling as a time, converted to exchanges by the loop's rate; None: `least` is the ceiling."""
     least: float
     """Allowed at any rate."""
     because: str
@@ -31,23 +31,23 @@ _REAL_CEILINGS: Final = {
     ),
     "bucket_limit": _Ceiling(0.15, 30, "0.15 s of a link that loses every other exchange"),
     "silence_s": _Ceiling(None, 0.1, "five periods of the slowest loop; until then a hung loop keeps the motors on"),
-    "run_up_factor": _Ceiling(None, 2.0, "more would let counts per turn pass that are wrong by half"),
+    "run_up_factor": _Ceiling(None, 2.0, "a larger one would not detect counts per turn that are wrong by half"),
 }
 """All other limits are bounded by their ranges in `GuardConfig`."""
 
 
 def beyond_ceilings(config: RigConfig) -> Iterator[ConfigIssue]:
-    """Limits beyond what a real board may have; simulated boards and recorded sessions may have them."""
+    """Limits above the ceilings of a real board; simulated boards and recorded sessions may have them."""
     limits, rate_hz = config.guard, config.loop.rate_hz
     for key, ceiling in _REAL_CEILINGS.items():
         value, most = getattr(limits, key), ceiling.at(rate_hz)
-        if value is None or not value <= most:  # nor is what is not a number
+        if value is None or not value <= most:  # also NaN
             allowed = f"at most {most:g}" + (f" at {rate_hz:g} Hz" if ceiling.seconds is not None else "")
             yield ConfigIssue(f"guard.{key}", f"{value}: on a real board {allowed} ({ceiling.because}); lower it")
     if not config.board.verified_by and not config.board.read_only:
         for beyond in laxer_limits(_shipped_limits(config.board.kind), config.as_table()):
             key, _, rest = beyond.partition(" ")
-            yield ConfigIssue(key, f"{rest}: more takes a signed profile; inteco-abs commission has you sign")
+            yield ConfigIssue(key, f"{rest}: more needs a signed profile; sign one with inteco-abs commission")
 
 
 def _shipped_limits(kind: str) -> Table:
@@ -63,7 +63,7 @@ def _shipped_limits(kind: str) -> Table:
 
 
 def bounded_in_time(guard: GuardConfig, rate_hz: float) -> GuardConfig:
-    """`guard` for another rate: limits in exchanges are lowered to a real board's ceilings there."""
+    """`guard` for another rate: limits in exchanges are lowered to the ceilings of a real board at that rate."""
     in_exchanges = [key for key, ceiling in _REAL_CEILINGS.items() if ceiling.seconds is not None]
     return replace(
         guard, **{key: min(getattr(guard, key), int(_REAL_CEILINGS[key].at(rate_hz))) for key in in_exchanges}

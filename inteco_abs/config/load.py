@@ -1,7 +1,7 @@
 """rig.toml -> RigConfig: reports all mistakes at once.
 
-Order of precedence: a `--set` on the command line, then the file, then the profile, then the defaults. The result is
-stored whole in every session.
+Order of precedence: a `--set` on the command line, then the file, then the profile, then the defaults. Every session
+stores the complete result.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ def load_config(
     profile: str = DEFAULT_PROFILE,
     follows: Callable[[Table], Table] | None = None,
 ) -> RigConfig:
-    """Configuration from `file` (None: defaults), with `settings` such as `guard.brake_limit=0.7` over it.
+    """Configuration from `file` (None: defaults), changed by `settings` such as `guard.brake_limit=0.7`.
 
-    `profile` is used if neither names one; `follows` gives values for keys that are not set, from the merged table.
-    Raises ConfigError with all mistakes in the file and settings, and those found by `checks`.
+    `profile` is used if neither names one; `follows` computes values for missing keys from the merged table. Raises
+    ConfigError with all mistakes in the file and settings, and those found by `checks`.
     """
     mistakes: list[ConfigIssue] = []
     table = _read(file) if file is not None else {}
@@ -51,7 +51,7 @@ def load_config(
     below = _profile(name, mistakes)
     filed, merged = _merge(below, in_file), _merge(below, table)
     mistakes.extend(
-        ConfigIssue(f"board.evidence.{key}", "evidence stands in a file with its source, not on the command line")
+        ConfigIssue(f"board.evidence.{key}", "evidence belongs in a file with its source, not on the command line")
         for key in section_of(section_of(over, "board"), "evidence")
     )
     signed_anew = signs_off(in_file) or signs_off(over)
@@ -129,9 +129,9 @@ def parse_config(text: str, checks: Iterable[Check] = ()) -> RigConfig:
 
 
 def trusted_config(text: str) -> RigConfig:
-    """Configuration that this program has just checked and written, for the processes of a run.
+    """Configuration that this program just wrote, for the processes of a run.
 
-    It checks nothing, and is a hundred times as fast as `parse_config`, which is for any other text.
+    It is not checked, which is a hundred times as fast as `parse_config`; use that for any other text.
     """
     return _built(RigConfig, _stored(text))
 
@@ -140,7 +140,7 @@ def _stored(text: str) -> Table:
     table = tomllib.loads(text)
     guard = table.setdefault("guard", {})
     if isinstance(guard, dict):
-        guard.setdefault("run_up_factor", None)  # a session from before the check is replayed as it was run
+        guard.setdefault("run_up_factor", None)  # a session older than this check is replayed without it
     return table
 
 
@@ -177,7 +177,7 @@ def _simulated(table: Table) -> bool:
 
 
 def _void(below: Table, in_file: Table, filed: Table, over: Table, merged: Table) -> str:
-    """Why the sign-off below no longer holds; empty if it holds, or if the layer above has its own."""
+    """Why the sign-off of a lower layer is void; empty if it is valid, or if the layer above has its own."""
     steps = ((below, in_file, filed), (filed, over, merged))
     void = [
         void_by_wiring(signed, changed)
@@ -194,7 +194,7 @@ def _read(file: Path) -> Table:
 
 
 def apply_setting(table: Table, setting: str) -> list[ConfigIssue]:
-    """Put one `key=value` into `table`; the value is TOML or a bare word. Returns what is wrong with it."""
+    """Put one `key=value` into `table`; the value is TOML or a bare word. Returns its mistakes."""
     key, equals, text = setting.partition("=")
     path = key.strip().split(".")
     if not equals or not all(path) or "\n" in setting:
@@ -204,7 +204,7 @@ def apply_setting(table: Table, setting: str) -> list[ConfigIssue]:
     except tomllib.TOMLDecodeError:
         value = text.strip()
     except NOT_TOML as error:
-        return [ConfigIssue(key.strip(), f"is not a value that can be used: {describe_toml_error(error, text)}")]
+        return [ConfigIssue(key.strip(), f"is not a valid value: {describe_toml_error(error, text)}")]
     for part in path[:-1]:
         inner = table.setdefault(part, {})
         if not isinstance(inner, dict):
@@ -222,7 +222,7 @@ def _profile(name: object, mistakes: list[ConfigIssue]) -> Table:
             Path(name), "inteco-abs profiles lists those that ship, inteco-abs commission makes one of a board"
         )
     if not isinstance(name, str):
-        return _profile(DEFAULT_PROFILE, mistakes)  # the validation says what is wrong with it
+        return _profile(DEFAULT_PROFILE, mistakes)  # the validation reports the mistake
     mistakes.append(
         ConfigIssue("profile", f"{name!r} is not a shipped profile or a .toml file{near_match(name, profiles())}")
     )

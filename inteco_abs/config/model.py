@@ -38,7 +38,7 @@ class Section:
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
-        """For pydantic: a table is accepted for a section; its values are checked strictly."""
+        """Let pydantic accept a table for a section; its values are checked strictly."""
         return handler(source) | {"strict": False}
 
     def as_table(self) -> Table:
@@ -85,8 +85,8 @@ class BoardConfig(Section):
     read_only: str = ""
     """Why outputs must always stay off; empty: they may be used."""
     verified_by: str = ""
-    """Who checked this wiring on the rig: the sign-off. Without it, a board whose outputs rest on anything that is not
-    confirmed opens read-only."""
+    """Who checked this wiring on the rig: the sign-off. Without it, a board opens read-only if its outputs depend on
+    anything that is not confirmed."""
     verified_on: date | None = None
     """Day of the sign-off."""
     verified_logic: Annotated[int, Interval(ge=0, le=0xFFFF)] | None = None
@@ -187,7 +187,7 @@ _Any = Annotated[float, Interval(ge=-1e3, le=1e3)]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdentifiedConfig(Section):
-    """A lab's own numbers, as `inteco-abs identify` writes them: in SI units, in place of the published ones."""
+    """A lab's own parameters in SI units, as written by `inteco-abs identify`, instead of the published ones."""
 
     J1: _Positive | None = None
     """Moment of inertia of the braked wheel, kg m2."""
@@ -242,7 +242,7 @@ class ModelConfig(Section):
     parameters: Literal["mask", "table"] = "mask"
     """Published set of parameters: of the simulator's mask, or of the manual's tables."""
     identified: IdentifiedConfig = IdentifiedConfig()
-    """A lab's own numbers, which replace the published ones."""
+    """A lab's own parameters, which replace the published ones."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,11 +262,11 @@ class ExperimentConfig(Section):
     braking_timeout_s: Annotated[float, Interval(ge=0.1, le=120.0)] = 10.0
     """Time after which a rig that still turns is stopped, by taking the brake off."""
     stops: Annotated[int, Interval(ge=1, le=1000)] = 1
-    """How often all of this is done, one stop after the other, in one session."""
+    """Number of stops, one after the other, in one session."""
 
     @property
     def longest_s(self) -> float:
-        """The longest that all of it can take before the sequence ends it, s."""
+        """Longest possible duration of all stops, s."""
         return self.stops * (2.0 * self.idle_s + self.spin_up_timeout_s + self.braking_timeout_s + self.hold_s)
 
 
@@ -288,7 +288,7 @@ class ControllerConfig(Section):
     """A shipped controller or one of an installed package; a file of your own is named on the command line only, as it
     is code that will run."""
     reference_slip: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.2
-    """Slip that the controller shall hold."""
+    """Slip that the controller holds."""
     hold_below_rad_s: Annotated[float, Interval(ge=0.0, le=100.0)] = 5.0
     """Below this estimated road speed the last demand is held: the model's terms grow like 1/speed."""
     gains: dict[str, float] = field(default_factory=dict)
@@ -318,11 +318,11 @@ class GuardConfig(Section):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionConfig(Section):
-    """How a run is kept."""
+    """How a run is stored."""
 
     spill: str = ""
-    """Folder on another disk, for a session whose own disk fills up, breaks or vanishes during the run; empty: such a
-    session stays in memory, and is to be recovered from there."""
+    """Folder on another disk, for a session whose disk fills up or fails during the run; empty: such a session stays in
+    memory, from where you recover it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -359,7 +359,7 @@ class SimulationConfig(Section):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigConfig(Section):
-    """Everything a run depends on besides the board itself."""
+    """The complete configuration of a run."""
 
     profile: str = DEFAULT_PROFILE
     """A shipped profile, or a .toml file of the lab's own: which board, how it is wired, its limits."""

@@ -67,7 +67,7 @@ def void_by_wiring(signed: Table, changed: Table) -> str:
 
 
 def void_by_limits(signed: Table, changed: Table) -> str:
-    """Why it does not hold for the limits in `changed`; empty if it holds, or for a simulated rig."""
+    """Why the sign-off in `signed` does not hold for the limits in `changed`; empty if it holds, or if simulated."""
     board = section_of(signed, "board")
     beyond = [] if board.get("simulated") is True else laxer_limits(signed, changed)
     if not signs_off(signed) or not beyond:

@@ -1,6 +1,6 @@
-"""Checks a merged table by pydantic against the sections of `model`: every mistake with its key, value and range.
+"""Checks a merged table against the sections of `model` by pydantic: every mistake with its key, value and range.
 
-It takes longer to import than everything else, so only code that reads TOML written by people imports it.
+Its import takes longer than all others, so only code that reads users' TOML imports it.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def meanings(section: type[model.Section]) -> dict[str, str]:
     return {key: " ".join(text.split()) for key, text in found}
 
 
-class _Pair(NamedTuple):
-    """Two keys whose values must fit each other."""
+class _KeyPair(NamedTuple):
+    """Two keys with a condition on their values."""
 
     first: str
     second: str
@@ -77,22 +77,22 @@ class _Pair(NamedTuple):
     must: str
 
 
-_OF_LIMIT: Final = "must be below, by a tenth that measurement may be off:"
+_OF_LIMIT: Final = "must be at most 0.9 times"  # a tenth for the error of measurement
 _PAIRS: Final = (
-    _Pair("experiment.start_speed_rad_s", "guard.over_speed_rad_s", lambda v, most: v <= 0.9 * most, _OF_LIMIT),
-    _Pair("experiment.stop_speed_rad_s", "experiment.start_speed_rad_s", operator.lt, "must be below"),
-    _Pair("estimator.window_s", "loop.rate_hz", lambda s, hz: s * hz > 0.999, "must be at least one period of"),
-    _Pair("board.brake_pwm", "board.drive_pwm", operator.ne, "must be another PWM channel than"),
-    _Pair("board.drive_pwm", "board.numbering_pwm", operator.ne, "must be another PWM channel than"),
-    _Pair("board.brake_pwm", "board.numbering_pwm", operator.ne, "must be another PWM channel than"),
-    _Pair("board.wheel_encoder", "board.road_encoder", operator.ne, "must be another encoder than"),
-    _Pair("simulation.brake_pwm", "simulation.drive_pwm", operator.ne, "must be another PWM channel than"),
-    _Pair("simulation.wheel_encoder", "simulation.road_encoder", operator.ne, "must be another encoder than"),
+    _KeyPair("experiment.start_speed_rad_s", "guard.over_speed_rad_s", lambda v, most: v <= 0.9 * most, _OF_LIMIT),
+    _KeyPair("experiment.stop_speed_rad_s", "experiment.start_speed_rad_s", operator.lt, "must be below"),
+    _KeyPair("estimator.window_s", "loop.rate_hz", lambda s, hz: s * hz > 0.999, "must be at least one period of"),
+    _KeyPair("board.brake_pwm", "board.drive_pwm", operator.ne, "must be another PWM channel than"),
+    _KeyPair("board.drive_pwm", "board.numbering_pwm", operator.ne, "must be another PWM channel than"),
+    _KeyPair("board.brake_pwm", "board.numbering_pwm", operator.ne, "must be another PWM channel than"),
+    _KeyPair("board.wheel_encoder", "board.road_encoder", operator.ne, "must be another encoder than"),
+    _KeyPair("simulation.brake_pwm", "simulation.drive_pwm", operator.ne, "must be another PWM channel than"),
+    _KeyPair("simulation.wheel_encoder", "simulation.road_encoder", operator.ne, "must be another encoder than"),
 )
 
 
 def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[ConfigIssue]:
-    """Values that do not fit each other; `wrong` are keys that have an issue already."""
+    """Values that contradict each other; keys in `wrong` have an issue already."""
     sections = key_types(RigConfig)
 
     def value(path: str) -> Any:
@@ -102,7 +102,9 @@ def _contradictions(table: Table, wrong: Collection[str]) -> Iterator[ConfigIssu
     board = section_of(table, "board")
     for key in section_of(board, "evidence"):
         if key not in WIRING:
-            yield ConfigIssue(f"board.evidence.{key}", f"nothing rests on {key!r}{near_match(str(key), WIRING)}")
+            yield ConfigIssue(
+                f"board.evidence.{key}", f"outputs do not depend on {key!r}{near_match(str(key), WIRING)}"
+            )
     if board.get("verified_by"):
         missing = [key for key in ("verified_on", "verified_logic") if board.get(key) is None]
         if missing:
@@ -141,7 +143,7 @@ _NUMERIC: Final = ("int_", "float_", "finite_")
 
 
 def _issue(detail: Any) -> ConfigIssue:
-    """One of pydantic's findings as dotted key, value and what is allowed."""
+    """An error of pydantic as dotted key, value and allowed range."""
     location = [part for part in detail["loc"] if part != "[key]"]
     path = ".".join(map(str, location))
     value, kind = detail["input"], detail["type"]

@@ -24,7 +24,7 @@ from inteco_abs.wire import check_recordable, check_target
 
 _SPARE_S: Final = 2.0
 _LONGEST_RING_S: Final = 60.0
-"""The ring has the latest ticks, the file older ones: a disk may stall for this time. A run without recorder ends within
+"""The ring has the latest ticks, the file older ones: a disk may stall for this time. A run without recorder ends in
 a second. Every process of the run maps the whole ring: 38 MB at 2 kHz."""
 _SHORTEST_RING_S: Final = 4.0
 """Long enough for the recorder to be found dead and the run to end before the ring is full."""

@@ -1,6 +1,6 @@
 """The oracle: the predictive controller with full knowledge of its rig, as a bound on performance.
 
-It knows the draw and the true state at every sample, but not the future; the brake keeps its dead time and lag.
+It knows the rig's parameters and true state at every sample, but not the future; the brake has its dead time and lag.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from inteco_abs.rig.state import Constants
 from inteco_abs.signals import Command, Estimate, Prediction, Sample
 
 _LEAST_SLIP: Final = 0.001
-"""Below, the adhesion of (8) goes through zero."""
+"""Below, the adhesion of (8) passes through zero."""
 _LEAST_LAG_S: Final = 0.0025
-"""A brake without lag, as of `nominal`, is told the law's torque itself: the inverse of the gain kM."""
+"""The inverse of the gain kM: a brake with a shorter lag, as of `nominal`, gets the torque of the law."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Oracle:
     config: RigConfig
 
     def __call__(self, variation: RigVariation, state: TrueState) -> tuple[Estimator, Controller]:
-        """For one rig."""
+        """Estimator and controller of one rig."""
         config = self.config.controller
         setup = Setup(config.reference_slip, variation.parameters, config.hold_below_rad_s)
         controller = _Informed(setup, **gains_in_force(self.config))
@@ -52,7 +52,7 @@ class _Informed(PredictiveReaching):
     variation: RigVariation
 
     def duty(self, torque: float) -> float:
-        """By the brake's own map."""
+        """Duty by the true map of the rig's brake."""
         rig = self.variation
         if torque <= 0.0:
             return 0.0
@@ -62,7 +62,7 @@ class _Informed(PredictiveReaching):
 
 
 class _OracleEstimator:
-    """The observer's outlook, from the truth."""
+    """Predicts as the observer does, from the true state."""
 
     def __init__(self, variation: RigVariation, state: TrueState, period_s: float) -> None:
         self._variation = variation
@@ -74,7 +74,7 @@ class _OracleEstimator:
         self._braked_since_ns = math.inf
 
     def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:
-        """The truth at the instant of `sample`."""
+        """True state and prediction at the time of `sample`."""
         rig, state = self._variation, self._state
         self._pending.tell(settled(self._constants, command.brake), 1)
         if command.drive > 0.0:

@@ -1,4 +1,4 @@
-"""What decides on a simulated rig: the product's own estimators and controllers, or oracles that know the truth."""
+"""Estimators and controllers of simulated rigs: configured ones, or oracles that know the true state."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from inteco_abs.rig import RigVariation, wheel_slip
 from inteco_abs.signals import Command, Estimate, Sample
 
 IDEAL: Final = "ideal"
-"""Name of the estimator that knows the truth, as `estimator.name` of an ensemble's configuration."""
+"""`estimator.name` of the estimator that knows the true state; for Monte Carlo runs only."""
 ESTIMATOR_NAMES: Final = (*ESTIMATORS, IDEAL)
-"""Estimators that an ensemble's configuration may name."""
+"""Valid `estimator.name` in Monte Carlo runs."""
 
 
 class TrueState:
-    """True state of rig number `rig` of a batch, as it is now."""
+    """Current true state of rig number `rig` of a batch."""
 
     __slots__ = ("_batch", "_parameters", "_rig")
 
@@ -32,12 +32,12 @@ class TrueState:
 
     @property
     def wheel_speed(self) -> float:
-        """Of the upper wheel, rad/s."""
+        """Speed of the upper wheel, rad/s."""
         return self._batch.wheel_speed.item(self._rig)
 
     @property
     def road_speed(self) -> float:
-        """Of the lower wheel, rad/s."""
+        """Speed of the lower wheel, rad/s."""
         return self._batch.road_speed.item(self._rig)
 
     @property
@@ -47,17 +47,17 @@ class TrueState:
 
     @property
     def wheel_angle(self) -> float:
-        """Of the upper wheel, rad."""
+        """Angle of the upper wheel, rad."""
         return self._batch.wheel_angle.item(self._rig)
 
     @property
     def brake_torque(self) -> float:
-        """What the brake can hold, N m."""
+        """Torque that the brake can hold, N m."""
         return self._batch.brake_torque.item(self._rig)
 
 
 class IdealPolicy:
-    """Estimator with the true speeds and slip, whatever the encoders count: the paper's simulation."""
+    """Estimator that returns the true speeds and slip, as in the paper's simulation."""
 
     __slots__ = ("_state",)
 
@@ -65,24 +65,24 @@ class IdealPolicy:
         self._state = state
 
     def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:  # noqa: ARG002  it looks at the rig
-        """The truth at the instant of `sample`."""
+        """True speeds and slip at the time of `sample`."""
         state = self._state
         return Estimate(state.wheel_speed, state.road_speed, state.slip, valid=True)
 
 
 PolicyFactory = Callable[[RigVariation, TrueState], tuple[Estimator, Controller]]
-"""Makes the estimator and controller of one rig, which may look at its true state at every sample.
+"""Makes the estimator and controller of one rig, which may read its true state.
 
-Shards may run in other processes: a maker must be picklable, as a function of a module or a dataclass is.
+It must be picklable, as shards run in other processes: a function of a module, or a dataclass.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class ConfiguredPolicy:
-    """Makes what the configuration names, as a run on the rig does; its estimator may also be `ideal`.
+    """PolicyFactory of a configuration, as for a run on the rig; its estimator may also be `ideal`.
 
-    Without `controllers`, all that are installed are known. A user's `file.py:Class` comes with its `source`: its class
-    is unknown to another process.
+    Without `controllers`, all installed ones are known. A user's `file.py:Class` needs its `source`, as another process
+    does not know the class.
     """
 
     config: RigConfig

@@ -32,7 +32,7 @@ METRICS_ROW: Final = np.dtype([(name, np.float64) for name in METRICS])
 
 
 class Trace(NamedTuple):
-    """Course of one stop, an entry per tick from the first of braking on: what was true, and what was decided."""
+    """True values and decisions of one stop, an entry per tick from the first of braking."""
 
     time_s: Array
     """Since braking began."""
@@ -44,18 +44,18 @@ class Trace(NamedTuple):
     road_angle_rad: Array
     """Since braking began."""
     brake: Array
-    """Duty asked for at each tick; it acts the rig's `command_delay_ticks` later."""
+    """Duty decided at each tick; it acts `command_delay_ticks` of the rig later."""
 
 
 class Distribution(NamedTuple):
-    """Distribution of one metric over stops; a stop without that metric counts as infinitely bad."""
+    """Distribution of one metric over stops; a stop without that metric counts as infinite."""
 
     median: float
     p99: float
-    """Between two stops by a straight line."""
+    """Interpolated linearly between two stops."""
     largest: float
     worst: int
-    """Place of the largest, the first of several."""
+    """Index of the first stop with the largest value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +78,13 @@ class StopResults:
     """One stop of each of many rigs, in their order."""
 
     metrics: Rows
-    """A row of type METRICS_ROW for each; NaN where a stop has no such thing, as the slip's RMS if the slip never
-    came near its reference."""
+    """A row of type METRICS_ROW for each stop; NaN for metrics that it does not have."""
     errors: tuple[str, ...]
-    """Why each stop ended early; empty for those that did not."""
+    """Why each stop ended early; empty for complete stops."""
     ticks: int
-    """Decisions that were taken in all."""
+    """Number of decisions in all stops."""
     traces: Mapping[int, Trace]
-    """By place of the rig, of those that were asked for and did brake."""
+    """Requested traces by index of the rig, if it braked."""
 
     def __len__(self) -> int:
         return len(self.metrics)
@@ -96,7 +95,7 @@ class StopResults:
         return values
 
     def summary(self) -> ResultSummary:
-        """How the metrics spread, and how many stops went wrong."""
+        """Distribution of the metrics, and shares of stops that failed."""
         return ResultSummary(
             stops=len(self),
             failed=sum(map(bool, self.errors)),
@@ -129,7 +128,7 @@ def _spread(values: NDArray[np.float64]) -> Distribution:
 
 
 def _quantile(ordered: Sequence[float], share: float) -> float:
-    """As numpy has it by default, but with infinities between which there is no straight line."""
+    """Quantile by linear interpolation, as numpy's, also between infinities."""
     place = share * (len(ordered) - 1)
     below = ordered[int(place)]
     above = ordered[min(int(place) + 1, len(ordered) - 1)]
