@@ -271,7 +271,7 @@ class TestLimits:
         address = f"{shipped.board.kind}:"
         check_limits(address, shipped)
         more = load_config(settings=[f"guard.bucket_limit={shipped.guard.bucket_limit + 1}"], profile=name)
-        with pytest.raises(ConfigError, match=r"guard\.bucket_limit: .*: more takes a signed profile"):
+        with pytest.raises(ConfigError, match=r"guard\.bucket_limit: .*: more needs a signed profile"):
             check_limits(address, more)
 
     def test_a_mock_on_a_real_boards_wire_is_as_lenient_as_it_is_in_this_program(self):
