@@ -19,6 +19,18 @@ def interpolated(points: Points, duty: float) -> float:
     return left[1]
 
 
+def inverse(points: Points, torque: float) -> float:
+    """Duty for `torque` in N m: 0 for no torque, 1 above the largest one, NaN for NaN."""
+    if torque <= 0.0:
+        return 0.0
+    left = points[0]
+    for right in points[1:]:
+        if not torque >= right[1]:
+            return left[0] + (right[0] - left[0]) * ((torque - left[1]) / (right[1] - left[1]))
+        left = right
+    return 1.0
+
+
 class BrakeMap(NamedTuple):
     """Straight lines between points of duty and torque in N m, both rising; constant beyond."""
 
@@ -30,11 +42,4 @@ class BrakeMap(NamedTuple):
 
     def duty(self, torque: float) -> float:
         """Duty for `torque` in N m: 0 for no torque, 1 above the largest one, NaN for NaN."""
-        if torque <= 0.0:
-            return 0.0
-        left, low = self.points[0]
-        for right, high in self.points[1:]:
-            if not torque >= high:
-                return left + (right - left) * ((torque - low) / (high - low))
-            left, low = right, high
-        return 1.0
+        return inverse(self.points, torque)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from inteco_abs.control import PredictiveReaching, Setup
-from inteco_abs.control.estimators.braking_ekf import EkfState, EkfTuning, correct, ekf_constants, predict
+from inteco_abs.control.estimators.braking_ekf import EkfConstants, EkfState, EkfTuning, correct, predict
 from inteco_abs.control.estimators.prediction import DelayLine, ahead, outlook
 from inteco_abs.control.wheel_dynamics import WheelDynamics
 from inteco_abs.rig import MEASURED_MAP, AdhesionCurve, EncoderVariation, RigParameters, RigVariation, adhesion
@@ -197,7 +197,8 @@ def under_way():
 def anywhere(state, covariance):
     """Constants, a filter in any state, and commands under way."""
     pending = under_way()
-    k = ekf_constants(CONTACT, pending.k, EkfTuning(), COUNT_RAD)
+    tuning = EkfTuning()
+    k = EkfConstants(CONTACT, pending.k, tuning, MASK.r1 / MASK.r2, (tuning.count_noise * COUNT_RAD) ** 2)
     return k, EkfState(state.tolist(), covariance.tolist()), pending
 
 

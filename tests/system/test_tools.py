@@ -4,6 +4,7 @@ import re
 import runpy
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -199,7 +200,7 @@ def test_tune_predictive_finds_the_same_again_and_never_a_worse_best(untraced):
 def test_tune_predictive_begins_with_what_is_in_force_and_prints_it_as_code(untraced):
     search = ("--generations=1", "--size=4", "--draws=1", "--sigma=1e-6", "--jobs=2")
     printed = run("tune_predictive", *search, environment=untraced).splitlines()
-    present = {f"    {name}: float = {value!r}" for name, value in EkfTuning()._asdict().items()}
+    present = {f"    {name}: float = {value!r}" for name, value in asdict(EkfTuning()).items()}
     searched = {line for line in printed if ": float = " in line}
     assert searched <= present
     assert len(present - searched) == 3

@@ -35,7 +35,8 @@ Row = list[float]
 Tuple5 = tuple[float, float, float, float, float]
 
 
-class EkfTuning(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class EkfTuning:
     """Tuning as standard deviations: of the rig from the published one, and of its changes in 1 s.
 
     From drawn rigs (`tools/tune_predictive`), of seeds that no test uses.
@@ -79,63 +80,15 @@ class EkfTuning(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class EkfConstants:
-    """The rig, and the tuning: variances, and of the walks in 1 s."""
+    """The rig, and the tuning."""
 
     contact: WheelConstants
     delay: DelayConstants
+    tuning: EkfTuning
     ratio: float
     """r1/r2"""
-    count: float
-    """Of a reading's angle, rad2."""
-    dead_time_s: float
-    lag_s: float
-    torque: float
-    adhesion: float
-    ripple: float
-    dead_time: float
-    lag: float
-    wheel_walk: float
-    road_walk: float
-    torque_walk: float
-    lag_torque_walk: float
-    torque_per_swing: float
-    """Standard deviation, as in `EkfTuning`; so are the next two."""
-    lag_torque_per_swing: float
-    adhesion_walk: float
-    step_after_s: float
-    step_adhesion: float
-    step_delay_s: float
-    surprise: float
-    surprise_gain: float
-
-
-def ekf_constants(contact: WheelConstants, delay: DelayConstants, tuning: EkfTuning, count_rad: float) -> EkfConstants:
-    """For an encoder with counts of `count_rad`."""
-    return EkfConstants(
-        contact,
-        delay,
-        contact.parameters.r1 / contact.parameters.r2,
-        (tuning.count_noise * count_rad) ** 2,
-        tuning.dead_time_s,
-        tuning.lag_s,
-        torque=tuning.torque_sd_nm**2,
-        adhesion=tuning.adhesion_sd**2,
-        ripple=tuning.ripple_sd**2,
-        dead_time=tuning.dead_time_sd_s**2,
-        lag=tuning.lag_sd_s**2,
-        wheel_walk=tuning.wheel_walk_rad_s**2,
-        road_walk=tuning.road_walk_rad_s**2,
-        torque_walk=tuning.torque_walk_nm**2,
-        lag_torque_walk=tuning.lag_torque_walk_nm**2,
-        torque_per_swing=tuning.torque_per_swing,
-        lag_torque_per_swing=tuning.lag_torque_per_swing,
-        adhesion_walk=tuning.adhesion_walk,
-        step_after_s=tuning.step_after_s,
-        step_adhesion=tuning.step_adhesion,
-        step_delay_s=tuning.step_delay_s,
-        surprise=tuning.surprise,
-        surprise_gain=tuning.surprise_gain,
-    )
+    noise: float
+    """Variance of a reading's angle, rad2."""
 
 
 @dataclass(slots=True)
@@ -163,20 +116,21 @@ class EkfState:
 
 def begin(k: EkfConstants, s: EkfState, pending: DelayState, wheel: DiscState, road: DiscState) -> None:
     """Start from two rolling wheels, or again in the middle of braking, with the brake's last command."""
-    x, P, told = s.x, s.P, pending.torques[pending.newest]
+    x, P, told, sd = s.x, s.P, pending.torques[pending.newest], k.tuning
     for i in range(11):
         x[i] = 0.0
         for j in range(11):
             P[i][j] = 0.0
     x[0], x[1], x[2], x[3], x[4] = wheel.angle, wheel.speed, road.angle, road.speed, told
-    x[6], x[9], x[10] = 1.0, k.dead_time_s, k.lag_s
-    P[0][0], P[1][1], P[0][1] = wheel.P[0][0], wheel.P[1][1] + k.road_walk, wheel.P[0][1]
-    P[2][2], P[3][3], P[2][3] = road.P[0][0], road.P[1][1] + k.road_walk, road.P[0][1]
-    P[1][0], P[3][2] = P[0][1], P[2][3]
+    x[6], x[9], x[10] = 1.0, sd.dead_time_s, sd.lag_s
+    for i, disc in ((0, wheel), (2, road)):
+        P[i][i], P[i + 1][i + 1] = disc.P[0][0], disc.P[1][1] + sd.road_walk_rad_s**2
+        P[i][i + 1] = P[i + 1][i] = disc.P[0][1]
     P[4][4] = (_UNSETTLED * told) ** 2
-    P[5][5], P[6][6], P[7][7], P[8][8] = k.torque, k.adhesion, k.ripple, k.ripple
-    P[9][9], P[10][10] = k.dead_time, k.lag
-    s.surprise, s.step_in_s = 0.0, k.step_after_s
+    deviations = sd.torque_sd_nm, sd.adhesion_sd, sd.ripple_sd, sd.ripple_sd, sd.dead_time_sd_s, sd.lag_sd_s
+    for i in range(6):
+        P[5 + i][5 + i] = deviations[i] ** 2
+    s.surprise, s.step_in_s = 0.0, sd.step_after_s
 
 
 def braking_ekf(
@@ -192,7 +146,7 @@ def braking_ekf(
     if not correct(k, s, wheel_angle, road_angle):
         return False
     s.step_in_s -= dt_s
-    if s.step_in_s <= 0.0 and abs(s.surprise) > k.surprise:
+    if s.step_in_s <= 0.0 and abs(s.surprise) > k.tuning.surprise:
         _allow_step(k, s)
     x = s.x
     x[9] = min(max(x[9], _SHORTEST_DEAD_TIME_S), LONGEST_DEAD_TIME_S)
@@ -284,7 +238,7 @@ def predict(k: EkfConstants, s: EkfState, pending: DelayState, T: float, ago: in
     x[0], x[1], x[2], x[3] = th1 + T * x1 + half * a1, x1 + T * a1, th2 + T * x2 + half * a2, x2 + T * a2
     x[4] = settled + (M - settled) * left
     _carry(s.P, t)
-    _widen(k, s.P, T, (settled - M) / lag, x2)
+    _widen(k.tuning, s.P, T, (settled - M) / lag, x2)
 
 
 def _carry(P: list[Row], t: _Transition) -> None:
@@ -309,12 +263,12 @@ def _carry(P: list[Row], t: _Transition) -> None:
         r[5], r[6], r[7], r[8], r[9], r[10] = a, b, c, d, e, f
 
 
-def _widen(k: EkfConstants, P: list[Row], T: float, swing: float, x2: float) -> None:
+def _widen(k: EkfTuning, P: list[Row], T: float, swing: float, x2: float) -> None:
     """Add the walks of a step of `T` in s, with the brake's torque changing by `swing` in N m/s."""
-    P[1][1] += T * k.wheel_walk
-    P[3][3] += T * k.road_walk
-    P[4][4] += T * (k.lag_torque_walk + (k.lag_torque_per_swing * swing) ** 2)
-    P[5][5] += T * (k.torque_walk + (k.torque_per_swing * swing) ** 2)
+    P[1][1] += T * k.wheel_walk_rad_s**2
+    P[3][3] += T * k.road_walk_rad_s**2
+    P[4][4] += T * (k.lag_torque_walk_nm**2 + (k.lag_torque_per_swing * swing) ** 2)
+    P[5][5] += T * (k.torque_walk_nm**2 + (k.torque_per_swing * swing) ** 2)
     P[6][6] += T * (k.adhesion_walk * x2 / _WALK_AT_RAD_S) ** 2
 
 
@@ -327,7 +281,7 @@ def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float)
     r = P[0]
     w0, w1, w2, w3, w4, w5, w6 = r[0], r[1], r[2], r[3], r[4], r[5], r[6]
     w7, w8, w9, w10 = r[7], r[8], r[9], r[10]
-    scale = 1.0 / (w0 + k.count)
+    scale = 1.0 / (w0 + k.noise)
     first = (
         w0 * scale,
         w1 * scale,
@@ -344,9 +298,9 @@ def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float)
     r, b = P[2], first[2]
     v0, v1, v2, v3, v4, v5 = r[0] - b * w0, r[1] - b * w1, r[2] - b * w2, r[3] - b * w3, r[4] - b * w4, r[5] - b * w5
     v6, v7, v8, v9, v10 = r[6] - b * w6, r[7] - b * w7, r[8] - b * w8, r[9] - b * w9, r[10] - b * w10
-    s.surprise += k.surprise_gain * (wheel_error * math.sqrt(scale) - s.surprise)
+    s.surprise += k.tuning.surprise_gain * (wheel_error * math.sqrt(scale) - s.surprise)
     road_error = road_angle - x[2] - b * wheel_error
-    scale = 1.0 / (v2 + k.count)
+    scale = 1.0 / (v2 + k.noise)
     second = (
         v0 * scale,
         v1 * scale,
@@ -379,7 +333,7 @@ def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float)
 
 def _allow_step(k: EkfConstants, s: EkfState) -> None:
     """Add the covariance of a step of the adhesion `step_delay_s` ago, and of its effect on the wheels since."""
-    ago, size = k.step_delay_s, k.step_adhesion
+    ago, size = k.tuning.step_delay_s, k.tuning.step_adhesion
     wheel, road = s.wheel_by_factor, s.road_by_factor
     half = 0.5 * ago * ago
     moved = size * (half * wheel), size * (ago * wheel), size * (half * road), size * (ago * road), 0.0, 0.0, size

@@ -13,7 +13,6 @@ from inteco_abs.control.estimators.braking_ekf import (
     EkfTuning,
     begin,
     braking_ekf,
-    ekf_constants,
 )
 from inteco_abs.control.estimators.eccentricity import (
     ANY_SPEED_SD,
@@ -134,7 +133,8 @@ class Observer(ObserverState):
     ) -> None:
         spread, count_rad, pending = spread or EkfTuning(), rad_per_count(counts_per_turn), DelayLine(period_s)
         disc = disc_constants(count_rad, spread.count_noise * count_rad)
-        ekf = ekf_constants(WheelDynamics(parameters), pending.k, spread, count_rad)
+        ratio, noise = parameters.r1 / parameters.r2, (spread.count_noise * count_rad) ** 2
+        ekf = EkfConstants(WheelDynamics(parameters), pending.k, spread, ratio, noise)
         super().__init__(rolling_wheel(disc), rolling_wheel(disc), EkfState(), pending)
         self.k = ObserverConstants(disc, ekf, count_rad, brake_map.points)
 
