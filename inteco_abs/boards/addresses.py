@@ -13,7 +13,7 @@ SIMULATED: Final = "sim"
 
 
 def schemes() -> dict[str, str]:
-    """Return the schemes before the colon, and what each means."""
+    """Return the schemes before the colon, with their meanings."""
     known = {name: family.address_meaning for name, family in known_families().items()}
     return {SIMULATED: "the mock of the profile's board with the simulated rig inside", **known}
 
@@ -44,8 +44,8 @@ def check_kind(uri: str, config: RigConfig) -> None:
     if name != family.name:
         problem = f"{family.name!r}, while the address {uri} is for boards of kind {name!r}; name another profile"
         raise ConfigError([ConfigIssue("board.kind", problem)])
-    a_mocks = family.reports_name and set(config.board.application_names) <= set(MOCK_NAMES)
-    if config.board.simulated and not a_mocks:
+    only_mock_names = family.reports_name and set(config.board.application_names) <= set(MOCK_NAMES)
+    if config.board.simulated and not only_mock_names:
         problem = f"the profile was made for the mock, and {uri} is a real board: --set profile=NAME chooses another, "
         problem += "and inteco-abs commission makes one for it"
         raise ConfigError([ConfigIssue("board.simulated", problem)])

@@ -118,7 +118,7 @@ class Board(ABC):
     def first_write(self) -> list[PlannedWord]:
         """Return what entering the board would change; reads only, like `survey`.
 
-        Raises BoardError if its settings cannot be taken over, LinkError if it does not answer.
+        Raises BoardError if its settings cannot be kept, LinkError if it does not answer.
         """
 
     @abstractmethod
@@ -148,7 +148,7 @@ class Board(ABC):
 
     @abstractmethod
     def _load_safe_image(self, image: bytes) -> None:
-        """Take over the `safe_image` of the process that drove the board before; reads nothing."""
+        """Load the `safe_image` of the process that drove the board before; reads nothing."""
 
     @abstractmethod
     def _close(self) -> None:

@@ -15,8 +15,8 @@ _PIN: Final = re.compile(r"pin([0-9]|1[0-9]|2[0-5])")
 _PINS_NEED: Final = ("pin_direction", "pin_output")
 
 
-class Constants(NamedTuple):
-    """The constants of one profile, sorted by what they name."""
+class ProfileConstants(NamedTuple):
+    """The constants of one profile, by kind."""
 
     fields: dict[str, int]
     """By field name in the SEND frame; the board must echo them."""
@@ -26,13 +26,13 @@ class Constants(NamedTuple):
     """Levels by number of a CN1 pin, which becomes an output."""
 
 
-def constants_of(wiring: BoardConfig, send: FrameTable, owned: Collection[str]) -> Constants:
+def constants_of(wiring: BoardConfig, send: FrameTable, owned: Collection[str]) -> ProfileConstants:
     """Return the profile's constants for frames of `send`; the rest of the wiring decides the fields `owned`.
 
     Raises ConfigError with every mistake: an unknown name, a value out of range, or a field that the wiring or another
     constant decides.
     """
-    found = Constants({}, {}, {})
+    found = ProfileConstants({}, {}, {})
     mistakes: list[ConfigIssue] = []
     word = re.compile(rf"{'b' if send.word_bits == BYTE_BITS else 'w'}(0|[1-9][0-9]*)")
     for key, value in wiring.constants.items():

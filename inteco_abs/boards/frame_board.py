@@ -155,7 +155,7 @@ class FrameBoard(Board):
             settings = self._owned({name: int(found[name]) for name in _SHARED if name in found})
             return settings, sent_back(read, send, frame, settings, self._decided)
         except ProtocolError as error:
-            raise BoardError(f"the board's settings cannot be taken over: {error}") from error
+            raise BoardError(f"the board's settings cannot be kept: {error}") from error
 
     def first_write(self) -> list[PlannedWord]:
         """Return the words of the first frame that change, or that are kept though unknown."""
@@ -211,7 +211,9 @@ class FrameBoard(Board):
         channels = (wiring.drive_pwm, wiring.brake_pwm)
         numbering = (wiring.numbering_pwm,) if wiring.numbering_pwm >= 0 else ()
         ours = _mask((wiring.wheel_encoder, wiring.road_encoder))
-        watchdog, contact = (_mask([pin] if pin >= 0 else []) for pin in _watchdog(wiring))
+        watchdog, contact = (
+            _mask([pin] if pin >= 0 else []) for pin in (wiring.watchdog_pin, wiring.watchdog_contact_pin)
+        )
         pins = {
             "pin_mode": (found.get("pin_mode", 0) | _functions(wiring)) & ~(watchdog | contact),
             "pin_direction": found.get("pin_direction", 0) & ~(_mask(wiring.pwm_pins) | watchdog) | contact,
@@ -328,9 +330,9 @@ class FrameBoard(Board):
             try:
                 frame = self._whole(self._link.read(self._logic.read.size))
             except LinkError as error:
-                why = self._clock.fault if numbered and self._clock else "the answer is one to an older request"
-                raise type(error)(f"{why}; and no other follows: {error}") from error
-        raise LinkError("the board answers only requests of long ago: is another program reading from it?")
+                why = self._clock.fault if numbered and self._clock else "the answer is to an older request"
+                raise type(error)(f"{why}; no newer one follows: {error}") from error
+        raise LinkError("the board answers only old requests: is another program reading from it?")
 
     def _date(self, frame: bytes) -> bool:
         """Date the answer; return False if the board did not make it during this exchange."""
@@ -413,10 +415,6 @@ def _pin_mistakes(wiring: BoardConfig, logic: Logic) -> Iterator[ConfigIssue]:
     if _latched(wiring) and not needed <= logic.send.fields.keys():
         key = "watchdog_pin" if wiring.watchdog_pin >= 0 else "numbering_pins"
         yield ConfigIssue(f"board.{key}", f"{logic.send.title} has no {' and '.join(sorted(needed))}")
-
-
-def _watchdog(wiring: BoardConfig) -> tuple[int, int]:
-    return wiring.watchdog_pin, wiring.watchdog_contact_pin
 
 
 def _latched(wiring: BoardConfig) -> bool:

@@ -108,10 +108,10 @@ def changes(file: Path, as_json: bool) -> int:
 
     The most significant one is first, to find what a slider does.
     """
-    from inteco_abs.wire import caution, moved_words
+    from inteco_abs.wire import caution, changed_words
 
     capture = _read(file)
-    words, doubt = moved_words(capture), caution(capture)
+    words, doubt = changed_words(capture), caution(capture)
     if as_json:
         _print_json({"capture": str(file), "caution": doubt, "moved": [word._asdict() for word in words]})
         return 0

@@ -14,7 +14,7 @@ from typing import Any, Final
 import inteco_abs
 from inteco_abs.boards import family_of, protocol_name, protocol_of
 from inteco_abs.boards.board_report import BoardHeader, BoardReport, Bus, Reads, Values
-from inteco_abs.boards.families.usb2.bridge import NOT_TOLD
+from inteco_abs.boards.families.usb2.bridge import NOT_REPORTED
 from inteco_abs.commissioning.profile_draft import ProfileDraft
 from inteco_abs.config import BoardConfig
 from inteco_abs.errors import ConfigError
@@ -80,12 +80,12 @@ def _reading(wiring: BoardConfig, at: int, image: bytes) -> Iterator[Record]:
 
 
 def _identity(header: Mapping[str, Any]) -> BoardHeader:
-    dates = {name: str(header.get("bridge", {}).get(name, NOT_TOLD)) for name in _DATES}
+    dates = {name: str(header.get("bridge", {}).get(name, NOT_REPORTED)) for name in _DATES}
     return BoardHeader(
         logic_version=int(header["logic_version"], 16),
         application_name=_without_names(str(header["application_name"])),
         synthesis_date=str(header["synthesis_date"]),
-        **{name: date for name, date in dates.items() if not date.startswith(NOT_TOLD)},
+        **{name: date for name, date in dates.items() if not date.startswith(NOT_REPORTED)},
     )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from inteco_abs.errors import CaptureError
 from inteco_abs.realtime.job import Job
 from inteco_abs.realtime.memory import Mailbox, RunMemory
-from inteco_abs.wire import Capture, Record, Recording, opened_capture, write_capture
+from inteco_abs.wire import Capture, Record, Recording, open_capture, write_capture
 
 if TYPE_CHECKING:
     from inteco_abs.sessions import Frames  # the loop's process must not load it
@@ -54,7 +54,7 @@ def spooled_frames(memory: RunMemory, job: Job) -> Frames | None:
         if not memory.frames.exists():
             failure = memory.note(Mailbox.FAILURE)
             raise CaptureError(failure["text"] if failure else "the loop's process ended before it had saved them")
-        with opened_capture(memory.frames) as parts:
+        with open_capture(memory.frames) as parts:
             yield parts
 
     return opened

@@ -1,4 +1,4 @@
-"""Captures: messages seen by a link or a bus monitor, as JSON lines.
+"""Captures: the messages of a link or a bus monitor, as JSON lines.
 
 The first line describes the file; each other line is one event, in order:
 
@@ -7,14 +7,14 @@ The first line describes the file; each other line is one event, in order:
     {"t": 0.0002, "dir": "in", "ep": 132, "hex": "0301..."}
     {"t": 0.0105, "dir": "error", "of": "in", "text": "the board did not answer within 10 ms"}
 
-`t` is in seconds since the capture began, never falling but where the bus monitor's own times fall. The first line of
-our own recordings has what the clock showed when they began as `start_ns`, as in a session's ticks. An error `of`
-"out" has the message that was not taken as `hex`; `of` "in" is an answer that did not come; `of` "exchange" leaves
-open which of the two messages before it have gone out. A control transfer has its eight bytes of request as `setup`;
-a warning has only a `text`.
+`t` is in seconds since the capture began and never decreases, unless the bus monitor's times do. The first line of this
+program's recordings has the clock at their beginning as `start_ns`, on the clock of a session's ticks. An error `of`
+"out" has the undelivered message as `hex`; `of` "in" is a missing answer; `of` "exchange" leaves open which of the two
+messages before it were delivered. A control transfer has its eight bytes of request as `setup`; a warning has only a
+`text`.
 
-The report of a commissioning (`commission --send-report`) is a capture too: its first line has, as `report`, what
-else is known of the board, and its records are images of it, each in the place of a READ answer.
+The report of a commissioning (`commission --send-report`) is a capture, too: `report` in its first line has further
+facts about the board, and its records are images of the board in place of READ answers.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ def parse_capture(lines: Iterable[str], name: str) -> Capture:
 
 
 @contextmanager
-def opened_capture(path: Path) -> Iterator[tuple[Capture, Iterator[Record]]]:
+def open_capture(path: Path) -> Iterator[tuple[Capture, Iterator[Record]]]:
     """Open a capture that may be too long for memory: its head, and its records one by one. Raises CaptureError."""
     _check_regular(path)
     try:

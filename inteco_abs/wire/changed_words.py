@@ -73,7 +73,7 @@ def frame_columns(capture: Capture, role: MessageRole) -> FrameColumns:
     return FrameColumns(table, [record.t_s for record in found], [words_of(table, record.data) for record in found])
 
 
-def moved_words(capture: Capture) -> list[ChangedWord]:
+def changed_words(capture: Capture) -> list[ChangedWord]:
     """Return the changed words, SEND first; in each direction the likeliest effect of a hand movement comes first.
 
     These are words that changed alone, unknown before named ones, restless ones last.

@@ -1,6 +1,6 @@
-"""Import of Wireshark captures: the messages of one board out of what a USB monitor saw of all devices.
+"""Imports Wireshark captures: extracts the messages of one board from a USB monitor's capture of all devices.
 
-Nothing of ours runs on the captured side, so that the vendor's own program can be watched with its own board.
+The captured computer needs no software of this project, so that the vendor's program can be captured with its board.
 """
 
 from __future__ import annotations
@@ -30,37 +30,35 @@ _NO_LIBRARY: Final = "Wireshark captures need the package dpkt: pip install inte
 
 
 class Packet(NamedTuple):
-    """A decoded packet and when it was captured, s."""
+    """A decoded packet with its capture time, s."""
 
     time_s: float
     urb: MonitoredUrb
 
 
 def import_pcap(path: Path, board: str | None = None, *, device: str = "") -> Capture:
-    """Messages of one board in a pcap or pcapng file.
+    """Return the messages of one board in a pcap or pcapng file.
 
-    `board` is its protocol, that of the default profile if not given; `device` is its BUS.ADDRESS; without it the only
-    device that talks like this board is taken. Raises CaptureError for a file that cannot be used, or if no device or
-    several could be meant, ConfigError for a wrong `board` or `device`.
+    `board` is its protocol, by default that of the default profile; `device` is its BUS.ADDRESS, by default the only
+    device with this board's traffic. Raises CaptureError for an unusable file, or if no device or several match,
+    ConfigError for a wrong `board` or `device`.
     """
     board = board or protocol_name(load_config().board)
     traffic = family_speaking(board, "--protocol").traffic
     if traffic is None:
-        raise ConfigError([ConfigIssue("--protocol", f"{board!r}: how a USB monitor sees it is not known")])
+        raise ConfigError([ConfigIssue("--protocol", f"{board!r}: its traffic in a USB capture is not known")])
     if device and not _is_device(device):
         raise ConfigError([ConfigIssue("--device", f"{device!r}: must be bus and address, as in 1.5")])
     link_type, packets = _read(path)
     chosen = device or _only_candidate(path, packets, traffic)
     own = [packet for packet in packets if packet.urb.device == chosen]
     if not own:
-        raise CaptureError(f"{path}: nothing of device {chosen}; {_seen(packets)}")
+        raise CaptureError(f"{path}: no packets of device {chosen}; {_seen(packets)}")
     start_s = packets[0].time_s
-    records = _Messages(start_s, traffic).collect(own)
+    records = _Records(start_s, traffic).collect(own)
     if not any(record.kind in {RecordKind.OUT, RecordKind.IN} for record in records):
-        raise CaptureError(
-            f"{path}: device {chosen} exchanges nothing with a host as this board does; {_seen(packets)}"
-        )
-    source = f"inteco-abs {__version__} out of {path.name}, device {chosen}"
+        raise CaptureError(f"{path}: device {chosen} has no messages on this board's endpoints; {_seen(packets)}")
+    source = f"inteco-abs {__version__} from {path.name}, device {chosen}"
     return Capture(board, source, f"of the monitor, {LINK_TYPES[link_type]}", tuple(records), str(path))
 
 
@@ -70,7 +68,7 @@ def _is_device(text: str) -> bool:
 
 
 def _read(path: Path) -> tuple[int, list[Packet]]:
-    """Link type and packets of the file; raises CaptureError."""
+    """Return link type and packets of the file; raises CaptureError."""
     if find_spec("dpkt") is None:
         raise CaptureError(_NO_LIBRARY)
     from dpkt import dpkt, pcap, pcapng  # noqa: PLC0415  an extra
@@ -88,12 +86,12 @@ def _read(path: Path) -> tuple[int, list[Packet]]:
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (dpkt.Error, ValueError, ArithmeticError, IndexError, struct.error, MemoryError) as error:
-        # what the library lets through from a damaged file
+        # all that the library raises for a damaged file
         raise CaptureError(
-            f"{path}: is not a pcap or pcapng file, or is damaged or cut off ({error or type(error).__name__})"
+            f"{path}: not a pcap or pcapng file, or damaged or truncated ({error or type(error).__name__})"
         ) from error
     if not packets:
-        raise CaptureError(f"{path}: holds no packets; start the capture before the program that uses the board")
+        raise CaptureError(f"{path}: no packets; start the capture before the program that uses the board")
     return link_type, packets
 
 
@@ -120,41 +118,41 @@ def _only_candidate(path: Path, packets: Iterable[Packet], traffic: UsbTraffic) 
         return found[0]
     if found:
         raise CaptureError(
-            f"{path}: several devices talk like this board: {', '.join(found)}; choose one with --device"
+            f"{path}: several devices have this board's traffic: {', '.join(found)}; choose one with --device"
         )
-    raise CaptureError(f"{path}: no device talks like this board; {_seen(packets)}")
+    raise CaptureError(f"{path}: no device has this board's traffic; {_seen(packets)}")
 
 
 def _seen(packets: Iterable[Packet]) -> str:
-    """Which devices there are, and what they do, for a person to choose from."""
+    """Describe the devices and their traffic, for the user's choice."""
     counts: Counter[tuple[str, int]] = Counter()
     for _, urb in packets:
         if urb.transfer == Transfer.BULK and urb.data:
             counts[urb.device, urb.endpoint] += 1
     if not counts:
-        return "the file holds no bulk transfers with data at all: was the right bus captured?"
+        return "the file has no bulk transfers with data: was the right bus captured?"
     listed = ", ".join(f"{device} ({n} on endpoint 0x{ep:02x})" for (device, ep), n in sorted(counts.items()))
     return f"bulk transfers in the file: {listed}; choose one with --device"
 
 
 @dataclass
-class _Messages:
-    """Turns one device's packets into records.
+class _Records:
+    """Converts one device's packets to records.
 
-    What the host sends stands in the packet that hands it over, what the device sends in the one that comes back.
-    A message whose transfer comes back as failed was not taken.
+    The packet of a submission has the host's data, the packet of a completion the device's. A message whose transfer
+    failed was not delivered.
     """
 
     start_s: float
     traffic: UsbTraffic
     _records: list[Record] = field(default_factory=list)
-    _under_way: dict[tuple[int, int], int] = field(default_factory=dict)
-    """Where the record of a transfer out stands, by number and endpoint, until it comes back."""
+    _in_flight: dict[tuple[int, int], int] = field(default_factory=dict)
+    """Index of an OUT transfer's record, by number and endpoint, until its completion."""
     _requests: dict[tuple[int, int], bytes] = field(default_factory=dict)
     _jtag: Counter[int] = field(default_factory=Counter)
 
     def collect(self, packets: Iterable[Packet]) -> list[Record]:
-        """All records, in the order of the packets."""
+        """Return all records, in the order of the packets."""
         traffic = self.traffic
         for time_s, urb in packets:
             t_s = time_s - self.start_s
@@ -173,11 +171,11 @@ class _Messages:
         key = urb.number, urb.endpoint
         if not urb.done:
             if urb.length and not urb.data:
-                self._warn(t_s, f"{urb.length} bytes were sent here, and the monitor did not keep them")
+                self._warn(t_s, f"{urb.length} bytes were sent here, but the monitor did not capture them")
                 return
-            self._under_way[key] = len(self._records)
+            self._in_flight[key] = len(self._records)
             self._records.append(Record(t_s, RecordKind.OUT, urb.endpoint, urb.data))
-        elif (place := self._under_way.pop(key, None)) is not None and urb.failure:
+        elif (place := self._in_flight.pop(key, None)) is not None and urb.failure:
             sent = self._records[place]
             self._records[place] = sent._replace(
                 kind=RecordKind.ERROR, text=f"transfer failed: {urb.failure}", of="out"
@@ -191,12 +189,12 @@ class _Messages:
                 Record(t_s, RecordKind.ERROR, urb.endpoint, text=f"transfer failed: {urb.failure}", of="in")
             )
         elif urb.length and not urb.data:
-            self._warn(t_s, f"{urb.length} bytes were received here, and the monitor did not keep them")
+            self._warn(t_s, f"{urb.length} bytes were received here, but the monitor did not capture them")
         else:
             self._records.append(Record(t_s, RecordKind.IN, urb.endpoint, urb.data))
 
     def _control(self, t_s: float, urb: MonitoredUrb) -> None:
-        """One record a transfer: with its data where it takes some to the device, else when it comes back."""
+        """Add one record for each transfer: at its submission if the data go to the device, else at its completion."""
         key = urb.number, urb.endpoint & ~IN
         if urb.setup:
             if urb.setup[0] & IN:

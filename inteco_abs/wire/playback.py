@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from firmware_protocol.fields import FrameTable, Layout
+from firmware_protocol.fields import FrameTable
 from inteco_abs.boards import MessageRole, byte_offset, label, masks_of, names_at, protocol_of, words_of
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.errors import CaptureError, LinkError
 from inteco_abs.wire.capture import Capture, Record, RecordKind
 
 MOST_DIFFERENCES: Final = 10_000
-"""Kept in full; further ones are only counted."""
+"""Limit of the list; further differences are only counted."""
 
 
 class FrameDifference(NamedTuple):
-    """A word that differs from the captured message, or a whole message out of place."""
+    """A word that differs from the captured message, or a whole message out of order."""
 
     message: int
     """Number of the written message, from 1."""
     place: str
-    """The word, as in `w22`; `order` or `length` where it is the whole message."""
+    """The word, as in `w22`; `order`, `length` or `message` for a whole message."""
     byte_offset: int
     fields: tuple[str, ...]
     captured: str
@@ -39,11 +38,11 @@ class FrameDifference(NamedTuple):
 class CaptureLink(Link):
     """A link that plays a capture back: answers and failures come in the captured order.
 
-    The n-th SEND frame is compared with the captured n-th, other messages with those of their role, and once it is
-    noted if the roles come in another order than then. Differences are collected in `differences`; if `strict`, the
-    first one is raised as CaptureError as well. `numbering` is a field that numbers the frames, as in
-    `pwm7_prescaler`: it is not compared, and answers carry our number in place of the captured, as the board's would.
-    Raises LinkError when there is nothing more to answer or to compare with.
+    The n-th SEND frame is compared with the captured n-th, other messages with those of their role; the first message
+    in another order than the captured one is a difference, too. `differences` collects them; if `strict`, the first one
+    raises CaptureError as well. `numbering` is a field that numbers the frames, such as `pwm7_prescaler`: it is not
+    compared, and answers carry the written number in place of the captured one, as the board's would. Raises LinkError
+    at the end of the capture.
     """
 
     def __init__(self, capture: Capture, *, strict: bool = False, numbering: str = "") -> None:
@@ -56,21 +55,21 @@ class CaptureLink(Link):
         names = self._protocol.fields([numbering] if numbering else [])
         self._numbering = _Numbering(self._protocol.send, self._protocol.read, numbering) if numbering else None
         self._ignored = masks_of(self._protocol.send, names)
-        self._lanes: dict[MessageRole | None, deque[tuple[int, Record]]] = {}  # answers, good or not, are those of None
+        self._queues: dict[MessageRole | None, deque[tuple[int, Record]]] = {}  # None: answers and their failures
         for index, record in enumerate(capture.records):
             if record.kind in {RecordKind.OUT, RecordKind.IN, RecordKind.ERROR}:
-                self._lanes.setdefault(self._lane(record), deque()).append((index, record))
+                self._queues.setdefault(self._queue_of(record), deque()).append((index, record))
         self._written = 0
         self._newest_s = 0.0
         self._furthest = -1
-        self._ahead = False  # whether something captured later has been used already
+        self._ahead = False  # whether a later record has been used already
         self._ordered = True
         self._closed = False
 
     @property
     def left(self) -> int:
-        """Number of captured messages and failures that were not used yet."""
-        return sum(map(len, self._lanes.values()))
+        """Number of unused captured messages and failures."""
+        return sum(map(len, self._queues.values()))
 
     def now_ns(self) -> int:
         """Return the time of the newest used record, ns since the capture began."""
@@ -84,11 +83,11 @@ class CaptureLink(Link):
         index, captured = self._next(role, role)
         found = [*self._order(index, role), *self._compare(captured.data, ours)]
         if self._numbering is not None and role is MessageRole.SEND:
-            self._numbering.note(ours)
+            self._numbering.read_from(ours)
         first = self.differing == 0
         self.differing += len(found)
         self.differences += found[: MOST_DIFFERENCES - len(self.differences)]
-        if found and first and self._strict:  # once: what follows makes the board safe and must go through
+        if found and first and self._strict:  # once: the messages that make the board safe must pass
             raise CaptureError(f"{self._capture.name}: {found[0]}")
         if captured.kind is RecordKind.ERROR:
             raise LinkError(f"as captured: {captured.text}")
@@ -109,17 +108,17 @@ class CaptureLink(Link):
         """Stop answering."""
         self._closed = True
 
-    def _lane(self, record: Record) -> MessageRole | None:
+    def _queue_of(self, record: Record) -> MessageRole | None:
         is_answer = record.kind is RecordKind.IN or (record.kind is RecordKind.ERROR and record.of != "out")
         return None if is_answer else self._protocol.role_out(record.data)
 
-    def _next(self, lane: MessageRole | None, wanted: str) -> tuple[int, Record]:
+    def _next(self, queue: MessageRole | None, wanted: str) -> tuple[int, Record]:
         if self._closed:
             raise LinkError("the capture is closed")
-        waiting = self._lanes.get(lane)
+        waiting = self._queues.get(queue)
         if not waiting:
             raise LinkError(
-                f"{self._capture.name} has no more {wanted}: it held {self._capture.messages} messages, "
+                f"{self._capture.name} has no more {wanted}: it has {self._capture.messages} messages, "
                 f"{self._written} were written in this replay"
             )
         index, record = waiting.popleft()
@@ -132,7 +131,7 @@ class CaptureLink(Link):
         if not (self._ahead and self._ordered):
             return []
         self._ordered = False
-        first_line = 2  # behind the header
+        first_line = 2  # after the header
         captured, ours = f"line {index + first_line}, a {role}", f"only after line {self._furthest + first_line}"
         return [FrameDifference(self._written, "order", 0, (), captured, ours)]
 
@@ -160,36 +159,28 @@ class CaptureLink(Link):
 def differing_words(
     table: FrameTable, first: bytes, second: bytes, ignored: dict[int, int]
 ) -> list[tuple[int, int, int, int]]:
-    """Word, bits that differ and both values, for each word in which two frames of one size are not the same."""
+    """Return word, differing bits and both values for each word in which two frames of one size differ."""
     both = enumerate(zip(words_of(table, first), words_of(table, second), strict=True))
     return [(word, mask, a, b) for word, (a, b) in both if (mask := (a ^ b) & ~ignored.get(word, 0))]
 
 
 class _Numbering:
-    """Carries the number of our newest SEND frame into captured answers, as a board echoes it."""
+    """Copies the number of the newest written SEND frame into captured answers, as a board echoes it."""
 
     def __init__(self, send: FrameTable, read: FrameTable, name: str) -> None:
         if name not in send.fields or name not in read.fields:
-            raise CaptureError(f"{name} numbers no frames: it must be a field of both {send.title} and {read.title}")
-        self._send, self._read = send, read
-        self._from, self._to = send.fields[name][1], read.fields[name][1]
+            raise CaptureError(f"{name} cannot number frames: it must be a field of both {send.title} and {read.title}")
+        self._send, self._read, self._name = send, read, name
         self._number: int | None = None
 
-    def note(self, frame: bytes) -> None:
-        self._number = _gather(words_of(self._send, frame), self._from, self._send.data_from)
+    def read_from(self, frame: bytes) -> None:
+        self._number = int(self._send.decode_some(frame, [self._name])[self._name])
 
     def put_into(self, frame: bytes) -> bytes:
         if self._number is None:
             return frame
-        image = bytearray(frame)
-        size = self._read.word_bits // 8
-        for part in self._to:
-            at = byte_offset(self._read, part.word + self._read.data_from)
-            word = int.from_bytes(image[at : at + size], "little") & ~(part.mask << part.low)
-            word |= (self._number >> part.shift & part.mask) << part.low
-            image[at : at + size] = word.to_bytes(size, "little")
-        return bytes(image)
-
-
-def _gather(words: Sequence[int], layout: Layout, data_from: int) -> int:
-    return sum((words[part.word + data_from] >> part.low & part.mask) << part.shift for part in layout)
+        words = self._read.words(frame)
+        for part in self._read.fields[self._name][1]:
+            at = part.word + self._read.data_from
+            words[at] = words[at] & ~(part.mask << part.low) | (self._number >> part.shift & part.mask) << part.low
+        return self._read.pack(words)

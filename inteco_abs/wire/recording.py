@@ -23,11 +23,11 @@ MOST_MESSAGES: Final = 300_000
 class RecordingLink(Link):
     """Forwards to `inner`, and keeps every message and failure in memory until `save` writes them to `path`.
 
-    Saving takes a second or two for a long run, so it is apart from closing, which must not wait. Once
-    `most_messages` are kept, newer ones are only counted, and the file says so: a replay needs the beginning.
-    Answers that `discard` drops are not seen and not kept. `endpoints` are the addresses of OUT and IN, if there are
-    any; `now_ns` is a monotonic clock. Without a `path` nothing is written, and what was kept is `capture`. Raises
-    CaptureError if no capture can be made at `path`, ConfigError for an unknown `board`.
+    `save` is separate from `close`, which must not wait: saving a long run takes seconds. After `most_messages` further
+    messages are only counted, with a warning in the file, as a replay needs the beginning. Answers that `discard` drops
+    are not recorded. `endpoints` are the addresses of OUT and IN, if any; `now_ns` is a monotonic clock. Without a
+    `path` nothing is written; `capture` returns the messages. Raises CaptureError if no capture can be written at
+    `path`, ConfigError for an unknown `board`.
     """
 
     def __init__(
@@ -51,13 +51,13 @@ class RecordingLink(Link):
         self._endpoints = dict(zip((_OUT, _IN), endpoints, strict=True))
         self._now_ns = now_ns
         self._most = most_messages
-        # time, kind, data, text, of; all of them atoms, so that the garbage collector has nothing to go through
+        # time, kind, data, text, of: plain values, which the garbage collector does not traverse
         self._kept: list[tuple[int, str, bytes, str, str]] = []
         self._start_ns = now_ns()
 
     @property  # all of these are the inner link's
     def timeout_s(self) -> float:
-        """How long a call waits for the board, in s."""
+        """Time-out of a call, s."""
         return self._inner.timeout_s
 
     @timeout_s.setter
@@ -66,7 +66,7 @@ class RecordingLink(Link):
 
     @property
     def engine(self) -> str:
-        """The way in use to move an exchange's transfers."""
+        """The engine in use."""
         return self._inner.engine
 
     @engine.setter
@@ -94,7 +94,7 @@ class RecordingLink(Link):
         return data
 
     def exchange(self, first: bytes | bytearray, second: bytes, length: int) -> bytes:
-        """Send two messages and receive one, the way the inner link does it."""
+        """Send two messages and receive one, by the inner link's engine."""
         start_ns = self._now_ns()
         try:
             data = self._inner.exchange(first, second, length)
@@ -113,7 +113,7 @@ class RecordingLink(Link):
         self._inner.discard(length)
 
     def prepare(self, length: int) -> None:
-        """The inner link's own preparation, and what it may refuse."""
+        """Prepare the inner link; raises its errors."""
         self._inner.prepare(length)
 
     def close(self) -> None:
@@ -132,7 +132,7 @@ class RecordingLink(Link):
             for at_ns, kind, data, text, of in self._kept
         ]
         if self.dropped:
-            text = f"{self.dropped} more messages passed and were not kept: {self._most} are the most"
+            text = f"{self.dropped} more messages were not recorded: the limit is {self._most}"
             records.append(Record(records[-1].t_s if records else 0.0, RecordKind.WARNING, text=text))
         recorded_by = f"inteco-abs {__version__}"
         name = str(self._path or "the recording")
@@ -176,9 +176,9 @@ class Recording:
 def record_wire(
     path: Path | None, config: RigConfig, now_ns: Callable[[], int] = time.monotonic_ns, *, keep: bool = False
 ) -> Iterator[Recording]:
-    """Yield what wraps a link in a recording, and save it at `path` in the end; without a path it is only kept.
+    """Yield a recording that wraps links, and save it at `path` at the end; without a path it stays in memory.
 
-    Raises CaptureError if the file cannot be written; if another exception is on its way, adds a note to that instead.
+    Raises CaptureError if the file cannot be written, or adds a note to the exception that ends the context.
     """
     if path is not None or keep:
         check_recordable("--frames" if path is None else "--record-wire", config)

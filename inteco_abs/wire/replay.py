@@ -85,7 +85,7 @@ def _as_signed(capture: Capture) -> dict[str, Any]:
         "logic_version": version,
         "application_names": [str(header["application_name"])],
         "read_only": "",
-        "verified_by": "nobody: the board is a capture",
+        "verified_by": "the replay: the board is a capture",
         "verified_logic": version,
     }
 

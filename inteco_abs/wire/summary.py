@@ -12,7 +12,7 @@ from inteco_abs.boards import BoardProtocol, MessageRole, protocol_of
 from inteco_abs.wire.capture import Capture, RecordKind
 
 
-class Traffic(NamedTuple):
+class MessageTiming(NamedTuple):
     """Number and timing of messages of one role."""
 
     messages: int
@@ -29,7 +29,7 @@ class CaptureSummary(NamedTuple):
     recorded_by: str
     clock: str
     duration_s: float
-    traffic: dict[str, Traffic]
+    traffic: dict[str, MessageTiming]
     errors: dict[str, int]
     """Count by text."""
     control_transfers: int
@@ -58,7 +58,7 @@ def summarize(capture: Capture) -> CaptureSummary:
         capture.recorded_by,
         capture.clock,
         max(at_s) - min(at_s) if at_s else 0.0,
-        {role: _traffic(found) for role, found in times_s.items()},
+        {role: _timing(found) for role, found in times_s.items()},
         dict(Counter(record.text for record in capture.records if record.kind is RecordKind.ERROR)),
         sum(record.kind is RecordKind.CONTROL for record in capture.records),
         tuple(record.text for record in capture.records if record.kind is RecordKind.WARNING),
@@ -96,8 +96,8 @@ def _header(frame: bytes, protocol: BoardProtocol) -> tuple[int, str]:
     return version, str(values["application_name"])
 
 
-def _traffic(times_s: list[float]) -> Traffic:
+def _timing(times_s: list[float]) -> MessageTiming:
     steps = [after - before for before, after in pairwise(times_s)]
     total = sum(steps)
     rate = len(steps) / total if total > 0 else None
-    return Traffic(len(times_s), rate, median(steps) if steps else None, max(steps) if steps else None)
+    return MessageTiming(len(times_s), rate, median(steps) if steps else None, max(steps) if steps else None)

@@ -1,8 +1,7 @@
-"""Packets of a USB bus monitor: the headers that usbmon (Linux) and USBPcap (Windows) put before a transfer's data.
+"""Decodes packets of USB bus monitors: usbmon (Linux) and USBPcap (Windows), a header before a transfer's data.
 
-Layouts: the kernel's documentation of usbmon, binary format of 48 bytes and of 64 ("mmapped"); USBPcap's capture
-format specification. usbmon's numbers have the byte order of the computer that captured, which is the file's;
-USBPcap's are little-endian always.
+Sources: the kernel's documentation of usbmon, binary formats of 48 and of 64 bytes ("mmapped"); USBPcap's capture
+format specification. usbmon uses the byte order of the capturing computer, as the file does; USBPcap is little-endian.
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ _USBMON: Final = "QBBBBHbbqiiII8s"
 _USBMON_BYTES: Final = 48
 _MMAPPED_BYTES: Final = 64
 _DESCRIPTOR_BYTES: Final = 16
-"""Of each part of an isochronous transfer, between header and data."""
+"""Length of each isochronous descriptor between header and data."""
 _NDESC_AT: Final = 60
 _IN_PROGRESS: Final = -115
 _SHORT: Final = -121
-"""A short packet that the driver wants reported; its data are good."""
+"""Short packet with valid data; the driver had requested an error for it."""
 _USBPCAP: Final = struct.Struct("<HQIHBHHBBI")
 _TO_HOST: Final = 1
 _SETUP_STAGE: Final = 0
@@ -39,11 +38,11 @@ LINK_TYPES: Final = {
     LINUX_USB_MMAPPED: "usbmon with 64-byte headers",
     USBPCAP: "USBPcap",
 }
-"""Link types of the captures that can be read."""
+"""Supported link types."""
 
 
 class Transfer(IntEnum):
-    """Type of a transfer, numbered as both monitors do."""
+    """Type of a transfer, as both monitors number it."""
 
     ISOCHRONOUS = 0
     INTERRUPT = 1
@@ -52,7 +51,7 @@ class Transfer(IntEnum):
 
 
 class MonitoredUrb(NamedTuple):
-    """A transfer as it is submitted to the host controller, or as it ends."""
+    """A transfer at its submission to the host controller, or at its end."""
 
     bus: int
     address: int
@@ -61,25 +60,25 @@ class MonitoredUrb(NamedTuple):
     transfer: int
     """A `Transfer`, or a monitor's number for other events."""
     number: int
-    """Joins the two packets of a transfer; used again afterwards."""
+    """Identifies the two packets of a transfer; reused afterwards."""
     done: bool
-    """Whether it has ended, well or not."""
+    """Whether the transfer has ended, with or without an error."""
     failure: str
-    """Why it failed; empty before it comes back, and if it did not."""
+    """Reason of a failure; empty at submission and after success."""
     length: int
-    """Bytes that the data have, in this packet or not."""
+    """Length of the data in bytes, whether captured or not."""
     data: bytes
     setup: bytes = b""
-    """Request of a control transfer, in the packet that hands it over."""
+    """Request of a control transfer, in the packet of its submission."""
 
     @property
     def device(self) -> str:
-        """As the command line takes it."""
+        """Bus and address as on the command line."""
         return f"{self.bus}.{self.address}"
 
 
 def decode(packet: bytes, link_type: int, *, big_endian: bool = False) -> MonitoredUrb:
-    """What the packet says. Raises CaptureError for one that is cut off or from no USB monitor."""
+    """Decode a packet. Raises CaptureError for a truncated packet, or one that is not a USB monitor's."""
     if link_type == USBPCAP:
         return _usbpcap(packet)
     return _usbmon(
@@ -132,4 +131,4 @@ def _usbpcap(packet: bytes) -> MonitoredUrb:
 
 
 def _cut(found: int, length: int) -> str:
-    return f"is cut off: {found} of its {length} bytes of data are there. Capture again, without a length limit"
+    return f"is truncated: it has {found} of its {length} bytes of data. Capture again, without a length limit"

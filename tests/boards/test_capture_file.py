@@ -11,7 +11,7 @@ from inteco_abs.wire.capture import (
     Record,
     RecordKind,
     check_target,
-    opened_capture,
+    open_capture,
     parse_capture,
     read_capture,
     write_capture,
@@ -43,7 +43,7 @@ def test_everything_that_is_written_is_read_again(tmp_path):
     capture = Capture("usb2", "a test", "none", RECORDS, str(path), 12_000_000_007)
     write_capture(path, capture)
     assert read_capture(path) == capture
-    with opened_capture(path) as (head, records):
+    with open_capture(path) as (head, records):
         assert head._replace(records=tuple(records)) == capture
     assert [file.name for file in tmp_path.iterdir()] == ["x.jsonl"]
 
@@ -141,7 +141,7 @@ def test_any_object_is_a_record_or_one_clear_error(record):
 
 
 def drained(path):
-    with opened_capture(path) as (_, records):
+    with open_capture(path) as (_, records):
         return list(records)
 
 
@@ -180,7 +180,7 @@ def test_a_missing_file_is_a_clear_error(tmp_path):
         read_capture(tmp_path / "x.jsonl")
 
 
-@pytest.mark.parametrize("read", [read_capture, lambda path: opened_capture(path).__enter__()])
+@pytest.mark.parametrize("read", [read_capture, lambda path: open_capture(path).__enter__()])
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path, read):
     os.mkfifo(tmp_path / "x.jsonl")
     with pytest.raises(CaptureError, match="not a regular file"):

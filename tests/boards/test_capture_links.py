@@ -169,14 +169,14 @@ def test_a_capture_that_is_used_up_says_how_many_messages_it_held(bench, recorde
     _, capture = recorded(RAMP[:3])
     held = sum(record.kind in {RecordKind.OUT, RecordKind.IN} for record in capture.records)
     link = CaptureLink(capture)
-    with pytest.raises(UnsafeError, match=f"no more SEND: it held {held} messages"):
+    with pytest.raises(UnsafeError, match=f"no more SEND: it has {held} messages"):
         drive(bench, link, RAMP)
 
 
 @pytest.mark.parametrize("read", [True, False])
 def test_an_empty_capture_answers_nothing_and_compares_nothing(read):
     link = CaptureLink(Capture("usb2", "", "", ()))
-    with pytest.raises(LinkError, match="it held 0 messages"):
+    with pytest.raises(LinkError, match="it has 0 messages"):
         link.read(FRAME_BYTES) if read else link.write(READ_REQUEST)
 
 
@@ -266,7 +266,7 @@ def test_a_closed_capture_answers_nothing():
 def test_a_numbering_that_no_frame_carries_is_refused():
     with pytest.raises(ConfigError, match="did you mean pwm7_prescaler"):
         CaptureLink(capture_of(), numbering="pwm7_prescalar")
-    with pytest.raises(CaptureError, match="numbers no frames"):
+    with pytest.raises(CaptureError, match="cannot number frames"):
         CaptureLink(capture_of(), numbering="encoder0_count")
 
 
@@ -416,9 +416,7 @@ def test_the_beginning_is_kept_and_the_rest_counted(path):
     link.save()
     capture = read_capture(path)
     assert [record.data for record in capture.records[:3]] == [b"\0", b"\1", b"\2"]
-    assert [record.text for record in capture.records[3:]] == [
-        "7 more messages passed and were not kept: 3 are the most"
-    ]
+    assert [record.text for record in capture.records[3:]] == ["7 more messages were not recorded: the limit is 3"]
     assert link.dropped == 7
 
 

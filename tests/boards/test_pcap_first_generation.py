@@ -68,7 +68,7 @@ def test_a_second_generation_board_is_not_taken_for_one_of_the_first(tmp_path):
     monitor = Usbmon()
     path = tmp_path / "vendor.pcap"
     path.write_bytes(pcap(monitor.out(0x02, b"\x0f\x8f" + bytes(502)), monitor.link_type))
-    with pytest.raises(CaptureError, match="no device talks like this board"):
+    with pytest.raises(CaptureError, match="no device has this board's traffic"):
         import_pcap(path, board="usb1-111")
 
 

@@ -94,13 +94,13 @@ def test_without_a_board_the_devices_are_listed(imported, monitor):
 
 
 def test_a_named_device_that_is_not_there_gets_the_list(imported, monitor):
-    with pytest.raises(CaptureError, match=r"nothing of device 9\.9.*1\.5 \(2 on endpoint 0x02\)"):
+    with pytest.raises(CaptureError, match=r"no packets of device 9\.9.*1\.5 \(2 on endpoint 0x02\)"):
         imported(tick(monitor), monitor, device="9.9")
 
 
 def test_a_named_device_that_does_not_talk_like_a_board_is_refused(imported, monitor):
     packets = [*tick(monitor), *monitor.out(0x01, b"print me", device=(3, 4))]
-    with pytest.raises(CaptureError, match=r"device 3\.4 exchanges nothing"):
+    with pytest.raises(CaptureError, match=r"device 3\.4 has no messages"):
         imported(packets, monitor, device="3.4")
 
 
@@ -205,12 +205,12 @@ def test_a_missing_library_is_an_error_that_names_the_extra(imported, monkeypatc
 def test_a_file_that_is_no_capture_is_one_clear_error(tmp_path, data):
     path = tmp_path / "vendor.pcap"
     path.write_bytes(data)
-    with pytest.raises(CaptureError, match=r"vendor\.pcap: is not a pcap or pcapng file"):
+    with pytest.raises(CaptureError, match=r"vendor\.pcap: not a pcap or pcapng file"):
         import_pcap(path)
 
 
 def test_a_capture_without_packets_says_so(imported, container):
-    with pytest.raises(CaptureError, match="holds no packets"):
+    with pytest.raises(CaptureError, match="no packets"):
         imported([], Usbmon(), container)
 
 
@@ -257,5 +257,5 @@ def test_a_file_cut_anywhere_inside_a_packet_is_an_error(tmp_path, container):
     path = tmp_path / "vendor.pcap"
     for cut in (1, 300, 570):
         path.write_bytes(image[:-cut])
-        with pytest.raises(CaptureError, match="cut off"):
+        with pytest.raises(CaptureError, match="truncated"):
             import_pcap(path)

@@ -323,18 +323,18 @@ class TestLatencyTimer:
 
     def test_it_is_set_to_a_millisecond_through_whatever_links_lead_to_the_port(self, tmp_path, timer):
         (tmp_path / "rig").symlink_to("/dev/ttyUSB0")
-        assert serial_ports.quicken(str(tmp_path / "rig"), tmp_path) == ""
+        assert serial_ports.set_latency_timer(str(tmp_path / "rig"), tmp_path) == ""
         assert timer.read_text() == "1\n"
 
     def test_the_vendors_event_character_is_enabled_where_the_chip_has_one(self, tmp_path, timer):
         event = timer.with_name("event_char")
         event.write_text("")
-        assert serial_ports.quicken("/dev/ttyUSB0", tmp_path) == ""
+        assert serial_ports.set_latency_timer("/dev/ttyUSB0", tmp_path) == ""
         assert int(event.read_text()) == 0x13F
 
     def test_one_that_stays_long_is_told_with_the_rule_that_helps(self, tmp_path, timer, monkeypatch):
         monkeypatch.setattr(type(timer), "write_text", denied)
-        complaint = serial_ports.quicken("/dev/ttyUSB0", tmp_path)
+        complaint = serial_ports.set_latency_timer("/dev/ttyUSB0", tmp_path)
         assert "waits 16 ms" in complaint
         assert "inteco-abs doctor --rules" in complaint
         assert str(timer) in complaint
@@ -342,15 +342,15 @@ class TestLatencyTimer:
     def test_one_that_is_short_already_need_not_be_set(self, tmp_path, timer, monkeypatch):
         timer.write_text("1\n")
         monkeypatch.setattr(type(timer), "write_text", denied)
-        assert serial_ports.quicken("/dev/ttyUSB0", tmp_path) == ""
+        assert serial_ports.set_latency_timer("/dev/ttyUSB0", tmp_path) == ""
 
     def test_a_port_without_one_is_fine(self, tmp_path):
-        assert serial_ports.quicken("/dev/pts/5", tmp_path) == ""
+        assert serial_ports.set_latency_timer("/dev/pts/5", tmp_path) == ""
 
     def test_one_that_cannot_be_read_is_told(self, tmp_path, timer, monkeypatch):
         timer.write_text("soon")
         monkeypatch.setattr(type(timer), "write_text", denied)
-        assert "cannot be read" in serial_ports.quicken("/dev/ttyUSB0", tmp_path)
+        assert "cannot be read" in serial_ports.set_latency_timer("/dev/ttyUSB0", tmp_path)
 
     def test_a_board_that_is_too_slow_is_not_opened_but_is_rescued(self, monkeypatch, served):
         config, server = served
@@ -358,7 +358,7 @@ class TestLatencyTimer:
         header = encode_read({"application_name": "ABSIM"}, logic=0x0111)[:8]
         image = header + encode_send({"pin_mode": 0b11}, logic=0x0111)
         device.write({"pin_mode": 0b11, "pwm0_width": 255})
-        monkeypatch.setattr(serial_link, "quicken", lambda _path: "each answer waits 16 ms")
+        monkeypatch.setattr(serial_link, "set_latency_timer", lambda _path: "each answer waits 16 ms")
         with pytest.raises(BoardError, match="waits 16 ms"):
             new_board(config, server).__enter__()
         assert device.duties == (1.0, 0.0)
@@ -367,7 +367,7 @@ class TestLatencyTimer:
 
     def test_one_that_is_recorded_is_refused_just_so(self, monkeypatch, served, tmp_path):
         config, server = served
-        monkeypatch.setattr(serial_link, "quicken", lambda _path: "each answer waits 16 ms")
+        monkeypatch.setattr(serial_link, "set_latency_timer", lambda _path: "each answer waits 16 ms")
         link = RecordingLink(SerialLink(server.name, PATIENT_S), tmp_path / "wire.jsonl", board="usb1-111")
         with pytest.raises(BoardError, match="waits 16 ms"):
             board_behind(link, config, time.monotonic_ns).__enter__()
@@ -467,7 +467,7 @@ def test_an_answer_is_waited_for_far_shorter_than_a_loop_may_be_silent():
 
 @pytest.mark.parametrize(("complaint", "within"), [("", "90 ms"), ("each answer waits 16 ms", "100 ms")])
 def test_only_an_answer_from_a_slow_chip_is_waited_for_longer(board, monkeypatch, complaint, within):
-    monkeypatch.setattr(serial_link, "quicken", lambda _path: complaint)
+    monkeypatch.setattr(serial_link, "set_latency_timer", lambda _path: complaint)
     link = SerialLink(board.path, 0.09)
     with pytest.raises(LinkError, match=f"did not answer within {within}"):
         link.read(150)

@@ -72,4 +72,4 @@ def test_a_bridge_in_trouble_is_no_reason_to_stop(real_board, monkeypatch):
         raise LinkError("the bus failed")
 
     monkeypatch.setattr("inteco_abs.boards.families.usb2.bridge.firmware_dates", fail)
-    assert bridge_facts(device)["firmware_compiled"] == "not told: the bus failed"
+    assert bridge_facts(device)["firmware_compiled"] == "not reported: the bus failed"

@@ -12,7 +12,7 @@ import pytest
 
 from firmware_protocol.rtdac_usb2 import ENDPOINT_IN, ENDPOINT_OUT
 from inteco_abs.boards.families.usb2 import RtdacUsb2
-from inteco_abs.boards.families.usb2.bridge import NOT_TOLD, FirmwareDates, firmware_dates, identify_led
+from inteco_abs.boards.families.usb2.bridge import NOT_REPORTED, FirmwareDates, firmware_dates, identify_led
 from inteco_abs.boards.families.usb2.mock import Usb2FrontEnd
 from inteco_abs.config import load_config
 from inteco_abs.errors import BoardError, UnsafeError
@@ -137,9 +137,9 @@ TROUBLES = {
     "short frame": (lambda bench: bench.change(lambda answer, _: answer[:100]), "has 100 bytes, must be 504"),
     "frame in one packet less": (lambda bench: bench.change(lambda answer, _: answer[:448]), "has 448 bytes"),
     "damaged frame": (lambda bench: bench.change(lambda answer, _: b"\0" + answer[1:]), "the frame is damaged"),
-    "older answer": (lambda bench: bench.change(lambda _, before: before), "is one to an older request"),
+    "older answer": (lambda bench: bench.change(lambda _, before: before), "is to an older request"),
     "no answer": (lambda bench: bench.change(lambda *_: b""), "did not answer within"),
-    "babble": (lambda bench: bench.change(lambda answer, _: answer + bytes(100)), "sent more than was asked for"),
+    "babble": (lambda bench: bench.change(lambda answer, _: answer + bytes(100)), "sent more than requested"),
     "bus error in the answer": (lambda bench: bench.host.inject(ENDPOINT_IN, -errno.EPROTO), "the bus failed"),
     "bus error in the command": (lambda bench: bench.host.inject(ENDPOINT_OUT, -errno.EPROTO), "the bus failed"),
 }
@@ -247,7 +247,7 @@ def the_led_that_shows_which_board_it_is(bench):
 @scenario
 def a_bridge_that_refuses_what_it_is_asked(bench):
     bench.board.refuses = True
-    assert firmware_dates(bench.find()) == FirmwareDates(NOT_TOLD, NOT_TOLD)
+    assert firmware_dates(bench.find()) == FirmwareDates(NOT_REPORTED, NOT_REPORTED)
     assert not identify_led(bench.find(), on=True)
     bench.board.refuses = False
 
@@ -256,7 +256,7 @@ def a_bridge_that_refuses_what_it_is_asked(bench):
 def a_bridge_that_answers_nonsense(bench):
     for says in (b"", b"\xff" * 5, bytes(32), b"\xff" * 32):
         bench.board.says = says
-        assert firmware_dates(bench.find()) == FirmwareDates(NOT_TOLD, NOT_TOLD)
+        assert firmware_dates(bench.find()) == FirmwareDates(NOT_REPORTED, NOT_REPORTED)
     bench.board.says = None
 
 

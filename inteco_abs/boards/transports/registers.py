@@ -88,4 +88,4 @@ class LinkedRegisters(Registers):
             if len(values) != reads:
                 raise LinkError(f"the board's answer has {len(values)} values, must be {reads}")
             return values
-        raise LinkError("the board answers only requests of long ago: is another program reading from it?")
+        raise LinkError("the board answers only old requests: is another program reading from it?")

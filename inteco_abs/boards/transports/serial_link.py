@@ -16,7 +16,7 @@ import serial
 
 from firmware_protocol.rtdac_usb import DUMMY
 from inteco_abs.boards.transports.links import Link
-from inteco_abs.boards.transports.serial_ports import describe_ports, ftdi_ports, quicken
+from inteco_abs.boards.transports.serial_ports import describe_ports, ftdi_ports, set_latency_timer
 from inteco_abs.errors import BoardError, LinkError
 
 TIMEOUT_S: Final = 0.010
@@ -47,7 +47,7 @@ class SerialLink(Link):
         self._timeout_s = timeout_s
         self._quiet_s = quiet_s
         self._port = _open(path, timeout_s)
-        self._slow = quicken(path)
+        self._slow = set_latency_timer(path)
         if self._slow:  # too slow for a loop, but a rescue must wait for its answer
             self.timeout_s = timeout_s
         try:

@@ -39,10 +39,10 @@ def ftdi_ports() -> dict[str, str]:
 
 def describe_ports(seen: dict[str, str]) -> str:
     """Describe `ftdi_ports` for a message."""
-    return f"seen: {'; '.join(seen.values())}" if seen else f"no serial port with vendor id {_FTDI:04x} is there"
+    return f"seen: {'; '.join(seen.values())}" if seen else f"no serial port has vendor id {_FTDI:04x}"
 
 
-def quicken(path: str, ports: Path = _PORTS) -> str:
+def set_latency_timer(path: str, ports: Path = _PORTS) -> str:
     """Set the latency timer of an FTDI chip's port to 1 ms and read it back; enable the vendor's event character.
 
     Returns an empty text on success or without such a timer; else what is wrong and what to do.

@@ -42,14 +42,14 @@ class SysfsRegisters(Registers):
         folder = find_pci_board(address, root)
         _require_enabled(folder)
         in_memory = _in_memory(folder)
-        self._fd = _own(folder / _REGISTERS)
+        self._fd = _open_locked(folder / _REGISTERS)
         self._words: memoryview | None = None
         if in_memory:
             try:
-                self._words = _mapped(self._fd)
+                self._words = _map(self._fd)
             except OSError as error:
                 self.close()
-                raise BoardError(f"{folder / _REGISTERS} cannot be mapped: {_in_words(error)}") from error
+                raise BoardError(f"{folder / _REGISTERS} cannot be mapped: {_describe(error)}") from error
 
     def read(self, offset: int) -> int:
         """Read the 32 bits at `offset`."""
@@ -58,7 +58,7 @@ class SysfsRegisters(Registers):
         try:
             data = os.pread(self._fd, REGISTER_BYTES, offset)
         except OSError as error:
-            raise LinkError(f"register 0x{offset:02X} cannot be read: {_in_words(error)}") from error
+            raise LinkError(f"register 0x{offset:02X} cannot be read: {_describe(error)}") from error
         if len(data) != REGISTER_BYTES:
             raise LinkError(f"register 0x{offset:02X} gave {len(data)} bytes, must be {REGISTER_BYTES}: {_GONE}")
         return int.from_bytes(data, "little")
@@ -71,7 +71,7 @@ class SysfsRegisters(Registers):
         try:
             written = os.pwrite(self._fd, value.to_bytes(REGISTER_BYTES, "little"), offset)
         except OSError as error:
-            raise LinkError(f"register 0x{offset:02X} cannot be written: {_in_words(error)}") from error
+            raise LinkError(f"register 0x{offset:02X} cannot be written: {_describe(error)}") from error
         if written != REGISTER_BYTES:
             raise LinkError(f"register 0x{offset:02X} took {written} bytes, must be {REGISTER_BYTES}: {_GONE}")
 
@@ -151,14 +151,14 @@ def _in_memory(folder: Path) -> bool:
     return bool(flags & _MEMORY)
 
 
-def _own(file: Path) -> int:
+def _open_locked(file: Path) -> int:
     """Open and lock the registers; raises BoardError."""
     try:
         fd = os.open(file, os.O_RDWR | os.O_CLOEXEC)
     except FileNotFoundError as error:
         raise BoardError(f"no {file}: {_SLOT}") from error
     except OSError as error:
-        raise BoardError(f"{file} cannot be opened: {_in_words(error)}") from error
+        raise BoardError(f"{file} cannot be opened: {_describe(error)}") from error
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -166,15 +166,15 @@ def _own(file: Path) -> int:
         raise BoardError(f"another program has the board ({file} is locked): one program at a time") from error
     except OSError as error:
         os.close(fd)
-        raise BoardError(f"{file} cannot be locked: {_in_words(error)}") from error
+        raise BoardError(f"{file} cannot be locked: {_describe(error)}") from error
     return fd
 
 
-def _mapped(fd: int) -> memoryview:
+def _map(fd: int) -> memoryview:
     """Map the registers as words of 32 bits."""
     # an item of this view is one access of 32 bits; a slice is not
     return memoryview(mmap.mmap(fd, BAR_BYTES)).cast("I")
 
 
-def _in_words(error: OSError) -> str:
+def _describe(error: OSError) -> str:
     return _WORDS.get(error.errno or 0, error.strerror or str(error))

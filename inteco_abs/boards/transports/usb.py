@@ -176,11 +176,11 @@ def _kernel_string(device: Any, name: str) -> str:
 def find_usb_board(serial: str, ids: UsbConfig, backend: Any = None) -> Any:
     """Return pyusb's device of the board, or of the only one, without kernel drivers; raises BoardError."""
     seen = list(usb_boards(ids, backend))
-    found = [one for one in seen if one.of(ids) and not one.denied and (not serial or _same(one.serial, serial))]
+    found = [one for one in seen if one.of(ids) and not one.denied and (not serial or _same_serial(one.serial, serial))]
     if len(found) == 1:
         device = found[0].device
         _require_endpoints(device)
-        _free(device)
+        _detach_kernel_driver(device)
         return device
     named = f" with serial number {serial}" if serial else ""
     there = "Seen: " + ("; ".join(map(str, seen)) or "no similar device")
@@ -188,10 +188,10 @@ def find_usb_board(serial: str, ids: UsbConfig, backend: Any = None) -> Any:
         raise BoardError(f"{len(found)} boards{named}: name one, as in usb2:{found[0].serial}. {there}")
     if any(one.denied for one in seen):
         raise BoardError(f"no board{named} that may be opened. {there}. {RULES}")
-    raise BoardError(f"no RT-DAC/USB2 board{named}: is it plugged in? Looked for a device {_looked_for(ids)}. {there}")
+    raise BoardError(f"no RT-DAC/USB2 board{named}: is it plugged in? Looked for a device {_wanted(ids)}. {there}")
 
 
-def _looked_for(ids: UsbConfig) -> str:
+def _wanted(ids: UsbConfig) -> str:
     """Describe the wanted device with the settings for it."""
     words = f"whose maker is {ids.manufacturer!r} (usb.manufacturer)"
     for name in ("vendor_id", "product_id"):
@@ -212,12 +212,12 @@ def _require_endpoints(device: Any) -> None:
         )
 
 
-def _same(serial: str, wanted: str) -> bool:
+def _same_serial(serial: str, wanted: str) -> bool:
     """Compare serial numbers as decimal integers, as the vendor's software does."""
     return serial.isdecimal() and int(serial) == int(wanted)
 
 
-def _free(device: Any) -> None:
+def _detach_kernel_driver(device: Any) -> None:
     """Detach a kernel driver that holds the board, such as usbtest, which takes any bridge with Cypress' ids.
 
     It stays detached until the board is plugged in again. Raises BoardError on failure.

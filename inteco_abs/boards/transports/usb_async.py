@@ -64,7 +64,7 @@ class QueuedUsbLink(Link):
             self._handle.claimInterface(INTERFACE)
         except usb1.USBError as error:
             self._context.close()
-            raise BoardError(f"the board cannot be opened: {_in_words(error)}") from error
+            raise BoardError(f"the board cannot be opened: {_describe(error)}") from error
         self._begin(self._context, self._handle, timeout_ms * 1e-3)
 
     def _begin(self, context: Any, handle: Any, timeout_s: float) -> None:
@@ -137,7 +137,7 @@ class QueuedUsbLink(Link):
         except BaseException as error:
             self._cancel(transfers)  # also after Ctrl-C: writing SAFE needs them again
             if isinstance(error, usb1.USBError):
-                raise LinkError(_in_words(error)) from error
+                raise LinkError(_describe(error)) from error
             raise
         ended = [transfer.getStatus() for transfer in transfers if not transfer.isSubmitted()]
         self._stalled = self._stalled or usb1.TRANSFER_STALL in ended
@@ -187,8 +187,8 @@ class QueuedUsbLink(Link):
             for endpoint in endpoints:
                 self._handle.clearHalt(endpoint)
         except usb1.USBError as error:
-            raise LinkError(_in_words(error)) from error
+            raise LinkError(_describe(error)) from error
 
 
-def _in_words(error: usb1.USBError) -> str:
+def _describe(error: usb1.USBError) -> str:
     return describe_usb_error(_REFUSED.get(error.value), error)

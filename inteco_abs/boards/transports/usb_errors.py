@@ -22,7 +22,7 @@ _WORDS: Final = {
     errno.EPIPE: "the board refused the transfer (stall); the next one resets its pipe",
     errno.EACCES: f"no permission: {RULES}",
     errno.EBUSY: "another program has the board: end it, one program at a time",
-    errno.EOVERFLOW: "the board sent more than was asked for: does another program use it, or is it another board?",
+    errno.EOVERFLOW: "the board sent more than requested: does another program use it, or is it another board?",
 }
 """By errno, as pyusb gives it (docs/facts/usb.md#errors)."""
 

@@ -11,17 +11,13 @@ from inteco_abs.boards.family import BoardFamily
 from inteco_abs.boards.transports.links import Link
 from inteco_abs.boards.transports.registers import LinkedRegisters, Registers
 from inteco_abs.boards.transports.sysfs import SysfsRegisters
-from inteco_abs.config import BoardConfig, RigConfig
+from inteco_abs.config import BoardConfig
 
 __all__ = ["FAMILY", "RtdacPci"]
 
 
-def _transport(place: str, _: RigConfig) -> Registers:
-    return SysfsRegisters(place)
-
-
 def _driver(carrier: Link | Registers, wiring: BoardConfig, now_ns: Callable[[], int], period_ns: int) -> RtdacPci:
-    registers = LinkedRegisters(carrier) if isinstance(carrier, Link) else carrier  # the mock's are behind a link
+    registers = LinkedRegisters(carrier) if isinstance(carrier, Link) else carrier
     return RtdacPci(registers, wiring, now_ns, period_ns)
 
 
@@ -34,7 +30,7 @@ FAMILY: Final = BoardFamily(
     address_hint="after pci: comes the address as lspci -D shows it, as in pci:0000:03:0a.0",
     profile="pci_abs_50f",
     mock_profile="sim_pci",
-    transport=_transport,
+    transport=lambda place, _config: SysfsRegisters(place),
     driver=_driver,
     mock="inteco_abs.boards.families.pci.mock:MOCK",
     host="inteco_abs.boards.families.pci.host:HOST",
@@ -42,6 +38,6 @@ FAMILY: Final = BoardFamily(
     unused_wiring=frozenset({"frame_map", "pwm_pins", "pwm_functions"}),
     fast_readings=True,
     velocity="road_velocity",
-    reading_caution="reading a board on the PCI bus selects channels in two registers: the only writes, but do not "
-    "read it while another program drives it",
+    reading_caution="reading a board on the PCI bus selects channels in two registers, its only writes: do not read it "
+    "while another program drives it",
 )

@@ -110,7 +110,7 @@ class RtdacPci(Board):
     def _own_version(self, raw: int) -> int:
         if raw == _NO_BOARD:
             raise LinkError(
-                "no board answers, all bits read 1: is it in its slot and switched on? inteco-abs doctor tells more"
+                "no board answers, all bits read 1: is it in its slot and switched on? Run inteco-abs doctor"
             )
         return LOGIC.decode(raw)
 

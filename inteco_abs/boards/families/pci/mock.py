@@ -1,4 +1,4 @@
-"""The mock board as an RT-DAC4/PCI with the ABS logic: 64 registers, most of which nobody has described."""
+"""The mock board as an RT-DAC4/PCI with the ABS logic: 64 registers, most of them undocumented."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _WINDOW: Final = 200_000
 _RESISTOR_LOW, _RESISTOR_HIGH = 140, 150
 """1641 and 1758 rpm, on the manual's screens."""
 _SUPPLY_SCALE_V: Final = 92_000
-"""Supply in volts times what its register shows."""
+"""Product of the supply in volts and its register's value."""
 _PULSE: Final = 1000
-"""Length of the temperature sensor's low pulse, a guess: only the quotient of the two tells the temperature."""
+"""Length of the temperature sensor's low pulse, a guess: only the ratio of both pulses matters."""
 _FIXED: Final = {
     pci.LOGIC.offset: pci.LOGIC_VERSION,
     _COUNTS: _CHANNEL_COUNTS,
@@ -49,20 +49,20 @@ _INDEXES: Final = {pci.PWM_INDEX.offset: pci.PWM_INDEX, pci.ENCODER_INDEX.offset
 
 
 class PciFrontEnd:
-    """Registers of the board: what the host writes and reads, one by one or as messages in the place of a bus.
+    """The board's registers, accessed one by one or in messages that replace the bus.
 
-    `seen` is what registers that never change show, by offset, where another board was seen to show something else.
-    Offsets that nobody has described read 0. Writes there, to registers that no source writes, and of a channel that
-    is not there are dropped, as are malformed messages; `rejected` counts them. Supply and temperature are
-    shown as they are, but no alarm flag follows them: how the FPGA's flags are to be read is unknown (K1, K2).
+    `reported` are values of constant registers by offset, from the report of a board. Undocumented offsets read 0.
+    Writes to them, to registers that no source writes, and of a missing channel are dropped, as are malformed messages;
+    `rejected` counts them. The alarm flags do not depend on supply and temperature, as their meaning is unknown (K1,
+    K2).
     """
 
-    def __init__(self, device: Device, seen: Mapping[int, int] = MappingProxyType({})) -> None:
+    def __init__(self, device: Device, reported: Mapping[int, int] = MappingProxyType({})) -> None:
         self.device = device
         self.rejected = 0
-        self._fixed = {offset: seen.get(offset, value) for offset, value in _FIXED.items()}
+        self._fixed = {offset: reported.get(offset, value) for offset, value in _FIXED.items()}
         self._selected = dict.fromkeys(_INDEXES, 0)
-        self._unseen = False  # whether a width was written that nobody who watches the rig has seen
+        self._unobserved = False  # whether the observer has not been informed of a written width
         self._in_series = True
         self._waiting: list[bytes] = []
         self._moving: dict[int, Callable[[], int]] = {
@@ -78,10 +78,10 @@ class PciFrontEnd:
         }
 
     def bulk_out(self, data: bytes | bytearray) -> None:
-        """One message of the host: accesses, made in order and at one instant.
+        """Receive a message of the host: accesses in order, at one instant of the rig.
 
-        A bus makes them within a microsecond. The rig in CPython takes up to 0.2 ms for each time it is looked at
-        while its wheels begin to turn, and six of them are more than a period.
+        A bus makes them within microseconds. In CPython the rig needs up to 0.2 ms for each advance while its wheels
+        begin to turn, and six advances are more than a period.
         """
         try:
             number, steps = decode_request(data)
@@ -99,14 +99,14 @@ class PciFrontEnd:
             self._waiting.append(encode_answer(number, values))
 
     def bulk_in(self, length: int) -> bytes:
-        """The oldest waiting answer, empty if there is none."""
+        """Return the oldest waiting answer; empty if there is none."""
         return self._waiting.pop(0)[:length] if self._waiting else b""
 
     def read(self, offset: int) -> int:
-        """The 32 bits that the host reads at `offset`."""
-        # one command writes two widths, and reads what was there: to those who watch the rig it is shown once
-        if self._unseen and offset not in _PWM:
-            self._unseen = False
+        """Return the 32 bits at `offset`."""
+        # one command writes two widths and reads the old ones: the observer is informed once
+        if self._unobserved and offset not in _PWM:
+            self._unobserved = False
             self.device.observe()
         if offset in self._fixed:
             return self._fixed[offset]
@@ -121,12 +121,12 @@ class PciFrontEnd:
         return settings.get(self._name(_PWM[offset]), 0) if offset in _PWM else 0
 
     def write(self, offset: int, value: int) -> None:
-        """What the host writes at `offset`; bits beyond a register's width are lost."""
+        """Write `value` at `offset`; bits beyond the register's width are lost."""
         if offset in _INDEXES and value < _INDEXES[offset].channels:
             self._selected[offset] = value
         elif offset in _PWM:
             register = _PWM[offset]
-            self._unseen = self._unseen or register is PWM_WIDTH
+            self._unobserved = self._unobserved or register is PWM_WIDTH
             self.device.apply({self._name(register): register.decode(value)})
         elif offset == pci.ENCODER_RESET.offset:
             self.device.apply({"encoder_reset": pci.ENCODER_RESET.decode(value)})
@@ -134,11 +134,11 @@ class PciFrontEnd:
             self.rejected += 1
 
     def _name(self, register: Register) -> str:
-        """The device's name of a setting of the selected PWM channel."""
+        """Return the device's name for a setting of the selected PWM channel."""
         return register.name.replace("pwm", f"pwm{self._selected[pci.PWM_INDEX.offset]}")
 
     def _count(self) -> int:
-        """The selected counter. The balance lever's stays 0: the rig inside has none that moves."""
+        """Return the selected counter; the balance lever's is 0, as the simulated rig has no moving lever."""
         road, wheel = self.device.counts()
         cable = self.device.cable
         return {cable.road_encoder: road, cable.wheel_encoder: wheel}.get(self._selected[pci.ENCODER_INDEX.offset], 0)
@@ -148,19 +148,19 @@ class PciFrontEnd:
         return round(_SUPPLY_SCALE_V / volts) if volts > 0.0 else 0
 
     def _resistors(self) -> int:
-        """Both start-up resistors: in series until the road wheel is fast, and again once it is slow."""
+        """Return the bits of both start-up resistors: in series until the road wheel is fast, and when it is slow."""
         velocity = _lines(self.device.plant.road_speed)
         self._in_series = velocity < (_RESISTOR_HIGH if self._in_series else _RESISTOR_LOW)
         return pci.RESISTOR1_IN_SERIES.mask | pci.RESISTOR2_IN_SERIES.mask if self._in_series else 0
 
 
 def _lines(speed_rad_s: float) -> int:
-    """What a velocity register shows: encoder lines in one window."""
+    """Return the value of a velocity register: encoder lines in one window."""
     return int(abs(speed_rad_s) / (2.0 * math.pi) * pci.ENCODER_LINES * _WINDOW / pci.VELOCITY_CLOCK_HZ)
 
 
 def _reported(device: Device, _: BoardProtocol | None, image: bytes) -> PciFrontEnd:
-    still: dict[int, int] = {}
+    constant: dict[int, int] = {}
     settings: dict[str, int] = {}
     counts: dict[str, int] = {}
     for name, register, channel, bits in registers_of(image):
@@ -169,11 +169,11 @@ def _reported(device: Device, _: BoardProtocol | None, image: bytes) -> PciFront
         elif name.endswith("_count"):
             counts[name] = register.decode(bits)
         elif channel is None:
-            still[register.offset] = bits
+            constant[register.offset] = bits
     device.write(settings)
     cable = device.cable
     device.begin_counts(counts[f"encoder{cable.road_encoder}_count"], counts[f"encoder{cable.wheel_encoder}_count"])
-    return PciFrontEnd(device, still)
+    return PciFrontEnd(device, constant)
 
 
 MOCK: Final = MockFamily(front_end=PciFrontEnd, reported=_reported, has_alarms=True)

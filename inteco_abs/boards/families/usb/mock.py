@@ -16,15 +16,15 @@ from inteco_abs.mock_board.usbip.ftdi import FtdiBoard, ftdi_identity
 APPLICATION_NAME: Final = MOCK_NAMES[1]
 _COMMAND_BIT: Final = 0x80
 _ALONE: Final = DUMMY + READ_REQUEST
-"""Commands without data."""
+"""Command bytes without data."""
 
 
 class UsbFrontEnd:
     """The board's frames, as whole messages: DUMMY, SEND with its data, READ request and answer.
 
-    Raises ConfigError for a device whose logic has no tables. Counters, timers and pins are made anew for each
-    answer, settings are echoed as the last good SEND frame left them, bits that no table names among them. `image` is a
-    READ frame that the board shows at power-up; without it all settings are zero.
+    An answer has the present counters, timers and pins, and echoes the settings of the last good SEND frame, including
+    bits that no table names. `image` is the READ frame at power-up; without it all settings are zero. Raises
+    ConfigError for a device whose logic has no tables.
     """
 
     def __init__(self, device: Device, image: bytes = b"") -> None:
@@ -54,7 +54,7 @@ class UsbFrontEnd:
             self._keep_unnamed(image)
 
     def bulk_out(self, data: bytes | bytearray) -> None:
-        """One message of the host. 0x83, send and read, is named by the vendor but not understood here."""
+        """Receive a message from the host; rejects 0x83 (send and read), which no known program uses."""
         if len(data) == FRAME_BYTES:
             self._send(data)
         elif data == READ_REQUEST:
@@ -63,7 +63,7 @@ class UsbFrontEnd:
             self.rejected += 1
 
     def bulk_in(self, length: int) -> bytes:
-        """What the host gets: the oldest waiting answer, empty if there is none."""
+        """Return the oldest waiting answer; empty if there is none."""
         return self._waiting.pop(0)[:length] if self._waiting else b""
 
     def _send(self, data: bytes | bytearray) -> None:
@@ -80,7 +80,7 @@ class UsbFrontEnd:
         self._keep_unnamed(data[1:])
 
     def _keep_unnamed(self, data: bytes | bytearray) -> None:
-        """Show the bits without a name as these data bytes have them."""
+        """Echo the bits that no table names from these data bytes."""
         for at, mask in enumerate(self._unnamed):
             self._answer[at] = self._answer[at] & ~mask | data[at] & mask
 
@@ -95,10 +95,10 @@ class UsbFrontEnd:
 
 
 class ByteStream:
-    """The same board behind a FIFO: bytes arrive and leave in any cuts, and bit 7 marks where a message begins.
+    """The board behind a FIFO: a byte stream in which bit 7 marks the first byte of a message.
 
-    A message is whole after its command byte (DUMMY, READ) or after a frame's length; a command byte in the midst of
-    one cuts it short, and the front end drops what is not a message.
+    A message is complete after its command byte (DUMMY, READ) or after a frame's length; a command byte inside a frame
+    ends it early, and the front end drops the fragment.
     """
 
     def __init__(self, front_end: FrontEnd) -> None:
@@ -106,7 +106,7 @@ class ByteStream:
         self._arriving = bytearray()
 
     def feed(self, data: bytes | bytearray) -> bytes:
-        """Take bytes of the host; what the board answers to them."""
+        """Receive bytes from the host; return the board's answer."""
         for byte in data:
             if byte & _COMMAND_BIT:
                 self._deliver()
@@ -116,14 +116,14 @@ class ByteStream:
         return b"".join(iter(lambda: self.front_end.bulk_in(FRAME_BYTES), b""))
 
     def _deliver(self) -> None:
-        """Hand over what has arrived, whole or not."""
+        """Pass on the bytes of a message, complete or not."""
         if self._arriving:
             self.front_end.bulk_out(bytes(self._arriving))
             self._arriving.clear()
 
 
 def _function_bit(settings: Mapping[str, int], channel: int) -> bool:
-    """One bit a channel (INFERRED); whether the pin's direction matters is unknown."""
+    """Return the channel's function bit (INFERRED); whether the pin's direction matters is unknown."""
     return bool(settings.get("pin_mode", 0) >> channel & 1)
 
 

@@ -24,7 +24,7 @@ from firmware_protocol.rtdac_usb2_bridge import (
 from inteco_abs.boards.transports.usb_errors import describe_usb_error
 from inteco_abs.errors import LinkError
 
-NOT_TOLD: Final = "not told"
+NOT_REPORTED: Final = "not reported"
 _TIMEOUT_MS: Final = 1000
 """The vendor's own, for each endpoint (docs/facts/boards.md#endpoints); nothing is driven meanwhile."""
 _FROM_DEVICE, _TO_DEVICE = 0xC0, 0x40
@@ -33,17 +33,17 @@ _ADDRESSES: Final = struct.Struct("<2xHH")
 
 
 class FirmwareDates(NamedTuple):
-    """Dates of the bridge's firmware as the board reports them, or NOT_TOLD."""
+    """Dates of the bridge's firmware as the board reports them, or NOT_REPORTED."""
 
     compiled: str
     released: str
 
 
 def firmware_dates(device: Any) -> FirmwareDates:
-    """Read the dates; NOT_TOLD if the board refuses or answers nonsense. Raises LinkError for other failures."""
+    """Read the dates; NOT_REPORTED if the board refuses or answers nonsense. Raises LinkError for other failures."""
     answer = _ask(device, REQUEST_DATE_ADDRESSES, 0, DATE_ADDRESSES_BYTES)
     if len(answer) != _ADDRESSES.size:
-        return FirmwareDates(NOT_TOLD, NOT_TOLD)
+        return FirmwareDates(NOT_REPORTED, NOT_REPORTED)
     compiled, released = _ADDRESSES.unpack(answer)
     return FirmwareDates(_date(device, compiled), _date(device, released))
 
@@ -65,7 +65,7 @@ def bridge_facts(device: Any) -> dict[str, str]:
     try:
         compiled, released = firmware_dates(device)
     except LinkError as error:  # for information only
-        compiled = released = f"not told: {error}"
+        compiled = released = f"not reported: {error}"
     return {
         "ids": ids,
         "serial": str(device.serial_number),
@@ -77,7 +77,7 @@ def bridge_facts(device: Any) -> dict[str, str]:
 def _date(device: Any, address: int) -> str:
     """Read a date: two-byte characters with the text in the lower bytes."""
     text = _ask(device, REQUEST_DATE, address, DATE_BYTES)[: 2 * DATE_CHARACTERS : 2].decode("latin-1").strip("\0 ")
-    return text if text and text.isascii() and text.isprintable() else NOT_TOLD
+    return text if text and text.isascii() and text.isprintable() else NOT_REPORTED
 
 
 def _ask(device: Any, request: int, value: int, length: int) -> bytes:

@@ -1,4 +1,4 @@
-"""The mock board as an RT-DAC/USB2: bulk transfers of real frames in, real frames out, in any of its known logics."""
+"""The mock board as an RT-DAC/USB2: answers the frames of every known logic."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 from firmware_protocol import Logic, ProtocolError
 from firmware_protocol.fields import sent_back
 from firmware_protocol.rtdac_usb2 import FRAME_BYTES, LOGIC_VERSION, LOGICS, READ, READ_REQUEST, SEND
-from inteco_abs.config import MOCK_NAMES, BoardConfig
+from inteco_abs.config import MOCK_NAMES
 from inteco_abs.mock_board import Connected, Device, MockFamily, always_connected, reported_frames, require_terminals
 from inteco_abs.mock_board.usbip.usb_board import UsbBoard
 from inteco_abs.mock_board.usbip.usb_descriptors import UsbIdentity
@@ -26,7 +26,7 @@ _WORD: Final = struct.Struct("<H")
 
 
 def _header(logic: Logic) -> dict[str, int | str]:
-    """Its counts are those of the generic logic, but for what the logic has fewer of."""
+    """Return the header: the generic logic's, with this logic's numbers of PWM and encoder channels."""
     return {
         "logic_version": LOGIC_VERSION,
         "application_name": APPLICATION_NAME,
@@ -41,12 +41,11 @@ def _header(logic: Logic) -> dict[str, int | str]:
 
 
 class Usb2FrontEnd:
-    """Bulk endpoints of the board: what the host writes and reads, byte for byte, in the words of the device's logic.
+    """The board's bulk endpoints, with the frames of the device's logic.
 
-    Malformed writes are dropped, as nothing is known of any complaint of the real board; `rejected` counts them.
-    `image` is a READ frame that the board shows at power-up: its settings and the words that no table names, which the
-    mock takes for settings of their own, and echoes. Without it all of them are zero. Raises ProtocolError for a
-    damaged one.
+    Drops malformed writes, as no error reply of the real board is known; `rejected` counts them. `image` is the READ
+    frame at power-up: its settings, and the words that no table names, which the mock echoes like settings. Without it
+    all are zero. Raises ProtocolError for a damaged image.
     """
 
     def __init__(self, device: Device, image: bytes = b"") -> None:
@@ -61,7 +60,7 @@ class Usb2FrontEnd:
         self._numbering = f"pwm{logic.pwm_channels - 1}_prescaler"
         cable = device.cable
         require_terminals(cable, read)
-        # what changes with every frame: the two widths that move the rig, and the word that hosts number frames with
+        # these change with every frame: the rig's two widths, and the word with which hosts number frames
         drive, brake, number = f"pwm{cable.drive_pwm}_width", f"pwm{cable.brake_pwm}_width", self._numbering
         self._drive, self._brake = send.place(drive).offset, send.place(brake).offset
         self._drive_echo, self._brake_echo = read.place(drive).offset, read.place(brake).offset
@@ -69,7 +68,7 @@ class Usb2FrontEnd:
         self._road = read.place(f"encoder{cable.road_encoder}_count")
         self._wheel = read.place(f"encoder{cable.wheel_encoder}_count")
         self._hot = (self._drive, self._brake, self._number, _LATCH, _LATCH + 2)
-        self._newest = bytearray(FRAME_BYTES)  # last frame that was decoded: another one like it need not be
+        self._newest = bytearray(FRAME_BYTES)  # last decoded frame; equal ones are not decoded again
         self._widths = (0, 0)
         self._number_top = 0
         self._answer = bytearray(read.encode(self._header))
@@ -80,7 +79,7 @@ class Usb2FrontEnd:
             self._keep_unnamed(image)
 
     def bulk_out(self, data: bytes | bytearray) -> None:
-        """What the host writes to endpoint 0x02."""
+        """Receive a message of the host at endpoint 0x02."""
         if len(data) == FRAME_BYTES:
             self._send(data)
         elif data == READ_REQUEST:
@@ -89,7 +88,7 @@ class Usb2FrontEnd:
             self.rejected += 1
 
     def bulk_in(self, length: int) -> bytes:
-        """What the host gets from endpoint 0x84: the oldest waiting answer, empty if there is none."""
+        """Return the oldest waiting answer at endpoint 0x84; empty if there is none."""
         return self._waiting.pop(0)[:length] if self._waiting else b""
 
     def _send(self, data: bytes | bytearray) -> None:
@@ -115,7 +114,7 @@ class Usb2FrontEnd:
         _WORD.pack_into(self._answer, self._number, number)
 
     def _decode(self, data: bytes | bytearray) -> None:
-        """Take over a frame with new settings, and make the answer anew, which echoes them in its own encoding."""
+        """Apply a frame with new settings, and encode the answer that echoes them."""
         read, send = self._tables
         try:
             settings = send.decode(data)
@@ -136,7 +135,7 @@ class Usb2FrontEnd:
         )
 
     def _keep_unnamed(self, frame: bytes | bytearray) -> None:
-        """Show the words without a name as a frame of either direction has them."""
+        """Echo the bits that no table names from a frame of either direction."""
         table = self._tables[0]
         shown = zip(table.words(self._answer), table.words(frame), self._unnamed, strict=True)
         self._answer = bytearray(table.pack([answer & ~mask | word & mask for answer, word, mask in shown]))
@@ -159,13 +158,13 @@ class Usb2FrontEnd:
 
 
 def _pin_of_generic_logic(settings: Mapping[str, int], channel: int) -> bool:
-    """Three pins a channel, of which the third is the PWM's (docs/facts/boards.md#generic-usb2-logic)."""
+    """Return whether a channel's PWM pin, its third (docs/facts/boards.md#generic-usb2-logic), is an output."""
     pin = 3 * channel + 2
     return bool(settings.get("pin_mode", 0) >> pin & 1 and not settings.get("pin_direction", 0) >> pin & 1)
 
 
 def _pin_of_power_interface(settings: Mapping[str, int], channel: int) -> bool:
-    """CN1 pins 19 and 23 carry PWM 0 and 1, once they are outputs (S5)."""
+    """Return whether CN1 pin 19 (PWM 0) or 23 (PWM 1) is an output (S5)."""
     return not settings.get("pin_direction", 0) >> (4 * channel + 19) & 1
 
 
@@ -178,14 +177,10 @@ _CONNECTED: Final[dict[str, Connected]] = {
 }
 
 
-def _connected(wiring: BoardConfig) -> Connected:
-    return _CONNECTED[wiring.frame_map]
-
-
 MOCK: Final = MockFamily(
     front_end=Usb2FrontEnd,
     reported=reported_frames(Usb2FrontEnd),
-    connected=_connected,
+    connected=lambda wiring: _CONNECTED[wiring.frame_map],
     identity_offset=READ.place("logic_version").offset,
     usb_device=lambda front_end, identity, serial: UsbBoard(front_end, identity(UsbIdentity(serial=serial))),
 )

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from firmware_protocol.rtdac_usb2 import READ_REQUEST, encode_read, encode_send
 from inteco_abs.errors import ConfigError
 from inteco_abs.wire.capture import Capture, Record, RecordKind
-from inteco_abs.wire.changed_words import compare_sends, moved_words
+from inteco_abs.wire.changed_words import changed_words, compare_sends
 from inteco_abs.wire.summary import summarize
 
 
@@ -30,7 +30,7 @@ def test_an_unknown_word_moved_by_a_slider_comes_first():
         frames[number:] = [with_word(frame, 45, 10 * number) for frame in frames[number:]]
     for number in (10, 35, 80):  # a lamp, once together with the slider
         frames[number:] = [with_word(frame, 14, number) for frame in frames[number:]]
-    first, second, last = moved_words(capture(frames))
+    first, second, last = changed_words(capture(frames))
     assert (first.direction, first.word, first.byte_offset, first.fields) == ("SEND", "w45", 90, ("unknown",))
     assert (first.minimum, first.maximum, first.distinct, first.changes) == (0, 390, 11, 10)
     assert (first.course, first.restless) == ("rises", False)
@@ -46,36 +46,36 @@ def test_of_two_equal_candidates_the_unknown_one_comes_first():
     frames = [encode_send({}) for _ in range(50)]
     frames[10:] = [with_word(frame, 22, 5) for frame in frames[10:]]
     frames[20:] = [with_word(frame, 225, 5) for frame in frames[20:]]
-    assert [word.word for word in moved_words(capture(frames))] == ["w225", "w22"]
+    assert [word.word for word in changed_words(capture(frames))] == ["w225", "w22"]
 
 
 def test_a_counter_that_wraps_is_seen_to_rise_and_its_reverse_to_fall():
     up = [encode_read({"encoder0_count": 65500 + 7 * number}) for number in range(20)]
-    assert [word.course for word in moved_words(capture(up, RecordKind.IN))] == ["rises", "rises"]
-    assert [word.course for word in moved_words(capture(up[::-1], RecordKind.IN))] == ["falls", "falls"]
+    assert [word.course for word in changed_words(capture(up, RecordKind.IN))] == ["rises", "rises"]
+    assert [word.course for word in changed_words(capture(up[::-1], RecordKind.IN))] == ["falls", "falls"]
 
 
 def test_a_word_that_goes_to_and_fro_goes_both_ways():
     frames = [encode_read({"ad0_result": value}) for value in (0, 5, 3)]
-    (word,) = moved_words(capture(frames, RecordKind.IN))
+    (word,) = changed_words(capture(frames, RecordKind.IN))
     assert (word.direction, word.course, word.bits, word.fields) == ("READ", "both ways", 0x7, ("ad0_result",))
 
 
 def test_bits_that_no_field_owns_are_unknown_beside_those_that_one_does():
     frames = [encode_send({}), with_word(encode_send({}), 22, 0x1001)]
-    (word,) = moved_words(capture(frames))
+    (word,) = changed_words(capture(frames))
     assert word.fields == ("pwm0_width", "unknown")
 
 
 def test_data_bytes_of_the_first_generation_are_named():
     frames = [b"\x81" + bytes(149), b"\x81" + bytes(23) + b"\x05" + bytes(125)]
-    (word,) = moved_words(capture(frames, board="usb1-111"))
+    (word,) = changed_words(capture(frames, board="usb1-111"))
     assert (word.word, word.byte_offset) == ("b23", 24)
     assert word.fields == ("pwm0_prescaler", "unknown")
 
 
 def test_a_capture_without_frames_has_nothing_that_moved():
-    assert moved_words(capture([READ_REQUEST, b"x"])) == []
+    assert changed_words(capture([READ_REQUEST, b"x"])) == []
 
 
 @given(st.lists(st.dictionaries(st.integers(1, 251), st.integers(0, 0x7FFF), max_size=4), min_size=1, max_size=12))
@@ -86,7 +86,7 @@ def test_what_moved_is_just_what_has_more_than_one_value(changes):
         for word, value in words.items():
             frame = with_word(frame, word, value)
         frames.append(frame)
-    found = moved_words(capture(frames))
+    found = changed_words(capture(frames))
     columns = {word: [frame[2 * word : 2 * word + 2] for frame in frames] for word in range(252)}
     assert {one.byte_offset // 2 for one in found} == {word for word, column in columns.items() if len(set(column)) > 1}
     for one in found:
