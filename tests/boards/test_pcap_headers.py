@@ -88,7 +88,7 @@ def test_a_packet_that_looks_like_usbmon_is_one_or_one_clear_error(start, rest, 
 def test_a_packet_shorter_than_its_data_says_what_to_do():
     monitor = Usbmon()
     packet = monitor.packet(1, "S", 2, bytes(504), status=-115)[:96]
-    with pytest.raises(CaptureError, match=r"32 of its 504 bytes of data are there.*without a length limit"):
+    with pytest.raises(CaptureError, match=r"it has 32 of its 504 bytes of data.*without a length limit"):
         decode(packet, LINUX_USB_MMAPPED)
 
 

@@ -197,8 +197,8 @@ class TestOpening:
     @pytest.mark.parametrize("name", ["pwm0_mode", "pwm1_mode", "pwm0_prescaler", "pwm1_prescaler", "encoder_reset"])
     def test_a_setting_that_the_board_does_not_take_is_named(self, new_pci_bench, name):
         bench = new_pci_bench("board.pwm_mode=12-bit", earlier={"encoder_reset": 1})
-        take = bench.device.take
-        bench.device.take = lambda settings: take({key: value for key, value in settings.items() if key != name})
+        apply = bench.device.apply
+        bench.device.apply = lambda settings: apply({key: value for key, value in settings.items() if key != name})
         with pytest.raises(BoardError, match=f"did not take its settings: {name.replace('0', '').replace('1', '')}"):
             bench.board.__enter__()
         assert bench.link.closed
