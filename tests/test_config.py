@@ -83,7 +83,7 @@ def test_every_shipped_profile_loads_and_passes_the_checks():
         assert config.profile == name
 
 
-def test_the_profile_of_a_real_board_is_strict_and_signed_by_nobody():
+def test_the_profile_of_a_real_board_is_strict_and_unsigned():
     config = load_config(settings=["profile=usb2_generic_0103"])
     assert config.board.verified_by == ""
     assert config.guard.brake_limit == 0.7
@@ -201,7 +201,7 @@ def test_a_stored_configuration_with_mistakes_is_refused_with_all_of_them():
     assert {mistake.path for mistake in caught.value.mistakes} == {"board", "guard.brake_limit", "loop.rte_hz"}
 
 
-def test_a_stored_configuration_that_is_no_toml_is_refused():
+def test_a_stored_configuration_that_is_not_toml_is_refused():
     with pytest.raises(ConfigError, match="is not TOML"):
         parse_config("guard = [")
 
@@ -308,7 +308,7 @@ def test_an_unknown_key_near_nothing_gets_the_known_ones():
 
 
 @pytest.mark.parametrize("value", ["true", "false", "nan", "-nan", "inf", "-inf", "1e400", "[0.7]", "1979-05-27", ""])
-def test_what_is_no_usable_number_is_refused_with_its_value_and_the_range(value):
+def test_an_unusable_number_is_refused_with_its_value_and_the_range(value):
     seen = {"": "''", "-nan": "nan", "1e400": "inf"}.get(value, value)
     assert mistakes(f"guard.brake_limit={value}") == {
         "guard.brake_limit": f"{seen}: must be a number above 0 and at most 1"
@@ -316,7 +316,7 @@ def test_what_is_no_usable_number_is_refused_with_its_value_and_the_range(value)
 
 
 @pytest.mark.parametrize("value", ["true", "2.0", "nan", "1001", "-1"])
-def test_what_is_no_usable_whole_number_is_refused_with_its_value_and_the_range(value):
+def test_an_unusable_whole_number_is_refused_with_its_value_and_the_range(value):
     assert mistakes(f"guard.missed_in_a_row={value}") == {
         "guard.missed_in_a_row": f"{value}: must be a whole number at least 1 and at most 1000"
     }
@@ -336,11 +336,11 @@ def test_a_number_too_large_for_any_computer_is_a_mistake_like_another(setting):
 
 
 @pytest.mark.parametrize("key", ["estimator.name", "controller.name", "board.verified_by"])
-def test_what_is_no_text_is_refused(key):
+def test_what_is_not_text_is_refused(key):
     assert mistakes(f"{key}=3") == {key: "3: must be text"}
 
 
-def test_a_profile_that_is_no_text_is_reported_once():
+def test_a_profile_that_is_not_text_is_reported_once():
     assert list(mistakes("profile=3")) == ["profile"]
 
 
@@ -540,7 +540,7 @@ def test_a_profile_file_with_mistakes_is_like_any_other(tmp_path):
 @pytest.mark.parametrize(
     ("content", "line"), [("[guard\n", 1), ("a = 1\nb =\n", 2), ("a = 1\na = 2\n", 2), ("[a]\n[a]\n", 2)]
 )
-def test_what_is_no_toml_is_named_with_its_line(written, content, line):
+def test_what_is_not_toml_is_named_with_its_line(written, content, line):
     file = written(content)
     found = mistakes(file=file)
     assert list(found) == [str(file)]

@@ -56,7 +56,7 @@ def test_any_text_has_a_hint_or_none(text, unit):
         (1800, "rad/s", (10, 240), "; looks like rpm: 1800 rpm is 188.5 rad/s"),
         (500, "s", (0, 10), "; looks like ms: 500 ms is 0.5 s"),
         (2, "Hz", (50, 10_000), "; looks like kHz: that is 2000 Hz"),
-        (300, "rad/s", (10, 240), ""),  # too fast, and slow in rpm: nobody knows
+        (300, "rad/s", (10, 240), ""),  # too fast, and slow in rpm: not decidable
         (1.5, "", (0, 1), ""),
         (7, "", (0, 5), ""),
         (1e6, "rad/s", (10, 240), ""),

@@ -125,7 +125,7 @@ class WatchedRig(MockRigAccess):
 
 
 class Lab:
-    """A folder with a draft in it; each session is a new procedure on a board that is powered up anew."""
+    """A folder with a draft in it; each session is a new procedure on a board that is powered up again."""
 
     def __init__(self, folder) -> None:
         self.file = folder / "lab.toml"
@@ -158,7 +158,7 @@ class Lab:
 
 @cache
 def files_after(steps: int, settings: tuple[str, ...]) -> dict[str, str]:
-    """Texts of the files by their names after the first so many steps: walked once for all tests, step by step."""
+    """Texts of the files by name after each number of steps: done once for all tests."""
     with TemporaryDirectory() as folder:
         lab = Lab(Path(folder))
         if steps:

@@ -32,16 +32,16 @@ FTDI = b"".join(ftdi_identity().descriptor(kind, 0) for kind in (1, 2))
 def reported(lab, scripts, tmp_path):
     """Walks steps 1 to 4 on the mock of a board; the file with its report."""
 
-    def procedure(kind="usb2", told=None):
+    def procedure(kind="usb2", stated=None):
         if kind == "usb2":
             lab.done_until("echo")
         else:
             procedure = lab.session(*(answer for name in READING for answer in scripts[name]), profile=KINDS[kind])
             for name in READING:
                 procedure.go(only=name)
-        if told is not None:
+        if stated is not None:
             listed = lab.draft.results["list"]
-            device = {"address": "sim:", "description": "", "told": told}
+            device = {"address": "sim:", "description": "", "told": stated}
             lab.draft.record("list", {**listed, "devices": [device]})
         file = tmp_path / "board.jsonl"
         write_capture(file, board_seen(lab.draft))
@@ -84,8 +84,8 @@ def test_a_mock_made_of_the_report_begins_as_the_board_that_was_seen_and_has_the
 
 @pytest.mark.parametrize(("raw", "like"), [(ODD, UsbIdentity()), (FTDI, ftdi_identity())], ids=["usb2", "ftdi"])
 def test_its_descriptors_are_those_of_the_board_and_its_serial_number_is_a_mocks(reported, raw, like):
-    told = {"descriptors": raw.hex(), "manufacturer": "InTeCo", "product": "RT-DAC", "serial": "77", "speed": "480"}
-    identity = ReportedBoard(reported(told=told)).identity(like)
+    stated = {"descriptors": raw.hex(), "manufacturer": "InTeCo", "product": "RT-DAC", "serial": "77", "speed": "480"}
+    identity = ReportedBoard(reported(stated=stated)).identity(like)
     assert identity.descriptor(1, 0) + identity.descriptor(2, 0) == raw
     manufacturer, product, serial = raw[14:17]
     texts = [identity.descriptor(3, index)[2:].decode("utf-16-le") for index in (manufacturer, product, serial)]
@@ -94,21 +94,21 @@ def test_its_descriptors_are_those_of_the_board_and_its_serial_number_is_a_mocks
 
 
 def test_a_host_reads_them_from_the_mock(reported):
-    seen = ReportedBoard(reported(told={"descriptors": ODD.hex(), "manufacturer": "InTeCo", "speed": "480"}))
+    seen = ReportedBoard(reported(stated={"descriptors": ODD.hex(), "manufacturer": "InTeCo", "speed": "480"}))
     _, front_end, _ = mocked(seen)
     device = UsbBoard(front_end, seen.identity(UsbIdentity()))
     assert device.control(SetupPacket(0x80, 6, 0x0100, 0, 18)) == ODD[:18]
 
 
 def test_what_was_seen_is_in_it(lab, reported):
-    told = {
+    stated = {
         "descriptors": ODD.hex(),
         "manufacturer": "InTeCo",
         "product": "RT-DAC/USB2",
         "serial": "A77",
         "speed": "12",
     }
-    capture = read_capture(reported(told=told))
+    capture = read_capture(reported(stated=stated))
     report = capture.report
     assert report.identity.application_name == "ABSSIM"
     assert (report.bus.descriptors, report.bus.serial_form, report.bus.speed) == (ODD.hex(), "x99", "12")
@@ -132,8 +132,8 @@ def test_nothing_personal_is_in_it(lab, monkeypatch, user, host, serial):
     draft.write({"board.evidence.drive_pwm": {"status": "confirmed", "source": f"by {user}"}})
     draft.write({"board.verified_by": user, "board.verified_on": date(2026, 5, 17), "board.verified_logic": 0x103})
     draft.write({"session.spill": f"/home/{user}/runs", "usb.manufacturer": f"InTeCo {serial}"})
-    told = {"descriptors": ODD.hex(), "manufacturer": f"{host} {serial}", "product": f"of {user}", "serial": serial}
-    draft.record("list", {"outcome": "done", "devices": [{"address": f"usb2:{serial}", "told": told}]})
+    stated = {"descriptors": ODD.hex(), "manufacturer": f"{host} {serial}", "product": f"of {user}", "serial": serial}
+    draft.record("list", {"outcome": "done", "devices": [{"address": f"usb2:{serial}", "told": stated}]})
     draft.record("motors", {"outcome": "failed", "problem": f"/home/{user}/x.toml on {host}"})
     monkeypatch.setattr(getpass, "getuser", lambda: user)
     monkeypatch.setattr(platform, "node", lambda: host)
@@ -191,13 +191,13 @@ WRONG = {
 
 @pytest.mark.parametrize("what", WRONG)
 def test_a_report_that_is_wrong_is_refused_by_the_name_of_what_is_wrong(reported, what):
-    changes, told = WRONG[what]
+    changes, stated = WRONG[what]
     file = reported()
     head, *rest = file.read_text().splitlines(keepends=True)
     head = json.loads(head)
     head["report"] = head["report"] | changes if isinstance(changes, dict) else changes
     file.write_text("".join([json.dumps(head) + "\n", *rest]))
-    with pytest.raises(AbsError, match=told):
+    with pytest.raises(AbsError, match=stated):
         plugged_in(file)
 
 

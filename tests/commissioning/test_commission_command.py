@@ -148,7 +148,7 @@ def test_a_step_is_done_again_on_demand(commission, whole_script):
 def test_in_real_time_a_guarded_process_holds_the_mock(lab, installed, scripts):
     lab.done_until("echo")
     phrase, *rest = scripts["motors"][1:]
-    for step, lines in (("echo", scripts["echo"]), ("motors", ["", phrase, "yes", *rest])):  # it is a mock anew
+    for step, lines in (("echo", scripts["echo"]), ("motors", ["", phrase, "yes", *rest])):  # each is a new mock
         run = installed("--draft", "lab.toml", "--step", step, lines=lines)
         assert run.returncode == 0, run.stderr
         assert "the guardian is drilled first" in run.stderr

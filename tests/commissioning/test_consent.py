@@ -22,7 +22,7 @@ def test_the_table_comes_before_the_question_and_the_question_before_the_first_w
         return "yes"
 
     lab.session(*scripts["echo"][:-1], answer).go(only="echo")
-    (table,) = [told for told in seen if "change with the first write" in told]
+    (table,) = [stated for stated in seen if "change with the first write" in stated]
     assert all(row in table for row in ROWS)
     assert lab.operator.asked[-1].startswith("Write this to the board?")
     assert lab.rig.frames_sent
@@ -68,7 +68,7 @@ def test_a_pwm_that_is_not_the_profile_s_own_may_not_run(lab, scripts, step):
     assert lab.rig.frames_sent == before
 
 
-def test_unless_the_profile_says_that_it_is_to_be_off(lab, scripts):
+def test_unless_the_profile_sets_it_off(lab, scripts):
     settings = ["board.constants.pwm4_width=0"]
     lab.done_until("echo", settings)
     procedure = lab.session(*scripts["echo"])
@@ -78,7 +78,7 @@ def test_unless_the_profile_says_that_it_is_to_be_off(lab, scripts):
     assert {sent["pwm4_width"] for sent in lab.rig.settings_sent[1:]} == {0}
 
 
-def test_the_walk_on_the_unknown_abs_logic_switches_thermal_protection_on_and_says_so(lab, whole_script):
+def test_commissioning_an_unknown_abs_logic_switches_thermal_protection_on_and_says_so(lab, whole_script):
     lab.session(*whole_script, profile="usb2_abs_candidate").go(only="list")
     lab.operator.answers[:] = ["", "no", *whole_script[2:]]  # the mock's version is the generic logic's
     lab.procedure.go()

@@ -164,7 +164,7 @@ def test_safe_that_cannot_be_confirmed_is_said_with_its_own_exit_code(lab, scrip
     assert STILL_ON in str(error.value)
 
 
-def test_outputs_left_on_by_another_program_are_told_and_hands_kept_off(lab):
+def test_outputs_left_on_by_another_program_are_reported_and_left_alone(lab):
     lab.session("", "", "", "")
     lab.rig.change_answer = lambda answer: answer[:44] + b"\xff\x00" + answer[46:]  # width of PWM 0
     with pytest.raises(ProbeError, match="emergency switch"):

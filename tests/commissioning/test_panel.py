@@ -47,7 +47,7 @@ class TestDeadMansKey:
         by_person = panel()
         assert not any(by_person.press(START_NS + HELD_NS * number) for number in range(4))
 
-    def test_after_another_key_it_has_to_be_held_anew(self):
+    def test_after_another_key_it_has_to_be_held_again(self):
         by_person = panel()
         by_person.press(START_NS)
         by_person.press(START_NS + 30 * MS)
@@ -95,7 +95,7 @@ class TestSliders:
         assert by_person.request == Command.SAFE
 
     @pytest.mark.parametrize("act", [lambda one: one.move("drive", 1), Panel.to_zero])
-    def test_whoever_moves_one_lets_the_key_go(self, act):
+    def test_moving_a_slider_releases_the_key(self, act):
         by_person = panel()
         by_person.press(START_NS)
         by_person.press(START_NS + 1)
@@ -112,7 +112,7 @@ class TestWhatIsSeen:
         assert (lower.name, lower.counts, lower.turns, lower.speed_rad_s) == ("lower", -1024, -0.5, 20.0)
         assert lower.speed_rpm == pytest.approx(190.986, abs=0.001)
 
-    def test_from_the_zero_on_they_are_counted_anew(self):
+    def test_from_the_zero_on_they_are_counted_again(self):
         by_person = panel()
         by_person.see(ticks(still(counts=(500, 700))))
         by_person.zero_counts()
@@ -143,7 +143,7 @@ class TestWhatIsSeen:
 
 
 class TestState:
-    def test_it_says_whether_power_is_on_and_why_not(self):
+    def test_the_state_shows_whether_power_is_on_and_why_not(self):
         by_person = panel()
         assert by_person.state(START_NS).startswith("OFF: hold the space bar")
         by_person.press(START_NS)
@@ -154,5 +154,5 @@ class TestState:
         by_person.see(ticks(still(reason=Reason.OVER_SPEED)))
         assert EXPLANATIONS[Reason.OVER_SPEED] in by_person.state(START_NS + 4)
 
-    def test_who_only_watches_is_told_how_to_move_the_motors(self):
+    def test_a_watching_panel_explains_how_to_move_the_motors(self):
         assert "--outputs" in panel(outputs=False).state(START_NS)

@@ -91,7 +91,7 @@ def test_counters_of_an_unknown_logic_are_not_taken_for_counters():
     assert ("0x0103" in str(found.refused[0]), found.moved) == (True, None)
 
 
-def test_outputs_that_were_left_on_are_told_of():
+def test_outputs_that_were_left_on_are_reported():
     rig = WatchedRig("experiment.idle_s=0.01")
     rig.device.power(on=False)
     rig.link().write(encode_send({"pin_mode": 1 << 2 | 1 << 5, "pwm0_width": 255}))

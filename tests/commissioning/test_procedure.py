@@ -71,7 +71,7 @@ def test_the_unsigned_draft_opens_it_for_reading_only(lab):
 
 @pytest.mark.untraced
 @pytest.mark.parametrize("step", STEPS)
-def test_an_interruption_at_any_step_keeps_the_draft_and_the_walk_goes_on_there(lab, scripts, step):
+def test_an_interruption_at_any_step_keeps_the_draft_and_the_procedure_continues_there(lab, scripts, step):
     lab.done_until(step)
     before = lab.file.read_text() if lab.file.exists() else ""
     with pytest.raises(KeyboardInterrupt):
@@ -136,7 +136,7 @@ def test_a_changed_wiring_takes_the_signature_and_what_rests_on_it(lab):
     assert lab.outcomes() == {name: "outdated" if name in STEPS[4:] else "done" for name in STEPS}
 
 
-def test_settings_that_are_no_wiring_leave_the_signature(lab):
+def test_settings_outside_the_wiring_keep_the_sign_off(lab):
     lab.all_done()
     lab.session(settings=["experiment.start_speed_rad_s=100"])
     assert lab.draft.config.board.verified_by == "the lab"
@@ -179,7 +179,7 @@ def test_a_step_that_failed_says_what_to_do(lab):
 
 
 class StoppedClock:
-    """Real time, as far as the rig knows."""
+    """Real time, for the rig."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -225,7 +225,7 @@ class TestTimeOfTheMock:
 
 class TestSigning:
     @pytest.mark.parametrize("name", ["", "  ", "123", "x" * 101, "tab\tbed"])
-    def test_what_is_no_name_does_not_sign(self, lab, name):
+    def test_what_is_not_a_name_does_not_sign(self, lab, name):
         lab.done_until("sign")
         with pytest.raises(ProbeError, match="no valid answer"):
             lab.session("", name, name, name).go()
@@ -241,5 +241,5 @@ class TestSigning:
     def test_what_is_not_confirmed_is_shown_before(self, lab, scripts):
         lab.done_until("sign")
         lab.session(*scripts["sign"]).go()
-        told = next(text for text in lab.operator.said if "not confirmed" in text)
-        assert "numbering_pwm (inferred): eight channels" in told
+        stated = next(text for text in lab.operator.said if "not confirmed" in text)
+        assert "numbering_pwm (inferred): eight channels" in stated

@@ -83,7 +83,7 @@ def test_results_that_the_walk_did_not_write_are_refused(lab, text):
         lab.session()
 
 
-def test_lost_results_mean_to_begin_anew_with_the_draft_as_it_is(lab):
+def test_without_its_results_a_draft_begins_again_as_it_is(lab):
     lab.done_until("echo")
     lab.draft.results_file.unlink()
     lab.session()

@@ -59,7 +59,7 @@ def test_a_better_profile_is_taken_if_the_person_wants_it(lab, answer, base):
     assert config.board.logic_version == 0x0103
 
 
-def test_a_quiet_visit_tells_of_it_and_keeps_the_profile(lab):
+def test_a_quiet_step_reports_it_and_keeps_the_profile(lab):
     lab.session(profile="usb2_abs_candidate", quiet=True).go()
     assert lab.operator.heard("matching shipped profile is usb2_generic_0103")
     assert lab.draft.profile == "usb2_abs_candidate"

@@ -7,7 +7,7 @@ from inteco_abs.errors import ProbeError, ReadOnlyError
 
 @pytest.fixture
 def at(lab, scripts):
-    """A lab before a step, with the answers for it, whose switches do what they are told to or stay as they are."""
+    """A lab before a step, with the answers for it, whose switches follow the operator or stay as they are."""
 
     def prepare(step, *settings, switch=None):
         lab.done_until(step, settings)
@@ -114,7 +114,7 @@ class TestVelocityRegister:
 
     @pytest.fixture
     def on_pci(self, lab, scripts):
-        """All steps up to the motors on that board; `turns`: how many the operator says that they have made."""
+        """All steps up to the motors on that board; `turns`: how many the operator reports."""
 
         def procedure(*answers, turns=(), settings=()):
             wheels = [answer for wheel in ("", "") for answer in (wheel, *turns)]
@@ -144,6 +144,6 @@ class TestVelocityRegister:
         assert lab.rig.device.duties == (0.0, 0.0)
 
     @pytest.mark.untraced
-    def test_who_is_certain_of_the_turns_goes_on(self, lab, on_pci):
+    def test_an_operator_certain_of_the_turns_continues(self, lab, on_pci):
         on_pci("yes", turns=("5",), settings=["simulation.counts_per_turn=2048"])
         assert lab.outcomes()["motors"] == "done"

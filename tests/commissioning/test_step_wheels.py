@@ -1,4 +1,4 @@
-"""Step 4: what ten turns by hand tell, and what is said when they do not."""
+"""Step 4: the result of ten turns by hand, and the messages when they are not clear."""
 
 import pytest
 
@@ -40,7 +40,7 @@ AGAIN = {
 
 
 @pytest.mark.parametrize("mistake", AGAIN)
-def test_a_mistake_is_told_and_the_wheel_turned_again(lab, at_wheels, mistake):
+def test_a_mistake_is_reported_and_the_wheel_is_turned_again(lab, at_wheels, mistake):
     move, complaint = AGAIN[mistake]
     at_wheels(["", "", ""], move, UPPER, LOWER).go(only="wheels")
     assert lab.operator.heard(complaint)
@@ -137,7 +137,7 @@ class TestJudging:
     def test_a_lever_that_moves_a_little_does_not_matter(self):
         assert judge({0: 40960, 1: 0, 2: 400}, {0: 41000, 1: 0, 2: 800}) == (0, 40960)
 
-    def test_to_and_fro_is_no_turning(self):
+    def test_turning_to_and_fro_is_refused(self):
         with pytest.raises(Unclear, match="back and forth"):
             judge({0: 20000, 1: 0}, {0: 60000, 1: 0})
 

@@ -109,14 +109,14 @@ def _ideal_stop(
     friction: float = 1.0,
     name: str = "mask",
 ) -> Stop:
-    believed = RigParameters.named(name)
-    model = BrakingModel(believed)
+    nominal = RigParameters.named(name)
+    model = BrakingModel(nominal)
 
     def duty_of(plant: Plant) -> float:
         torque = reaching_law_torque(plant.slip, plant.road_speed, REFERENCE, Mk, Mq, model)
-        return min(duty_limit, brake_duty(torque, believed))
+        return min(duty_limit, brake_duty(torque, nominal))
 
-    true = _scaled_friction(replace(believed, c31=math.inf), friction)
+    true = _scaled_friction(replace(nominal, c31=math.inf), friction)
     return _brake_to_rest(_rolling_plant(true), period_s, duty_of)
 
 
@@ -125,10 +125,10 @@ def _estimated_stop(
     settings: tuple[str, ...] = (), Mk: float = 2.0, Mq: float = 1.0, *, lag: bool = True, phase: float = 0.0
 ) -> Stop:
     config = load_config(settings=settings, checks=[control_check()])
-    believed = RigParameters.named("mask")
-    controller = ReachingLaw(Setup(REFERENCE, believed, HOLD_BELOW_RAD_S), Mk, Mq)
-    estimator = ESTIMATORS[config.estimator.name](config, believed)
-    plant = _rolling_plant(believed if lag else replace(believed, c31=math.inf))
+    nominal = RigParameters.named("mask")
+    controller = ReachingLaw(Setup(REFERENCE, nominal, HOLD_BELOW_RAD_S), Mk, Mq)
+    estimator = ESTIMATORS[config.estimator.name](config, nominal)
+    plant = _rolling_plant(nominal if lag else replace(nominal, c31=math.inf))
     counts_per_rad, period_s = config.encoders.counts_per_turn / (2.0 * math.pi), config.period_ns * 1e-9
     ticks = iter(range(10**6))
 
@@ -276,11 +276,11 @@ class Rolling:
     def __init__(
         self, rig: RigVariation, road_speed: float = 0.0, rate_hz: float = 2000.0, observer: Observer | None = None
     ) -> None:
-        per_turn, believed = rig.wheel_encoder.counts_per_turn, RigParameters.named("mask")
+        per_turn, nominal = rig.wheel_encoder.counts_per_turn, RigParameters.named("mask")
         self.plant = Plant(rig, rig.parameters.r2 / rig.parameters.r1 * road_speed, road_speed)
         self.period_s = 1.0 / rate_hz
-        self.observer = observer or Observer(believed, per_turn, self.period_s)
-        self.told = Command.SAFE
+        self.observer = observer or Observer(nominal, per_turn, self.period_s)
+        self.written = Command.SAFE
         """What the next exchange writes."""
         self.acting: Callable[[Command], Command] = lambda command: command
         """What the rig makes of a command."""
@@ -293,17 +293,17 @@ class Rolling:
         return Sample(self._tick, self._time_ns, self._dt_s, *counts, flags)
 
     def move(self, periods: int = 1) -> None:
-        """On to the next exchange, which is so many periods later."""
-        self.plant.advance(*self.acting(self.told), self.period_s * periods)
+        """Advance to the next exchange, `periods` later."""
+        self.plant.advance(*self.acting(self.written), self.period_s * periods)
         self._tick, self._time_ns = self._tick + 1, self._time_ns + periods * self._period_ns
         self._dt_s = periods * self.period_s
 
     def tick(self, decide: Command | Callable[[Estimate], Command] = Command.SAFE, periods: int = 1) -> Estimate:
-        """Write what was decided before, read, decide; the wheels then turn for so many periods."""
-        estimate = self.observer.update(self.sample(), self.told)
+        """Write what was decided before, read, decide; the wheels then turn for `periods`."""
+        estimate = self.observer.update(self.sample(), self.written)
         command = decide(estimate) if callable(decide) else decide
         self.move(periods)
-        self.told = command
+        self.written = command
         return estimate
 
 

@@ -47,7 +47,7 @@ def test_gains_that_are_not_named_have_their_defaults():
     assert gains_in_force(config) == {"Mk": 10.0, "Mq": 1.0, "lag_s": 0.0}
 
 
-def test_the_gains_of_the_papers_simulation_are_the_default_and_the_law_knows_of_no_lag():
+def test_the_gains_of_the_papers_simulation_are_the_default_without_a_lag():
     assert gains_in_force(load_config()) == {"Mk": 2.0, "Mq": 1.0, "lag_s": 0.0}
 
 
@@ -110,7 +110,7 @@ def test_a_gain_at_the_edge_of_its_range_is_allowed(controller, gain, low, high)
 
 
 @pytest.mark.parametrize("value", ["true", '"2"', "nan", "inf", "[1.0]", "1979-05-27"])
-def test_a_gain_that_is_no_number_is_named_once(value):
+def test_a_gain_that_is_not_a_number_is_named_once(value):
     assert list(mistakes(f"controller.gains.Mk={value}")) == ["controller.gains.Mk"]
 
 
@@ -121,7 +121,7 @@ def test_a_section_that_is_a_value_is_named_once(setting):
 
 @pytest.mark.parametrize("value", ["3", "[1]", "{a = 1}"])
 @pytest.mark.parametrize("key", ["controller.name", "estimator.name"])
-def test_a_name_that_is_no_text_is_named_once(key, value):
+def test_a_name_that_is_not_text_is_named_once(key, value):
     assert list(mistakes(f"{key}={value}")) == [key]
     assert mistakes(f"{key}={value}")[key].endswith(": must be text")
 
@@ -219,7 +219,7 @@ def test_another_estimator_than_the_one_that_is_needed_is_refused(name):
     )
 
 
-def test_an_estimator_that_does_not_exist_is_told_as_such_and_once():
+def test_an_unknown_estimator_is_reported_once():
     with pytest.raises(ConfigError) as caught:
         chosen("controller.name=predictive-reaching", "estimator.name=observr")
     assert [mistake.problem for mistake in caught.value.mistakes] == ["no estimator 'observr'; did you mean observer?"]
@@ -238,7 +238,7 @@ def test_a_rig_file_chooses_as_the_command_line_does(tmp_path):
     assert chosen(*settings, file=file) == ("predictive-reaching", "observer")
 
 
-def test_the_effective_configuration_says_which_and_is_read_back_without_asking_again():
+def test_the_effective_configuration_names_it_and_reads_back_unchanged():
     config = load_config(settings=["controller.name=predictive-reaching"], follows=preferred_estimator())
     assert parse_config(config.to_toml(), [control_check()]) == config
     assert 'name = "observer"' in config.to_toml()
@@ -256,7 +256,7 @@ NONE = ["controller.name=no-such", "controller.name=3", "controller.name=[1]", "
 
 
 @pytest.mark.parametrize("setting", NONE)
-def test_of_a_controller_that_is_none_nothing_follows(setting):
+def test_an_unknown_controller_implies_no_defaults(setting):
     with pytest.raises(ConfigError) as caught:
         chosen(setting)
     assert [mistake.path for mistake in caught.value.mistakes] == [setting.partition("=")[0]]

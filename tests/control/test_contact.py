@@ -1,4 +1,4 @@
-"""The wheels while braking, for an adhesion and a torque that are believed: against the plant's own model."""
+"""The wheels while braking, for an assumed adhesion and torque: against the plant's own model."""
 
 import pytest
 from hypothesis import given

@@ -69,7 +69,7 @@ def test_an_estimate_that_is_not_valid_is_not_acted_on():
     assert law.update(seen(0.9, 180.0, valid=False), PERIOD_S) == last
 
 
-def test_the_law_goes_on_after_a_hold():
+def test_the_law_continues_after_a_hold():
     law = ReachingLaw(SETUP, 2.0, 1.0)
     law.update(seen(0.1, 180.0), PERIOD_S)
     law.update(seen(0.1, 1.0), PERIOD_S)

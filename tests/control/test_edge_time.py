@@ -32,7 +32,7 @@ def sampled(filtered, angle_of, ticks: range) -> list[float]:
 
 
 @pytest.mark.parametrize("speed", [180.0, 12.3, 2.0])
-def test_stamped_edges_tell_a_constant_speed_to_the_resolution_of_the_stamp(speed):
+def test_stamped_edges_give_a_constant_speed_to_the_resolution_of_the_stamp(speed):
     seen = stamped(EdgeTime(PER_TURN, 0.0), lambda t: speed * t, lambda a: a / speed, range(1, 400))[20:]
     between_edges_s = LINE / speed
     assert seen == pytest.approx([speed] * len(seen), rel=2.0 * STAMP_NS * 1e-9 / between_edges_s)
@@ -83,12 +83,12 @@ def test_a_wheel_that_turns_backwards_has_the_negative_speed(sign):
 
 
 @given(st.lists(st.booleans(), min_size=2, max_size=60))
-def test_a_wheel_that_trembles_on_a_line_stands_still(sides):
+def test_a_wheel_that_trembles_on_a_line_has_speed_zero(sides):
     edges = EdgeTime(PER_TURN, 0.002)
     assert {edges.update(tick * PERIOD_NS, 7 + side) for tick, side in enumerate(sides)} == {0.0}
 
 
-def test_a_count_says_nothing_of_when_its_edge_was_until_another_comes():
+def test_the_time_of_an_edge_is_not_known_until_another_comes():
     edges = EdgeTime(PER_TURN, 0.0)
     assert [edges.update(0, 5), edges.update(PERIOD_NS, 15)] == [0.0, 0.0]
     assert edges.update(2 * PERIOD_NS, 25) == pytest.approx(10 * LINE / 5e-4)

@@ -51,7 +51,7 @@ def test_estimates_are_valid_from_the_second_sample_on_and_the_observers_from_th
 
 @pytest.mark.parametrize("name", sorted(ESTIMATORS))
 @given(st.lists(st.tuples(st.integers(-1000, 10**7), LOST_COUNTS, LOST_COUNTS), min_size=1, max_size=40))
-def test_the_slip_is_in_0_to_1_whatever_the_counts_and_times(name, track):
+def test_the_slip_is_in_0_to_1_for_any_counts_and_times(name, track):
     estimate, time_ns = estimator(f"estimator.name={name}"), 0
     for tick, (step_ns, wheel, road) in enumerate(track):
         time_ns += step_ns

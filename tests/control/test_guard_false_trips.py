@@ -76,7 +76,7 @@ def test_no_false_trip_with_exchanges_that_fail_now_and_then(experiment, seed):
 
 @pytest.mark.parametrize("rate_hz", [2000.0, 500.0, 250.0, 100.0])
 def test_no_false_trip_with_answers_that_are_late_by_up_to_a_period(experiment, rate_hz):
-    """A board tells its counts before the answer's way, and the time stamp is of its arrival."""
+    """A board reads its counts before it answers, and the time stamp is that of the arrival."""
     rng = random.Random(round(rate_hz))
     before_ns, late = None, 0
 

@@ -35,7 +35,7 @@ class Counted:
         self.ticks = 0
 
     def see(self, after_ns: int = 0, requested: Command = OFF, moved: tuple[int, int] = (0, 0)) -> Reason:
-        """What the guard says of the next sample, so much later and with so many counts more."""
+        """The guard's reason for the next sample, later and with more counts."""
         self.time_ns += after_ns
         self.counts = [count + step for count, step in zip(self.counts, moved, strict=True)]
         sample = Sample(self.ticks, self.time_ns, self.period_ns * 1e-9, *self.counts)
@@ -45,7 +45,7 @@ class Counted:
         return reason
 
     def turn(self, wheel: float, road: float, periods: int, requested: Command = OFF) -> Reason:
-        """What it says in the end of wheels that turn by so many counts in each window; ends where it trips."""
+        """Its last reason for wheels that turn by these counts in each window; ends where it trips."""
         moved = [0, 0]
         for period in range(1, periods + 1):
             now = [math.floor(period * speed / self.length) for speed in (wheel, road)]
@@ -177,7 +177,7 @@ def test_a_wheel_has_50_ms_to_come_back_to_a_slow_road(late_ns, tripped):
     assert guarded.see(late_ns, DRIVE, (400, 200)) is tripped
 
 
-def test_a_wheel_that_is_ahead_by_more_than_three_times_the_road_tells_that_the_road_loses_counts():
+def test_a_wheel_more_than_three_times_ahead_of_the_road_shows_that_the_road_loses_counts():
     def with_wheel_at(counts):
         return Counted().turn(counts, 10, 150, DRIVE)
 

@@ -126,7 +126,7 @@ def test_a_sample_half_a_period_late_is_a_miss_whether_or_not_there_was_one_befo
 
 
 @given(st.lists(st.floats(-0.45, 0.45), min_size=1, max_size=200))
-def test_ticks_that_are_late_or_early_by_less_than_half_a_period_are_no_misses(jitters):
+def test_ticks_that_are_late_or_early_by_less_than_half_a_period_are_not_misses(jitters):
     at_rest = AtRest()
     assert all(at_rest.exchange(GOOD, jitter) for jitter in jitters)
 

@@ -36,7 +36,7 @@ def driven(
     rate_hz: float = 200.0,
     most_s: float = 30.0,
 ) -> tuple[Reason, float]:
-    """Run a rig up, whose encoders count `scale` times what is believed: what the guard says, and the true speed then.
+    """Run a rig up, whose encoders count `scale` times the nominal counts: the guard's reason, and the true speed then.
 
     It ends at the speed that the guard would see, or once it says something.
     """
@@ -79,8 +79,8 @@ def test_an_identified_drive_narrows_what_passes(scale):
 
 def test_an_identification_that_rests_on_a_wrong_scale_does_not_hide_it():
     """It finds the no-load speed at half of what it is, and the counts then fit it."""
-    believed = ("model.identified.drive_stall_torque_nm=0.86", "model.identified.drive_no_load_speed_rad_s=150.0")
-    assert driven(guarded(*believed), 0.5)[0] is Reason.RUN_UP_IMPLAUSIBLE
+    wrong_drive = ("model.identified.drive_stall_torque_nm=0.86", "model.identified.drive_no_load_speed_rad_s=150.0")
+    assert driven(guarded(*wrong_drive), 0.5)[0] is Reason.RUN_UP_IMPLAUSIBLE
 
 
 @pytest.mark.parametrize("duty", [0.5, 0.7])
@@ -101,7 +101,7 @@ def test_the_rate_of_the_loop_makes_no_difference(rate_hz):
     assert run_up(0.5) is run_up(2.0) is Reason.RUN_UP_IMPLAUSIBLE
 
 
-def test_start_up_resistors_as_in_the_vendors_plots_are_no_fault(monkeypatch):
+def test_start_up_resistors_as_in_the_vendors_plots_are_not_faults(monkeypatch):
     def held_down(k, duty: float, road_speed: float) -> float:
         torque = drive_torque(k, duty, road_speed)
         return min(0.93, torque) if road_speed < 105.0 else torque
@@ -114,7 +114,7 @@ def test_start_up_resistors_as_in_the_vendors_plots_are_no_fault(monkeypatch):
 
 
 @pytest.mark.parametrize(("torque", "speed"), [(0.8, 1.0), (1.2, 1.0), (1.0, 0.85), (1.0, 1.2), (0.8, 0.9)])
-def test_a_drive_that_is_a_fifth_off_is_no_fault(torque, speed):
+def test_a_drive_that_is_a_fifth_off_is_not_a_fault(torque, speed):
     motor = DriveMotor(1.72 * torque, 300.0 * speed)
     assert driven(guarded(), plant=Plant(MASK, 0.0, 0.0, motor), until_rad_s=178.0)[0] is Reason.NONE
 
@@ -144,14 +144,14 @@ def by_hand(guard: Guard, seconds: list[tuple[float, Command]], seed: int = 0) -
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_duties_that_change_and_a_brake_between_them_are_no_fault(seed):
+def test_duties_that_change_and_a_brake_between_them_are_not_faults(seed):
     duties = [(3.0, 1.0, 0.0), (2.0, 0.3, 0.0), (1.0, 0.0, 0.0), (2.0, 0.6, 0.0), (0.4, 0.6, 0.5), (2.0, 0.6, 0.0),
               (0.3, 0.0, 0.6), (4.0, 0.9, 0.0)]  # fmt: skip
     hand = [(seconds, Command(drive, brake)) for seconds, drive, brake in duties]
     assert by_hand(guarded("guard.missed_in_a_row=100", rate_hz=100.0), hand, seed) is Reason.NONE
 
 
-def test_a_low_duty_that_hardly_overcomes_the_friction_is_no_fault():
+def test_a_low_duty_that_hardly_overcomes_the_friction_is_not_a_fault():
     stiff = Plant(replace(MASK, M20=0.3), 0.0, 0.0)
     assert driven(guarded(), duty=0.25, plant=stiff, until_rad_s=30.0, most_s=15.0)[0] is Reason.NONE
     assert 5.0 < stiff.road_speed < 30.0
@@ -202,7 +202,7 @@ def _published(duty: float, seconds: float) -> float:
 
 
 def last_look_passes(duty: float, looks: int, speed: float, factor: float, *settings: str) -> bool:
-    """Whether `speed` is plausible in the last of so many looks of 0.1 s, behind those of the published rig."""
+    """Whether `speed` is plausible in the last look of 0.1 s, after those of the published rig."""
     fine = 1_000_000  # so that counts are speeds
     config = load_config(settings=[f"encoders.counts_per_turn={fine}", "loop.rate_hz=2000", *settings])
     run_up, angle, applied = RunUp(config, factor), 0.0, Command(duty, 0.0)

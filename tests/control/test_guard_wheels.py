@@ -100,7 +100,7 @@ def test_a_road_that_does_not_turn_under_the_drive_trips_within_350_ms(watched, 
     assert watched.reason is Reason.ROAD_ENCODER_FROZEN
 
 
-def test_a_road_at_rest_without_drive_is_no_fault(watched):
+def test_a_road_at_rest_without_drive_is_not_a_fault(watched):
     assert watched.keep(0.0, 0.0, OFF, 2.0) == 2.0
     assert watched.keep(0.0, 0.0, BRAKE, 2.0) == 2.0
     assert watched.keep(0.0, 0.0, Command(0.19, 0.0), 2.0) == 2.0
@@ -112,7 +112,7 @@ def test_a_drive_that_is_off_and_on_again_gets_its_grace_again(watched):
         assert watched.keep(0.0, 0.0, OFF, 0.01) == 0.01
 
 
-def test_a_road_that_starts_slowly_under_the_drive_is_no_fault(watched):
+def test_a_road_that_starts_slowly_under_the_drive_is_not_a_fault(watched):
     speed = 0.0
     for _ in range(4000):
         speed += 1.5 * watched.period_s
@@ -138,7 +138,7 @@ def test_a_frozen_road_encoder_is_found_when_six_counts_are_owed(encoders):
     assert watched.reason is Reason.ROAD_ENCODER_FROZEN
 
 
-def test_a_coarse_encoder_with_less_than_a_count_per_tick_is_no_fault(encoders):
+def test_a_coarse_encoder_with_less_than_a_count_per_tick_is_not_a_fault(encoders):
     watched = Watched(encoders, counts=256)
     watched.run_up(180.0)
     speed = 180.0
@@ -172,7 +172,7 @@ def test_a_road_encoder_that_freezes_on_a_slow_road_after_the_grace_is_found_in_
 
 
 @pytest.mark.parametrize("deceleration", [130.0, 170.0, 400.0])
-def test_a_road_that_is_braked_to_rest_is_no_fault(watched, deceleration):
+def test_a_road_that_is_braked_to_rest_is_not_a_fault(watched, deceleration):
     watched.run_up(180.0)
     speed = 180.0
     while speed > 0.0:
@@ -217,14 +217,14 @@ def test_a_wheel_that_stays_locked_after_the_release_trips_300_ms_later(watched)
     assert watched.reason is Reason.ENCODERS_DISAGREE
 
 
-def test_a_wheel_that_spins_up_again_after_the_release_is_no_fault(watched):
+def test_a_wheel_that_spins_up_again_after_the_release_is_not_a_fault(watched):
     watched.run_up(150.0)
     watched.keep(0.0, 150.0, BRAKE, 0.5)
     watched.keep(0.0, 150.0, OFF, 0.25)
     assert watched.keep(140.0, 150.0, OFF, 1.0) == 1.0
 
 
-def test_a_wheel_at_rest_on_a_slow_road_is_no_fault(watched):
+def test_a_wheel_at_rest_on_a_slow_road_is_not_a_fault(watched):
     watched.run_up(30.0)
     assert watched.keep(0.0, 30.0, OFF, 1.0) == 1.0
 
@@ -237,7 +237,7 @@ def test_a_wheel_that_keeps_running_ahead_of_a_slow_road_trips_50_ms_later(encod
     assert watched.reason is Reason.ENCODERS_DISAGREE
 
 
-def test_a_wheel_that_a_hand_turns_over_a_road_at_rest_is_no_fault(watched):
+def test_a_wheel_that_a_hand_turns_over_a_road_at_rest_is_not_a_fault(watched):
     assert watched.keep(6.0, 0.0, OFF, 1.0) == 1.0
 
 
@@ -253,7 +253,7 @@ def test_a_wheel_that_runs_ahead_as_a_road_becomes_slow_has_its_50_ms_too(encode
 @pytest.mark.parametrize("wheel", ["wheel", "road"])
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("periods", [1, 3])
-def test_a_count_that_moves_farther_than_300_rad_s_in_one_period_more_is_no_wheel(encoders, wheel, sign, periods):
+def test_a_count_that_moves_farther_than_300_rad_s_in_one_period_more_trips(encoders, wheel, sign, periods):
     def jump(counts: int) -> Reason:
         watched = Watched(encoders)
         watched.keep(0.0, 0.0, OFF, 0.05)
@@ -268,7 +268,7 @@ def test_a_count_that_moves_farther_than_300_rad_s_in_one_period_more_is_no_whee
 
 
 @pytest.mark.parametrize("late", [0.3, 0.6, 0.9])
-def test_a_time_stamp_that_is_late_by_less_than_a_period_is_no_fault(watched, late):
+def test_a_time_stamp_that_is_late_by_less_than_a_period_is_not_a_fault(watched, late):
     watched.run_up(180.0)
     for tick in range(1000):
         sample = watched.encoders.turn(180.0, 180.0)
@@ -277,7 +277,7 @@ def test_a_time_stamp_that_is_late_by_less_than_a_period_is_no_fault(watched, la
     assert watched.reason is Reason.NONE
 
 
-def test_a_count_that_jumps_to_zero_while_running_is_no_wheel(encoders):
+def test_a_count_that_jumps_to_zero_while_running_trips(encoders):
     watched = Watched(encoders)
     watched.run_up(100.0)
     sample = watched.encoders.turn(100.0, 100.0)
@@ -347,7 +347,7 @@ def test_swapped_encoders_trip_once_the_brake_bites(watched):
     assert watched.reason is Reason.ENCODERS_DISAGREE
 
 
-def test_a_road_that_rocks_back_a_few_counts_under_the_drive_is_no_fault(watched):
+def test_a_road_that_rocks_back_a_few_counts_under_the_drive_is_not_a_fault(watched):
     watched.keep(0.0, 0.0, OFF, 0.05)
     for speed in [3.0, -3.0] * 5:
         assert watched.keep(speed, speed, DRIVE, 0.02) == 0.02
@@ -355,7 +355,7 @@ def test_a_road_that_rocks_back_a_few_counts_under_the_drive_is_no_fault(watched
 
 @pytest.mark.parametrize("stale", [1, 2, 3])
 @pytest.mark.parametrize("speed", [100.0, 180.0, 240.0])
-def test_the_first_good_sample_after_failed_exchanges_is_no_jump(watched, stale, speed):
+def test_the_first_good_sample_after_failed_exchanges_is_not_a_jump(watched, stale, speed):
     watched.run_up(speed)
     for _ in range(stale):
         watched.see(speed, speed, DRIVE, stale=True)
@@ -366,7 +366,7 @@ def test_the_first_good_sample_after_failed_exchanges_is_no_jump(watched, stale,
 
 @pytest.mark.parametrize("skipped", [1, 2, 3])
 @pytest.mark.parametrize("speed", [100.0, 240.0])
-def test_a_sample_after_skipped_periods_is_no_jump(watched, skipped, speed):
+def test_a_sample_after_skipped_periods_is_not_a_jump(watched, skipped, speed):
     watched.run_up(speed)
     watched.see(speed, speed, DRIVE, periods=1.0 + skipped)
     assert watched.keep(speed, speed, DRIVE, 0.2) == 0.2
@@ -392,7 +392,7 @@ def test_frozen_and_fast_wheels_are_found_at_other_rates(encoders, rate_hz):
 @example(rate_hz=2000.0, around=[(1, 0), (-1, 0)])
 @example(rate_hz=2000.0, around=[(0, -1), *[(0, 1)] * 10, *[(0, -1)] * 60])
 @example(rate_hz=10_000.0, around=[(0, 0), (0, 0), (0, -1), (0, 1)])
-def test_wheels_that_rest_on_an_edge_are_no_fault_however_their_counts_come_and_go(encoders, rate_hz, around):
+def test_wheels_that_rest_on_an_edge_are_not_faults_however_their_counts_come_and_go(encoders, rate_hz, around):
     guard = Watched(encoders, f"estimator.window_s={10.0 / rate_hz}", rate_hz=rate_hz).guard
     for tick, (wheel, road) in enumerate(around):
         guard.admit(OFF, Sample(tick, round(tick * 1e9 / rate_hz), 1.0 / rate_hz, wheel, road), SEEN)

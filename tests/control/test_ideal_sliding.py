@@ -130,14 +130,14 @@ def test_from_the_surface_the_road_slows_down_at_the_published_rate(ideal_stop, 
     assert rate == pytest.approx(136.2, rel=0.01)
 
 
-def test_less_friction_than_believed_lets_the_slip_run_away_at_low_speed(ideal_stop):
+def test_less_friction_than_nominal_lets_the_slip_run_away_at_low_speed(ideal_stop):
     stop = ideal_stop(friction=0.9)
     assert stop.mean_slip(100.0, 140.0) == pytest.approx(0.2, abs=0.01)
     assert stop.mean_slip(15.0, 30.0) == pytest.approx(0.39, abs=0.03)
     assert stop.mean_slip(8.0, 15.0) == pytest.approx(0.59, abs=0.04)
 
 
-def test_more_friction_than_believed_loses_the_slip_at_low_speed(ideal_stop):
+def test_more_friction_than_nominal_loses_the_slip_at_low_speed(ideal_stop):
     stop = ideal_stop(friction=1.1)
     assert stop.mean_slip(100.0, 120.0) == pytest.approx(0.2, abs=0.01)
     assert stop.mean_slip(15.0, 30.0) == pytest.approx(0.03, abs=0.01)

@@ -1,4 +1,4 @@
-"""`lag_s`: a law that asks for a torque tells the brake what makes it get there within a period."""
+"""`lag_s`: the duty that makes a lagging brake reach the demanded torque within a period."""
 
 import math
 
@@ -62,7 +62,7 @@ def test_the_torque_is_there_within_a_period_where_the_brake_can(name):
         assert torque == pytest.approx(wanted, rel=1e-9)
 
 
-def test_at_its_limits_the_brake_is_told_all_or_nothing_until_it_is_there():
+def test_at_its_limits_the_brake_gets_full_or_no_duty_until_it_is_there():
     controller = law("reaching-law", lag_s=LAG_S)
     rising = list(braked(controller, [0.1] * 300))
     arrived = next(i for i, (demand, torque) in enumerate(rising) if torque == pytest.approx(demand.torque_nm))
@@ -74,7 +74,7 @@ def test_at_its_limits_the_brake_is_told_all_or_nothing_until_it_is_there():
     assert controller.update(Estimate(10.0, 100.0, 0.9, valid=True), PERIOD_S).brake == 0.0
 
 
-def test_after_a_release_it_knows_where_the_brake_is():
+def test_after_a_release_it_starts_from_the_brakes_torque():
     slips = [*SLOWLY[:200], *[0.9] * 40, *SLOWLY]
     moments = list(braked(law("reaching-law", lag_s=LAG_S), slips))
     assert {demand.brake for demand, _ in moments[200:240]} == {0.0}
@@ -85,7 +85,7 @@ def test_after_a_release_it_knows_where_the_brake_is():
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_without_it_the_brake_is_told_the_torque_itself(name):
+def test_without_it_the_brake_gets_the_torque_itself(name):
     for (demand, _), (ahead, _) in zip(braked(law(name), SLOWLY), braked(law(name, lag_s=LAG_S), SLOWLY), strict=True):
         assert brake_torque(demand.brake, MASK) == pytest.approx(demand.torque_nm, rel=1e-9)
         if name not in {"boundary-layer", "super-twisting"}:  # their integrals rest at the brake's limits

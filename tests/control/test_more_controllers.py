@@ -148,7 +148,7 @@ class TestProportionalIntegral:
         assert controller.update(seen(0.9), 0.01).brake < 1.0
 
 
-def test_steps_climb_whatever_the_slip():
+def test_steps_climb_at_any_slip():
     steps = Steps(SETUP, first=0.4, rise=0.1, length_s=0.01)
     duties = [steps.update(seen(0.9), 0.001).brake for _ in range(100)]
     assert duties[0] == duties[9] == pytest.approx(0.4)
@@ -168,7 +168,7 @@ class TestEveryController:
             assert gain.unit
             assert gain.meaning
 
-    def test_it_says_in_one_line_what_it_is(self, name):
+    def test_it_describes_itself_in_one_line(self, name):
         assert len((CONTROLLERS[name].__doc__ or "").splitlines()[0]) > 20
 
     def test_it_asks_for_a_duty_that_is_a_number_in_every_situation(self, name):

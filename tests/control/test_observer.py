@@ -1,4 +1,4 @@
-"""The observer through all that a rig does: rest, run-up, braking, drive again, and whatever goes wrong on the way."""
+"""The observer at rest, in run-up, braking and drive, and with faults on the way."""
 
 import math
 from dataclasses import replace
@@ -56,7 +56,7 @@ def rms(moments, since_s=0.3, above_rad_s=20.0):
 
 
 @pytest.mark.untraced
-def test_encoders_that_jitter_at_rest_are_no_rig_that_brakes(rolling):
+def test_encoders_that_jitter_at_rest_are_not_taken_for_braking(rolling):
     for seed in range(100_000, 100_020):
         run = rolling(draw("hard", seed))
         for _ in range(60):
@@ -99,7 +99,7 @@ def test_it_brakes_from_when_the_drive_is_off_until_it_is_on_again_or_the_road_s
     for _ in range(200):
         run.tick(DRIVE)
     ticks = [run.tick(decide).outlook is not None for decide in (DRIVE, Command.SAFE, Command.SAFE, Command.SAFE)]
-    assert ticks == [False, False, True, True]  # a command is told one tick after it was decided
+    assert ticks == [False, False, True, True]  # the observer gets a command one tick after the decision
     for _ in range(400):
         run.tick(law())
     ticks = [run.tick(decide).outlook is not None for decide in (law(), DRIVE, DRIVE, DRIVE)]
@@ -164,11 +164,11 @@ def test_missed_exchanges_leave_the_slip_known_and_held(rolling):
 
 
 def test_the_command_before_a_gap_acts_in_the_gap(rolling):
-    """Full brake is decided, and 10 ms are missed: the board hears of it after them."""
+    """Full brake is decided, and 10 ms are missed: the board gets it after them."""
     run = rolling(replace(HARD, brake_dead_time_s=0.01), 180.0)
     course(run, Command.SAFE, longest_s=0.1)
     run.tick(Command.SAFE, periods=20)
-    run.told = Command(0.0, 1.0)  # decided before the gap, written after it
+    run.written = Command(0.0, 1.0)  # decided before the gap, written after it
     for _ in range(60):
         seen, torque = run.tick(Command(0.0, 1.0)), run.plant.brake_torque
     # 30 ms after the write, 20 ms of which the brake has moved; looked at 10 ms ahead
@@ -216,7 +216,7 @@ def test_twice_the_counts_make_the_slip_better_known(rolling):
     assert errors[1] < 0.9 * errors[0]
 
 
-# rigs that are not as believed
+# rigs that differ from the nominal one
 
 
 def stuck(at):
@@ -294,7 +294,7 @@ def test_a_rig_that_only_coasts_is_followed_to_its_end(rolling):
     [EkfTuning(wheel_walk_rad_s=math.inf), EkfTuning(torque_sd_nm=math.nan), EkfTuning(adhesion_walk=math.nan)],
     ids=["infinite", "no number", "no number on the way"],
 )
-def test_an_observer_that_loses_its_mind_ends_the_run_with_the_outputs_off(experiment, spread):
+def test_a_diverged_observer_ends_the_run_with_the_outputs_off(experiment, spread):
     def broken(config):
         return Pipeline(config, Observer(MASK, 2048, 0.0005, spread), make_controller(config))
 
@@ -302,10 +302,10 @@ def test_an_observer_that_loses_its_mind_ends_the_run_with_the_outputs_off(exper
     last = moments[-1].tick
     assert (last.phase, last.reason) == (Phase.FAULT, Reason.CONTROLLER_ERROR)
     assert (last.drive, last.brake) == Command.SAFE
-    assert len(moments) > 1000  # it was in its right mind during the run-up
+    assert len(moments) > 1000  # it was valid during the run-up
 
 
-def test_a_wheel_that_is_suddenly_elsewhere_is_looked_for_anew():
+def test_a_wheel_that_jumps_is_tracked_again():
     observer = Observer(MASK, 2048, 0.0005)
     per_tick = 180.0 * 2048 / (2.0 * math.pi) * 0.0005
     seen = []
@@ -318,7 +318,7 @@ def test_a_wheel_that_is_suddenly_elsewhere_is_looked_for_anew():
     assert seen[399].road_speed_rad_s == pytest.approx(180.0, rel=0.02)
 
 
-def test_after_a_long_gap_it_begins_anew_at_once():
+def test_after_a_long_gap_it_begins_again_at_once():
     observer = Observer(MASK, 2048, 0.0005)
     per_tick = 180.0 * 2048 / (2.0 * math.pi) * 0.0005
     ticks = [*range(300), *range(100_000, 100_100)]

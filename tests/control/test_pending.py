@@ -20,8 +20,8 @@ FULL_NM = 9.37
 several_rates = pytest.mark.parametrize("period_s", [0.0001, 0.0005, 0.004, 0.02])
 
 
-class Told:
-    """What a loop told by chance, with exchanges that were missed; and the staircase that it makes."""
+class History:
+    """Random commands of a loop with missed exchanges, and the staircase that they make."""
 
     def __init__(self, seed, period_s=PERIOD_S, last=None):
         random = np.random.default_rng(seed)
@@ -45,22 +45,22 @@ class Told:
 @several_rates
 @given(seed=SEEDS, dead_time=DEAD_TIMES)
 def test_what_arrives_is_the_mean_of_what_was_put_out_a_dead_time_before(period_s, seed, dead_time):
-    told = Told(seed, period_s)
-    mean, slope = arrived(told.pending.k, told.pending, dead_time, 0)
-    assert mean == pytest.approx(told.mean(dead_time), abs=1e-9)
+    written = History(seed, period_s)
+    mean, slope = arrived(written.pending.k, written.pending, dead_time, 0)
+    assert mean == pytest.approx(written.mean(dead_time), abs=1e-9)
     share = dead_time / period_s % 1.0
     step_s = 0.5 * period_s * min(share, 1.0 - share)  # within which the mean is a straight line
     if step_s > 1e-3 * period_s:
-        difference = told.mean(dead_time + step_s) - told.mean(dead_time - step_s)
+        difference = written.mean(dead_time + step_s) - written.mean(dead_time - step_s)
         assert slope == pytest.approx(difference / (2.0 * step_s), rel=1e-6, abs=1e-6 / period_s)
 
 
 @given(SEEDS, DEAD_TIMES, st.integers(0, 50))
 def test_what_arrived_in_a_tick_before_is_known_as_far_back_as_the_longest_dead_time(seed, dead_time, ago):
-    told = Told(seed)
+    written = History(seed)
     back = min(ago, round(LONGEST_DEAD_TIME_S / PERIOD_S) + 1 - int(dead_time / PERIOD_S))
-    assert arrived(told.pending.k, told.pending, dead_time, ago)[0] == pytest.approx(
-        told.mean(dead_time, -back), abs=1e-9
+    assert arrived(written.pending.k, written.pending, dead_time, ago)[0] == pytest.approx(
+        written.mean(dead_time, -back), abs=1e-9
     )
 
 
@@ -75,9 +75,9 @@ def lagged(torque, means, lag):
 
 @given(SEEDS, st.one_of(DEAD_TIMES, WHOLE), LAGS, st.floats(0.0, FULL_NM))
 def test_looking_ahead_is_the_lag_of_all_that_is_under_way(seed, dead_time, lag, torque):
-    told, ticks = Told(seed), int(dead_time / PERIOD_S) + 1
-    horizon, then, mean = ahead(told.pending.k, told.pending, torque, dead_time, lag)
-    exact_then, exact_mean = lagged(torque, [told.mean(dead_time, 1 + tick) for tick in range(ticks)], lag)
+    written, ticks = History(seed), int(dead_time / PERIOD_S) + 1
+    horizon, then, mean = ahead(written.pending.k, written.pending, torque, dead_time, lag)
+    exact_then, exact_mean = lagged(torque, [written.mean(dead_time, 1 + tick) for tick in range(ticks)], lag)
     assert horizon == pytest.approx(ticks * PERIOD_S, rel=1e-12)
     assert then == pytest.approx(exact_then, abs=1e-9)
     assert mean == pytest.approx(exact_mean, abs=1e-3)  # it takes the lag within a tick for a straight line
@@ -86,14 +86,14 @@ def test_looking_ahead_is_the_lag_of_all_that_is_under_way(seed, dead_time, lag,
 @given(SEEDS, DEAD_TIMES, LAGS)
 def test_the_newest_command_is_just_about_to_come_through_at_the_horizon(seed, dead_time, lag):
     (_, then, _), (_, later, _) = (
-        ahead(line.k, line, 1.0, dead_time, lag) for line in (Told(seed, last=each).pending for each in (2.0, 3.0))
+        ahead(line.k, line, 1.0, dead_time, lag) for line in (History(seed, last=each).pending for each in (2.0, 3.0))
     )
     share = 1.0 - dead_time / PERIOD_S % 1.0
     assert later - then == pytest.approx(share * (1.0 - math.exp(-PERIOD_S / lag)), abs=1e-9)
 
 
 @given(SEEDS, DEAD_TIMES, st.integers(64, 10**6))
-def test_a_gap_of_any_length_leaves_what_was_told_before_it(seed, dead_time, ticks):
-    told = Told(seed)
-    told.pending.tell(5.0, ticks)
-    assert arrived(told.pending.k, told.pending, dead_time, 0) == pytest.approx((told.newest, 0.0), abs=1e-9)
+def test_a_gap_of_any_length_keeps_the_commands_before_it(seed, dead_time, ticks):
+    written = History(seed)
+    written.pending.tell(5.0, ticks)
+    assert arrived(written.pending.k, written.pending, dead_time, 0) == pytest.approx((written.newest, 0.0), abs=1e-9)

@@ -145,7 +145,7 @@ def test_every_value_of_a_tick_has_its_plain_type(quick_run):
         assert {name: type(value) for name, value in tick._asdict().items()} == kinds
 
 
-def test_the_reference_is_logged_while_braking_and_is_no_number_otherwise(quick_run):
+def test_the_reference_is_logged_while_braking_and_is_nan_otherwise(quick_run):
     for tick in quick_run:
         if tick.phase is Phase.BRAKING:
             assert tick.slip_reference == 0.2
@@ -217,7 +217,7 @@ def test_samples_that_cannot_be_trusted_change_neither_phase_nor_estimate_nor_re
         assert (tick.road_speed_rad_s, tick.slip) == (good.road_speed_rad_s, good.slip)
 
 
-def test_a_braking_run_goes_on_after_failed_exchanges_and_still_stops(experiment):
+def test_a_braking_run_continues_after_failed_exchanges_and_still_stops(experiment):
     run, last_good, braking = experiment(*QUICK), [], 0
 
     def tamper(sample, phase):
@@ -257,12 +257,12 @@ def test_a_controller_that_raised_is_not_asked_again(experiment):
     assert controller.calls == 1
 
 
-def test_the_estimator_is_told_what_the_exchange_of_its_sample_wrote():
-    told = []
+def test_the_estimator_gets_what_the_exchange_of_its_sample_wrote():
+    received = []
 
     class Listening:
         def update(self, _sample, command):
-            told.append(command)
+            received.append(command)
             return Estimate(0.0, 0.0, 0.0, valid=True)
 
     pipeline = Pipeline(load_config(), Listening(), Scripted(lambda _call: BrakeDemand(0.0)))
@@ -270,8 +270,8 @@ def test_the_estimator_is_told_what_the_exchange_of_its_sample_wrote():
     for number in range(1500):
         written.append(pipeline.command)
         pipeline.step(rest(number))
-    assert told == written
-    assert len(set(told)) > 1
+    assert received == written
+    assert len(set(received)) > 1
 
 
 def test_a_controller_that_wants_to_exit_ends_the_run_and_not_the_loop(experiment):
@@ -328,7 +328,7 @@ def test_a_controller_that_answers_with_something_else_ends_the_run_instead_of_t
 
 
 @pytest.mark.parametrize("brake", [math.nan, math.inf, None, True, "0.5", np.float64("nan"), np.ones(1)], ids=repr)
-def test_a_duty_that_is_no_finite_number_is_never_sent(experiment, brake):
+def test_a_duty_that_is_not_finite_is_never_sent(experiment, brake):
     run = experiment(*QUICK, pipeline=with_controller(at_call(20, lambda: BrakeDemand(brake))))
     last = run.run()[-1].tick
     assert (last.phase, last.reason) == (Phase.FAULT, Reason.BAD_OUTPUT)
@@ -358,7 +358,7 @@ def test_a_duty_may_be_any_kind_of_number(experiment, brake):
     ],
     ids=lambda demand: repr(demand)[:70],
 )
-def test_whatever_the_controller_demands_every_tick_can_be_recorded(experiment, demand):
+def test_every_demand_of_a_controller_can_be_recorded(experiment, demand):
     run = experiment(*QUICK, pipeline=with_controller(at_call(20, lambda: demand)))
     for moment in run.moments():
         tick = moment.tick

@@ -60,7 +60,7 @@ def demand_at(expected, **gains):
 
 
 def slip_rate(slip, road_speed, torque, factor=1.0):
-    """Of the believed rig with that brake torque."""
+    """For the nominal rig with that brake torque."""
     moving = CONTACT.accelerations(
         (1.0 - slip) * MASK.r2 / MASK.r1 * road_speed, road_speed, torque, factor * adhesion(slip, MASK)
     )
@@ -112,7 +112,7 @@ def test_the_known_ripple_of_the_turn_is_a_factor_of_its_own(road_speed, angle, 
 
 
 @given(LAGS, st.floats(-0.001, 0.001), st.floats(-0.02, 0.02))
-def test_the_brake_is_told_what_makes_the_lagging_torque_close_in_on_the_laws(lag, away, error):
+def test_the_demand_makes_the_lagging_torque_approach_that_of_the_law(lag, away, error):
     """On the way the law's own torque moves, as the slip does: a rig that follows it shows how much."""
     slip, road_speed, T = 0.2 + error, 100.0, 1e-6
     target = demand_at(outlook(slip, road_speed)).torque_nm
@@ -126,7 +126,7 @@ def test_the_brake_is_told_what_makes_the_lagging_torque_close_in_on_the_laws(la
 
 
 @given(st.floats(50.0, 150.0), st.floats(0.0, 6.28), st.floats(0.01, 0.03))
-def test_the_brake_is_told_of_the_ripple_that_comes_with_the_turn(road_speed, angle, sine):
+def test_the_demand_includes_the_ripple_of_the_next_turn(road_speed, angle, sine):
     def rippled(turned, lagged):
         return demand_at(outlook(0.2, road_speed, lagged, wheel_angle_rad=turned, ripple_sine=sine))
 
@@ -153,7 +153,7 @@ def test_reaching_from_rolling_wheels_asks_for_a_torque_that_holds_some_slip(sli
 
 
 @given(OUTLOOKS, st.lists(OUTLOOKS, max_size=3))
-def test_whatever_is_expected_the_demand_is_a_duty_and_numbers(first, more):
+def test_the_demand_is_a_duty_and_finite_numbers_for_any_prediction(first, more):
     controller = law()
     for expected in (first, *more):
         demand = controller.update(seen(expected), PERIOD_S)
@@ -175,7 +175,7 @@ def test_the_last_demand_is_held_without_outlook_and_as_the_road_stops(expected,
     assert controller.update(estimate, PERIOD_S) == held
 
 
-def test_the_first_demand_is_none():
+def test_the_first_demand_is_zero():
     assert demand_at(None) == BrakeDemand(0.0)
 
 

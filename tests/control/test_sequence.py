@@ -136,7 +136,7 @@ def test_the_controller_is_asked_only_while_braking_with_the_estimate_and_the_ti
     assert all(estimate is BLIND for estimate, _ in nominal.controller.seen)
 
 
-def test_the_controller_is_told_the_time_that_has_really_passed(play):
+def test_the_controller_gets_the_time_that_has_passed(play):
     play.reach(Phase.BRAKING)
     play.step(120.0, periods=3.0)
     assert play.controller.seen[-1][1] == pytest.approx(3.0 * play.period_s)

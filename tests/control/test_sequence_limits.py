@@ -80,7 +80,7 @@ def test_a_stop_takes_50_ms_at_least(after_ns, phase):
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(("more", "phase"), [(0.0, Phase.BRAKING), (1e-9, Phase.STOPPED)])
-def test_the_stop_speed_itself_is_no_rest(sign, more, phase):
+def test_the_stop_speed_itself_is_not_rest(sign, more, phase):
     timed = Timed(Phase.BRAKING, f"experiment.stop_speed_rad_s={10 * COUNT_RAD_S / 60_000_000 + more!r}")
     timed.see(60_000_000, sign * 10)
     assert timed.phase is phase

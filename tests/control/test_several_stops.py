@@ -42,7 +42,7 @@ def stops_of(moments):
 
 @pytest.fixture(scope="module")
 def played(experiment):
-    """Ticks of a run with so many stops, with the controller that counts."""
+    """Ticks of a run with several stops, with the controller that counts."""
 
     def run(stops, *settings):
         rig = experiment(*QUICK, f"experiment.stops={stops}", *settings, pipeline=counting)

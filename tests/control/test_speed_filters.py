@@ -22,7 +22,7 @@ FILTERS = {
 
 
 def follow(filtered, angle_of, seconds: float) -> list[float]:
-    """Speeds that a filter tells of a wheel at `angle_of(time_s)`, read through its encoder."""
+    """Speeds that a filter estimates for a wheel at `angle_of(time_s)`, read through its encoder."""
     counts = [math.floor(angle_of(k * PERIOD_S) * PER_TURN / (2.0 * math.pi)) for k in range(round(seconds / PERIOD_S))]
     return [filtered.update(5 + k * PERIOD_NS, count + 10**6) for k, count in enumerate(counts)]
 

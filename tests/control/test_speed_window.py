@@ -67,7 +67,7 @@ def test_a_step_of_counts_is_forgotten_after_one_length(length, jump):
     assert at_jump[length] == 0.0
 
 
-def test_a_window_that_was_cleared_begins_anew():
+def test_a_cleared_window_begins_again():
     window = MovingAverageSpeed(2048, 5)
     window.update(0, 0)
     assert window.update(500_000, 20) > 0.0

@@ -7,7 +7,7 @@ from inteco_abs.signals import BrakeDemand, Command, Estimate
 
 
 class Constant:
-    """Brakes with one duty, whatever the slip."""
+    """Brakes with one duty at any slip."""
 
     gains = ()
     internals = ()
@@ -19,8 +19,8 @@ class Constant:
         return BrakeDemand(self.duty)
 
 
-class Told:
-    """Estimator that keeps what it is told, with the number of the sample."""
+class CommandLog:
+    """Estimator that logs the commands it gets, with the number of the sample."""
 
     def __init__(self, log):
         self.log = log

@@ -20,7 +20,7 @@ class Tick(NamedTuple):
 
 
 class Loop:
-    """Output first: what a tick decides is at the terminals `command_delay_ticks` later, told one later."""
+    """Output first: what a tick decides is at the terminals `command_delay_ticks` later, reported one later."""
 
     def __init__(self, rig, config, rolling_from):
         ratio = rig.parameters.r2 / rig.parameters.r1
@@ -29,7 +29,7 @@ class Loop:
         self._period_ns = config.period_ns
         self._under_way = [Command.SAFE] * rig.command_delay_ticks
         self._number = 0
-        self.told = Command.SAFE
+        self.written = Command.SAFE
 
     def sample(self):
         plant, (wheel, road) = self.plant, self._encoders
@@ -37,7 +37,7 @@ class Loop:
         return Sample(self._number, self._number * self._period_ns, self._period_ns / 1e9, *counts)
 
     def go_on(self, command):
-        self.told = command
+        self.written = command
         self._under_way.append(command)
         self.plant.advance(*self._under_way.pop(0), self._period_ns / 1e9)
         self._number += 1
@@ -52,7 +52,7 @@ def stop_by_hand(rig, config, run_up_from_rad_s=165.0):
     ticks, braking, decisions = [], run_up_from_rad_s is None, 0
     while plant.road_speed >= 0.5:
         sample = loop.sample()
-        estimate = estimator.update(sample, loop.told)
+        estimate = estimator.update(sample, loop.written)
         decisions += 1
         if braking:
             command = Command(0.0, controller.update(estimate, sample.dt_s).brake)

@@ -1,4 +1,4 @@
-"""The compiled rigs are the scalar plants, whatever happens to them."""
+"""The compiled rigs equal the scalar plants in every situation."""
 
 import os
 import subprocess

@@ -49,7 +49,7 @@ def test_the_slip_of_a_hard_rig_is_held_to_a_thousandth_and_a_half():
 
 
 @pytest.mark.untraced
-def test_20_ms_of_dead_time_are_no_harm():
+def test_20_ms_of_dead_time_do_no_harm():
     require_targets(stops_of("slow", 3, OURS), 0.0015)
 
 
@@ -93,7 +93,7 @@ class _Resting:
 
 
 @given(st.sampled_from(POPULATIONS), st.integers(0, 1000), st.floats(0.01, 1.0))
-def test_the_oracle_knows_the_brakes_map(population, seed, share):
+def test_the_oracle_has_the_brakes_map(population, seed, share):
     rig = replace(draw(population, seed), brake_pwm_steps=0, brake_duty_cap=1.0)
     highest, lowest = settled_torque(1.0, rig), settled_torque(rig.parameters.u0 + 1e-9, rig)
     wanted = lowest + share * (highest - lowest)
@@ -144,7 +144,7 @@ def test_the_whole_stack_gives_a_baselines_medians(tmp_path, settings, of_rms):
 
 @pytest.mark.untraced
 @pytest.mark.long
-def test_the_whole_stack_gives_our_medians_and_a_slip_that_is_no_worse(tmp_path):
+def test_the_whole_stack_gives_the_medians_and_a_slip_that_is_not_worse(tmp_path):
     """From rest the run-up is longer, and the discs are known better."""
     found = ratios(tmp_path, 20, OURS)
     assert [found[name] for name in ACTUATOR] == pytest.approx([1.0] * 3, abs=0.02)

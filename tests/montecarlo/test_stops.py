@@ -1,4 +1,4 @@
-"""Whole stops of many rigs: who decides, where shards run, and what is told of the stops."""
+"""Whole stops of many rigs: who decides, where shards run, and the progress of the stops."""
 
 import math
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -82,7 +82,7 @@ def test_a_maker_goes_to_other_processes_too(processes):
     assert_equal(here, short_stops(RIGS[:2], maker=parts.torque_oracle, executor=processes))
 
 
-def test_what_is_wrong_with_a_controller_is_told_from_other_processes_too(processes):
+def test_a_controllers_error_is_reported_from_other_processes_too(processes):
     config = configured("controller.name=refusing", controllers={"refusing": parts.Refusing})
     with pytest.raises(ConfigError, match="refusing cannot be made: ValueError: not today") as caught:
         run_stops(RIGS, config, controllers={"refusing": parts.Refusing}, executor=processes)
@@ -90,30 +90,32 @@ def test_what_is_wrong_with_a_controller_is_told_from_other_processes_too(proces
 
 
 def test_experiments_are_done_in_order_and_progress_counts_them_all():
-    told = []
+    written = []
     others = [draw("hard", 30)]
     maker = ConfiguredPolicy(SHORT)
     both = run_all(
         [Experiment(tuple(rigs), SHORT, maker, 38.0) for rigs in (RIGS, others)],
         shard=2,
-        progress=lambda *counts: told.append(counts),
+        progress=lambda *counts: written.append(counts),
     )
-    assert told == [(2, 6), (4, 6), (5, 6), (6, 6)]
+    assert written == [(2, 6), (4, 6), (5, 6), (6, 6)]
     assert_equal(both[0], short_stops())
     assert_equal(both[1], short_stops(others))
 
 
-def test_an_estimator_is_told_what_was_written_with_its_sample():
+def test_an_estimator_gets_what_was_written_with_its_sample():
     log = []
-    run_stops([draw("hard", 1)], SHORT, maker=lambda *_: (parts.Told(log), parts.Counting()), run_up_from_rad_s=38.0)
+    run_stops(
+        [draw("hard", 1)], SHORT, maker=lambda *_: (parts.CommandLog(log), parts.Counting()), run_up_from_rad_s=38.0
+    )
     assert [tick for tick, _ in log] == list(range(len(log)))
-    told = [command for _, command in log]
-    driven = sum(command.drive > 0.0 for command in told)
+    written = [command for _, command in log]
+    driven = sum(command.drive > 0.0 for command in written)
     assert driven >= 40
-    assert told[: driven + 2] == [Command.SAFE, *[Command(1.0, 0.0)] * driven, Command.SAFE]
-    # braking is decided from the tick on that was told of SAFE, and each decision is told at the next
-    assert [command.brake for command in told[driven + 2 :]] == [
-        0.5 + 1e-4 * (number + 1) for number in range(len(told) - driven - 2)
+    assert written[: driven + 2] == [Command.SAFE, *[Command(1.0, 0.0)] * driven, Command.SAFE]
+    # braking is decided from the tick on that got SAFE, and each decision is passed on at the next
+    assert [command.brake for command in written[driven + 2 :]] == [
+        0.5 + 1e-4 * (number + 1) for number in range(len(written) - driven - 2)
     ]
 
 
@@ -143,7 +145,7 @@ def test_the_ideal_estimator_knows_the_true_slip():
     np.testing.assert_array_equal(stops["slip_rms_estimated"], stops["slip_rms_true"])
 
 
-def test_the_ideal_estimator_is_none_of_the_products():
+def test_the_ideal_estimator_is_not_a_product_estimator():
     with pytest.raises(ConfigError, match="no estimator 'ideal'"):
         load_config(settings=["estimator.name=ideal"], checks=[control_check()])
 
@@ -164,7 +166,7 @@ def test_an_oracle_sees_the_true_state_of_its_own_rig():
     stops = run_stops(
         rigs,
         SHORT,
-        maker=lambda rig, state: (parts.Told([]), Looking(state, rigs.index(rig))),
+        maker=lambda rig, state: (parts.CommandLog([]), Looking(state, rigs.index(rig))),
         run_up_from_rad_s=None,
         traced=[0, 1],
     )
@@ -210,7 +212,7 @@ def test_the_duty_is_limited_as_by_a_guard_that_knows_the_amplifier(limit, cap, 
 
 
 def test_the_guard_of_a_run_ends_a_stop_of_its_own_rig_only():
-    fine = EncoderVariation(counts_per_turn=4096)  # of which the configuration knows nothing
+    fine = EncoderVariation(counts_per_turn=4096)  # not in the configuration
     rigs = [RigVariation(), RigVariation(wheel_encoder=fine, road_encoder=fine)]
     stops = run_stops(rigs, configured())
     assert stops.errors == ("", EXPLANATIONS[Reason.OVER_SPEED])
@@ -225,7 +227,7 @@ def test_a_stop_that_does_not_end_is_given_up():
     assert stops.errors == ("",)
 
 
-def test_a_start_speed_that_the_drive_does_not_reach_is_told():
+def test_a_start_speed_that_the_drive_does_not_reach_is_reported():
     weak = configured("experiment.drive_duty=0.2", "experiment.spin_up_timeout_s=0.1")
     stops = run_stops([RigVariation()], weak)
     assert "the start speed was not reached in time" in stops.errors[0]

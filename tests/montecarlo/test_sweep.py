@@ -102,7 +102,7 @@ def test_a_gain_is_for_the_controllers_that_have_it():
     ]
 
 
-def test_a_file_says_what_the_grid_does_not(tmp_path):
+def test_a_file_gives_the_settings_outside_the_grid(tmp_path):
     file = tmp_path / "rig.toml"
     file.write_text('[controller]\nname = "pi"\n[controller.gains]\nKi = 9.0\n[estimator]\nname = "euler"\n')
     found = grid("controller.gains.Kp=1,2", file=file)
@@ -141,7 +141,7 @@ def test_the_ideal_estimator_may_be_chosen():
         (["nonsense"], {"--set nonsense": "must look like controller.gains.Mk=2 or ...=2,5,10"}),
     ],
 )
-def test_mistakes_of_the_whole_grid_are_told_at_once(settings, expected):
+def test_mistakes_of_the_whole_grid_are_reported_at_once(settings, expected):
     assert mistakes(grid, *settings) == expected
 
 
@@ -172,7 +172,7 @@ def test_every_configuration_brakes_every_range_of_draws(rows):
     assert rows[1].stops.metrics[1:].tobytes() == alone.metrics.tobytes()
 
 
-def test_a_sweep_is_told_as_json_with_nothing_infinite(rows):
+def test_the_json_of_a_sweep_has_nothing_infinite(rows):
     facts = rows[0].facts()  # a duty in the brake's dead zone
     assert (facts["rigs"], facts["controller"], facts["estimator"]) == ("hard:3-4", "steps", "moving-window")
     assert facts["settings"] == {"controller.gains.first": "0.3"}
@@ -183,7 +183,7 @@ def test_a_sweep_is_told_as_json_with_nothing_infinite(rows):
     assert 0.0 < locking["metrics"]["stop_time_s"]["median"] <= locking["metrics"]["stop_time_s"]["max"] < 1.0
 
 
-def test_a_sweep_is_told_stop_by_stop(rows):
+def test_a_sweep_writes_one_line_per_stop(rows):
     records = [record for row in rows for record in row.records()]
     assert len(records) == 9
     first = records[0]

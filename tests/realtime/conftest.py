@@ -39,7 +39,7 @@ READ_NS = 50
 
 
 class FakeTime:
-    """Stands in for the module `time`: a clock that moves when somebody reads it, sleeps or `spend`s."""
+    """Stands in for the module `time`: a clock that advances when it is read, slept on or `spend`s."""
 
     def __init__(self) -> None:
         self.now_ns = 1_000_000_000_007
@@ -105,7 +105,7 @@ class ScriptedBoard:
 
 
 class ScriptedPipeline:
-    """Decides what `script` says, tick by tick, and has finished at its end; an exception in it is raised."""
+    """Decides by `script`, tick by tick, and has finished at its end; raises an exception in it."""
 
     def __init__(self, script: list[Command | BaseException], during: Callable[[int], None] = lambda _tick: None):
         self.seen: list[tuple[Sample, Reason, Timing]] = []

@@ -46,7 +46,7 @@ class Bench:
         self.take(memory)
 
     def take(self, memory):
-        """Be about to open the board for the first time, or anew: the rig is as it is."""
+        """Prepare to open the board, for the first time or again: the rig keeps its state."""
         self.link = WatchedLink(InProcessLink(self._front_end))
         self.board = board_behind(self.link, self.config, self.clock.now_ns)
         self.stop = StopFlag()

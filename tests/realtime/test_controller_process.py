@@ -1,4 +1,4 @@
-"""A user's controller in its own process: the same bits, and an end in words whatever it does."""
+"""A user's controller in its own process: the same bits, and a clear error when it fails in any way."""
 
 import math
 import subprocess
@@ -34,9 +34,9 @@ class Law:
         self.calls += 1
         {}
         at = estimate.outlook
-        told = math.fsum(at) if at else 0.0
+        total = math.fsum(at) if at else 0.0
         seen = (self.calls, estimate.road_speed_rad_s, estimate.wheel_speed_rad_s, estimate.valid)
-        return BrakeDemand(self.duty / 3, estimate.slip / dt_s, told, seen)
+        return BrakeDemand(self.duty / 3, estimate.slip / dt_s, total, seen)
 """
 NAME = "law.py:Law"
 HERE = Path("of-no-run.ring")
@@ -130,7 +130,7 @@ def test_each_copy_is_a_controller_of_its_own_as_for_several_stops(law):
 
 
 @pytest.mark.usefixtures("patient")
-def test_what_is_no_number_comes_to_the_guard_as_such(law):
+def test_what_is_not_a_number_reaches_the_guard_as_such(law):
     _, controller = law(asked="return BrakeDemand((float('nan'), None, True, '0.6', 1j)[self.calls - 1])")
     assert all(math.isnan(controller.update(ESTIMATES[0], 5e-4).brake) for _ in range(5))
 
@@ -196,7 +196,7 @@ def test_its_prints_threads_and_children_do_not_come_between(law, capfd):
         ({"made": "os._exit(5)"}, ConfigError, "has ended its process: exit code 5"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_loaded_or_made_is_told_before_the_board_is_opened(law, monkeypatch, statements, kind, words):
+def test_what_cannot_be_loaded_is_reported_before_the_board_is_opened(law, monkeypatch, statements, kind, words):
     monkeypatch.setattr(isolated, "LOADING_MOST_S", 1.0 if "sleep" in str(statements) else 60.0)
     with pytest.raises(kind) as caught:
         law(**statements)
@@ -212,8 +212,8 @@ def test_a_process_that_cannot_be_started_is_a_refusal(monkeypatch):
 @pytest.mark.untraced
 def test_it_holds_no_file_of_its_parent_and_ends_with_it_however_that_comes(tmp_path, until):
     (tmp_path / "secret").write_text("")
-    told = "[os.path.realpath(f'/proc/self/fd/{n}') for n in os.listdir('/proc/self/fd')]"
-    source = LAW.format(f"print(os.getpid(), {told}, file=sys.stderr, flush=True)", "pass", "pass")
+    open_files = "[os.path.realpath(f'/proc/self/fd/{n}') for n in os.listdir('/proc/self/fd')]"
+    source = LAW.format(f"print(os.getpid(), {open_files}, file=sys.stderr, flush=True)", "pass", "pass")
     code = (
         "import sys, os, time; from pathlib import Path\n"
         "from inteco_abs.realtime.processes.controller import IsolatedController\n"

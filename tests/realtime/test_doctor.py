@@ -106,7 +106,7 @@ STOCK = {"proc/sys/kernel/version": "#1 SMP PREEMPT_DYNAMIC Debian"}
 NOT_AWAKE = {"dev/cpu_dma_latency": ReadOnly()}
 NOTHING_DEEP = {f"{CPU}/cpu0/cpuidle/state1/disable": "1"}
 
-# name of the check, what differs from the good computer, verdict, what it says, what it advises
+# name of the check, what differs from the good computer, verdict, what it reports, what it advises
 CASES = [
     ("kernel", {}, "green", "6.12.0-rt-amd64, PREEMPT_RT", ""),
     ("kernel", {**STOCK, "sys/kernel/realtime": "1"}, "green", "PREEMPT_RT", ""),
@@ -280,7 +280,7 @@ def find(findings, name):
     CASES,
     ids=[f"{number}: {name} {verdict}" for number, (name, _, verdict, *_) in enumerate(CASES)],
 )
-def test_each_check_tells_good_from_bad(new_root, tmp_path, name, changes, verdict, found, fix):
+def test_each_check_distinguishes_good_from_bad(new_root, tmp_path, name, changes, verdict, found, fix):
     finding = find(examine(tmp_path, new_root(changes)), name)
     assert finding.verdict == verdict
     assert found in finding.found
@@ -329,7 +329,7 @@ def test_a_serial_port_that_is_not_ftdis_is_not_judged(new_root, tmp_path):
         (35_000_000, "red", "58 s of recording"),
     ],
 )
-def test_free_space_is_told_in_time_of_recording(new_root, disk, tmp_path, free, verdict, found):
+def test_free_space_is_given_as_recording_time(new_root, disk, tmp_path, free, verdict, found):
     disk[str(tmp_path)] = free
     finding = find(examine(tmp_path, new_root({})), "free space")
     assert finding.verdict == verdict
@@ -345,7 +345,7 @@ def test_free_space_is_told_in_time_of_recording(new_root, disk, tmp_path, free,
         (29_000_000, "red", "29 MB in /dev/shm, 58 s of ticks"),
     ],
 )
-def test_shared_memory_is_told_in_time_of_ticks(new_root, disk, tmp_path, free, verdict, found):
+def test_shared_memory_is_given_as_time_of_ticks(new_root, disk, tmp_path, free, verdict, found):
     disk["dev/shm"] = free
     finding = find(examine(tmp_path, new_root({})), "shared memory")
     assert (finding.verdict, finding.found) == (verdict, found)

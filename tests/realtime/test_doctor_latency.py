@@ -46,7 +46,7 @@ def test_in_virtual_time_nothing_is_late():
 
 
 class LateClock:
-    """Beats that come so many ns late after so many left out; `asked` is how many were."""
+    """Beats late by these ns after these skipped periods; `asked` counts the calls."""
 
     def __init__(self, *beats):
         self.asked = 0
@@ -63,7 +63,7 @@ class LateClock:
             yield Beat(self._now_ns - late_ns, skipped)
 
 
-def test_every_beat_says_how_late_it_came_and_a_missed_period_is_a_period():
+def test_every_beat_has_its_lateness_and_a_missed_period_counts_as_a_period():
     clock = LateClock((70, 0), (1_080_000, 0), (80_000, 2), (5, 0), (6, 0))
     assert wake_ups(clock, 6) == ([70, 1_080_000, 80_000, 5], 2)
     assert clock.asked == 4
@@ -73,7 +73,7 @@ def test_a_long_gap_ends_the_test_too():
     assert wake_ups(LateClock((0, 0), (9, 1000), (0, 0)), 100) == ([0, 9], 1000)
 
 
-def test_the_test_tells_what_the_loop_is_granted_here_and_how_long_it_took():
+def test_the_test_reports_the_settings_granted_here_and_its_duration():
     settings, wakes = examine_wake_ups(0.2)
     assert (settings.name, wakes.name) == ("loop settings", "wake-ups")
     if settings.verdict == "green":
@@ -128,7 +128,7 @@ def test_a_python_that_cannot_be_started_is_red(monkeypatch):
         ([NO_SCHEDULER, NO_MEMORY], "red", "refused: scheduler, memory", 2),
     ],
 )
-def test_what_the_loop_was_refused_is_told_with_its_fix(settings, verdict, found, fixes):
+def test_what_the_loop_was_refused_is_reported_with_its_fix(settings, verdict, found, fixes):
     judgement = judge_settings(settings)
     assert judgement.verdict == verdict
     assert found in judgement.found

@@ -82,12 +82,12 @@ def test_a_viewer_sees_the_newest_tick_as_it_is_in_the_ring(memory, job, loop):
     assert (decoded.tick, decoded.slip) == (loop.number, 0.5)
 
 
-def test_a_viewer_is_told_what_it_looks_at(memory, job):
+def test_a_viewer_gets_the_description_of_the_channel(memory, job):
     with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
         assert viewer.subprotocol == "foxglove.sdk.v1"
         assert viewer.info["name"] == "inteco-abs"
-        told = (viewer.channel["topic"], viewer.channel["schemaName"], viewer.channel["encoding"])
-    assert told == (TICK.topic, TICK.name, "protobuf")
+        channel = (viewer.channel["topic"], viewer.channel["schemaName"], viewer.channel["encoding"])
+    assert channel == (TICK.topic, TICK.name, "protobuf")
 
 
 def test_times_keep_the_distance_that_ticks_have(memory, job, loop):
@@ -124,7 +124,7 @@ def test_the_channel_outlives_the_garbage_collector(memory, job, loop):
             assert viewer.decode(viewer.next()[1]).tick == loop.number
 
 
-def test_nobody_outside_of_this_computer_can_connect(memory, job):
+def test_no_other_computer_can_connect(memory, job):
     with live_view(memory, job):
         port = f":{memory.words[Field.LIVE_PORT]:04X}"
         rows = [line.split() for name in ("tcp", "tcp6") for line in Path("/proc/net", name).read_text().splitlines()]
@@ -143,7 +143,7 @@ def test_a_port_that_is_taken_is_named_with_what_to_do(memory, job):
     assert memory.words[Field.LIVE_PORT] == 0
 
 
-def test_a_taken_port_is_told_before_a_run_begins_and_a_free_one_stays_free():
+def test_a_taken_port_is_reported_before_a_run_begins_and_a_free_one_stays_free():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(AbsError, match=f"ws://127.0.0.1:{port} cannot be served: .* name another port, or 0"):
@@ -226,7 +226,7 @@ class TestStrangers:
             assert self.status(port, Origin=origin) == 101
             assert self.status(port, Origin=origin, Host=f"localhost:{port}") == 101
 
-    def test_a_thousand_that_only_connect_take_a_few_descriptors_and_the_others_go_on(self, memory, job, loop, until):
+    def test_a_thousand_silent_connections_take_few_descriptors_and_the_others_continue(self, memory, job, loop, until):
         with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
             loop.reach(viewer)
             held = descriptors()
@@ -246,7 +246,7 @@ class TestStrangers:
         ],
         ids=["words", "no websocket", "TLS", "zeros", "nothing"],
     )  # fmt: skip
-    def test_what_is_no_handshake_disturbs_nobody(self, memory, job, loop, said):
+    def test_bytes_that_are_not_a_handshake_disturb_no_viewer(self, memory, job, loop, said):
         with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
             for _ in range(MOST_VIEWERS + 4):
                 with suppress(OSError), socket.create_connection(("127.0.0.1", memory.words[Field.LIVE_PORT])) as other:
@@ -266,14 +266,14 @@ class TestStrangers:
         ],
         ids=range(7),
     )
-    def test_what_is_no_order_of_the_protocol_disturbs_no_other_viewer(self, memory, job, loop, said):
+    def test_bytes_that_are_not_a_message_disturb_no_other_viewer(self, memory, job, loop, said):
         with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
             address = f"ws://127.0.0.1:{memory.words[Field.LIVE_PORT]}"
             with connect(address, subprotocols=["foxglove.sdk.v1"]) as other:  # not before the first has its answer
                 other.send(said)
                 loop.reach(viewer)
 
-    def test_one_that_takes_nothing_and_says_good_bye_disturbs_nobody(self, memory, job, loop, monkeypatch):
+    def test_a_viewer_that_reads_nothing_and_closes_disturbs_no_other(self, memory, job, loop, monkeypatch):
         def create_server(address):
             server = create(address)
             server.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)  # it is full sooner
@@ -305,7 +305,7 @@ class TestStrangers:
                     time.sleep(PERIOD_S)
                 loop.reach(viewer)
 
-    def test_who_has_unsubscribed_hears_no_more(self, memory, job, loop):
+    def test_a_viewer_that_unsubscribed_gets_no_more_ticks(self, memory, job, loop):
         with live_view(memory, job), watching(memory.words[Field.LIVE_PORT]) as viewer:
             loop.reach(viewer)
             viewer.unsubscribe()

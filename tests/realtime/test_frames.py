@@ -49,8 +49,8 @@ def ended(new_memory, job_of):
     memory = new_memory()
     job = replace(job_of(memory), frames=True)
     job.post(memory)
-    told = {"identity": {}, "gains": {}, "internals": [], "settings": []}
-    memory.post(Mailbox.HEADER, told)
+    note = {"identity": {}, "gains": {}, "internals": [], "settings": []}
+    memory.post(Mailbox.HEADER, note)
     memory.post(Mailbox.RUN_END, {"reason": 0, "detail": "", "cost": {}})
     ring = memory.tick_ring(pack_tick)
     for number in range(8):
@@ -68,7 +68,7 @@ def test_the_session_that_is_made_from_memory_has_the_frames_that_the_loop_has_l
     assert not memory.frames.exists()
 
 
-def test_of_a_loop_that_was_killed_the_session_has_everything_else_and_says_so(ended):
+def test_the_session_of_a_killed_loop_has_everything_but_the_frames_and_says_so(ended):
     memory, job = ended
     part = memory.frames.with_name(f"{memory.frames.name}.part")
     part.write_text('{"format"')
@@ -87,7 +87,7 @@ def test_a_loop_that_had_no_room_for_them_is_quoted(ended):
     assert "No space left on device" in rebuild(memory, job, job.path).trouble
 
 
-def test_frames_that_nobody_wanted_are_not_missed(ended):
+def test_frames_that_were_not_requested_are_not_missed(ended):
     memory, job = ended
     assert spooled_frames(memory, replace(job, frames=False)) is None
     assert rebuild(memory, replace(job, frames=False), job.path).trouble == ""
@@ -108,7 +108,7 @@ def test_recover_of_a_ring_finds_the_frames_beside_it(ended, child, tmp_path):
 class TestLeaving:
     @pytest.fixture
     def loop(self, ended):
-        """What a loop's process does with its recording: a message, then whatever a test wants."""
+        """What a loop's process does with its recording: a message, then the test's action."""
         memory, job = ended
 
         def run(then=lambda: None):

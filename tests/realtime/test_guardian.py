@@ -72,7 +72,7 @@ class TestSilence:
         window_ns=st.integers(0, WINDOW_NS),
         count=st.integers(0, 2**40),
     )
-    def test_a_count_that_stands_still_is_silent_once_the_window_has_passed(self, polls_ns, window_ns, count):
+    def test_a_count_that_does_not_change_is_silent_once_the_window_has_passed(self, polls_ns, window_ns, count):
         silence, passed_ns = Silence(window_ns), 0
         silence.lasts(count, 0)
         for poll_ns in polls_ns:
@@ -110,7 +110,7 @@ class TestSilence:
                 silence.forget()
                 assert not any(silence.lasts(count, POLL_NS) for _ in range(step))
 
-    def test_after_it_was_silent_it_can_be_heard_again(self):
+    def test_after_silence_a_new_count_ends_it(self):
         silence = Silence(WINDOW_NS)
         assert [silence.lasts(1, POLL_NS) for _ in range(20)].count(True) > 0
         assert not silence.lasts(2, POLL_NS)
@@ -159,7 +159,7 @@ class Run:
             self.pool.shutdown()
 
     def until(self, condition, what=""):
-        """Wait as a supervisor waits, with a beating heart."""
+        """Wait as a supervisor waits, with a heartbeat."""
 
         def beating():
             self.words[Field.SUPERVISOR_BEAT_NS] += 1
@@ -231,7 +231,7 @@ def tick(buffer, offset, number):
 
 class TestDeath:
     @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV])
-    def test_a_holder_that_dies_has_its_board_made_safe_and_that_is_told(self, run, child, number):
+    def test_a_holder_that_dies_has_its_board_made_safe_and_that_is_reported(self, run, child, number):
         process = child()
         run.hold(process.pid)
         before_ns = time.monotonic_ns()
@@ -275,7 +275,7 @@ class TestDeath:
         assert run.until_rescued(process.pid)["failure"] == ""
         assert run.device.duties == OFF
 
-    def test_a_board_that_cannot_be_made_safe_is_told_with_its_cause_and_the_guardian_goes_on(
+    def test_a_board_that_cannot_be_made_safe_is_reported_with_its_cause_and_the_guardian_continues(
         self, run, child, monkeypatch
     ):
         first, second = child(), child()
@@ -292,7 +292,7 @@ class TestDeath:
         assert run.until_rescued(second.pid)["failure"] == ""
         assert run.device.duties == OFF
 
-    def test_its_heart_beats_while_it_tries(self, run, child):
+    def test_its_heartbeat_continues_while_it_tries(self, run, child):
         process = child()
         run.hold(process.pid)
         with run.host():

@@ -46,7 +46,7 @@ class Scene:
         self._ring.append([0] * len(TICK.columns))
 
     def look(self, most_ms, *, beating=BEATS, ticking=False, until=lambda: False):
-        """Look every 5 ms for so long or `until` then; how long that took, ms."""
+        """Look every 5 ms until the time is over or `until` holds; return the time taken, ms."""
         for passed in range(0, most_ms, POLL_NS // MS):
             if until() or self.guardian.over():
                 return passed
@@ -137,7 +137,7 @@ class TestHang:
         scene.words[Field.HOLDER_PID] = scene.process.pid
         assert scene.killed_within(1000) > 50
 
-    def test_one_that_is_still_there_long_after_it_was_told_to_end_is_killed(self, scene):
+    def test_a_process_that_still_runs_long_after_a_stop_is_killed(self, scene):
         scene.guard()
         scene.words[Field.GUARDIAN_STOP] = Reason.SUPERVISOR_LOST
         assert 3000 < scene.killed_within(5000, ticking=True) <= 3005
@@ -148,7 +148,7 @@ class TestHang:
         scene.words[Field.GUARDIAN_STOP] = Reason.RECORDER_LOST
         assert scene.killed_within(5000) == 5000
 
-    def test_a_board_that_nobody_drives_any_more_is_told_of_in_the_second_turn(self, scene, until, capfd):
+    def test_a_held_board_without_ticks_is_reported_in_the_second_turn(self, scene, until, capfd):
         scene.guard("guard.silence_s=2.0").tick()
         scene.look(400)
         assert scene.words[Field.ALARMED] == 0
@@ -244,7 +244,7 @@ class TestTheOthers:
         scene.look(100)
         assert scene.words[Field.GUARDIAN_STOP] == Reason.RECORDER_LOST
 
-    def test_left_alone_it_goes_on_until_nothing_is_left_to_guard(self, scene):
+    def test_left_alone_it_continues_until_nothing_is_left_to_guard(self, scene):
         scene.guard()
         scene.kill(scene.supervisor)
         assert scene.look(2000, ticking=False) == 2000

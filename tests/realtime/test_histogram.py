@@ -67,13 +67,13 @@ def test_what_is_beyond_the_bins_is_counted_in_the_first_or_the_last(value, edge
     assert filled(value).sparse() == {edge: 1}
 
 
-def test_the_greatest_is_told_however_late_it_was():
+def test_the_greatest_value_is_kept_even_beyond_the_last_bin():
     histogram = filled(3.0, 123_456.75, 5.0)
     assert histogram.greatest_us == 123_456.75
     assert histogram.quantiles_us([0.5, 1.0]) == [6.0, 2048.0]
 
 
-def test_before_the_first_value_there_is_nothing_to_tell():
+def test_before_the_first_value_there_are_no_quantiles():
     histogram = Histogram()
     histogram.add([], 3)
     assert histogram.quantiles_us([0.5, 0.99]) == [None, None]

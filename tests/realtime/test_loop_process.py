@@ -26,7 +26,7 @@ TOOK_S = 2.0
 
 
 class Process:
-    """The loop's process in this one, guarded and told to stop at its first tick."""
+    """The loop's process in this one, guarded and stopped at its first tick."""
 
     def __init__(self, memory, job, monkeypatch):
         self.memory, self.job, self.words = memory, job, memory.words
@@ -65,11 +65,11 @@ def process(memory, job_of, monkeypatch):
 def test_before_the_first_tick_it_introduces_itself_and_at_the_end_it_concludes(process):
     assert process.run() == 0
     config = process.job.config
-    told = process.memory.note(Mailbox.HEADER)
-    assert told["identity"]["application_name"] == "ABSSIM"
-    assert told["gains"] == gains_in_force(config)
-    assert told["internals"] == list(CONTROLLERS[config.controller.name].internals)
-    assert (told["settings"], told["pace"]) == ([SETTING._asdict()], {})
+    posted = process.memory.note(Mailbox.HEADER)
+    assert posted["identity"]["application_name"] == "ABSSIM"
+    assert posted["gains"] == gains_in_force(config)
+    assert posted["internals"] == list(CONTROLLERS[config.controller.name].internals)
+    assert (posted["settings"], posted["pace"]) == ([SETTING._asdict()], {})
     assert process.memory.image(Mailbox.SAFE_IMAGE)
     assert process.tunings == ["the loop's"]
     end = process.memory.note(Mailbox.RUN_END)
@@ -82,7 +82,7 @@ def test_before_the_first_tick_it_introduces_itself_and_at_the_end_it_concludes(
     assert TICK.array(process.memory.tick_reader().take())["stop_request"].tolist()[:1] == [Reason.OPERATOR_STOP]
 
 
-def test_told_to_end_before_it_may_begin_it_ticks_not_once(process):
+def test_a_stop_before_the_start_allows_no_tick(process):
     process.words[Field.GO] = 0
     assert process.run() == 0
     assert process.memory.note(Mailbox.HEADER)
@@ -105,7 +105,7 @@ def test_it_waits_until_it_may_begin(process):
     assert process.memory.note(Mailbox.RUN_END)
 
 
-def test_of_a_real_board_it_requires_the_rate_and_says_how_quick_it_is(process):
+def test_it_requires_the_rate_of_a_real_board_and_reports_its_time(process):
     process.job = replace(process.job, board="usb2:")
     assert process.run() == 0
     assert process.rates == [process.job.config.period_ns]
@@ -122,12 +122,12 @@ def test_what_was_recorded_of_the_wire_is_kept_with_the_board_let_go_of(process,
     assert process.memory.frames.exists() == ("frames" in wanted)
 
 
-def test_a_board_that_no_guardian_watches_is_not_opened_and_that_is_told(process):
+def test_a_board_that_no_guardian_watches_is_not_opened_and_that_is_reported(process):
     process.words[Field.GUARDING_PID] = 0
     code = process.run()
-    told = process.memory.note(Mailbox.FAILURE)
-    assert (code, told["kind"]) == (1, "BoardError")
-    assert "the guardian does not watch" in told["text"]
+    posted = process.memory.note(Mailbox.FAILURE)
+    assert (code, posted["kind"]) == (1, "BoardError")
+    assert "the guardian does not watch" in posted["text"]
     assert process.memory.image(Mailbox.SAFE_IMAGE) is None
 
 
@@ -141,7 +141,7 @@ def test_what_it_raises_gives_its_exit_code(process, monkeypatch):
     assert process.words[Field.HOLDER_PID] == os.getpid()
 
 
-def test_a_defect_is_told_with_its_traceback_and_ends_the_process(process, monkeypatch, capfd):
+def test_a_defect_is_reported_with_its_traceback_and_ends_the_process(process, monkeypatch, capfd):
     monkeypatch.setattr(rt, "build_pipeline", lambda *_: 1 // 0)
     assert process.run() == 1
     assert process.memory.note(Mailbox.FAILURE)["kind"] == "ZeroDivisionError"

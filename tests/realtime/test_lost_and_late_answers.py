@@ -65,7 +65,7 @@ class BusyBus(Link):
 
 
 class Ride:
-    """A stop over such a bus; what became of it."""
+    """A stop over such a bus, and its result."""
 
     def __init__(self, draw, *settings):
         config = load_config(settings=[*SETTINGS, *settings])
@@ -103,7 +103,7 @@ NOT_NUMBERED = "board.numbering_pwm=-1"
 
 @pytest.mark.parametrize("frames", [(NUMBERED,), (NOT_NUMBERED, DATED)], ids=" ".join)
 @pytest.mark.parametrize("one_in", [{"lost": 500}, {"late": 500}, {"lost": 500, "late": 500}], ids=" and ".join)
-def test_a_stop_at_2_khz_outlives_one_answer_in_500_lost_or_late_by_3_ms_and_tells_them(frames, one_in):
+def test_a_stop_at_2_khz_survives_one_answer_in_500_lost_or_late_by_3_ms_and_counts_them(frames, one_in):
     ride = Ride(at_random(1, **one_in), *frames)
     assert ride.reason is Reason.NONE
     assert ride.duties == (0.0, 0.0)

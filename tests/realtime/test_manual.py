@@ -182,7 +182,7 @@ class TestLooks:
             assert rig.side.look["values"]["pwm0_prescaler"] == rig.config.board.pwm_prescaler
             assert len(bytes.fromhex(rig.side.look["raw"])) == 504
 
-    def test_the_pci_board_tells_of_its_alarms_while_it_drives(self, bench):
+    def test_the_pci_board_reports_its_alarms_while_it_drives(self, bench):
         with bench(profile="sim_pci") as rig:
             rig.side.ask()
             rig.beats(0.3, Command(0.4, 0.0))
@@ -201,7 +201,7 @@ WATCHING = 'board.read_only="the panel only watches"'
 
 
 class TestWatching:
-    def test_nothing_but_requests_is_written_whatever_is_requested(self, bench):
+    def test_only_requests_are_written(self, bench):
         with bench(WATCHING) as rig:
             assert set(rig.beats(0.3, Command(1.0, 1.0))) == {OFF}
             assert set(rig.link.written) == {READ_REQUEST}
@@ -224,7 +224,7 @@ class TestWatching:
             with pytest.raises(LinkError):
                 rig.beat()
 
-    def test_it_ends_when_somebody_wants_it(self, bench):
+    def test_it_ends_on_request(self, bench):
         with bench(WATCHING) as rig:
             rig.stop.request()
             assert not rig.beat()

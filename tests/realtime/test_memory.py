@@ -101,7 +101,7 @@ class TestFile:
         ],
         ids=["empty", "foreign", "another version", "header only", "no rings", "one byte short", "short", "longer"],
     )
-    def test_a_file_that_is_no_whole_memory_is_refused_by_name(self, memory, content, complaint):
+    def test_a_file_that_is_not_a_whole_memory_is_refused_by_name(self, memory, content, complaint):
         memory.path.write_bytes(content(memory.path.read_bytes()))
         with pytest.raises(SessionError, match=complaint) as refusal:
             RunMemory.open(memory.path)
@@ -151,13 +151,13 @@ class TestFile:
         memory = RunMemory.private(SIZE, CAPACITY)
         memory.tick_ring(pack).append(5)
         memory.words[Field.GO] = 1
-        memory.post(Mailbox.DRILL, "told")
+        memory.post(Mailbox.DRILL, "result")
         assert memory.tick_capacity == CAPACITY
         assert memory.tick_reader().take() == record(5)
-        assert memory.note(Mailbox.DRILL) == "told"
+        assert memory.note(Mailbox.DRILL) == "result"
         assert not list(memory_folder.iterdir())
 
-    def test_one_that_is_kept_stays_without_the_boards_socket_and_is_nobodys(self, memory):
+    def test_a_kept_memory_stays_without_the_boards_socket_and_is_not_in_use(self, memory):
         memory.socket.touch()
         memory.frames.touch()
         memory.keep()
@@ -183,7 +183,7 @@ class TestFile:
     def test_it_knows_when_the_monotonic_clock_began(self, memory):
         assert abs(memory.words[Field.EPOCH_NS] - (time.time_ns() - time.monotonic_ns())) < 10**9
 
-    def test_a_ring_is_told_from_anything_else_without_waiting_for_a_pipe(self, memory, memory_folder):
+    def test_a_ring_is_recognised_without_waiting_for_a_pipe(self, memory, memory_folder):
         older, pipe, other = (memory_folder / name for name in ("older", "pipe", "other"))
         older.write_bytes(b"inteco-abs ring 1\n")
         other.write_bytes(b"inteco-abs session")
@@ -195,7 +195,7 @@ class TestFile:
 
 class TestNotes:
     @pytest.mark.parametrize("note", Mailbox)
-    def test_a_note_is_none_before_and_then_what_was_left(self, small, note):
+    def test_a_note_is_none_before_it_is_posted(self, small, note):
         memory, other = small
         assert other.note(note) is None
         assert other.image(note) is None
@@ -256,7 +256,7 @@ class TestWords:
 
     def test_words_and_notes_are_seen_by_another_process_and_its_own_here(self, memory, python_child):
         memory.words[Field.GO] = 2**62
-        memory.post(Mailbox.DRILL, "told")
+        memory.post(Mailbox.DRILL, "result")
         code = """
 import sys
 from pathlib import Path
@@ -267,7 +267,7 @@ memory.words[Field.STOP] = -5
 memory.post(Mailbox.FAILURE, ["heard"])
 """
         process = python_child(code, memory.path)
-        assert process.communicate(timeout=60)[0].split() == ["True", "told"]
+        assert process.communicate(timeout=60)[0].split() == ["True", "result"]
         assert memory.words[Field.STOP] == -5
         assert memory.note(Mailbox.FAILURE) == ["heard"]
 
@@ -327,7 +327,7 @@ class TestRings:
             assert [note for note in Mailbox if memory.image(note) is not None] == []
         assert memory.truth_reader().written == 50
 
-    def test_a_reader_that_begins_anew_finds_what_the_ring_still_holds(self, small):
+    def test_a_reader_that_begins_again_finds_what_the_ring_still_holds(self, small):
         memory, other = small
         ring, reader = memory.tick_ring(pack), other.tick_reader()
         for number in range(2 * CAPACITY + 1):
@@ -398,7 +398,7 @@ class TestLeftRings:
         assert list(left_rings(memory_folder)) == []
         assert memory.path.exists()
 
-    def test_several_are_found_in_order_and_what_is_no_memory_is_passed_over(self, new_memory, memory_folder, ended):
+    def test_several_are_found_in_order_and_other_files_are_skipped(self, new_memory, memory_folder, ended):
         memories = [new_memory() for _ in range(3)]
         for each in memories:
             each.tick_ring(pack).append(1)
@@ -419,7 +419,7 @@ class TestAlive:
         for pid in (child().pid, os.getpid(), 1):
             assert alive(pid)
 
-    def test_one_that_has_ended_is_not_even_if_nobody_has_asked_how(self, child, until):
+    def test_a_process_that_has_ended_is_not_alive_even_before_it_is_waited_for(self, child, until):
         process = child()
         process.kill()
         until(lambda: not alive(process.pid), "the kernel ends it")
@@ -459,7 +459,7 @@ class TestAlive:
         assert alive(os.getpid())
         assert not alive(ended)
         monkeypatch.setattr(os, "kill", lambda _pid, _number: refuse(_pid))
-        assert alive(ended)  # as far as one can tell, when it is another user's
+        assert alive(ended)  # as far as known, when it is another user's
 
     def test_asking_leaves_no_descriptor_open(self, child):
         pid = child().pid

@@ -1,4 +1,4 @@
-"""The mock board's process of a run in real time, and what it tells of the faults that it acts out."""
+"""The mock board's process of a run in real time, and its reports on the faults that have acted."""
 
 import sys
 import time
@@ -25,7 +25,7 @@ def stands_still(process):
 
 @pytest.fixture
 def board_with(memory, job_of, child):
-    """Starts the board's process with faults, a child in the place of whoever holds the board; both, and the board."""
+    """Starts the board's process with faults and a child in place of the board's holder; yields both, and the board."""
 
     def start(*faults):
         job = replace(job_of(memory), faults=faults)
@@ -39,7 +39,7 @@ def board_with(memory, job_of, child):
     return start
 
 
-def test_a_fault_that_has_acted_is_told_before_the_next_exchange(memory, board_with):
+def test_a_fault_that_has_acted_is_reported_before_the_next_exchange(memory, board_with):
     _, board = board_with("lose@drive+#1")
     with board:
         flags = [board.exchange(Command(0.1, 0.0)).board_flags for _ in range(4)]
@@ -47,7 +47,7 @@ def test_a_fault_that_has_acted_is_told_before_the_next_exchange(memory, board_w
     assert BoardFlags.STALE in flags
 
 
-def test_a_pause_stops_whoever_holds_the_board_after_his_exchange_not_amid_it(memory, board_with):
+def test_a_pause_suspends_the_holder_of_the_board_after_its_exchange_not_during_it(memory, board_with):
     holder, board = board_with(f"pause={LONG_MS}@drive")
     with board:
         board.exchange(Command(0.1, 0.0))
@@ -58,7 +58,7 @@ def test_a_pause_stops_whoever_holds_the_board_after_his_exchange_not_amid_it(me
         assert not stands_still(holder)
 
 
-def test_a_pause_is_survived_by_the_board_if_nobody_holds_it_any_more(board_with):
+def test_the_board_survives_a_pause_that_no_process_holds_it_for(board_with):
     holder, board = board_with("pause=1@drive")
     holder.kill()
     holder.wait()

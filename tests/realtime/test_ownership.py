@@ -54,7 +54,7 @@ class TestHolding:
             hold_and_raise(memory, AssertionError("it must not come so far"))
         assert memory.words[Field.HOLDER_PID] == 0
 
-    def test_this_process_is_the_holder_inside_and_nobody_after_a_normal_end(self, guarded):
+    def test_this_process_is_the_holder_inside_and_no_process_after_a_normal_end(self, guarded):
         with holding(guarded):
             assert guarded.words[Field.HOLDER_PID] == os.getpid()
         assert guarded.words[Field.HOLDER_PID] == 0
@@ -64,7 +64,7 @@ class TestHolding:
         [BoardError("busy"), LinkError("no answer"), ReadOnlyError("unknown"), ValueError("x"), KeyboardInterrupt()],
         ids=lambda error: type(error).__name__,
     )
-    def test_after_an_error_that_left_the_board_safe_nobody_holds_it(self, guarded, error):
+    def test_after_an_error_that_left_the_board_safe_no_process_holds_it(self, guarded, error):
         with pytest.raises(type(error)) as caught:
             hold_and_raise(guarded, error)
         assert caught.value is error
@@ -80,7 +80,7 @@ class TestHolding:
     ("words", "wanted"),
     [((), False), ((Field.STOP,), True), ((Field.GUARDIAN_STOP,), True), ((Field.GO, Field.OVER), False)],
 )
-def test_a_run_is_to_end_when_either_side_says_so(memory, words, wanted):
+def test_a_run_has_to_end_when_either_side_requests_it(memory, words, wanted):
     for word in words:
         memory.words[word] = 1
     assert stopped(memory) == wanted

@@ -15,7 +15,7 @@ def on_time(now_ns, deadline_ns):
     return 0 <= now_ns - deadline_ns <= READS_NS
 
 
-def test_it_tells_the_monotonic_time(fake_time):
+def test_it_returns_the_monotonic_time(fake_time):
     clock = PacedClock(PERIOD_NS)
     assert clock.now_ns() == fake_time.now_ns
     fake_time.spend(123)
@@ -33,7 +33,7 @@ def test_the_first_beat_is_one_period_after_the_first_was_asked_for(fake_time):
     assert on_time(fake_time.now_ns, beat.deadline_ns)
 
 
-def test_deadlines_are_multiples_of_the_period_whatever_the_work_takes(fake_time):
+def test_deadlines_are_multiples_of_the_period_however_long_the_work_takes(fake_time):
     beats = iter(PacedClock(PERIOD_NS))
     first = next(beats)
     for number, beat in enumerate(islice(beats, 10), 1):

@@ -45,7 +45,7 @@ class Scene:
         self._ring.append(TICK_OF_NOTHING)
 
     def look(self, most_ms, *, guardian_beats=False, loop_ticks=False, until=lambda: False):
-        """Look every 5 ms for so long or `until` then; how long that took, ms."""
+        """Look every 5 ms until the time is over or `until` holds; return the time taken, ms."""
         for passed in range(0, most_ms, POLL_NS // MS):
             if until():
                 return passed
@@ -62,7 +62,7 @@ class Scene:
         os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
 
     def has_ended(self, process):
-        """A kill takes the kernel its time, and the watch's own stands still meanwhile."""
+        """A kill takes the kernel some time, in which the watch does not run."""
         self._until(lambda: process.poll() is not None, "it ends")
 
 
@@ -98,11 +98,11 @@ def test_a_guardian_that_dies_has_the_loop_stopped_at_the_next_look(scene):
     assert scene.loop.poll() is None
 
 
-def test_a_guardian_that_stands_still_has_the_loop_stopped_once_its_window_is_over(scene):
+def test_a_frozen_guardian_has_the_loop_stopped_once_its_window_is_over(scene):
     scene.look(100, guardian_beats=True, loop_ticks=True)
     took_ms = scene.look(1000, loop_ticks=True, until=lambda: scene.words[Field.STOP])
     assert GUARDIAN_WINDOW_NS / MS < took_ms <= GUARDIAN_WINDOW_NS / MS + 10
-    assert scene.loop.poll() is None  # it goes on, so that it can hear of it
+    assert scene.loop.poll() is None  # it still runs, so that it can receive the stop
 
 
 def test_more_than_a_thousand_descriptors_are_no_obstacle(scene, memory, job_of):
@@ -131,7 +131,7 @@ def test_the_first_reason_stays(scene):
 
 @pytest.mark.parametrize("loop", ["killed", "frozen"])
 @pytest.mark.parametrize("guardian", ["killed", "frozen"])
-def test_without_loop_and_guardian_the_board_is_taken_after_the_end_of_both_and_that_is_told(scene, loop, guardian):
+def test_without_loop_and_guardian_the_board_is_taken_after_the_end_of_both_and_that_is_reported(scene, loop, guardian):
     scene.look(100, guardian_beats=True, loop_ticks=True)
     for process, how in ((scene.loop, loop), (scene.guardian, guardian)):
         if how == "killed":
@@ -177,7 +177,7 @@ def test_one_that_beats_but_does_not_come_to_an_end_is_relieved(scene):
     assert scene.rescued == [scene.memory]
 
 
-def test_a_loop_that_let_go_of_its_board_needs_nobody(scene):
+def test_a_loop_that_released_its_board_needs_no_rescue(scene):
     scene.words[Field.HOLDER_PID] = 0
     for process in (scene.loop, scene.guardian):
         scene.kill(process)
@@ -203,7 +203,7 @@ def test_as_long_as_the_loop_lives_the_guardian_has_nothing_to_bring_to_an_end(s
     assert scene.words[Field.STOP] == 0
 
 
-def test_a_loop_that_stands_still_is_told_of_from_here_too(scene, until, capfd):
+def test_a_frozen_loop_is_reported_from_here_too(scene, until, capfd):
     scene.look(600, guardian_beats=True)
     until(lambda: scene.words[Field.ALARMED], "it is said")
     assert STILL_ON in capfd.readouterr().err
@@ -222,7 +222,7 @@ def test_it_beats_by_itself_while_it_watches_and_leaves_no_descriptor_open(scene
             os.fstat(descriptor)
 
 
-def test_before_the_run_has_begun_nobody_is_judged(scene, job_of):
+def test_before_the_run_has_begun_no_process_is_judged(scene, job_of):
     scene.watch = ProcessWatch(scene.memory, job_of(scene.memory), scene.loop.pid, scene.guardian.pid)
     scene.look(2000)
     assert scene.words[Field.STOP] == 0
@@ -249,7 +249,7 @@ class TestAlarm:
 
     @pytest.fixture
     def look(self, scene, said):
-        """Looks of a process whose turn it is, in so many ms; it can say it or not."""
+        """Looks of a process in its turn for some ms; it can warn or not."""
 
         def make(turn=0, *, able=True):
             alarm = Alarm(scene.memory, turn, lambda text: said.append(text) or able)
@@ -267,7 +267,7 @@ class TestAlarm:
         return make
 
     @pytest.mark.parametrize("turn", range(4))
-    def test_no_tick_for_a_third_of_a_second_is_told_each_in_its_turn(self, look, said, turn):
+    def test_no_tick_for_a_third_of_a_second_is_reported_by_each_in_its_turn(self, look, said, turn):
         assert 300 + 100 * turn < look(turn)(2000) <= 310 + 100 * turn
         (text,) = said
         assert STILL_ON in text
@@ -280,7 +280,7 @@ class TestAlarm:
         scene.words[Field.HOLDER_PID] = scene.loop.pid
         assert watch(2000) > 300
 
-    def test_it_is_told_once_and_by_one(self, scene, look, said):
+    def test_it_is_reported_once_and_by_one_process(self, scene, look, said):
         look(0)(500)
         look(1)(5000)
         for _ in range(3):
@@ -302,7 +302,7 @@ class TestAlarm:
         [(True, False, False), (True, True, True), (False, False, True)],
         ids=["let go", "rescued", "no loop yet"],
     )
-    def test_of_a_board_that_is_safe_nothing_is_told(self, scene, look, said, loop, holder, rescued):
+    def test_a_safe_board_is_not_reported(self, scene, look, said, loop, holder, rescued):
         scene.words[Field.LOOP_PID] = loop * scene.loop.pid
         scene.words[Field.HOLDER_PID] = holder * scene.loop.pid
         scene.words[Field.RESCUED_PID] = rescued * scene.loop.pid
@@ -311,7 +311,7 @@ class TestAlarm:
 
     @pytest.fixture
     def tell(self, scene):
-        """Look on until the terminal is to be told."""
+        """Look until the terminal has to be warned."""
 
         def tell():
             alarm = Alarm(scene.memory, turn=1)
@@ -321,12 +321,12 @@ class TestAlarm:
 
         return tell
 
-    def test_the_terminal_is_told_where_nobody_draws(self, scene, tell, until, capfd):
+    def test_the_terminal_is_warned_where_no_screen_draws(self, scene, tell, until, capfd):
         tell()
         until(lambda: scene.words[Field.ALARMED] == 1, "it is said")
         assert STILL_ON in capfd.readouterr().err
 
-    def test_a_terminal_that_was_halted_keeps_nobody_waiting_not_even_at_the_end(self, scene, tell, monkeypatch):
+    def test_a_halted_terminal_blocks_no_process_not_even_at_the_end(self, scene, tell, monkeypatch):
         before, over = threading.enumerate(), threading.Event()
         monkeypatch.setattr(alarm_module, "os", SimpleNamespace(write=lambda *_: over.wait(30)))
         tell()

@@ -67,8 +67,8 @@ class Filled:
         self.ticks = ring.written
 
     def conclude(self, reason=Reason.NONE, detail=""):
-        told = {**NORMAL, "reason": int(reason), "detail": detail}
-        self.memory.post(Mailbox.RUN_END, {**told, "written": self.ticks})
+        posted = {**NORMAL, "reason": int(reason), "detail": detail}
+        self.memory.post(Mailbox.RUN_END, {**posted, "written": self.ticks})
 
 
 def in_ring(memory):
@@ -111,9 +111,9 @@ class Crash:
 
     def _record(self, run):
         if self._scribe is None:
-            told, job = run.introduction, run.job
-            self._recorder = self._stack.enter_context(FileWriter(job.path, 0, told["internals"], job.session_id))
-            introduction = RunHeader(job.board, told["identity"], False, told["gains"], told["internals"], b"")
+            posted, job = run.introduction, run.job
+            self._recorder = self._stack.enter_context(FileWriter(job.path, 0, posted["internals"], job.session_id))
+            introduction = RunHeader(job.board, posted["identity"], False, posted["gains"], posted["internals"], b"")
             self._scribe = SessionWriter(self._recorder, job.config, introduction)
             self._scribe.write_header()
         ticks, truths = run.reader.take(), run.memory.truth_reader().take()
@@ -146,7 +146,7 @@ class TestRebuild:
         again = replay_session(session, build_pipeline(whole.job.config))
         assert (again.ticks, again.differing) == (whole.ticks, 0)
 
-    def test_the_session_says_how_it_was_made_and_under_which_settings(self, whole):
+    def test_the_session_names_its_software_and_settings(self, whole):
         whole.conclude()
         whole.memory.post(Mailbox.DRILL, {"guardian drill": "SAFE 4.0 ms after the kill"})
         account = rebuild(whole.memory, whole.job, whole.job.path)
@@ -230,7 +230,7 @@ class TestWrappedRing:
         assert account.card["lost_ticks"] == 0
         assert replay_session(session, build_pipeline(run.job.config)).differing == 0
 
-    def test_ticks_that_are_nowhere_any_more_are_told_as_lost(self, crash):
+    def test_ticks_that_are_nowhere_any_more_are_reported_as_lost(self, crash):
         made = crash(200)
         run = made.run
         run.conclude()
@@ -247,7 +247,7 @@ class TestWrappedRing:
         expected = result_card(run.job.config, read_session(run.job.path).ticks, TRUTH.array(made.truths))
         assert {name: card[name] for name in expected} == expected
 
-    def test_of_a_file_that_is_gone_what_the_ring_still_holds_is_saved_and_the_rest_is_told_as_lost(self, crash):
+    def test_if_the_file_is_gone_the_ring_is_saved_and_the_rest_is_reported_as_lost(self, crash):
         made = crash()
         made.run.conclude()
         made.run.job.path.unlink()
@@ -337,7 +337,7 @@ DEATHS = {
 
 
 class TestConclusion:
-    def test_a_normal_end_is_told_as_the_loop_told_it(self, dead):
+    def test_a_normal_end_is_reported_as_the_loop_posted_it(self, dead):
         dead.post(Mailbox.RUN_END, {**NORMAL, "reason": int(Reason.OVER_SPEED), "detail": "far too fast"})
         dead.histogram.add([3.5, 3.6])
         end = run_end(dead)
@@ -345,7 +345,7 @@ class TestConclusion:
         assert end.facts == {"timing": {"late_us.histogram": '{"3": 2}', "cpu_share": "0.5"}}
 
     @pytest.mark.parametrize("end", ENDS)
-    def test_an_end_that_nobody_told_is_put_together_from_what_is_left(self, dead, end):
+    def test_an_end_that_was_not_posted_is_derived_from_the_memory(self, dead, end):
         holder, rescued, report, trouble, text = ENDS[end]
         dead.words[Field.HOLDER_PID], dead.words[Field.RESCUED_PID] = holder, rescued
         if report is not None:
@@ -365,7 +365,7 @@ class TestConclusion:
             dead.post(Mailbox.RESCUE, report)
         assert ", ".join(run_end(dead).died) == names
 
-    def test_of_a_run_that_ended_as_it_should_nobody_died(self, dead, ended):
+    def test_after_a_normal_run_no_process_has_died(self, dead, ended):
         dead.post(Mailbox.RUN_END, NORMAL)
         dead.words[Field.RECORDER_PID] = dead.words[Field.SUPERVISOR_PID] = os.getpid()
         assert run_end(dead).died == []
@@ -403,7 +403,7 @@ class TestRecover:
         assert not whole.memory.path.exists()
 
     @pytest.mark.parametrize("word", [Field.SUPERVISOR_PID, Field.LOOP_PID, Field.RECORDER_PID])
-    def test_a_run_that_still_goes_on_is_left_alone(self, whole, tmp_path, ended, word):
+    def test_a_run_in_progress_is_left_alone(self, whole, tmp_path, ended, word):
         whole.memory.words[Field.SUPERVISOR_PID] = ended
         whole.memory.words[word] = os.getpid()
         with pytest.raises(SessionError, match="still going on"):
@@ -503,7 +503,7 @@ class RecordingHere(Recording):
     def close(self):
         self.loop.kill()
         self.loop.wait()
-        self.words[Field.RESCUED_PID] = self.words[Field.LOOP_PID]  # whatever it waits for, it ends
+        self.words[Field.RESCUED_PID] = self.words[Field.LOOP_PID]  # ends any wait
         self._pool.shutdown()
 
 
@@ -554,7 +554,7 @@ class TestRecorder:
         assert sum(here.memory.histogram.sparse().values()) == 600
         assert here.memory.path.exists()
 
-    def test_after_a_loop_that_died_it_waits_to_be_told_what_became_of_the_board(self, here):
+    def test_after_a_loop_died_it_waits_for_the_report_on_the_board(self, here):
         here.ready()
         here.ticks(50)
         here.words[Field.HOLDER_PID] = here.loop.pid
@@ -581,7 +581,7 @@ class TestRecorder:
         assert here.end() is None
         assert not here.job.path.exists()
 
-    def test_when_nobody_waits_for_the_result_it_removes_the_memory_itself(self, here, child):
+    def test_without_a_supervisor_it_removes_the_memory_itself(self, here, child):
         supervisor = child()
         here.words[Field.SUPERVISOR_PID] = supervisor.pid
         here.ready()
@@ -593,7 +593,7 @@ class TestRecorder:
         assert not here.memory.path.exists()
         assert len(here.session().ticks) == 20
 
-    def test_a_file_that_cannot_be_made_is_told_and_ends_it(self, here):
+    def test_a_file_that_cannot_be_made_is_reported_and_ends_it(self, here):
         here.job.path.mkdir()
         here.memory.post(Mailbox.HEADER, {"identity": {}, "gains": {}, "internals": [], "settings": []})
         here.words[Field.READY] = here.loop.pid
@@ -611,7 +611,7 @@ class TestRecorder:
         warnings = [event.text for event in here.session().log if event.level == 3]
         assert warnings[0].startswith("the disk took 0.0 s")
 
-    def test_a_defect_is_told_with_its_traceback_and_ends_it(self, here, monkeypatch, capfd):
+    def test_a_defect_is_reported_with_its_traceback_and_ends_it(self, here, monkeypatch, capfd):
         monkeypatch.setattr(recorder, "spill_path", lambda *_: 1 // 0)
         here.memory.post(Mailbox.HEADER, {"identity": {}, "gains": {}, "internals": [], "settings": []})
         here.words[Field.READY] = here.loop.pid
@@ -619,16 +619,16 @@ class TestRecorder:
         assert here.memory.note(Mailbox.RECORDER_FAILURE)["kind"] == "ZeroDivisionError"
         assert "Traceback" in capfd.readouterr().err
 
-    def test_a_disk_that_refuses_is_told_and_nothing_leaves_the_ring(self, here):
+    def test_a_disk_that_refuses_is_reported_and_nothing_leaves_the_ring(self, here):
         here.ready()
         here.ticks(100)
         here.until(lambda: here.words[Field.FLUSHED] == 100, "they are on the disk")
         here.job.path.unlink()
         here.ticks(100)
         here.until(lambda: here.words[Field.TROUBLES] == 1, "it says so")
-        told = here.memory.note(Mailbox.TROUBLES)
-        assert "its ticks are kept in memory" in told["texts"][0]
-        assert told["file"] == str(here.job.path)
+        posted = here.memory.note(Mailbox.TROUBLES)
+        assert "its ticks are kept in memory" in posted["texts"][0]
+        assert posted["file"] == str(here.job.path)
         assert here.memory.tick_reader().taken == 100
         here.memory.post(Mailbox.RUN_END, NORMAL)
         here.loop.kill()
@@ -705,18 +705,18 @@ class TestDisk:
         until(lambda: recording.words[Field.TROUBLES], "it says so")
         return recording.memory.note(Mailbox.TROUBLES)
 
-    def test_a_disk_that_goes_on_refusing_is_the_recorders_failure_and_the_ring_has_everything(
+    def test_a_disk_that_keeps_refusing_is_the_recorders_failure_and_the_ring_has_everything(
         self, recording, until, tmp_path
     ):
         recording.ready()
         recording.ticks(100)
-        told = self.vanish(recording, until)
+        posted = self.vanish(recording, until)
         recording.job.path.write_bytes(b"somebody else's")
         recording.memory.post(Mailbox.RUN_END, NORMAL)
         recording.loop.kill()
         recording.end(code=1)
         assert "the file could not be written again" in recording.memory.note(Mailbox.RECORDER_FAILURE)["text"]
-        assert told["file"] == str(recording.job.path)
+        assert posted["file"] == str(recording.job.path)
         account = rebuild(recording.memory, recording.job, tmp_path / "saved.mcap")
         session = read_session(tmp_path / "saved.mcap")
         assert (account.card["ticks"], session.payload) == (200, recording.payload)
@@ -733,9 +733,9 @@ class TestDisk:
         for part in range(3):
             recording.ticks(200)
             until(lambda part=part: recording.words[Field.FLUSHED] == 200 * (part + 1), "they are on the disk")
-        told = self.vanish(recording, until)
+        posted = self.vanish(recording, until)
         spilt = tmp_path / "spill" / "stop.mcap"
-        assert told["file"] == str(spilt)
+        assert posted["file"] == str(spilt)
         until(lambda: recording.words[Field.FLUSHED] == 700, "they are on the other disk")
         if killed:
             recording.process.kill()
@@ -765,7 +765,7 @@ class TestBoardInWords:
     @pytest.mark.parametrize(
         ("rescued", "report", "text"), [(PID, RESCUED, MADE_SAFE), (PID, IN_VAIN, NOT_SAFE), (OTHER, RESCUED, NOBODY)]
     )
-    def test_a_board_that_was_held_is_safe_only_if_somebody_made_it_so(self, dead, rescued, report, text):
+    def test_a_held_board_is_safe_only_after_a_rescue(self, dead, rescued, report, text):
         dead.words[Field.HOLDER_PID], dead.words[Field.RESCUED_PID] = PID, rescued
         dead.post(Mailbox.RESCUE, report)
         assert describe_board(dead) == text

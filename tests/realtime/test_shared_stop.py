@@ -59,7 +59,7 @@ def test_a_computer_that_was_suspended_ends_the_run_at_the_first_tick_though_no_
     assert stop.wanted(START_NS + 1_500_000) is Reason.MISSED_EXCHANGES
 
 
-def test_a_pause_between_the_two_clocks_is_no_suspension(monkeypatch):
+def test_a_pause_between_the_two_clocks_is_not_a_suspension(monkeypatch):
     before_ns = rt.asleep_ns()
     monotonic_ns = time.monotonic_ns
     monkeypatch.setattr(time, "monotonic_ns", lambda: monotonic_ns() + 200_000_000)

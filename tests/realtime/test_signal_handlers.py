@@ -18,7 +18,7 @@ NUMBERS = sorted(signal.valid_signals() - {getattr(signal, name) for name in WIT
 DEFAULT = "import signal, sys; signal.signal(int(sys.argv[1]), signal.SIG_DFL); signal.raise_signal(int(sys.argv[1]))"
 
 
-def test_every_signal_that_would_end_or_stop_the_program_is_heard_instead_and_only_meanwhile():
+def test_every_signal_that_would_end_or_stop_the_program_is_handled_and_only_inside_the_context():
     assert {signal.SIGVTALRM, signal.SIGPROF, signal.SIGIO, signal.SIGPWR, signal.SIGRTMIN} < set(NUMBERS)
     before, heard = {number: signal.getsignal(number) for number in NUMBERS}, []
     with handle_signals(lambda: heard.append(True)):
@@ -30,7 +30,7 @@ def test_every_signal_that_would_end_or_stop_the_program_is_heard_instead_and_on
 
 
 @pytest.mark.parametrize("name", ["SIGCHLD", "SIGCONT", "SIGURG", "SIGWINCH"])
-def test_what_is_not_heard_as_it_ends_nothing_ends_nothing(name):
+def test_a_harmless_signal_is_not_handled_and_ends_nothing(name):
     number = getattr(signal, name)
     assert number not in handled_signals()
     assert subprocess.run([sys.executable, "-c", DEFAULT, str(int(number))], check=False).returncode == 0

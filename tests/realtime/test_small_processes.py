@@ -11,10 +11,10 @@ NEEDLESS = {"numpy", "pydantic", "mcap", "rich", "click", "inteco_abs.sessions"}
 @pytest.mark.untraced
 @pytest.mark.parametrize("module", ["loop", "guardian", "drill", "manual"])
 def test_a_process_that_holds_a_board_is_small(module):
-    told = subprocess.run(
+    loaded = subprocess.run(
         [sys.executable, "-c", f"import sys, inteco_abs.realtime.processes.{module}; print(*sys.modules)"],
         capture_output=True,
         text=True,
         check=True,
     )
-    assert NEEDLESS.isdisjoint(told.stdout.split())
+    assert NEEDLESS.isdisjoint(loaded.stdout.split())

@@ -62,7 +62,7 @@ class TestRaisedAgain:
         assert ours == {*KINDS, ConfigError}
 
     @pytest.mark.parametrize("kind", ["ValueError", "Mistake", "near_match", "Path", "__name__", "", "no such thing"])
-    def test_what_is_no_error_of_ours_becomes_a_board_error(self, kind):
+    def test_a_foreign_error_becomes_a_board_error(self, kind):
         again = restored_error({"kind": kind, "text": "what happened", "notes": ["where"]})
         assert type(again) is BoardError
         assert (str(again), again.__notes__) == ("what happened", ["where"])
@@ -98,7 +98,7 @@ def ring(memory):
 
 
 class TestSnapshot:
-    def test_a_supervisor_says_who_it_is_at_once(self, supervisor, memory):
+    def test_a_supervisor_names_itself_at_once(self, supervisor, memory):
         assert supervisor is not None
         assert memory.words[Field.SUPERVISOR_PID] == os.getpid()
 
@@ -166,7 +166,7 @@ class TestDrill:
 
     @pytest.fixture
     def staged(self, memory, job_of, child, monkeypatch):
-        """A supervisor whose processes only sleep; of the drill's, its words and what is posted tell the end."""
+        """A supervisor whose processes only sleep; words and notes that the drill posts decide the end."""
         for name, most_s in (("_END_S", 0.0), ("_DRILL_S", 0.1), ("_START_S", 0.1)):
             monkeypatch.setattr(supervisor_module, name, most_s)
 
@@ -203,7 +203,7 @@ class TestDrill:
 
 class TestALoopWithoutEnd:
     @pytest.mark.parametrize(
-        "words", [{}, {Field.HOLDER_PID: 1, Field.STOP: Reason.OPERATOR_STOP}], ids=["let go", "told to stop"]
+        "words", [{}, {Field.HOLDER_PID: 1, Field.STOP: Reason.OPERATOR_STOP}], ids=["let go", "header to stop"]
     )
     def test_a_loop_that_should_have_ended_long_ago_is_killed(self, memory, job_of, child, monkeypatch, words):
         """A thread, an exit handler or a signal may keep it; the guardian is not concerned, as it has let go."""

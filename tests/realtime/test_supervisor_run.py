@@ -29,8 +29,8 @@ class Noting(NoScreen):
     def __init__(self):
         self.seen, self.notes, self.warnings, self.shown = [], [], [], 0
 
-    def passed(self, check, told=""):
-        self.seen.append((check, told))
+    def passed(self, check, posted=""):
+        self.seen.append((check, posted))
 
     def note(self, text):
         self.notes.append(text)
@@ -43,7 +43,7 @@ class Noting(NoScreen):
 
 
 class NoWatch:
-    """The watch's place, taken by nobody."""
+    """In the place of the watch: does nothing."""
 
     def __init__(self, _memory, _job, loop_pid, guardian_pid):
         self.pids = (loop_pid, guardian_pid)
@@ -91,8 +91,8 @@ class Staged(Supervisor):
             words[Field.GUARDING_PID] = words[Field.GUARDED_PID]
         elif words[Field.GUARDED_PID] == loop.pid != words[Field.READY]:
             words[Field.READY] = words[Field.HOLDER_PID] = loop.pid
-            told = {"identity": {}, "gains": {}, "internals": [], "settings": SETTINGS}
-            self.memory.post(Mailbox.HEADER, told)
+            posted = {"identity": {}, "gains": {}, "internals": [], "settings": SETTINGS}
+            self.memory.post(Mailbox.HEADER, posted)
         elif not words[Field.GO]:
             words[Field.RECORDING] = 1
         else:
@@ -135,10 +135,10 @@ def staged(memory, job_of, child, monkeypatch):
 
 def test_a_run_that_goes_well_drills_lets_go_shows_and_gives_the_recorders_result(staged):
     assert staged.run(staged.screen) == RESULT
-    checks, told = zip(*staged.screen.seen, strict=True)
+    checks, posted = zip(*staged.screen.seen, strict=True)
     assert checks == (StartCheck.BOARD, StartCheck.GUARDIAN, StartCheck.RECORDER)
-    assert told[0] == "sim:"
-    assert staged.memory.note(Mailbox.DRILL) == {"guardian drill": told[1]}
+    assert posted[0] == "sim:"
+    assert staged.memory.note(Mailbox.DRILL) == {"guardian drill": posted[1]}
     assert staged.screen.notes == ["ticks will be late more often: the system refused scheduler; see inteco-abs doctor"]
     assert 9 <= staged.screen.shown <= 13
     assert staged._watch.judging
@@ -170,13 +170,13 @@ def test_without_a_terminal_what_processes_print_goes_nowhere(memory, job_of, mo
     assert started["env"]["OPENBLAS_NUM_THREADS"] == "1"
 
 
-def test_the_live_view_is_told_of(staged):
+def test_the_live_view_is_announced(staged):
     staged.words[Field.LIVE_PORT] = 8765
     staged.run(staged.screen)
     assert "8765" in staged.screen.notes[0]
 
 
-def test_who_stops_it_before_it_begins_is_not_told_of_an_error(staged):
+def test_a_stop_before_the_run_begins_is_not_an_error(staged):
     staged.direct = staged._stop
     with pytest.raises(KeyboardInterrupt):
         staged.run(staged.screen)
@@ -283,8 +283,8 @@ class TestTheSecondWay:
         def run(rebuild, failure=None):
             def ended():
                 if failure:
-                    told = {"kind": "SessionError", "text": failure, "notes": []}
-                    staged.memory.post(Mailbox.RECORDER_FAILURE, told)
+                    posted = {"kind": "SessionError", "text": failure, "notes": []}
+                    staged.memory.post(Mailbox.RECORDER_FAILURE, posted)
                 staged.words[Field.HOLDER_PID] = 0
                 staged.kill("loop")
 
@@ -299,11 +299,11 @@ class TestTheSecondWay:
         assert ends(lambda *_: recorders.append(staged.children["recorder"].returncode) or RESULT) == RESULT
         assert recorders == [-signal.SIGKILL]  # two would write the file
 
-    def test_what_kept_the_recorder_from_it_is_told(self, staged, ends):
-        told = ends(lambda *_: RESULT, "no room")
-        assert told.trouble == f"no room; the whole session is in {staged._job.session}"
+    def test_what_kept_the_recorder_from_it_is_reported(self, staged, ends):
+        posted = ends(lambda *_: RESULT, "no room")
+        assert posted.trouble == f"no room; the whole session is in {staged._job.session}"
 
-    def test_where_no_disk_takes_it_the_ticks_are_kept_and_the_way_to_them_is_told(self, staged, ends):
+    def test_where_no_disk_accepts_it_the_ticks_are_kept_and_their_place_is_reported(self, staged, ends):
         def refuses(*_):
             raise SessionError("the disk is full")
 

@@ -95,7 +95,7 @@ def test_what_was_taken_does_not_change_later():
     assert taken == record(1)
 
 
-def test_a_record_that_cannot_be_packed_is_no_record():
+def test_a_record_that_cannot_be_packed_does_not_count():
     ring = ring_of(3)
     ring.append(1)
     with pytest.raises(struct.error):
@@ -161,7 +161,7 @@ def test_a_reader_that_was_overtaken_gets_what_the_ring_still_holds():
     ring, reader = TickRing(pack, SIZE, 4, memory), RingReader(memory, SIZE, 4)
     for number in range(4):
         ring.append(number)
-    words_of(ring)[1] = 4  # as if somebody else had taken them, so that the writer goes on
+    words_of(ring)[1] = 4  # as if another reader had taken them, so that the writer continues
     for number in range(4, 6):
         ring.append(number)
     words_of(ring)[1] = 0
@@ -209,7 +209,7 @@ def test_at_most_so_many_records_are_taken_at_once():
     assert reader.taken == 4
 
 
-def test_a_sample_leaves_out_what_lies_between_and_goes_on_where_it_ended():
+def test_a_sample_skips_records_between_and_continues_where_it_ended():
     ring = TickRing(pack, SIZE, 100)
     for number in range(25):
         ring.append(number)
@@ -264,7 +264,7 @@ def test_what_the_ring_still_holds_begins_earlier_than_what_was_not_taken(writte
     assert reader.look(first)[0] == b"".join(map(record, range(first, written)))
 
 
-def test_a_ring_may_go_on_where_another_has_ended():
+def test_a_ring_may_continue_where_another_has_ended():
     ring = TickRing(pack, SIZE, 2, first=7)
     for number in (7, 8):
         ring.append(number)

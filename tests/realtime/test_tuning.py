@@ -102,7 +102,7 @@ class TestCpus:
         assert loop_cpus(allowed, isolated, cores) == loop
         assert other_cpus(allowed, isolated, cores) == others
 
-    def test_what_the_kernel_tells_of_a_cpu_may_be_missing(self, tmp_path):
+    def test_the_kernels_facts_of_a_cpu_may_be_missing(self, tmp_path):
         for name, text in (("cpu0/cpufreq/cpuinfo_max_freq", "4900000"), ("cpu1/cpu_capacity", "512")):
             (tmp_path / name).parent.mkdir(parents=True)
             (tmp_path / name).write_text(f"{text}\n")

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from inteco_abs.realtime import Beat, VirtualClock
 
 
-def test_time_starts_at_zero_and_stands_still_without_beats():
+def test_time_starts_at_zero_and_does_not_advance_without_beats():
     clock = VirtualClock(500_000)
     iter(clock)
     assert [clock.now_ns() for _ in range(3)] == [0, 0, 0]
@@ -24,7 +24,7 @@ def test_now_is_the_time_of_the_newest_beat():
         assert [clock.now_ns() for _ in range(3)] == [beat.deadline_ns] * 3
 
 
-def test_beats_go_on_where_a_part_of_them_was_taken():
+def test_beats_continue_where_a_part_of_them_was_taken():
     clock = VirtualClock(1_000)
     beats = iter(clock)
     taken = [beat.deadline_ns for length in (3, 0, 1, 4) for beat in islice(beats, length)]

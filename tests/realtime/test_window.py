@@ -53,7 +53,7 @@ def test_what_came_is_handed_over_once_and_stays_after_it_is_in_a_file(run):
     assert run.window.waiting == 7
     run.window.release()
     assert run.window.waiting == 0
-    run.ticks(1)  # which nobody was handed
+    run.ticks(1)  # which `more` has not returned
     assert numbers(run.window.held()) == (list(range(7)), list(range(7, 7 + 7 * PER_TICK)))
 
 
@@ -93,7 +93,7 @@ def test_what_no_file_has_is_held_to_the_last_tick_that_comes_in(new_memory):
 
 
 def test_what_a_file_has_may_go_from_memory_while_the_file_is_read(run):
-    """The loop goes on meanwhile: each tick comes once, from the file or from what memory has by then."""
+    """The loop continues meanwhile: each tick comes once, from the file or from memory."""
     run.ticks(300)
     records = [run.window._ticks.look(number, 1)[0] for number in range(300)]
     looks = iter([range(100, 200), range(190, 300)])

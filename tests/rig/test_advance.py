@@ -25,7 +25,7 @@ def test_one_advance_of_10_ms_equals_20_of_half_a_millisecond(parameters, start,
     assert state_of(at_once) == pytest.approx(state_of(in_parts), rel=1e-11, abs=1e-12)
 
 
-def test_a_new_plant_starts_where_it_is_told_with_the_brake_released(parameters):
+def test_a_new_plant_starts_in_the_given_state_with_the_brake_released(parameters):
     plant = Plant(parameters, 12.0, 34.0)
     assert state_of(plant) == [12.0, 34.0, 0.0, 0.0, 0.0, 0.0]
 

@@ -19,7 +19,7 @@ def test_an_ideal_encoder_counts_the_lines_that_were_passed(angle_rad, count):
     assert encoder(counts_per_turn=2048).read(angle_rad + 1e-9) == count
 
 
-def test_the_wheel_starts_between_two_lines_where_it_is_told():
+def test_the_wheel_starts_between_two_lines_at_the_given_angle():
     disc = encoder(counts_per_turn=1024, edge_counts=0.75)
     assert [disc.read(counts * TURN / 1024) for counts in (0.0, 0.2, 0.3, 1.2)] == [0, 0, 1, 1]
 

@@ -21,7 +21,7 @@ def full_brake_slips(parameters, **changed):
     return slips
 
 
-def test_coast_down_takes_as_long_as_the_friction_of_both_wheels_says(parameters):
+def test_coast_down_takes_as_long_as_the_friction_of_both_wheels_predicts(parameters):
     k = parameters
     plant = Plant(k, 180.0 * ROLLING, 180.0)
     while plant.road_speed > 0.0:

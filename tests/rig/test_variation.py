@@ -132,7 +132,7 @@ def test_pwm_steps_are_those_of_the_board(mask, steps):
 
 
 @pytest.mark.parametrize("tick_s", [0.0005, 0.0013, 0.02])
-def test_a_command_acts_a_dead_time_later_whatever_the_tick(mask, tick_s):
+def test_a_command_acts_a_dead_time_later_at_any_tick(mask, tick_s):
     late, plain = Plant(RigVariation(brake_dead_time_s=0.0105), 150.0, 150.0), Plant(mask, 150.0, 150.0)
     plain.advance(0.0, 0.0, 0.0105)
     plain.advance(0.0, 0.7, 0.04)
@@ -244,6 +244,6 @@ def test_the_measured_map_is_inverted(torque):
     assert measured_torque(measured_duty(torque)) == pytest.approx(torque, rel=1e-9, abs=1e-9)
 
 
-def test_beyond_the_measured_map_the_duty_is_none_or_all_and_nan_stays_what_it_is():
+def test_beyond_the_measured_map_the_duty_is_zero_or_one_and_nan_stays_nan():
     assert [measured_duty(torque) for torque in (-1.0, 0.0, 9.37, 50.0)] == [0.0, 0.0, 1.0, 1.0]
     assert math.isnan(measured_duty(math.nan))

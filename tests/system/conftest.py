@@ -17,7 +17,7 @@ RATES_HZ = (500, 200, 100)
 """The limits count periods: at a lower rate a shared computer may pause for longer."""
 ABORTED = 5
 BUSY = ("late, slow or failed", "hung and was killed")
-"""What a run says on a computer that did not keep the rate."""
+"""Message of a run on a computer that did not keep the rate."""
 COMMAND = Path(sysconfig.get_path("scripts")) / "inteco-abs"
 
 

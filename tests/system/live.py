@@ -20,7 +20,7 @@ QUICK = (
 
 STARTS = 3
 TOO_BUSY = "set loop.rate_hz to", "ended before the run began", "guardian does not watch"
-"""What a run says that does not begin because the board, or a process, does not answer in time."""
+"""Message of a run that does not begin because the board, or a process, does not answer in time."""
 
 
 class LiveRun:

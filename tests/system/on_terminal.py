@@ -56,7 +56,7 @@ class OnTerminal:
 
     @property
     def unread(self):
-        """Bytes that were typed and read by nobody: they would be the shell's."""
+        """Bytes that were typed and not read: the shell would get them."""
         return struct.unpack("i", fcntl.ioctl(self._terminal, termios.FIONREAD, b"\0" * 4))[0]
 
     def close(self):

@@ -163,7 +163,7 @@ def state_of(pid):
 
 
 def turned_off(run, killed_ns):
-    """Whether an output was on at the strike or after it, and how much later both went off for good, ms."""
+    """Whether an output was on at the fault or after it, and how much later both went off for good, ms."""
     reader = run.memory.truth_reader()
     reader.release(reader.held_from())
     rows = TRUTH.array(reader.take())

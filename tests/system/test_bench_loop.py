@@ -42,14 +42,14 @@ def test_every_row_is_printed_with_finite_numbers(untraced):
 @pytest.mark.long
 @pytest.mark.xdist_group("real time")
 def test_without_a_compiler_there_are_no_ratios_to_c(untraced, tmp_path):
-    told = json.loads(bench({**untraced, "PATH": str(tmp_path)}, "--json"))
-    assert "no C compiler" in told["without_c"]
-    assert tuple(told["rows"]) == ROWS[2:]
-    for row in told["rows"].values():
+    report = json.loads(bench({**untraced, "PATH": str(tmp_path)}, "--json"))
+    assert "no C compiler" in report["without_c"]
+    assert tuple(report["rows"]) == ROWS[2:]
+    for row in report["rows"].values():
         assert "to_c" not in row
         assert row["ticks"] > 0
         assert all(
             math.isfinite(row[key])
             for key in ("p50", "p99", "p999", "max", "missed_percent", "round_p999", "wake_up_p999")
         )
-    assert all(math.isfinite(value) for column in told["tick_us"].values() for value in column.values())
+    assert all(math.isfinite(value) for column in report["tick_us"].values() for value in column.values())

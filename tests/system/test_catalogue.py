@@ -74,7 +74,7 @@ def toml_of(text):
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
-def test_one_controller_is_told_whole_with_lines_that_set_it(inteco_abs, tmp_path, name):
+def test_one_controller_is_described_with_lines_that_set_it(inteco_abs, tmp_path, name):
     text = inteco_abs("controllers", name, check=0).stdout
     assert inspect.getdoc(CONTROLLERS[name]) in text
     for gain in CONTROLLERS[name].gains:
@@ -86,7 +86,7 @@ def test_one_controller_is_told_whole_with_lines_that_set_it(inteco_abs, tmp_pat
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_one_estimator_is_told_whole_with_lines_that_set_it(inteco_abs, name):
+def test_one_estimator_is_described_with_lines_that_set_it(inteco_abs, name):
     text = inteco_abs("estimators", name, check=0).stdout
     assert ESTIMATORS[name].summary in text
     assert inspect.getdoc(ESTIMATORS[name].works) in text
@@ -95,17 +95,17 @@ def test_one_estimator_is_told_whole_with_lines_that_set_it(inteco_abs, name):
     assert toml_of(text) == {"estimator": {"name": name, **values}}
 
 
-def test_what_a_controller_needs_is_told_with_it(inteco_abs):
+def test_the_description_of_a_controller_has_its_requirement(inteco_abs):
     assert "works with the estimator observer only" in inteco_abs("controllers", "predictive-reaching", check=0).stdout
-    told = json.loads(inteco_abs("controllers", "predictive-reaching", "--json", check=0).stdout)
-    assert (told["name"], told["estimator"]) == ("predictive-reaching", "observer")
+    report = json.loads(inteco_abs("controllers", "predictive-reaching", "--json", check=0).stdout)
+    assert (report["name"], report["estimator"]) == ("predictive-reaching", "observer")
 
 
-def test_a_file_of_ones_own_is_told_without_a_line_that_would_run_it(inteco_abs, tmp_path):
+def test_a_users_file_is_described_without_running_it(inteco_abs, tmp_path):
     law = "class Law:\n    'Mine.'\n    gains = internals = ()\n    def update(self, estimate, dt_s): ...\n"
     (tmp_path / "law.py").write_text(law)
-    told = json.loads(inteco_abs("controllers", "law.py:Law", "--json", check=0).stdout)
-    assert (told["text"], tomllib.loads(told["toml"])) == ("Mine.", {"controller": {}})
+    report = json.loads(inteco_abs("controllers", "law.py:Law", "--json", check=0).stdout)
+    assert (report["text"], tomllib.loads(report["toml"])) == ("Mine.", {"controller": {}})
 
 
 @pytest.mark.parametrize(("verb", "name", "near"), [("controllers", "pid", "pi"), ("estimators", "kalmann", "kalman")])
@@ -114,7 +114,7 @@ def test_one_that_does_not_exist_is_named_with_the_nearest(inteco_abs, verb, nam
 
 
 @pytest.mark.parametrize("group", [(), ("config",), ("golden",), ("wire",)])
-def test_help_says_of_every_verb_its_whole_sentence(inteco_abs, monkeypatch, group):
+def test_help_prints_the_whole_sentence_of_every_verb(inteco_abs, monkeypatch, group):
     monkeypatch.setenv("COLUMNS", "80")
     text = inteco_abs(*group, "--help", check=0).stdout
     listed = text.partition("-h, --help")[2]
@@ -129,13 +129,13 @@ def test_help_gives_a_number_without_limits_no_range(inteco_abs, verb, option):
     assert "None" not in text
 
 
-def test_a_verb_of_a_group_that_is_none_is_told_with_the_nearest(inteco_abs):
+def test_an_unknown_verb_of_a_group_is_reported_with_the_nearest(inteco_abs):
     assert "no command 'tst'; did you mean test?" in inteco_abs("golden", "tst", check=2).stderr
 
 
-def test_every_fault_is_told_as_json_with_what_its_value_may_be(inteco_abs):
-    told = json.loads(inteco_abs("faults", "--json", check=0).stdout)
-    assert told["faults"].keys() == KINDS.keys()
-    assert (told["faults"]["late"]["value"]["low"], told["faults"]["late"]["value"]["unit"]) == (0.001, "ms")
-    assert (told["faults"]["reset"]["value"]["low"], told["faults"]["reset"]["value"]["words"][0]) == (None, "zero")
-    assert told["events"] == ["start", "drive", "coast", "brake"]
+def test_every_fault_is_in_the_json_with_the_range_of_its_value(inteco_abs):
+    report = json.loads(inteco_abs("faults", "--json", check=0).stdout)
+    assert report["faults"].keys() == KINDS.keys()
+    assert (report["faults"]["late"]["value"]["low"], report["faults"]["late"]["value"]["unit"]) == (0.001, "ms")
+    assert (report["faults"]["reset"]["value"]["low"], report["faults"]["reset"]["value"]["words"][0]) == (None, "zero")
+    assert report["events"] == ["start", "drive", "coast", "brake"]

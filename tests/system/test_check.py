@@ -1,4 +1,4 @@
-"""The check runs a few failed tests once more, alone, and says so; what fails alone, or fails in many places, fails."""
+"""The check repeats a few failed tests alone and reports it; what fails alone, or fails in many places, fails."""
 
 import re
 import runpy

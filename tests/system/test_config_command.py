@@ -95,7 +95,7 @@ def test_a_gain_is_explained_for_every_controller_that_has_it(said):
         assert (f"of {name}:" in text) is any(gain.name == "Mq" for gain in controller.gains)
 
 
-def test_a_list_of_gains_says_whose_each_is(said):
+def test_a_list_of_gains_names_the_controller_of_each(said):
     lines = said("config", "explain", "controller.gains").splitlines()
     assert [line.rpartition(", of ")[2] for line in lines if line.startswith("controller.gains.Mk ")] == [
         name for name, controller in CONTROLLERS.items() if any(gain.name == "Mk" for gain in controller.gains)
@@ -121,7 +121,7 @@ def test_a_section_lists_its_keys(said, section):
         ("nonsense", "is not a key of rig.toml; known: board, controller, encoders, estimator, experiment, guard, "),
     ],
 )
-def test_an_unknown_key_is_told_with_the_nearest(said, asked, hint):
+def test_an_unknown_key_is_reported_with_the_nearest(said, asked, hint):
     with pytest.raises(ConfigError) as caught:
         said("config", "explain", asked)
     assert hint in str(caught.value)
@@ -132,7 +132,7 @@ def test_every_key_has_a_meaning_and_a_kind():
     assert without == []
 
 
-def test_the_schema_knows_every_section(said):
+def test_the_schema_has_every_section(said):
     schema = json.loads(said("config", "schema"))
     assert set(schema["properties"]) == set(asdict(load_config()))
     assert schema["$defs"]["GuardConfig"]["properties"]["brake_limit"]["maximum"] == 1.0
@@ -168,15 +168,15 @@ def test_bash_completes(command_path, words, offered):
 def test_what_is_shown_as_json_is_the_configuration_with_its_origins(said, tmp_path):
     (tmp_path / "rig.toml").write_text("[guard]\nbrake_limit = 0.6\n")
     arguments = ("--config", str(tmp_path / "rig.toml"), "--set", "loop.rate_hz=1000.0")
-    told = json.loads(said("config", "show", *arguments, "--json"))
+    report = json.loads(said("config", "show", *arguments, "--json"))
     shown = tomllib.loads(said("config", "show", *arguments))
-    assert {**told["config"], "board": None} == {**shown, "board": None}
-    assert told["config"]["board"]["verified_on"] == str(shown["board"]["verified_on"])
-    assert told["origins"]["guard.brake_limit"] == str(tmp_path / "rig.toml")
-    assert told["origins"]["loop.rate_hz"] == "command line"
+    assert {**report["config"], "board": None} == {**shown, "board": None}
+    assert report["config"]["board"]["verified_on"] == str(shown["board"]["verified_on"])
+    assert report["origins"]["guard.brake_limit"] == str(tmp_path / "rig.toml")
+    assert report["origins"]["loop.rate_hz"] == "command line"
 
 
-def test_every_key_is_explained_as_json_with_what_the_profile_says(said):
+def test_every_key_is_explained_as_json_with_the_profiles_evidence(said):
     for key in all_keys(CONTROLLERS):
         found = json.loads(said("config", "explain", key.path, "--json"))["keys"]
         assert key.path in {one["path"] for one in found}

@@ -57,10 +57,10 @@ def assert_nothing_lost(run, replayed):
     assert len(session.ticks) == run.ticks.written
     assert session.ticks["tick"].tolist() == list(range(run.ticks.written))
     assert replayed(run.out)["differing"] == 0
-    # what the board was told to do, also last of all, is the decision of a tick that was recorded
+    # every command that the board got, the last one too, is the decision of a recorded tick
     decided = {(0.0, 0.0), *commands(session.ticks)}
-    told = commands(session.truth)
-    strange = [one for one in told if not any(max(abs(one[i] - of[i]) for i in (0, 1)) < STEP for of in decided)]
+    report = commands(session.truth)
+    strange = [one for one in report if not any(max(abs(one[i] - of[i]) for i in (0, 1)) < STEP for of in decided)]
     assert strange == []
     return session
 
@@ -169,7 +169,7 @@ def one_cpu():
 
 
 @pytest.mark.parametrize("confined", [pytest.param(all_cpus, marks=pytest.mark.long), one_cpu])
-def test_a_loop_that_never_gives_up_its_cpu_is_ended_by_the_guardian(live, tmp_path, untraced, monkeypatch, confined):
+def test_a_loop_that_never_yields_its_cpu_is_ended_by_the_guardian(live, tmp_path, untraced, monkeypatch, confined):
     (tmp_path / "sitecustomize.py").write_text(HANGING)
     monkeypatch.setitem(untraced, "PYTHONPATH", str(tmp_path))
     run = live(preexec_fn=confined)
@@ -238,7 +238,7 @@ def test_a_supervisor_that_is_stopped_counts_as_gone(live, replayed):
 
 @pytest.mark.long
 def test_loop_and_guardian_killed_at_once_leave_the_supervisor(live, replayed):
-    """Nobody is promised this: with all three gone only the emergency switch is left."""
+    """Not guaranteed: with all three gone only the emergency switch is left."""
     run = live()
     run.until_tick(TURNING)
     run.kill("guardian")
@@ -256,7 +256,7 @@ BOTH_FROZEN = (("loop", "freeze"), ("guardian", "freeze"))
 
 @pytest.mark.parametrize("kind", [each if each == BOTH_FROZEN else pytest.param(each, marks=pytest.mark.long)
                                   for each in process_faults.KINDS], ids=process_faults.name_of)  # fmt: skip
-def test_whoever_is_killed_or_frozen_the_board_is_made_safe_or_the_switch_is_called_for(
+def test_if_processes_are_killed_or_frozen_the_board_is_made_safe_or_the_user_is_warned(
     command_path, tmp_path, untraced, kind
 ):
     found = process_faults.run_with_faults(command_path, tmp_path, untraced, kind, 0)
@@ -302,7 +302,7 @@ def undying():
     ],
     ids=lambda victims: "+".join(victims) or "nobody",
 )
-def test_of_a_loop_that_cannot_be_killed_the_user_hears_at_once_from_whoever_is_left(live, undying, victims):
+def test_a_loop_that_cannot_be_killed_is_reported_at_once_by_a_process_that_is_left(live, undying, victims):
     freeze, thaw = undying
     run = live()
     run.until_tick(TURNING)
@@ -335,7 +335,7 @@ def test_a_board_that_is_gone_is_said_loudly(live):
 def test_everything_killed_at_once_leaves_every_tick_in_memory(live, inteco_abs, replayed, tmp_path):
     run = live()
     run.until_tick(TURNING)
-    # by number: whoever sees one of them gone may end before it is looked for by name
+    # by number: a process that sees another end may end before it is looked up by name
     for pid in [run.pid(role) for role in ("supervisor", "guardian", "recorder", "loop", "board")]:
         os.kill(pid, signal.SIGKILL)
     run.process.communicate()
@@ -368,7 +368,7 @@ def test_without_recorder_and_supervisor_every_tick_is_recovered_from_memory(com
 
 @pytest.mark.long
 @pytest.mark.parametrize("victims", KINDS, ids="+".join)
-def test_whoever_dies_whenever_every_tick_is_kept(command_path, tmp_path, untraced, record_property, victims):
+def test_every_tick_is_kept_whenever_processes_die(command_path, tmp_path, untraced, record_property, victims):
     found = go_through(command_path, tmp_path, untraced, victims, range(RUNS))
     record_property("figures", "\n".join(list(table({victims: found}))[:2]))
     assert [each for each in found if not each.passed] == []
@@ -376,7 +376,7 @@ def test_whoever_dies_whenever_every_tick_is_kept(command_path, tmp_path, untrac
 
 
 @pytest.mark.long
-def test_the_next_run_tells_of_what_a_crash_has_left(live, tmp_path):
+def test_the_next_run_reports_what_a_crash_has_left(live, tmp_path):
     run = live()
     run.until_tick(TURNING)
     for role in ("supervisor", "guardian", "recorder", "loop", "board"):
@@ -405,7 +405,7 @@ def test_a_disk_that_refuses_ends_no_run_and_the_file_is_made_from_memory(live, 
 
 
 @pytest.mark.long
-def test_when_the_folder_vanishes_the_run_goes_on_and_its_session_is_in_the_second_place(live, replayed, tmp_path):
+def test_when_the_folder_vanishes_the_run_continues_and_its_session_is_in_the_second_place(live, replayed, tmp_path):
     spill = tmp_path / "spill"
     spill.mkdir()
     (tmp_path / "out").mkdir()
@@ -421,7 +421,7 @@ def test_when_the_folder_vanishes_the_run_goes_on_and_its_session_is_in_the_seco
 
 
 @pytest.mark.long
-def test_a_disk_that_goes_on_refusing_leaves_the_ticks_in_memory(live, inteco_abs, replayed, tmp_path):
+def test_a_disk_that_keeps_refusing_leaves_the_ticks_in_memory(live, inteco_abs, replayed, tmp_path):
     run = live()
     run.until_tick(TURNING)
     for role in ("supervisor", "recorder"):

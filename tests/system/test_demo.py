@@ -8,7 +8,7 @@ import pytest
 from inteco_abs.cli import demo as module
 
 
-def test_its_folder_is_made_anew_and_nothing_else_is_touched(main_here, tmp_path):
+def test_its_folder_is_replaced_and_nothing_else_is_touched(main_here, tmp_path):
     (tmp_path / "demo").mkdir()
     run = main_here("demo", "--no-wait", check=2)
     assert "name a folder that does not exist" in run.stderr
@@ -27,7 +27,7 @@ def short(monkeypatch):
 
 
 @pytest.mark.usefixtures("short")
-def test_each_step_says_its_command_and_does_it_there(main_here, tmp_path):
+def test_each_step_prints_its_command_and_runs_it(main_here, tmp_path):
     run = main_here("demo", "-o", "here", check=0)
     assert "it needs no_such_module" in run.stderr
     assert "2 of 3: two." in run.stderr

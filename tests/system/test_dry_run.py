@@ -15,7 +15,7 @@ UNTRUSTED = ("--set", "profile=usb2_generic_0103")
 
 
 @pytest.fixture
-def told(main_here):
+def dry_run(main_here):
     """The report of a dry run."""
 
     def run(*arguments, check=0):
@@ -24,7 +24,7 @@ def told(main_here):
     return run
 
 
-def test_a_run_that_would_begin_tells_its_course_and_leaves_no_trace(main_here, tmp_path):
+def test_a_run_that_would_begin_prints_its_phases_and_leaves_no_file(main_here, tmp_path):
     text = " ".join(main_here(*VIRTUAL, check=0).stdout.split())
     assert "SPIN_UP at most 20 s: drive 1 until the road wheel turns at 180 rad/s" in text
     assert "reaching-law on moving-window, reference slip 0.2, brake at most 1" in text
@@ -35,15 +35,15 @@ def test_a_run_that_would_begin_tells_its_course_and_leaves_no_trace(main_here, 
 
 
 @pytest.mark.parametrize(("profile", "place"), [("sim_usb2", "w20"), ("sim_usb", "b21"), ("sim_pci", "0x68")])
-def test_what_the_first_write_would_change_is_told_word_by_word(told, profile, place):
-    words = told(*VIRTUAL, "--set", f"profile={profile}")["board"]["first_write"]
+def test_the_changes_of_the_first_write_are_listed_word_by_word(dry_run, profile, place):
+    words = dry_run(*VIRTUAL, "--set", f"profile={profile}")["board"]["first_write"]
     prescaler = next(one for one in words if one["names"] == ["pwm0_prescaler"])
     assert prescaler == {"place": place, "names": ["pwm0_prescaler"], "now": 0, "planned": 44, "remark": ""}
 
 
-def test_a_run_in_real_time_tells_of_memory_and_computer_and_takes_no_memory(told, tmp_path):
+def test_a_run_in_real_time_reports_memory_and_computer_and_takes_no_memory(dry_run, tmp_path):
     before = set(memory.FOLDER.glob("*"))
-    report = told("run", "--dry-run")
+    report = dry_run("run", "--dry-run")
     disk, shared = report["needs"]
     assert shared["what"] == "shared memory"
     assert shared["bytes"] > report["runs"][0]["most_ticks"] * 250
@@ -71,7 +71,7 @@ def test_no_message_to_a_board_of_any_kind_writes_a_setting(main_here, monkeypat
 
 
 class Untouched(dict):
-    """Settings of a device; says which were written."""
+    """Settings of a device; returns those that were written."""
 
     def __init__(self, settings):
         super().__init__(settings)
@@ -86,11 +86,11 @@ class Untouched(dict):
         super().update(*arguments, **values)
 
 
-def test_everything_that_would_be_refused_is_told_at_once(told, tmp_path):
+def test_everything_that_would_be_refused_is_listed_at_once(dry_run, tmp_path):
     (tmp_path / "there.mcap").write_bytes(b"")
     (tmp_path / "there.jsonl").write_bytes(b"")
     files = ("--out", "there.mcap", "--figure", "stop.bmp", "--record-wire", "there.jsonl")
-    report = told(*VIRTUAL, *UNTRUSTED, *files, "--foxglove", "--set", "session.spill=nowhere", check=2)
+    report = dry_run(*VIRTUAL, *UNTRUSTED, *files, "--foxglove", "--set", "session.spill=nowhere", check=2)
     assert not report["would_begin"]
     assert {one["where"] for one in report["refused"]} == {"--out", "--figure", "--foxglove", "session.spill", ""}
     others = [one["problem"] for one in report["refused"] if not one["where"]]
@@ -111,16 +111,16 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("arguments", REFUSED.values(), ids=REFUSED)
-def test_what_it_refuses_a_run_refuses_with_the_same_words_and_exit_code(main_here, told, arguments):
+def test_what_it_refuses_a_run_refuses_with_the_same_words_and_exit_code(main_here, dry_run, arguments):
     options, code = arguments
     run = main_here("run", "--virtual", *options, check=code)
-    report = told(*VIRTUAL, *options, check=code)
+    report = dry_run(*VIRTUAL, *options, check=code)
     assert any(one["problem"] in run.stderr for one in report["refused"])
 
 
 @pytest.mark.parametrize("board", ["usb:/dev/nowhere", "pci:0000:7f:1f.7"])
-def test_a_board_that_is_not_there_is_refused_as_by_a_run(told, tmp_path, board):
-    report = told("run", "--board", board, "--dry-run", check=1)
+def test_a_board_that_is_not_there_is_refused_as_by_a_run(dry_run, tmp_path, board):
+    report = dry_run("run", "--board", board, "--dry-run", check=1)
     assert report["board"]["identity"] is None
     assert len(report["refused"]) == 1
     assert list(tmp_path.iterdir()) == []
@@ -136,9 +136,9 @@ class Law:
 """
 
 
-def test_a_controller_that_cannot_be_made_is_refused_and_its_prints_are_not_the_report(told, tmp_path):
+def test_a_controller_that_cannot_be_made_is_refused_and_its_prints_are_not_the_report(dry_run, tmp_path):
     (tmp_path / "law.py").write_text(REFUSES)
-    report = told(*VIRTUAL, "--controller", "law.py:Law", check=2)
+    report = dry_run(*VIRTUAL, "--controller", "law.py:Law", check=2)
     assert "cannot be made: ValueError: no" in report["refused"][0]["problem"]
     assert [path.name for path in tmp_path.iterdir()] == ["law.py"]
 
@@ -150,29 +150,29 @@ def test_mistakes_in_the_configuration_come_with_those_on_the_command_line(main_
     assert "--figure" in run.stderr
 
 
-def test_too_little_memory_is_refused(told, monkeypatch):
+def test_too_little_memory_is_refused(dry_run, monkeypatch):
     monkeypatch.setattr(memory.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=1_000_000))
-    (refused,) = told("run", "--dry-run", check=1)["refused"]
+    (refused,) = dry_run("run", "--dry-run", check=1)["refused"]
     assert "of shared memory in /dev/shm: 1 MB are free; free some, or set loop.ring_s to less" in refused["problem"]
 
 
-def test_a_disk_without_room_for_the_whole_session_is_noted(told, monkeypatch):
+def test_a_disk_without_room_for_the_whole_session_is_noted(dry_run, monkeypatch):
     monkeypatch.setattr(memory.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=1_000_000))
-    assert "stay in memory and must be recovered" in told(*VIRTUAL)["cautions"][0]
+    assert "stay in memory and must be recovered" in dry_run(*VIRTUAL)["cautions"][0]
 
 
-def test_a_duty_that_the_guard_cuts_is_noted(told):
-    report = told(*VIRTUAL, "--set", "guard.drive_limit=0.5")
+def test_a_duty_that_the_guard_cuts_is_noted(dry_run):
+    report = dry_run(*VIRTUAL, "--set", "guard.drive_limit=0.5")
     assert "guard.drive_limit, which cuts it to 0.5" in report["cautions"][0]
 
 
-def test_faults_to_be_injected_are_told_and_not_acted_out(told):
-    report = told(*VIRTUAL, "--inject", "unplug@brake")
+def test_faults_to_be_injected_are_listed_and_do_not_act(dry_run):
+    report = dry_run(*VIRTUAL, "--inject", "unplug@brake")
     assert "checked without faults; the run injects unplug@brake" in report["cautions"][0]
 
 
-def test_a_series_tells_all_its_stops_with_their_pauses(told, main_here, tmp_path):
-    report = told("repeat", 3, "--virtual", "--dry-run", "--pause", 10, "-o", "series")
+def test_a_series_lists_all_its_stops_with_their_pauses(dry_run, main_here, tmp_path):
+    report = dry_run("repeat", 3, "--virtual", "--dry-run", "--pause", 10, "-o", "series")
     (run,) = report["runs"]
     assert (run["times"], run["session"]) == (3, "series/stop-1.mcap")
     assert report["longest_s"] == 3 * run["longest_s"] + 20.0
@@ -182,9 +182,9 @@ def test_a_series_tells_all_its_stops_with_their_pauses(told, main_here, tmp_pat
     assert "--out: series: exists already; name a folder that does not exist" in text
 
 
-def test_the_plan_of_an_identification_tells_every_session_that_is_there_already(told, tmp_path):
+def test_the_plan_of_an_identification_lists_every_existing_session(dry_run, tmp_path):
     plan = ("identify", "--plan", "--virtual", "--dry-run")
-    assert [run["session"] for run in told(*plan)["runs"]][:2] == [
+    assert [run["session"] for run in dry_run(*plan)["runs"]][:2] == [
         "identification/coast.mcap",
         "identification/stair.mcap",
     ]
@@ -192,7 +192,7 @@ def test_the_plan_of_an_identification_tells_every_session_that_is_there_already
     (tmp_path / "identification").mkdir()
     for name in ("stair", "stop-060"):
         (tmp_path / "identification" / f"{name}.mcap").write_bytes(b"")
-    refused = [one["problem"] for one in told(*plan, check=2)["refused"]]
+    refused = [one["problem"] for one in dry_run(*plan, check=2)["refused"]]
     assert [text.partition(".mcap")[0] for text in refused] == ["identification/stair", "identification/stop-060"]
 
 
@@ -206,7 +206,7 @@ def test_sessions_that_are_only_read_need_no_dry_run(main_here):
     assert "only with --plan" in main_here("identify", "a.mcap", "--dry-run", check=2).stderr
 
 
-def test_a_panel_tells_whether_it_would_begin(main_here):
+def test_a_panel_reports_whether_it_would_begin(main_here):
     run = main_here("panel", "--outputs", "--dry-run", check=1)
     text = " ".join(run.stdout.split())
     assert "brake at most 1, drive at most 1" in text
@@ -215,9 +215,9 @@ def test_a_panel_tells_whether_it_would_begin(main_here):
     assert "the panel only reads" in main_here("panel", "--dry-run", check=2).stderr
 
 
-def test_the_walk_tells_its_steps_and_begins_no_draft(main_here, told, tmp_path):
+def test_commissioning_lists_its_steps_and_begins_no_draft(main_here, dry_run, tmp_path):
     text = main_here("commission", "--dry-run", check=0).stdout
     for step in STEPS:
         assert step.risk in text
-    assert [step["name"] for step in told("commission", "--dry-run")["steps"]] == [step.name for step in STEPS]
+    assert [step["name"] for step in dry_run("commission", "--dry-run")["steps"]] == [step.name for step in STEPS]
     assert list(tmp_path.iterdir()) == []

@@ -111,7 +111,7 @@ QUICK_END = "os.kill(os.getpid(), signal.SIGSEGV)"
 @pytest.mark.parametrize(
     "statement", [pytest.param(each, marks=[] if each == QUICK_END else pytest.mark.long) for each in ENDS]
 )
-def test_a_controller_that_dies_or_hangs_is_an_error_of_its_own_and_the_loop_goes_on_to_safe(run_with, statement):
+def test_a_controller_that_dies_or_hangs_is_its_own_error_and_the_loop_continues_to_safe(run_with, statement):
     run, code, card, message = run_with(statement)
     assert (code, card["outcome"], card["reason"]) == (5, "fault", "CONTROLLER_ERROR"), message
     # a loaded computer may take more than 20 ms to end a process
@@ -190,7 +190,7 @@ def test_without_a_guardian_that_takes_over_nothing_is_started(command_path, tmp
 
 
 @pytest.mark.long
-def test_a_guardian_that_stands_still_is_replaced_when_the_loop_dies(command_path, tmp_path, untraced):
+def test_a_frozen_guardian_is_replaced_when_the_loop_dies(command_path, tmp_path, untraced):
     run = LiveRun(command_path, tmp_path, untraced)
     run.until_tick(400)
     run.kill("guardian", signal.SIGSTOP)

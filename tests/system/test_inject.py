@@ -1,4 +1,4 @@
-"""`run --inject`: the mock board fails as told, the run ends as it should, and the session says what was done to it."""
+"""`run --inject`: the mock board fails as requested, the run ends as it should, and the session records the faults."""
 
 import json
 import time
@@ -32,7 +32,7 @@ def test_a_fault_ends_a_virtual_run_as_it_should_and_is_in_the_session(main_here
     assert code == 5 or f"injected {name}: acted {times} times" in stop.stderr
 
 
-def test_where_the_session_is_and_what_was_injected_is_told_where_safe_was_not_confirmed(main_here):
+def test_session_and_injected_faults_are_reported_where_safe_was_not_confirmed(main_here):
     stop = main_here("run", "--virtual", *QUICK[1:], "--inject", "unplug@drive+200ms", "--out", "stop.mcap", check=5)
     assert stop.stderr.startswith("inteco-abs: SAFE could not be confirmed")
     assert "press the emergency switch" in stop.stderr.splitlines()[0]
@@ -57,12 +57,12 @@ def test_before_the_first_tick_it_is_an_error_and_no_file(main_here, tmp_path):
     assert not (tmp_path / "stop.mcap").exists()
 
 
-def test_info_tells_what_was_injected(main_here):
+def test_info_shows_what_was_injected(main_here):
     main_here("run", "--virtual", *QUICK, "--inject", "lose@brake+20ms", "--out", "stop.mcap", check=3)
     assert "lose@brake+20ms/#1 acted 1 times" in main_here("info", "stop.mcap", check=0).stdout
 
 
-def test_list_and_report_tell_what_was_injected(main_here, tmp_path):
+def test_list_and_report_show_what_was_injected(main_here, tmp_path):
     main_here("run", "--virtual", *QUICK, "--inject", "lose@brake+20ms", "--out", "stop.mcap", check=3)
     (row,) = json.loads(main_here("list", ".", "--json", check=0).stdout)["sessions"]
     assert (row["injected"], row["problem"]) == ("lose@brake+20ms/#1", None)
@@ -71,18 +71,18 @@ def test_list_and_report_tell_what_was_injected(main_here, tmp_path):
     assert caution == "Faults injected into the mock board: lose@brake+20ms/#1 (acted 1 times)."
 
 
-def test_a_fault_that_never_acts_is_told(main_here):
+def test_a_fault_that_never_acts_is_reported(main_here):
     stop = main_here("run", "--virtual", *QUICK, "--inject", "lose@100s", check=0)
     assert "never acted: was the run over before?" in stop.stderr
 
 
-def test_a_real_board_is_told_nothing(main_here, tmp_path):
+def test_a_real_board_accepts_no_fault(main_here, tmp_path):
     stop = main_here("run", "--board", "usb2:", "--inject", "lose@1s", check=2)
     assert "faults can be injected into sim: only" in stop.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_when_nothing_takes_the_run_the_seed_that_gives_it_again_is_told(main_here, tmp_path):
+def test_when_nothing_accepts_the_run_the_seed_that_repeats_it_is_reported(main_here, tmp_path):
     stop = main_here("run", "--virtual", *QUICK, "--inject", "disk-full@brake", "--out", "stop.mcap")
     assert stop.returncode != 0
     assert "The run is lost; --seed 0 gives the same again once stop.mcap, if it is there, is removed" in stop.stderr
@@ -90,7 +90,7 @@ def test_when_nothing_takes_the_run_the_seed_that_gives_it_again_is_told(main_he
     assert len(read_session(tmp_path / "whole.mcap").ticks) > 0, whole.stderr
 
 
-def test_in_virtual_time_there_is_no_process_to_be_killed(main_here, tmp_path):
+def test_virtual_time_has_no_process_to_kill(main_here, tmp_path):
     stop = main_here("run", "--virtual", "--inject", "loop-killed@1s", "--inject", "guardian-frozen@1s", check=2)
     assert stop.stderr.count("omit --virtual") == 2
     assert list(tmp_path.iterdir()) == []
@@ -108,7 +108,7 @@ def test_a_wall_clock_that_steps_changes_no_tick(main_here, tmp_path, step_s):
     assert abs(time.time_ns() - before_ns) < 600e9, "the wall clock was not set back"
 
 
-def test_nobodys_real_clock_is_set(main_here, tmp_path):
+def test_the_real_clock_is_not_set(main_here, tmp_path):
     stop = main_here("run", *QUICK, "--inject", "clock-step=1@brake", check=2)
     assert "clock-step: the computer's real clock is not changed; add --virtual" in stop.stderr
     assert list(tmp_path.iterdir()) == []
@@ -145,12 +145,12 @@ def test_what_this_board_or_a_run_cannot_show_is_refused_however_it_is_asked_for
         (("--inject", "lose@1s", "--board", "usb2:"), "usb2: is a real board; faults can be injected into sim: only"),
     ],
 )
-def test_what_the_panel_cannot_be_told_to_meet_is_refused(main_here, arguments, said):
+def test_faults_that_do_not_fit_the_panel_are_refused(main_here, arguments, said):
     refused = main_here("panel", "--outputs", "--dry-run", *arguments, check=2)
     assert said in " ".join((refused.stdout + refused.stderr).split())
 
 
-def test_what_cannot_be_injected_is_told_all_at_once(main_here):
+def test_all_faults_that_cannot_be_injected_are_reported_together(main_here):
     stop = main_here("run", "--virtual", "--inject", "loose@1s", "--inject", "late@1s", check=2)
     assert "did you mean lose?" in stop.stderr
     assert "late needs a value" in stop.stderr
@@ -163,21 +163,21 @@ def test_the_kinds_are_listed(main_here):
 
 
 @pytest.mark.xdist_group("real time")
-def test_a_run_in_real_time_meets_its_faults_and_says_so(inteco_abs, untraced, tmp_path):
+def test_a_run_in_real_time_acts_and_reports_its_faults(inteco_abs, untraced, tmp_path):
     stop = inteco_abs(
         "run", *QUICK, "--inject", "lose@brake+20ms/#3", "--inject", "pause=20@drive+300ms", "--out", "stop.mcap",
         environment=untraced,
     )  # fmt: skip
     assert stop.returncode == 3, stop.stderr
-    told = read_session(tmp_path / "stop.mcap").metadata["injected"]
-    assert told["lose@brake+20ms/#3"] == "3"
-    assert told["pause=20@drive+300ms/#1"] == "1"
+    shown = read_session(tmp_path / "stop.mcap").metadata["injected"]
+    assert shown["lose@brake+20ms/#3"] == "3"
+    assert shown["pause=20@drive+300ms/#1"] == "1"
     assert "injected lose@brake+20ms/#3: acted 3 times" in stop.stderr
 
 
 @pytest.mark.long
 @pytest.mark.xdist_group("real time")
-def test_a_cable_that_is_pulled_in_real_time_is_told_at_once(inteco_abs, untraced):
+def test_a_cable_that_is_pulled_in_real_time_is_reported_at_once(inteco_abs, untraced):
     stop = inteco_abs("run", *QUICK, "--inject", "unplug@drive+300ms", environment=untraced)
     assert stop.returncode == 5, stop.stderr
     assert "MOTOR POWER MAY STILL BE ON" in stop.stderr

@@ -76,14 +76,14 @@ def test_a_stop_is_shown_from_its_checks_to_its_card(run):
 
 
 @pytest.mark.parametrize(("options", "shown"), [(("--live", "none"), False), ((), True)])
-def test_in_virtual_time_too_unless_nobody_wants_it(run, options, shown):
+def test_in_virtual_time_too_unless_switched_off(run, options, shown):
     program = run("--virtual", *options)
     assert program.end() == 0
     assert ("never late" in program.written) == shown
     assert "COMPLETED" in program.written
 
 
-def test_a_quiet_run_that_is_well_says_nothing(run):
+def test_a_quiet_run_without_problems_prints_nothing(run):
     program = run("--virtual", "--quiet")
     assert program.end() == 0
     assert not program.written

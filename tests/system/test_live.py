@@ -20,11 +20,11 @@ def test_a_viewer_sees_ticks_that_are_in_the_session_and_the_session_is_whole(co
     with watching(run.words[Field.LIVE_PORT]) as viewer:
         seen = viewer.rest()
         decoded = [viewer.decode(data) for _, data in seen]
-    code, card, told = run.end()
+    code, card, report = run.end()
     session = run.session()
     assert code in {0, 3}
     assert (card["outcome"], card["lost_ticks"]) == ("completed", 0)
-    assert f"open the connection ws://127.0.0.1:{run.words[Field.LIVE_PORT]} in Lichtblick" in told
+    assert f"open the connection ws://127.0.0.1:{run.words[Field.LIVE_PORT]} in Lichtblick" in report
     kept = {int(row["tick"]): row.tobytes() for row in TICK.array(bytes(session.payload))}
     span_s = (int(session.ticks["time_ns"][-1]) - int(session.ticks["time_ns"][0])) * 1e-9
     assert 5 < len(seen) <= 100 * span_s + 2
@@ -33,7 +33,7 @@ def test_a_viewer_sees_ticks_that_are_in_the_session_and_the_session_is_whole(co
     assert session.incomplete == ""
 
 
-def test_a_port_that_is_taken_is_told_before_anything_moves(inteco_abs, tmp_path, untraced):
+def test_a_port_that_is_taken_is_reported_before_anything_moves(inteco_abs, tmp_path, untraced):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         run = inteco_abs("run", "--foxglove", port, "--out", "stop.mcap", check=1, environment=untraced)
@@ -43,5 +43,5 @@ def test_a_port_that_is_taken_is_told_before_anything_moves(inteco_abs, tmp_path
 
 
 @pytest.mark.parametrize("port", ["65536", "viewer"])
-def test_a_port_that_is_none_is_refused(inteco_abs, port):
+def test_an_invalid_port_is_refused(inteco_abs, port):
     assert "'--foxglove'" in inteco_abs("run", f"--foxglove={port}", check=2).stderr

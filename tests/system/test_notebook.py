@@ -50,7 +50,7 @@ def test_a_stop_is_the_one_of_the_command(stop, main_here):
     assert stop.card["outcome"] == "completed"
 
 
-def test_a_session_says_what_it_is(stop):
+def test_a_session_has_a_readable_repr(stop):
     assert repr(stop) == f"<Session {stop.path}: {len(stop.ticks)} ticks, completed>"
     console = Console(file=io.StringIO(), width=100)
     console.print(stop)
@@ -126,7 +126,7 @@ def test_without_a_name_the_session_lands_in_the_sessions_folder(rig, tmp_path, 
         (lambda: inteco_abs.open_session(__file__), SessionError, "not an MCAP file"),
     ],
 )
-def test_what_is_wrong_is_told_as_by_the_command(wrong, error, words, tmp_path, monkeypatch):
+def test_mistakes_are_reported_as_by_the_command(wrong, error, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=words):
         wrong()
@@ -135,8 +135,8 @@ def test_what_is_wrong_is_told_as_by_the_command(wrong, error, words, tmp_path, 
 
 def test_the_command_starts_without_what_notebooks_need():
     script = "import sys, inteco_abs; print([name for name in ('numpy', 'inteco_abs.notebook') if name in sys.modules])"
-    told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
-    assert told == "[]\n"
+    report = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert report == "[]\n"
     with pytest.raises(AttributeError, match="no attribute 'disconnect'"):
         _ = inteco_abs.disconnect
 

@@ -6,7 +6,7 @@ import pytest
 pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 
 
-def test_an_ordinary_user_runs_in_real_time_and_is_told_what_was_refused(
+def test_an_ordinary_user_runs_in_real_time_and_sees_what_was_refused(
     command_path, inteco_abs, untraced, tmp_path, without_privileges
 ):
     quick = ("--set", "experiment.start_speed_rad_s=30", "--set", "experiment.hold_s=0.1", "--set", "loop.rate_hz=500")

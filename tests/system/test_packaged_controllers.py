@@ -135,7 +135,7 @@ def test_a_replay_without_the_package_is_refused_with_its_name(inteco_abs, recor
     assert "'threshold' of the package 'abs-threshold 1.2', which is not installed" in without.stderr
 
 
-def test_a_replay_says_that_package_and_source_are_others(inteco_abs, site, recorded):
+def test_a_replay_reports_a_changed_package_or_source(inteco_abs, site, recorded):
     site.install(version="1.3", threshold_law=LAW + "\n# changed\n")
     again = inteco_abs("replay", recorded[0], check=0, environment=site.environment)
     assert "was run with abs-threshold 1.2; this is abs-threshold 1.3" in again.stderr
@@ -213,7 +213,7 @@ def test_a_name_that_two_packages_offer_is_refused_with_both(here):
     assert here.imported == []
 
 
-def test_a_package_that_is_there_twice_is_no_collision(here, tmp_path, monkeypatch):
+def test_a_package_found_twice_is_not_a_collision(here, tmp_path, monkeypatch):
     later = Site(tmp_path / "later")
     later.install(version="1.1")
     monkeypatch.syspath_prepend(later.folder)
@@ -318,6 +318,6 @@ def test_a_packages_estimator_is_listed_and_its_run_replays_only_with_it(inteco_
     assert "no estimator 'same'" in inteco_abs("replay", "same.mcap", check=1).stderr
 
 
-def test_a_packages_estimator_that_is_no_estimator_is_refused_before_anything_starts(inteco_abs, estimators):
+def test_a_packages_estimator_of_a_wrong_type_is_refused_before_anything_starts(inteco_abs, estimators):
     run = inteco_abs("run", "--virtual", "--set", "estimator.name=none", check=2, environment=estimators)
     assert "none of the package my-estimators 1.2: my_estimators:Broken is not an inteco_abs.control.E" in run.stderr

@@ -49,7 +49,7 @@ class Terminal:
         self.memory = None
 
     def _read(self):
-        with suppress(OSError):  # what reads from a terminal that nobody uses any more
+        with suppress(OSError):  # reading from a terminal that is not used any more
             while not self._closed.is_set():
                 if select.select([self._master], [], [], 0.02)[0]:
                     self.shown += os.read(self._master, 65536)
@@ -168,7 +168,7 @@ def test_however_it_ends_the_outputs_are_off_and_read_back(terminal, how):
         one.until_shown("the board has confirmed that both outputs are off")
 
 
-def test_what_the_guard_has_taken_away_comes_back_by_arming_anew_and_by_nothing_less(terminal):
+def test_after_a_trip_outputs_return_only_by_arming_again(terminal):
     one = terminal("--outputs", "--set", "guard.over_speed_rad_s=20", "--set", "experiment.start_speed_rad_s=15")
     one.drive()
     tripped = one.memory
@@ -213,7 +213,7 @@ def test_without_the_phrase_no_process_is_started(terminal):
 
 
 class Trouble(Exception):  # noqa: N818  it is not ours
-    """Whatever goes wrong in a screen."""
+    """Any failure of a screen."""
 
 
 def drive_until(memory, side):
@@ -262,7 +262,7 @@ def drive_of(memory):
     return float(TRUTH.array(memory.truth_reader().newest())[0]["drive"])
 
 
-def test_outputs_of_a_profile_that_nobody_has_signed_are_refused():
+def test_outputs_of_an_unsigned_profile_are_refused():
     unsigned = load_config(settings=['board.verified_by=""'])
     with pytest.raises(ReadOnlyError, match="was not verified"), manual_control(unsigned, "sim:", outputs=True):
         raise AssertionError("it must not come so far")

@@ -176,7 +176,7 @@ def test_wheels_outputs_and_board_are_on_the_screen(stage, size):
         assert wanted in text
 
 
-def test_outputs_that_an_earlier_program_left_on_are_told(stage):
+def test_outputs_that_an_earlier_program_left_on_are_reported(stage):
     scene = stage(outputs=False, because="it only watches. ITS PWM OUTPUTS ARE NOT ZERO. MOTOR POWER MAY STILL BE ON")
     shown = []
 
@@ -189,7 +189,7 @@ def test_outputs_that_an_earlier_program_left_on_are_told(stage):
     assert "WATCHING" in shown[0]
 
 
-def test_what_the_guard_has_taken_away_is_told_and_is_a_safety_stop(stage):
+def test_a_trip_of_the_guard_is_reported_and_is_a_safety_stop(stage):
     scene = stage()
     scene.tick(reason=Reason.OVER_SPEED)
     shown = []
@@ -204,7 +204,7 @@ def test_what_the_guard_has_taken_away_is_told_and_is_a_safety_stop(stage):
     assert "r: arm again" in shown[0]
 
 
-def test_r_and_then_y_end_it_to_begin_anew(stage):
+def test_r_and_then_y_end_it_to_begin_again(stage):
     from inteco_abs.cli.panel_screen import ARM_AGAIN
 
     scene = stage()
@@ -252,7 +252,7 @@ def test_while_nothing_was_taken_away_there_is_nothing_to_arm_again(stage, outpu
     assert scene.play(play) == 0
 
 
-def test_it_leaves_although_it_asks_when_nobody_holds_the_board_any_more(stage):
+def test_it_leaves_an_open_question_when_no_process_holds_the_board_any_more(stage):
     scene = stage()
     scene.tick(reason=Reason.OVER_SPEED)
 
@@ -273,7 +273,7 @@ def test_it_leaves_although_it_asks_when_nobody_holds_the_board_any_more(stage):
         (Field.STOP, Reason.NONE, 5),
     ],
 )
-def test_it_leaves_when_nobody_holds_the_board_any_more(stage, word, reason, code):
+def test_it_leaves_when_no_process_holds_the_board_any_more(stage, word, reason, code):
     scene = stage()
 
     async def play(pilot):

@@ -1,4 +1,4 @@
-"""The pages in docs: what they quote is what the product says, and what they name is there."""
+"""The pages in docs: they quote the product's output, and what they name exists."""
 
 import ast
 import re
@@ -118,5 +118,5 @@ def test_every_setting_that_the_parity_table_names_exists():
 
 
 @pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda page: page.name)
-def test_no_page_tells_where_or_by_whom_it_was_made(page):
+def test_no_page_names_the_machine_or_user_that_made_it(page):
     assert not re.search(r"/(tmp/(?!board\b)|root\b|work\b|home/(?!lab/rig\b))", page.read_text(encoding="utf-8"))

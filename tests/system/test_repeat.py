@@ -32,17 +32,17 @@ class Law:
 
 
 def test_each_stop_is_that_of_run_with_its_own_seed(main_here, tmp_path):
-    told = json.loads(main_here("repeat", 3, *QUICK, "--seed", 5, "-o", "series", "--json", check=0).stdout)
+    report = json.loads(main_here("repeat", 3, *QUICK, "--seed", 5, "-o", "series", "--json", check=0).stdout)
     for number in range(3):
         main_here("run", *QUICK, "--seed", 5 + number, "--out", f"{number}.mcap", "--json", check=0)
         again = read_session(tmp_path / f"{number}.mcap")
         assert read_session(tmp_path / "series" / f"stop-{number + 1}.mcap").payload == again.payload
-    times = [card["stop_time_s"] for card in told["stops"]]
-    assert told["statistics"]["stop_time_s"]["mean"] == pytest.approx(np.mean(times), rel=1e-12)
-    assert told["statistics"]["stop_time_s"]["stops"] == 3
+    times = [card["stop_time_s"] for card in report["stops"]]
+    assert report["statistics"]["stop_time_s"]["mean"] == pytest.approx(np.mean(times), rel=1e-12)
+    assert report["statistics"]["stop_time_s"]["stops"] == 3
 
 
-def test_a_safety_stop_ends_the_series_and_the_rest_is_told(main_here, tmp_path):
+def test_a_safety_stop_ends_the_series_and_reports_the_rest(main_here, tmp_path):
     (tmp_path / "law.py").write_text(FAILS_THE_SECOND_TIME)
     run = main_here("repeat", 4, *QUICK, "--controller", "law.py:Law", "-o", "series", "--figure", "all.svg")
     assert run.returncode == 5

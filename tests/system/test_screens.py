@@ -1,4 +1,4 @@
-"""What a run says where there is no terminal, and which letters it uses where there is one."""
+"""Output of a run without a terminal, and its characters on one."""
 
 import pytest
 
@@ -80,7 +80,7 @@ def test_trouble_of_a_screen_is_not_the_runs(act):
     assert calls == [act]
 
 
-def test_lines_say_what_they_are_told():
+def test_lines_print_remarks_and_warnings():
     texts = []
     screen = Lines(texts.append)
     screen.note("one")

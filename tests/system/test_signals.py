@@ -60,7 +60,7 @@ def test_numpy_starts_no_thread_that_would_raise_sigint_where_memory_is_short(un
     assert done.stdout.splitlines()[-1] == "1"
 
 
-def test_memory_that_runs_out_is_told_as_that(main_here, monkeypatch):
+def test_missing_memory_is_reported_as_such(main_here, monkeypatch):
     def starve(*_args, **_options):
         raise MemoryError
 

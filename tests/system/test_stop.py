@@ -62,7 +62,7 @@ def test_the_brake_limit_of_the_vendors_driver_delays_reaching(card):
     assert limited["stop_time_s"] == pytest.approx(1.416, rel=0.01)
 
 
-def test_info_tells_how_the_run_ended_and_with_what(card, main_here):
+def test_info_shows_how_the_run_ended_and_its_settings(card, main_here):
     result = card()
     info = json.loads(main_here("info", "stop.mcap", "--json", check=0).stdout)
     assert info["result"] == result

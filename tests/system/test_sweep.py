@@ -62,7 +62,7 @@ def test_controllers_gains_and_estimators_are_compared_on_populations(inteco_abs
     assert (tmp_path / "rms.svg").read_text().startswith("<?xml")
 
 
-def test_stops_that_fail_are_told_and_the_others_scored(inteco_abs, tmp_path):
+def test_stops_that_fail_are_reported_and_the_others_scored(inteco_abs, tmp_path):
     (tmp_path / "own.py").write_text(OWN)
     run = inteco_abs("sweep", *QUICK, "--controller", "own.py:Own", "--set", "controller.gains.duty=0.5,0.8", check=3)
     assert "Own on moving-window, duty=0.5: 2 of 2 stops failed, first hard:3: ZeroDivisionError" in run.stderr
@@ -134,7 +134,7 @@ def test_the_processes_of_a_sweep_end_with_the_command_that_was_killed(tmp_path)
         next(greetings)  # the command's own
         next(greetings)  # a worker's
         run.kill()
-        run.communicate(timeout=60)  # the pipe ends when nobody holds it
+        run.communicate(timeout=60)  # the pipe ends when no process holds it
 
 
 def test_without_numba_the_extra_is_named():
@@ -162,7 +162,7 @@ class Law:
 """
 
 
-def test_ctrl_c_ends_the_workers_whatever_they_do(command_path, tmp_path):
+def test_ctrl_c_ends_busy_workers(command_path, tmp_path):
     (tmp_path / "law.py").write_text(HANGING)
     sweep = subprocess.Popen(
         [command_path, "sweep", *QUICK, "--rigs", "hard:5-44", "--controller", "law.py:Law", "--jobs", "2"],

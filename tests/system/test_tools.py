@@ -35,7 +35,7 @@ NAMES = sorted(path.name for path in TOOLS.iterdir() if path.is_file() and not p
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in TOLD_BY_THE_COMMAND])
-def test_every_tool_tells_what_it_does_and_does_nothing_else(name, tmp_path, monkeypatch, capfd):
+def test_every_tool_prints_its_help_and_does_nothing_else(name, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     if (TOOLS / name).read_text().startswith("#!/bin/sh"):
         assert subprocess.call(["sh", TOOLS / name, "--help"]) == 0
@@ -208,7 +208,7 @@ def test_tune_predictive_begins_with_what_is_in_force_and_prints_it_as_code(untr
 
 
 @pytest.mark.long
-def test_bench_identify_tells_errors_and_coverage_of_each_number(untraced):
+def test_bench_identify_prints_errors_and_coverage_of_each_number(untraced):
     rows = run("bench_identify", "hard:100-104", environment=untraced).splitlines()
     covered = {row.split()[0]: row.split()[1] for row in rows if "/5" in row}
     assert {"d", "M0", "brake_lag", "brake_dead_time", "M1(0.7)", "mu(0.2)"} <= covered.keys()

@@ -1,4 +1,4 @@
-"""The one-shot in the emergency chain: whatever happens to the computer, the motors lose their power."""
+"""The one-shot in the emergency chain: the motors lose their power even if the computer fails."""
 
 import os
 import signal
@@ -55,7 +55,7 @@ def test_with_every_process_of_the_run_gone_the_motors_lose_their_power_in_50_ms
     killed_ns = time.monotonic_ns()
     for pid in pids:
         os.kill(pid, number)
-    time.sleep(0.6)  # the board goes on for a second without a host
+    time.sleep(0.6)  # the board continues for a second without a host
     rows = TRUTH.array(truths.take())
     on = rows[(rows["drive"] > 0.0) | (rows["brake"] > 0.0)]
     off = rows[rows["time_ns"] > on["time_ns"][-1]]
@@ -65,7 +65,7 @@ def test_with_every_process_of_the_run_gone_the_motors_lose_their_power_in_50_ms
     assert int(off["time_ns"][0]) - int(on["time_ns"][-1]) > HOLD_NS // 2
 
 
-def test_a_whole_stop_feeds_it_and_says_how_soon_it_opened(live):
+def test_a_whole_stop_feeds_it_and_reports_how_soon_it_opened(live):
     run = live(settings=(*QUICK, *WATCHED))
     code, card, message = run.end()
     assert code in {0, 3}, message  # 3: a period was late, on a computer under load

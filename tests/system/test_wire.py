@@ -54,7 +54,7 @@ def test_an_unknown_word_is_found_from_a_capture_in_which_one_slider_moves(impor
     assert f"w{SLIDER}" in inteco_abs("wire", "changes", file, check=0).stdout
 
 
-def test_programming_the_fpga_is_told_at_import_and_left_out(inteco_abs, tmp_path):
+def test_programming_the_fpga_is_reported_at_import_and_left_out(inteco_abs, tmp_path):
     monitor = Usbmon()
     (tmp_path / "x.pcap").write_bytes(pcap(vendor_session(monitor), monitor.link_type))
     run = inteco_abs("wire", "import", "x.pcap", "-o", "x.jsonl", check=0)
@@ -98,7 +98,7 @@ def test_frame_numbers_can_be_left_out_of_a_comparison(inteco_abs, tmp_path):
     inteco_abs("wire", "diff", "one.jsonl", "other.jsonl", "--ignore", "pwm7_prescaler", check=0)
 
 
-def test_a_capture_in_which_nothing_moves_says_so_and_doubts_the_names_of_another_logic(inteco_abs, tmp_path):
+def test_a_capture_without_changes_says_so_and_doubts_the_names_of_another_logic(inteco_abs, tmp_path):
     monitor = UsbPcap()
     packets = 3 * monitor.into(0x84, encode_read({"logic_version": 0x0205}))
     (tmp_path / "x.pcap").write_bytes(pcap(packets, monitor.link_type))

@@ -84,7 +84,7 @@ def test_one_that_catches_every_exception_is_ended_too(answers, monkeypatch):
 
 
 @pytest.mark.parametrize("row", NONE, ids=ids(NONE))
-def test_what_is_no_controller_is_told_before_anything_is_started(answers, row):
+def test_what_is_not_a_controller_is_reported_before_anything_is_started(answers, row):
     answers.to(row)
 
 

@@ -22,7 +22,7 @@ def flipped(data):
 
 
 def gone(place):
-    """The working folder has been removed by somebody else."""
+    """Another program has removed the working folder."""
 
     def cwd():
         raise FileNotFoundError(errno.ENOENT, "No such file or directory")
@@ -219,7 +219,7 @@ def test_a_disk_that_is_full_gets_one_clear_answer_and_no_half_a_file(answers, w
         answers.to(row._replace(given=()))
 
 
-def test_a_disk_that_fills_up_during_a_run_is_told_and_leaves_a_readable_file(
+def test_a_disk_that_fills_up_during_a_run_is_reported_and_leaves_a_readable_file(
     command_path, inteco_abs, untraced, tmp_path
 ):
     # a limit on file size is the disk that a test can fill

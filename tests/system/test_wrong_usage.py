@@ -1,4 +1,4 @@
-"""Wrong verbs, options, numbers and their combinations: what the command line alone can tell."""
+"""Wrong verbs, options, numbers and their combinations: what the command line alone shows."""
 
 import pytest
 from wrong_inputs import Row, file, ids, session, stdin

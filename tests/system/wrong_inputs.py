@@ -1,4 +1,4 @@
-"""What all answers to wrong input have in common: a row says what is typed, and what must be said about it.
+"""What all answers to wrong input have in common: a row has the command, and the words of its answer.
 
 An answer fits on one screen, ends with the exit code that the command documents, prints nothing to stdout but data,
 leaves nothing behind, moves nothing, and says what to do.
@@ -73,7 +73,7 @@ def without(*modules):
 
 
 def stdin(stream):
-    """Standard input that nobody types on; None if the shell has closed it."""
+    """Standard input without typing; None if the shell has closed it."""
 
     def take(place):
         place.patch.setattr(sys, "stdin", stream and place.opened(stream))
@@ -97,7 +97,7 @@ def ids(rows):
 
 
 class Answers:
-    """Types a row's command in its folder, and insists on what holds for every answer."""
+    """Runs a row's command in its folder, and requires what holds for every answer."""
 
     def __init__(self, main_here, place) -> None:
         self._main_here, self.place, self._devices = main_here, place, []
