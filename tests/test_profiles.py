@@ -151,7 +151,7 @@ class TestSignature:
         over = '[board]\nroad_sign = -1\nverified_by = "B. Lab"\n'
         assert opened(lab(over=over)).read_only_because == ""
 
-    def test_a_setting_over_a_signed_file_is_found_also_if_the_file_is_no_profile(self, tmp_path):
+    def test_a_setting_over_a_signed_file_is_found_also_if_the_file_is_not_a_profile(self, tmp_path):
         file = tmp_path / "lab.toml"
         file.write_text(LAB.format(signed_logic="0x0103"), encoding="utf-8")
         because = opened(load_config(file, ["board.drive_pwm=3"], profile="usb2_generic_0103")).read_only_because
@@ -244,7 +244,7 @@ class TestLimits:
     )
 
     @pytest.mark.parametrize(("rate_hz", "key", "most", "beyond"), CEILINGS)
-    def test_a_ceiling_holds_on_a_real_board_whoever_signs(self, lab, rate_hz, key, most, beyond):
+    def test_a_ceiling_holds_on_a_real_board_with_any_signature(self, lab, rate_hz, key, most, beyond):
         def config(value):
             over = f"[board]\nverified_by = 'B. Lab'\n[guard]\n{key} = {value}\n"
             return lab(f"loop.rate_hz={rate_hz}", "estimator.window_s=0.05", over=over)
