@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from types import FrameType
 from typing import Final
 
 from inteco_abs.errors import ConfigError
@@ -18,29 +17,35 @@ class _TimeUp(BaseException):
     """Raised after TimeoutError, for code that catches every Exception."""
 
 
-@contextmanager
-def time_limit() -> Iterator[None]:
+class time_limit:  # noqa: N801  used as a function, as the context managers of contextlib are
     """Raise TimeoutError, then ConfigError, in code that takes longer than 60 s.
 
     Only in the main thread, which gets signals, on POSIX. An alarm of the caller continues afterwards.
     """
-    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "setitimer"):
-        yield
-        return
 
-    problem = f"not finished within {LOADING_MOST_S:g} s"
-    raised = iter([TimeoutError(problem)])
+    def __init__(self) -> None:
+        self._problem = f"not finished within {LOADING_MOST_S:g} s"
+        self._raised = iter([TimeoutError(self._problem)])
+        self._acts = threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer")
 
-    def expire(*_: object) -> None:
-        raise next(raised, _TimeUp())
+    def __enter__(self) -> None:
+        if self._acts:
+            self._handler = signal.signal(signal.SIGALRM, self._expire)
+            self._timer = signal.setitimer(signal.ITIMER_REAL, LOADING_MOST_S, _AGAIN_S)
 
-    before = signal.signal(signal.SIGALRM, expire)
-    theirs = signal.setitimer(signal.ITIMER_REAL, LOADING_MOST_S, _AGAIN_S)
-    try:
-        yield
-    except _TimeUp:
-        raise ConfigError.of("--controller", problem) from None
-    finally:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        if not self._acts:
+            return
+        self._acts = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, signal.SIG_DFL if before is None else before)
-        signal.setitimer(signal.ITIMER_REAL, *theirs)
+        signal.signal(signal.SIGALRM, signal.SIG_IGN)  # drops one that is on its way
+        signal.signal(signal.SIGALRM, signal.SIG_DFL if self._handler is None else self._handler)
+        signal.setitimer(signal.ITIMER_REAL, *self._timer)
+        if isinstance(error, _TimeUp):
+            raise ConfigError.of("--controller", self._problem) from None
+
+    def _expire(self, _signal: int, frame: FrameType | None) -> None:
+        # raised where the limit begins or ends, it would leave the alarm on, and raise in what comes later
+        own = (time_limit.__enter__.__code__, time_limit.__exit__.__code__)
+        if self._acts and not (frame is not None and frame.f_code in own):
+            raise next(self._raised, _TimeUp())

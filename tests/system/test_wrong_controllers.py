@@ -2,9 +2,13 @@
 
 import json
 import os
+import signal
 
 import pytest
 from wrong_inputs import Row, file, ids, session
+
+from inteco_abs.errors import ConfigError
+from inteco_abs.experiment import time_limit
 
 RUN = "run --virtual --set experiment.start_speed_rad_s=20 --controller law.py:Law"
 LAW = """\
@@ -81,6 +85,20 @@ def test_one_that_catches_every_exception_is_ended_too(answers, monkeypatch):
     monkeypatch.setattr("inteco_abs.experiment.user_code._AGAIN_S", 0.1)
     text = source("while True:\n    try:\n        while True: pass\n    except Exception: pass\n")
     answers.to(Row("catches", RUN, 2, ("--controller",), "not finished within 0.1 s", text))
+
+
+def never_ends():
+    while True:
+        pass
+
+
+def test_an_alarm_while_the_limit_ends_does_not_outlive_it(monkeypatch):
+    monkeypatch.setattr("inteco_abs.experiment.user_code.LOADING_MOST_S", 1e-3)
+    monkeypatch.setattr("inteco_abs.experiment.user_code._AGAIN_S", 1e-4)
+    for _ in range(100):
+        with pytest.raises((TimeoutError, ConfigError)), time_limit():
+            never_ends()
+        assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("row", NONE, ids=ids(NONE))
