@@ -160,7 +160,7 @@ def test_another_controller_has_its_own_gains_and_the_estimator_that_it_needs(qu
     [
         (["loop.rate_hz=1000.0"], "loop: cannot be changed here"),
         (["controller.gains.Mx=1.0"], "controller.gains.Mx: unknown gain"),
-        (["controller.gains.Mk=-1.0"], r"must be in 0\.\.1000"),
+        (["controller.gains.Mk=-1.0"], r"must be a number in 0\.\.1000"),
         (["controller.name=rely"], "no controller 'rely'; did you mean relay"),
         (["Mk"], "must look like"),
     ],
