@@ -110,7 +110,7 @@ class GoldenFolder:
     def chosen(self, names: Sequence[str]) -> list[Golden]:
         """Those with these names, or all. Raises ConfigError for an unknown name, or if the folder is empty."""
         if not self._goldens:
-            problem = f"{self.path} holds no golden session; add one: inteco-abs golden add FILE --reason TEXT"
+            problem = f"{self.path} has no golden sessions; add one: inteco-abs golden add FILE --reason TEXT"
             raise ConfigError.of("--folder", problem)
         unknown = [name for name in names if name not in self._goldens]
         if unknown:
@@ -257,7 +257,7 @@ def _table(golden: Golden) -> dict[str, Any]:
 
 def _require_reason(reason: str) -> None:
     if not reason.strip():
-        raise ConfigError.of("--reason", "is empty; say why, for who reads the history later")
+        raise ConfigError.of("--reason", "is empty; give the reason for the history")
 
 
 def _rows_until(session: Session, until_s: float | None) -> int:

@@ -50,8 +50,8 @@ def draw_design(report: Mapping[str, Any], path: Path) -> None:
 
 def _gain(panel: Axes, curves: Mapping[str, Any]) -> None:
     x = curves["road_speed_rad_s"]
-    panel.plot(x, curves["mq_26_per_s"], color=_BLUE, lw=1.2, ls="--", label="(26) asks for more than")
-    panel.plot(x, curves["mq_25_per_s"], color=_BLUE, lw=1.2, label="(25) asks for more than")
+    panel.plot(x, curves["mq_26_per_s"], color=_BLUE, lw=1.2, ls="--", label="minimum by (26)")
+    panel.plot(x, curves["mq_25_per_s"], color=_BLUE, lw=1.2, label="minimum by (25)")
     panel.plot(x, curves["mq_per_s"], color=_RED, lw=2.0, ls="-.", label="given")
     panel.set_ylabel("Mq [1/s]")
 

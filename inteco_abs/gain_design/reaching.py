@@ -32,7 +32,7 @@ class Reaching(NamedTuple):
 def reaching(config: RigConfig, from_slip: float, width: float, bound_s: float) -> Reaching:
     """Simulate until the slip error changes its sign or is within `width`, with and without the brake's limit."""
     nominal = nominal_parameters(config.model)
-    strong = replace(nominal, b1=_STRONG_NM, b2=0.0, u0=0.0)  # as a duty of 1 is never asked for, there is no limit
+    strong = replace(nominal, b1=_STRONG_NM, b2=0.0, u0=0.0)  # the duty stays below 1, so there is no limit
     _, asked_nm = _way(config, strong, 1.0, from_slip, width)
     time_s, _ = _way(config, nominal, config.guard.brake_limit, from_slip, width)
     return Reaching(from_slip, bound_s, time_s, min(asked_nm), max(asked_nm))

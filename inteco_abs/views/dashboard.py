@@ -22,7 +22,7 @@ from inteco_abs.config import RigConfig
 from inteco_abs.realtime import Snapshot, StartCheck
 from inteco_abs.signals import Phase
 from inteco_abs.views.keys import stop_keys
-from inteco_abs.views.plot import Axes, Curve, plot
+from inteco_abs.views.plot import Curve, PlotAxes, plot
 from inteco_abs.views.text_lines import Line, TextLines, apart, length, padded
 from inteco_abs.views.trace import RunTrace
 
@@ -239,12 +239,12 @@ class Dashboard:
             *self._legend("wheel", f"{shot.wheel_speed_rad_s:6.1f}", _WHEEL, "o", dashed=True),
         ]
         curves = [Curve(times, road, _ROAD, "*"), Curve(times, wheel, _WHEEL, "o", dashed=True)]
-        axes = Axes(self._trace.span_s(), speed_top(self._config.experiment.start_speed_rad_s))
+        axes = PlotAxes(self._trace.span_s(), speed_top(self._config.experiment.start_speed_rad_s))
         return [head, *plot(curves, axes, width, rows, plain=self._plain)]
 
     def _slip(self, width: int, rows: int) -> list[Line]:
         times, _, _, slip = self._trace.columns()
-        axes, reference = Axes(self._trace.span_s(), 1.0), self._config.controller.reference_slip
+        axes, reference = PlotAxes(self._trace.span_s(), 1.0), self._config.controller.reference_slip
         always = np.array([0.0, axes.span_s])
         head = [
             (" slip           ", "bold"),

@@ -56,7 +56,7 @@ def decimate(columns: Mapping[str, Array], time_s: Array, matters: Array, most: 
 
 
 def _bin(rows: int, points: int) -> int:
-    """Size of a bin that gives at most so many points."""
+    """Size of a bin for at most `points` points."""
     return 1 if rows <= points else -(-_POINTS_A_BIN * rows // max(points, _POINTS_A_BIN))
 
 

@@ -38,14 +38,14 @@ class Curve(NamedTuple):
     dashed: bool = False
 
 
-class Axes(NamedTuple):
+class PlotAxes(NamedTuple):
     """Ends of both axes, which begin at zero."""
 
     span_s: float
     top: float
 
 
-def plot(curves: Sequence[Curve], axes: Axes, width: int, rows: int, *, plain: bool) -> list[Line]:
+def plot(curves: Sequence[Curve], axes: PlotAxes, width: int, rows: int, *, plain: bool) -> list[Line]:
     """Lines of a plot: `rows` of dots and the axis below, `width` cells wide; `plain` is ASCII."""
     columns = width - MARGIN
     cells = _marks(curves, axes, columns, rows) if plain else _dots(curves, axes, columns, rows)
@@ -69,7 +69,7 @@ def _time_axis(span_s: float, columns: int, *, plain: bool) -> str:
     return f"{'+' if plain else '└':>{MARGIN}}{first}{line * left}{middle}{line * right}{last}"
 
 
-def _dots(curves: Sequence[Curve], axes: Axes, columns: int, rows: int) -> list[Line]:
+def _dots(curves: Sequence[Curve], axes: PlotAxes, columns: int, rows: int) -> list[Line]:
     bits = np.zeros((rows, columns), int)
     owner = np.full((rows, columns), len(curves))
     for number, curve in reversed(list(enumerate(curves))):
@@ -84,7 +84,7 @@ def _dots(curves: Sequence[Curve], axes: Axes, columns: int, rows: int) -> list[
     return [runs(text, [styles[who] for who in row]) for text, row in zip(texts, owner.tolist(), strict=True)]
 
 
-def _marks(curves: Sequence[Curve], axes: Axes, columns: int, rows: int) -> list[Line]:
+def _marks(curves: Sequence[Curve], axes: PlotAxes, columns: int, rows: int) -> list[Line]:
     owner = np.full((rows, columns), len(curves))
     for number, curve in reversed(list(enumerate(curves))):
         drawn = _raster(curve, axes, columns, rows, _DASH_MARKS)
@@ -93,7 +93,7 @@ def _marks(curves: Sequence[Curve], axes: Axes, columns: int, rows: int) -> list
     return [runs("".join(marks[who] for who in row), [styles[who] for who in row]) for row in owner.tolist()]
 
 
-def _raster(curve: Curve, axes: Axes, width: int, height: int, dash: int) -> Array:
+def _raster(curve: Curve, axes: PlotAxes, width: int, height: int, dash: int) -> Array:
     """Grid points on the curve; row 0 is at the top."""
     known = np.isfinite(curve.values)
     times, values = curve.times_s[known], curve.values[known]

@@ -61,7 +61,7 @@ def draw_series(sessions: Sequence[Session], path: Path) -> None:
 
     braked = [session for session in sessions if len(held_rows(session.ticks))]
     if not braked:
-        raise AbsError("none of the stops of the series came to braking; there is nothing to draw")
+        raise AbsError("no stop of the series braked; there is nothing to draw")
     figure = new_figure(7.1, 6.5)
     panels = figure.subplots(len(_PANELS), sharex=True)
     colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(braked)))

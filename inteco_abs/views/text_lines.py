@@ -50,7 +50,7 @@ def padded(line: Line, width: int) -> Line:
 
 
 def apart(left: Line, right: Line, width: int) -> Line:
-    """Both at the ends of one line; only the left one if there is no room."""
+    """`left` and `right` at the ends of one line; only `left` without room for both."""
     room = width - length(left) - length(right)
     return [*left, (" " * room, ""), *right] if room > 0 else left
 

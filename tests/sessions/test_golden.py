@@ -206,7 +206,7 @@ def test_a_table_that_is_none_is_told(tmp_path, text):
 def test_an_unknown_name_and_an_empty_folder_are_told(folder, tmp_path):
     with pytest.raises(ConfigError, match=r"no 'quik' in .*; did you mean quick"):
         folder.test(["quik"], CONTROLLERS)
-    with pytest.raises(ConfigError, match="holds no golden session; add one"):
+    with pytest.raises(ConfigError, match="has no golden sessions; add one"):
         GoldenFolder(tmp_path / "none").test([], CONTROLLERS)
 
 

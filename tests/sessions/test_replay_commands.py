@@ -212,8 +212,8 @@ def test_golden_ends_with_1_where_a_session_cannot_be_tested(command, quick, tmp
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (("golden", "test"), 2, "holds no golden session"),
-        (("golden", "list"), 2, "holds no golden session"),
+        (("golden", "test"), 2, "has no golden session"),
+        (("golden", "list"), 2, "has no golden session"),
         (("golden", "add", "none.mcap", "--reason", "x"), 1, "none.mcap: cannot be read"),
         (("golden", "add", "none.mcap"), 2, "--reason"),
         (("golden", "update", "one"), 2, "--reason"),

@@ -94,7 +94,7 @@ INPUTS = [
     Row("text for a capture", "wire changes notes.txt", 1, ("notes.txt",), "captures are JSON lines",
         (file("notes.txt", "just text\n"),)),
     Row("a cut capture", "wire replay x.jsonl", 1, ("x.jsonl",), "the file was cut off", (file("x.jsonl", "{"),)),
-    Row("nothing of gold", "golden test", 2, ("golden holds no golden session",), "inteco-abs golden add FILE"),
+    Row("nothing of gold", "golden test", 2, ("golden has no golden session",), "inteco-abs golden add FILE"),
     Row("gold without a reason", "golden add stop.mcap --reason ''", 2, ("--reason",), "why", (session(),)),
     Row("gold that is damaged", "golden add stop.mcap --reason x", 1, ("is damaged",), "inteco-abs recover saves",
         (session(change=flipped),)),

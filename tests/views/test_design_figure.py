@@ -48,8 +48,8 @@ def test_every_panel_shows_its_curves_over_the_road_speed(report, drawn):
     assert [panel.get_ylabel() for panel in (gain, torque)] == ["Mq [1/s]", "brake torque [N m]"]
     assert uncertainty.get_xlabel() == "road speed [rad/s]"
     for panel, label, key in (
-        (gain, "(25) asks for more than", "mq_25_per_s"),
-        (gain, "(26) asks for more than", "mq_26_per_s"),
+        (gain, "minimum by (25)", "mq_25_per_s"),
+        (gain, "minimum by (26)", "mq_26_per_s"),
         (gain, "given", "mq_per_s"),
         (torque, "M1eq, nominal", "torque_eq_nm"),
         (uncertainty, "F [1/s]", "F_per_s"),

@@ -3,12 +3,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inteco_abs.views.plot import MARGIN, Axes, Curve, plot
+from inteco_abs.views.plot import MARGIN, Curve, PlotAxes, plot
 from inteco_abs.views.text_lines import length
 
 WIDTH, ROWS = 46, 9
 COLUMNS = WIDTH - MARGIN
-AXES = Axes(2.0, 200.0)
+AXES = PlotAxes(2.0, 200.0)
 TIMES = np.linspace(0.0, 2.0, 401)
 
 
@@ -117,6 +117,8 @@ def test_a_plain_one_is_ascii():
 )
 def test_every_line_is_as_wide_as_asked_for(plain, values, width, rows, span):
     times = np.linspace(0.0, 1.0, len(values))
-    lines = plot([curve(values, times), curve(values, times, dashed=True)], Axes(span, 1.0), width, rows, plain=plain)
+    lines = plot(
+        [curve(values, times), curve(values, times, dashed=True)], PlotAxes(span, 1.0), width, rows, plain=plain
+    )
     assert {length(line) for line in lines} == {width}
     assert len(lines) == rows + 1

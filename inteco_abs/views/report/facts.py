@@ -18,7 +18,7 @@ _COUNTS: Final = (
 _SHOWN_ELSEWHERE: Final = ("result", "controller")
 
 
-class Row(NamedTuple):
+class FactRow(NamedTuple):
     """One fact of all sessions."""
 
     name: str
@@ -30,10 +30,10 @@ class FactTable(NamedTuple):
     """A table of facts."""
 
     title: str
-    rows: list[Row]
+    rows: list[FactRow]
 
 
-def result_rows(sessions: Sequence[Session]) -> list[Row]:
+def result_rows(sessions: Sequence[Session]) -> list[FactRow]:
     """Result cards side by side; a value that was not measured is a dash."""
     cards = [card_of(session) or {} for session in sessions]
     rows = [_row(label, [_number(card.get(key), form, factor) for card in cards]) for label, key, form, factor in ROWS]
@@ -63,8 +63,8 @@ def _facts(title: str, records: Sequence[Mapping[str, str]]) -> FactTable:
     return FactTable(title, [_row(key, [each.get(key) or NOTHING for each in records]) for key in keys])
 
 
-def _row(name: str, values: Sequence[str]) -> Row:
-    return Row(name, tuple(values), len(set(values)) > 1)
+def _row(name: str, values: Sequence[str]) -> FactRow:
+    return FactRow(name, tuple(values), len(set(values)) > 1)
 
 
 def _number(value: Any, form: str, factor: float = 1.0) -> str:
