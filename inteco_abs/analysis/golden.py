@@ -257,7 +257,7 @@ def _table(golden: Golden) -> dict[str, Any]:
 
 def _require_reason(reason: str) -> None:
     if not reason.strip():
-        raise ConfigError.of("--reason", "is empty; give the reason for the history")
+        raise ConfigError.of("--reason", "is empty; say why, for the history")
 
 
 def _rows_until(session: Session, until_s: float | None) -> int:

@@ -336,7 +336,7 @@ class SimulationConfig(Section):
     brake_rate_per_s: Annotated[float, Interval(ge=1.0, le=1e6)] = 20.37
     """Rate of the brake actuator's lag."""
     drive_pwm: Annotated[int, Interval(ge=0, le=7)] = 0
-    """PWM channel of the simulated drive, which may differ from [board]; all defaults as in the vendor's PCI version."""
+    """PWM channel of the simulated drive, which may differ from [board]; defaults as in the vendor's PCI version."""
     brake_pwm: Annotated[int, Interval(ge=0, le=7)] = 1
     """PWM channel that is really wired to the brake."""
     road_encoder: Annotated[int, Interval(ge=0, le=7)] = 0
