@@ -40,7 +40,7 @@ from tests.faults.stage import SHORTEST, configured, ride
 
 pytestmark = pytest.mark.untraced
 
-FEW = settings(max_examples=settings().max_examples // 2, stateful_step_count=25)
+FEW = settings(max_examples=max(15, settings().max_examples // 2), stateful_step_count=25)
 ID = "an-id"
 
 

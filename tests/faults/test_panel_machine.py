@@ -28,7 +28,7 @@ from inteco_abs.signals import Reason
 
 pytestmark = pytest.mark.untraced
 
-FEW = settings(max_examples=max(60, settings().max_examples // 3), stateful_step_count=20)
+FEW = settings(max_examples=max(30, settings().max_examples // 3), stateful_step_count=20)
 PERIOD_NS = round(1e9 / RATE_HZ)
 HELD_BEATS = HELD_NS // PERIOD_NS
 OFF = (0.0, 0.0)

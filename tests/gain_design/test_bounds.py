@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from inteco_abs.control import BrakingModel
@@ -94,7 +94,6 @@ BOXES = {"hard": box_of(*HARD), "geometry": box_of(*GEOMETRY)}
 BOXES_AT_SLIPS = {(name, slip): AtSlip(box, slip) for name, box in BOXES.items() for slip in (0.05, 0.2, 0.9)}
 
 
-@settings(max_examples=200)
 @given(st.sampled_from(list(BOXES_AT_SLIPS)), st.lists(st.floats(0.0, 1.0), min_size=12, max_size=12))
 def test_no_rig_inside_the_box_is_worse_than_its_corners(where, shares):
     name, slip = where

@@ -168,6 +168,7 @@ def test_however_it_ends_the_outputs_are_off_and_read_back(terminal, how):
         one.until_shown("the board has confirmed that both outputs are off")
 
 
+@pytest.mark.long  # tests/faults/test_panel_machine.py has it in virtual time
 def test_after_a_trip_outputs_return_only_by_arming_again(terminal):
     one = terminal("--outputs", "--set", "guard.over_speed_rad_s=20", "--set", "experiment.start_speed_rad_s=15")
     one.drive()

@@ -15,6 +15,7 @@ GENEROUS_NS = 2_000_000_000
 TURNING = 400
 
 
+@pytest.mark.long
 def test_a_stop_in_real_time_with_a_real_boards_limits_is_completed_and_replays(inteco_abs, real_stop):
     card = json.loads(real_stop(*PCI, *QUICK).stdout)
     assert (card["outcome"], card["lost_ticks"]) == ("completed", 0)
