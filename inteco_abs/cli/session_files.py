@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,9 +43,9 @@ def report_losses(session: Session) -> None:
 def draw(files: Sequence[Path], out: Path, width: str = "two") -> bool:
     """Draw stops to `out`; return whether every file was complete and fully understood."""
     from inteco_abs.sessions import read_session
-    from inteco_abs.views.figure import draw_stops
+    from inteco_abs.views.figure import COLUMNS, draw_stops
 
-    sessions = [read_whole(file, read_session) for file in files]
+    sessions = [read_whole(file, partial(read_session, columns=COLUMNS)) for file in files]
     draw_stops(sessions, out, width)
     say(f"figure: {out}", err=True)
     return not any(session.incomplete or session.unsupported for session in sessions)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from inteco_abs.config import Check, RigConfig, parse_config
 from inteco_abs.errors import ConfigError, SessionError, near_file
-from inteco_abs.format import TICK, TRUTH
+from inteco_abs.format import TICK, Message
 from inteco_abs.sessions.container import (
     HEAD,
     LARGEST_RECORD,
@@ -33,7 +33,7 @@ from inteco_abs.sessions.container import (
 )
 from inteco_abs.sessions.content import CONFIG_NAME, FLAT, LIBRARY, Content, LogEntry, Parameters
 from inteco_abs.sessions.migration import Metadata, UnsupportedError, migrated
-from inteco_abs.sessions.storage import Rows, RowsInMemory, RowsOnDisk
+from inteco_abs.sessions.storage import ColumnsInMemory, Rows, RowsInMemory, RowsOnDisk
 
 _BEGINNING: Final = 64
 """Bytes from which the type of a file that is not a session is recognised."""
@@ -91,17 +91,21 @@ class Session:
         return len(self.log)
 
 
-def read_session(path: Path, spool: Path | None = None) -> Session:
+def read_session(path: Path, spool: Path | None = None, columns: Collection[str] | None = None) -> Session:
     """The session at `path`. A cut file is read up to its last intact record, and `incomplete` says where that is.
 
-    With the folder `spool`, rows are kept in an unnamed file there, not in memory: an hour has 1.5 GB. Raises
-    SessionError if the file cannot be opened, is not a session, or is damaged.
+    With the folder `spool`, rows are kept in an unnamed file there, not in memory: an hour has 1.5 GB. With `columns`,
+    ticks and truth have only these, and `payload` is empty.
+    Raises SessionError if the file cannot be opened, is not a session, or is damaged.
     """
     with opened(path) as (file, size), ExitStack() as files:
         try:
-            rows: dict[str, Rows] = {
-                topic: RowsInMemory() if spool is None else files.enter_context(RowsOnDisk(spool)) for topic in FLAT
-            }
+            rows: dict[str, Rows] = {}
+            for topic, message in FLAT.items():
+                if columns is not None:
+                    rows[topic] = ColumnsInMemory(message.dtype, columns)
+                else:
+                    rows[topic] = RowsInMemory() if spool is None else files.enter_context(RowsOnDisk(spool))
             content, incomplete = _read(file, size, Content(rows, DecompressionBudget(size)))
             return _session(path, content, incomplete)
         except UnsupportedError as error:
@@ -288,6 +292,10 @@ def _check_times(times_ns: npt.NDArray[np.uint64]) -> None:
         raise DamagedError(f"a tick's time is {latest_ns} ns: must be at most {_LATEST_NS} ns")
 
 
+def _array(message: Message, rows: Rows) -> npt.NDArray[np.void]:
+    return rows.array() if isinstance(rows, ColumnsInMemory) else message.array(rows.contents())
+
+
 def _session(path: Path, content: Content, incomplete: str) -> Session:
     recorded = content.metadata.get("integrity", {}).get("payload_sha256")
     ours = content.announces_ticks or content.library.startswith(LIBRARY)
@@ -297,8 +305,9 @@ def _session(path: Path, content: Content, incomplete: str) -> Session:
         raise DamagedError("the ticks do not match the hash that was recorded with them")
     for name in content.altered_attachments():
         raise DamagedError(f"attachment {name!r} does not match the hash that was recorded with it")
-    payload = content.rows[TICK.topic].contents()
-    ticks, truth = TICK.array(payload), TRUTH.array(content.rows[TRUTH.topic].contents())
+    stored = content.rows[TICK.topic]
+    payload = b"" if isinstance(stored, ColumnsInMemory) else stored.contents()
+    ticks, truth = (_array(message, content.rows[topic]) for topic, message in FLAT.items())
     for rows in (ticks, truth):
         _check_times(rows["time_ns"])
     return Session(

@@ -5,10 +5,14 @@ from __future__ import annotations
 import mmap
 import os
 import tempfile
+from collections.abc import Collection
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
 
 from inteco_abs.errors import SessionError, describe_disk
 
@@ -28,6 +32,29 @@ class RowsInMemory(BytesIO):
 
     def contents(self) -> bytes:
         return self.getvalue()
+
+
+class ColumnsInMemory:
+    """Those `columns` in memory that rows of the layout `whole` have."""
+
+    def __init__(self, whole: np.dtype[np.void], columns: Collection[str]) -> None:
+        self._whole = whole
+        self._kept = np.dtype([(name, whole[name]) for name in whole.names or () if name in columns])
+        self._parts: list[bytes] = []
+
+    def write(self, data: bytes, /) -> None:
+        rows = np.frombuffer(data, self._whole)
+        kept = np.empty(len(rows), self._kept)
+        for name in self._kept.names or ():
+            kept[name] = rows[name]
+        self._parts.append(kept.tobytes())
+
+    def contents(self) -> bytes:
+        return b"".join(self._parts)
+
+    def array(self) -> npt.NDArray[np.void]:
+        """The columns, a row for each row."""
+        return np.frombuffer(self.contents(), self._kept)
 
 
 class RowsOnDisk:

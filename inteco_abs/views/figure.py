@@ -40,6 +40,8 @@ _DRAWN_POINTS: Final = 100_000
 _DRAWN: Final[Sequence[str]] = (
     "wheel_speed_rad_s", "road_speed_rad_s", "slip", "slip_reference", "torque_demand_nm", "brake", "brake_torque_nm",
 )  # fmt: skip
+COLUMNS: Final = ("time_ns", "phase", *_DRAWN)
+"""What `draw_stops` needs of a session's ticks and truth."""
 _AT_REST_RAD_S: Final = 1.0
 """Road speed below which slip is not drawn: both speeds are a few counts."""
 _ROLLING_RAD_S: Final = 10.0

@@ -69,6 +69,13 @@ def toy(tmp_path_factory):
     return site
 
 
+def test_another_logic_of_a_family_is_the_pages_profile_and_no_code(toy):
+    board = load_config(profile=str(toy / "crane.toml")).board
+    assert board.kind in known_families()
+    assert (board.logic_version, board.frame_map, board.constants) == (0x0207, "abs", {"pin21": 0})
+    assert (board.verified_by, board.evidence["drive_pwm"].status) == ("", "inferred")
+
+
 @pytest.fixture
 def installed(toy):
     return os.environ | {"PYTHONPATH": os.pathsep.join([str(toy), os.environ.get("PYTHONPATH", "")])}
