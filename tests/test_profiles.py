@@ -220,8 +220,8 @@ class TestLimits:
     )
     def test_more_than_was_signed_opens_read_only_wherever_it_is_asked_for(self, signed, setting, because):
         for config in (signed(setting), signed(over=f"[guard]\n{setting.removeprefix('guard.')}\n")):
-            told = opened(config).read_only_because
-            assert told == f"A. Lab signed the profile with {because}. Lower it, or sign the profile again"
+            found = opened(config).read_only_because
+            assert found == f"A. Lab signed the profile with {because}. Lower it, or sign the profile again"
 
     def test_a_limit_that_was_lowered_in_the_file_may_be_raised_to_what_was_signed(self, signed):
         assert opened(signed("guard.silence_s=0.08", over="[guard]\nsilence_s = 0.05\n")).read_only_because == ""
@@ -258,9 +258,9 @@ class TestLimits:
         asked = ["profile=usb2_generic_0103", "guard.silence_s=0.08", "guard.brake_limit=0.8"]
         with pytest.raises(ConfigError) as refused:
             check_limits("usb2:", load_config(settings=asked))
-        told = {one.path: one.problem for one in refused.value.mistakes}
+        found = {one.path: one.problem for one in refused.value.mistakes}
         signs = ": more needs a signed profile; sign one with inteco-abs commission"
-        assert told == {
+        assert found == {
             "guard.silence_s": f"at most 0.05, and 0.08 is asked for{signs}",
             "guard.brake_limit": f"at most 0.7, and 0.8 is asked for{signs}",
         }

@@ -115,16 +115,16 @@ def test_a_signal_while_outputs_are_on_ends_in_safe(lab, scripts, step, number):
 
     def strike(_number):
         frames = lab.rig.settings_sent
-        if frames and energised(frames[-1]) and not struck:
-            struck.append(len(frames))
+        if frames and energised(frames[-1]) and not faulted:
+            faulted.append(len(frames))
             os.kill(os.getpid(), number)
 
-    struck = []
+    faulted = []
     lab.rig.before_write = strike
     with pytest.raises(KeyboardInterrupt):
         procedure.go(only=step)
     assert not energised(lab.rig.settings_sent[-1])
-    assert len(lab.rig.frames_sent) <= struck[0] + 5
+    assert len(lab.rig.frames_sent) <= faulted[0] + 5
     assert lab.rig.device.duties == (0.0, 0.0)
     assert lab.outcomes()[step] == "open"
     assert lab.draft.config.board.verified_by == ""

@@ -171,11 +171,11 @@ def test_a_wiring_edited_by_hand_is_noticed(lab):
 def test_a_step_that_failed_says_what_to_do(lab):
     lab.done_until("echo")
     with pytest.raises(ProbeError) as failure:
-        lab.session("", "whatever").go()
+        lab.session("", "another answer").go()
     assert "step 5 (echo) failed. What to do" in failure.value.__notes__[0]
     kept = json.loads(lab.draft.results_file.read_text())["steps"]["echo"]
     assert kept["outcome"] == "failed"
-    assert "whatever" in kept["problem"]
+    assert "another answer" in kept["problem"]
 
 
 class StoppedClock:

@@ -108,9 +108,9 @@ def test_a_stop_at_2_khz_survives_one_answer_in_500_lost_or_late_by_3_ms_and_cou
     assert ride.reason is Reason.NONE
     assert ride.duties == (0.0, 0.0)
     stale = ride.ticks["board_flags"] & BoardFlags.STALE != 0
-    struck = sum(bool(fate) for fate in ride.fates)
-    assert struck > 10
-    assert struck <= int(stale.sum()) == ride.board.link_errors
+    failed = sum(bool(fate) for fate in ride.fates)
+    assert failed > 10
+    assert failed <= int(stale.sum()) == ride.board.link_errors
     assert ride.ticks["tick"].tolist() == list(range(len(ride.ticks)))
 
 

@@ -102,7 +102,7 @@ class Crash:
         self._on_disk = b""
         with ExitStack() as stack:
             self._stack = stack
-            self._scribe = self._recorder = None
+            self._writer = self._recorder = None
             self.run = Filled(memory, job, self._record)
         job.path.write_bytes(self._on_disk + extra)
         self.held_from = self.run.ticks - self.capacity
@@ -110,20 +110,20 @@ class Crash:
         assert self.held_from > self.capacity
 
     def _record(self, run):
-        if self._scribe is None:
+        if self._writer is None:
             posted, job = run.introduction, run.job
             self._recorder = self._stack.enter_context(FileWriter(job.path, 0, posted["internals"], job.session_id))
             introduction = RunHeader(job.board, posted["identity"], False, posted["gains"], posted["internals"], b"")
-            self._scribe = SessionWriter(self._recorder, job.config, introduction)
-            self._scribe.write_header()
+            self._writer = SessionWriter(self._recorder, job.config, introduction)
+            self._writer.write_header()
         ticks, truths = run.reader.take(), run.memory.truth_reader().take()
         self.hash.update(ticks)
         self.truths += truths
-        if self._scribe.ticks < self._flushed:
-            self._scribe.add(ticks, truths)
+        if self._writer.card.ticks < self._flushed:
+            self._writer.add(ticks, truths)
             self._recorder.flush()
             self._on_disk = run.job.path.read_bytes()
-            self.known = self._scribe.ticks
+            self.known = self._writer.card.ticks
 
 
 class TestRebuild:

@@ -186,7 +186,7 @@ class TestDrill:
             (b"all zero", None, "the guardian takes over: not within"),
             (None, "", "the drill posted no SAFE image"),
         ],
-        ids=["SAFE was not confirmed", "nobody took over", "there is no image"],
+        ids=["SAFE was not confirmed", "no process took over", "there is no image"],
     )
     def test_a_guardian_that_was_not_seen_to_make_safe_keeps_the_loop_from_the_board(
         self, memory, staged, image, failure, refusal

@@ -300,7 +300,7 @@ def undying():
         pytest.param(("guardian", "recorder"), marks=pytest.mark.long),
         pytest.param(("supervisor", "recorder"), marks=pytest.mark.long),
     ],
-    ids=lambda victims: "+".join(victims) or "nobody",
+    ids=lambda victims: "+".join(victims) or "none",
 )
 def test_a_loop_that_cannot_be_killed_is_reported_at_once_by_a_process_that_is_left(live, undying, victims):
     freeze, thaw = undying

@@ -100,7 +100,7 @@ def test_everything_that_would_be_refused_is_listed_at_once(dry_run, tmp_path):
 
 
 REFUSED = {
-    "a profile that nobody has signed": (UNTRUSTED, 1),
+    "an unsigned profile": (UNTRUSTED, 1),
     "a real board in virtual time": (("--board", "usb:/dev/nowhere"), 2),
     "no second place": (("--set", "session.spill=nowhere"), 2),
     "a capture of a board on the bus": (("--set", "profile=sim_pci", "--frames"), 2),

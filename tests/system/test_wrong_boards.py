@@ -82,7 +82,7 @@ ROWS = [
     Row("nothing to commission", "commission --board pci: --yes-read-only", 1, ("no device for pci:", "step 1"),
         "plug the board in",
         leaves=("rig-profile.toml", "rig-profile.results.json")),
-    Row("a profile that nobody signed", "run --virtual --set profile=usb2_generic_0103", 1, ("reading only",),
+    Row("an unsigned profile", "run --virtual --set profile=usb2_generic_0103", 1, ("reading only",),
         "inteco-abs commission makes a profile"),
     Row("outputs switched off", "run --virtual --set board.read_only='cable cut'", 1, ("reading only",),
         "cable cut"),

@@ -81,7 +81,7 @@ ROWS = [
         "no configuration can raise"),
     Row("above a real board's ceiling", "run --board usb2: --set guard.missed_in_a_row=60", 2,
         ("guard.missed_in_a_row", "60", "on a real board at most 50 at 2000 Hz"), "25 ms"),
-    Row("more than nobody has signed", "run --board usb: --set guard.silence_s=0.08", 2,
+    Row("more than an unsigned profile allows", "run --board usb: --set guard.silence_s=0.08", 2,
         ("guard.silence_s", "at most 0.05", "0.08"), "sign one with inteco-abs commission"),
     Row("a gain out of range", f"{SET} controller.gains.Mk=-1", 2, ("controller.gains.Mk", "-1"), "0..1000 1/s"),
     Row("no such gain", f"{SET} controller.gains.Mx=1", 2, ("controller.gains.Mx", "unknown gain"), "Mk"),

@@ -128,7 +128,7 @@ OUTPUTS = [
     Row("another kind of name", "run --virtual --out stop.bag", 2, ("stop.bag",), "must end in .mcap"),
     Row("a name beyond all", f"run --virtual --out {'x' * 300}.mcap", 2, ("--out", "File name too long"),
         "choose a shorter name"),
-    Row("where nobody can write", "run --virtual --out /proc/stop.mcap", 1, ("/proc/stop.mcap", "cannot be created"),
+    Row("where no user can write", "run --virtual --out /proc/stop.mcap", 1, ("/proc/stop.mcap", "cannot be created"),
         "name another place"),
     Row("no folder of sessions", "run --virtual", 2, ("sessions cannot be made",), "choose another name",
         (file("sessions"),)),

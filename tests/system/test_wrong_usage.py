@@ -74,7 +74,7 @@ ROWS = [
     Row("an LED that is not there", "identify-led --board sim:", 2, ("'sim:'", "only an RT-DAC/USB2"),
         "as in usb2:123"),
     Row("no such fault", "run --virtual --inject bogus@1s", 2, ("no fault 'bogus'",), "known: alarm"),
-    Row("a fault without its unit", "run --virtual --inject lose@20", 2, ("'20' is not a time",), "say 500us, 20ms"),
+    Row("a fault without its unit", "run --virtual --inject lose@20", 2, ("'20' is not a time",), "write 500us, 20ms"),
     Row("a fault of a real board", "run --board usb2: --inject lose@20ms", 2, ("--inject", "usb2:"), "sim: only"),
     Row("nothing to identify", "identify", 2, ("SESSION",), "name at least one session, or --plan"),
     Row("a plan with sessions", "identify --plan a.mcap", 2, ("reads none",), "omit --plan to read them"),
@@ -95,7 +95,7 @@ ROWS = [
     Row("virtual time at a real bench", f"{PROBE} --board usb2: --virtual", 2, ("real board",), "omit --virtual"),
     Row("steps of two minds", "commission --step 1 --redo 2", 2, ("--redo",), "name one of them"),
     Row(
-        "questions that nobody answers",
+        "questions without answers",
         "commission", 2, ("cannot answer",), "--yes-read-only: missing", (stdin("/dev/null"),),
     ),
     Row(
@@ -119,7 +119,7 @@ def test_wrong_usage_gets_one_clear_answer(answers, row):
 
 
 @pytest.mark.untraced
-@pytest.mark.parametrize("name", ["nearly a verb", "a decimal comma", "questions that nobody answers"])
+@pytest.mark.parametrize("name", ["nearly a verb", "a decimal comma", "questions without answers"])
 def test_the_installed_command_answers_and_ends_likewise(inteco_abs, answers, name):
     (row,) = (row for row in ROWS if row.name == name)
     run, here = inteco_abs(*row.command.split()), answers.to(row)
