@@ -1,4 +1,4 @@
-"""Benches: a board, the mock device at its far end, and between them a link that fails when a test says so."""
+"""Test benches: a board, its mock device, and a link between them that fails on a test's request."""
 
 import os
 import threading
@@ -59,11 +59,11 @@ class SteeredDevice(Device):
     shown: tuple[int, int] | None = None
 
     def show(self, wheel: int, road: int) -> None:
-        """Show these counts from now on, whatever the rig does."""
+        """Show these counts from now on, regardless of the rig."""
         self.shown = (two_complement(road), two_complement(wheel))
 
     def seize(self) -> None:
-        """The wheels stay at rest, whatever the outputs do, for tests that are not about what those move."""
+        """Keep the wheels at rest, for tests in which the outputs need not move them."""
         self.plant = SeizedPlant(self.plant.parameters, 0.0, 0.0)
 
     def counts(self) -> tuple[int, int]:
@@ -71,8 +71,8 @@ class SteeredDevice(Device):
         return super().counts() if self.shown is None else self.shown
 
 
-class MoodyFace:
-    """The mock's face. Deaf, it ignores settings; an answer can come late, even later, or twice."""
+class FaultyAnswers:
+    """The mock's front end. While `deaf` it ignores settings; an answer can arrive late, even later, or twice."""
 
     def __init__(self, front_end: FrontEnd, request: bytes) -> None:
         self.front_end = front_end
@@ -95,17 +95,17 @@ class MoodyFace:
             self.front_end.bulk_out(data)
 
     def bulk_in(self, length: int) -> bytes:
-        mood, self.next_answer = self.next_answer, "in time"
+        arrival, self.next_answer = self.next_answer, "in time"
         answer = self.front_end.bulk_in(length)
-        if mood == "after the next request":
+        if arrival == "after the next request":
             self._held.append(answer)
         elif answer:
-            self._queue += [answer, answer] if mood == "twice" else [answer]
-        return self._queue.pop(0) if self._queue and not mood.startswith("after") else b""
+            self._queue += [answer, answer] if arrival == "twice" else [answer]
+        return self._queue.pop(0) if self._queue and not arrival.startswith("after") else b""
 
 
 class FaultyLink(Link):
-    """Hands every message on, keeps a copy of it, and fails when told to; `failed` counts the failures."""
+    """Forwards and keeps every message, and fails on request; `failed` counts the failures."""
 
     def __init__(self, inner: Link, request: bytes) -> None:
         self.written: list[bytes] = []
@@ -157,7 +157,7 @@ class FaultyLink(Link):
 
 
 class LateByMany(Link):
-    """From `begin` on, every answer comes so many exchanges late."""
+    """From `begin` on, every answer arrives a number of exchanges late."""
 
     def __init__(self, link):
         self._link = link
@@ -165,7 +165,7 @@ class LateByMany(Link):
         self._behind = 0
 
     def begin(self, exchanges):
-        """Everything else is as the board sent it."""
+        """Delay answers by this number of exchanges from now on."""
         self._behind = exchanges
 
     def write(self, data):
@@ -201,25 +201,25 @@ WAYS_TO_FAIL = (
 class FrameBench:
     """A board that is written to and read in frames, over the in-process link to its mock.
 
-    `settings` are those of `load_config`, `earlier` the outputs as an earlier program left them. Which board it is,
-    and what its frames look like, say the attributes of the classes below.
+    `settings` are those of `load_config`, `earlier` the outputs that an earlier program left. The attributes of the
+    classes below define the board and its frames.
     """
 
     link_type = FaultyLink
     profile: ClassVar[str]
     real_profile: ClassVar[str]
-    """Shipped for the real board, and signed by nobody."""
+    """The shipped profile of the real board, without a sign-off."""
     wiring: ClassVar[tuple[str, ...]] = ()
     """Settings that make the profile this bench's."""
     identity: ClassVar[tuple[int, str, str]]
-    """What the device says of itself: logic version, name and date."""
+    """The device's header: logic version, name and date."""
     channels: ClassVar[int]
     """PWM channels."""
     both_on: ClassVar[dict[str, int]]
     """Outputs as an earlier program may leave them: drive and brake at full duty."""
     request: ClassVar[bytes]
     messages_of_safe = 1
-    """That the link fails with, when nothing gets through any more."""
+    """Messages of one attempt to make the board safe on a link that fails."""
     sends_of_safe = 1
     """Before SAFE is read back."""
     untrusted: ClassVar[dict[str, tuple[list[str], tuple[str, ...]]]]
@@ -238,7 +238,7 @@ class FrameBench:
         front_end = front_end_of(self.device)
         if earlier is not None:
             front_end.bulk_out(self.encode(earlier))
-        self.front_end = MoodyFace(front_end, self.request)
+        self.front_end = FaultyAnswers(front_end, self.request)
         self.plug_in()
 
     @staticmethod
@@ -252,12 +252,12 @@ class FrameBench:
         raise NotImplementedError
 
     def plug_in(self) -> None:
-        """A new host: link and board of its own; the device stays as it is."""
+        """Connect a new host, with a new link and board object; the device stays."""
         self.link = self.link_type(self._connect(), self.request)
         self.board = board_behind(self.link, self.config, self.clock.now_ns)
 
     def die(self) -> None:
-        """The host is gone, without a word to the board."""
+        """Remove the host without a message to the board."""
         self.link.close()
 
     def _connect(self) -> Link:
@@ -265,12 +265,12 @@ class FrameBench:
 
     @property
     def acts(self) -> list[str]:
-        """What was done to the device so far: "read" and "send", in order."""
+        """Accesses to the device so far: "read" and "send", in order."""
         return ["read" if message == self.request else "send" for message in self.link.written]
 
     @property
     def only_read(self) -> bool:
-        """Whether the board was asked something, and nothing was written to it but that."""
+        """Whether the board was read, and nothing else was written."""
         return set(self.acts) == {"read"}
 
     @property
@@ -293,7 +293,7 @@ class FrameBench:
         return {name: value for name, value in settings.items() if name != number}
 
     def read_along(self) -> None:
-        """Another program asks the device, and nobody fetches the answer."""
+        """Let another program request an answer that no one fetches."""
         self.front_end.bulk_out(self.request)
 
     def exchange(self, drive: float = 0.0, brake: float = 0.0, periods: float = 1.0) -> Sample:
@@ -334,11 +334,11 @@ class FrameBench:
         return reached
 
     def unplug(self) -> None:
-        """Nothing gets through any more."""
+        """Fail every further transfer."""
         self.link.unplugged = True
 
     def ignore_commands(self) -> None:
-        """From now on the device answers and does not do what it is told."""
+        """From now on the device answers, but ignores commands."""
         self.front_end.deaf = True
 
 
@@ -410,18 +410,18 @@ class Usb0112Bench(Usb0111Bench):
 
 
 class PumpedLink(SocketLink):
-    """The host's end of a local socket. The board's process does its part at once, whenever there is one to do.
+    """The host's end of a local socket; the board's side runs at once after each write.
 
-    So time moves for both only when a test moves it; a thread for the board would move the rig whenever it liked.
+    So only the test advances the time; a thread for the board would advance the rig at any moment.
     """
 
     def __init__(self, path: str, server: SocketServer) -> None:
         self._server = server
-        visitor = threading.Thread(target=super().__init__, args=(path,))
-        visitor.start()
-        while visitor.is_alive():
+        connecting = threading.Thread(target=super().__init__, args=(path,))
+        connecting.start()
+        while connecting.is_alive():
             server.step()
-        visitor.join()
+        connecting.join()
 
     def write(self, data: bytes | bytearray) -> None:
         super().write(data)
@@ -434,7 +434,7 @@ class PumpedLink(SocketLink):
 
 
 class PromptLink(FaultyLink):
-    """Drops late answers the way its inner link does, which for a socket is without waiting for them."""
+    """Drops late answers as its inner link does: for a socket, without waiting for them."""
 
     def discard(self, length: int) -> None:
         self._count()
@@ -459,7 +459,7 @@ class SocketBench(Usb2Bench):
 
     @classmethod
     def close_all_but(cls, newest: int) -> None:
-        """Errors that tests raise again and again keep the benches that they have met: these close by number."""
+        """Close all but the newest benches, which the tracebacks of raised errors keep alive."""
         while len(cls._open) > newest:
             server, link = cls._open.popleft()
             server.close()
@@ -467,7 +467,7 @@ class SocketBench(Usb2Bench):
 
 
 class CountingStream(ByteStream):
-    """Knows how much of what was written has arrived."""
+    """Counts the bytes that have arrived."""
 
     arrived = 0
 
@@ -477,7 +477,7 @@ class CountingStream(ByteStream):
 
 
 class PumpedPort(SerialLink):
-    """The host's end of a pseudo-terminal; the board does its part at once, as in `PumpedLink`."""
+    """The host's end of a pseudo-terminal; the board's side runs at once, as in `PumpedLink`."""
 
     def __init__(self, server: PtyServer, stream: CountingStream) -> None:
         self._server = server

@@ -22,8 +22,8 @@ INDEXES = (PWM_INDEX.offset, ENCODER_INDEX.offset)
 ALL_ONES = 0xFFFFFFFF
 
 
-class MoodyRegisters:
-    """The mock's registers. Deaf, they take no setting; the index registers, which reading needs, go on working."""
+class DeafRegisters:
+    """The mock's registers. While `deaf` they ignore settings, but not the index registers, which reading needs."""
 
     def __init__(self, front_end: PciFrontEnd) -> None:
         self.front_end = front_end
@@ -62,7 +62,7 @@ def is_width(step: Write | int) -> bool:
 class RegisterLink(Link):
     """As `FaultyLink`, for accesses to registers.
 
-    What is to go wrong with an answer goes wrong with that which has the logic's version: there is one in an exchange.
+    A fault in an answer affects the one with the logic's version: each exchange has one.
     """
 
     def __init__(self, inner: Link) -> None:
@@ -150,7 +150,7 @@ class PciBench:
     both_on: ClassVar = {"pwm0_width": 255, "pwm1_width": 255}
     untrusted: ClassVar = {
         "another logic version": (["board.logic_version=0x0510"], ("0x050F", "0x0510")),
-        # it tells no name: the nearest are other things that a profile says of the board
+        # the board reports no name: these cases use the nearest keys of its profile
         "another application name": (["board.verified_logic=0x0510"], ("0x050F", "0x0510")),
         "no application name known": (['board.read_only="not wired yet"'], ("not wired yet",)),
         "an unsigned profile": (['board.verified_by=""'], ("verified_by",)),
@@ -162,16 +162,16 @@ class PciBench:
         self.device = SteeredDevice(self.config, self.clock.now_ns, seed)
         own = {f"pwm{i}_{name}" for i in range(2) for name in ("mode", "prescaler", "width")} | {ENCODER_RESET.name}
         self.device.write({name: value for name, value in (earlier or {}).items() if name in own})
-        self.front_end = MoodyRegisters(PciFrontEnd(self.device))
+        self.front_end = DeafRegisters(PciFrontEnd(self.device))
         self.plug_in()
 
     def plug_in(self) -> None:
-        """A new host: carrier and board of its own; the device stays as it is."""
+        """Connect a new host, with a new carrier and board object; the device stays."""
         self.link = RegisterLink(InProcessLink(self.front_end))
         self.board = RtdacPci(self._carrier(), self.config.board, self.clock.now_ns, self.config.period_ns)
 
     def die(self) -> None:
-        """The host is gone, without a word to the board."""
+        """Remove the host without a message to the board."""
         self.link.close()
 
     def _carrier(self):
@@ -219,7 +219,7 @@ class PciBench:
         return settings
 
     def read_along(self) -> None:
-        """Another program asks the device, and nobody fetches the answer."""
+        """Let another program request an answer that no one fetches."""
         self.front_end.bulk_out(encode_request(0, [LOGIC.offset]))
 
     exchange = FrameBench.exchange
@@ -265,7 +265,7 @@ class StepwisePciBench(PciBench):
 
 
 class WatchedRegisters(SysfsRegisters):
-    """Tells the link behind the double when the host lets go of the board."""
+    """Closes the link behind the double when the host closes the board."""
 
     link: RegisterLink
 

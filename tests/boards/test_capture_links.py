@@ -153,7 +153,7 @@ def test_another_duty_is_a_difference_with_its_place_its_name_and_both_values(be
     assert (difference.place, difference.byte_offset, difference.fields) == ("w22", 44, ("pwm0_width",))
     assert int(difference.ours, 16) - int(difference.captured, 16) == 63
     assert "w22 at byte 44 (pwm0_width): captured 0x00AA, ours 0x00E9" in str(difference)
-    assert samples[20].board_flags == BoardFlags.STALE  # the captured board echoes what it was told then
+    assert samples[20].board_flags == BoardFlags.STALE  # the captured board echoes the captured command
 
 
 def test_strict_raises_the_first_difference_and_no_other():

@@ -1,4 +1,4 @@
-"""What a dry run and the like have of a board: everything it says, and no write to it, whoever has signed."""
+"""`Board.reading`: reads everything and writes nothing, with or without a sign-off."""
 
 import pytest
 

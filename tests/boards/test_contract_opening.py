@@ -24,8 +24,8 @@ class TestOpening:
         identity = new_bench().board.identify()
         assert identity[:3] == (version, name, date) == new_bench.identity
         assert not identity.read_only_because
-        told = f"logic 0x{version:04X}" + (f" {name!r}" if name else "") + (f" of {date}" if date else "")
-        assert str(identity) == told
+        shown = f"logic 0x{version:04X}" + (f" {name!r}" if name else "") + (f" of {date}" if date else "")
+        assert str(identity) == shown
         facts = {"logic_version": f"0x{version:04X}", "application_name": name, "synthesis_date": date}
         assert identity.facts() == facts
 

@@ -113,7 +113,7 @@ def test_the_motors_lose_their_power_50_ms_after_the_last_pulse_whatever_the_hos
         bench.clock.advance(40_000_000)
         bench.device.catch_up()
         assert bench.device.duties == (1.0, 0.0)
-        bench.clock.advance(60_000_000)  # nobody comes any more
+        bench.clock.advance(60_000_000)  # the host is gone
         bench.device.catch_up()
         assert bench.device.duties == (0.0, 0.0)
         assert (seen[-1].time_ns - fed_ns, seen[-1].drive) == (50_000_000, 0.0)

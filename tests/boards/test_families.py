@@ -137,11 +137,11 @@ print(json.dumps({
 
 def test_a_packages_family_is_found_opened_and_exchanged_with(installed, tmp_path):
     arguments = [sys.executable, "-c", EXCHANGE, str(tmp_path / "s")]
-    told = json.loads(subprocess.run(arguments, env=installed, capture_output=True, timeout=120, check=True).stdout)
-    assert told["families"] == [*SHIPPED, "toy"]
-    assert told["road"] > 100
-    assert (told["stale"], told["duties"], told["found"]) == (False, [0.0, 0.0], "a socket")
-    assert "after toy: comes the path of a socket" in told["refused"]
+    report = json.loads(subprocess.run(arguments, env=installed, capture_output=True, timeout=120, check=True).stdout)
+    assert report["families"] == [*SHIPPED, "toy"]
+    assert report["road"] > 100
+    assert (report["stale"], report["duties"], report["found"]) == (False, [0.0, 0.0], "a socket")
+    assert "after toy: comes the path of a socket" in report["refused"]
 
 
 def test_a_packages_family_runs_a_whole_stop_on_its_mock_board_and_replays(inteco_abs, toy, installed, tmp_path):
@@ -154,5 +154,5 @@ def test_a_packages_family_runs_a_whole_stop_on_its_mock_board_and_replays(intec
 def test_without_the_package_its_profile_is_refused_with_the_families_there_are(inteco_abs, toy, tmp_path):
     profile = f"profile={toy / 'toy_board' / 'toy.toml'}"
     run = inteco_abs("run", "--virtual", "--set", profile, "--out", tmp_path / "toy.mcap", check=2)
-    assert "board.kind: no board family 'toy'; known: pci, usb, usb2" in run.stderr
+    assert "no board family 'toy'; known: pci, usb, usb2" in run.stderr
     assert not (tmp_path / "toy.mcap").exists()

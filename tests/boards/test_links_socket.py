@@ -101,7 +101,7 @@ def link(served):
 
 
 class Scripted:
-    """A board's end by hand: says `greeting` to one host, and nothing else."""
+    """A board's socket that sends `greeting` to one host, and nothing else."""
 
     def __init__(self, path, greeting):
         self.listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -247,10 +247,10 @@ class TestMessages:
         board = Scripted(path, GREETING)
         monkeypatch.setattr(links.socket, "socket", Kept)
         link = SocketLink(path)
-        told = [made[0].getsockopt(socket.SOL_SOCKET, o, 16) for o in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO)]
+        set_times = [made[0].getsockopt(socket.SOL_SOCKET, o, 16) for o in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO)]
         link.close()
         board.close()
-        for seconds, microseconds in map(struct.Struct("ll").unpack, told):
+        for seconds, microseconds in map(struct.Struct("ll").unpack, set_times):
             assert (seconds, 10_000 <= microseconds < 20_000) == (0, True)  # the kernel counts its own ticks
 
     def test_an_answer_that_comes_after_the_time_out_is_still_there(self, mute):
@@ -379,9 +379,9 @@ class TestTheHostGoesAway:
 
     def test_a_host_that_hangs_up_at_once_leaves_room_for_the_next(self, served):
         for _ in range(20):
-            visitor = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            visitor.connect(served.path)
-            visitor.close()
+            host = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            host.connect(served.path)
+            host.close()
         link = served.link()
         assert len(answer_of(link)) == FRAME_BYTES
         link.close()

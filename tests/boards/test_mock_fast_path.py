@@ -75,10 +75,10 @@ def test_the_settings_are_those_of_the_last_good_frame_alone(new_mock, wire, scr
     fresh.front_end.bulk_out(last)
     assert mock.device.settings == fresh.device.settings == decode_send(last)
     assert mock.device.duties == fresh.device.duties
-    reported, anew = decode_read(mock.read()), decode_read(fresh.read())
-    assert {name: reported[name] for name in ECHOED} == {name: anew[name] for name in ECHOED}
+    reported, fresh_answer = decode_read(mock.read()), decode_read(fresh.read())
+    assert {name: reported[name] for name in ECHOED} == {name: fresh_answer[name] for name in ECHOED}
     assert {name: reported[name] for name in ECHOED} == {name: decode_send(last)[name] for name in ECHOED}
-    assert reported["pin_input"] == anew["pin_input"]
+    assert reported["pin_input"] == fresh_answer["pin_input"]
 
 
 def test_a_buffer_that_the_host_changes_after_writing_is_not_remembered_by_reference(mock, wire):

@@ -1,4 +1,4 @@
-"""The mock's registers, by offsets written out by hand."""
+"""The mock's registers, by literal offsets."""
 
 import math
 

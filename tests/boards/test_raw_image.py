@@ -346,8 +346,8 @@ class TestFirstWrite:
         image[60] = 0x8001
         bench = Bench("abs", image)
         with bench.board.reading() as board:
-            (told,) = [one for one in board.first_write() if one.place == "w60"]
-        assert (told.planned, told.remark) == (1, Remark.CUT)
+            (planned,) = [one for one in board.first_write() if one.place == "w60"]
+        assert (planned.planned, planned.remark) == (1, Remark.CUT)
 
 
 def test_the_rows_say_place_values_and_names():

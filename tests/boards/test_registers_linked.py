@@ -7,7 +7,7 @@ from inteco_abs.errors import LinkError
 
 
 class ScriptedLink(Link):
-    """Answers each request as told; `answer` receives the request's number."""
+    """Answers each request with `answer`, which receives the request's number."""
 
     def __init__(self):
         self.requests = []

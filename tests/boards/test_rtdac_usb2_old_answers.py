@@ -97,7 +97,7 @@ def test_answers_that_all_come_late_are_never_taken_for_fresh(old, exchanges):
     link = bench.board._link = LateByMany(bench.link)
     with suppress(UnsafeError), bench.board:  # an answer to the SAFE before confirms as well
         for _ in range(2 * exchanges + 10):
-            assert bench.exchange(1.0).board_flags is BoardFlags.NONE  # an even duty: its echo tells nothing
+            assert bench.exchange(1.0).board_flags is BoardFlags.NONE  # an even duty: its echo proves nothing
         link.begin(exchanges)
         for _ in range(10):
             assert bench.exchange(1.0).board_flags is BoardFlags.STALE

@@ -43,7 +43,7 @@ class Board:
     def say(self, data):
         os.write(self.ours, data)
 
-    def hear(self, length):
+    def receive(self, length):
         data = b""
         while len(data) < length:
             data += os.read(self.ours, length - len(data))
@@ -66,7 +66,7 @@ def board():
 @pytest.fixture
 def link(board):
     link = SerialLink(board.path, PATIENT_S)
-    assert board.hear(1) == DUMMY
+    assert board.receive(1) == DUMMY
     yield link
     link.close()
 
@@ -102,7 +102,7 @@ def impatient(link):
 class TestBytes:
     def test_opening_leaves_programming_mode_and_says_nothing_else(self, board, link):
         link.write(READ_REQUEST)
-        assert board.hear(1) == READ_REQUEST
+        assert board.receive(1) == READ_REQUEST
 
     def test_an_answer_that_comes_in_pieces_is_one_answer(self, board, link):
         answer = bytes(range(150))
@@ -125,7 +125,7 @@ class TestBytes:
         board.say(bytes(range(256)))
         assert link.read(256) == bytes(range(256))
         link.write(bytes(range(256)))
-        assert board.hear(256) == bytes(range(256))
+        assert board.receive(256) == bytes(range(256))
 
     def test_an_exchange_writes_frame_and_request_in_one(self, board, link):
         board.say(b"x" * 150)
@@ -225,7 +225,7 @@ class TestPorts:
         with pytest.raises(BoardError, match=f"{board.path} cannot be opened: another program has it"):
             SerialLink(board.path)
         link.write(b"x")
-        assert board.hear(1) == b"x"
+        assert board.receive(1) == b"x"
         link.close()
         SerialLink(board.path).close()
 

@@ -1,4 +1,4 @@
-"""Registers by the files of a PCI device: which file, which bytes, whose board, and what is said when it fails."""
+"""Registers through the files of a PCI device: file, bytes, exclusive access, error messages."""
 
 import errno
 import os

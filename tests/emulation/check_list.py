@@ -1,6 +1,6 @@
-"""What a driver may expect of a USB board on every level of the emulation; all that is needed is a pyusb device.
+"""Properties of the drill board on every level of the emulation, checked through a pyusb device.
 
-The board must be the drill board. Each check leaves it as it found it, but for the last one, which unplugs it.
+Each check restores the board's state, except the last one, which unplugs it.
 """
 
 import errno

@@ -86,13 +86,13 @@ class HandClock:
         return event.is_set()
 
 
-def new_face(clock=None):
+def new_front_end(clock=None):
     return Usb2FrontEnd(Device(load_config(), (clock or HandClock()).now_ns))
 
 
 def new_host(speed, *, drill=True, clock=None, **identity):
     """A host with the drill board, or with the product's own, plugged in."""
-    board = (DrillBoard if drill else UsbBoard)(new_face(clock), UsbIdentity(speed=speed, **identity))
+    board = (DrillBoard if drill else UsbBoard)(new_front_end(clock), UsbIdentity(speed=speed, **identity))
     host = UsbHost(board)
     board.host = host
     return host

@@ -1,6 +1,6 @@
 """One whole stop in virtual time, the board reached in one of several ways: the ticks must be the same.
 
-Device and driver share the clock, so whatever lies between them is in this process too. For real libusb it is started
+Device and driver share the clock, so everything between them is in this process, too. For real libusb it is started
 with umockdev's preload library: `python same_stop.py LINK OUT SEED [SETTING...]` writes the packed ticks to OUT.
 """
 

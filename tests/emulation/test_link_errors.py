@@ -75,7 +75,7 @@ def test_over_usbip(over_usbip, name):
 
 
 def client(engine, task, environment, prefix=()):
-    """What a process with real libusb found, by scenario, and what it said."""
+    """What a process with real libusb found, by scenario, and its stderr."""
     paths = f"{HERE.parents[1]}{os.pathsep}{HERE}"
     child = subprocess.run(
         [*prefix, "timeout", "-k", "5", "100", sys.executable, HERE / "trouble_client.py", engine, task],
@@ -104,8 +104,8 @@ def test_over_real_libusb(engine, name):
 @pytest.mark.usefixtures("preload")
 @pytest.mark.parametrize("engine", ENGINES)
 def test_over_real_libusb_a_kernel_driver_is_detached_and_the_user_is_told(engine):
-    _, said = all_of(engine, "bound")
-    assert "a kernel driver held the board and was detached" in said
+    _, stderr = all_of(engine, "bound")
+    assert "a kernel driver held the board and was detached" in stderr
 
 
 @real_libusb
@@ -209,7 +209,7 @@ def test_a_computer_without_libusb_is_told_what_to_install(monkeypatch):
 
 
 class StubbornBackend(BusBackend):
-    """A kernel that lets nobody detach its drivers."""
+    """A kernel that refuses to detach its drivers."""
 
     def detach_kernel_driver(self, *_):
         raise usb.core.USBError("Access denied", -3, 13)

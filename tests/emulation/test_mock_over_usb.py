@@ -1,4 +1,4 @@
-"""The mock board itself behind pyusb: the same answers as its FPGA gives directly, whatever lies between."""
+"""The mock board behind pyusb gives the same answers as its front end does directly."""
 
 import errno
 
@@ -6,7 +6,7 @@ import pytest
 import usb.core
 import usb.util
 from check_list import fails
-from drill import HandClock, new_face, new_host
+from drill import HandClock, new_front_end, new_host
 from hypothesis import given
 from hypothesis import strategies as st
 from pyusb_backend import BusBackend
@@ -23,7 +23,7 @@ def test_frames_are_those_of_the_face(real_board, clock):
     device, board = real_board
     twin_clock = HandClock()
     twin_clock.time_ns = clock.time_ns
-    twin = new_face(twin_clock)
+    twin = new_front_end(twin_clock)
     for width in (0, 4095, 17):
         frame = encode_send({**DRIVING, "pwm0_width": width})
         assert device.write(0x02, frame) == FRAME_BYTES
@@ -168,13 +168,13 @@ def test_identity_must_be_a_mocks():
     ],
 )
 def test_requests_that_stall(request_bytes):
-    board = UsbBoard(new_face())
+    board = UsbBoard(new_front_end())
     board.control(SetupPacket(0, 9, 1, 0, 0))
     assert board.control(SetupPacket.unpack(bytes.fromhex(request_bytes))) is Handshake.STALL
 
 
 def test_standard_requests():
-    board = UsbBoard(new_face())
+    board = UsbBoard(new_front_end())
 
     def ask(text):
         return board.control(SetupPacket.unpack(bytes.fromhex(text)))
@@ -200,7 +200,7 @@ def test_standard_requests():
 
 
 class Recorder:
-    """A face that keeps what it gets and answers what it is told to."""
+    """A front end that keeps its messages and answers as configured."""
 
     def __init__(self):
         self.got = []
@@ -219,7 +219,7 @@ messages = st.binary(max_size=4000) | st.sampled_from([64, 128, 504, 512, 1024, 
 
 @given(speed=speeds, sent=st.lists(messages, max_size=5))
 def test_messages_survive_any_packet_size(speed, sent):
-    """Whatever their length, messages reach the board as they were written; the empty packet ends full ones."""
+    """Messages of any length reach the board as they were written; the empty packet ends full ones."""
     front_end = Recorder()
     board = UsbBoard(front_end, UsbIdentity(speed=speed))
     size = speed.packet_bytes

@@ -23,7 +23,7 @@ UNTRACED = {key: value for key, value in os.environ.items() if not key.startswit
 RATES_HZ = (250, 250, 120, 80, 60)
 """The real board's first; a busy computer may not keep it, and a run that has not begun may be tried again."""
 BUSY = ("set loop.rate_hz to", "within 10 ms", "exchanges with the board failed")
-"""What the run says then."""
+"""Message of a run in that case."""
 PAUSED = ("late, slow or failed", "hung and was killed")
 """What it says when the computer has paused for longer than a real board's limits allow."""
 REAL_LIMITS = ("profile=sim_usb", "guard.missed_in_a_row=6", "guard.bucket_limit=36", "guard.silence_s=0.05")
@@ -34,7 +34,7 @@ TRIP_TICKS = 30
 
 
 class Mock:
-    """`inteco-abs mock-board --pty`, and what it tells beside its wire."""
+    """`inteco-abs mock-board --pty`, and its standard output."""
 
     def __init__(self, folder, *arguments):
         self.port, self._truth = folder / "board", folder / "truth.jsonl"
@@ -42,7 +42,7 @@ class Mock:
             [COMMAND, "mock-board", "--pty", self.port, "--truth", self._truth, *arguments],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**UNTRACED, "PYTHONUNBUFFERED": "1"},
         )  # fmt: skip
-        self.told = [self.process.stdout.readline() for _ in range(2)]
+        self.printed = [self.process.stdout.readline() for _ in range(2)]
 
     def truth(self):
         """The newest line."""
@@ -107,8 +107,8 @@ def begins(run):
 
 
 def test_it_says_where_it_is_and_takes_its_link_away_at_control_c(mock):
-    assert mock.told[0] == f"mock RT-DAC/USB at {mock.port}; Ctrl-C unplugs it\n"
-    assert f"run --board usb:{mock.port} --set profile=sim_usb" in mock.told[1]
+    assert mock.printed[0] == f"mock RT-DAC/USB at {mock.port}; Ctrl-C unplugs it\n"
+    assert f"run --board usb:{mock.port} --set profile=sim_usb" in mock.printed[1]
     assert mock.port.is_symlink()
     code, stderr = mock.end()
     assert code == 0, stderr
@@ -262,11 +262,11 @@ ENDS = {
 @pytest.mark.long
 @pytest.mark.parametrize("how", ENDS)
 def test_a_commissioning_that_ends_with_a_motor_on_says_how_and_the_outputs_are_off(commissioning, mock, how):
-    end, code, told = ENDS[how]
+    end, code, expected = ENDS[how]
     process = driving(commissioning, mock)
     end(process)
     _, stderr = process.communicate(timeout=30)
-    assert (process.returncode, told in stderr) == (code, True), stderr
+    assert (process.returncode, expected in stderr) == (code, True), stderr
     mock.until(lambda truth: truth["drive"] == truth["brake"] == 0.0)
 
 
@@ -278,8 +278,8 @@ def driving(commissioning, mock):
             if mock.truth().get("drive", 0.0) > 0.0:
                 return process
             time.sleep(0.01)
-        told = process.stderr.read()
-        assert any(word in told for word in BUSY), told
+        stderr = process.stderr.read()
+        assert any(word in stderr for word in BUSY), stderr
     raise AssertionError("the computer is too busy to open the board")
 
 

@@ -1,4 +1,4 @@
-"""In virtual time a stop is the same to the last bit, whatever carries its frames."""
+"""In virtual time a stop is the same to the last bit over every link."""
 
 import functools
 import hashlib
@@ -56,8 +56,8 @@ def tick_by_tick(ticks):
 
 
 def assert_same(ticks, reference):
-    told = difference(ticks, reference)
-    assert not told, told
+    problem = difference(ticks, reference)
+    assert not problem, problem
 
 
 @pytest.mark.parametrize("link", ["pyusb", pytest.param("USB/IP", marks=pytest.mark.long)])
@@ -74,7 +74,7 @@ def test_a_short_stop_is_the_same_over_every_link_of_this_process(link):
 
 
 @pytest.fixture
-def over_libusb(tmp_path, preload):  # noqa: ARG001  its absence is told there
+def over_libusb(tmp_path, preload):  # noqa: ARG001  its absence is asserted there
     """Ticks of a stop in a process with real libusb."""
     library = {"LD_PRELOAD": "libumockdev-preload.so.0", "UMOCKDEV_DIR": str(tmp_path)}
     environment = {**os.environ, "PYTHONPATH": f"{HERE.parents[1]}{os.pathsep}{HERE}", **library}

@@ -116,21 +116,21 @@ def test_short_control_answer_that_must_not_be(host, log):
 
 
 def test_unplug_ends_everything_and_is_told_once(host, log):
-    told = []
-    host.listeners.append(told.append)
+    notified = []
+    host.listeners.append(notified.append)
     reads = [log.urb(0x84, length=64) for _ in range(2)]
     for read in reads:
         host.submit(read)
     host.unplug()
     host.unplug()
     assert [read.status for read in reads] == [-errno.ESHUTDOWN] * 2
-    assert told == [False]
+    assert notified == [False]
     with pytest.raises(OSError, match="unplugged") as caught:
         host.submit(log.urb(0x80))
     assert caught.value.errno == errno.ENODEV
     host.plug()
     host.plug()
-    assert told == [False, True]
+    assert notified == [False, True]
     assert host.address == 3
     assert host.device.endpoints == ()
 
@@ -170,7 +170,7 @@ def test_completions_may_submit_and_hold_no_lock(host):
 
 def test_a_failing_completion_does_not_stop_the_bus(host, log):
     def fail(_urb):
-        raise RuntimeError("mistake of whoever submitted it")
+        raise RuntimeError("mistake of the caller")
 
     with pytest.raises(RuntimeError):
         host.submit(Urb(0x02, fail, data=b"x"))
@@ -179,7 +179,7 @@ def test_a_failing_completion_does_not_stop_the_bus(host, log):
 
 
 def test_many_threads(host):
-    """Every request ends exactly once, whoever submits, cancels or answers."""
+    """Every request ends exactly once, whichever thread submits, cancels or answers."""
     ended, lock = [], threading.Lock()
 
     def completed(urb):

@@ -1,4 +1,4 @@
-"""What the server tells its user, where it listens, and how it ends."""
+"""The server's facts for its user, its addresses, and its end."""
 
 import pytest
 from drill import new_host

@@ -1,4 +1,4 @@
-"""Whatever arrives on a connection, in whatever pieces: the same answers, or the same refusal."""
+"""A byte stream gives the same answers, or the same rejection, however it is split."""
 
 import struct
 
@@ -38,10 +38,10 @@ streams = st.lists(commands | st.binary(max_size=60), max_size=12).map(b"".join)
 
 
 def answers(pieces):
-    """What the peer hears, and whether it is hung up on."""
-    heard = []
+    """Return the peer's received bytes, and whether it is disconnected."""
+    sent = []
     host = new_host(UsbSpeed.FULL, drill=False)
-    attachment = Attachment(host, DEVICE_ID, heard.append)
+    attachment = Attachment(host, DEVICE_ID, sent.append)
     stream = bytearray()
     try:
         for piece in pieces:
@@ -49,11 +49,11 @@ def answers(pieces):
             while (command := take_command(stream)) is not None:
                 attachment.handle(command)
     except MalformedError:
-        return b"".join(heard), True
+        return b"".join(sent), True
     finally:
         attachment.end()
         assert not any(host._queues.values())
-    return b"".join(heard), False
+    return b"".join(sent), False
 
 
 @pytest.mark.untraced
@@ -70,15 +70,15 @@ drafts = st.lists(
 
 @given(drafts)
 def test_each_transfer_ends_once_and_each_unlink_says_how(draft):
-    """A number stands for the unlinking of the message of that number, whatever and whenever it is."""
-    heard = []
+    """A number is an unlink of the message with that number."""
+    sent = []
     host = new_host(UsbSpeed.FULL, drill=False)
     host.device.configuration = 1
-    attachment = Attachment(host, DEVICE_ID, heard.append)
+    attachment = Attachment(host, DEVICE_ID, sent.append)
     for sequence, what in enumerate(draft, 1):
         message = unlink(sequence, what) if isinstance(what, int) else submit(sequence, *what, 0, 6)
         attachment.handle(take_command(bytearray(message)))
-    replies = [struct.unpack_from(">II12xi", message) for message in heard]
+    replies = [struct.unpack_from(">II12xi", message) for message in sent]
     answered = [sequence for command, sequence, _ in replies if command == 3]
     unlinked = {sequence: status for command, sequence, status in replies if command == 4}
     assert len(answered) == len(set(answered))

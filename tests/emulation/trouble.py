@@ -1,6 +1,6 @@
-"""What may go wrong between driver and USB board, and what must come of it: one list for every way to reach the board.
+"""Faults between driver and USB board, with the required outcomes, for every link to the board.
 
-Whoever makes the bench says how its links are opened and how pyusb finds the board.
+The bench defines how its links are opened and how pyusb finds the board.
 """
 
 import errno
@@ -42,7 +42,7 @@ class HandClock:
         return event.is_set()
 
 
-class MoodyFace(Usb2FrontEnd):
+class ChangingFrontEnd(Usb2FrontEnd):
     """The mock's endpoints; the next answer is what `change` makes of it and of the one before, none if nothing."""
 
     change = None
@@ -58,15 +58,15 @@ class MoodyFace(Usb2FrontEnd):
 
 
 class MoodyBoard(UsbBoard):
-    """Refuses all vendor requests, or answers them with `says`, if told so."""
+    """Refuses all vendor requests, or answers them with `reply` if it is set."""
 
     refuses = False
-    says = None
+    reply = None
 
     def _vendor(self, setup, data):
         if self.refuses:
             return Handshake.STALL
-        return super()._vendor(setup, data) if self.says is None or not setup.reads else self.says
+        return super()._vendor(setup, data) if self.reply is None or not setup.reads else self.reply
 
 
 class Bench:
@@ -79,7 +79,7 @@ class Bench:
         self.config = load_config()
         self.clock = HandClock()
         self.device = Device(self.config, self.clock.now_ns, 1)
-        self.front_end = MoodyFace(self.device)
+        self.front_end = ChangingFrontEnd(self.device)
         self.board = MoodyBoard(self.front_end, UsbIdentity(serial=serial, speed=speed))
         self.host = UsbHost(self.board)
         self.driver = None
@@ -254,10 +254,10 @@ def a_bridge_that_refuses_what_it_is_asked(bench):
 
 @scenario
 def a_bridge_that_answers_nonsense(bench):
-    for says in (b"", b"\xff" * 5, bytes(32), b"\xff" * 32):
-        bench.board.says = says
+    for reply in (b"", b"\xff" * 5, bytes(32), b"\xff" * 32):
+        bench.board.reply = reply
         assert firmware_dates(bench.find()) == FirmwareDates(NOT_REPORTED, NOT_REPORTED)
-    bench.board.says = None
+    bench.board.reply = None
 
 
 def run_all(bench, scenarios):
@@ -266,7 +266,7 @@ def run_all(bench, scenarios):
     for name, play in scenarios.items():
         try:
             play(bench)
-        except Exception:  # noqa: BLE001  told to the test
+        except Exception:  # noqa: BLE001  reported to the test
             results[name] = traceback.format_exc()
         else:
             results[name] = None

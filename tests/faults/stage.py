@@ -1,4 +1,4 @@
-"""A whole stop in virtual time on a mock board that fails as told, and what the board's own record says of it."""
+"""A whole stop in virtual time on a faulty mock board, judged by the board's own record."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -60,7 +60,7 @@ class Ride:
 
     @property
     def over_ns(self) -> int:
-        """Since when both outputs have been off for good, by the device's own record."""
+        """Time from which both outputs stay off, by the device's own record."""
         last = 0
         for truth, following in zip(self.truths, self.truths[1:], strict=False):
             if truth.drive or truth.brake:
@@ -69,7 +69,7 @@ class Ride:
 
     @property
     def reaction_ticks(self) -> float:
-        """Periods from the first act of a fault until both outputs were off for good; 0 if they were off before."""
+        """Periods from the first act of a fault until both outputs stayed off; 0 if they were off before."""
         return max(0, self.over_ns - min(self.first_ns.values())) / self.period_ns
 
     @property

@@ -35,7 +35,7 @@ PROFILES = ("sim_usb2", "sim_usb", "sim_pci")
 
 
 class Wire:
-    """The cable, which outlives whoever uses it, and with it what is on its way."""
+    """The cable, with the messages on it; it outlives its users."""
 
     def __init__(self, front_end):
         self.plugged = True
@@ -88,11 +88,11 @@ class Host(Link):
         self._closed = False
 
     def write(self, data):
-        assert not self._closed, "somebody writes who has let go"
+        assert not self._closed, "written after close"
         self._wire.out(bytes(data))
 
     def read(self, length):
-        assert not self._closed, "somebody reads who has let go"
+        assert not self._closed, "read after close"
         return self._wire.back(length)
 
     def close(self):
@@ -123,7 +123,7 @@ class BoardMachine(RuleBasedStateMachine):
     @precondition(lambda self: self.board is None)
     @rule(repaired=st.booleans())
     def open(self, repaired):
-        """By a program that finds everything as it is, or after somebody has seen to the cable."""
+        """Open the board, with or without a repair of the cable."""
         if repaired:
             self.repair()
         before, board = self.device.duties, self._new_board()

@@ -1,4 +1,4 @@
-"""The table of hazards is whole, says what there is, and its page is made from it."""
+"""The table of hazards is complete and true, and its page is generated from it."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""Each kind of fault does what it says, on each kind of board, and the stop ends as it should."""
+"""Each kind of fault has its effect on each kind of board, and the stop ends as required."""
 
 import pytest
 
@@ -96,17 +96,17 @@ def test_what_the_board_measures_is_told_by_its_driver(fault):
     with board_behind(
         InProcessLink(FaultyFrontEnd(front_end_of, device, pytest.fail, pytest.fail)), config, lambda: 0
     ) as board:
-        told = {reading.name: reading.value for reading in board.readings()}
-    assert told["supply"] == pytest.approx(float(value) if name == "supply" else 24.0, abs=0.01)
-    assert told["temperature"] == pytest.approx(float(value) if name == "heat" else 21.0, abs=0.2)
-    flags = [told["alarm_bit0"], told["alarm_supply"], told["alarm_bit2"]]
+        shown = {reading.name: reading.value for reading in board.readings()}
+    assert shown["supply"] == pytest.approx(float(value) if name == "supply" else 24.0, abs=0.01)
+    assert shown["temperature"] == pytest.approx(float(value) if name == "heat" else 21.0, abs=0.2)
+    flags = [shown["alarm_bit0"], shown["alarm_supply"], shown["alarm_bit2"]]
     assert flags == ([0, 1, 0] if name == "alarm" else [1, 1, 1])
 
 
 def test_a_second_program_that_repeats_an_old_command_is_noticed_and_the_user_told(short):
     result = happened(ride(short, ["master@brake+20ms"]))
     assert result.reason is R.MISSED_EXCHANGES
-    # a bus that anybody may write to shows what was written last; what another program does afterwards nobody sees
+    # a bus shows its last write, by any program; writes of another program after the reading stay unseen
     assert result.unsafe or result.duties == (0.0, 0.0) or short.board.kind == "pci"
 
 

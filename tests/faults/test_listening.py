@@ -1,4 +1,4 @@
-"""What listens does so on this computer only, unless told; and nothing that is read is ever run."""
+"""Servers listen on this computer only by default, and no input is ever executed."""
 
 import ast
 import ipaddress

@@ -1,4 +1,4 @@
-"""The k-th request to the operating system is refused, for every k: once, for good, or with all that come after it."""
+"""The k-th request to the operating system is refused, for every k: once, always, or with all that follow."""
 
 import time
 from collections import Counter

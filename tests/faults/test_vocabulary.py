@@ -1,4 +1,4 @@
-"""What can be said of a fault, and that it is said back the same."""
+"""The notation of faults: parsing, printing, errors."""
 
 import math
 
@@ -54,7 +54,7 @@ def test_a_fault_is_read(text, fault):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("", "must be KIND"),
         ("lose", "must be KIND"),
@@ -86,10 +86,10 @@ def test_a_fault_is_read(text, fault):
         ("stall@brake/#0", "of zero duration never acts"),
     ],
 )
-def test_a_fault_that_cannot_be_is_refused_with_what_can(text, said):
+def test_a_fault_that_cannot_be_is_refused_with_what_can(text, expected):
     with pytest.raises(ConfigError) as refusal:
         parse_faults([text, "lose@1s"])
-    assert said in str(refusal.value)
+    assert expected in str(refusal.value)
     assert "--inject" in str(refusal.value)
 
 
