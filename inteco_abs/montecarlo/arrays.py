@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, fields
+from dataclasses import astuple, fields, is_dataclass
 from operator import attrgetter
 from typing import Any, Final
 
@@ -46,3 +46,32 @@ def state_rows(rigs: Sequence[Constants], wheel_speeds: NDArray[np.float64], roa
         released = settled(k, 0.0)
         states.append(astuple(State(wheel_speed, road_speed, k.L_sin, k.L_cos, k.adhesion_scale, released, released)))
     return np.array(states, STATE).view(np.recarray)
+
+
+_LEAST_RING: Final = 128
+"""Entries of a ring's array: with few lengths there are few types, each of which takes seconds to compile."""
+
+
+def record(part: Any) -> Any:
+    """The fields of a dataclass's instance as a record: numbers, flags, lists of numbers or of rows, and dataclasses.
+
+    A list of numbers has an array with room for a power of two, at least _LEAST_RING.
+    """
+    return np.array([_values(part)], _kind(part)).view(np.recarray)[0]
+
+
+def _kind(value: Any) -> np.dtype[Any]:
+    if is_dataclass(value):
+        return np.dtype([(field.name, _kind(getattr(value, field.name))) for field in fields(value)], align=True)
+    if isinstance(value, list | tuple):
+        return np.dtype((_kind(np.ravel(value)[0].item()), np.shape(_values(value))))
+    return np.dtype(np.bool_ if isinstance(value, bool) else np.int64 if isinstance(value, int) else np.float64)
+
+
+def _values(value: Any) -> Any:
+    if is_dataclass(value):
+        return tuple(_values(getattr(value, field.name)) for field in fields(value))
+    if isinstance(value, list) and not isinstance(value[0], list):
+        room = max(_LEAST_RING, 1 << (len(value) - 1).bit_length())
+        return value + [value[0] * 0] * (room - len(value))
+    return value

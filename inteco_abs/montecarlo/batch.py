@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,6 +113,10 @@ class BatchPlant:
         self._readings += 1
         kernel.read_encoders(self._rigs, self._states, np.uint64(self._readings), wheel, road)
         return wheel, road
+
+    def rig(self, i: int) -> tuple[Any, Any]:
+        """Constants and state of one rig, for compiled functions."""
+        return self._rigs[i], self._states[i]
 
     def _view(self, name: str) -> Floats:
         view: Floats = self._states[name]

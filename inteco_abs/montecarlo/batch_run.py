@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from inteco_abs.config import RigConfig
 from inteco_abs.control import Pipeline
 from inteco_abs.errors import describe_error
 from inteco_abs.montecarlo.batch import BatchPlant
+from inteco_abs.montecarlo.closed_loop import COLUMNS, function_of_stop, parts_of
+from inteco_abs.montecarlo.kernel import compiled
 from inteco_abs.montecarlo.policies import PolicyFactory, TrueState
 from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, StopResults, Trace
 from inteco_abs.rig import RigVariation, nominal_parameters
@@ -22,7 +24,6 @@ from inteco_abs.signals import EXPLANATIONS, Phase, Reason, Sample
 LONGEST_BRAKING_S: Final = 4.0
 """No rig of any population that is braked at all takes half as long."""
 _FIRST_ROWS: Final = 4096
-_COLUMNS: Final = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,9 +51,68 @@ class Experiment:
             )
 
 
+class _Ended(NamedTuple):
+    """One stop, over."""
+
+    decisions: int
+    error: str
+    rows: Array | None
+    """COLUMNS, for each tick from the first of braking on; None if it never braked."""
+
+
 def run_shard(experiment: Experiment) -> StopResults:
-    """All stops of one experiment, in this thread. Raises ConfigError if a rig's parts cannot be made."""
-    return _Shard(experiment).run()
+    """All stops of one experiment, in this thread. Raises ConfigError if a rig's parts cannot be made.
+
+    They run compiled where estimator and controller are functions, with the same bits as in Python.
+    """
+    config, rigs = experiment.config, experiment.rigs
+    ended = dict(_compiled_stops(experiment))
+    left = [i for i in range(len(rigs)) if i not in ended]
+    if left:
+        ended |= zip(left, _Shard(replace(experiment, rigs=tuple(rigs[i] for i in left))).run(), strict=True)
+    stops = [ended[i] for i in range(len(rigs))]
+    traces = {i: _trace(rows, config) for i in sorted(experiment.traced) if (rows := stops[i].rows) is not None}
+    metrics = [_metrics(stop, config) for stop in stops]
+    errors = tuple(stop.error for stop in stops)
+    return StopResults(np.array(metrics, METRICS_ROW), errors, sum(stop.decisions for stop in stops), traces)
+
+
+def _compiled_stops(experiment: Experiment) -> Iterator[tuple[int, _Ended]]:
+    """Place and stop of each rig whose parts are functions, but for those in which a number is not finite.
+
+    Python raises at some of these, where compiled code goes on.
+    """
+    config, rigs = experiment.config, experiment.rigs
+    speed, phase = _start(experiment)
+    batch, longest = BatchPlant(rigs, speed), _longest(config)
+    rows = np.empty((longest + 1, COLUMNS))
+    for i, rig in enumerate(rigs):
+        parts = experiment.maker(rig, TrueState(batch, i, rig))
+        function = function_of_stop(*parts)
+        if function is None:
+            return
+        try:
+            course = compiled(function)(
+                batch.rig(i), parts_of(_own(config, rig), *parts, phase), (config.period_ns, longest), rows
+            )
+        except ValueError:
+            continue
+        if course.finite:
+            error = EXPLANATIONS[Reason(course.reason)] if course.reason else ""
+            braked = rows[: course.ended + 1 - course.began].copy() if course.began >= 0 else None
+            yield i, _Ended(course.decisions, error, braked)
+
+
+def _start(experiment: Experiment) -> tuple[float, Phase]:
+    """Road speed in rad/s and phase in which the stops begin."""
+    rolling_from = experiment.run_up_from_rad_s
+    if rolling_from is None:
+        return experiment.config.experiment.start_speed_rad_s, Phase.BRAKING
+    return rolling_from, Phase.SPIN_UP
+
+
+def _longest(config: RigConfig) -> int:
+    return round(LONGEST_BRAKING_S * 1e9 / config.period_ns)
 
 
 class _Stop:
@@ -88,21 +148,19 @@ class _Shard:
 
     def __init__(self, experiment: Experiment) -> None:
         config, rigs = experiment.config, experiment.rigs
-        self._experiment = experiment
-        rolling_from = experiment.run_up_from_rad_s
-        phase = Phase.BRAKING if rolling_from is None else Phase.SPIN_UP
-        self._batch = BatchPlant(rigs, config.experiment.start_speed_rad_s if rolling_from is None else rolling_from)
+        speed, phase = _start(experiment)
+        self._batch = BatchPlant(rigs, speed)
         self._stops = [
             _Stop(Pipeline(_own(config, rig), *experiment.maker(rig, TrueState(self._batch, i, rig)), phase))
             for i, rig in enumerate(rigs)
         ]
         self._period_ns = config.period_ns
-        self._longest = round(LONGEST_BRAKING_S * 1e9 / config.period_ns)
+        self._longest = _longest(config)
         self._first_row = -1  # tick of the first row
-        self._rows = np.empty((_FIRST_ROWS, _COLUMNS, len(rigs)))
+        self._rows = np.empty((_FIRST_ROWS, COLUMNS, len(rigs)))
         self._drives, self._brakes, self._slips = np.zeros((3, len(rigs)))
 
-    def run(self) -> StopResults:
+    def run(self) -> Iterator[_Ended]:
         """All ticks, until every stop has ended."""
         running = list(enumerate(self._stops))
         tick, period_s = 0, self._period_ns / 1e9
@@ -113,7 +171,7 @@ class _Shard:
             running = [one for one in running if one[1].ended < 0]
             self._batch.advance(self._drives, self._brakes, period_s)
             tick += 1
-        return self._results()
+        return map(self._ended, range(len(self._stops)))
 
     def _tick(self, running: list[tuple[int, _Stop]], tick: int, period_s: float) -> None:
         """Read, decide; what was decided takes the rig's own delay from here, as in a loop that writes before it reads.
@@ -144,41 +202,39 @@ class _Shard:
         row[3], row[4] = batch.brake_torque, batch.road_angle
         row[5], row[6] = self._slips, self._brakes
 
-    def _results(self) -> StopResults:
-        stops, traced = self._stops, self._experiment.traced
-        traces = {i: self._trace(i) for i in sorted(traced) if stops[i].began >= 0}
-        rows = [self._metrics(i) for i in range(len(stops))]
-        errors = tuple(stop.error for stop in stops)
-        return StopResults(np.array(rows, METRICS_ROW), errors, sum(stop.ticks for stop in stops), traces)
-
-    def _metrics(self, i: int) -> tuple[float, ...]:
-        """NaN for what the stop does not have; a stop that failed has nothing."""
-        if self._stops[i].error:
-            return (math.nan,) * len(METRICS)
-        trace, config = self._trace(i), self._experiment.config
-        course = StopTrace(
-            self._since_ns(i),
-            trace.slip,
-            trace.slip_estimated,
-            trace.road_speed_rad_s,
-            trace.road_angle_rad,
-            trace.brake,
-        )
-        parameters = nominal_parameters(config.model)
-        found = stop_metrics(course, config.controller.reference_slip, parameters)
-        values = (found[name.removesuffix("_true")] for name in METRICS)
-        return tuple(math.nan if value is None else value for value in values)
-
-    def _since_ns(self, i: int) -> Array:
-        stop = self._stops[i]
-        return np.arange(stop.ended + 1 - stop.began, dtype=np.int64) * self._period_ns
-
-    def _trace(self, i: int) -> Trace:
+    def _ended(self, i: int) -> _Ended:
         stop, first = self._stops[i], self._first_row
-        rows = self._rows[stop.began - first : stop.ended + 1 - first, :, i].T.copy()
-        wheel_speed, road_speed, slip, torque, angle, estimated, brake = rows
-        time_s = self._since_ns(i) * 1e-9
-        return Trace(time_s, wheel_speed, road_speed, slip, estimated, torque, angle - angle[0], brake)
+        braked = slice(stop.began - first, stop.ended + 1 - first)
+        return _Ended(stop.ticks, stop.error, self._rows[braked, :, i] if stop.began >= 0 else None)
+
+
+def _metrics(stop: _Ended, config: RigConfig) -> tuple[float, ...]:
+    """NaN for what the stop does not have; a stop that failed has nothing."""
+    if stop.error or stop.rows is None:
+        return (math.nan,) * len(METRICS)
+    trace = _trace(stop.rows, config)
+    course = StopTrace(
+        _since_ns(stop.rows, config),
+        trace.slip,
+        trace.slip_estimated,
+        trace.road_speed_rad_s,
+        trace.road_angle_rad,
+        trace.brake,
+    )
+    parameters = nominal_parameters(config.model)
+    found = stop_metrics(course, config.controller.reference_slip, parameters)
+    values = (found[name.removesuffix("_true")] for name in METRICS)
+    return tuple(math.nan if value is None else value for value in values)
+
+
+def _since_ns(rows: Array, config: RigConfig) -> Array:
+    return np.arange(len(rows), dtype=np.int64) * config.period_ns
+
+
+def _trace(rows: Array, config: RigConfig) -> Trace:
+    time_s = _since_ns(rows, config) * 1e-9
+    wheel_speed, road_speed, slip, torque, angle, estimated, brake = rows.T.copy()
+    return Trace(time_s, wheel_speed, road_speed, slip, estimated, torque, angle - angle[0], brake)
 
 
 def _own(config: RigConfig, rig: RigVariation) -> RigConfig:

@@ -6,14 +6,16 @@ source is that of `Plant`.
 
 from __future__ import annotations
 
+import ast
 import hashlib
+import inspect
 from collections import namedtuple
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, fields, is_dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import FunctionType
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,18 +35,58 @@ Floats = NDArray[np.float64]
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-@cache
 def compiled(function: Function) -> Function:
-    """`function` as machine code, beside which other threads run.
+    """`function` as machine code, beside which other threads run; the keywords of a partial must be functions as well.
 
     The code is kept on disk under the content of every file that it comes from: numba itself looks at one alone.
     """
-    source = cast(FunctionType, function)
-    own = {name: _native(source.__globals__[name]) for name in _globals(source)}
-    copy = FunctionType(source.__code__, {**source.__globals__, **own}, source.__name__, source.__defaults__)
-    content = b"".join(Path(file).read_bytes() for file in sorted(_files(source)))
-    copy.__qualname__ = f"{source.__qualname__}_{hashlib.sha256(content).hexdigest()[:16]}"
-    return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(copy))
+    found: Function = _compiled(_bound(function))
+    return found
+
+
+class _Bound(NamedTuple):
+    """A function, and those that it gets as keywords."""
+
+    function: FunctionType
+    keywords: tuple[tuple[str, _Bound], ...]
+
+
+def _bound(function: Any) -> _Bound:
+    if isinstance(function, partial):
+        keywords = tuple((name, _bound(part)) for name, part in function.keywords.items())
+        return _Bound(cast(FunctionType, function.func), keywords)
+    return _Bound(function, ())
+
+
+@cache
+def _compiled(bound: _Bound) -> Any:
+    function = _without_parameters(*bound)
+    own = {name: _native(function.__globals__[name]) for name in _globals(function)}
+    own |= {name: _compiled(part) for name, part in bound.keywords}
+    copy = FunctionType(function.__code__, {**function.__globals__, **own}, function.__name__, function.__defaults__)
+    content = b"".join(Path(file).read_bytes() for file in sorted(_files(bound)))
+    copy.__qualname__ = f"{_name(bound)}_{hashlib.sha256(content).hexdigest()[:16]}"
+    return njit(cache=True, nogil=True, error_model="numpy")(copy)
+
+
+def _without_parameters(function: FunctionType, keywords: Sequence[tuple[str, _Bound]]) -> FunctionType:
+    """Make these parameters global names: numba keeps no code on disk that passes functions on."""
+    if not keywords:
+        return function
+    source = ast.parse(inspect.getsource(function))
+    ast.increment_lineno(source, function.__code__.co_firstlineno - 1)
+    arguments = cast(ast.FunctionDef, source.body[0]).args
+    names = [name for name, _ in keywords]
+    arguments.args = [argument for argument in arguments.args if argument.arg not in names]
+    made: dict[str, Any] = {**function.__globals__}
+    flags = annotations.compiler_flag
+    exec(compile(source, function.__code__.co_filename, "exec", flags), made)  # noqa: S102  our own source
+    found: FunctionType = made[function.__name__]
+    return found
+
+
+def _name(bound: _Bound) -> str:
+    return "_".join([bound.function.__qualname__, *(_name(part) for _, part in bound.keywords)])
 
 
 def _globals(function: FunctionType) -> list[str]:
@@ -59,9 +101,11 @@ def _native(value: Any) -> Any:
     return value
 
 
-def _files(function: FunctionType) -> set[str]:
+def _files(bound: _Bound) -> set[str]:
+    function, keywords = bound
     called = [value for name in _globals(function) if isinstance(value := function.__globals__[name], FunctionType)]
-    return {function.__code__.co_filename}.union(*map(_files, called))
+    parts = [*map(_bound, called), *(part for _, part in keywords)]
+    return {function.__code__.co_filename}.union(*map(_files, parts))
 
 
 @compiled

@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass
 
-from inteco_abs.montecarlo import IdealPolicy
-from inteco_abs.signals import BrakeDemand, Command, Estimate
+from inteco_abs.control.phase_machine import advance
+from inteco_abs.control.pipeline import admit_request
+from inteco_abs.montecarlo import ConfiguredPolicy, IdealPolicy
+from inteco_abs.signals import BrakeDemand, Command, Estimate, Sample
 
 
 class Constant:
@@ -86,3 +88,61 @@ class Refusing:
 
     def __init__(self, _setup):
         raise ValueError("not today")
+
+
+class Shell:
+    """A part without its function."""
+
+    def __init__(self, part):
+        self.update = part.update
+
+
+@dataclass(frozen=True)
+class Shells:
+    """Makes what the configuration names, in Python."""
+
+    config: object
+
+    def __call__(self, variation, state):
+        return map(Shell, ConfiguredPolicy(self.config)(variation, state))
+
+
+@dataclass(frozen=True, slots=True)
+class DividingConstants:
+    duty: float
+
+
+@dataclass(slots=True)
+class DividingState:
+    ticks: float = 200.0
+
+
+def divided(k, s, _estimate, _dt_s):
+    s.ticks -= 1.0
+    return BrakeDemand(k.duty, k.duty / s.ticks, 0.0, (0.0, 0.0, 0.0, 0.0))
+
+
+class Dividing(DividingState):
+    """Divides by zero at its 200th tick."""
+
+    gains = ()
+    internals = ()
+    function = staticmethod(divided)
+
+    def __init__(self, _setup=None):
+        super().__init__()
+        self.k = DividingConstants(0.6)
+
+    def update(self, estimate, dt_s):
+        return divided(self.k, self, estimate, dt_s)
+
+
+def decisions(machine_k, machine, guard_k, guard, given):
+    """What machine and guard make of a sample, a reason to stop, and the controller's duty."""
+    tick, time_ns, dt_s, wheel_count, road_count, flags, stop, brake = given
+    sample = Sample(tick, time_ns, dt_s, wheel_count, road_count, flags)
+    if flags == 0:
+        advance(machine_k, machine, sample, brake)
+    admit_request(guard_k, guard, machine, sample, stop)
+    requested = machine.drive_request, machine.brake_request, 0.0 + machine.held, 0.0 + machine.reason
+    return *requested, guard.drive, guard.brake, 0.0 + machine.phase, 0.0 + guard.reason
