@@ -80,6 +80,9 @@ def test_a_number_that_is_not_finite_is_left_to_python_which_may_raise():
     assert "division by zero" in stops.errors[0]
 
 
+MOVING = (Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED)
+
+
 class Wheels:
     """Wheels that do in each phase what they should, but for accidents; reproducible."""
 
@@ -90,14 +93,14 @@ class Wheels:
     def sample(self, phase):
         """Numbers of the next sample, and the reason of a request to stop."""
         draws, self._tick = self._random, self._tick + 1
-        accident = draws.random() < self._accidents
+        accident = draws.random() < self._accidents * (phase in MOVING)
         step_ns = self._period_ns * (draws.choice((1, 2, 5)) if accident else 1) + draws.randrange(-1000, 1000)
         step_s = step_ns * 1e-9
-        rate = 400.0 if phase == Phase.SPIN_UP else -300.0 if phase in (Phase.BRAKING, Phase.STOPPED) else 0.0
+        rate = 30.0 if phase == Phase.SPIN_UP else -120.0
         self._speed = max(0.0, self._speed + rate * step_s)
         self._time_ns += step_ns
         self._road += self._speed * step_s * 326.0
-        self._wheel += self._speed * step_s * 326.0 * (0.8 if phase == Phase.BRAKING else 2.0)
+        self._wheel += self._speed * step_s * 326.0 * (0.8 if phase == Phase.BRAKING else 1.0)
         if accident and draws.random() < 0.3:
             self._road += draws.choice((-40.0, 3.0, 5000.0))
         flags = draws.choice((0, 0, BoardFlags.STALE, BoardFlags.SLOW)) if accident else 0
@@ -111,11 +114,11 @@ def path(config):
 
 
 @pytest.mark.parametrize("rate_hz", [50, 2000])
-@pytest.mark.parametrize("accidents", [0.0, 0.002, 0.05])
+@pytest.mark.parametrize("accidents", [0.0, 0.001, 0.02])
 @pytest.mark.parametrize("seed", range(4))
 def test_machine_and_guard_step_through_anything_with_the_bits_of_python(seed, accidents, rate_hz):
     config = configured(
-        f"loop.rate_hz={rate_hz}", "experiment.stops=2", "experiment.start_speed_rad_s=60", "experiment.idle_s=0.1",
+        f"loop.rate_hz={rate_hz}", "experiment.stops=2", "experiment.start_speed_rad_s=25", "experiment.idle_s=0.1",
         "experiment.hold_s=0.1", "experiment.braking_timeout_s=0.5", "guard.run_up_factor=2.0",
         "estimator.window_s=0.05",
     )  # fmt: skip
@@ -126,6 +129,7 @@ def test_machine_and_guard_step_through_anything_with_the_bits_of_python(seed, a
         brake = brakes.choice((0.0, 0.5, 1.0, 1.2, float("nan") if brakes.random() < accidents else 0.7))
         given.append((*wheels.sample(machine.phase), brake))
         python.append(decisions(machine.k, machine, guard.k, guard, given[-1]))
+    assert accidents or machine.phase == Phase.DONE, "both stops"
     records = [record(part) for each in path(config) for part in (each.k, each)]
     found = np.empty((len(given), len(python[0])))
     compiled(all_decisions)(*records, np.array(given), found)
