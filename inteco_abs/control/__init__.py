@@ -34,9 +34,10 @@ from inteco_abs.control.factory import (
     make_estimator,
     preferred_estimator,
 )
+from inteco_abs.control.functions import Function, function_of
 from inteco_abs.control.guard import Guard
-from inteco_abs.control.phase_machine import REST_COUNTS, PhaseMachine, recordable
-from inteco_abs.control.pipeline import Pipeline
+from inteco_abs.control.phase_machine import REST_COUNTS, PhaseMachine, advance_phase, recordable
+from inteco_abs.control.pipeline import Pipeline, admit_request
 from inteco_abs.control.slip_dynamics import BrakingModel, reaching_law_torque, reaching_time_bound
 from inteco_abs.control.wheel_dynamics import WheelDynamics
 
@@ -51,6 +52,7 @@ __all__ = [
     "EdgeTime",
     "Estimator",
     "EstimatorSpec",
+    "Function",
     "Gain",
     "Guard",
     "HeldDifference",
@@ -69,9 +71,12 @@ __all__ = [
     "TrackingLoop",
     "TwoWheels",
     "WheelDynamics",
+    "admit_request",
+    "advance_phase",
     "braking_slip",
     "build_pipeline",
     "control_check",
+    "function_of",
     "gains_in_force",
     "make_controller",
     "make_estimator",

@@ -125,12 +125,12 @@ class PhaseMachine(MachineState):
         if phase is _BRAKING:
             demand = self._controller.update(estimate, sample.dt_s)
             self._last = demand if self._floats else recordable(demand)
-        advance(self.k, self, sample, self._last.brake)
+        advance_phase(self.k, self, sample, self._last.brake)
         if phase is _STOPPED and self.phase is Phase.IDLE:
             self._last, self._controller = _NO_DEMAND, deepcopy(self._as_made)
 
 
-def advance(k: MachineConstants, s: MachineState, sample: Sample, brake: float) -> None:
+def advance_phase(k: MachineConstants, s: MachineState, sample: Sample, brake: float) -> None:
     """Advance by one sample and leave the request in `s`; `brake` is the controller's last duty."""
     _, time_ns, _, wheel_count, road_count, _ = sample
     if s.since_ns < 0:

@@ -10,10 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control import Controller, Estimator, Guard, PhaseMachine
-from inteco_abs.control.functions import Function, function_of
-from inteco_abs.control.phase_machine import advance
-from inteco_abs.control.pipeline import admit_request
+from inteco_abs.control import (
+    Controller,
+    Estimator,
+    Function,
+    Guard,
+    PhaseMachine,
+    admit_request,
+    advance_phase,
+    function_of,
+)
 from inteco_abs.montecarlo.arrays import record
 from inteco_abs.rig.encoder import count
 from inteco_abs.rig.model import wheel_slip
@@ -108,7 +114,7 @@ def stop(
                 finite = finite and _finite_demand(demand)
             if not finite:
                 return Course(began, tick, decisions, guard.reason, False)
-            advance(parts.machine_k, machine, sample, brake)
+            advance_phase(parts.machine_k, machine, sample, brake)
             admit_request(parts.guard_k, guard, machine, sample, _NONE)
             decisions += 1
             slip = estimated.slip

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from inteco_abs.control.phase_machine import advance
-from inteco_abs.control.pipeline import admit_request
+from inteco_abs.control import admit_request, advance_phase
 from inteco_abs.montecarlo import ConfiguredPolicy, IdealPolicy
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Sample
 
@@ -142,7 +141,7 @@ def decisions(machine_k, machine, guard_k, guard, given):
     tick, time_ns, dt_s, wheel_count, road_count, flags, stop, brake = given
     sample = Sample(tick, time_ns, dt_s, wheel_count, road_count, flags)
     if flags == 0:
-        advance(machine_k, machine, sample, brake)
+        advance_phase(machine_k, machine, sample, brake)
     admit_request(guard_k, guard, machine, sample, stop)
     requested = machine.drive_request, machine.brake_request, 0.0 + machine.held, 0.0 + machine.reason
     return *requested, guard.drive, guard.brake, 0.0 + machine.phase, 0.0 + guard.reason
