@@ -98,7 +98,7 @@ def test_a_gain_out_of_range_is_named_with_value_range_unit_and_meaning(controll
     for value in (low - 0.001, high + 0.001):
         problem = mistakes(f"controller.name={controller}", f"controller.gains.{gain}={value}")
         assert list(problem) == [f"controller.gains.{gain}"]
-        assert problem[f"controller.gains.{gain}"].startswith(f"{value}: must be in {low:g}..{high:g}{unit} (")
+        assert problem[f"controller.gains.{gain}"].startswith(f"{value}: must be a number in {low:g}..{high:g}{unit} (")
 
 
 @pytest.mark.parametrize(("controller", "gain", "low", "high"), [case[:4] for case in RANGES])
@@ -146,7 +146,7 @@ def test_wrong_names_wrong_gains_and_wrong_values_are_all_reported_at_once():
 def test_a_controller_of_the_users_own_is_checked_and_built():
     assert "controller.name" in mistakes("controller.name=own")
     assert mistakes("controller.name=own", "controller.gains.Kp=1.0", controllers=OWN) == {
-        "controller.gains.Kp": "1.0: must be in 0.1..0.9 (duty while the slip is below the reference)"
+        "controller.gains.Kp": "1.0: must be a number in 0.1..0.9 (duty while the slip is below the reference)"
     }
     config = load_config(settings=["controller.name=own"], checks=[control_check(OWN)])
     assert gains_in_force(config, OWN) == {"Kp": 0.5}
