@@ -131,7 +131,9 @@ def _identified(rig: RigConfig, files: tuple[Path, ...], assumed: dict[str, floa
     if not found:
         problem = "no session has a run-up or a braking phase of the open-loop controller; --plan records some"
         raise ConfigError.of("SESSION", problem)
-    return identify(chosen(found), nominal_parameters(rig.model), assumed)
+    parts = chosen(found)
+    say(f"fitting {len(parts)} phases of {len(files)} sessions", err=True)
+    return identify(parts, nominal_parameters(rig.model), assumed)
 
 
 def _assumed(statements: tuple[str, ...]) -> dict[str, float]:
