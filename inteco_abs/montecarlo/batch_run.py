@@ -11,10 +11,10 @@ import numpy as np
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Pipeline
-from inteco_abs.errors import describe_error
+from inteco_abs.errors import ConfigError, describe_error
 from inteco_abs.montecarlo.batch import BatchPlant
 from inteco_abs.montecarlo.closed_loop import COLUMNS, function_of_stop, parts_of
-from inteco_abs.montecarlo.kernel import compiled
+from inteco_abs.montecarlo.kernel import compile_problem, compiled
 from inteco_abs.montecarlo.policies import PolicyFactory, TrueState
 from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, StopResults, Trace
 from inteco_abs.rig import RigVariation, nominal_parameters
@@ -91,10 +91,13 @@ def _compiled_stops(experiment: Experiment) -> Iterator[tuple[int, _Ended]]:
         function = function_of_stop(*parts)
         if function is None:
             return
+        arguments = batch.rig(i), parts_of(_own(config, rig), *parts, phase), (config.period_ns, longest), rows
+        if i == 0 and (problem := compile_problem(function, arguments)):
+            names = f"{config.controller.name} on {config.estimator.name}"
+            problem = f"{names} has a function that cannot be compiled: {problem}; a class without `function` can run"
+            raise ConfigError.of("controller.name", problem)
         try:
-            course = compiled(function)(
-                batch.rig(i), parts_of(_own(config, rig), *parts, phase), (config.period_ns, longest), rows
-            )
+            course = compiled(function)(*arguments)
         except ValueError:
             continue
         if course.finite:

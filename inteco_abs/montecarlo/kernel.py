@@ -9,13 +9,14 @@ from __future__ import annotations
 import ast
 import hashlib
 import inspect
+import re
 from collections import namedtuple
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, fields, is_dataclass
 from functools import cache, partial
 from pathlib import Path
 from types import FunctionType
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, Final, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +28,11 @@ from inteco_abs.rig.plant import move_on
 from inteco_abs.rig.rng import normal_pair
 
 try:
-    from numba import njit
+    from numba import njit, typeof
 except ImportError as error:
     raise AbsError("many rigs at once need numba: pip install 'inteco-abs[lab]'") from error
 
+_PLACE: Final = re.compile(r'File "([^"]+)", line (\d+)')
 Floats = NDArray[np.float64]
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -42,6 +44,20 @@ def compiled(function: Function) -> Function:
     """
     found: Function = _compiled(_bound(function))
     return found
+
+
+def compile_problem(function: Function, arguments: Sequence[Any]) -> str:
+    """What cannot be compiled for such arguments, with its line as far as numba names it; empty if all can."""
+    native: Any = compiled(function)
+    try:
+        native.compile(tuple(map(typeof, arguments)))
+    except Exception as error:  # noqa: BLE001  from a user's function numba raises anything, a KeyError for an attribute
+        text = str(error)
+        said = (line.strip() for line in text.splitlines())
+        problem = next((line for line in said if line and not line.startswith(("Failed in", "During", "File"))), text)
+        places = [place for place in _PLACE.findall(text) if not place[0].endswith("closed_loop.py")]
+        return f"{type(error).__name__}: {problem}" + "".join(f" ({file}, line {line})" for file, line in places[:1])
+    return ""
 
 
 class _Bound(NamedTuple):
@@ -64,9 +80,11 @@ def _compiled(bound: _Bound) -> Any:
     own = {name: _native(function.__globals__[name]) for name in _globals(function)}
     own |= {name: _compiled(part) for name, part in bound.keywords}
     copy = FunctionType(function.__code__, {**function.__globals__, **own}, function.__name__, function.__defaults__)
-    content = b"".join(Path(file).read_bytes() for file in sorted(_files(bound)))
+    files = [Path(file) for file in sorted(_files(bound))]
+    on_disk = all(file.is_file() for file in files)  # a user's source may come without its file
+    content = b"".join(file.read_bytes() for file in files) if on_disk else b""
     copy.__qualname__ = f"{_name(bound)}_{hashlib.sha256(content).hexdigest()[:16]}"
-    return njit(cache=True, nogil=True, error_model="numpy")(copy)
+    return njit(cache=on_disk, nogil=True, error_model="numpy")(copy)
 
 
 def _without_parameters(function: FunctionType, keywords: Sequence[tuple[str, _Bound]]) -> FunctionType:

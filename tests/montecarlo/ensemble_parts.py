@@ -136,6 +136,16 @@ class Dividing(DividingState):
         return divided(self.k, self, estimate, dt_s)
 
 
+def uncompilable(_k, s, _estimate, _dt_s):
+    return BrakeDemand(no_such_name(s.ticks), 0.0, 0.0, (0.0, 0.0, 0.0, 0.0))  # noqa: F821  that is the point
+
+
+class Unknown(Dividing):
+    """Calls what does not exist."""
+
+    function = staticmethod(uncompilable)
+
+
 def decisions(machine_k, machine, guard_k, guard, given):
     """What machine and guard make of a sample, a reason to stop, and the controller's duty."""
     tick, time_ns, dt_s, wheel_count, road_count, flags, stop, brake = given

@@ -4,10 +4,11 @@ import random
 
 import numpy as np
 import pytest
-from ensemble_parts import Dividing, Shells, decisions
+from ensemble_parts import Dividing, Shells, Unknown, decisions
 
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS, ESTIMATORS, Guard, PhaseMachine, control_check, function_of
+from inteco_abs.errors import ConfigError
 from inteco_abs.montecarlo import ConfiguredPolicy, run_stops
 from inteco_abs.montecarlo.arrays import record
 from inteco_abs.montecarlo.kernel import compiled
@@ -84,6 +85,17 @@ def test_a_number_that_is_not_finite_is_left_to_python_which_may_raise():
 
 
 MOVING = (Phase.SPIN_UP, Phase.BRAKING, Phase.STOPPED)
+
+
+def test_a_function_that_cannot_be_compiled_is_an_error_of_the_configuration():
+    config = configured()
+
+    def unknown(variation, state):
+        estimator, _ = ConfiguredPolicy(config)(variation, state)
+        return estimator, Unknown()
+
+    with pytest.raises(ConfigError, match=r"a function that cannot be compiled: .*no_such_name"):
+        run_stops([draw("hard", 1)], config, maker=unknown)
 
 
 class Wheels:
