@@ -63,7 +63,8 @@ class Session(sessions.Session):
         """
         known = _known(controller or self.metadata.get("controller", {}).get("name", ""))
         config = sessions.session_config(self, (control_check(known),))
-        return analysis.replay_session(self, build_pipeline(config, known))
+        with analysis.recorded_arithmetic(self):
+            return analysis.replay_session(self, build_pipeline(config, known))
 
     def __repr__(self) -> str:
         card = card_of(self) or {}

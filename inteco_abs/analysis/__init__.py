@@ -7,7 +7,14 @@ from inteco_abs.analysis.diff import SECTIONS, Change, Diff, SignalChange, diff_
 from inteco_abs.analysis.gains import REFERENCE, changed_gains, recorded_gains
 from inteco_abs.analysis.golden import Golden, GoldenFolder, GoldenResult
 from inteco_abs.analysis.open_loop import WhatIf, alternative, braking_row, since_braking_s, what_if
-from inteco_abs.analysis.replay import FirstDifference, Replay, before_the_gap, replay_session, require_known
+from inteco_abs.analysis.replay import (
+    FirstDifference,
+    Replay,
+    before_the_gap,
+    recorded_arithmetic,
+    replay_session,
+    require_known,
+)
 from inteco_abs.analysis.stop_statistics import UNITS, MetricStatistics, metric_statistics
 from inteco_abs.analysis.tolerance import Shift, Tolerance, parse_tolerances
 
@@ -39,6 +46,7 @@ __all__ = [
     "metric_statistics",
     "parse_tolerances",
     "previous_card",
+    "recorded_arithmetic",
     "recorded_gains",
     "replay_session",
     "require_known",

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Final, Self
 import numpy as np
 
 from inteco_abs.analysis.open_loop import since_braking_s
-from inteco_abs.analysis.replay import samples
+from inteco_abs.analysis.replay import recorded_arithmetic, samples
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.boards import Board, InProcessLink, board_behind
 from inteco_abs.config import RigConfig, SimulationConfig, load_config
@@ -64,28 +64,29 @@ def continued(
     row = _row_at(session, at_s)
     simulation = own if _was_simulated(session) else _in_simulation(own)
     log = _Log(session.ticks[list(_DEMAND)], row)
-    pipeline = Pipeline(own, make_estimator(other), _Successor(log, make_controller(other, controllers)))
-    rig = _Rig(session, simulation)
     ticks: list[Tick] = []
-    with rig.board:
-        for sample, request in samples(session):
-            simulated = rig.exchange(sample.time_ns, pipeline.command)
-            log.row = len(ticks)
-            ticks.append(pipeline.step(sample, request))
-            if len(ticks) > row:
-                break
-        state_from = rig.put_into_state(row)
-        rig.truths.clear()
-        wheel, road = sample.wheel_count - simulated.wheel_count, sample.road_count - simulated.road_count
-        while not pipeline.finished:
-            before = ticks[-1]
-            following = rig.exchange(before.time_ns + own.period_ns, pipeline.command)
-            sample = following._replace(
-                tick=before.tick + 1,
-                wheel_count=following.wheel_count + wheel,
-                road_count=following.road_count + road,
-            )
-            ticks.append(pipeline.step(sample))
+    with recorded_arithmetic(session):
+        pipeline = Pipeline(own, make_estimator(other), _Successor(log, make_controller(other, controllers)))
+        rig = _Rig(session, simulation)
+        with rig.board:
+            for sample, request in samples(session):
+                simulated = rig.exchange(sample.time_ns, pipeline.command)
+                log.row = len(ticks)
+                ticks.append(pipeline.step(sample, request))
+                if len(ticks) > row:
+                    break
+            state_from = rig.put_into_state(row)
+            rig.truths.clear()
+            wheel, road = sample.wheel_count - simulated.wheel_count, sample.road_count - simulated.road_count
+            while not pipeline.finished:
+                before = ticks[-1]
+                following = rig.exchange(before.time_ns + own.period_ns, pipeline.command)
+                sample = following._replace(
+                    tick=before.tick + 1,
+                    wheel_count=following.wheel_count + wheel,
+                    road_count=following.road_count + road,
+                )
+                ticks.append(pipeline.step(sample))
     if pipeline.error is not None:
         raise SessionError(f"{session.path}: in simulation, it raised {describe_error(pipeline.error)}")
     rows, truth = TICK.array_of(ticks), TRUTH.array_of(rig.truths)

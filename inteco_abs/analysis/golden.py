@@ -23,7 +23,7 @@ import tomli_w
 
 from inteco_abs.analysis.gains import recorded_gains
 from inteco_abs.analysis.open_loop import since_braking_s
-from inteco_abs.analysis.replay import Replay, decisions, replay_session, require_known
+from inteco_abs.analysis.replay import Replay, decisions, recorded_arithmetic, replay_session, require_known
 from inteco_abs.analysis.tolerance import Array, parse_tolerances
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Controller, build_pipeline, control_check
@@ -169,8 +169,9 @@ class GoldenFolder:
         _require_reason(reason)
         (golden,) = self.chosen([name])
         session = self._read_golden(golden)
-        pipeline = build_pipeline(session_config(session, (control_check(controllers),)), controllers)
-        again = decisions(session, pipeline)
+        with recorded_arithmetic(session):
+            pipeline = build_pipeline(session_config(session, (control_check(controllers),)), controllers)
+            again = decisions(session, pipeline)
         for column in _TIMING:
             again[column] = session.ticks[column]
         payload = b"".join(map(TICK.pack, again.tolist()))
@@ -281,7 +282,8 @@ def _require_a_test(session: Session, ticks: Array) -> None:
 
 def _replay(session: Session, controllers: ControllerTypes, tolerances: Sequence[str]) -> Replay:
     config = session_config(session, (control_check(controllers),))
-    return replay_session(session, build_pipeline(config, controllers), parse_tolerances(tolerances))
+    with recorded_arithmetic(session):
+        return replay_session(session, build_pipeline(config, controllers), parse_tolerances(tolerances))
 
 
 def _version(reason: str, file: Path, changed: int) -> Version:

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import tomli_w
 
-from inteco_abs.analysis.replay import require_known
+from inteco_abs.analysis.replay import recorded_arithmetic, require_known
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.config import RigConfig, apply_setting, parse_config
 from inteco_abs.control import (
@@ -146,7 +146,8 @@ def what_if(
         raise SessionError(
             f"{session.path}: {at_s:g} s after braking began the run was over; choose at most {since_s[-1]:.3f} s"
         )
-    requests = np.array(list(_requests(session, config, controllers)), _DTYPE)
+    with recorded_arithmetic(session):
+        requests = np.array(list(_requests(session, config, controllers)), _DTYPE)
     logged = session.ticks[list(COMPARED)].astype(_DTYPE)
     requests[ahead] = logged[ahead]
     thresholds = {"torque_demand_nm": torque_nm, "brake_request": duty}

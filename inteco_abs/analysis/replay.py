@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import starmap
 from typing import Any, Final
 
 import numpy as np
 
+from inteco_abs import elementary
 from inteco_abs.analysis.tolerance import DISCRETE, OUTPUTS, Array, Shift, Tolerance, bits, shifts
 from inteco_abs.control import Pipeline
 from inteco_abs.errors import SessionError
@@ -17,6 +20,7 @@ from inteco_abs.sessions import RECOVERED, Session
 from inteco_abs.signals import BoardFlags, Phase, Reason, Sample
 
 _INPUTS: Final = tuple(column.name for column in TICK.columns if column.role is Role.INPUT)
+_ONE_ARITHMETIC: Final = threading.RLock()
 _COMPARED: Final = ("time_ns", "tick", "dt_s", *OUTPUTS)
 _LONGEST_S: Final = (1 << 64) * 1e-9
 """Range of a clock of 64 bits in ns."""
@@ -72,6 +76,20 @@ def before_the_gap(session: Session) -> Session:
     return replace(session, ticks=session.ticks[:whole], payload=session.payload[: whole * TICK.size])
 
 
+@contextmanager
+def recorded_arithmetic(session: Session) -> Iterator[None]:
+    """Compute with the arithmetic that the session was recorded with; other threads' replays wait meanwhile.
+
+    Make the pipeline in it, too. Raises SessionError for an arithmetic that is not known here.
+    """
+    name = session.metadata.get("software", {}).get("arithmetic", elementary.PORTABLE)
+    if name not in elementary.ARITHMETICS:
+        known = ", ".join(elementary.ARITHMETICS)
+        raise SessionError(f"{session.path}: software.arithmetic is {name!r}: must be one of {known}")
+    with _ONE_ARITHMETIC, elementary.arithmetic(name):
+        yield
+
+
 def replay_session(session: Session, pipeline: Pipeline, tolerances: Mapping[str, Tolerance] | None = None) -> Replay:
     """Run a new `pipeline` on the session's inputs and compare; fields without a tolerance must agree exactly.
 
@@ -112,7 +130,8 @@ def decisions(session: Session, pipeline: Pipeline) -> Array:
     """
     if not len(session.ticks):
         raise SessionError(f"{session.path}: has no ticks")
-    return TICK.array_of(starmap(pipeline.step, samples(session)))
+    with recorded_arithmetic(session):
+        return TICK.array_of(starmap(pipeline.step, samples(session)))
 
 
 def require_known(session: Session) -> None:

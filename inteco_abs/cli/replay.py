@@ -48,6 +48,7 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
         before_the_gap,
         changed_gains,
         parse_tolerances,
+        recorded_arithmetic,
         replay_session,
         require_known,
     )
@@ -62,7 +63,8 @@ def replay(file: Path, controller: str | None, tolerances: tuple[str, ...], as_j
     controllers = controllers_for(session, controller)
     config = session_config(session, (control_check(controllers),))
     gains = changed_gains(session, {REFERENCE: config.controller.reference_slip, **gains_in_force(config, controllers)})
-    outcome = replay_session(session, build_pipeline(config, controllers), given)
+    with recorded_arithmetic(session):
+        outcome = replay_session(session, build_pipeline(config, controllers), given)
     report = {
         "schema_version": 1,
         "session": str(file),

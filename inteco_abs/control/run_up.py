@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
+from inteco_abs import elementary
 from inteco_abs.config import RigConfig
 from inteco_abs.rig import DriveMotor, RigParameters, nominal_drive_motor, nominal_parameters
 from inteco_abs.signals import Command
@@ -29,7 +30,7 @@ _SLACK_RAD_S: Final = 5.0
 _MORE_FRICTION: Final = 1.5
 _LESS_FRICTION: Final = 0.5
 """Factors on the static friction: the vendor's three measurements of M10 lie a factor of two apart."""
-_STRAIGHT_SHARE: Final = 2.0 / 3.0 / math.log(3.0)
+_STRAIGHT_SHARE: Final = 2.0 / 3.0 / elementary.log(3.0)
 """Mean acceleration of a run-up to two thirds of its final speed, as a share of that from rest.
 
 Start-up resistors, which drop out at some speed, make a run-up slower at first and so straighter: the vendor's plots

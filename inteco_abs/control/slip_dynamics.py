@@ -5,9 +5,9 @@ Valid for a forward turning wheel that is slower at the rim than the road: s = s
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
+from inteco_abs import elementary
 from inteco_abs.rig import RigParameters, adhesion
 from inteco_abs.rig.friction import formula, require_slip
 
@@ -57,6 +57,7 @@ class BrakingModel(SlipConstants):
 
     def __init__(self, parameters: RigParameters) -> None:
         k = parameters
+        sin, cos = elementary.sin_cos(k.phi_rad)
         super().__init__(
             c11=k.r1 * k.d1 / k.J1,
             c12=(k.M10 + k.Mg) * k.r1 / k.J1,
@@ -71,8 +72,8 @@ class BrakingModel(SlipConstants):
             c25=-k.r2 / k.J2,
             ratio=k.r1 / k.r2,
             lever=k.L,
-            sin=math.sin(k.phi_rad),
-            cos=math.cos(k.phi_rad),
+            sin=sin,
+            cos=cos,
             parameters=parameters,
         )
 
@@ -111,4 +112,4 @@ def reaching_law_torque(
 
 def reaching_time_bound(slip: float, reference: float, Mk: float, Mq: float) -> float:
     """Longest time in s from `slip` to `reference`, equation (20); gains in 1/s, above 0."""
-    return math.log((Mk * abs(slip - reference) + Mq) / Mq) / Mk
+    return elementary.log((Mk * abs(slip - reference) + Mq) / Mq) / Mk

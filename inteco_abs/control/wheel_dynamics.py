@@ -6,10 +6,10 @@ for its own estimates of adhesion and torque, and their derivatives.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from inteco_abs import elementary
 from inteco_abs.rig import RigParameters
 
 
@@ -71,7 +71,7 @@ def demanded_torque(
     per_resisting = 1.0 - share * (p.r1 + rolling * p.r2)
     slowing = rolling * (p.d2 * road_speed + p.M20)
     resisting = (inertia * slip_rate * road_speed + slowing + p.Mg * (1.0 - per_resisting)) / per_resisting
-    pressing = (p.Mg + resisting) * (p.r1 + rolling * p.r2) * k.sin / lever**2
+    pressing = (p.Mg + resisting) * (p.r1 + rolling * p.r2) * k.sin / elementary.raised(lever, 2)
     return (
         resisting - p.d1 * wheel_speed - p.M10,
         inertia * road_speed / per_resisting,
@@ -85,7 +85,7 @@ class WheelDynamics(WheelConstants):
     __slots__ = ()
 
     def __init__(self, parameters: RigParameters) -> None:
-        sin, cos = math.sin(parameters.phi_rad), math.cos(parameters.phi_rad)
+        sin, cos = elementary.sin_cos(parameters.phi_rad)
         super().__init__(parameters, parameters.L * sin, parameters.L * cos)
 
     def accelerations(self, wheel_speed: float, road_speed: float, torque: float, adhesion: float) -> Accelerations:

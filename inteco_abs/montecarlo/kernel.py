@@ -15,12 +15,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import astuple, fields, is_dataclass
 from functools import cache, partial
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any, Final, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from inteco_abs import elementary
 from inteco_abs.errors import AbsError
 from inteco_abs.rig.encoder import count
 from inteco_abs.rig.model import wheel_slip
@@ -114,6 +115,11 @@ def _globals(function: FunctionType) -> list[str]:
 def _native(value: Any) -> Any:
     if isinstance(value, FunctionType):
         return compiled(value)
+    if value is elementary:
+        module = ModuleType(elementary.__name__)
+        portable = elementary.ARITHMETICS[elementary.PORTABLE]
+        vars(module).update({name: compiled(function) for name, function in portable.items()})
+        return module
     if is_dataclass(value) and not isinstance(value, type):
         return namedtuple(type(value).__name__, [field.name for field in fields(value)])(*astuple(value))  # noqa: PYI024  its fields are another's
     return value
@@ -121,9 +127,10 @@ def _native(value: Any) -> Any:
 
 def _files(bound: _Bound) -> set[str]:
     function, keywords = bound
-    called = [value for name in _globals(function) if isinstance(value := function.__globals__[name], FunctionType)]
-    parts = [*map(_bound, called), *(part for _, part in keywords)]
-    return {function.__code__.co_filename}.union(*map(_files, parts))
+    used = [function.__globals__[name] for name in _globals(function)]
+    parts = [*(_bound(value) for value in used if isinstance(value, FunctionType)), *(part for _, part in keywords)]
+    own = {elementary.__file__} if any(value is elementary for value in used) else set[str]()
+    return own.union({function.__code__.co_filename}, *map(_files, parts))
 
 
 @compiled

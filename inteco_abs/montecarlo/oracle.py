@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from inteco_abs import elementary
 from inteco_abs.config import RigConfig
 from inteco_abs.control import (
     Controller,
@@ -92,8 +93,8 @@ class _OracleEstimator:
         rig, k, state = self._variation, self._variation.parameters, self._state
         slip = max(braking_slip(x1, x2, k), _LEAST_SLIP)
         factor = grip * self._surface.adhesion(slip, k) / adhesion(slip, k)
-        cosine = factor * rig.load_ripple * math.sin(rig.load_ripple_phase_rad)
-        sine = factor * rig.load_ripple * math.cos(rig.load_ripple_phase_rad)
+        sine_of_phase, cosine_of_phase = elementary.sin_cos(rig.load_ripple_phase_rad)
+        cosine, sine = factor * rig.load_ripple * sine_of_phase, factor * rig.load_ripple * cosine_of_phase
         now = (state.wheel_angle, x1, 0.0, x2, state.brake_torque, 0.0, factor, cosine, sine)
         lag_s = max(1.0 / k.c31, _LEAST_LAG_S)
         return outlook(self._contact, self._pending.k, self._pending, (*now, rig.brake_dead_time_s, lag_s))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final, NamedTuple
 
+from inteco_abs import elementary
 from inteco_abs.rig.friction import adhesion, adhesion_slope, formula, formula_slope, require_slip
 from inteco_abs.rig.parameters import RigParameters
 
@@ -36,7 +37,7 @@ def monotone_cubics(points: Sequence[tuple[float, float]], first_slope: float) -
     for i, chord in enumerate(chords):
         width = points[i + 1][0] - points[i][0]
         square = (3.0 * chord - 2.0 * slopes[i] - slopes[i + 1]) / width
-        cube = (slopes[i] + slopes[i + 1] - 2.0 * chord) / width**2
+        cube = (slopes[i] + slopes[i + 1] - 2.0 * chord) / elementary.raised(width, 2)
         cubics.append(Cubic(*points[i], slopes[i], square, cube))
     return tuple(cubics)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from inteco_abs import elementary
 from inteco_abs.rig.rng import WORD, mixed, normal_pair
 from inteco_abs.rig.variation import EncoderVariation, RigVariation
 
@@ -36,7 +37,7 @@ def count(disc: EncoderVariation, angle_rad: float, noise: float) -> int:
     """Count of `disc` with the wheel at `angle_rad`; `noise` is of a standard normal sequence."""
     position = angle_rad * (disc.counts_per_turn / _TURN_RAD) + disc.edge_counts
     if disc.eccentricity_counts > 0.0:
-        position += disc.eccentricity_counts * math.sin(angle_rad + disc.eccentricity_phase_rad)
+        position += disc.eccentricity_counts * elementary.sin(angle_rad + disc.eccentricity_phase_rad)
     if disc.jitter_counts > 0.0:
         position += disc.jitter_counts * noise
     return math.floor(position)

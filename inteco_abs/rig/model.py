@@ -123,4 +123,4 @@ def accelerations(
 
 def kinetic_energy(wheel_speed: float, road_speed: float, parameters: RigParameters) -> float:
     """Kinetic energy of both wheels in J; speeds in rad/s."""
-    return 0.5 * (parameters.J1 * wheel_speed**2 + parameters.J2 * road_speed**2)
+    return 0.5 * (parameters.J1 * wheel_speed * wheel_speed + parameters.J2 * road_speed * road_speed)

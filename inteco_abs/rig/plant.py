@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from inteco_abs import elementary
 from inteco_abs.rig.actuators import DriveMotor, brake_torque, drive_torque
 from inteco_abs.rig.adhesion_curve import blended
 from inteco_abs.rig.brake_actuator import SAME_TIME_S, act_on_arrived, command, settled
@@ -214,13 +215,13 @@ def _next_speeds(k: Constants, s: State, drive: float, h: float) -> tuple[float,
 def _press(k: Constants, s: State, h: float) -> None:
     """Use the normal force of the step's middle, which keeps the order."""
     angle = s.wheel_angle + 0.5 * h * s.wheel_speed
-    load = 1.0 + k.load_ripple * math.sin(angle + k.load_ripple_phase_rad)
+    load = 1.0 + k.load_ripple * elementary.sin(angle + k.load_ripple_phase_rad)
     s.L_sin, s.L_cos = k.L_sin / load, k.L_cos / load
 
 
 def _brake_lag(k: Constants, s: State, h: float) -> None:
     rate = k.c31 * h if h > 0.0 else 0.0  # c31 may be infinite
-    s.lag_step_s, s.lag_left = h, math.exp(-rate)
+    s.lag_step_s, s.lag_left = h, elementary.exp(-rate)
     s.lag_mean = (1.0 - s.lag_left) / rate if rate > 0.0 else 1.0
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from inteco_abs import elementary
+
 WORD: Final = (1 << 64) - 1
 _GOLDEN: Final = 0x9E3779B97F4A7C15
 """Odd, near 2^64 divided by the golden ratio: the step from one state to the next."""
@@ -44,6 +46,7 @@ class SplitMix64:
 def normal_pair(seed: int, number: int) -> tuple[float, float]:
     """Pair `number` (1, 2, ...) of a standard normal sequence: Box and Muller on one word."""
     word = mixed(seed + number * _GOLDEN & WORD)
-    radius = math.sqrt(-2.0 * math.log(((word >> 32) + 1) * 2.0**-32))
+    radius = math.sqrt(-2.0 * elementary.log(((word >> 32) + 1) * 2.0**-32))
     angle = (word & 0xFFFFFFFF) * (2.0 * math.pi * 2.0**-32)
-    return radius * math.cos(angle), radius * math.sin(angle)
+    sine, cosine = elementary.sin_cos(angle)
+    return radius * cosine, radius * sine

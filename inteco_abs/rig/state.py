@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
+from inteco_abs import elementary
 from inteco_abs.rig.actuators import DriveMotor
 from inteco_abs.rig.encoder import noise_seed
 from inteco_abs.rig.parameters import RigParameters
@@ -44,14 +45,15 @@ class Constants(RigParameters):
     def of(rig: RigVariation, motor: DriveMotor | None = None, max_step_s: float = 0.0005) -> Constants:
         """The rig's constants."""
         k, motor = rig.parameters, motor or DriveMotor()
+        sine, cosine = elementary.sin_cos(k.phi_rad)
         return Constants(
             **{name: getattr(k, name) for name in _PARAMETERS},
             **{name: getattr(rig, name) for name in _OWN},
             stall_torque_nm=motor.stall_torque_nm,
             no_load_speed_rad_s=motor.no_load_speed_rad_s,
             max_step_s=max_step_s,
-            L_sin=k.L * math.sin(k.phi_rad),
-            L_cos=k.L * math.cos(k.phi_rad),
+            L_sin=k.L * sine,
+            L_cos=k.L * cosine,
             measured_map=rig.brake_map == "measured",
             noise_seed=noise_seed(rig),
             plain=rig.plain_plant,

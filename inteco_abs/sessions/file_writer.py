@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
     from typing_extensions import Buffer  # collections.abc has it from Python 3.12 on
 
-FORMAT_VERSION: Final = "4"
+FORMAT_VERSION: Final = "5"
 _MOST_WAITING: Final = 1 << 18  # bytes
 _STATE: Final = ("phase", "reason")
 _INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log

@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from inteco_abs import elementary
 from inteco_abs.format import DOUBLE, ENUM, FLOAT, DeclaredMessage, Members, Message, MessageKind, declared_message
 from inteco_abs.sessions.container import DamagedError
 
@@ -59,6 +60,10 @@ def renamed(_rows: int, column: Array) -> Array:
     return column
 
 
+def _decided_with_libm(metadata: Metadata) -> Metadata:
+    return {**metadata, "software": {**metadata.get("software", {}), "arithmetic": elementary.LIBM}}
+
+
 FIRST: Final = 1
 STEPS: tuple[Migration, ...] = (
     Migration(2, (NewColumn("/sim/truth", "adhesion", not_measured),)),
@@ -70,6 +75,7 @@ STEPS: tuple[Migration, ...] = (
             NewColumn("/abs/tick", "brake_request", renamed, ("brake_wish",)),
         ),
     ),
+    Migration(5, metadata=_decided_with_libm),
 )
 """From each version to the next, beginning after `FIRST`."""
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
+from inteco_abs import elementary
 from inteco_abs.config import RigConfig, profile_text, profiles
 from inteco_abs.version import SOURCE_FOLDER, __version__
 
@@ -21,6 +22,7 @@ def software_facts() -> dict[str, str]:
         "version": __version__,
         "python": platform.python_version(),
         "libc": " ".join(platform.libc_ver()),
+        "arithmetic": elementary.PORTABLE,
         "argv": " ".join(sys.argv),
         **packages,
         **_git_facts(SOURCE_FOLDER),

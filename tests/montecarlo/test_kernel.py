@@ -1,10 +1,14 @@
 """Machine code of functions in several files, kept on disk."""
 
 import importlib
+import math
+import random
 import sys
 
+import numpy as np
 import pytest
 
+from inteco_abs import elementary
 from inteco_abs.montecarlo.kernel import compiled
 
 
@@ -29,3 +33,16 @@ def test_machine_code_is_kept_until_any_file_that_it_comes_from_changes(result_o
     assert result_of("def inner(x):\n    return x + 1.0\n") == (3.0, False)
     assert result_of("def inner(x):\n    return x + 1.0\n") == (3.0, True)
     assert result_of("def inner(x):\n    return x + 10.0\n") == (12.0, False)
+
+
+def test_compiled_functions_of_the_arithmetic_have_the_bits_of_python():
+    pick = random.Random(1)
+    drawn = [(pick.uniform(-750.0, 750.0), pick.uniform(-30.0, 30.0)) for _ in range(1000)]
+    drawn += [(math.ldexp(pick.uniform(-1.0, 1.0), pick.randrange(-1074, 1025)), 2.5) for _ in range(1000)]
+    drawn += [(x, 2.5) for x in (0.0, -0.0, math.inf, -math.inf, math.nan, 5e-324)]
+    for name, function in elementary.ARITHMETICS[elementary.PORTABLE].items():
+        arguments = {"power": lambda x, y: (abs(x), y), "raised": lambda x, _: (x, 4)}.get(name, lambda x, _: (x,))
+        for x, y in drawn:
+            found, expected = (np.float64(call(*arguments(x, y))) for call in (compiled(function), function))
+            assert np.array_equal(found, expected, equal_nan=True)
+            assert np.array_equal(np.signbit(found), np.signbit(expected)) or np.isnan(expected).all()

@@ -6,11 +6,11 @@ A controller is a class with `gains`, `internals` and `update`. One that needs a
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields, make_dataclass
 from functools import partial
 from typing import Any, ClassVar, Final, NamedTuple, Protocol
 
+from inteco_abs import elementary
 from inteco_abs.control.functions import Function
 from inteco_abs.control.slip_dynamics import BrakingModel, SlipConstants, slip_terms
 from inteco_abs.rig import MEASURED_MAP, BrakeMap, RigParameters, brake_duty, brake_torque
@@ -112,7 +112,7 @@ def model_law(k: LawConstants, s: LawState, estimate: Estimate, dt_s: float, rat
 
 def _ahead_of_lag(k: LawConstants, s: LawState, torque: float, dt_s: float) -> float:
     """Settled torque in N m that brings a brake with the lag `lag_s` to `torque` within a period."""
-    share = 1.0 - math.exp(-dt_s / k.lag_s)
+    share = 1.0 - elementary.exp(-dt_s / k.lag_s)
     s.lagged_nm += (s.settled_nm - s.lagged_nm) * share
     s.settled_nm = min(max(s.lagged_nm + (torque - s.lagged_nm) / share, 0.0), k.full_nm)
     return s.settled_nm

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
+from inteco_abs import elementary
 from inteco_abs.control.controllers.base import Gain, Setup
 from inteco_abs.control.estimators.prediction import NOT_A_SLIP, braking_slip
 from inteco_abs.control.functions import Function
@@ -73,7 +74,7 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
     if not 0.0 <= slip <= 1.0:
         raise ValueError(NOT_A_SLIP)
     switching = slip - k.reference
-    cosine, sine = math.cos(seen.wheel_angle_rad), math.sin(seen.wheel_angle_rad)
+    sine, cosine = elementary.sin_cos(seen.wheel_angle_rad)
     factor = seen.adhesion_factor + seen.ripple_cosine * cosine + seen.ripple_sine * sine
     factor_rate = (seen.ripple_sine * cosine - seen.ripple_cosine * sine) * x1
     mu = formula(k.contact.parameters, max(slip, _RISEN_SLIP))
@@ -95,9 +96,9 @@ def _find_torques(k: PredictiveConstants, s: PredictiveState, estimate: Estimate
 def _approach(k: PredictiveConstants, switching: float, road_speed: float) -> tuple[float, float]:
     """Decay rate of the slip error, 1/s, and its derivative by the error."""
     a, error = min(k.a * _START_RAD_S / road_speed, k.a_most), abs(switching)
-    if error * k.k**2 <= a:
+    if error * elementary.raised(k.k, 2) <= a:
         return k.k * switching, k.k
-    rate = math.sqrt(2.0 * a * error - (a / k.k) ** 2)
+    rate = math.sqrt(2.0 * a * error - elementary.raised(a / k.k, 2))
     return math.copysign(rate, switching), a / rate
 
 

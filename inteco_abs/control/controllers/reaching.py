@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar
 
+from inteco_abs import elementary
 from inteco_abs.control.controllers.base import LAG, Gain, LawState, ModelLaw, law, saturated, sign
 from inteco_abs.control.functions import Function
 
@@ -23,12 +24,12 @@ def _constant(k: Any, _s: LawState, switching: float, _road_speed: float, _dt_s:
 
 
 def _power(k: Any, _s: LawState, switching: float, _road_speed: float, _dt_s: float) -> float:
-    rate: float = k.K * math.copysign(abs(switching) ** k.alpha, switching)
+    rate: float = k.K * math.copysign(elementary.power(abs(switching), k.alpha), switching)
     return rate
 
 
 def _exponential(k: Any, _s: LawState, switching: float, _road_speed: float, _dt_s: float) -> float:
-    near = math.exp(-k.a * abs(switching) ** k.p)
+    near = elementary.exp(-k.a * elementary.power(abs(switching), k.p))
     rate: float = k.K / (k.d + (1.0 - k.d) * near) * sign(switching)
     return rate
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from inteco_abs import elementary
 from inteco_abs.control.estimators.eccentricity import DiscState
 from inteco_abs.control.estimators.prediction import (
     LONGEST_DEAD_TIME_S,
@@ -124,12 +125,12 @@ def begin(k: EkfConstants, s: EkfState, pending: DelayState, wheel: DiscState, r
     x[0], x[1], x[2], x[3], x[4] = wheel.angle, wheel.speed, road.angle, road.speed, told
     x[6], x[9], x[10] = 1.0, sd.dead_time_s, sd.lag_s
     for i, disc in ((0, wheel), (2, road)):
-        P[i][i], P[i + 1][i + 1] = disc.P[0][0], disc.P[1][1] + sd.road_walk_rad_s**2
+        P[i][i], P[i + 1][i + 1] = disc.P[0][0], disc.P[1][1] + elementary.raised(sd.road_walk_rad_s, 2)
         P[i][i + 1] = P[i + 1][i] = disc.P[0][1]
-    P[4][4] = (_UNSETTLED * told) ** 2
+    P[4][4] = elementary.raised(_UNSETTLED * told, 2)
     deviations = sd.torque_sd_nm, sd.adhesion_sd, sd.ripple_sd, sd.ripple_sd, sd.dead_time_sd_s, sd.lag_sd_s
     for i in range(6):
-        P[5 + i][5 + i] = deviations[i] ** 2
+        P[5 + i][5 + i] = elementary.raised(deviations[i], 2)
     s.surprise, s.step_in_s = 0.0, sd.step_after_s
 
 
@@ -206,17 +207,17 @@ def predict(k: EkfConstants, s: EkfState, pending: DelayState, T: float, ago: in
     x, p = s.x, k.contact.parameters
     th1, x1, th2, x2, M, lag = x[0], x[1], x[2], x[3], x[4], x[10]
     settled, later = arrived(k.delay, pending, x[9], ago)
-    left = math.exp(-T / lag)
+    left = elementary.exp(-T / lag)
     slip = braking_slip(x1, x2, p)
     if not 0.0 <= slip <= 1.0:
         raise ValueError(NOT_A_SLIP)
-    turned, turned_sine = math.cos(th1), math.sin(th1)
+    turned_sine, turned = elementary.sin_cos(th1)
     mu = formula(p, slip)
     scale = x[6] + x[7] * turned + x[8] * turned_sine
     torque = settled + (M - settled) * 0.5 * (1.0 + left) + x[5]
     a1, a2, wheel_by_mu, road_by_mu, wheel_by_nm, road_by_nm = accelerations(k.contact, x1, x2, torque, scale * mu)
     steepness = scale * formula_slope(p, slip) / max(x2, 1.0)
-    half, rolling, by_lag = 0.5 * T * T, 1.0 - T * p.d2 / p.J2, (M - settled) * left * T / lag**2
+    half, rolling, by_lag = 0.5 * T * T, 1.0 - T * p.d2 / p.J2, (M - settled) * left * T / elementary.raised(lag, 2)
     t = _Transition(
         T,
         left,
@@ -265,11 +266,11 @@ def _carry(P: list[Row], t: _Transition) -> None:
 
 def _widen(k: EkfTuning, P: list[Row], T: float, swing: float, x2: float) -> None:
     """Add the walks of a step of `T` in s, with the brake's torque changing by `swing` in N m/s."""
-    P[1][1] += T * k.wheel_walk_rad_s**2
-    P[3][3] += T * k.road_walk_rad_s**2
-    P[4][4] += T * (k.lag_torque_walk_nm**2 + (k.lag_torque_per_swing * swing) ** 2)
-    P[5][5] += T * (k.torque_walk_nm**2 + (k.torque_per_swing * swing) ** 2)
-    P[6][6] += T * (k.adhesion_walk * x2 / _WALK_AT_RAD_S) ** 2
+    P[1][1] += T * elementary.raised(k.wheel_walk_rad_s, 2)
+    P[3][3] += T * elementary.raised(k.road_walk_rad_s, 2)
+    P[4][4] += T * (elementary.raised(k.lag_torque_walk_nm, 2) + elementary.raised(k.lag_torque_per_swing * swing, 2))
+    P[5][5] += T * (elementary.raised(k.torque_walk_nm, 2) + elementary.raised(k.torque_per_swing * swing, 2))
+    P[6][6] += T * elementary.raised(k.adhesion_walk * x2 / _WALK_AT_RAD_S, 2)
 
 
 def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float) -> bool:

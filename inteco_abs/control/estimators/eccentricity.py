@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Final
 
+from inteco_abs import elementary
 from inteco_abs.control.estimators.angles import CountState
 
 Row = list[float]
@@ -33,7 +33,7 @@ class DiscConstants:
 
 def disc_constants(count_rad: float, noise_rad: float) -> DiscConstants:
     """With a standard deviation of `noise_rad`."""
-    return DiscConstants(noise_rad**2, (_WAVE_SD_COUNTS * count_rad) ** 2)
+    return DiscConstants(elementary.raised(noise_rad, 2), elementary.raised(_WAVE_SD_COUNTS * count_rad, 2))
 
 
 @dataclass(slots=True)
@@ -70,12 +70,13 @@ def restart(k: DiscConstants, s: DiscState, angle: float, speed: float, deviatio
     for i in range(3):
         for j in range(5):
             P[i][j] = P[j][i] = 0.0
-    P[0][0], P[1][1], P[2][2] = k.noise, deviation * deviation, _ACCELERATION_SD * _ACCELERATION_SD
+    P[0][0], P[1][1], P[2][2] = k.noise, elementary.raised(deviation, 2), elementary.raised(_ACCELERATION_SD, 2)
 
 
 def straight(s: DiscState, angle: float) -> float:
     """The wheel's angle, from the disc's `angle`, in rad."""
-    return angle - s.cosine * math.cos(angle) - s.sine * math.sin(angle)
+    sine, cosine = elementary.sin_cos(angle)
+    return angle - s.cosine * cosine - s.sine * sine
 
 
 def follow(k: DiscConstants, s: DiscState, angle: float, dt_s: float) -> None:
@@ -86,7 +87,7 @@ def follow(k: DiscConstants, s: DiscState, angle: float, dt_s: float) -> None:
         _predict(s, p0, p1, p2, p3, p4, dt_s)
     cosine = sine = 0.0
     if s.speed > _LEARNING_RAD_S:
-        cosine, sine = math.cos(angle), math.sin(angle)
+        sine, cosine = elementary.sin_cos(angle)
     e0 = p0[0] + cosine * p0[3] + sine * p0[4]
     e1 = p1[0] + cosine * p1[3] + sine * p1[4]
     e2 = p2[0] + cosine * p2[3] + sine * p2[4]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
+from inteco_abs import elementary
 from inteco_abs.config import RigConfig
 from inteco_abs.control.estimators.angles import CountState, rad_per_count, turned
 from inteco_abs.control.estimators.registry import EstimatorSpec, on_both_wheels, parameter
@@ -68,8 +69,8 @@ def _predict(k: KalmanConstants, s: KalmanState, T: float) -> None:
     s00, s01, s02 = s.p00 + T * p01 + half * p02, p01 + T * p11 + half * p12, p02 + T * p12 + half * p22
     s11, s12 = p11 + T * p12, p12 + T * p22
     q = k.density * T
-    s.p00 = s00 + T * s01 + half * s02 + q * T**4 / 20.0
-    s.p01 = s01 + T * s02 + q * T**3 / 8.0
+    s.p00 = s00 + T * s01 + half * s02 + q * elementary.raised(T, 4) / 20.0
+    s.p01 = s01 + T * s02 + q * elementary.raised(T, 3) / 8.0
     s.p02 = s02 + q * T * T / 6.0
     s.p11 = s11 + T * s12 + q * T * T / 3.0
     s.p12 = s12 + q * T / 2.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
+from inteco_abs import elementary
 from inteco_abs.config import RigConfig
 from inteco_abs.control.estimators.angles import rad_per_count, turned
 from inteco_abs.control.estimators.braking_ekf import (
@@ -133,7 +134,7 @@ class Observer(ObserverState):
     ) -> None:
         spread, count_rad, pending = spread or EkfTuning(), rad_per_count(counts_per_turn), DelayLine(period_s)
         disc = disc_constants(count_rad, spread.count_noise * count_rad)
-        ratio, noise = parameters.r1 / parameters.r2, (spread.count_noise * count_rad) ** 2
+        ratio, noise = parameters.r1 / parameters.r2, elementary.raised(spread.count_noise * count_rad, 2)
         ekf = EkfConstants(WheelDynamics(parameters), pending.k, spread, ratio, noise)
         super().__init__(rolling_wheel(disc), rolling_wheel(disc), EkfState(), pending)
         self.k = ObserverConstants(disc, ekf, count_rad, brake_map.points)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from inteco_abs import elementary
 from inteco_abs.control.wheel_dynamics import WheelConstants, accelerations
 from inteco_abs.rig import RigParameters
 from inteco_abs.rig.friction import formula
@@ -81,7 +81,7 @@ def ahead(k: DelayConstants, s: DelayState, torque: float, dead_time: float, lag
     passed = dead_time / k.period_s
     ticks = int(passed)
     late = passed - ticks
-    left = math.exp(-k.period_s / lag)
+    left = elementary.exp(-k.period_s / lag)
     half = 0.5 * (1.0 + left)
     total, oldest = 0.0, s.newest - min(ticks + 1, k.length - 1)
     before = s.torques[oldest]
@@ -100,7 +100,8 @@ def outlook(k: WheelConstants, delay: DelayConstants, pending: DelayState, state
     excess, dead_time, lag = state[5], state[9], state[10]
     horizon, then, mean = ahead(delay, pending, state[4], dead_time, lag)
     halfway = th1 + 0.5 * horizon * x1
-    scale = factor + cosine * math.cos(halfway) + sine * math.sin(halfway)
+    turned_sine, turned = elementary.sin_cos(halfway)
+    scale = factor + cosine * turned + sine * turned_sine
     slip = braking_slip(x1, x2, k.parameters)
     if not 0.0 <= slip <= 1.0:
         raise ValueError(NOT_A_SLIP)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
+from inteco_abs import elementary
 from inteco_abs.config import EstimatorConfig, LoopConfig, RigConfig
 from inteco_abs.control.estimators.angles import CountState, rad_per_count, turned
 from inteco_abs.control.estimators.registry import EstimatorSpec, on_both_wheels, parameter
@@ -54,7 +55,7 @@ class TrackingLoop(TrackingState):
 
     def __init__(self, counts_per_turn: int, natural_frequency_rad_s: float) -> None:
         super().__init__()
-        stiffness, damping = natural_frequency_rad_s**2, 2.0 * 0.9 * natural_frequency_rad_s
+        stiffness, damping = elementary.raised(natural_frequency_rad_s, 2), 2.0 * 0.9 * natural_frequency_rad_s
         self.k = TrackingConstants(rad_per_count(counts_per_turn), stiffness, damping)
 
     def update(self, time_ns: int, count: int) -> float:
