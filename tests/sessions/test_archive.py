@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from inteco_abs import elementary
 from inteco_abs.sessions import TICK, TRUTH, migration, read_session, validate
 
 ARCHIVE = Path(__file__).with_name("archive")
@@ -77,6 +78,12 @@ def test_it_is_valid(version):
 def test_it_can_be_replayed(kept, replayed):
     """The golden sessions say whether the decisions are those of then; here it is the inputs that must be usable."""
     assert replayed(kept).ticks == len(kept.ticks)
+
+
+def test_since_format_5_it_replays_bit_for_bit_on_every_machine(version, kept, replayed):
+    portable = int(version.removeprefix("v")) >= 5
+    assert (kept.metadata["software"]["arithmetic"] == elementary.PORTABLE) == portable
+    assert not portable or replayed(kept).differing == 0
 
 
 def test_the_newest_is_declared_as_this_version_declares_its_messages(officially):
