@@ -66,6 +66,12 @@ def test_without_stamps_a_slow_wheel_has_the_noise_of_a_period_and_not_of_a_coun
     assert statistics.stdev(edges) < 0.6 * statistics.stdev(window)
 
 
+def test_samples_beyond_the_highest_rate_make_the_window_shorter():
+    crowded = sampled(EdgeTime(PER_TURN, 0.010, rate_hz=500.0), lambda t: 180.0 * t, range(1000))
+    shorter = sampled(EdgeTime(PER_TURN, 12 * PERIOD_NS * 1e-9), lambda t: 180.0 * t, range(1000))
+    assert crowded[50:] == shorter[50:]
+
+
 def test_a_wheel_that_locks_is_limited_at_once_to_one_count_over_the_time_since_the_last():
     edges = EdgeTime(PER_TURN, 0.010)
     for tick in range(100):

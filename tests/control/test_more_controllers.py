@@ -121,6 +121,14 @@ class TestSmithRelay:
         released = next(n for n in range(1000) if relay.update(seen(0.0), 0.001).brake == 0.0)
         assert released == pytest.approx(0.2 / 0.011, abs=2)
 
+    def test_of_ticks_that_come_faster_than_any_board_samples_the_oldest_are_forgotten(self):
+        relay = self.make(dead_time_s=0.0)
+        demands = [relay.update(seen(1.0), 0.0) for _ in range(20)]
+        assert {demand.internals[0] for demand in demands} == {1.0}
+        late = self.make(dead_time_s=0.001)
+        expected = [late.update(seen(1.0), 1e-6).internals[0] for _ in range(1000)]
+        assert expected[-1] == pytest.approx(1.0 - 1.74 * 18e-6)
+
     @pytest.mark.untraced
     @given(st.lists(st.floats(0.0, 0.4), min_size=60, max_size=200))
     def test_a_command_is_forgotten_once_it_has_acted(self, slips):
