@@ -24,7 +24,7 @@ from tests.faults.stage import configured
 
 pytestmark = pytest.mark.untraced
 
-FEW = settings(max_examples=max(60, settings().max_examples // 2), stateful_step_count=30)
+FEW = settings(max_examples=max(150, settings().max_examples // 2), stateful_step_count=30)
 """Enough for each kind of end to be met."""
 OFF = (0.0, 0.0)
 STEP = 1 / 255

@@ -10,7 +10,7 @@ import pytest
 from inteco_abs.boards.board import Board
 from inteco_abs.boards.families.pci.board import RtdacPci
 from inteco_abs.boards.frame_board import FrameBoard
-from inteco_abs.control.guard import Guard
+from inteco_abs.control import guard, pipeline
 from inteco_abs.errors import UnsafeError
 from inteco_abs.signals import Reason
 
@@ -48,13 +48,13 @@ def takes_any_echo(self, drive, brake):
 
 
 PROTECTIONS = {
-    "missed exchanges are counted": (Guard, "_count_misses", no_reason, 4),
-    "late exchanges are counted": (Guard, "_count_misses", no_reason, 5),
-    "a road that stands under drive is seen": (Guard, "_judge_road", no_reason, 33),
-    "a wheel ahead of a slow road is judged": (Guard, "_judge_slow_road", no_reason, 6),
-    "the wheel's encoder is judged": (Guard, "_judge_wheel", no_reason, 7),
+    "missed exchanges are counted": (guard, "_count_misses", no_reason, 4),
+    "late exchanges are counted": (guard, "_count_misses", no_reason, 5),
+    "a road that stands under drive is seen": (guard, "_judge_road", no_reason, 33),
+    "a wheel ahead of a slow road is judged": (guard, "_judge_slow_road", no_reason, 6),
+    "the wheel's encoder is judged": (guard, "_judge_wheel", no_reason, 7),
     "answers carry a number, and echo": (FrameBoard, "_write_widths", takes_any_echo, 10),
-    "a stuck brake is seen from the road": (Guard, "_judge_road", no_reason, 14),
+    "a stuck brake is seen from the road": (guard, "_judge_road", no_reason, 14),
     "another master's command is seen": (FrameBoard, "_write_widths", takes_any_echo, 20),
     "the header is compared": (FrameBoard, "_newest", newest_is_any, 22),
     "leaving means SAFE": (Board, "make_safe", lambda _self: None, 28),
@@ -65,7 +65,7 @@ PROTECTIONS = {
 def test_without_this_protection_the_campaign_finds_a_violation(campaign, monkeypatch, name):
     where, attribute, replacement, number = PROTECTIONS[name]
     monkeypatch.setattr(where, attribute, replacement)
-    cases = [case for case in campaign.hazard_cases([0]) if case.name.startswith(f"{number}:")]
+    cases = [case for case in campaign.hazard_cases(1) if case.name.startswith(f"{number}:")]
     assert any(campaign.judged(case).problem for case in cases)
 
 
@@ -77,14 +77,14 @@ def test_without_the_comparison_on_the_bus_nobody_would_see_another_master(campa
 
 
 def test_the_campaign_finds_outputs_that_are_left_on(campaign, monkeypatch):
-    def trips_and_admits(self, requested, sample, _estimate):
-        self.trip(self._judge_sample(sample))
-        return requested
+    def trips_and_admits(k, s, sample, drive, brake):
+        guard.admit(k, s, sample, drive, brake)
+        s.drive, s.brake = drive, brake
 
     case = campaign.Case("road-stuck", ("road-stuck@drive+80ms",))
     assert not campaign.judged(case).problem
     monkeypatch.setattr(Board, "make_safe", lambda _self: None)
-    monkeypatch.setattr(Guard, "admit", trips_and_admits)
+    monkeypatch.setattr(pipeline, "admit", trips_and_admits)
     assert "left on" in campaign.judged(case).problem
 
 
@@ -98,13 +98,13 @@ def test_the_campaign_finds_a_pulled_cable_of_which_nobody_is_told(campaign, mon
 
 @pytest.mark.parametrize("kind", ["lose", "lose-command", "overdue", "stale", "identity", "cut=13", "stall", "unplug"])
 def test_the_campaign_finds_a_link_without_one_good_exchange_that_is_noticed_late(campaign, monkeypatch, kind):
-    def notices_late(self, sample):
-        self._in_a_row += bool(sample.board_flags)
-        return Reason.MISSED_EXCHANGES if self._in_a_row > 2 * campaign.FOR_GOOD_BOUND else Reason.NONE
+    def notices_late(_k, s, _dt_s, flags):
+        s.in_a_row += bool(flags)
+        return Reason.MISSED_EXCHANGES if s.in_a_row > 2 * campaign.FOR_GOOD_BOUND else Reason.NONE
 
     case = campaign.Case(kind, (f"{kind}@drive+#10/600s",))
     assert not campaign.judged(case).problem
-    monkeypatch.setattr(Guard, "_count_misses", notices_late)
+    monkeypatch.setattr(guard, "_count_misses", notices_late)
     assert f"ticks of {campaign.FOR_GOOD_BOUND}" in campaign.judged(case).problem
 
 

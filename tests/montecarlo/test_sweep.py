@@ -129,9 +129,10 @@ def test_the_ideal_estimator_may_be_chosen():
         (
             ["controller.gains.Mk=2,5000", "controller.gains.Mq=-1,1"],
             {
-                "controller.gains.Mk": "5000: must be in 0..1000 1/s (proportional rate: shortens the reaching phase)",
-                "controller.gains.Mq": "-1: must be in 0..1000 1/s (constant rate: rejects model error, as small as "
-                "possible)",
+                "controller.gains.Mk": "5000: must be a number in 0..1000 1/s "
+                "(proportional rate: shortens the reaching phase)",
+                "controller.gains.Mq": "-1: must be a number in 0..1000 1/s "
+                "(constant rate: rejects model error, as small as possible)",
             },
         ),
         (

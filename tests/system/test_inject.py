@@ -121,7 +121,7 @@ PCI = ("--set", "profile=sim_pci")
 @pytest.mark.parametrize(
     ("board", "fault", "said"),
     [
-        (PCI, "identity@1s", "identity: no answer of such a board says what it is"),
+        (PCI, "identity@1s", "identity: no answer of such a board identifies it"),
         (PCI, "alarm=2@1s", "alarm: a run does not read such flags; inteco-abs panel --inject shows them"),
         ((), "alarm=2@1s", "alarm: a run does not read such flags"),
     ],

@@ -171,7 +171,7 @@ def test_a_configuration_may_name_it(inteco_abs, site, tmp_path):
     site.install()
     (tmp_path / "rig.toml").write_text('[controller]\nname = "threshold"\ngains = { duty = 1.5 }\n')
     run = inteco_abs("run", "--virtual", "--config", "rig.toml", check=2, environment=site.environment)
-    assert "controller.gains.duty: 1.5: must be in 0..1" in run.stderr
+    assert "controller.gains.duty (rig.toml, line 3): 1.5: must be a number in 0..1" in run.stderr
 
 
 @pytest.mark.parametrize("arguments", [["run", "--help"], ["profiles"]])
@@ -238,7 +238,7 @@ def test_a_package_found_twice_is_not_a_collision(here, tmp_path, monkeypatch):
         (LAW.replace('"duty", 0.7', '"duty", 1.7'), "'duty': the default 1.7 must be in its range 0..1"),
         (LAW.replace('"duty", 0.7', '"duty", "0.7"'), "'duty': low, default and high are (0.0, '0.7', 1.0)"),
         (LAW.replace("0.0, 1.0,", "0.0, float('inf'),"), "must be finite numbers"),
-        (LAW.replace('Gain("duty"', 'Gain("lambda"'), "'lambda': must be a name that an argument"),
+        (LAW.replace('Gain("duty"', 'Gain("lambda"'), "'lambda': must be a valid name of a constructor's argument"),
         (LAW.replace('"1", "duty', '1, "duty'), "'duty': unit and meaning must be text"),
     ],
 )

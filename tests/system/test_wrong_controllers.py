@@ -94,7 +94,7 @@ def never_ends():
 
 def test_an_alarm_while_the_limit_ends_does_not_outlive_it(monkeypatch):
     monkeypatch.setattr("inteco_abs.experiment.user_code.LOADING_MOST_S", 1e-3)
-    monkeypatch.setattr("inteco_abs.experiment.user_code._AGAIN_S", 1e-4)
+    monkeypatch.setattr("inteco_abs.experiment.user_code._AGAIN_S", 1e-3)
     for _ in range(100):
         with pytest.raises((TimeoutError, ConfigError)), time_limit():
             never_ends()
