@@ -112,7 +112,7 @@ def main(arguments: list[str]) -> int:
         check.run("protocol reference", "python", "-m", "firmware_protocol.reference", "--check", background=True)
         check.run("hazards", "python", "tools/write_hazards", "--check", background=True)
         check.run("faults", "python", "tools/fault_campaign", *arguments, background=True)
-        check.run("fuzzing", "python", "tools/fuzz", *(["60"] if long else []), background=True)
+        check.run("fuzzing", "python", "tools/fuzz", "60" if long else "--drawn", background=True)
 
     if long:
         subprocess.run(["coverage", "erase"], check=True)

@@ -106,14 +106,9 @@ def test_a_stop_completes_from_tick_0_on_and_the_session_tells_how_quick_the_eng
     assert checked.returncode == 0, checked.stdout
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
-    "trouble",
-    [
-        {"lost_every": 50, "late_every": 70},
-        pytest.param({"lost_every": 50}, marks=pytest.mark.long),
-        pytest.param({"late_every": 70}, marks=pytest.mark.long),
-    ],
-    ids=" and ".join,
+    "trouble", [{"lost_every": 50, "late_every": 70}, {"lost_every": 50}, {"late_every": 70}], ids=" and ".join
 )
 def test_a_stop_outlives_lost_and_late_answers_and_tells_them(tmp_path, trouble):
     _, card, board = stop(tmp_path, "queued", **trouble)

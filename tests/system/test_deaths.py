@@ -392,6 +392,7 @@ def no_more_room(run, role):
     resource.prlimit(run.pid(role), resource.RLIMIT_FSIZE, (10_000, 10_000))
 
 
+@pytest.mark.long  # tests/faults/test_keeper_machine.py has it in any order, in virtual time
 def test_a_disk_that_refuses_ends_no_run_and_the_file_is_made_from_memory(live, replayed):
     run = live()
     run.until_tick(TURNING)

@@ -69,9 +69,8 @@ def run_with(command_path, tmp_path, untraced):
     return start
 
 
-@pytest.mark.parametrize(
-    "statement", ["os.fork()", pytest.param("os.fork() and time.sleep(0)", marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("statement", ["os.fork()", "os.fork() and time.sleep(0)"])
 def test_a_forked_controller_makes_no_second_host(run_with, statement):
     run, code, card, message = run_with(statement)
     assert code in (0, 3), message

@@ -65,6 +65,7 @@ def test_with_every_process_of_the_run_gone_the_motors_lose_their_power_in_50_ms
     assert int(off["time_ns"][0]) - int(on["time_ns"][-1]) > HOLD_NS // 2
 
 
+@pytest.mark.long
 def test_a_whole_stop_feeds_it_and_reports_how_soon_it_opened(live):
     run = live(settings=(*QUICK, *WATCHED))
     code, card, message = run.end()
