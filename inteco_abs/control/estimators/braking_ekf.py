@@ -282,41 +282,17 @@ def correct(k: EkfConstants, s: EkfState, wheel_angle: float, road_angle: float)
     r = P[0]
     w0, w1, w2, w3, w4, w5, w6 = r[0], r[1], r[2], r[3], r[4], r[5], r[6]
     w7, w8, w9, w10 = r[7], r[8], r[9], r[10]
-    scale = 1.0 / (w0 + k.noise)
-    first = (
-        w0 * scale,
-        w1 * scale,
-        w2 * scale,
-        w3 * scale,
-        w4 * scale,
-        w5 * scale,
-        w6 * scale,
-        w7 * scale,
-        w8 * scale,
-        w9 * scale,
-        w10 * scale,
-    )
-    r, b = P[2], first[2]
+    w = w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10
+    wheel_scale = 1.0 / (w0 + k.noise)
+    r, b = P[2], w2 * wheel_scale
     v0, v1, v2, v3, v4, v5 = r[0] - b * w0, r[1] - b * w1, r[2] - b * w2, r[3] - b * w3, r[4] - b * w4, r[5] - b * w5
     v6, v7, v8, v9, v10 = r[6] - b * w6, r[7] - b * w7, r[8] - b * w8, r[9] - b * w9, r[10] - b * w10
-    s.surprise += k.tuning.surprise_gain * (wheel_error * math.sqrt(scale) - s.surprise)
+    s.surprise += k.tuning.surprise_gain * (wheel_error * math.sqrt(wheel_scale) - s.surprise)
     road_error = road_angle - x[2] - b * wheel_error
-    scale = 1.0 / (v2 + k.noise)
-    second = (
-        v0 * scale,
-        v1 * scale,
-        v2 * scale,
-        v3 * scale,
-        v4 * scale,
-        v5 * scale,
-        v6 * scale,
-        v7 * scale,
-        v8 * scale,
-        v9 * scale,
-        v10 * scale,
-    )
+    v = v0, v1, v2, v3, v4, v5, v6, v7, v8, v9, v10
+    road_scale = 1.0 / (v2 + k.noise)
     for i in range(11):
-        a, b, r = first[i], second[i], P[i]
+        a, b, r = w[i] * wheel_scale, v[i] * road_scale, P[i]
         x[i] = x[i] + a * wheel_error + b * road_error
         r[0] = r[0] - a * w0 - b * v0
         r[1] = r[1] - a * w1 - b * v1
