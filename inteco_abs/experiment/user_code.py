@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from types import FrameType
 from typing import Final
@@ -30,6 +31,7 @@ class time_limit:  # noqa: N801  used as a function, as the context managers of 
 
     def __enter__(self) -> None:
         if self._acts:
+            self._caller = sys._getframe(1)  # noqa: SLF001  inspect has it only with None for other Pythons
             self._handler = signal.signal(signal.SIGALRM, self._expire)
             self._timer = signal.setitimer(signal.ITIMER_REAL, LOADING_MOST_S, _AGAIN_S)
 
@@ -47,5 +49,10 @@ class time_limit:  # noqa: N801  used as a function, as the context managers of 
     def _expire(self, _signal: int, frame: FrameType | None) -> None:
         # raised where the limit begins or ends, it would leave the alarm on, and raise in what comes later
         own = (time_limit.__enter__.__code__, time_limit.__exit__.__code__)
-        if self._acts and not (frame is not None and frame.f_code in own):
+        if not self._acts or (frame is not None and frame.f_code in own):
+            return
+        while frame is not None and frame is not self._caller:
+            frame = frame.f_back
+        if frame is not None:
             raise next(self._raised, _TimeUp())
+        signal.setitimer(signal.ITIMER_REAL, 0.0)  # Ctrl-C where the limit ended has left it on

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import time
 
 import pytest
 from wrong_inputs import Row, file, ids, session
@@ -99,6 +100,17 @@ def test_an_alarm_while_the_limit_ends_does_not_outlive_it(monkeypatch):
         with pytest.raises((TimeoutError, ConfigError)), time_limit():
             never_ends()
         assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_an_alarm_that_the_end_of_the_limit_was_kept_from_switching_off_is_harmless(monkeypatch):
+    monkeypatch.setattr("inteco_abs.experiment.user_code.LOADING_MOST_S", 0.01)
+
+    def interrupted():
+        time_limit().__enter__()
+
+    interrupted()
+    time.sleep(0.05)
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("row", NONE, ids=ids(NONE))
