@@ -137,8 +137,8 @@ def test_bench_ensemble_compares_a_batch_with_scipy_and_the_scalar_plant(untrace
     assert len(ratios) == 7
     assert min(ratios) > 1
     rates = [float(row.split()[-6]) for row in rows if "stops per second and core" in row]
-    assert len(rates) == 2
-    assert min(rates) > 0.0
+    assert len(rates) == 6
+    assert all(compiled > python for compiled, python in zip(rates[::2], rates[1::2], strict=True))
 
 
 @pytest.mark.long
