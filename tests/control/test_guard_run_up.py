@@ -250,3 +250,15 @@ def test_after_the_brake_it_is_judged_again_once_it_has_let_go():
             count = round(angle * COUNTS / (2.0 * math.pi))
             seen.append(run_up.plausible(round(now_s * 1e9), count, Command(1.0, 0.0)))
         assert all(seen[:60]) is plausible, late_s
+
+
+@pytest.mark.parametrize("between", [Command(0.0, 0.0), Command(1.0, 0.01)])
+def test_no_drive_or_a_brake_that_hardly_acts_ends_a_run_up_so_that_the_next_begins_from_rest(between):
+    config = load_config(settings=[f"encoders.counts_per_turn={COUNTS}", "loop.rate_hz=2000"])
+    run_up, angle = RunUp(config, 1.5), 0.0
+    for tick in range(300):
+        now_s = 0.01 * tick
+        resting = 1.0 <= now_s < 1.5
+        angle += 0.0 if resting else 0.01 * _published(1.0, now_s if now_s < 1.0 else now_s - 1.5)
+        count = round(angle * COUNTS / (2.0 * math.pi))
+        assert run_up.plausible(round(now_s * 1e9), count, between if resting else Command(1.0, 0.0)), now_s
