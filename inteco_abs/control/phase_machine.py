@@ -11,7 +11,6 @@ from typing import Final, NamedTuple
 from inteco_abs.config import RigConfig
 from inteco_abs.control.controllers import Controller
 from inteco_abs.control.count_speed import Window, WindowConstants, empty_window, mean_speeds, window_constants
-from inteco_abs.control.functions import function_of
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason, Sample
 
 _NONE: Final = Reason.NONE
@@ -101,7 +100,6 @@ class PhaseMachine(MachineState):
         super().__init__(empty_window(start), empty_window(stop), phase, experiment.stops - 1)
         self._controller = controller
         self._as_made = deepcopy(controller) if self.stops_left else controller
-        self._floats = function_of(controller) is not None
         self._last = _NO_DEMAND
 
     @property
@@ -123,8 +121,7 @@ class PhaseMachine(MachineState):
         """As `step`, which leaves the request in the state."""
         phase = self.phase
         if phase is _BRAKING:
-            demand = self._controller.update(estimate, sample.dt_s)
-            self._last = demand if self._floats else recordable(demand)
+            self._last = recordable(self._controller.update(estimate, sample.dt_s))
         advance_phase(self.k, self, sample, self._last.brake)
         if phase is _STOPPED and self.phase is Phase.IDLE:
             self._last, self._controller = _NO_DEMAND, deepcopy(self._as_made)

@@ -1,4 +1,4 @@
-"""The decision path: sample in, tick out. Runs, replays and Monte Carlo runs use this same object."""
+"""The decision path: sample in, tick out. Runs and replays use this object, Monte Carlo runs its functions."""
 
 from __future__ import annotations
 

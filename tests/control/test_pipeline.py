@@ -52,10 +52,16 @@ class Scripted:
         return self.answer(self.calls)
 
 
-def with_controller(answer):
+class AsFunction(Scripted):
+    """A controller that also gives a function to be compiled."""
+
+    function = staticmethod(lambda *_: BrakeDemand(0.6))
+
+
+def with_controller(answer, kind=Scripted):
     def make(config):
         parameters = RigParameters.named(config.model.parameters)
-        return Pipeline(config, ESTIMATORS[config.estimator.name](config, parameters), Scripted(answer))
+        return Pipeline(config, ESTIMATORS[config.estimator.name](config, parameters), kind(answer))
 
     return make
 
@@ -328,8 +334,9 @@ def test_a_controller_that_answers_with_something_else_ends_the_run_instead_of_t
 
 
 @pytest.mark.parametrize("brake", [math.nan, math.inf, None, True, "0.5", np.float64("nan"), np.ones(1)], ids=repr)
-def test_a_duty_that_is_not_finite_is_never_sent(experiment, brake):
-    run = experiment(*QUICK, pipeline=with_controller(at_call(20, lambda: BrakeDemand(brake))))
+@pytest.mark.parametrize("kind", [Scripted, AsFunction])
+def test_a_duty_that_is_not_finite_is_never_sent(experiment, brake, kind):
+    run = experiment(*QUICK, pipeline=with_controller(at_call(20, lambda: BrakeDemand(brake)), kind))
     last = run.run()[-1].tick
     assert (last.phase, last.reason) == (Phase.FAULT, Reason.BAD_OUTPUT)
     assert (last.drive, last.brake) == Command.SAFE
