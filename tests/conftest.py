@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, Phase, settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # every core has a worker already, and idle threads of numpy spin
 
-settings.register_profile("default", deadline=None, max_examples=15)
+settings.register_profile("default", deadline=None, max_examples=10)
 settings.register_profile("long", deadline=None, max_examples=300, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile(  # a failure is all that tools/mutate asks for, and the same one each time
     "mutation", deadline=None, database=None, derandomize=True, phases=[Phase.explicit, Phase.generate]

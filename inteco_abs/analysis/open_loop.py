@@ -89,7 +89,7 @@ def alternative(session: Session, settings: Sequence[str], controllers: Mapping[
     chosen: dict[str, Any] = {}
     mistakes = [mistake for setting in settings for mistake in apply_setting(chosen, setting)]
     mistakes += [
-        ConfigIssue(key, f"cannot be changed here: must be one of {', '.join(f'{each}.*' for each in _OPEN)}")
+        ConfigIssue(key, f"cannot be changed here, only {', '.join(f'{each}.*' for each in _OPEN)}")
         for key in chosen
         if key not in _OPEN
     ]

@@ -56,7 +56,9 @@ def load_config(
     )
     signed_anew = signs_off(in_file) or signs_off(over)
     if signed_anew and _simulated(merged) and not _simulated(below):
-        problem = "true in a signed configuration of a real board: remove it, or --set profile=NAME to a mock's"
+        problem = (
+            "true in a signed configuration of a real board: remove it, or choose a mock's profile: --set profile=NAME"
+        )
         mistakes.append(ConfigIssue("board.simulated", problem))
     void = _void(below, in_file, filed, over, merged)
     if void and isinstance(merged["board"], dict):

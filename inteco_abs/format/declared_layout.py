@@ -94,12 +94,12 @@ def _messages(parts: Parts, number: int) -> list[Parts]:
 def _text(parts: Parts, number: int) -> str:
     value = parts.get(number, [b""])[-1]
     if not isinstance(value, bytes):
-        raise ValueError("a name is a number")  # noqa: TRY004  as every error of the descriptor
+        raise ValueError("a number was found instead of a name")  # noqa: TRY004  as every error of the descriptor
     return value.decode("utf-8")
 
 
 def _number(parts: Parts, number: int) -> int:
     value = parts.get(number, [0])[-1]
     if not isinstance(value, int):
-        raise ValueError("a number is bytes")  # noqa: TRY004  as every error of the descriptor
+        raise ValueError("bytes were found instead of a number")  # noqa: TRY004  as every error of the descriptor
     return value

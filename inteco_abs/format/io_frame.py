@@ -72,6 +72,6 @@ def unpack_io_frame(data: bytes) -> IoFrame:
         raise ValueError("its time or its direction is not valid")
     texts = [part for part in parts if isinstance(part, bytes)]
     if len(texts) < len(parts):
-        raise ValueError("bytes are a number")
+        raise ValueError("a number was found instead of bytes")
     raw, text, of = texts
     return IoFrame(_TIME.unpack(time_ns)[0], Direction(direction), raw, text.decode("utf-8"), of.decode("utf-8"))

@@ -161,11 +161,11 @@ def read_metadata(path: Path) -> Metadata:
         )
         for at, length in places:
             if length > _LARGEST_METADATA or at + length > size:
-                raise DamagedError("the index has a place outside of the file")
+                raise DamagedError("the index points outside of the file")
             file.seek(at)
             record = file.read(length)
             if len(record) < HEAD.size or HEAD.unpack_from(record) != (Opcode.METADATA, length - HEAD.size):
-                raise DamagedError("the index has a place without metadata")
+                raise DamagedError("the index points to metadata that is not there")
             content.take(Entry(Opcode.METADATA, at + HEAD.size, memoryview(record)[HEAD.size :]))
     return migrated(content.metadata)
 

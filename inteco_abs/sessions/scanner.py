@@ -95,7 +95,7 @@ class Scan:
             if entry.opcode in LAYOUTS:
                 _check(entry)
             elif entry.opcode <= max(Opcode) or not self._is_record(entry.end):
-                raise DamagedError("is not a known record")  # noqa: TRY301  gets its name below, as all others
+                raise DamagedError("is not a record that can be checked")  # noqa: TRY301  gets its name below, as all others
         except DamagedError as error:
             raise DamagedError(f"{kind(entry.opcode)}: {error}") from error
         return entry, None
@@ -166,7 +166,7 @@ def checksum(file: BinaryIO, start: int, end: int, crc: int = 0) -> int:
 def _check(entry: Entry) -> None:
     """Raise DamagedError unless the record's lengths and checksum are right."""
     if entry.opcode not in LAYOUTS:
-        raise DamagedError("is not a known record")
+        raise DamagedError("is not a record that can be checked")
     found = fields(entry.opcode, entry.data, exact=True)
     if entry.opcode == Opcode.ATTACHMENT:
         attachment(entry.data)

@@ -321,6 +321,7 @@ def test_a_loop_that_cannot_be_killed_is_reported_at_once_by_a_process_that_is_l
     assert message.count("MOTOR POWER MAY STILL BE ON: press the emergency switch") == 1
 
 
+@pytest.mark.long  # tests/emulation/test_link_errors.py and the fault campaign have it by other links
 def test_a_board_that_is_gone_is_said_loudly(live):
     run = live()
     run.until_tick(TURNING)
