@@ -1,5 +1,6 @@
 """A board that is opened, driven, unplugged, left, rescued and opened again, in any order, by its own record."""
 
+import itertools
 from collections import deque
 from contextlib import suppress
 
@@ -170,7 +171,9 @@ class BoardMachine(RuleBasedStateMachine):
         try:
             self.board.make_safe()
         except UnsafeError:
-            self.possible.append(OFF)
+            # a message for each channel, of which one may have arrived
+            drives, brakes = ({*channel, 0.0} for channel in zip(*self.possible, strict=True))
+            self.possible = list(itertools.product(drives, brakes))
             type(self).told += 1
         else:
             assert self.device.duties == OFF

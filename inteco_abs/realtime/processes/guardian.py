@@ -1,7 +1,7 @@
 """The guardian's process: it takes the board and writes SAFE when the process that holds the board dies or hangs.
 
-It cannot help when the computer dies, the cable is pulled, or loop and guardian are killed together: no RT-DAC board is
-known to switch its outputs off by itself, so only the emergency switch stops the motor then.
+It cannot help when the computer dies, the cable is pulled, or loop, guardian and supervisor are killed together: no
+RT-DAC board is known to switch its outputs off by itself, so only the emergency switch stops the motor then.
 """
 
 from __future__ import annotations
