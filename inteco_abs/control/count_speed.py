@@ -11,7 +11,7 @@ from inteco_abs.control.functions import Function
 
 @dataclass(frozen=True, slots=True)
 class WindowConstants:
-    """Of a window over the samples of one or two encoders."""
+    """Constants of a window over the samples of one or two encoders."""
 
     angle_ns: float
     """Angle of one count, times 1e9: speeds come from times in ns."""

@@ -36,7 +36,7 @@ class Request(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class MachineConstants:
-    """Of the section [experiment]."""
+    """Constants from the section [experiment]."""
 
     start_speed: float
     """rad/s"""

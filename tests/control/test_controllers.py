@@ -40,6 +40,15 @@ def test_the_law_logs_its_model_terms_and_its_switching_function(slip, speed):
     }
 
 
+@pytest.mark.parametrize(
+    ("values", "gains"),
+    [((2.0,), {}), ((2.0, 1.0, 0.0, 5.0), {}), ((2.0, 1.0), {"Mk": 3.0}), ((2.0, 1.0), {"Mz": 3.0})],
+)
+def test_gains_that_are_missing_too_many_given_twice_or_unknown_are_refused(values, gains):
+    with pytest.raises((TypeError, ValueError)):
+        ReachingLaw(SETUP, *values, **gains)
+
+
 def test_the_duty_settles_to_the_demanded_torque():
     demand = ReachingLaw(SETUP, 2.0, 1.0).update(seen(0.1, 150.0), PERIOD_S)
     assert 0.0 < demand.torque_nm < 9.03

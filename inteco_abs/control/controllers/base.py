@@ -63,7 +63,7 @@ class Controller(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class LawConstants:
-    """Of every `ModelLaw`; a law's own gains come on top, by their names."""
+    """Constants of every `ModelLaw`; a subclass of it adds its gains by their names."""
 
     reference: float
     hold_below: float
@@ -92,7 +92,7 @@ class LawState:
 def model_law(k: LawConstants, s: LawState, estimate: Estimate, dt_s: float, rate: Function) -> BrakeDemand:
     """Demand for a slip error that decays at `rate` in 1/s, limited to what the brake can do.
 
-    Raises ValueError for an estimate that is no slip or speed.
+    Raises ValueError for a slip outside of 0..1, and for a speed that is not above 0.
     """
     _, speed, slip, valid, _ = estimate
     if not valid or speed <= k.hold_below:
@@ -158,13 +158,17 @@ class ModelLaw(LawState):
             cls._rate = staticmethod(_approach)
 
     def __init__(self, setup: Setup, *values: float, **gains: float) -> None:
-        """Gains by name, or in their order, `lag_s` last and 0 by default."""
+        """Gains by name, or in their order, `lag_s` last and 0 by default.
+
+        Raises TypeError for a gain that is missing, given twice or unknown, ValueError for more values than gains.
+        """
         super().__init__()
         full_nm = brake_torque(1.0, setup.parameters)
         model = BrakingModel(setup.parameters)
         names = [*(field.name for field in fields(self._constants)[len(fields(LawConstants)) :]), LAG.name]
-        given = {LAG.name: 0.0, **dict(zip(names, values, strict=False)), **gains}
-        self.k = self._constants(setup.reference_slip, setup.hold_below_rad_s, model, full_nm, **given)
+        given = dict(zip(names[: len(values)], values, strict=True))
+        named = gains if LAG.name in given else {LAG.name: 0.0, **gains}
+        self.k = self._constants(setup.reference_slip, setup.hold_below_rad_s, model, full_nm, **given, **named)
 
     def approach(self, switching: float, road_speed: float, dt_s: float) -> float:
         """Rate in 1/s at which the slip error shall decay."""

@@ -29,7 +29,7 @@ class PredictiveConstants:
     """rad/s"""
     contact: WheelConstants
     points: Points
-    """Of the brake's map."""
+    """The brake's map."""
     k: float
     a: float
     a_most: float

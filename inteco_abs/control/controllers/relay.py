@@ -62,7 +62,7 @@ class Relay(RelayState):
 
 @dataclass(frozen=True, slots=True)
 class SmithConstants(RelayConstants):
-    """Of the brake and the slip that it makes, too."""
+    """Constants of the relay, of the brake and of the slip that it makes."""
 
     dead_time_s: float
     rise_per_s: float

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class CountState:
-    """Of an encoder whose first count is the angle 0."""
+    """State of an encoder whose first count is the angle 0."""
 
     origin: int = 0
     before_ns: int = -1

@@ -35,7 +35,7 @@ class SpeedFilter(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TwoWheelsConstants:
-    """Of both wheels, and of the filters if those are functions."""
+    """Constants of both wheels, and of the filters if those are functions."""
 
     ratio: float
     """r1/r2"""
@@ -47,7 +47,7 @@ class TwoWheelsConstants:
 
 @dataclass(slots=True)
 class TwoWheelsState:
-    """Of the filters."""
+    """State of the filters."""
 
     wheel: Any
     road: Any

@@ -117,17 +117,17 @@ class EkfState:
 
 def begin(k: EkfConstants, s: EkfState, pending: DelayState, wheel: DiscState, road: DiscState) -> None:
     """Start from two rolling wheels, or again in the middle of braking, with the brake's last command."""
-    x, P, told, sd = s.x, s.P, pending.torques[pending.newest], k.tuning
+    x, P, newest_nm, sd = s.x, s.P, pending.torques[pending.newest], k.tuning
     for i in range(11):
         x[i] = 0.0
         for j in range(11):
             P[i][j] = 0.0
-    x[0], x[1], x[2], x[3], x[4] = wheel.angle, wheel.speed, road.angle, road.speed, told
+    x[0], x[1], x[2], x[3], x[4] = wheel.angle, wheel.speed, road.angle, road.speed, newest_nm
     x[6], x[9], x[10] = 1.0, sd.dead_time_s, sd.lag_s
     for i, disc in ((0, wheel), (2, road)):
         P[i][i], P[i + 1][i + 1] = disc.P[0][0], disc.P[1][1] + elementary.raised(sd.road_walk_rad_s, 2)
         P[i][i + 1] = P[i + 1][i] = disc.P[0][1]
-    P[4][4] = elementary.raised(_UNSETTLED * told, 2)
+    P[4][4] = elementary.raised(_UNSETTLED * newest_nm, 2)
     deviations = sd.torque_sd_nm, sd.adhesion_sd, sd.ripple_sd, sd.ripple_sd, sd.dead_time_sd_s, sd.lag_sd_s
     for i in range(6):
         P[5 + i][5 + i] = elementary.raised(deviations[i], 2)

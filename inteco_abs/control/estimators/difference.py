@@ -19,7 +19,7 @@ SLIP_OFFSET_M_S: Final = 0.01
 
 @dataclass(frozen=True, slots=True)
 class DifferenceConstants:
-    """Of one wheel."""
+    """Constants of one wheel."""
 
     angle_ns: float
     """Angle of one count in rad, times 1e9: speeds come from times in ns."""

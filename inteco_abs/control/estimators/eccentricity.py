@@ -23,7 +23,7 @@ _LEARNING_RAD_S: Final = 60.0
 
 @dataclass(frozen=True, slots=True)
 class DiscConstants:
-    """Of the noise of a disc's count."""
+    """Noise of a disc's count."""
 
     noise: float
     """Variance, rad2."""

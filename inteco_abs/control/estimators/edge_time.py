@@ -16,7 +16,7 @@ _ROOM: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class EdgeConstants:
-    """Of a window over the edges of an encoder."""
+    """Constants of a window over the edges of an encoder."""
 
     line_ns: float
     """Angle between two lines in rad, times 1e9: speeds come from times in ns."""

@@ -18,7 +18,7 @@ _ACCELERATION_VARIANCE: Final = 1e4
 
 @dataclass(frozen=True, slots=True)
 class KalmanConstants:
-    """Of the noise of jerk and count."""
+    """Noise of jerk and count."""
 
     per_count: float
     """rad"""

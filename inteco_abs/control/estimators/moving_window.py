@@ -16,7 +16,7 @@ from inteco_abs.signals import Command, Estimate, Sample
 
 @dataclass(frozen=True, slots=True)
 class Constants(WindowConstants):
-    """Of the window and the wheels."""
+    """Constants of the window and the wheels."""
 
     ratio: float
     """r1/r2"""

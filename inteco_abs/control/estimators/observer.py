@@ -46,7 +46,7 @@ _SAMPLES: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class ObserverConstants:
-    """Of the filters of wheels and rig."""
+    """Constants of the filters of wheels and rig."""
 
     disc: DiscConstants
     ekf: EkfConstants
@@ -58,7 +58,7 @@ class ObserverConstants:
 
 @dataclass(slots=True)
 class ObserverState:
-    """Of both wheels, which are followed while they roll, and of the rig, which is while it brakes."""
+    """State of both wheels, which are followed while they roll, and of the rig, which is while it brakes."""
 
     wheel: DiscState
     road: DiscState

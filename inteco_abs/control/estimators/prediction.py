@@ -18,7 +18,7 @@ NOT_A_SLIP: Final = "the observer's speeds are not numbers"
 
 @dataclass(frozen=True, slots=True)
 class DelayConstants:
-    """Of a delay line."""
+    """Constants of a delay line."""
 
     period_s: float
     length: int

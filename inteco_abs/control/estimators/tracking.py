@@ -16,7 +16,7 @@ from inteco_abs.errors import ConfigIssue
 
 @dataclass(frozen=True, slots=True)
 class TrackingConstants:
-    """Of the spring and the damper."""
+    """Constants of the spring and the damper."""
 
     per_count: float
     """rad"""
@@ -28,7 +28,7 @@ class TrackingConstants:
 
 @dataclass(slots=True)
 class TrackingState(CountState):
-    """Of the model wheel, in rad and rad/s."""
+    """State of the model wheel, in rad and rad/s."""
 
     angle: float = 0.0
     speed: float = 0.0
