@@ -112,7 +112,7 @@ def main(arguments: list[str]) -> int:
         check.run("protocol reference", "python", "-m", "firmware_protocol.reference", "--check", background=True)
         check.run("hazards", "python", "tools/write_hazards", "--check", background=True)
         check.run("faults", "python", "tools/fault_campaign", *arguments, background=True)
-        check.run("fuzzing", "python", "tools/fuzz", "60" if long else "--drawn", background=True)
+        check.run("fuzzing", "python", "tools/fuzz", "30" if long else "--drawn", background=True)
 
     if long:
         subprocess.run(["coverage", "erase"], check=True)
@@ -124,8 +124,8 @@ def main(arguments: list[str]) -> int:
     if long:
         check.run("coverage of all processes", "coverage", "combine", "--quiet")
         check.run("coverage", "coverage", "report")
-        # forty of each module's mutants; it judges by time, too, and wants the computer alone
-        check.run("mutation", "python", "tools/mutate", "--sample", "40")
+        # fifteen of each module's mutants; it judges by time, too, and wants the computer alone
+        check.run("mutation", "python", "tools/mutate", "--sample", "15")
     return check.report()
 
 
