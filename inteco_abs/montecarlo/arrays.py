@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import Field, astuple, fields, is_dataclass
+from dataclasses import astuple, fields
 from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from inteco_abs.machine_code import row_fields
 from inteco_abs.rig import EncoderVariation
 from inteco_abs.rig.brake_actuator import settled
 from inteco_abs.rig.state import Constants, State
@@ -21,14 +22,9 @@ _TYPES: Final = {"int": np.int64, "bool": np.bool_, "EncoderVariation": _DISC}
 _OWN_TYPES: Final = {"brake_pwm_steps": np.float64, "noise_seed": np.uint64}
 
 
-def _fields(kind: Any) -> tuple[Field[Any], ...]:
-    """Backwards: numba takes a record that begins as another one for that one, and warns; a subclass's would."""
-    return fields(kind)[::-1]
-
-
 def _row_type(kind: type[Any]) -> np.dtype[np.void]:
     columns = [
-        (field.name, _OWN_TYPES.get(field.name, _TYPES.get(str(field.type), np.float64))) for field in _fields(kind)
+        (field.name, _OWN_TYPES.get(field.name, _TYPES.get(str(field.type), np.float64))) for field in row_fields(kind)
     ]
     return np.dtype(columns, align=True)
 
@@ -52,32 +48,3 @@ def state_rows(rigs: Sequence[Constants], wheel_speeds: NDArray[np.float64], roa
         state = State(wheel_speed, road_speed, k.L_sin, k.L_cos, k.adhesion_scale, released, released)
         states.append(astuple(state)[::-1])
     return np.array(states, STATE).view(np.recarray)
-
-
-_LEAST_RING: Final = 128
-"""Entries of a ring's array: with few lengths there are few types, each of which takes seconds to compile."""
-
-
-def record(part: Any) -> Any:
-    """The fields of a dataclass's instance as a record: numbers, flags, lists of numbers or of rows, and dataclasses.
-
-    A list of numbers has an array with room for a power of two, at least _LEAST_RING.
-    """
-    return np.array([_values(part)], _kind(part)).view(np.recarray)[0]
-
-
-def _kind(value: Any) -> np.dtype[Any]:
-    if is_dataclass(value):
-        return np.dtype([(field.name, _kind(getattr(value, field.name))) for field in _fields(value)], align=True)
-    if isinstance(value, list | tuple):
-        return np.dtype((_kind(np.ravel(value)[0].item()), np.shape(_values(value))))
-    return np.dtype(np.bool_ if isinstance(value, bool) else np.int64 if isinstance(value, int) else np.float64)
-
-
-def _values(value: Any) -> Any:
-    if is_dataclass(value):
-        return tuple(_values(getattr(value, field.name)) for field in _fields(value))
-    if isinstance(value, list) and not isinstance(value[0], list):
-        room = max(_LEAST_RING, 1 << (len(value) - 1).bit_length())
-        return value + [value[0] * 0] * (room - len(value))
-    return value

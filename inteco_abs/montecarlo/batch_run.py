@@ -12,9 +12,9 @@ import numpy as np
 from inteco_abs.config import RigConfig
 from inteco_abs.control import Pipeline
 from inteco_abs.errors import ConfigError, describe_error
+from inteco_abs.machine_code import compile_problem, compiled
 from inteco_abs.montecarlo.batch import BatchPlant
 from inteco_abs.montecarlo.closed_loop import COLUMNS, function_of_stop, parts_of
-from inteco_abs.montecarlo.kernel import compile_problem, compiled
 from inteco_abs.montecarlo.policies import PolicyFactory, TrueState
 from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, StopResults, Trace
 from inteco_abs.rig import RigVariation, nominal_parameters

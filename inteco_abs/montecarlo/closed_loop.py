@@ -20,7 +20,7 @@ from inteco_abs.control import (
     advance_phase,
     function_of,
 )
-from inteco_abs.montecarlo.arrays import record
+from inteco_abs.machine_code import record
 from inteco_abs.rig.encoder import count
 from inteco_abs.rig.model import wheel_slip
 from inteco_abs.rig.plant import move_on

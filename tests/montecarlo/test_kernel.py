@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from inteco_abs import elementary
-from inteco_abs.montecarlo.kernel import compiled
+from inteco_abs.machine_code import compiled
 
 
 @pytest.fixture
