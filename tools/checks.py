@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 KEPT = Path(".pytest_cache/v")
 MOST_TRIED_AGAIN = 5
-NICENESS = 10
+NICENESS = 19
 TESTS_FAILED = 1
 """Exit code of pytest when tests ran and some of them failed."""
 

@@ -26,7 +26,8 @@ ROOT = Path(__file__).parents[2]
 PATHS = f"{ROOT}{os.pathsep}{Path(__file__).parent}"
 SPEEDS = {"full": "12", "high": "480"}
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("guest")]
+# no test in real time holds its pace beside an emulator
+pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time")]
 
 
 class Outcome(NamedTuple):
