@@ -10,12 +10,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control import Pipeline
+from inteco_abs.control import Pipeline, function_of
 from inteco_abs.errors import ConfigError, describe_error
 from inteco_abs.machine_code import compile_problem, compiled
 from inteco_abs.montecarlo.batch import BatchPlant
 from inteco_abs.montecarlo.closed_loop import COLUMNS, function_of_stop, parts_of
 from inteco_abs.montecarlo.policies import PolicyFactory, TrueState
+from inteco_abs.montecarlo.python_controller import PythonController
 from inteco_abs.montecarlo.results import METRICS, METRICS_ROW, StopResults, Trace
 from inteco_abs.rig import RigVariation, nominal_parameters
 from inteco_abs.sessions import STANDSTILL_RAD_S, Array, StopTrace, stop_metrics
@@ -63,7 +64,7 @@ class _Ended(NamedTuple):
 def run_shard(experiment: Experiment) -> StopResults:
     """All stops of one experiment, in this thread. Raises ConfigError if a rig's parts cannot be made.
 
-    They run compiled where estimator and controller are functions, with the same bits as in Python.
+    They run compiled where the estimator is a function, with the same bits as in Python.
     """
     config, rigs = experiment.config, experiment.rigs
     ended = dict(_compiled_stops(experiment))
@@ -78,20 +79,22 @@ def run_shard(experiment: Experiment) -> StopResults:
 
 
 def _compiled_stops(experiment: Experiment) -> Iterator[tuple[int, _Ended]]:
-    """Place and stop of each rig whose parts are functions, but for those in which a number is not finite.
+    """Place and stop of each rig whose estimator is a function; a controller that is none is called at each demand.
 
-    Python raises at some of these, where compiled code goes on.
+    A stop in which a number is not finite, or the controller raises, is left out: Python repeats it with the error.
     """
     config, rigs = experiment.config, experiment.rigs
     speed, phase = _start(experiment)
     batch, longest = BatchPlant(rigs, speed), _longest(config)
     rows = np.empty((longest + 1, COLUMNS))
     for i, rig in enumerate(rigs):
-        parts = experiment.maker(rig, TrueState(batch, i, rig))
-        function = function_of_stop(*parts)
+        estimator, controller = experiment.maker(rig, TrueState(batch, i, rig))
+        called = None if function_of(controller) else PythonController(controller)
+        function = function_of_stop(estimator, called or controller)
         if function is None:
             return
-        arguments = batch.rig(i), parts_of(_own(config, rig), *parts, phase), (config.period_ns, longest), rows
+        parts = parts_of(_own(config, rig), estimator, called or controller, phase)
+        arguments = batch.rig(i), parts, (config.period_ns, longest), rows
         if i == 0 and (problem := compile_problem(function, arguments)):
             names = f"{config.controller.name} on {config.estimator.name}"
             problem = f"{names} has a function that cannot be compiled: {problem}; a class without `function` can run"
@@ -100,6 +103,8 @@ def _compiled_stops(experiment: Experiment) -> Iterator[tuple[int, _Ended]]:
             course = compiled(function)(*arguments)
         except ValueError:
             continue
+        if called is not None and isinstance(called.error, KeyboardInterrupt):
+            raise called.error
         if course.finite:
             error = EXPLANATIONS[Reason(course.reason)] if course.reason else ""
             braked = rows[: course.ended + 1 - course.began].copy() if course.began >= 0 else None

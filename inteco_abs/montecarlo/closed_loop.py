@@ -1,4 +1,4 @@
-"""Whole stops of one rig after the other, compiled, where estimator and controller are functions."""
+"""Whole stops of one rig after the other, compiled, where the estimator is a function."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from inteco_abs.config import RigConfig
 from inteco_abs.control import (
-    Controller,
-    Estimator,
     Function,
     Guard,
     PhaseMachine,
@@ -64,7 +62,7 @@ class Course(NamedTuple):
     """False where a number was not: there Python may raise what the compiled stop does not."""
 
 
-def function_of_stop(estimator: Estimator, controller: Controller) -> Function | None:
+def function_of_stop(estimator: object, controller: object) -> Function | None:
     """`stop` with these two, or None where one of them is not a function."""
     estimate, control = function_of(estimator), function_of(controller)
     return None if estimate is None or control is None else partial(stop, estimate=estimate, control=control)

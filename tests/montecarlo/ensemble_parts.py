@@ -1,6 +1,9 @@
 """Parts for ensembles that other processes can find: makers, estimators and controllers."""
 
+import math
 from dataclasses import dataclass
+
+import numpy as np
 
 from inteco_abs.control import admit_request, advance_phase
 from inteco_abs.montecarlo import ConfiguredPolicy, IdealPolicy
@@ -104,6 +107,45 @@ class Shells:
 
     def __call__(self, variation, state):
         return map(Shell, ConfiguredPolicy(self.config)(variation, state))
+
+
+@dataclass(frozen=True)
+class ShellOfController:
+    """Makes what the configuration names, with the controller's update in Python."""
+
+    config: object
+    kind: type = Shell
+
+    def __call__(self, variation, state):
+        estimator, controller = ConfiguredPolicy(self.config)(variation, state)
+        return estimator, self.kind(controller)
+
+
+class Failing(Shell):
+    """Answers in ways that differ from a number, one after the other, and fails at last."""
+
+    def __init__(self, part):
+        self._part, self._ticks = part, 0
+
+    def update(self, estimate, dt_s):
+        self._ticks += 1
+        demand = self._part.update(estimate, dt_s)
+        if self._ticks < 500:
+            return demand._replace(brake=np.float64(demand.brake), switching=1, internals=(math.nan,) * 4)
+        return self.fail(demand)
+
+    def fail(self, _demand):
+        raise RuntimeError("after 500 ticks")
+
+
+class NotANumber(Failing):
+    def fail(self, demand):
+        return demand._replace(brake=math.nan)
+
+
+class NotADemand(Failing):
+    def fail(self, demand):
+        return demand.brake
 
 
 @dataclass(frozen=True, slots=True)

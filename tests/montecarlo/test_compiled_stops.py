@@ -4,7 +4,17 @@ import random
 
 import numpy as np
 import pytest
-from ensemble_parts import Dividing, Shells, Unknown, decisions
+from ensemble_parts import (
+    Dividing,
+    Failing,
+    NotADemand,
+    NotANumber,
+    Shell,
+    ShellOfController,
+    Shells,
+    Unknown,
+    decisions,
+)
 
 from inteco_abs.config import load_config
 from inteco_abs.control import CONTROLLERS, ESTIMATORS, Guard, PhaseMachine, control_check, function_of
@@ -21,11 +31,11 @@ def configured(*settings):
     return load_config(settings=settings, checks=[control_check()])
 
 
-def assert_same_stops(rigs, config, **settings):
+def assert_same_stops(rigs, config, maker=None, python_maker=None, **settings):
     """Compiled and in Python: metrics, errors and every tick of every stop."""
     traced = range(len(rigs))
-    stops = run_stops(rigs, config, maker=ConfiguredPolicy(config), traced=traced, **settings)
-    python = run_stops(rigs, config, maker=Shells(config), traced=traced, **settings)
+    stops = run_stops(rigs, config, maker=maker or ConfiguredPolicy(config), traced=traced, **settings)
+    python = run_stops(rigs, config, maker=python_maker or Shells(config), traced=traced, **settings)
     assert stops.metrics.tobytes() == python.metrics.tobytes()
     assert (stops.errors, stops.ticks) == (python.errors, python.ticks)
     assert stops.traces.keys() == python.traces.keys()
@@ -55,6 +65,55 @@ def test_a_stop_that_the_guard_ends_has_the_bits_of_python(settings, reason):
 
 def test_stops_that_begin_with_braking_have_the_bits_of_python():
     assert_same_stops([draw("rough", 3)], configured("controller.gains.lag_s=0.05"), run_up_from_rad_s=None)
+
+
+@pytest.mark.parametrize(
+    ("controller", "estimator"),
+    [
+        ("reaching-law", "moving-window"),
+        pytest.param("predictive-reaching", "observer", marks=pytest.mark.long),
+    ],
+)
+def test_a_stop_that_calls_its_controller_in_python_has_the_bits_of_python(controller, estimator):
+    config = configured(f"controller.name={controller}", f"estimator.name={estimator}")
+    rigs, made = [draw("hard", 1), draw("rough", 3)], []
+
+    def shells(*rig):
+        made.append(rig)
+        return ShellOfController(config)(*rig)
+
+    assert not any(assert_same_stops(rigs, config, shells).errors)
+    assert len(made) == len(rigs), "no stop was left to Python"
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        (Failing, "RuntimeError: after 500 ticks (ensemble_parts.py, line "),
+        (NotANumber, "not a finite number"),
+        (NotADemand, "update() must return a BrakeDemand, not 0."),
+    ],
+)
+def test_a_controller_that_fails_in_a_compiled_stop_ends_it_as_in_python(kind, words):
+    config = configured()
+    made = ShellOfController(config, kind)
+
+    def shells(*rig):
+        return map(Shell, made(*rig))
+
+    stops = assert_same_stops([draw("hard", 1)], config, made, shells)
+    assert words in stops.errors[0]
+
+
+def test_a_controller_that_is_interrupted_in_a_compiled_stop_ends_the_run():
+    config = configured()
+
+    class Interrupted(Failing):
+        def fail(self, _demand):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_stops([draw("hard", 1)], config, maker=ShellOfController(config, Interrupted))
 
 
 @pytest.mark.long
