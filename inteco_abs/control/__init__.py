@@ -28,6 +28,7 @@ from inteco_abs.control.estimators import (
 from inteco_abs.control.estimators.prediction import DelayLine, braking_slip, outlook
 from inteco_abs.control.factory import (
     build_pipeline,
+    config_of_stop,
     control_check,
     gains_in_force,
     make_controller,
@@ -75,6 +76,7 @@ __all__ = [
     "advance_phase",
     "braking_slip",
     "build_pipeline",
+    "config_of_stop",
     "control_check",
     "function_of",
     "gains_in_force",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
+from dataclasses import replace
 from typing import Any
 
 from inteco_abs.config import Check, RigConfig, section_of
@@ -13,7 +14,7 @@ from inteco_abs.control.estimators import ESTIMATORS, Estimator
 from inteco_abs.control.pipeline import Pipeline
 from inteco_abs.errors import ConfigError, ConfigIssue, near_match, place_in, shortened
 from inteco_abs.quantities import number_hint
-from inteco_abs.rig import nominal_brake_map, nominal_parameters
+from inteco_abs.rig import RigVariation, nominal_brake_map, nominal_parameters
 
 
 def build_pipeline(config: RigConfig, controllers: Mapping[str, type[Controller]] = CONTROLLERS) -> Pipeline:
@@ -65,6 +66,13 @@ def gains_in_force(config: RigConfig, controllers: Mapping[str, type[Controller]
         gain.name: float(config.controller.gains.get(gain.name, gain.default))
         for gain in controllers[config.controller.name].gains
     }
+
+
+def config_of_stop(config: RigConfig, rig: RigVariation) -> RigConfig:
+    """`config` for one stop of a simulated rig, of a lab that knows its amplifier: the brake is limited to its cap."""
+    guard, experiment = config.guard, config.experiment
+    limit = min(guard.brake_limit, rig.brake_duty_cap)
+    return replace(config, guard=replace(guard, brake_limit=limit), experiment=replace(experiment, stops=1))
 
 
 def preferred_estimator(

@@ -111,7 +111,7 @@ class BatchPlant:
         """Counts of wheels and roads now, new arrays: one reading, with its noise, as by `Encoder.read`."""
         wheel, road = np.empty((2, len(self)), np.int64)
         self._readings += 1
-        kernel.read_encoders(self._rigs, self._states, np.uint64(self._readings), wheel, road)
+        kernel.read_all_encoders(self._rigs, self._states, np.uint64(self._readings), wheel, road)
         return wheel, road
 
     def rig(self, i: int) -> tuple[Any, Any]:

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control import Pipeline, function_of
+from inteco_abs.control import Pipeline, config_of_stop, function_of
 from inteco_abs.errors import ConfigError, describe_error
 from inteco_abs.machine_code import compile_problem, compiled
 from inteco_abs.montecarlo.batch import BatchPlant
@@ -93,7 +93,7 @@ def _compiled_stops(experiment: Experiment) -> Iterator[tuple[int, _Ended]]:
         function = function_of_stop(estimator, called or controller)
         if function is None:
             return
-        parts = parts_of(_own(config, rig), estimator, called or controller, phase)
+        parts = parts_of(config_of_stop(config, rig), estimator, called or controller, phase)
         arguments = batch.rig(i), parts, (config.period_ns, longest), rows
         if i == 0 and (problem := compile_problem(function, arguments)):
             names = f"{config.controller.name} on {config.estimator.name}"
@@ -159,7 +159,7 @@ class _Shard:
         speed, phase = _start(experiment)
         self._batch = BatchPlant(rigs, speed)
         self._stops = [
-            _Stop(Pipeline(_own(config, rig), *experiment.maker(rig, TrueState(self._batch, i, rig)), phase))
+            _Stop(Pipeline(config_of_stop(config, rig), *experiment.maker(rig, TrueState(self._batch, i, rig)), phase))
             for i, rig in enumerate(rigs)
         ]
         self._period_ns = config.period_ns
@@ -243,10 +243,3 @@ def _trace(rows: Array, config: RigConfig) -> Trace:
     time_s = _since_ns(rows, config) * 1e-9
     wheel_speed, road_speed, slip, torque, angle, estimated, brake = rows.T.copy()
     return Trace(time_s, wheel_speed, road_speed, slip, estimated, torque, angle - angle[0], brake)
-
-
-def _own(config: RigConfig, rig: RigVariation) -> RigConfig:
-    """Of one stop of this rig."""
-    guard, experiment = config.guard, config.experiment
-    limit = min(guard.brake_limit, rig.brake_duty_cap)
-    return replace(config, guard=replace(guard, brake_limit=limit), experiment=replace(experiment, stops=1))

@@ -19,10 +19,8 @@ from inteco_abs.control import (
     function_of,
 )
 from inteco_abs.machine_code import record
-from inteco_abs.rig.encoder import count
 from inteco_abs.rig.model import wheel_slip
-from inteco_abs.rig.plant import move_on
-from inteco_abs.rig.rng import normal_pair
+from inteco_abs.rig.plant import move_on, read_encoders
 from inteco_abs.sessions import STANDSTILL_RAD_S
 from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason, Sample
 
@@ -95,12 +93,8 @@ def stop(
     tick, began, decisions, slip, brake = 0, -1, 0, 0.0, 0.0
     machine, guard = parts.machine, parts.guard
     while True:
-        noise = 0.0, 0.0
-        if k.wheel_encoder.jitter_counts > 0.0 or k.road_encoder.jitter_counts > 0.0:
-            reading: Any = np.uint64(tick + 1)
-            noise = normal_pair(k.noise_seed, reading)
-        wheel_count = count(k.wheel_encoder, s.wheel_angle, noise[0])
-        road_count = count(k.road_encoder, s.road_angle, noise[1])
+        reading: Any = np.uint64(tick + 1)
+        wheel_count, road_count = read_encoders(k, s, reading)
         ended = began >= 0 and (s.road_speed < STANDSTILL_RAD_S or tick - began >= longest)
         if not ended:
             sample = Sample(tick, tick * period_ns, period_s, wheel_count, road_count, _NO_FLAGS)

@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.machine_code import compiled
-from inteco_abs.rig.encoder import count
 from inteco_abs.rig.model import wheel_slip
-from inteco_abs.rig.plant import move_on
-from inteco_abs.rig.rng import normal_pair
+from inteco_abs.rig.plant import move_on, read_encoders
 
 Floats = NDArray[np.float64]
 
@@ -58,12 +56,7 @@ def slips(rigs: Any, states: Any, found: Floats) -> None:
 
 
 @compiled
-def read_encoders(rigs: Any, states: Any, reading: Any, wheel: NDArray[np.int64], road: NDArray[np.int64]) -> None:
+def read_all_encoders(rigs: Any, states: Any, reading: Any, wheel: NDArray[np.int64], road: NDArray[np.int64]) -> None:
     """Write every rig's counts to `wheel` and `road`, with the noise of that number of reading, 1 at first."""
     for i in range(rigs.size):
-        k, s = rigs[i], states[i]
-        noise1 = noise2 = 0.0
-        if k.wheel_encoder.jitter_counts > 0.0 or k.road_encoder.jitter_counts > 0.0:
-            noise1, noise2 = normal_pair(k.noise_seed, reading)
-        wheel[i] = count(k.wheel_encoder, s.wheel_angle, noise1)
-        road[i] = count(k.road_encoder, s.road_angle, noise2)
+        wheel[i], road[i] = read_encoders(rigs[i], states[i], reading)

@@ -17,8 +17,10 @@ from inteco_abs import elementary
 from inteco_abs.rig.actuators import DriveMotor, brake_torque, drive_torque
 from inteco_abs.rig.adhesion_curve import blended
 from inteco_abs.rig.brake_actuator import SAME_TIME_S, act_on_arrived, command, settled
+from inteco_abs.rig.encoder import count
 from inteco_abs.rig.model import contact_stiffness, rates, wheel_slip
 from inteco_abs.rig.parameters import RigParameters
+from inteco_abs.rig.rng import normal_pair
 from inteco_abs.rig.state import Constants, State
 from inteco_abs.rig.variation import RigVariation
 
@@ -84,6 +86,14 @@ class Plant(State):
         if self.sent - self.arrived == len(self._due_s):
             self._due_s += self._due_s  # at its number modulo the new length each command is where it was
             self._torques += self._torques
+
+
+def read_encoders(k: Constants, s: State, reading: int) -> tuple[int, int]:
+    """Counts of wheel and road now, as by `Encoder.read`; `reading` is the number of this one, 1 at first."""
+    noise1 = noise2 = 0.0
+    if k.wheel_encoder.jitter_counts > 0.0 or k.road_encoder.jitter_counts > 0.0:
+        noise1, noise2 = normal_pair(k.noise_seed, reading)
+    return count(k.wheel_encoder, s.wheel_angle, noise1), count(k.road_encoder, s.road_angle, noise2)
 
 
 def move_on(

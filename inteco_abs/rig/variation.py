@@ -9,6 +9,8 @@ from typing import Final, Literal
 
 from inteco_abs.rig.parameters import RigParameters
 
+LONGEST_DEAD_TIME_S: Final = 0.2
+"""Of a rig's brake."""
 _ANY: Final = (-math.inf, math.inf)
 _ENCODER_RANGES: Final = {
     "counts_per_turn": (16, 1_000_000),
@@ -22,7 +24,7 @@ _RIG_RANGES: Final = {
     "adhesion_blend": (0.0, 1.0),
     "brake_gain": (0.1, 3.0),
     "brake_duty_offset": (-0.2, 0.2),
-    "brake_dead_time_s": (0.0, 0.2),
+    "brake_dead_time_s": (0.0, LONGEST_DEAD_TIME_S),
     "brake_duty_cap": (0.1, 1.0),
     "brake_pwm_steps": (0, 65535),
     "load_ripple": (0.0, 0.5),
