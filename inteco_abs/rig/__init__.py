@@ -13,11 +13,12 @@ from inteco_abs.rig.plant import Plant
 from inteco_abs.rig.population import POPULATIONS, draw
 from inteco_abs.rig.rng import WORD, mixed
 from inteco_abs.rig.torque_margin import holding_torque, torque_margin
-from inteco_abs.rig.variation import LONGEST_DEAD_TIME_S, EncoderVariation, RigVariation
+from inteco_abs.rig.variation import LONGEST_DEAD_TIME_S, MOST_DELAY_TICKS, EncoderVariation, RigVariation
 
 __all__ = [
     "LONGEST_DEAD_TIME_S",
     "MEASURED_MAP",
+    "MOST_DELAY_TICKS",
     "POPULATIONS",
     "WORD",
     "AdhesionCurve",

@@ -11,6 +11,8 @@ from inteco_abs.rig.parameters import RigParameters
 
 LONGEST_DEAD_TIME_S: Final = 0.2
 """Of a rig's brake."""
+MOST_DELAY_TICKS: Final = 8
+"""From a sample to its command."""
 _ANY: Final = (-math.inf, math.inf)
 _ENCODER_RANGES: Final = {
     "counts_per_turn": (16, 1_000_000),
@@ -31,7 +33,7 @@ _RIG_RANGES: Final = {
     "load_ripple_phase_rad": _ANY,
     "grip_step": (-0.9, 1.0),
     "grip_step_after_s": (0.0, 60.0),
-    "command_delay_ticks": (0, 8),
+    "command_delay_ticks": (0, MOST_DELAY_TICKS),
     "seed": (0, (1 << 64) - 1),
 }
 

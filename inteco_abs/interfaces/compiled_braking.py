@@ -1,0 +1,69 @@
+"""Stops that wait for actions, compiled: those of `PythonStops`, with the same bits. Needs the extra `lab`."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inteco_abs.config import RigConfig
+from inteco_abs.control import Function
+from inteco_abs.interfaces.braking import Clock, Parts, act, make_parts, observe, run_up
+from inteco_abs.machine_code import compiled, record
+from inteco_abs.montecarlo.arrays import rig_rows, state_rows
+from inteco_abs.rig import RigVariation
+
+Places = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+class CompiledStops:
+    """As `PythonStops`, for an estimator that is the function `estimate`."""
+
+    def __init__(self, config: RigConfig, clock: Clock, count: int, rolling_rad_s: float, estimate: Function) -> None:
+        self._make = partial(make_parts, config, clock, rolling_rad_s=rolling_rad_s)
+        read = partial(observe, estimate=estimate, word=_unsigned)
+        self._begin, self._act = (compiled(partial(_at_each, do=partial(do, observe=read))) for do in (run_up, act))
+        self._rows = Parts(*(np.repeat(row, count).view(np.recarray) for row in _rows(self._make(RigVariation()))))
+
+    def begin(self, place: int, rig: RigVariation) -> None:
+        """Drive this rig until its first decision is due."""
+        for rows, row in zip(self._rows, _rows(self._make(rig)), strict=True):
+            rows[place] = row[0]
+        self._begin(self._rows, np.array([place]), np.zeros(1))
+
+    def act(self, places: list[int], brakes: list[float]) -> None:
+        """Demand these duties of the rigs at these places for the ticks of an action, or until a stop is over."""
+        self._act(self._rows, np.array(places, np.int64), np.array(brakes))
+
+    def column(self, part: str, name: str) -> NDArray[Any]:
+        """One field of a part of each stop."""
+        column: NDArray[Any] = getattr(self._rows, part)[name]
+        return column
+
+
+def _rows(parts: Parts) -> list[Any]:
+    """A row of each part."""
+    k, state = parts.rig_k, parts.rig
+    speeds = np.array([[state.wheel_speed], [state.road_speed]])
+    return [rig_rows([k]), state_rows([k], *speeds), *(np.array([record(part)]) for part in parts[2:])]
+
+
+def _at_each(rows: Parts, places: Places, brakes: Floats, do: Function) -> None:
+    for i in range(places.size):
+        j = places[i]
+        path = (
+            rows.estimator_k[j],
+            rows.estimator[j],
+            rows.machine_k[j],
+            rows.machine[j],
+            rows.guard_k[j],
+            rows.guard[j],
+        )
+        do(Parts(rows.rig_k[j], rows.rig[j], *path, rows.clock[j], rows.stop[j]), brakes[i])
+
+
+def _unsigned(number: int) -> int:
+    return np.uint64(number)  # type: ignore[return-value]  # compiled, it is an integer as any other
