@@ -7,7 +7,7 @@ from inteco_abs.montecarlo import parse_draws
 from inteco_abs.paper import paper_conditions
 
 PERIOD_S = 0.0005
-pytestmark = [pytest.mark.xdist_group("paper"), pytest.mark.untraced]
+pytestmark = [pytest.mark.xdist_group("compiled"), pytest.mark.untraced]
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ FIGURES = ("simulation", "experiment-window", "experiment-euler")
 TABLES = ("stops.csv", "table.csv", "table.md")
 MAGIC = {"png": b"\x89PNG\r\n\x1a\n", "pdf": b"%PDF-", "csv": b"time_s,wheel_speed_rad_s,road_speed_rad_s,slip"}
 COMMAND = "import sys; from inteco_abs.cli import main; sys.argv[1:] = ['paper', '--draws', '2']; main()"
-pytestmark = pytest.mark.xdist_group("paper")
+pytestmark = pytest.mark.xdist_group("compiled")
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,8 @@ import pytest
 from inteco_abs.cli.command import cli
 from inteco_abs.errors import AbsError, ConfigError
 
+pytestmark = pytest.mark.xdist_group("compiled")
+
 QUICK = ("--rigs", "hard:3-4", "--no-run-up", "--set", "experiment.start_speed_rad_s=30")
 
 OWN = """
