@@ -86,7 +86,7 @@ def _exp(x: float, more: float) -> float:
 
 _LOWEST: Final = 91
 _LOGS, _LOGS_REST = zip(*(_parts(_logarithm(j, 128), _LOG_BITS) for j in range(_LOWEST, 182)), strict=True)
-"""Of j/128, the numbers near 0.7071..1.4142."""
+"""Logarithms of j/128, the numbers near 0.7071..1.4142."""
 _HALVES: Final = 2.0**27 + 1.0
 """Splits a float into two of 26 bits each, whose products are exact (Veltkamp)."""
 

@@ -65,7 +65,7 @@ class Registry(Mapping[str, T], Generic[T]):
     what: str
     """One part in words, as in "a controller"."""
     group: str
-    """Of the entry points."""
+    """Group of the entry points."""
     path: str
     """The configuration's key that names a part."""
     shipped: Mapping[str, T | str]

@@ -44,7 +44,7 @@ class Session(sessions.Session):
         return sessions.to_pandas(self, table)
 
     def to_polars(self, table: str = "tick") -> Any:
-        """The same as a polars DataFrame, without units."""
+        """Return a table as a polars DataFrame, without units."""
         return sessions.to_polars(self, table)
 
     def plot(self, *others: sessions.Session, width: str = "two") -> Figure:

@@ -127,11 +127,11 @@ class Estimate(NamedTuple):
     wheel_speed_rad_s: float
     road_speed_rad_s: float
     slip: float
-    """In 0..1."""
+    """Slip, 0..1."""
     valid: bool
     """False until enough samples were seen."""
     outlook: Prediction | None = None
-    """From an observer while the rig brakes; not in the log, as a replay recomputes it."""
+    """Prediction of an observer while the rig brakes; not in the log, as a replay recomputes it."""
 
 
 class _Duties(NamedTuple):

@@ -181,7 +181,7 @@ class TestSignature:
 
 
 class TestLimits:
-    """Of the guard: a signature covers them, and on a real board they have ceilings."""
+    """Limits of the guard: a sign-off covers them, and on a real board they have ceilings."""
 
     SIGNED = "silence_s = 0.08\nmissed_in_a_row = 10\n"
 

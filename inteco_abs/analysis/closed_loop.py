@@ -157,7 +157,7 @@ class _Successor:
         return BrakeDemand(brake, torque_nm, switching, tuple(internals))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """For the next stop of a session, which shares the log."""
+        """Return a copy for the next stop of a session, which shares the log."""
         return type(self)(self._log, deepcopy(self._controller, memo))
 
 

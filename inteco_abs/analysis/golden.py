@@ -75,12 +75,12 @@ class Golden:
     name: str
     ticks: int
     tolerances: tuple[str, ...]
-    """As for `replay --tol`; empty: every bit must agree."""
+    """Tolerances, written as for `replay --tol`; empty: every bit must agree."""
     history: tuple[Version, ...]
 
     @classmethod
     def of(cls, name: str, table: Mapping[str, Any]) -> Self:
-        """From its table in golden.toml. Raises KeyError or TypeError if that is not valid."""
+        """Return what a table in golden.toml describes. Raises KeyError or TypeError if that is not valid."""
         history = tuple(Version(**version) for version in table["history"])
         if not history:
             raise KeyError("history")
@@ -108,7 +108,7 @@ class GoldenFolder:
         return iter(self._goldens.values())
 
     def chosen(self, names: Sequence[str]) -> list[Golden]:
-        """Those with these names, or all. Raises ConfigError for an unknown name, or if the folder is empty."""
+        """Return those with these names, or all. Raises ConfigError for an unknown name, or if the folder is empty."""
         if not self._goldens:
             problem = f"{self.path} has no golden sessions; add one: inteco-abs golden add FILE --reason TEXT"
             raise ConfigError.of("--folder", problem)

@@ -59,10 +59,10 @@ class Divergence:
     tick: int | None
     """First one beyond the threshold, or None."""
     time_s: float | None
-    """Of that tick, since braking began."""
+    """Time of that tick since braking began."""
     largest: float | None
     rms: dict[str, float | None]
-    """By the log's phase; None where one of both is not a number."""
+    """RMS differences by the log's phase; None where one of both is not a number."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,7 +133,7 @@ def parse_tolerances(texts: Iterable[str]) -> dict[str, Tolerance]:
 
 
 def _parsed(text: str) -> dict[str, Tolerance]:
-    """Of one text; raises ValueError with what is wrong with it."""
+    """Return the tolerances in one text. Raises ValueError with what is wrong with it."""
     name, equals, numbers = (part.strip() for part in text.partition("="))
     parts = numbers.split(":")
     if not (name and equals and numbers) or len(parts) > 4:

@@ -47,7 +47,7 @@ class BoardReading(NamedTuple):
     """One reading of a board, decoded and raw."""
 
     values: Mapping[str, int | str]
-    """By field name, as the board reports them: counters without the wiring's sign, and not unwrapped."""
+    """Values by field name, as the board reports them: counters without the wiring's sign, and not unwrapped."""
     raw: bytes
     """The frame, or the registers in order."""
 

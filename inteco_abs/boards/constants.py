@@ -19,9 +19,9 @@ class ProfileConstants(NamedTuple):
     """The constants of one profile, by kind."""
 
     fields: dict[str, int]
-    """By field name in the SEND frame; the board must echo them."""
+    """Values by field name in the SEND frame; the board must echo them."""
     words: dict[int, int]
-    """By data word; they are sent as they are, and need no echo."""
+    """Values by data word; they are sent as they are, and need no echo."""
     pins: dict[int, int]
     """Levels by number of a CN1 pin, which becomes an output."""
 

@@ -24,7 +24,7 @@ class PlannedWord(NamedTuple):
     """A word or register of the first write that changes, or whose meaning is unknown."""
 
     place: str
-    """As in the protocol reference: `w22` is word 22, `b21` data byte 21, `0x6C` a register."""
+    """Place as in the protocol reference: `w22` is word 22, `b21` data byte 21, `0x6C` a register."""
     names: tuple[str, ...]
     now: int
     """Value in a frame that changes nothing."""

@@ -22,7 +22,7 @@ _VERBS: Final = {
     "Boards and commissioning": ("commission", "panel", "identify-led", "mock-board", "faults", "wire"),
     "Setup": ("doctor", "config", "profiles", "completion"),
 }  # fmt: skip
-"""By heading of the help; the module of a verb is named as the verb."""
+"""Verbs by heading of the help; the module of a verb is named as the verb."""
 _OLD_NAMES: Final = {"blink": "identify-led", "get": "extract", "layout": "viewer-layout", "probe": "commission"}
 
 

@@ -52,7 +52,7 @@ def print_line(name: str, text: str, package: str, numbers: Sequence[Gain | Para
 
 
 def print_broken(broken: Sequence[Mapping[str, str]]) -> None:
-    """Those of installed packages that cannot be loaded."""
+    """Print the parts of installed packages that cannot be loaded."""
     for each in broken:
         say(f"{each['name']:{_NAME_COLUMNS}} broken: {each['problem']}")
 

@@ -50,7 +50,7 @@ def extract(file: Path, name: str | None, out: Path | None, as_json: bool) -> in
 
 
 def _to_stdout(data: bytes) -> None:
-    """As it is into a file or a pipe; a terminal would obey what is in it."""
+    """Write the bytes as they are into a file or a pipe; a terminal would obey what is in them."""
     if on_terminal(sys.stdout):
         say(data.decode("utf-8", "replace"), nl=False)
     else:

@@ -42,7 +42,7 @@ class Finite(click.FloatRange):
         self._unit = unit
 
     def _describe_range(self) -> str:
-        """For the help; without limits click would print x<=None."""
+        """Return the range for the help; without limits click would print x<=None."""
         return "" if self.min is None and self.max is None else super()._describe_range()
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
@@ -62,7 +62,7 @@ class Whole(click.IntRange):
         super().__init__(least, most)
 
     def _describe_range(self) -> str:
-        """For the help, as for Finite."""
+        """Return the range for the help, as `Finite` does."""
         return "" if self.min is None and self.max is None else super()._describe_range()
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
@@ -223,7 +223,7 @@ _OPTIONS: Final = {
                     help="Display during the run; default: as much as the terminal has room for."),
     "quiet": _option("--quiet", "-q", is_flag=True, help="Print errors and warnings only."),
 }  # fmt: skip
-"""By field of RunOptions: the option's names, and arguments for click."""
+"""Options by field of RunOptions: the names, and arguments for click."""
 
 
 def shared_option(field: str, text: str = "") -> Decorator:

@@ -14,7 +14,7 @@ _MOST_FAILED: Final = 10
 MORE_THAN_A_READ: Final = 1.5
 """A tick has three transfers, a reading two; the exact time is measured when a run begins."""
 _MARGIN: Final = 1.2
-"""The same as at the start of a run."""
+"""Factor on an exchange's time, the same as at the start of a run."""
 _WINDOW_PERIODS: Final = 5
 """Shorter windows give mostly noise as speed."""
 _RATES_HZ: Final = (10_000.0, 5000.0, 2000.0, 1000.0, 500.0, 250.0, 200.0, 100.0, 50.0)

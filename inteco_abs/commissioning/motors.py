@@ -25,7 +25,7 @@ _REQUEST: Final = (
 )
 _FIRST_DUTY, _DUTY_STEP = 0.05, 0.01
 _NUDGE_S: Final = 0.3
-"""At each drive duty, until a wheel moves."""
+"""Time at each drive duty, until a wheel moves."""
 _MOVED_TURNS: Final = 0.05
 _FOLLOW_S: Final = 0.5
 """More of the duty that moved the first wheel, for the other to follow."""

@@ -20,7 +20,7 @@ class WheelMotion(NamedTuple):
     """Counts and speeds of both wheels at one beat."""
 
     time_s: float
-    """By the rig's clock."""
+    """Time of the rig's clock."""
     wheel_counts: int
     """Since the board was opened."""
     road_counts: int

@@ -33,7 +33,7 @@ from inteco_abs.errors import AbsError, ConfigError, ConfigIssue, describe_disk
 
 _SCHEMA: Final = 1
 _COVERED: Final = tuple(key for key in COVERED if key != "evidence")
-"""Without evidence, which the steps themselves write: repeating one keeps the sign-off."""
+"""Keys that a sign-off covers, without evidence, which the steps write: repeating one keeps the sign-off."""
 _LOGIC: Final = re.compile(r"^((?:logic_version|verified_logic) = )(\d+)$", re.MULTILINE)
 """Logic versions, which the boards' documents give in hex."""
 _HEADING: Final = """\

@@ -20,7 +20,7 @@ _REQUEST: Final = (
     "keep hands away from the wheels."
 )
 _DUTIES: Final = ((0.05, 0.0), (0.0, 0.2), (0.1, 0.1), (0.0, 0.0))
-"""Of drive and brake; small, in case the interface is on after all."""
+"""Duties of drive and brake; small, in case the interface is on after all."""
 _SETTINGS: Final = (("12-bit", 2), ("8-bit", 44))
 """Modes and prescalers near 3.5 kHz (docs/facts/boards.md#pwm-and-counters)."""
 _HOLD_S: Final = 0.1

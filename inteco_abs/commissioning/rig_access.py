@@ -88,7 +88,7 @@ class RealRigAccess(RigAccess):
         return found_devices(self.address, config)
 
     def bridge(self, config: RigConfig) -> dict[str, str]:
-        """Of an RT-DAC/USB2: ids, serial number and dates of its firmware."""
+        """Return ids, serial number and firmware dates of an RT-DAC/USB2."""
         name, _, rest = self.address.partition(":")
         return family_of(name).bridge_facts(rest, config)
 

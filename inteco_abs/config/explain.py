@@ -60,7 +60,7 @@ def explain(path: str, below: Mapping[str, Any], controllers: Controllers) -> st
 
 
 def facts(path: str, below: Mapping[str, Any], controllers: Controllers) -> list[dict[str, Any]]:
-    """The same as data: path, type and range, default, value of the profile, and meaning of each key."""
+    """Return path, type and range, default, value of the profile, and meaning of each key, as data."""
     mine, within = _asked(path, controllers)
     return [
         {

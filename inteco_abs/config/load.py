@@ -21,7 +21,7 @@ from inteco_abs.toml_text import NOT_TOML, describe_toml_error, line_of, read_to
 Check = Callable[[Mapping[str, Any]], Iterable[ConfigIssue]]
 """Checks the merged table, wrong values included, for what the sections' ranges cannot express."""
 _INDEX: Final = re.compile(r"(\.\d+)+$")
-"""Of a value in a list, at the end of a path."""
+"""Index of a value in a list, at the end of a path."""
 _PROFILES: Final = Path(__file__).parents[1] / "profiles"
 
 

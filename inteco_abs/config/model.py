@@ -176,7 +176,7 @@ class EncodersConfig(Section):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopConfig(Section):
     rate_hz: Annotated[float, Interval(ge=50.0, le=10_000.0)] = 2000.0
-    """Of the loop: exchanges with the board per second."""
+    """Rate of the loop: exchanges with the board per second."""
     ring_s: Annotated[float, Interval(ge=0.0, le=3600.0)] = 0.0
     """Length of the shared memory for ticks in real time; 0: the longest that the experiment can take, up to 60 s."""
 
@@ -192,15 +192,15 @@ class IdentifiedConfig(Section):
     J1: _Positive | None = None
     """Moment of inertia of the braked wheel, kg m2."""
     J2: _Positive | None = None
-    """Of the road wheel, kg m2."""
+    """Moment of inertia of the road wheel, kg m2."""
     d1: _Positive | None = None
     """Viscous friction of the braked wheel, N m s."""
     d2: _Positive | None = None
-    """Of the road wheel, N m s."""
+    """Viscous friction of the road wheel, N m s."""
     M10: _Positive | None = None
     """Static friction of the braked wheel, N m."""
     M20: _Positive | None = None
-    """Of the road wheel, N m."""
+    """Static friction of the road wheel, N m."""
     Mg: _Positive | None = None
     """Torque of gravity and shock absorber on the lever, N m."""
     w1: _Any | None = None
@@ -228,11 +228,11 @@ class IdentifiedConfig(Section):
     brake_torques_nm: Annotated[list[Annotated[float, Interval(ge=0.0, le=100.0)]], MinLen(2)] | None = None
     """Torque that the brake settles to at each of them, rising."""
     brake_dead_time_s: Annotated[float, Interval(ge=0.0, le=0.2)] | None = None
-    """For the observer, which limits it to 2 to 30 ms."""
+    """Dead time of the brake, for the observer, which limits it to 2 to 30 ms."""
     drive_stall_torque_nm: _Positive | None = None
-    """Of the drive motor, N m; the guard judges the run-up by it, and no controller uses it."""
+    """Stall torque of the drive motor, N m; the guard judges the run-up by it, and no controller uses it."""
     drive_no_load_speed_rad_s: _Positive | None = None
-    """Of the drive motor, likewise."""
+    """No-load speed of the drive motor, rad/s; used like its stall torque."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -250,7 +250,7 @@ class ExperimentConfig(Section):
     idle_s: Annotated[float, Interval(ge=0.01, le=10.0)] = 0.05
     """Time at rest, both wheels watched, before arming; the armed phase lasts as long."""
     drive_duty: Annotated[float, Interval(ge=0.2, le=1.0)] = 1.0
-    """Of the drive motor while it spins the wheels up."""
+    """Duty of the drive motor while it spins the wheels up."""
     start_speed_rad_s: Annotated[float, Interval(ge=10.0, le=240.0)] = 180.0
     """Road wheel speed at which braking begins."""
     stop_speed_rad_s: Annotated[float, Interval(gt=0.0, le=10.0)] = 0.5
@@ -277,9 +277,9 @@ class EstimatorConfig(Section):
     window_s: Annotated[float, Interval(gt=0.0, le=0.5)] = 0.010
     """Length of the moving window, least time between the edges of edge-time, and T0 of the difference."""
     natural_frequency_rad_s: Annotated[float, Interval(gt=0.0, le=2000.0)] = 200.0
-    """Of the tracking loop; at most a tenth of the loop's rate."""
+    """Natural frequency of the tracking loop; at most a tenth of the loop's rate."""
     jerk_density: Annotated[float, Interval(gt=0.0, le=1e12)] = 3e5
-    """Of the Kalman filter's wheel, rad2/s5: less is smoother and slower."""
+    """Density of the white jerk that the Kalman filter assumes, rad2/s5: less is smoother and slower."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -354,7 +354,7 @@ class SimulationConfig(Section):
     watchdog_hold_s: Annotated[float, Interval(ge=0.001, le=10.0)] = 0.05
     """Time after the last change of level for which the one-shot holds the motors' power."""
     counts_per_turn: Annotated[int, Interval(ge=256, le=1_000_000)] | None = None
-    """Of the simulated encoders; not given: `encoders.counts_per_turn`."""
+    """Counts per turn of the simulated encoders; not given: `encoders.counts_per_turn`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

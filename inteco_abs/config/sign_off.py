@@ -25,7 +25,7 @@ def signs_off(table: Table) -> bool:
 
 
 def unsigned(table: Table) -> Table:
-    """The same table without its sign-off."""
+    """Return the table without its sign-off."""
     board = {key: value for key, value in section_of(table, "board").items() if key not in SIGN_OFF}
     return {**table, "board": board}
 
@@ -37,7 +37,7 @@ def wiring_of(table: Table) -> Table:
 
 
 def changed_wiring(signed: Table, changed: Table, keys: Collection[str] = COVERED) -> list[str]:
-    """Those of `keys` in which two tables differ; a missing key has its default."""
+    """Return those of `keys` in which two tables differ; a missing key has its default."""
     usual = defaults(BoardConfig) | defaults(EncodersConfig)
     before, after = (usual | _stated(table) for table in (signed, changed))
     return [key for key in keys if after.get(key) != before.get(key)]

@@ -66,7 +66,7 @@ def mean_speeds(k: WindowConstants, s: Window, time_ns: int, wheel_count: int, r
 
 
 def mean_speed(k: WindowConstants, s: Window, time_ns: int, count: int) -> float:
-    """As `mean_speeds`, of one encoder."""
+    """Return the mean speed of one encoder, as `mean_speeds` does of two."""
     return mean_speeds(k, s, time_ns, 0, count)[1]
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 Function = Callable[..., Any]
-"""Of constants and state at first; or a `functools.partial` of one, whose keywords are functions as well."""
+"""Function of constants, state and more, or a `functools.partial` of one whose keywords are functions, too."""
 
 
 def function_of(part: object) -> Function | None:

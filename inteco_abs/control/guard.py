@@ -16,7 +16,7 @@ _NONE: Final = Reason.NONE  # an enum's look-up, a dozen times a tick, takes a t
 _STALE: Final = int(BoardFlags.STALE)
 _SPEED_WINDOW_S: Final = 0.005
 _LEAST_PERIODS: Final = 5
-"""Of a speed window, in slow loops too: a good sample's time stamp may be late by one of them."""
+"""Fewest periods in a speed window, in slow loops too: a good sample's time stamp may be late by one of them."""
 _HISTORY_S: Final = 0.020
 _FASTEST_RAD_S: Final = 300.0
 """No wheel of this rig is faster; well above the over-speed limit."""

@@ -56,9 +56,9 @@ class MachineState:
     """Where the experiment stands."""
 
     start: Window
-    """Of the road wheel, while it is driven."""
+    """Speed window of the road wheel while it is driven."""
     stop: Window
-    """Of the road wheel, while it is braked."""
+    """Speed window of the road wheel while it is braked."""
     phase: Phase
     stops_left: int
     """Stops to be done after this one."""
@@ -66,12 +66,12 @@ class MachineState:
     rest_wheel: int = 0
     rest_road: int = 0
     drive_request: float = 0.0
-    """Newest, as is `brake_request`."""
+    """Newest requests of both duties, 0..1."""
     brake_request: float = 0.0
     held: bool = False
-    """Whether that is the controller's last demand."""
+    """Whether `brake_request` is the controller's last demand."""
     reason: Reason = _NONE
-    """To stop, by the newest request."""
+    """Reason to stop, by the newest request."""
 
 
 class PhaseMachine(MachineState):

@@ -32,7 +32,7 @@ class SlipConstants:
     lever: float
     """L, in m."""
     sin: float
-    """Of the lever's angle."""
+    """Sine of the lever's angle; `cos` is its cosine."""
     cos: float
     parameters: RigParameters
 

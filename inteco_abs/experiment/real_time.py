@@ -61,7 +61,7 @@ class RoundTrips(NamedTuple):
     """Times of exchanges with a board."""
 
     times_us: list[float]
-    """Of those that succeeded."""
+    """Times of the exchanges that succeeded."""
     engines: dict[str, str]
     """The link's engine in use, and the times with each engine; empty without a choice."""
 

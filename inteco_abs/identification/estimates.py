@@ -52,7 +52,7 @@ class ParameterEstimate:
     """Why it is not identified; empty for other parameters."""
 
     def facts(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the estimate for JSON."""
         facts = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return facts | {"published": None if math.isnan(self.published) else self.published}
 
@@ -80,7 +80,7 @@ class Identification:
         return [each for each in self.estimates if each.status == "not identified"]
 
     def report(self) -> dict[str, Any]:
-        """For JSON and tables."""
+        """Return all estimates for JSON and tables."""
         return {
             "schema_version": 1,
             "converged": self.fit.converged,

@@ -57,13 +57,13 @@ class PaperCondition:
     """Rigs, an estimator, and the laws to run on them, the paper's first."""
 
     name: str
-    """For files and tables."""
+    """Name in files and tables."""
     title: str
     draws: SampleSet
     estimator: str
     laws: tuple[Law, ...]
     run_up_from_rad_s: float | None = None
-    """As in `Experiment`."""
+    """Speed from which the drive runs up, as in `Experiment`."""
 
     def experiment(self, law: Law) -> Experiment:
         """The Monte Carlo experiment of one of the laws."""

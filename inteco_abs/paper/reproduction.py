@@ -101,7 +101,7 @@ class Reproduction:
     traces: tuple[PaperTrace, ...]
 
     def report(self) -> dict[str, Any]:
-        """For JSON, tables and figures."""
+        """Return what was found, for JSON, tables and figures."""
         return {
             "schema_version": 1,
             "reference_slip": REFERENCE,

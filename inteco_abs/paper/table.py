@@ -74,7 +74,7 @@ def _table(title: str, rows: Sequence[tuple[str, Mapping[str, Any]]]) -> Table:
 
 
 def paper_markdown(report: Mapping[str, Any], command: str) -> str:
-    """The same as Markdown, made by `command`."""
+    """Return the table as Markdown, made by `command`."""
     compared, alone = _grouped(report)
     lines = ["# The paper again", "", f"Made by `{command}`.", ""]
     for title, rows in (*compared, (_BROKEN, alone)):

@@ -108,7 +108,7 @@ class Field(IntEnum):
     """1 once the user was warned that the board is held without a loop that drives it."""
     # start times of the run's processes, since the system may give their numbers to others later
     SUPERVISOR_STARTED = auto()
-    """As `start_time` returns it; 0 if not known."""
+    """Start of the supervisor, as `start_time` returns it; 0 if not known."""
     LOOP_STARTED = auto()
     RECORDER_STARTED = auto()
 

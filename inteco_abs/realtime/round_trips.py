@@ -12,9 +12,9 @@ from inteco_abs.errors import BoardError
 from inteco_abs.signals import BoardFlags, Command
 
 _MOST_FAILURES_IN_A_ROW: Final = 20
-"""As many as the guard allows on a real board at 2 kHz."""
+"""Limit of failed exchanges: as many as the guard allows on a real board at 2 kHz."""
 _TURNS, _TURN_TRIALS = 5, 100
-"""Of each engine, in turns, so that a disturbance of the computer affects all of them."""
+"""Turns, and trials in each: engines alternate, so that a disturbance of the computer affects all of them."""
 _WORTH_IT: Final = 0.9
 """Another engine replaces the usual one if it takes less than this share of its time."""
 _RATE_TRIALS: Final = 1000

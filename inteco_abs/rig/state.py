@@ -39,7 +39,7 @@ class Constants(RigParameters):
     measured_map: bool
     noise_seed: int
     plain: bool
-    """As `RigVariation.plain_plant`: commands act at once, and no step of the adhesion ends a part."""
+    """Whether commands act at once and the adhesion has no step, as in `RigVariation.plain_plant`."""
 
     @staticmethod
     def of(rig: RigVariation, motor: DriveMotor | None = None, max_step_s: float = 0.0005) -> Constants:
@@ -66,22 +66,22 @@ _OWN = tuple(field.name for field in fields(RigVariation) if field.name in Const
 
 @dataclass(slots=True)
 class State:
-    """Where one rig is: speeds in rad/s, angles in rad, torques in N m."""
+    """State of one rig: speeds in rad/s, angles in rad, torques in N m."""
 
     wheel_speed: float
     road_speed: float
     L_sin: float
-    """With the present load, as is `L_cos`."""
+    """Lever times sine of its angle under the present load, m; `L_cos` times the cosine."""
     L_cos: float
     grip: float
     """Factor on the adhesion: the rig's own, which the road may change during a stop."""
     settled_torque: float = 0.0
-    """What the brake approaches now."""
+    """Torque that the brake approaches now."""
     newest_torque: float = 0.0
-    """What it will approach once the newest command acts."""
+    """Torque that the brake will approach once the newest command acts."""
     newest_duty: float = 0.0
     brake_torque: float = 0.0
-    """What the brake can hold."""
+    """Torque that the brake can hold."""
     wheel_angle: float = 0.0
     road_angle: float = 0.0
     time_s: float = 0.0
@@ -95,4 +95,4 @@ class State:
     sent: int = 0
     """Commands that went to the brake with a dead time."""
     arrived: int = 0
-    """Of these, those that act."""
+    """Number of these commands that act already."""

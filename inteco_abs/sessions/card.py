@@ -168,7 +168,7 @@ class _Lateness:
         self._numbers = np.insert(self._numbers, at[~known], numbers[~known])
 
     def percentiles(self) -> dict[str, float | None]:
-        """Equal to `np.percentile` of all values."""
+        """Return the percentiles, equal to `np.percentile` of all values."""
         self._count()
         if not len(self._values):
             return dict.fromkeys(self._SHARES)

@@ -49,7 +49,7 @@ class LogEntry(NamedTuple):
 
     unix_ns: int
     level: int
-    """As in `foxglove.Log`: 2 information, 3 warning, 4 error."""
+    """Level as in `foxglove.Log`: 2 information, 3 warning, 4 error."""
     text: str
 
 
@@ -133,7 +133,7 @@ class Content:
     events: list[LogEntry] = field(default_factory=list)
     parameters: list[Parameters] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    """By record name without `inteco_abs.`; records of one name are merged, the later one wins."""
+    """Metadata by record name without `inteco_abs.`; records of one name are merged, the later one wins."""
     attachments: dict[str, Attached] = field(default_factory=dict)
     epoch_ns: int | None = None
     """UNIX time of the monotonic clock's zero; None before the first tick."""

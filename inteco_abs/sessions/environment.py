@@ -37,13 +37,13 @@ class Environment(NamedTuple):
     software: Mapping[str, str] = {}
 
     def as_note(self) -> dict[str, Any]:
-        """As JSON values, for another process."""
+        """Return JSON values for another process."""
         files = [[name, media_type, base64.b64encode(data).decode()] for name, media_type, data in self.files]
         return {"files": files, "software": self.software}
 
     @classmethod
     def of(cls, note: Mapping[str, Any]) -> Self:
-        """From `as_note` of another process."""
+        """Return what another process's `as_note` describes."""
         files = (Enclosure(name, kind, base64.b64decode(data)) for name, kind, data in note["files"])
         return cls(tuple(files), note["software"])
 

@@ -77,7 +77,7 @@ STEPS: tuple[Migration, ...] = (
     ),
     Migration(5, metadata=_decided_with_libm),
 )
-"""From each version to the next, beginning after `FIRST`."""
+"""Steps from each version to the next, beginning after `FIRST`."""
 
 
 class UnsupportedError(DamagedError):

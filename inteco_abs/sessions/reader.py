@@ -67,7 +67,7 @@ class Session:
     truth: npt.NDArray[np.void]
     """One row per tick on a simulated board, none on a real one; columns as in `schema.TRUTH`."""
     metadata: dict[str, dict[str, str]]
-    """By record name without `inteco_abs.`; records of one name are merged, the later one wins."""
+    """Metadata by record name without `inteco_abs.`; records of one name are merged, the later one wins."""
     attachments: dict[str, bytes]
     """Contents by name, such as `config.toml`."""
     channels: dict[str, dict[str, str]]

@@ -35,7 +35,7 @@ class RowsInMemory(BytesIO):
 
 
 class ColumnsInMemory:
-    """Those `columns` in memory that rows of the layout `whole` have."""
+    """The `columns` in memory that rows of the layout `whole` have."""
 
     def __init__(self, whole: np.dtype[np.void], columns: Collection[str]) -> None:
         self._whole = whole

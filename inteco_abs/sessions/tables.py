@@ -35,7 +35,7 @@ class Table(NamedTuple):
     """`tick`, `truth` or `events`; `columns` of these."""
     rows: npt.NDArray[np.void]
     units: dict[str, str]
-    """By column, as in UCUM; `1` has no dimension, `text` is none."""
+    """Units by column, as in UCUM; `1` has no dimension, `text` is not a unit."""
     meanings: dict[str, str]
 
     def column(self, name: str, first: int = 0, end: int | None = None) -> npt.NDArray[Any]:

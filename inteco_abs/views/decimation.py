@@ -24,7 +24,7 @@ class Decimated(NamedTuple):
     inside: int
     """Rows for each two points in the runs that matter; 1 if every row is a point."""
     outside: int
-    """The same elsewhere."""
+    """Rows for each two points elsewhere."""
 
 
 def decimate(columns: Mapping[str, Array], time_s: Array, matters: Array, most: int) -> Decimated:

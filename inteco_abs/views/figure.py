@@ -67,7 +67,7 @@ class FigureSize(NamedTuple):
 
 
 WIDTHS: Final = {"one": FigureSize(88.0, 135.0, 7.0, 56), "two": FigureSize(180.0, 165.0, 8.0, 115)}
-"""By number of columns on a journal's page."""
+"""Sizes by number of columns on a journal's page."""
 
 
 class _DrawnSession(NamedTuple):
@@ -126,7 +126,7 @@ def figure_of(sessions: Sequence[Session], width: str = "two") -> Figure:
 
 
 def svg_of(sessions: Sequence[Session]) -> bytes:
-    """The same figure as SVG, two columns wide, decimated for print. Raises AbsError."""
+    """Return the figure as SVG, two columns wide, decimated for print. Raises AbsError."""
     with _style(WIDTHS["two"]):
         data = BytesIO()
         _drawn(sessions, WIDTHS["two"], _PRINTED_POINTS).savefig(data, format="svg", metadata={"Date": None})

@@ -22,7 +22,7 @@ _BRAILLE: Final = 0x2800
 _DASH_DOTS: Final = 6
 """Dots from one dash to the next, along the curve."""
 _DASH_MARKS: Final = 2
-"""The same in ASCII."""
+"""Characters from one dash to the next, in ASCII."""
 MARGIN: Final = 6
 """Cells left of the dots, for a number and the axis."""
 

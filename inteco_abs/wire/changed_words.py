@@ -27,7 +27,7 @@ from inteco_abs.wire.playback import differing_words
 _RESTLESS: Final = 0.5
 """A word that changes in a larger share of the steps is restless, such as a counter."""
 _FEWEST_STEPS: Final = 8
-"""With fewer steps no word is restless."""
+"""Fewest steps in which a word can be restless."""
 
 
 class FrameColumns(NamedTuple):

@@ -17,7 +17,7 @@ class MessageTiming(NamedTuple):
 
     messages: int
     rate_hz: float | None
-    """From the first to the last; None with fewer than two, or all at once."""
+    """Rate from the first to the last; None with fewer than two, or all at once."""
     median_interval_s: float | None
     longest_interval_s: float | None
 

@@ -225,7 +225,7 @@ class FrameBench:
     untrusted: ClassVar[dict[str, tuple[list[str], tuple[str, ...]]]]
     """Settings with which the board must not be driven, and words of the reason."""
     header_bytes = 8
-    """Of an answer: a safe image begins with them."""
+    """Length of an answer's header, with which a safe image begins."""
     echoes: ClassVar[tuple[int, int]]
     """Bytes of the answer that repeat the widths of drive and brake."""
 

@@ -179,7 +179,7 @@ INERTIA = MASK.J2 + MASK.J1 * RATIO**2
 FRICTION_NM = MASK.M20 + MASK.M10 * RATIO
 DRAG = MASK.d2 + MASK.d1 * RATIO**2
 MEAN_RAD_S2 = 29.78
-"""Of the published drive's run-up to 178 rad/s: it takes 5.98 s."""
+"""Mean acceleration of the published drive's run-up to 178 rad/s, which takes 5.98 s."""
 SLACK_RAD_S = 5.0
 
 

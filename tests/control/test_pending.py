@@ -36,7 +36,7 @@ class History:
         self._now = 400 + len(held)
 
     def mean(self, dead_time, end=0):
-        """Of what comes out a dead time later, over the tick that ends so many ticks from now."""
+        """Mean of the delayed torque over the tick that ends `end` ticks from now."""
         at = self._now + end - dead_time / self.period_s
         until, since = np.interp([at, at - 1.0], np.arange(len(self._integral)), self._integral)
         return float(until - since)

@@ -43,7 +43,7 @@ def law(**gains):
 
 
 def outlook(slip, road_speed, lagged=3.0, **other):
-    """Of a rig that is the published one, but for what is named."""
+    """Prediction for the published rig, except for the named values."""
     wheel_speed = (1.0 - slip) * MASK.r2 / MASK.r1 * road_speed
     nothing = Prediction(0.0, wheel_speed, road_speed, lagged, 0.0, 1.0, 0.0, 0.0, 0.01, 0.05)
     return nothing._replace(**other)

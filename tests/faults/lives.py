@@ -51,7 +51,7 @@ class Life:
     code: int | None = None
     """What it ended with; None if a signal killed it."""
     duties: list[tuple[float, float]] = field(default_factory=list)
-    """Of every board that there was, when it ended."""
+    """Duties of every board at its end."""
     escaped: BaseException | None = None
     said: str = ""
     struck: bool = True

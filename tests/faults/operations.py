@@ -43,7 +43,7 @@ class Refusal(NamedTuple):
     """Which request is refused."""
 
     number: int
-    """Of the request, among all."""
+    """Number of the request among all."""
     lasts: str = "once"
     """Or `kind`: all later ones of its kind, too; or `all`: nothing is granted any more."""
 
@@ -55,7 +55,7 @@ class Requests:
     folder: str
     refusal: Refusal | None = None
     kinds: list[str] = field(default_factory=list)
-    """Of every request, in order."""
+    """Kinds of all requests, in order."""
     refused: int = 0
     """How many were."""
     aside: bool = False
@@ -67,7 +67,7 @@ class Requests:
 
     @property
     def refused_kind(self) -> str:
-        """Of the first one that was refused; empty if none was."""
+        """Kind of the first refused request; empty if none was refused."""
         return self.kinds[self.refusal.number] if self.refusal and self.refused else ""
 
     def ask(self, kind: str) -> None:

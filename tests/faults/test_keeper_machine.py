@@ -134,7 +134,7 @@ class Keeping(RuleBasedStateMachine):
 
     @rule(name=st.sampled_from(["out", "spill"]))
     def recover_what_a_kill_would_leave_now(self, name):
-        """Of what the disk has by now: buffers of the program die with it."""
+        """Recover from what the disk has by now: buffers of the program die with it."""
         file = self.places[name]
         if not file.exists():
             return

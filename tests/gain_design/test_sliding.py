@@ -40,7 +40,7 @@ def slide(mu, gain):
 
 
 def ripple(Mq):
-    """Of a sampled law whose plant is pushed by Mq one way and nearly not at all the other."""
+    """Ripple of a sampled law whose plant is pushed by Mq one way and hardly the other."""
     return 2.5 * Mq * PERIOD_S
 
 

@@ -193,7 +193,7 @@ class TestStrangers:
 
     @staticmethod
     def status(port, **headers):
-        """Of the answer to a handshake with these headers; 101 switches to the protocol."""
+        """Status of the answer to a handshake with these headers; 101 switches to the protocol."""
         lines = {
             "Host": f"127.0.0.1:{port}", "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
             "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Protocol": "foxglove.sdk.v1", **headers,

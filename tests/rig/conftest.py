@@ -73,7 +73,7 @@ class Paper:
         return rubbing + k.d1 * x1**2 + abs(x1) * (k.M10 + M1) + k.d2 * x2**2 + abs(x2) * k.M20
 
     def locked_normal_force(self):
-        """Of a locked wheel on a road turning forward: the brake carries the torque that the road puts in, N."""
+        """Force on a locked wheel, N, road turning forward: the brake carries the torque that the road puts in."""
         k, mu = self.k, self.mu(1.0)
         return k.Mg / (k.L * (math.sin(k.phi_rad) - mu * math.cos(k.phi_rad)) - k.r1 * mu)
 

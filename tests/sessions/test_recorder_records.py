@@ -19,7 +19,7 @@ BEFORE = {"inteco_abs.session", "inteco_abs.software", "inteco_abs.host", "intec
 AFTER = {"inteco_abs.session", "inteco_abs.timing", "inteco_abs.result", "inteco_abs.integrity"}
 FILES = {"config.toml", "profile.toml", "requirements.txt"}
 CHANGES = {"git.diff"}
-"""Of a source tree that has any."""
+"""Attachment of a source tree with changes."""
 
 
 def records_of(path):

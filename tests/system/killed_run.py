@@ -23,7 +23,7 @@ ROLES = ("loop", "recorder", "guardian", "supervisor")
 KINDS = tuple(victims for count in range(1, 5) for victims in combinations(ROLES, count))
 """Every process alone, and every combination of them."""
 RUNS = 20
-"""Of each kind: 300 in all."""
+"""Runs of each kind; 300 in all."""
 SHORT = (
     "experiment.start_speed_rad_s=20.0",
     "experiment.idle_s=0.02",
@@ -31,7 +31,7 @@ SHORT = (
     "guard.silence_s=0.2",
 )
 LAST_TICK = 1700
-"""Of a stop of some 2000 ticks."""
+"""Last tick to strike at, in a stop of some 2000."""
 EVERY_LONG = 5
 LONG = (*SHORT, "experiment.stops=6", "loop.ring_s=4.0")
 """Every fifth run: stops in a row, of which the ring soon holds the newest 8000 ticks only."""

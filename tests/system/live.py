@@ -76,7 +76,7 @@ class LiveRun:
         self.until(lambda: self.ticks.written >= number)
 
     def pid(self, role):
-        """Of `supervisor`, `loop`, `recorder`, `guardian` or `board`."""
+        """Number of the process of a role: `supervisor`, `loop`, `recorder`, `guardian` or `board`."""
         known = {"supervisor": Field.SUPERVISOR_PID, "loop": Field.LOOP_PID, "recorder": Field.RECORDER_PID}
         if role in known:
             return self.words[known[role]]

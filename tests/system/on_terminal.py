@@ -51,7 +51,7 @@ class OnTerminal:
 
     @property
     def settings(self):
-        """Of the terminal, as termios has them."""
+        """Settings of the terminal, as termios has them."""
         return termios.tcgetattr(self._terminal)
 
     @property

@@ -154,7 +154,7 @@ def look(run, pids):
 
 
 def state_of(pid):
-    """Of a process: `runs`, `stopped` or `gone`."""
+    """State of a process: `runs`, `stopped` or `gone`."""
     try:
         letter = Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0]
     except OSError:

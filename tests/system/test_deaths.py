@@ -27,7 +27,7 @@ pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 GENEROUS_NS = 2_000_000_000
 """No promise: what even a machine under load must keep. Figures come from tools/bench_deaths."""
 STEP = 1 / 255
-"""Of a PWM's width, at most."""
+"""Largest step of a PWM's width."""
 FREEZER = Path("/sys/fs/cgroup/freezer")
 TURNING = 400
 """A tick by which the drive is on."""

@@ -15,7 +15,7 @@ pytestmark = [pytest.mark.xdist_group("real time"), pytest.mark.untraced]
 GENEROUS_NS = 2_000_000_000
 """No promise: what even a machine under load must keep."""
 STEP = 1 / 255
-"""Of a PWM's width, at most."""
+"""Largest step of a PWM's width."""
 LAW = """
 import multiprocessing, os, signal, threading, time
 from inteco_abs.signals import BrakeDemand

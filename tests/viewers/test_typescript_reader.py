@@ -16,7 +16,7 @@ NEW_NAMES = {"drive_wish": "drive_request", "brake_wish": "brake_request"}
 
 
 def sums(rows):
-    """Of every column in the order of the file, as that reader adds them up: 64 bits as text, without what is NaN."""
+    """Sums of every column in the order of the file, as that reader adds: 64 bits as text, without NaN."""
     found = {}
     for name in rows.dtype.names:
         values = rows[name]

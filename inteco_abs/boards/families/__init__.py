@@ -7,4 +7,4 @@ SHIPPED: Final = {
     "usb": "inteco_abs.boards.families.usb:FAMILY",
     "pci": "inteco_abs.boards.families.pci:FAMILY",
 }
-"""By name; as text, so that a family is imported when it is used."""
+"""Families by name; as text, so that a family is imported when it is used."""

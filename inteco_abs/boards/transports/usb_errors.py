@@ -24,7 +24,7 @@ _WORDS: Final = {
     errno.EBUSY: "another program has the board: end it, one program at a time",
     errno.EOVERFLOW: "the board sent more than requested: does another program use it, or is it another board?",
 }
-"""By errno, as pyusb gives it (docs/facts/usb.md#errors)."""
+"""What to do, by errno, as pyusb gives it (docs/facts/usb.md#errors)."""
 
 
 def failure(number: int | None, text: object, timeout_ms: float = TIMEOUT_MS) -> LinkError:

@@ -40,7 +40,7 @@ class Setup(NamedTuple):
     """What every controller gets besides its own gains."""
 
     reference_slip: float
-    """In 0..1."""
+    """Slip to hold, 0..1."""
     parameters: RigParameters
     """Nominal parameters of the rig."""
     hold_below_rad_s: float
@@ -143,7 +143,7 @@ class ModelLaw(LawState):
     gains: ClassVar[tuple[Gain, ...]] = (LAG,)
     internals: ClassVar[tuple[str, ...]] = ("f_per_s", "g_per_s_nm", "torque_eq_nm", "")
     _rate: ClassVar[Function] = staticmethod(_approach)
-    """In use: the function's, but for a subclass with its own `approach`."""
+    """Rate in use: that of the function, unless a subclass has its own `approach`."""
     _shipped_rate: ClassVar[Function]
     _constants: ClassVar[type[LawConstants]] = LawConstants
 

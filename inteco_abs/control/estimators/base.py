@@ -76,7 +76,7 @@ def _filtered(k: None, s: SpeedFilter, time_ns: int, count: int) -> float:  # no
 
 
 class TwoWheels(TwoWheelsState):
-    """The same filter on `wheel` and `road`, and the slip of braking, equation (11).
+    """One filter each for `wheel` and `road`, both of one kind, and the slip of braking, equation (11).
 
     The slip is clipped to 0..1, as equation (8) is not defined outside; a driven or resting wheel reads 0. An
     `offset_m_s` is added to the road's rim speed in the denominator: (v2 - v1)/(v2 + offset).
@@ -95,7 +95,7 @@ class TwoWheels(TwoWheelsState):
 
     @property
     def function(self) -> Function | None:
-        """That of the filters, on both wheels."""
+        """Function of the filters, applied to both wheels."""
         return None if self._speed is _filtered else partial(two_wheels, speed=self._speed)
 
     def update(self, sample: Sample, command: Command = Command.SAFE) -> Estimate:

@@ -20,7 +20,7 @@ from inteco_abs.control.wheel_dynamics import WheelConstants, accelerations
 from inteco_abs.rig.friction import formula, formula_slope
 
 _LONGEST_STEP_S: Final = 0.001
-"""Of the explicit integration; longer steps would oscillate at little slip."""
+"""Longest step of the explicit integration; longer ones would oscillate at little slip."""
 _SHORTEST_DEAD_TIME_S: Final = 0.002
 _SHORTEST_LAG_S: Final = 0.025
 _LONGEST_LAG_S: Final = 0.090
@@ -49,28 +49,28 @@ class EkfTuning:
     dead_time_sd_s: float = 0.0079
     lag_sd_s: float = 0.0063
     adhesion_sd: float = 0.073
-    """Of the factor on equation (8)."""
+    """Deviation of the adhesion's factor, which multiplies equation (8)."""
     adhesion_walk: float = 0.2
-    """Of its change in 1 s at 100 rad/s; proportional to the speed, as a road changes with distance."""
+    """Deviation of that factor's change in 1 s at 100 rad/s; proportional to speed: a road changes with distance."""
     ripple_sd: float = 0.0095
-    """Of each component of its ripple over a turn of the wheel."""
+    """Deviation of each component of that factor's ripple over a turn of the wheel."""
     torque_sd_nm: float = 0.34
-    """Of the excess torque: the brake's torque beyond its map."""
+    """Deviation of the excess torque: the brake's torque beyond its map."""
     torque_walk_nm: float = 0.21
     torque_per_swing: float = 0.018
     """Added to that while the torque changes: per s^0.5 and N m/s."""
     lag_torque_walk_nm: float = 0.031
-    """Of the lagged torque."""
+    """Deviation of the lagged torque's change in 1 s."""
     lag_torque_per_swing: float = 0.0015
     wheel_walk_rad_s: float = 0.54
-    """Of the speeds, by what is not modelled."""
+    """Deviation of the speeds' change in 1 s, by what is not modelled."""
     road_walk_rad_s: float = 0.17
     count_noise: float = 1.4
-    """Of a reading, in counts; above that of quantisation and jitter, which keeps the torque estimate calm."""
+    """Deviation of a reading, in counts; above that of quantisation and jitter: the torque estimate stays calm."""
     step_after_s: float = 0.2
     """Time in braking before which no step of the adhesion is assumed: learning the brake looks the same."""
     step_adhesion: float = 0.06
-    """Of the adhesion factor in a step."""
+    """Deviation of the adhesion factor's change in a step."""
     step_delay_s: float = 0.0067
     """Time between a step and its detection."""
     surprise: float = 0.4

@@ -14,7 +14,7 @@ ANY_SPEED_SD: Final = 200.0
 _ACCELERATION_SD: Final = 50.0
 """Standard deviations before the first count, in rad/s and rad/s2: any speed and acceleration of the rig."""
 _WAVE_SD_COUNTS: Final = 0.6
-"""Of the prior: a disc is about half a count off centre."""
+"""Standard deviation before the first count: a disc is about half a count off centre."""
 _JERK_DENSITY: Final = 1e3
 """White jerk in rad2/s5 of a wheel that is driven or coasts."""
 _LEARNING_RAD_S: Final = 60.0
@@ -32,7 +32,7 @@ class DiscConstants:
 
 
 def disc_constants(count_rad: float, noise_rad: float) -> DiscConstants:
-    """With a standard deviation of `noise_rad`."""
+    """Return the constants for counts of `count_rad`, with noise of standard deviation `noise_rad`."""
     return DiscConstants(elementary.raised(noise_rad, 2), elementary.raised(_WAVE_SD_COUNTS * count_rad, 2))
 
 
@@ -45,9 +45,9 @@ class DiscState(CountState):
     """
 
     angle: float = 0.0
-    """In rad, without the disc's error."""
+    """Angle without the disc's error, rad."""
     speed: float = 0.0
-    """In rad/s."""
+    """Speed, rad/s."""
     acceleration: float = 0.0
     cosine: float = 0.0
     sine: float = 0.0

@@ -35,7 +35,7 @@ class EdgeState:
     """Place of the oldest edge."""
     edges: int = 0
     count: int = 0
-    """Of the sample before."""
+    """Count of the previous sample."""
     started: bool = False
 
 

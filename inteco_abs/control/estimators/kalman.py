@@ -13,7 +13,7 @@ from inteco_abs.control.functions import Function
 
 _SPEED_VARIANCE: Final = 25.0
 _ACCELERATION_VARIANCE: Final = 1e4
-"""At the start, (rad/s)^2 and (rad/s2)^2: a wheel at rest that may be about to be driven."""
+"""Variances at the start, (rad/s)^2 and (rad/s2)^2: a wheel at rest that may be about to be driven."""
 
 
 @dataclass(frozen=True, slots=True)

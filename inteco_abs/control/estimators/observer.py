@@ -35,7 +35,7 @@ from inteco_abs.signals import Command, Estimate, Sample
 
 _BRAKING_FROM_RAD_S: Final = 10.0
 _BRAKING_UNTIL_RAD_S: Final = 2.0
-"""Of the road; below, the slip has no meaning."""
+"""Speed of the road below which the slip has no meaning."""
 _HANDED_OVER_SD: Final = 2.0
 """Standard deviation of the speeds at the hand-over to the wheels' filters, rad/s."""
 _LONGEST_GAP_S: Final = 0.2
@@ -53,7 +53,7 @@ class ObserverConstants:
     per_count: float
     """rad"""
     points: Points
-    """Of the brake's map."""
+    """Points of the brake's map."""
 
 
 @dataclass(slots=True)

@@ -46,7 +46,7 @@ class DelayLine(DelayState):
         self.k = DelayConstants(period_s, length)
 
     def tell(self, torque: float, ticks: int) -> None:
-        """As the function `tell`."""
+        """Add a command, as the function `tell` does."""
         tell(self.k, self, torque, ticks)
 
 
@@ -77,7 +77,7 @@ def arrived(k: DelayConstants, s: DelayState, dead_time: float, ago: int) -> tup
 
 
 def ahead(k: DelayConstants, s: DelayState, torque: float, dead_time: float, lag: float) -> tuple[float, float, float]:
-    """From `torque` now: time in s until the next command acts, the torque then, and its mean until then."""
+    """Return the time in s until the next command acts, the torque then and its mean until then; now it is `torque`."""
     passed = dead_time / k.period_s
     ticks = int(passed)
     late = passed - ticks

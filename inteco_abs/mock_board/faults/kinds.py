@@ -114,7 +114,7 @@ ON_THE_RIG: Final[dict[str, FaultKind]] = {
 """Between the board and the wheels."""
 
 PROCESSES: Final = ("loop", "recorder", "guardian", "supervisor")
-"""Of a real-time run."""
+"""Processes of a real-time run."""
 BY_PROCESS: Final[dict[str, FaultKind]] = {
     f"{process}-{name}": FaultKind(meaning.format(process), lasting=lasting)
     for process in PROCESSES
@@ -132,6 +132,6 @@ ON_THE_HOST: Final[dict[str, FaultKind]] = {
     CLOCK_STEP: FaultKind("the computer's wall clock jumps by this time; in virtual time", _STEP),
     **BY_PROCESS,
 }
-"""In the computer."""
+"""Kinds of faults in the computer."""
 
 KINDS: Final = {**ON_THE_WIRE, **ON_THE_RIG, **ON_THE_HOST}

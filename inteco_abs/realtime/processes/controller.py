@@ -36,8 +36,8 @@ from inteco_abs.signals import BrakeDemand, Estimate, Prediction
 
 _LOOK_MS: Final = 5
 _LOOKS: Final = range(4)
-"""Of 5 ms each: 20 ms are less than half of the guardian's window, which would kill the loop for the silence, and a
-thousand times what a law needs. A pause of the computer uses up one look only."""
+"""Waits of 5 ms each: 20 ms are less than half of the guardian's window, which would kill the loop for the silence, and
+a thousand times what a law needs. A pause of the computer uses up one look only."""
 _DYING_S: Final = 0.005
 """Time from the end of its pipe to the end of its process."""
 _LEAVING_S: Final = 0.5
@@ -45,7 +45,7 @@ _LEAVING_S: Final = 0.5
 _ESTIMATE: Final = struct.Struct("<2q4d?")
 """Number of the request, of the controller that is asked; time since the last sample, estimate."""
 _OBSERVED: Final = struct.Struct("<2q4d?10d")
-"""As `_ESTIMATE`, with a prediction."""
+"""The fields of `_ESTIMATE`, and a prediction."""
 _COPY: Final = struct.Struct("<2q")
 """Number of the request, of the controller to copy."""
 _REPLY: Final = struct.Struct("<q7d")

@@ -15,9 +15,9 @@ from inteco_abs.views.comparison import PALETTE, held_rows, phase_spans, since_s
 from inteco_abs.views.decimation import Decimated, decimate
 
 _POINTS: Final = 9000
-"""Of one session: at most 0.9 MB, where bokeh's script takes 1.3 MB."""
+"""Points of a lone session: at most 0.9 MB, where bokeh's script takes 1.3 MB."""
 _POINTS_OF_EACH: Final = 4000
-"""Of each of several."""
+"""Points of each of several sessions."""
 MARGIN_S: Final = 0.1
 """Time shown before braking and after the brake is released."""
 _TICK_COLUMNS: Final = (

@@ -82,7 +82,7 @@ def tell(report):
 
 
 def _timing(path):
-    """Of all ticks while the road wheel turns: there the simulated rig does not cost more than this processor has."""
+    """Timing of all ticks while the road wheel turns: there the simulated rig is cheap enough for this processor."""
     session = read_session(path)
     turning = session.ticks[session.ticks["road_speed_rad_s"] > 10.0]
     return {
