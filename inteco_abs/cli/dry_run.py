@@ -95,10 +95,17 @@ def check_manual_start(config: RigConfig, board: str, faults: Sequence[Fault], o
     return _exit_code(refused)
 
 
-def join_issues(own: Iterable[Condition], error: ConfigError) -> ConfigError:
-    """The issues of a configuration together with those of the other options."""
+def refuse_start(own: Iterable[Condition], error: ConfigError, *, as_json: bool) -> int:
+    """Print the issues of a wrong configuration together with those of the verb's `own` conditions; return 2.
+
+    Raises them as one ConfigError without `as_json`.
+    """
     others = [one for one in refusals(own) if isinstance(one, ConfigError)]
-    return ConfigError(list(dict.fromkeys(mistake for each in (*others, error) for mistake in each.mistakes)))
+    joined = ConfigError(list(dict.fromkeys(mistake for each in (*others, error) for mistake in each.mistakes)))
+    if not as_json:
+        raise joined from error
+    print_json({"schema_version": 1, "would_begin": False, "refused": _refusals([joined])})
+    return joined.exit_code
 
 
 def _exit_code(refused: Iterable[AbsError]) -> int:
@@ -161,7 +168,10 @@ def _refusals(refused: Iterable[AbsError]) -> list[dict[str, str]]:
     found = []
     for error in refused:
         mistakes = error.mistakes if isinstance(error, ConfigError) else [ConfigIssue("", str(error))]
-        found += [{"error": type(error).__name__, "where": each.path, "problem": each.problem} for each in mistakes]
+        kind = type(error).__name__
+        found += [
+            {"error": kind, "where": each.path, "place": each.place, "problem": each.problem} for each in mistakes
+        ]
     return [one for number, one in enumerate(found) if one not in found[:number]]
 
 

@@ -89,6 +89,8 @@ def _first_facts(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "session", summary["session"]
     yield "outcome", joined("session", "outcome") or "-"
     yield "reason", joined("session", "reason") or "-"
+    if died := joined("session", "died"):
+        yield "died", f"{died}; the last tick is {joined('session', 'last_tick') or 'unknown'}"
     yield "recorded", f"{joined('session', 'started_utc') or '-'}, {lasted}"
     yield "controller", f"{joined('controller', 'name') or '-'} on {joined('controller', 'estimator') or '-'}"
     yield "gains", ", ".join([f"reference_slip={joined('controller', 'reference_slip') or '-'}", *gains])

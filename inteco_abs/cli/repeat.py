@@ -11,7 +11,7 @@ from typing import Final
 
 import click
 
-from inteco_abs.cli.dry_run import Condition, Planned, check_start, dry_run_option, join_issues
+from inteco_abs.cli.dry_run import Condition, Planned, check_start, dry_run_option, refuse_start
 from inteco_abs.cli.options import (
     FILE,
     INTERRUPTED,
@@ -114,7 +114,7 @@ def _rehearse(
     try:
         rig, plan = options.plan(_session(folder, 1, count))
     except ConfigError as error:
-        raise join_issues(places, error) from error
+        return refuse_start(places, error, as_json=as_json)
     return check_start([Planned(rig, plan, count)], places, pause_s=pause_s, as_json=as_json)
 
 

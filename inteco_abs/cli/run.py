@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from inteco_abs.cli.dry_run import Condition, Planned, check_start, dry_run_option, join_issues
+from inteco_abs.cli.dry_run import Condition, Planned, check_start, dry_run_option, refuse_start
 from inteco_abs.cli.options import FILE, INTERRUPTED, RunOptions, json_option, require_different, run_options
 from inteco_abs.cli.screens import screen_of
 from inteco_abs.cli.session_files import check_session_file, draw
@@ -56,7 +56,7 @@ def run(
         rig, plan = options.plan(session, wire=wire, frames=frames)
     except ConfigError as error:
         if dry_run:
-            raise join_issues(places, error) from error
+            return refuse_start(places, error, as_json=as_json)
         raise
     if dry_run:
         return check_start([Planned(rig, plan)], [*_folder(out, plan), *places], as_json=as_json)

@@ -126,7 +126,7 @@ def control_check(
             except ConfigError as error:  # a package is imported only now
                 yield from error.mistakes
             else:
-                yield from _check_gains(section_of(controller, "gains"), gains)
+                yield from _check_gains(name, section_of(controller, "gains"), gains)
 
     return check
 
@@ -141,12 +141,13 @@ def _check_parameters(name: object, estimator: Mapping[str, Any], loop: Mapping[
             yield from check(estimator, loop)
 
 
-def _check_gains(values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterator[ConfigIssue]:
+def _check_gains(controller: str, values: Mapping[str, Any], gains: tuple[Gain, ...]) -> Iterator[ConfigIssue]:
     known = {gain.name: gain for gain in gains}
     for name, value in values.items():
         path, gain = f"controller.gains.{name}", known.get(name)
         if gain is None:
-            yield ConfigIssue(path, f"unknown gain{near_match(name, known) if known else '; the controller has none'}")
+            hint = near_match(name, known) if known else "; the controller has none"
+            yield ConfigIssue(path, f"unknown gain of {controller}{hint}")
         elif isinstance(value, bool) or not isinstance(value, int | float) or not gain.low <= value <= gain.high:
             unit = "" if gain.unit == "1" else gain.unit
             wanted = f"must be a number in {gain.low:g}..{gain.high:g} {unit}".rstrip()

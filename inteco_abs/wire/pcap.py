@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 from inteco_abs.boards import UsbTraffic, family_speaking, protocol_name
 from inteco_abs.config import load_config
 from inteco_abs.entry_points import attribute
-from inteco_abs.errors import CaptureError, ConfigError, ConfigIssue
+from inteco_abs.errors import CaptureError, ConfigError, ConfigIssue, near_file
 from inteco_abs.version import __version__
 from inteco_abs.wire.capture import Capture, Record, RecordKind
 from inteco_abs.wire.usbmon import IN, LINK_TYPES, MonitoredUrb, Transfer, decode
@@ -84,7 +84,8 @@ def _read(path: Path) -> tuple[int, list[Packet]]:
                 raise CaptureError(f"{path}: link type {link_type} is not a USB monitor's; {known}")
             packets = list(_decoded(path, reader, link_type, big_endian=_big_endian(start)))
     except OSError as error:
-        raise CaptureError(f"{path}: cannot be read: {error.strerror or error}") from error
+        hint = "" if path.exists() else near_file(path) or "; name a capture of Wireshark, or a session"
+        raise CaptureError(f"{path}: cannot be read: {error.strerror or error}{hint}") from error
     except (dpkt.Error, ValueError, ArithmeticError, IndexError, struct.error, MemoryError) as error:
         # all that the library raises for a damaged file
         raise CaptureError(

@@ -75,12 +75,14 @@ def test_names_that_are_near_nothing_get_the_known_ones():
 
 
 def test_an_unknown_gain_is_named_with_the_nearest():
-    assert mistakes("controller.gains.Mkk=2") == {"controller.gains.Mkk": "unknown gain; did you mean Mk?"}
+    assert mistakes("controller.gains.Mkk=2") == {
+        "controller.gains.Mkk": "unknown gain of reaching-law; did you mean Mk?"
+    }
 
 
 def test_a_gain_of_another_controller_is_unknown():
     assert mistakes("controller.name=relay", "controller.gains.Mk=2") == {
-        "controller.gains.Mk": "unknown gain; known: off_duty, on_duty"
+        "controller.gains.Mk": "unknown gain of relay; known: off_duty, on_duty"
     }
 
 

@@ -124,7 +124,7 @@ def test_the_ideal_estimator_may_be_chosen():
         (["estimator.name=ideel"], {"estimator.name": "no estimator 'ideel'; did you mean ideal?"}),
         (
             ["controller.name=pi,relay", "controller.gains.Mk=2"],
-            {"controller.gains.Mk": "unknown gain; known: off_duty, on_duty"},
+            {"controller.gains.Mk": "unknown gain of relay; known: off_duty, on_duty"},
         ),
         (
             ["controller.gains.Mk=2,5000", "controller.gains.Mq=-1,1"],

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 
 import pytest
 
@@ -283,6 +284,19 @@ def test_info_begins_with_how_it_ended(verb, folder, monkeypatch):
     rows = [line.split(maxsplit=1) for line in verb("info", "a.mcap").out.splitlines()]
     assert [row[0] for row in rows[:3]] == ["session", "outcome", "reason"]
     assert rows[1][1].strip() == "completed"
+
+
+def test_info_says_which_process_died_and_at_which_tick(verb, short, container, altered):
+    records = []
+    for record in container.split(short.read_bytes()):
+        if container.text("inteco_abs.session") in record.content:
+            content = b"".join(container.text(text) for text in ("died", "loop", "last_tick", "9876"))
+            name = container.text("inteco_abs.session")
+            record = container.record(12, name + len(content).to_bytes(4, "little") + content)  # noqa: PLW2901
+        records.append(record)
+    assert re.search(
+        r"^died +loop; the last tick is 9876$", verb("info", altered(container.join(records))).out, re.MULTILINE
+    )
 
 
 def test_a_cut_session_is_said_to_be_recoverable(verb, folder):

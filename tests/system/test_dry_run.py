@@ -118,6 +118,17 @@ def test_what_it_refuses_a_run_refuses_with_the_same_words_and_exit_code(main_he
     assert any(one["problem"] in run.stderr for one in report["refused"])
 
 
+def test_a_wrong_configuration_is_reported_as_json_with_file_and_line(dry_run, tmp_path):
+    (tmp_path / "rig.toml").write_text("[guard]\nbrake_limit = 7.0\n")
+    for verb in (["run"], ["repeat", "2"]):
+        report = dry_run(*verb, "--virtual", "--dry-run", "--config", "rig.toml", "--figure", "stop.bmp", check=2)
+        assert report["would_begin"] is False
+        assert {one["where"]: one["place"] for one in report["refused"]} == {
+            "--figure": "",
+            "guard.brake_limit": "rig.toml, line 2",
+        }
+
+
 @pytest.mark.parametrize("board", ["usb:/dev/nowhere", "pci:0000:7f:1f.7"])
 def test_a_board_that_is_not_there_is_refused_as_by_a_run(dry_run, tmp_path, board):
     report = dry_run("run", "--board", board, "--dry-run", check=1)
