@@ -129,7 +129,7 @@ def _approach(k: LawConstants, s: Any, switching: float, road_speed: float, dt_s
 
 
 class ModelLaw(LawState):
-    """A law for the decay of the slip error, which inverts the slip model for the torque, equation (21).
+    """A law for the decay of the slip error; it inverts the nominal slip dynamics, equation (22).
 
     The brake's static map turns the torque into a duty. As in the paper, the brake is taken to be without lag, unless
     `lag_s` is given: then the duty is the one that reaches the torque within a period, as far as the brake can. Below
