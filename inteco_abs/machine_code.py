@@ -55,6 +55,15 @@ def compile_problem(function: Function, arguments: Sequence[Any]) -> str:
     return ""
 
 
+def is_compiled(function: Function) -> bool:
+    """Whether there is machine code of `function` in this process or on disk, which is loaded in under a second."""
+    native: Any = compiled(function)
+    folder = native.stats.cache_path
+    return bool(native.signatures) or (
+        folder is not None and any(Path(folder).glob(f"*.{native.py_func.__qualname__}-*.nbi"))
+    )
+
+
 class _Bound(NamedTuple):
     """A function, and those that it gets as keywords."""
 
@@ -136,7 +145,12 @@ def record(part: Any) -> Any:
 
     A list of numbers has an array with room for a power of two, at least _LEAST_RING.
     """
-    return np.array([_values(part)], _kind(part)).view(np.recarray)[0]
+    return records(part)[0]
+
+
+def records(*parts: Any) -> Any:
+    """An array of such records, of instances of one dataclass whose lists are equally long."""
+    return np.array([_values(part) for part in parts], _kind(parts[0])).view(np.recarray)
 
 
 def _kind(value: Any) -> np.dtype[Any]:

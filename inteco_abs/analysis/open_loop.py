@@ -14,10 +14,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import tomli_w
 
+from inteco_abs.analysis.compiling import compiled_loops
 from inteco_abs.analysis.replay import recorded_arithmetic, require_known
 from inteco_abs.analysis.tolerance import Array
 from inteco_abs.config import RigConfig, apply_setting, parse_config
 from inteco_abs.control import (
+    CONTROLLERS,
     Controller,
     control_check,
     make_controller,
@@ -132,12 +134,13 @@ def what_if(
     at_s: float | None = None,
     duty: float = DUTY_THRESHOLD,
     torque_nm: float = TORQUE_THRESHOLD_NM,
+    compiled: bool | None = None,
 ) -> WhatIf:
     """Demands of the estimator and controller of `config` for the logged counts, and where they leave the log.
 
     They are updated from the first tick, and compared from `at_s` after braking began, or always. `duty` and
-    `torque_nm` are the largest differences that still agree with the log. Raises SessionError without braking, if the
-    run was over by `at_s`, or if the estimator or controller raises.
+    `torque_nm` are the largest differences that still agree with the log; `compiled` as for `replay_session`. Raises
+    SessionError without braking, if the run was over by `at_s`, or if the estimator or controller raises.
     """
     require_known(session)
     since_s = since_braking_s(session)
@@ -147,12 +150,28 @@ def what_if(
             f"{session.path}: {at_s:g} s after braking began the run was over; choose at most {since_s[-1]:.3f} s"
         )
     with recorded_arithmetic(session):
-        requests = np.array(list(_requests(session, config, controllers)), _DTYPE)
+        requests = _compiled_requests(session, config, controllers, compiled)
+        if requests is None:
+            requests = np.array(list(_requests(session, config, controllers)), _DTYPE)
     logged = session.ticks[list(COMPARED)].astype(_DTYPE)
     requests[ahead] = logged[ahead]
     thresholds = {"torque_demand_nm": torque_nm, "brake_request": duty}
     found = [_divergence(session, since_s, requests, logged, name, thresholds.get(name)) for name in COMPARED]
     return WhatIf(requests, tuple(found))
+
+
+def _compiled_requests(
+    session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]], compiled: bool | None
+) -> Array | None:
+    """As `_requests`, by a compiled loop, or None; of the project's own controllers alone, whose bits are tested."""
+    if controllers[config.controller.name] is not CONTROLLERS.get(config.controller.name):
+        return None
+    estimator, controller = make_estimator(config), make_controller(config, controllers)
+    loops = compiled_loops(session, estimator, controller, compiled)
+    found: Array | None = loops and loops.module.demand_rows(
+        estimator, controller, session.ticks, _DTYPE, loops.may_compile
+    )
+    return found
 
 
 def _requests(session: Session, config: RigConfig, controllers: Mapping[str, type[Controller]]) -> Iterator[Demand]:

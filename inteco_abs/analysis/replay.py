@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from inteco_abs import elementary
+from inteco_abs.analysis.compiling import compiled_loops, recorded_with
 from inteco_abs.analysis.tolerance import DISCRETE, OUTPUTS, Array, Shift, Tolerance, bits, shifts
 from inteco_abs.control import Pipeline
 from inteco_abs.errors import SessionError
@@ -82,7 +83,7 @@ def recorded_arithmetic(session: Session) -> Iterator[None]:
 
     Make the pipeline in it, too. Raises SessionError for an arithmetic that is not known here.
     """
-    name = session.metadata.get("software", {}).get("arithmetic", elementary.PORTABLE)
+    name = recorded_with(session)
     if name not in elementary.ARITHMETICS:
         known = ", ".join(elementary.ARITHMETICS)
         raise SessionError(f"{session.path}: software.arithmetic is {name!r}: must be one of {known}")
@@ -90,21 +91,28 @@ def recorded_arithmetic(session: Session) -> Iterator[None]:
         yield
 
 
-def replay_session(session: Session, pipeline: Pipeline, tolerances: Mapping[str, Tolerance] | None = None) -> Replay:
+def replay_session(
+    session: Session,
+    pipeline: Pipeline,
+    tolerances: Mapping[str, Tolerance] | None = None,
+    compiled: bool | None = None,
+) -> Replay:
     """Run a new `pipeline` on the session's inputs and compare; fields without a tolerance must agree exactly.
 
     Inputs that follow from others are compared as well. Raises SessionError if there are no ticks.
+
+    A compiled loop replays many ticks, or any if `compiled` is true, and none if it is false; where one of them
+    differs, or machine code cannot replay it, Python replays all and has the last word.
     """
-    logged, again = session.ticks, decisions(session, pipeline)
-    _imply_inputs(logged, again)
-    differs = {name: bits(logged[name]) != bits(again[name]) for name in _COMPARED}
+    logged = session.ticks
+    again, differs = _compared(session, pipeline, compiled)
     tolerated = {}
     for name, tolerance in (tolerances or {}).items():
-        if differs[name].any():
+        if name in differs:
             accepted = differs[name] & tolerance.accepts(logged[name], again[name], logged["time_ns"])
             tolerated[name] = int(accepted.sum())
             differs[name] &= ~accepted
-    any_differs = np.logical_or.reduce(list(differs.values()))
+    any_differs = np.logical_or.reduce([np.zeros(len(logged), np.bool_), *differs.values()])
     agreeing, first = len(logged), None
     if any_differs.any():
         agreeing = int(np.argmax(any_differs))
@@ -119,17 +127,36 @@ def replay_session(session: Session, pipeline: Pipeline, tolerances: Mapping[str
         agreeing,
         (int(logged["time_ns"][agreeing - 1]) - int(logged["time_ns"][0])) * 1e-9 if agreeing else 0.0,
         {name: count for name, count in tolerated.items() if count},
-        tuple(shift for name in DISCRETE for shift in shifts(name, logged, again)),
+        tuple(shift for name in DISCRETE if name in differs for shift in shifts(name, logged, again)),
     )
+
+
+def _compared(session: Session, pipeline: Pipeline, compiled: bool | None) -> tuple[Array, dict[str, Array]]:
+    """Decisions of a new `pipeline`, and where they differ from the log, by column."""
+    require_inputs(session)
+    logged, again = session.ticks, _compiled_decisions(session, pipeline, compiled)
+    if again is not None:
+        _imply_inputs(logged, again)
+        if np.array_equal(logged.view(np.uint8), again.view(np.uint8)):  # much faster than column by column
+            return again, {}
+    again = decisions(session, pipeline)
+    _imply_inputs(logged, again)
+    differs = {name: bits(logged[name]) != bits(again[name]) for name in _COMPARED}
+    return again, {name: where for name, where in differs.items() if where.any()}
+
+
+def _compiled_decisions(session: Session, pipeline: Pipeline, compiled: bool | None) -> Array | None:
+    loops = compiled_loops(session, pipeline.estimator, pipeline.machine.controller, compiled)
+    found: Array | None = loops and loops.module.replay_rows(pipeline, session.ticks, loops.may_compile)
+    return found
 
 
 def decisions(session: Session, pipeline: Pipeline) -> Array:
     """Decisions of a new `pipeline` on the session's inputs: rows as in `session.ticks`, with zero timing.
 
-    Raises SessionError if there are no ticks.
+    Raises SessionError as `require_inputs`.
     """
-    if not len(session.ticks):
-        raise SessionError(f"{session.path}: has no ticks")
+    require_inputs(session)
     with recorded_arithmetic(session):
         return TICK.array_of(starmap(pipeline.step, samples(session)))
 
@@ -140,16 +167,20 @@ def require_known(session: Session) -> None:
         raise SessionError(f"{session.path}: cannot be replayed: {session.unsupported}; replay it with that")
 
 
-def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
-    """The session's inputs: samples, and reasons of requested stops.
-
-    Raises SessionError for a session that is not fully supported, or an impossible dt_s.
-    """
+def require_inputs(session: Session) -> None:
+    """Raise SessionError if the session has no ticks, is not fully supported, or has an impossible dt_s."""
+    if not len(session.ticks):
+        raise SessionError(f"{session.path}: has no ticks")
     require_known(session)
     impossible = np.flatnonzero(~(np.abs(session.ticks["dt_s"]) < _LONGEST_S))
     if len(impossible):
         tick, dt_s = (session.ticks[name][impossible[0]] for name in ("tick", "dt_s"))
         raise SessionError(f"{session.path}: tick {tick}: dt_s is {dt_s} s: must be less than {_LONGEST_S:.0f} s")
+
+
+def samples(session: Session) -> Iterator[tuple[Sample, Reason]]:
+    """The session's inputs: samples, and reasons of requested stops. Raises SessionError as `require_inputs`."""
+    require_inputs(session)
     for time_ns, tick, dt_s, wheel, road, flags, request in TICK.values(session.payload, _INPUTS):
         sample = Sample(tick, time_ns, dt_s, wheel, road, BoardFlags(flags) if flags else _NO_FLAGS)
         yield sample, Reason(request) if request else _NO_REQUEST

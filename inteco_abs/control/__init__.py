@@ -35,7 +35,7 @@ from inteco_abs.control.factory import (
     make_estimator,
     preferred_estimator,
 )
-from inteco_abs.control.functions import Function, function_of
+from inteco_abs.control.functions import Function, finite_demand, finite_estimate, function_of
 from inteco_abs.control.guard import Guard
 from inteco_abs.control.phase_machine import REST_COUNTS, PhaseMachine, advance_phase, recordable
 from inteco_abs.control.pipeline import Pipeline, admit_request
@@ -78,6 +78,8 @@ __all__ = [
     "build_pipeline",
     "config_of_stop",
     "control_check",
+    "finite_demand",
+    "finite_estimate",
     "function_of",
     "gains_in_force",
     "make_controller",

@@ -98,8 +98,10 @@ class PhaseMachine(MachineState):
             stop=window_constants(counts, stop),
         )
         super().__init__(empty_window(start), empty_window(stop), phase, experiment.stops - 1)
-        self._controller = controller
-        self._as_made = deepcopy(controller) if self.stops_left else controller
+        self.controller = controller
+        """Of this stop."""
+        self.controller_as_made = deepcopy(controller) if self.stops_left else controller
+        """What each further stop begins with a copy of."""
         self._last = _NO_DEMAND
 
     @property
@@ -121,10 +123,10 @@ class PhaseMachine(MachineState):
         """As `step`, which leaves the request in the state."""
         phase = self.phase
         if phase is _BRAKING:
-            self._last = recordable(self._controller.update(estimate, sample.dt_s))
+            self._last = recordable(self.controller.update(estimate, sample.dt_s))
         advance_phase(self.k, self, sample, self._last.brake)
         if phase is _STOPPED and self.phase is Phase.IDLE:
-            self._last, self._controller = _NO_DEMAND, deepcopy(self._as_made)
+            self._last, self.controller = _NO_DEMAND, deepcopy(self.controller_as_made)
 
 
 def advance_phase(k: MachineConstants, s: MachineState, sample: Sample, brake: float) -> None:

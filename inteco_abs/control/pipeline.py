@@ -31,31 +31,31 @@ class Pipeline:
         """What the estimator or controller raised, if the reason is CONTROLLER_ERROR."""
         self.command = Command.SAFE
         """What the newest tick admitted, to be written at the next exchange."""
-        self._estimator = estimator
-        self._machine = PhaseMachine(config, controller, phase)
-        self._guard = Guard(config)
+        self.estimator = estimator
+        self.machine = PhaseMachine(config, controller, phase)
+        self.guard = Guard(config)
+        self.reference_slip = config.controller.reference_slip
         self._estimate = _NO_ESTIMATE
-        self._reference_slip = config.controller.reference_slip
 
     @property
     def phase(self) -> Phase:
         """Phase of the newest tick."""
-        return self._machine.phase
+        return self.machine.phase
 
     @property
     def reason(self) -> Reason:
         """Why the outputs were switched off, or NONE."""
-        return self._guard.reason
+        return self.guard.reason
 
     @property
     def finished(self) -> bool:
         """Whether the run is over: only SAFE follows."""
-        return self._machine.phase in _OVER
+        return self.machine.phase in _OVER
 
     def step(self, sample: Sample, stop_request: Reason = Reason.NONE, timing: Timing = UNTIMED) -> Tick:
         """Decide on one sample; the tick's `drive` and `brake` are the command for the next exchange."""
         wheel_speed, road_speed, slip, valid, _ = self.decide(sample, stop_request)
-        machine = self._machine
+        machine = self.machine
         phase = machine.phase
         tick, time_ns, dt_s, wheel_count, road_count, board_flags = sample
         _, torque_nm, switching, internals = machine.demand
@@ -73,13 +73,13 @@ class Pipeline:
             slip,
             valid,
             phase,
-            self._reference_slip if phase is _BRAKING else math.nan,
+            self.reference_slip if phase is _BRAKING else math.nan,
             switching,
             torque_nm,
             machine.drive_request,
             machine.brake_request,
             *self.command,
-            self._guard.reason,
+            self.guard.reason,
             *internals,
             late_us,
             io_us,
@@ -92,10 +92,10 @@ class Pipeline:
 
         For a sample with board flags the estimate, and what is requested, are those of the sample before.
         """
-        machine, guard, command = self._machine, self._guard, self.command
+        machine, guard, command = self.machine, self.guard, self.command
         if not sample.board_flags and self.error is None:
             try:
-                self._estimate = self._estimator.update(sample, command)
+                self._estimate = self.estimator.update(sample, command)
                 machine.advance(sample, self._estimate)
             except (Exception, SystemExit) as error:  # noqa: BLE001  a user's controller may raise anything; the rig must stop all the same
                 self.error = error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -16,13 +15,15 @@ from inteco_abs.control import (
     PhaseMachine,
     admit_request,
     advance_phase,
+    finite_demand,
+    finite_estimate,
     function_of,
 )
 from inteco_abs.machine_code import record
 from inteco_abs.rig.model import wheel_slip
 from inteco_abs.rig.plant import move_on, read_encoders
 from inteco_abs.sessions import STANDSTILL_RAD_S
-from inteco_abs.signals import BrakeDemand, Command, Estimate, Phase, Reason, Sample
+from inteco_abs.signals import Command, Phase, Reason, Sample
 
 COLUMNS: Final = 7
 """Speeds of wheel and road, slip, brake torque, road angle, estimated slip, and requested duty of the brake."""
@@ -99,11 +100,11 @@ def stop(
         if not ended:
             sample = Sample(tick, tick * period_ns, period_s, wheel_count, road_count, _NO_FLAGS)
             estimated = estimate(parts.estimator_k, parts.estimator, sample, Command(guard.drive, guard.brake))
-            finite = _finite_estimate(estimated)
+            finite = finite_estimate(estimated)
             if machine.phase == _BRAKING:
                 demand = control(parts.controller_k, parts.controller, estimated, period_s)
                 brake = demand.brake
-                finite = finite and _finite_demand(demand)
+                finite = finite and finite_demand(demand)
             if not finite:
                 return Course(began, tick, decisions, guard.reason, False)
             advance_phase(parts.machine_k, machine, sample, brake)
@@ -125,14 +126,3 @@ def stop(
         if s.sent - s.arrived == due_s.size:  # at its number modulo the new length each command is where it was
             due_s, torques = np.concatenate((due_s, due_s)), np.concatenate((torques, torques))
         tick += 1
-
-
-def _finite_estimate(estimate: Estimate) -> bool:
-    wheel_speed, road_speed, slip, _, _ = estimate
-    return math.isfinite(wheel_speed) and math.isfinite(road_speed) and math.isfinite(slip)
-
-
-def _finite_demand(demand: BrakeDemand) -> bool:
-    brake, torque, switching, (c0, c1, c2, c3) = demand
-    numbers = math.isfinite(brake) and math.isfinite(torque) and math.isfinite(switching)
-    return numbers and math.isfinite(c0) and math.isfinite(c1) and math.isfinite(c2) and math.isfinite(c3)
