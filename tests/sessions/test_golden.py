@@ -39,7 +39,7 @@ def contents(folder):
 
 def test_the_decisions_of_today_are_those_of_our_golden_sessions():
     verdicts = GoldenFolder(OURS).test([], CONTROLLERS)
-    assert len(verdicts) == 2
+    assert len(verdicts) == 3
     for verdict in verdicts:
         assert verdict.problem == ""
         assert verdict.replay.first is None
