@@ -453,7 +453,7 @@ def test_a_setting_below_a_value_is_refused(written):
     assert found == {"--set profile.name=1": "profile is a value, not a section"}
 
 
-def test_a_setting_that_carries_a_second_line_is_not_taken_for_its_first():
+def test_a_setting_that_carries_a_second_line_is_not_mistaken_for_its_first():
     assert "guard.brake_limit" in str(mistakes("guard.brake_limit=0.7\nover_speed_rad_s=100"))
 
 
@@ -515,7 +515,7 @@ def test_a_value_that_is_wrong_by_itself_is_not_called_a_contradiction_as_well(s
 
 @pytest.mark.parametrize("section", ["guard", "experiment", "board", "loop", "estimator", "controller", "simulation"])
 @pytest.mark.parametrize("value", ["5", "true", "word", "[1]"])
-def test_a_section_that_is_a_value_is_a_mistake_and_no_crash(section, value):
+def test_a_section_that_is_a_value_is_a_mistake_not_a_crash(section, value):
     assert section in mistakes(f"{section}={value}")
 
 
@@ -548,7 +548,7 @@ def test_what_is_not_toml_is_named_with_its_line(written, content, line):
     assert f"line {line}" in found[str(file)]
 
 
-def test_a_file_nested_beyond_reason_is_a_mistake_and_no_crash(written):
+def test_a_file_nested_beyond_reason_is_a_mistake_not_a_crash(written):
     file = written("a = " + "[" * 100_000)
     assert list(mistakes(file=file)) == [str(file)]
 
@@ -599,7 +599,7 @@ def test_numbers_keep_their_last_digit_through_the_text():
     ],
     ids=lambda text: text[:40],
 )  # fmt: skip
-def test_a_value_of_a_wrong_type_is_told_type_range_and_unit(setting, must_be):
+def test_a_value_of_a_wrong_type_gets_an_error_with_type_range_and_unit(setting, must_be):
     with pytest.raises(ConfigError) as caught:
         load_config(settings=[setting], checks=[control_check()])
     assert must_be in str(caught.value)

@@ -218,7 +218,7 @@ class TestLimits:
             ("guard.run_up_factor=1.6", "guard.run_up_factor at most 1.5, and 1.6 is asked for"),
         ],
     )
-    def test_more_than_was_signed_opens_read_only_wherever_it_is_asked_for(self, signed, setting, because):
+    def test_more_than_was_signed_opens_read_only_wherever_it_is_requested(self, signed, setting, because):
         for config in (signed(setting), signed(over=f"[guard]\n{setting.removeprefix('guard.')}\n")):
             found = opened(config).read_only_because
             assert found == f"A. Lab signed the profile with {because}. Lower it, or sign the profile again"
@@ -226,7 +226,7 @@ class TestLimits:
     def test_a_limit_that_was_lowered_in_the_file_may_be_raised_to_what_was_signed(self, signed):
         assert opened(signed("guard.silence_s=0.08", over="[guard]\nsilence_s = 0.05\n")).read_only_because == ""
 
-    def test_more_can_be_signed_where_it_is_asked_for(self, signed):
+    def test_a_higher_limit_can_be_signed_off_on_request(self, signed):
         over = '[board]\nverified_by = "B. Lab"\n[guard]\nsilence_s = 0.1\n'
         assert opened(signed(over=over)).read_only_because == ""
         beyond = signed("guard.missed_in_a_row=20", over=over).board.read_only

@@ -218,7 +218,7 @@ class TestWhatIsThereAlready:
         return victim
 
     @pytest.mark.usefixtures("victim")
-    def test_it_is_told_before_anything_is_recorded(self, tmp_path):
+    def test_it_is_refused_before_anything_is_recorded(self, tmp_path):
         with pytest.raises(CaptureError, match=r"wire\.jsonl\.part, under which it would be written, exists already"):
             check_target(tmp_path / "wire.jsonl")
 

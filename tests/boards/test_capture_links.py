@@ -113,14 +113,14 @@ def test_a_visit_to_a_first_generation_board_replays_with_no_difference(path):
     assert (link.differences, link.left) == ([], 0)
 
 
-def test_a_profile_tells_how_its_board_speaks():
+def test_a_profile_says_how_its_board_speaks():
     assert protocol_name(load_config(settings=["profile=sim_usb2"]).board) == "usb2"
     assert protocol_name(load_config(settings=["profile=usb1_0112"]).board) == "usb1-112"
     with pytest.raises(ConfigError, match="the messages of RT-DAC4/PCI are not known"):
         protocol_name(load_config(settings=["profile=sim_pci"]).board)
 
 
-def test_other_frame_numbers_are_no_difference_when_their_field_is_named(bench, recorded):
+def test_other_frame_numbers_are_not_a_difference_when_their_field_is_named(bench, recorded):
     samples, capture = recorded(RAMP)
     link = CaptureLink(capture, strict=True, numbering=NUMBERING)
     board = RtdacUsb2(link, bench.config.board, bench.clock.now_ns, bench.config.period_ns)

@@ -107,7 +107,7 @@ def test_a_word_that_two_captures_send_differently_is_named_with_its_first_value
     assert (word.first_frame, word.first_value, word.second_value) == (1, 0, 9)
 
 
-def test_frame_numbers_are_no_difference_when_their_field_is_ignored():
+def test_frame_numbers_are_not_a_difference_when_their_field_is_ignored():
     one, other = capture(counting(5)), capture(counting(6)[1:])
     assert not compare_sends(one, other).same
     assert compare_sends(one, other, ["pwm7_prescaler"]).same

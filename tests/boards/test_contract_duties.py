@@ -72,7 +72,7 @@ class TestDuties:
 
     @pytest.mark.parametrize("duty", [math.nan, math.inf, -math.inf, 1e308])
     @pytest.mark.parametrize("output", ["drive", "brake"])
-    def test_a_duty_that_is_no_number_of_any_use_is_refused_and_nothing_is_written(self, new_bench, output, duty):
+    def test_a_duty_that_is_not_a_finite_number_is_refused_and_nothing_is_written(self, new_bench, output, duty):
         assert_refused(new_bench(), output, duty)
 
     @pytest.mark.parametrize("duty", [1.001, -0.001])

@@ -33,7 +33,7 @@ class TestFailedExchanges:
             bench.exchange(1.0)
             assert board.link_errors == 1
 
-    def test_the_next_good_exchange_goes_on_with_the_right_counts(self, new_bench, way):
+    def test_the_next_good_exchange_continues_with_the_right_counts(self, new_bench, way):
         bench = new_bench()
         road_start, wheel_start = bench.device.counts()
         with bench.board:

@@ -70,7 +70,7 @@ class TestLeaving:
         live(bench, None)
         assert bench.acts[-2:] == ["send", "read"]
 
-    def test_safe_can_be_asked_for_at_any_time_and_the_run_can_go_on(self, new_bench):
+    def test_safe_can_be_requested_at_any_time_and_the_run_can_continue(self, new_bench):
         bench = new_bench()
         with bench.board:
             bench.exchange(1.0, 0.6)

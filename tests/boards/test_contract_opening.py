@@ -36,7 +36,7 @@ class TestOpening:
             assert board is bench.board
             assert board.identity == board.identify()
 
-    def test_an_answer_that_an_earlier_program_has_left_is_none_of_ours(self, new_bench):
+    def test_an_answer_to_an_earlier_program_is_dropped(self, new_bench):
         bench = new_bench()
         bench.device.show(0, 0)
         bench.read_along()

@@ -40,7 +40,7 @@ class TestReadOnly:
         assert bench.link.closed
         assert bench.device.settings == before
 
-    def test_outputs_that_an_earlier_program_left_on_are_told_of(self, untrusted):
+    def test_a_user_is_warned_of_outputs_that_an_earlier_program_left_on(self, untrusted):
         bench, _ = untrusted
         with bench.board as board, pytest.raises(ReadOnlyError, match="emergency switch"):
             bench.exchange(0.0, 0.0)
@@ -61,7 +61,7 @@ class TestReadOnly:
             bench.board.make_safe()
         assert bench.only_read
 
-    def test_nothing_is_told_of_outputs_that_are_off(self, new_bench):
+    def test_nothing_is_reported_of_outputs_that_are_off(self, new_bench):
         with new_bench('board.verified_by=""').board as board:
             assert "emergency switch" not in board.identity.read_only_because
 

@@ -36,7 +36,7 @@ def wreck(new_wreck):
 
 
 class TestSafeImage:
-    def test_it_has_all_widths_zero_whatever_the_board_does_now(self, new_bench):
+    def test_it_has_all_widths_zero_regardless_of_what_the_board_does_now(self, new_bench):
         bench, images = new_bench(), []
         with bench.board as board:
             for duties in [(0.0, 0.0), (1.0, 0.6), (0.2, 1.0)]:
@@ -96,12 +96,12 @@ class TestRescue:
         assert wreck.link.failed == 3 * wreck.messages_of_safe
         assert wreck.device.duties == BOTH
 
-    def test_zeros_that_are_no_answer_of_this_board_confirm_nothing(self, wreck):
+    def test_zeros_that_are_not_an_answer_of_this_board_confirm_nothing(self, wreck):
         wreck.link.change_answer = lambda answer: bytes(len(answer))
         with pytest.raises(UnsafeError, match="emergency switch"):
             wreck.board.rescue(wreck.image)
 
-    def test_a_board_that_ignores_the_image_is_not_taken_for_safe(self, wreck):
+    def test_a_board_that_ignores_the_image_is_not_mistaken_for_safe(self, wreck):
         wreck.ignore_commands()
         with pytest.raises(UnsafeError, match="emergency switch"):
             wreck.board.rescue(wreck.image)
@@ -114,7 +114,7 @@ class TestRescue:
         assert wreck.link.failed == 1
         assert wreck.device.duties == OFF
 
-    def test_the_answers_that_the_dead_process_had_asked_for_are_not_taken_for_the_own(self, wreck):
+    def test_answers_to_the_dead_process_are_not_mistaken_for_those_to_this_one(self, wreck):
         for _ in range(3):
             wreck.read_along()
         wreck.board.rescue(wreck.image)

@@ -162,26 +162,26 @@ class TestOpening:
             assert len(answer_of(link)) == FRAME_BYTES
         assert served.front_end.rejected == 0
 
-    def test_where_nobody_listens_there_is_no_board(self, path):
+    def test_without_a_listener_there_is_no_board(self, path):
         with pytest.raises(BoardError, match=r"no board at .*No such file"):
             SocketLink(path)
 
-    def test_a_socket_that_a_dead_board_has_left_is_no_board(self, path):
+    def test_a_socket_that_a_dead_board_has_left_is_not_a_board(self, path):
         SocketServer(None, path).close()
         with pytest.raises(BoardError, match=r"no board at .*refused"):
             SocketLink(path)
 
-    def test_a_file_is_no_board(self, path):
+    def test_a_file_is_not_a_board(self, path):
         Path(path).write_bytes(b"")
         with pytest.raises(BoardError, match="no board at"):
             SocketLink(path)
 
-    def test_a_name_that_no_socket_can_have_is_no_board(self):
+    def test_a_name_that_no_socket_can_have_is_not_a_board(self):
         with pytest.raises(BoardError, match=r"no board at .*too long"):
             SocketLink("/tmp/" + 200 * "x")  # noqa: S108  it is never made
 
     @pytest.mark.parametrize("greeting", [b"x", b"boar", b"hello, I am another program"])
-    def test_another_programs_greeting_is_not_believed(self, path, greeting):
+    def test_another_programs_greeting_is_not_accepted(self, path, greeting):
         board = Scripted(path, greeting)
         try:
             with pytest.raises(BoardError):
@@ -223,7 +223,7 @@ class TestMessages:
             board.send(message)
         assert [link.read(FRAME_BYTES) for _ in range(2)] == [b"four", b"five"]
 
-    def test_a_read_gives_no_more_than_was_asked_for_and_the_rest_is_dropped(self, mute):
+    def test_a_read_gives_no_more_than_was_requested_and_the_rest_is_dropped(self, mute):
         link, board = mute
         board.send(b"three")
         board.send(b"four")
@@ -386,13 +386,13 @@ class TestTheHostGoesAway:
         assert len(answer_of(link)) == FRAME_BYTES
         link.close()
 
-    def test_what_is_no_frame_is_dropped_and_the_next_is_answered(self, served, link):
+    def test_what_is_not_a_frame_is_dropped_and_the_next_is_answered(self, served, link):
         link.write(b"nonsense")
         assert len(answer_of(link)) == FRAME_BYTES
         assert served.front_end.rejected == 1
 
 
-def test_the_rig_moves_on_while_nobody_asks(served):
+def test_the_rig_moves_on_between_requests(served):
     link = served.link()
     served.drive(link)
     link.close()

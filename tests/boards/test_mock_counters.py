@@ -76,7 +76,7 @@ def test_a_released_counter_counts_from_zero(mock):
     assert counts(mock) == (2048, -2048)
 
 
-def test_a_reset_is_no_edge_that_has_to_be_cleared_first(mock):
+def test_a_reset_is_not_an_edge_that_has_to_be_cleared_first(mock):
     mock.send(encoder_reset=ROAD)
     mock.send(encoder_reset=ROAD, pwm0_width=3)
     turn(mock, 1.0)

@@ -162,13 +162,13 @@ def test_every_population_passes_the_check_with_every_seed(population):
         (f"hard:{'9' * 5000}", ["0..2^64-1"]),
     ],
 )
-def test_a_rig_that_is_none_is_refused_in_words(name, words):
+def test_an_unknown_rig_is_refused_with_an_explanation(name, words):
     problem = mistakes(f'simulation.rig="{name}"')["simulation.rig"]
     assert all(word in problem for word in words)
     assert len(problem) < 300
 
 
-def test_what_is_no_text_is_left_to_the_configuration():
+def test_a_value_that_is_not_text_is_left_to_the_configuration():
     assert mistakes("simulation.rig=17") == {"simulation.rig": "17: must be text"}
 
 
@@ -178,12 +178,12 @@ def test_what_describes_the_published_rig_does_not_go_with_a_drawn_one():
     assert "hard:17 has its own" in found["simulation.parameters"]
 
 
-def test_a_host_that_believes_in_other_encoders_is_told_what_to_set():
+def test_a_host_that_assumes_other_encoders_gets_the_setting_to_change():
     assert "set this to 2048" in mistakes(RIG, "encoders.counts_per_turn=4096")["encoders.counts_per_turn"]
     assert "has 2048" in mistakes(RIG, "simulation.counts_per_turn=4096")["simulation.counts_per_turn"]
 
 
-def test_a_host_may_be_mistaken_if_that_is_meant(new_mock):
+def test_a_host_may_assume_other_encoders_if_the_configuration_says_so(new_mock):
     mock = new_mock(RIG, "encoders.counts_per_turn=4096", "simulation.counts_per_turn=2048")
     before = counts(mock)[0]
     mock.device.plant.road_angle += math.tau

@@ -40,7 +40,7 @@ def test_the_header_names_logic_application_date_and_channels(mock):
     assert answer[12:18] == bytes.fromhex("880820800800")
 
 
-def test_the_header_is_the_same_whatever_was_written(mock, wire):
+def test_the_header_is_the_same_regardless_of_what_was_written(mock, wire):
     before = mock.read()[:18]
     mock.front_end.bulk_out(wire.frame(dict.fromkeys(range(1, 252), 0x7FFF)))
     assert mock.read()[:18] == before

@@ -43,7 +43,7 @@ def frames_of(wire, script):
 @pytest.mark.untraced
 @patient
 @given(script=scripts, cable=st.sampled_from(CABLES))
-def test_a_face_that_remembers_answers_as_one_that_decodes_every_frame_anew(new_mock, wire, script, cable):
+def test_a_front_end_that_remembers_answers_as_one_that_decodes_every_frame(new_mock, wire, script, cable):
     mock, twin = new_mock(cable=cable), new_mock(cable=cable)
     rejected = 0
     for frame, good, elapsed_ns in frames_of(wire, script):

@@ -38,7 +38,7 @@ def test_a_hand_moves_evenly_and_stops(mock):
     assert moved(mock, 1.0, 0) == [0]
 
 
-def test_the_physics_go_on_as_if_nobody_had_been_there(new_mock):
+def test_the_physics_continue_as_if_no_hand_had_been_there(new_mock):
     turned, alone = new_mock(), new_mock()
     turned.device.turn("road", 10, 0.1)
     for mock in (turned, alone):
@@ -58,7 +58,7 @@ def test_without_power_no_width_moves_the_rig_and_with_it_again_the_same_one_doe
     assert moved(mock, 0.3, 0)[0] > 50
 
 
-def test_the_configuration_wires_the_rig_whatever_the_profile_believes(new_mock):
+def test_the_configuration_wires_the_rig_regardless_of_the_profile(new_mock):
     mock = new_mock(
         "simulation.road_encoder=5",
         "simulation.wheel_encoder=2",
@@ -73,7 +73,7 @@ def test_the_configuration_wires_the_rig_whatever_the_profile_believes(new_mock)
     assert others == [0, 0]
 
 
-def test_encoders_have_what_the_profile_believes_if_nothing_is_said(new_mock):
+def test_encoders_are_as_the_profile_says_by_default(new_mock):
     mock = new_mock("encoders.counts_per_turn=4096")
     mock.device.turn("road", 1, 0.5)
     assert moved(mock, 1.0, 0) == pytest.approx([4096], abs=1)

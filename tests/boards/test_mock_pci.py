@@ -76,7 +76,7 @@ def test_its_supply_and_temperature_are_within_their_limits(mock):
 
 
 @pytest.mark.parametrize("offset", [offset for offset in OFFSETS if offset not in KNOWN])
-def test_what_nobody_has_described_reads_zero(mock, offset):
+def test_a_register_without_a_description_reads_zero(mock, offset):
     assert mock.read(offset) == 0
 
 

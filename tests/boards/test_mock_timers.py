@@ -60,7 +60,7 @@ def test_after_power_up_timers_stand_still(mock):
     assert timers(mock) == (0, 0)
 
 
-def test_timers_go_on_while_only_the_duties_change(mock):
+def test_timers_continue_while_only_the_duties_change(mock):
     started(mock)
     for width in range(1, 6):
         mock.send(timer_mode=0b11, pwm0_width=width)

@@ -64,7 +64,7 @@ def test_messages_of_a_first_generation_board_are_put_together(tmp_path, monitor
     assert capture.board == board
 
 
-def test_a_second_generation_board_is_not_taken_for_one_of_the_first(tmp_path):
+def test_a_second_generation_board_is_not_mistaken_for_one_of_the_first(tmp_path):
     monitor = Usbmon()
     path = tmp_path / "vendor.pcap"
     path.write_bytes(pcap(monitor.out(0x02, b"\x0f\x8f" + bytes(502)), monitor.link_type))
@@ -106,7 +106,7 @@ def test_what_an_answer_has_left_is_dropped_at_the_next_request():
     ]
 
 
-def test_bytes_that_nobody_asked_for_are_no_answer():
+def test_bytes_without_a_request_are_not_an_answer():
     assert messages(out(REQUEST), into(ANSWER), into(ANSWER)) == [
         (RecordKind.OUT, REQUEST),
         (RecordKind.IN, ANSWER),

@@ -92,12 +92,12 @@ def test_a_packet_shorter_than_its_data_says_what_to_do():
         decode(packet, LINUX_USB_MMAPPED)
 
 
-def test_a_failed_transfer_is_told_by_its_status():
+def test_a_failed_transfer_is_reported_by_its_status():
     assert decode(Usbmon().packet(1, "C", 2, status=-32), LINUX_USB_MMAPPED).failure == "status -32"
     assert decode(UsbPcap().packet(1, 1, 2, status=0xC0000004), USBPCAP).failure == "USBD status 0xC0000004"
 
 
-def test_a_short_packet_is_no_failure():
+def test_a_short_packet_is_not_a_failure():
     assert decode(Usbmon().packet(1, "C", 0x84, b"abc", status=-121), LINUX_USB_MMAPPED).failure == ""
 
 

@@ -105,7 +105,7 @@ def test_a_named_device_that_does_not_talk_like_a_board_is_refused(imported, mon
 
 
 @pytest.mark.parametrize("device", ["1", "1.", ".5", "one.five", "1.5.2", "1.٥"])
-def test_a_device_that_is_no_bus_and_address_is_wrong_usage(imported, device):
+def test_a_device_that_is_not_a_bus_and_address_is_wrong_usage(imported, device):
     with pytest.raises(ConfigError, match=r"as in 1\.5"):
         imported(tick(Usbmon()), Usbmon(), device=device)
 
@@ -202,7 +202,7 @@ def test_a_missing_library_is_an_error_that_names_the_extra(imported, monkeypatc
 
 
 @pytest.mark.parametrize("data", [b"", b"text\n" * 20, b"\x0a\x0d\x0d\x0a", b"\x1f\x8b" + bytes(100)])
-def test_a_file_that_is_no_capture_is_one_clear_error(tmp_path, data):
+def test_a_file_that_is_not_a_capture_is_one_clear_error(tmp_path, data):
     path = tmp_path / "vendor.pcap"
     path.write_bytes(data)
     with pytest.raises(CaptureError, match=r"vendor\.pcap: not a pcap or pcapng file"):

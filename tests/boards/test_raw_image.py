@@ -332,7 +332,7 @@ class TestFirstWrite:
         with bench.board.reading() as board:
             assert board.first_write() == []
 
-    def test_a_pwm_that_is_not_the_wiring_s_own_is_told_as_running(self):
+    def test_a_pwm_that_is_not_the_wiring_s_own_is_reported_as_running(self):
         image = [0] * 252
         image[34] = 100
         bench = Bench("generic", image)
@@ -341,7 +341,7 @@ class TestFirstWrite:
         assert remarks["w34"] == (("pwm4_width",), Remark.RUNS)
         assert remarks["w41"] == (("pwm7_prescaler",), Remark.NUMBER)
 
-    def test_bits_that_a_frame_cannot_carry_are_told(self):
+    def test_bits_that_a_frame_cannot_carry_are_reported(self):
         image = [0] * 252
         image[60] = 0x8001
         bench = Bench("abs", image)

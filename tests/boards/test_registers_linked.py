@@ -61,7 +61,7 @@ def test_answers_to_older_requests_are_dropped(link, registers):
     assert registers.read(0) == 6
 
 
-def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one(link, registers):
+def test_an_answer_that_came_too_late_is_not_mistaken_for_the_next_one(link, registers):
     late = []
 
     def hold_back(number):
@@ -84,7 +84,7 @@ def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one(link, regist
     ],
     ids=["empty", "cut", "without values"],
 )
-def test_an_answer_that_is_none_is_an_error(link, registers, answer, text):
+def test_an_invalid_answer_is_an_error(link, registers, answer, text):
     link.answer = lambda number: [answer(number)]
     with pytest.raises(LinkError, match=text):
         registers.read(0)

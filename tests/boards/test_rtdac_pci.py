@@ -91,14 +91,14 @@ class TestExchange:
             assert bench.device.duties == (0.4, 0.2)
             assert bench.exchange(0.4, 0.2).board_flags is BoardFlags.NONE
 
-    def test_what_safe_has_written_is_nobody_elses_doing(self, new_pci_bench):
+    def test_the_writes_of_safe_are_not_blamed_on_another_program(self, new_pci_bench):
         bench = new_pci_bench()
         with bench.board as board:
             bench.exchange(0.2, 0.4)
             board.make_safe()
             assert bench.exchange().board_flags is BoardFlags.NONE
 
-    def test_where_safe_came_through_is_not_known_nobody_else_is_blamed(self, new_pci_bench):
+    def test_no_other_program_is_blamed_if_the_end_of_safe_is_unknown(self, new_pci_bench):
         bench = new_pci_bench()
         with bench.board as board:
             bench.exchange(0.2, 0.4)
@@ -177,7 +177,7 @@ class TestOpening:
             survey = board.survey(["logic_version", "encoder_reset", "pwm1_prescaler"])
         assert survey.raw == struct.pack("<3I", 0x50F, 4, 44)
 
-    def test_where_no_board_answers_it_is_a_link_error_and_nothing_is_written(self, new_pci_bench):
+    def test_without_an_answering_board_it_is_a_link_error_and_nothing_is_written(self, new_pci_bench):
         bench = new_pci_bench()
         bench.link.change_answer = lambda answer: answer[:4] + b"\xff" * 4
         with pytest.raises(LinkError, match="no board answers"):

@@ -92,7 +92,7 @@ def test_old_answers_are_dropped_until_there_are_a_hundred_of_them(old, times, f
 
 
 @pytest.mark.parametrize("exchanges", [1, 2, 3, 4, 80])
-def test_answers_that_all_come_late_are_never_taken_for_fresh(old, exchanges):
+def test_answers_that_all_come_late_are_never_mistaken_for_fresh(old, exchanges):
     bench, _ = old
     link = bench.board._link = LateByMany(bench.link)
     with suppress(UnsafeError), bench.board:  # an answer to the SAFE before confirms as well
@@ -120,7 +120,7 @@ def test_every_good_sample_is_of_its_own_exchange(new_usb2_bench, wiring, faults
                 assert (sample.road_count, sample.wheel_count) == (road - start[0], wheel - start[1])
 
 
-def test_without_number_and_clock_a_repeated_answer_is_taken_for_the_next_one(new_usb2_bench):
+def test_without_number_and_clock_a_repeated_answer_is_mistaken_for_the_next_one(new_usb2_bench):
     """Why the number is there."""
     bench = new_usb2_bench("board.numbering_pwm=-1")
     link = bench.board._link = OldAnswers(bench.link)

@@ -72,7 +72,7 @@ def test_an_answer_with_a_flipped_bit_of_header_or_widths_is_a_failed_exchange(n
 
 
 @pytest.mark.parametrize("mood", ["after its time", "twice", "after the next request"])
-def test_no_answer_is_taken_for_the_one_to_a_later_request(mood):
+def test_no_answer_is_mistaken_for_the_one_to_a_later_request(mood):
     bench = Usb0111Bench()
     road_start, wheel_start = bench.device.counts()
     with bench.board:
@@ -111,7 +111,7 @@ def test_a_logic_without_tables_is_a_mistake_in_the_configuration():
         Usb0111Bench("board.logic_version=0x0999")
 
 
-def test_an_answer_that_has_come_too_late_is_not_taken_for_the_next_one(new_usb_bench):
+def test_an_answer_that_has_come_too_late_is_not_mistaken_for_the_next_one(new_usb_bench):
     bench = new_usb_bench()
     bench.device.show(1000, 2000)
     with bench.board:

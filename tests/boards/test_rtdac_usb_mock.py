@@ -119,7 +119,7 @@ def test_timers_run_at_20_mhz_in_timer_mode_alone():
     ],
     ids=range(12),
 )
-def test_what_is_no_message_is_dropped_and_counted(mock, message):
+def test_what_is_not_a_message_is_dropped_and_counted(mock, message):
     mock.send(pin_mode=0b11, pwm0_width=200)
     before = mock.answer()
     mock.front_end.bulk_out(message)
@@ -143,7 +143,7 @@ def test_each_request_has_its_answer_in_order(mock):
     assert answers == [1, 2, 3]
 
 
-def test_a_logic_without_tables_is_no_mock_board():
+def test_a_logic_without_tables_is_not_a_mock_board():
     config = load_config(settings=["profile=sim_usb", "board.logic_version=0x0999"])
     with pytest.raises(ConfigError, match="0x0111, 0x0112"):
         front_end_of(Device(config, HandClock().now_ns))

@@ -139,7 +139,7 @@ class TestBytes:
         assert link.read(3) == b"new"
         link.close()
 
-    def test_a_board_that_goes_on_sending_does_not_keep_the_link_from_opening(self, board):
+    def test_a_board_that_keeps_sending_does_not_keep_the_link_from_opening(self, board):
         ended = threading.Event()
 
         def chatter():
@@ -159,7 +159,7 @@ class TestFailures:
         with pytest.raises(LinkError, match="did not answer within 50 ms"):
             impatient(link).read(150)
 
-    def test_part_of_an_answer_is_a_link_error_that_tells_how_much_came(self, board, link):
+    def test_part_of_an_answer_is_a_link_error_that_says_how_much_came(self, board, link):
         board.say(b"x" * 30)
         with pytest.raises(LinkError, match="30 of 150 bytes of an answer came within 50 ms"):
             impatient(link).read(150)
@@ -188,7 +188,7 @@ class TestFailures:
         with pytest.raises(LinkError, match="took no data within 50 ms"):
             link.write(bytes(100_000))
 
-    def test_a_board_that_goes_is_said_to_be_gone_whatever_is_done(self, board, link):
+    def test_a_board_that_goes_is_said_to_be_gone_regardless_of_what_is_done(self, board, link):
         board.go()
         for attempt in (lambda: link.read(150), lambda: link.write(b"x"), lambda: link.exchange(b"x", b"y", 150)):
             with pytest.raises(LinkError, match="is gone: check cable and power"):
@@ -250,12 +250,12 @@ class TestPorts:
         assert struct.unpack("i", fcntl.ioctl(board._host, TIOCGEXCL, bytes(4))) == (closed,)
         link.close()
 
-    def test_a_port_that_is_not_there_is_told_with_those_that_are(self, monkeypatch, tmp_path):
+    def test_a_port_that_is_not_there_is_reported_with_those_that_are(self, monkeypatch, tmp_path):
         plug_in(monkeypatch, "/dev/ttyUSB3")
         with pytest.raises(BoardError, match=r"nowhere cannot be opened: there is no such port; seen: /dev/ttyUSB3 \("):
             SerialLink(str(tmp_path / "nowhere"))
 
-    def test_what_is_no_serial_port_is_asked_about(self, tmp_path):
+    def test_what_is_not_a_serial_port_is_asked_about(self, tmp_path):
         (tmp_path / "file").write_text("")
         for path in ("/dev/null", str(tmp_path / "file")):
             with pytest.raises(BoardError, match="is it a serial port"):
@@ -273,7 +273,7 @@ class TestPorts:
         with pytest.raises(BoardError, match=words):
             SerialLink(board.path)
 
-    def test_a_group_without_a_name_is_told_by_its_number(self, monkeypatch, board):
+    def test_a_group_without_a_name_is_reported_by_its_number(self, monkeypatch, board):
         def nameless(number):
             raise KeyError(number)
 
@@ -321,7 +321,7 @@ class TestLatencyTimer:
         file.write_text("16\n")
         return file
 
-    def test_it_is_set_to_a_millisecond_through_whatever_links_lead_to_the_port(self, tmp_path, timer):
+    def test_it_is_set_to_a_millisecond_through_any_links_to_the_port(self, tmp_path, timer):
         (tmp_path / "rig").symlink_to("/dev/ttyUSB0")
         assert serial_ports.set_latency_timer(str(tmp_path / "rig"), tmp_path) == ""
         assert timer.read_text() == "1\n"
@@ -332,7 +332,7 @@ class TestLatencyTimer:
         assert serial_ports.set_latency_timer("/dev/ttyUSB0", tmp_path) == ""
         assert int(event.read_text()) == 0x13F
 
-    def test_one_that_stays_long_is_told_with_the_rule_that_helps(self, tmp_path, timer, monkeypatch):
+    def test_one_that_stays_long_is_reported_with_the_rule_that_helps(self, tmp_path, timer, monkeypatch):
         monkeypatch.setattr(type(timer), "write_text", denied)
         complaint = serial_ports.set_latency_timer("/dev/ttyUSB0", tmp_path)
         assert "waits 16 ms" in complaint
@@ -347,7 +347,7 @@ class TestLatencyTimer:
     def test_a_port_without_one_is_fine(self, tmp_path):
         assert serial_ports.set_latency_timer("/dev/pts/5", tmp_path) == ""
 
-    def test_one_that_cannot_be_read_is_told(self, tmp_path, timer, monkeypatch):
+    def test_one_that_cannot_be_read_is_reported(self, tmp_path, timer, monkeypatch):
         timer.write_text("soon")
         monkeypatch.setattr(type(timer), "write_text", denied)
         assert "cannot be read" in serial_ports.set_latency_timer("/dev/ttyUSB0", tmp_path)
@@ -402,7 +402,7 @@ class TestWithTheMock:
         with new_board(config, server) as board:
             assert board.identity.application_name == "ABSIM"
 
-    def test_answers_that_nobody_reads_are_lost_and_the_next_host_is_served(self, served):
+    def test_answers_that_the_host_does_not_read_are_lost_and_the_next_host_is_served(self, served):
         config, server = served
         link = SerialLink(server.name, PATIENT_S)
         end = time.monotonic() + 60.0

@@ -124,7 +124,7 @@ class TestMemory:
         assert content[0x60:0x68] == b"\xff" * 4 + bytes(range(0x64, 0x68))
         assert calls == []
 
-    def test_closing_it_lets_go_of_the_board(self, tmp_path, opened):
+    def test_closing_it_releases_the_board(self, tmp_path, opened):
         add_board(tmp_path, flags=MEMORY, start=0xFE00_0000)
         opened().close()
         opened().close()
@@ -134,7 +134,7 @@ class TestMemory:
         with pytest.raises(BoardError, match=rf"0xfe000400.*pci=resource_alignment={ADDRESS}"):
             opened()
 
-    def test_a_mapping_that_the_kernel_refuses_lets_go_of_the_board(self, tmp_path, opened, monkeypatch):
+    def test_a_mapping_that_the_kernel_refuses_releases_the_board(self, tmp_path, opened, monkeypatch):
         add_board(tmp_path, flags=MEMORY, start=0xFE00_0000)
 
         def fail(*_):
@@ -199,7 +199,7 @@ class TestFinding:
         with pytest.raises(BoardError, match=text):
             opened()
 
-    def test_a_kernel_without_the_switch_is_no_obstacle(self, tmp_path, opened):
+    def test_a_kernel_without_the_switch_is_not_an_obstacle(self, tmp_path, opened):
         add_board(tmp_path, enable=None)
         opened()
 

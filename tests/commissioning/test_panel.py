@@ -138,7 +138,7 @@ class TestWhatIsSeen:
         assert (drive.output, drive.channel, drive.mode, drive.fits) == ("drive", 0, "8-bit", True)
         assert (brake.output, brake.channel, brake.mode, brake.fits) == ("brake", 1, "12-bit", False)
 
-    def test_of_a_reading_that_failed_there_are_none(self):
+    def test_a_failed_reading_has_no_values(self):
         assert panel().pwm({"problem": "no answer"}) == []
 
 

@@ -86,7 +86,7 @@ def test_a_board_that_is_not_trusted_is_refused_and_still_watched():
     assert "a wheel moved" in str(moving)
 
 
-def test_counters_of_an_unknown_logic_are_not_taken_for_counters():
+def test_counters_of_an_unknown_logic_are_not_mistaken_for_counters():
     found = preflight(WatchedRig(), "board.logic_version=0x0111")
     assert ("0x0103" in str(found.refused[0]), found.moved) == (True, None)
 
@@ -99,7 +99,7 @@ def test_outputs_that_were_left_on_are_reported():
     assert "emergency switch" in found.cautions[0]
 
 
-def test_a_board_that_hangs_up_is_a_refusal_and_no_error():
+def test_a_board_that_hangs_up_is_a_refusal_not_an_error():
     rig = WatchedRig()
     made = rig.link
     rig.link = lambda: closed(made())

@@ -73,7 +73,7 @@ def test_an_encoder_that_counts_down_gets_its_sign(lab, at_wheels):
     assert (board.wheel_sign, board.road_sign) == (-1, 1)
 
 
-def test_a_wrong_answer_is_asked_for_again(lab, at_wheels):
+def test_after_a_wrong_answer_the_question_is_repeated(lab, at_wheels):
     at_wheels(["", "maybe", "yes", ""], ("wheel", -10, True), LOWER).go(only="wheels")
     assert lab.operator.heard("must be yes or no")
 

@@ -155,7 +155,7 @@ def test_a_controller_of_the_users_own_is_checked_and_built():
     assert build_pipeline(config, OWN).phase is Phase.IDLE
 
 
-def test_the_controller_believes_in_the_model_section_and_not_in_the_simulated_rig(experiment):
+def test_the_controller_assumes_the_model_section_and_not_the_simulated_rig(experiment):
     def first_terms(*settings: str):
         run = experiment("experiment.start_speed_rad_s=60", *settings)
         for moment in run.moments():

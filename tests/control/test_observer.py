@@ -56,7 +56,7 @@ def rms(moments, since_s=0.3, above_rad_s=20.0):
 
 
 @pytest.mark.untraced
-def test_encoders_that_jitter_at_rest_are_not_taken_for_braking(rolling):
+def test_encoders_that_jitter_at_rest_are_not_mistaken_for_braking(rolling):
     for seed in range(100_000, 100_020):
         run = rolling(draw("hard", seed))
         for _ in range(60):

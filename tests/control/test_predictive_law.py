@@ -179,7 +179,7 @@ def test_the_first_demand_is_zero():
     assert demand_at(None) == BrakeDemand(0.0)
 
 
-def test_what_the_observer_believes_is_logged():
+def test_what_the_observer_estimates_is_logged():
     expected = outlook(0.2, 50.0, excess_torque_nm=0.3, adhesion_factor=0.9, brake_dead_time_s=0.012, brake_lag_s=0.04)
     demand = demand_at(expected)
     assert demand.internals == (0.3, 0.9, 0.012, 0.04)

@@ -117,7 +117,7 @@ def test_without_data_the_status_comes_each_time_that_the_timer_runs_out(board, 
     assert clock.time_ns - start_ns == 5 * latency_ms * MS
 
 
-def test_it_tells_when_to_ask_again(board, clock):
+def test_it_says_when_to_ask_again(board, clock):
     fetched(board)
     assert board.due_s == 0.016
     clock.time_ns += 10 * MS
@@ -182,7 +182,7 @@ def test_other_requests_are_answered_or_stall(device):
     assert fails(errno.EPIPE, device.ctrl_transfer, 0x40, 9, 0, 0)
 
 
-def test_answers_that_nobody_fetches_do_not_fill_the_memory(board):
+def test_answers_that_the_host_does_not_fetch_do_not_fill_the_memory(board):
     for _ in range(100):
         board.packet_out(OUT, READ_REQUEST)
     assert board.lost_answers == 100 - 4096 // FRAME_BYTES

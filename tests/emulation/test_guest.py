@@ -154,7 +154,7 @@ class TestUsb2:
         assert (device["speed"], device["driver"]) == (SPEEDS[speed], "")
         assert device["endpoints"] == ["02", "06", "84", "88"]
 
-    def test_the_kernel_tells_of_it(self, usb2):
+    def test_the_kernel_reports_it(self, usb2):
         log = "\n".join(usb2.report["log"])
         assert "new full-speed USB device number 2 using vhci_hcd" in log
         assert "USB disconnect, device number 3" in log
@@ -227,7 +227,7 @@ class TestPci:
         assert pci.report["logic"] == LOGIC_VERSION
         assert pci.report["mask"] == 0x5A
 
-    def test_any_other_user_is_told_of_the_rules(self, pci):
+    def test_any_other_user_is_referred_to_the_rules(self, pci):
         for told in pci.report["stranger"].values():
             assert "resource2 cannot be opened: no permission: inteco-abs doctor --rules" in told
 

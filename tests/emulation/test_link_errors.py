@@ -103,7 +103,7 @@ def test_over_real_libusb(engine, name):
 @real_libusb
 @pytest.mark.usefixtures("preload")
 @pytest.mark.parametrize("engine", ENGINES)
-def test_over_real_libusb_a_kernel_driver_is_detached_and_the_user_is_told(engine):
+def test_over_real_libusb_a_kernel_driver_is_detached_and_the_user_is_informed(engine):
     _, stderr = all_of(engine, "bound")
     assert "a kernel driver held the board and was detached" in stderr
 
@@ -111,7 +111,7 @@ def test_over_real_libusb_a_kernel_driver_is_detached_and_the_user_is_told(engin
 @real_libusb
 @pytest.mark.usefixtures("preload")
 @pytest.mark.parametrize("engine", ENGINES)
-def test_over_real_libusb_missing_permission_is_told_with_the_udev_rule(engine):
+def test_over_real_libusb_missing_permission_is_reported_with_the_udev_rule(engine):
     # root has to give up its rights to be refused anything
     prefix = ("setpriv", "--inh-caps=-all", "--bounding-set=-all") if os.geteuid() == 0 else ()
     tree = UsbfsTree(new_host(UsbSpeed.HIGH, drill=False), mode=0)
@@ -121,7 +121,7 @@ def test_over_real_libusb_missing_permission_is_told_with_the_udev_rule(engine):
         tree.close()
 
 
-def test_missing_permission_is_told_with_the_udev_rule(in_process):
+def test_missing_permission_is_reported_with_the_udev_rule(in_process):
     in_process.backend.permitted = False
     with pytest.raises(BoardError, match=r"no board that may be opened.*doctor --rules prints the udev rule"):
         in_process.open_link()
@@ -199,7 +199,7 @@ def test_of_two_boards_one_must_be_named(in_process):
     UsbLink(str(SERIAL + 1), UsbConfig(), in_process.backend).close()
 
 
-def test_a_computer_without_libusb_is_told_what_to_install(monkeypatch):
+def test_without_libusb_the_error_says_what_to_install(monkeypatch):
     def find(**_):
         raise usb.core.NoBackendError("No backend available")
 
@@ -215,7 +215,7 @@ class StubbornBackend(BusBackend):
         raise usb.core.USBError("Access denied", -3, 13)
 
 
-def test_a_kernel_driver_that_cannot_be_detached_is_told_with_what_to_do(in_process):
+def test_a_kernel_driver_that_cannot_be_detached_is_reported_with_what_to_do(in_process):
     in_process.backend = StubbornBackend(in_process.host)
     in_process.backend.driver = "usbtest"
     with pytest.raises(BoardError, match=r"cannot be detached \(no permission.*lsusb -t.*modprobe -r"):
@@ -244,7 +244,7 @@ def test_a_bridge_that_is_gone_is_an_error_and_not_a_date(in_process):
         identify_led(device, on=True)
 
 
-def test_a_board_that_may_not_be_opened_tells_no_dates(in_process):
+def test_a_board_that_may_not_be_opened_gives_no_dates(in_process):
     in_process.backend.permitted = False
     with pytest.raises(LinkError, match=r"no permission: .*udev rule"):
         firmware_dates(in_process.find())
@@ -266,7 +266,7 @@ def test_an_answer_longer_than_asked_for_is_an_error(in_process):
     link.close()
 
 
-def test_an_error_without_a_text_of_its_own_is_told_in_libusbs(in_process, monkeypatch):
+def test_an_error_without_a_text_of_its_own_is_reported_in_libusbs(in_process, monkeypatch):
     def fail(*_):
         raise usb.core.USBError("Other error", -99, None)
 

@@ -40,7 +40,7 @@ def test_a_guest_ends_with_the_tests_that_are_killed():
     ends(lambda: not sleeping(mark))
 
 
-def test_of_a_guest_that_goes_on_for_too_long_there_is_what_it_has_said():
+def test_a_guest_that_takes_too_long_leaves_its_output():
     mark = f"98765.{time.monotonic_ns()}"
     assert output_of(["sh", "-c", f"echo begun; exec sleep {mark}"], 1.0) == "begun\n"
     ends(lambda: not sleeping(mark))

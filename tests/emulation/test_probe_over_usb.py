@@ -65,7 +65,7 @@ def test_a_board_on_the_bus_is_listed_read_and_timed_and_nothing_is_written_to_i
     assert str(tmp_path) not in (tmp_path / "board.jsonl").read_text()
 
 
-def test_a_bridge_in_trouble_is_no_reason_to_stop(real_board, monkeypatch):
+def test_a_bridge_in_trouble_is_not_a_reason_to_stop(real_board, monkeypatch):
     device, _ = real_board
 
     def fail(_device):

@@ -113,7 +113,7 @@ def test_another_seed_gives_other_ticks():
     assert difference(stop("in process", SEED + 1, SHORT), in_process(*SHORT))
 
 
-def test_one_changed_bit_or_a_missing_tick_is_told_by_its_number():
+def test_one_changed_bit_or_a_missing_tick_is_reported_by_its_number():
     ticks = bytearray(in_process(*SHORT))
     count = len(ticks) // TICK.size
     assert f"tick {count - 1} of {count} (found {count - 1})" in difference(ticks[: -TICK.size], bytes(ticks))

@@ -91,7 +91,7 @@ def stop(folder, engine, **trouble):
 
 
 @pytest.mark.parametrize("engine", ["faster", pytest.param("one-by-one", marks=pytest.mark.long)])
-def test_a_stop_completes_from_tick_0_on_and_the_session_tells_how_quick_the_engines_were(tmp_path, engine):
+def test_a_stop_completes_from_tick_0_on_and_the_session_says_how_quick_the_engines_were(tmp_path, engine):
     session, card, board = stop(tmp_path, engine)
     assert card["outcome"] == "completed"
     assert session.ticks["tick"][0] == 0
@@ -110,7 +110,7 @@ def test_a_stop_completes_from_tick_0_on_and_the_session_tells_how_quick_the_eng
 @pytest.mark.parametrize(
     "trouble", [{"lost_every": 50, "late_every": 70}, {"lost_every": 50}, {"late_every": 70}], ids=" and ".join
 )
-def test_a_stop_outlives_lost_and_late_answers_and_tells_them(tmp_path, trouble):
+def test_a_stop_survives_lost_and_late_answers_and_counts_them(tmp_path, trouble):
     _, card, board = stop(tmp_path, "queued", **trouble)
     assert card["outcome"] == "completed"
     assert board.struck > 2

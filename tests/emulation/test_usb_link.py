@@ -80,7 +80,7 @@ def test_another_serial_number_or_maker_or_id_is_another_board(bus):
         assert named in str(refusal.value)
 
 
-def test_a_board_of_the_maker_is_found_whatever_its_ids():
+def test_a_board_of_the_maker_is_found_with_any_ids():
     bus = Bus(vendor_id=0x1234, product_id=0x5678)
     bus.link().close()
     UsbLink("", UsbConfig(manufacturer="inteco", vendor_id=0x1234), bus.backend).close()
@@ -147,7 +147,7 @@ def test_a_silent_board_is_a_link_error_that_says_so(bus):
     link.close()
 
 
-def test_an_unplugged_board_is_told_from_a_silent_one(bus):
+def test_an_unplugged_board_is_distinguished_from_a_silent_one(bus):
     board = bus.driver().__enter__()
     bus.clock.time_ns += PERIOD_NS
     board.exchange(Command(0.5, 0.0))

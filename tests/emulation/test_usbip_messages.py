@@ -176,7 +176,7 @@ def test_stall_and_unknown_endpoint(attached):
     attached.ask(submit(3, IN, 5, 64), returned(3, -errno.ENOENT, 0))
 
 
-def test_data_stage_against_the_setup_is_no_answer_with_data(attached):
+def test_a_data_stage_against_the_setup_is_answered_without_data(attached):
     attached.ask(submit(2, OUT, 0, 0, setup=bytes.fromhex("80 06 0001 0000 1200")), returned(2, -errno.EOVERFLOW, 0))
     attached.ask(submit(3, OUT, 2, 1, b"x"), returned(3, 0, 1))
 
@@ -233,7 +233,7 @@ def test_unlinks_racing_with_answers(attached, host):
     assert len(ended) == count
 
 
-def test_second_import_is_refused_and_the_first_goes_on(attached, server):
+def test_second_import_is_refused_and_the_first_continues(attached, server):
     other = Peer(server.address)
     other.ask(ASK_IMPORT, REFUSED)
     other.expect_end()

@@ -141,7 +141,7 @@ def problems(lives: Lives, life: Life) -> Iterator[str]:
         yield "was never struck"
     if any(any(duties) for duties in life.duties):
         yield f"outputs were left on: {life.duties}"
-    if life.escaped is not None and not nobody_left(life.escaped):
+    if life.escaped is not None and not no_one_left(life.escaped):
         yield f"{life.escaped!r} left the command"
     # a second interrupt in what is being thrown away already is Python's to tell of, and the first one was heard
     if ("Traceback" in life.said and "Exception ignored in" not in life.said) or "internal error" in life.said:
@@ -155,7 +155,7 @@ def problems(lives: Lives, life: Life) -> Iterator[str]:
             yield "left a session that is cut"
 
 
-def nobody_left(error: BaseException) -> bool:
+def no_one_left(error: BaseException) -> bool:
     """Whether an interrupt came at the first or last line of the command, around which there is nothing of ours.
 
     There always are such lines; Python then ends with the same code, and a traceback.

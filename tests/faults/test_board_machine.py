@@ -131,7 +131,7 @@ class BoardMachine(RuleBasedStateMachine):
         try:
             board.__enter__()
         except UnsafeError:
-            self._was_told()
+            self._was_reported()
         except BoardError:
             assert self.device.duties in {OFF, before}
             self._as_it_is()
@@ -147,7 +147,7 @@ class BoardMachine(RuleBasedStateMachine):
         for command in commands:
             self.time_ns += 10**6
             self._exchange(command)
-            self.only_what_was_told_is_in_force()
+            self.only_the_reported_values_are_in_force()
 
     def _exchange(self, command):
         sample = self.board.exchange(command)
@@ -194,7 +194,7 @@ class BoardMachine(RuleBasedStateMachine):
         try:
             board.__exit__(None, None, None)
         except UnsafeError:
-            self._was_told()
+            self._was_reported()
         else:
             assert self.device.duties == OFF
             self.possible = [OFF]
@@ -213,7 +213,7 @@ class BoardMachine(RuleBasedStateMachine):
         try:
             self._new_board().rescue(self.image)
         except UnsafeError:
-            self._was_told()
+            self._was_reported()
         else:
             assert self.device.duties == OFF
             self.possible = [OFF]
@@ -241,7 +241,7 @@ class BoardMachine(RuleBasedStateMachine):
         self.time_ns += ms * 10**6
 
     @invariant()
-    def only_what_was_told_is_in_force(self):
+    def only_the_reported_values_are_in_force(self):
         type(self).steps += 1
         if hasattr(self, "device"):
             assert any(self._is(command) for command in self.possible), (self.device.duties, self.possible)
@@ -251,7 +251,7 @@ class BoardMachine(RuleBasedStateMachine):
             wanted - STEP <= duty <= wanted + 1e-6 for duty, wanted in zip(self.device.duties, command, strict=True)
         )
 
-    def _was_told(self):
+    def _was_reported(self):
         """That power may still be on: then it may."""
         type(self).told += 1
         self._as_it_is()
@@ -270,9 +270,7 @@ class BoardMachine(RuleBasedStateMachine):
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_in_whatever_order_a_board_is_used_and_lost_it_is_left_safe_or_somebody_is_told(
-    monkeypatch, record_property, profile
-):
+def test_in_any_order_of_use_and_loss_a_board_is_left_safe_or_the_user_is_warned(monkeypatch, record_property, profile):
     monkeypatch.setattr(plant, "MOST_CUTS", 1)
     machine = type("Machine", (BoardMachine,), {"profile": profile})
     run_state_machine_as_test(machine, settings=FEW)

@@ -185,7 +185,7 @@ def recovered(left, again):
     return b""
 
 
-def test_in_whatever_order_disks_fail_and_programs_die_every_tick_is_kept_and_none_is_wrong(
+def test_in_any_order_of_failing_disks_and_dying_programs_every_tick_is_kept_and_none_is_wrong(
     monkeypatch, record_property
 ):
     disk = type("FullDisk", (file_writer._Disk, Full), {})

@@ -69,7 +69,9 @@ def test_what_does_no_harm_is_outlived(short, name):
 
 @pytest.mark.parametrize("name", FOR_GOOD)
 @pytest.mark.parametrize("event", ["drive+40ms", "brake+20ms"])
-def test_a_board_that_is_gone_ends_the_run_in_four_exchanges_and_the_user_is_told_of_the_switch(short, name, event):
+def test_a_board_that_is_gone_ends_the_run_in_four_exchanges_and_the_user_is_warned_to_press_the_switch(
+    short, name, event
+):
     if short.board.kind == "pci" and name == "identity":
         with pytest.raises(ConfigError, match="no answer of such a board identifies it"):
             ride(short, [f"{name}@{event}"])
@@ -89,7 +91,7 @@ def test_a_fault_of_the_rig_ends_the_run_with_its_reason_and_outputs_off(short, 
 
 
 @pytest.mark.parametrize("fault", ["supply=0", "supply=10.5", "heat=-40", "heat=95", "heat=150", "alarm=5"])
-def test_what_the_board_measures_is_told_by_its_driver(fault):
+def test_what_the_board_measures_is_reported_by_its_driver(fault):
     config, (name, value) = configured(profile="sim_pci"), fault.split("=")
     schedule = Schedule(parse_faults([f"{fault}@start"]), lambda: 0, 0)
     device = FaultyDevice(config, lambda: 0, schedule=schedule)

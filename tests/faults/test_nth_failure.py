@@ -20,7 +20,7 @@ def place():
 
 @pytest.mark.parametrize("ways", [1, pytest.param(len(LASTS), marks=pytest.mark.long)])
 @pytest.mark.parametrize("scene", SCENES)
-def test_whatever_is_refused_outputs_are_off_and_no_tick_is_lost_untold(place, record_property, scene, ways):
+def test_with_any_refusal_outputs_are_off_and_no_tick_is_lost_without_a_report(place, record_property, scene, ways):
     """Every request, in one of the ways, by turns, or in all of them."""
     kinds, runs, bad = refuse(place, scene, ways)
     told(record_property, scene, kinds, runs, bad)

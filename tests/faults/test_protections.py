@@ -69,7 +69,7 @@ def test_without_this_protection_the_campaign_finds_a_violation(campaign, monkey
     assert any(campaign.judged(case).problem for case in cases)
 
 
-def test_without_the_comparison_on_the_bus_nobody_would_see_another_master(campaign, monkeypatch):
+def test_without_the_comparison_on_the_bus_another_master_would_not_be_seen(campaign, monkeypatch):
     case = campaign.Case("20", ("master@coast",), profile="sim_pci", ends=("MISSED_EXCHANGES", "told"), told_ms=40.0)
     assert not campaign.judged(case).problem
     monkeypatch.setattr(RtdacPci, "_written", property(lambda _: False, lambda _, __: None), raising=False)
@@ -89,7 +89,7 @@ def test_the_campaign_finds_outputs_that_are_left_on(campaign, monkeypatch):
 
 
 @pytest.mark.parametrize("profile", ["sim_usb2", "sim_usb", "sim_pci"])
-def test_the_campaign_finds_a_pulled_cable_of_which_nobody_is_told(campaign, monkeypatch, profile):
+def test_the_campaign_finds_a_pulled_cable_without_a_warning(campaign, monkeypatch, profile):
     case = campaign.Case("unplug", ("unplug@brake+20ms",), profile=profile)
     assert not campaign.judged(case).problem
     monkeypatch.setattr(Board, "make_safe", lambda _self: None)
@@ -119,7 +119,7 @@ def test_the_campaign_finds_a_board_that_is_given_up_though_it_answers(campaign,
 
 
 @pytest.mark.parametrize("profile", ["sim_usb2", "sim_pci"])
-def test_the_campaign_finds_another_master_of_whom_nobody_is_told(campaign, monkeypatch, profile):
+def test_the_campaign_finds_another_master_without_a_warning(campaign, monkeypatch, profile):
     case = campaign.Case("master", ("master@brake+#2/600s",), profile=profile)
     assert not campaign.judged(case).problem
     monkeypatch.setattr(Board, "make_safe", lambda _self: None)

@@ -69,7 +69,7 @@ class TestInRealTime:
 
         return live
 
-    def test_who_interrupts_just_before_the_loop_is_let_go_is_told_so(self, strike):
+    def test_an_interrupt_just_before_the_loop_is_released_is_reported(self, strike):
         life, problem = strike(line_of(Supervisor._start_loop, "apply("), "SIGINT")
         assert not problem
         assert (life.struck, life.code) == (True, INTERRUPTED)

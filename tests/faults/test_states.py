@@ -16,10 +16,10 @@ def tell(record_property, depth):
     assert set(met) == {(phase, event) for phase in set(Phase) - {Phase.UNKNOWN} for event in EVENTS}
 
 
-def test_whatever_happens_within_three_ticks_of_any_moment_keeps_the_invariants(record_property):
+def test_any_events_within_three_ticks_of_any_moment_keep_the_invariants(record_property):
     tell(record_property, 3)
 
 
 @pytest.mark.long
-def test_whatever_happens_within_six_ticks_of_any_moment_keeps_the_invariants(record_property):
+def test_any_events_within_six_ticks_of_any_moment_keep_the_invariants(record_property):
     tell(record_property, 6)

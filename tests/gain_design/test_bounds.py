@@ -158,7 +158,7 @@ def test_without_the_assumption_on_g_26_has_no_bound_and_with_a_g_that_may_vanis
     assert [values[0] for values in lost.holding_torques(SPEEDS)] == [-math.inf, math.inf]
 
 
-def test_the_default_box_holds_the_population_hard_and_is_no_larger():
+def test_the_default_box_holds_the_population_hard_and_is_not_larger():
     box = {spread.name: spread for spread in BOXES["hard"].spreads}
     seen = {name: [] for name in box}
     for seed in range(300):

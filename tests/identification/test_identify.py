@@ -90,7 +90,7 @@ def test_what_is_assumed_stays_as_it_is_believed_and_is_called_so(identified):
     assert identified[1]["J1"]["value"] == pytest.approx(identified[1]["J1"]["published"])
 
 
-def test_the_parameter_file_is_a_configuration_for_all_that_believes_in_a_model(identified):
+def test_the_parameter_file_is_a_configuration_for_all_that_uses_a_model(identified):
     model = load_config(identified[2]).model
     estimates = identified[1]
     parameters = nominal_parameters(model)

@@ -124,7 +124,7 @@ def test_a_rig_may_be_named_and_unnamed_ones_follow_from_the_seed():
 
 
 @pytest.mark.parametrize("make", [BrakingEnv, BrakingVectorEnv])
-def test_an_action_that_is_no_number_ends_the_stop_with_the_guards_reason(make):
+def test_an_action_that_is_not_a_number_ends_the_stop_with_the_guards_reason(make):
     env = make()
     env.reset(seed=1)
     _, _, terminated, truncated, info = env.step(np.full(env.action_space.shape, np.nan))

@@ -116,7 +116,7 @@ def test_the_state_space_has_names_and_the_poles_of_the_model():
     assert min(abs(system.poles() + MASK.c31)) < 1e-9
 
 
-def test_a_brake_without_lag_is_no_state():
+def test_a_brake_without_lag_is_not_a_state():
     assert linearised(replace(MASK, c31=math.inf), 0.2, 100.0).A.shape == (2, 2)
 
 

@@ -109,7 +109,7 @@ def test_the_figures_stop_is_the_one_in_the_middle(reproduced):
     assert trace.columns["time_s"][-1] == pytest.approx(middle["stop_time_s"])
 
 
-def test_only_what_was_estimated_is_told_as_such(reproduced):
+def test_only_estimates_are_named_so(reproduced):
     simulation, window, euler = reproduced.traces
     assert "slip_estimated" not in simulation.columns
     for trace in (window, euler):

@@ -124,7 +124,7 @@ def test_a_figures_data_are_those_of_its_stop(told):
         ("nowhere/paper", ["--out", "nowhere does not exist; create it first"]),
     ],
 )
-def test_what_is_no_folder_is_refused(monkeypatch, tmp_path, out, words):
+def test_what_is_not_a_folder_is_refused(monkeypatch, tmp_path, out, words):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("mine")
     with pytest.raises(ConfigError) as caught:

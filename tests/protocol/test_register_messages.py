@@ -51,7 +51,7 @@ def test_any_bytes_are_a_request_or_refused(message):
 
 
 @pytest.mark.parametrize("message", [b"", b"1", b"123", b"12345"])
-def test_what_is_no_whole_words_is_no_answer(message):
+def test_a_length_that_is_not_a_multiple_of_a_word_is_not_an_answer(message):
     with pytest.raises(ProtocolError, match=f"{len(message)} bytes"):
         decode_answer(message)
 

@@ -228,7 +228,7 @@ def test_velocity_is_lines_per_time(lines, window):
     assert velocity_rpm(lines, window) == pytest.approx(lines / 1024 / minutes)
 
 
-def test_a_velocity_without_a_window_is_no_standstill():
+def test_a_velocity_without_a_window_is_not_a_standstill():
     with pytest.raises(ProtocolError, match="velocity_window = 0"):
         velocity_rpm(0, 0)
 

@@ -72,7 +72,7 @@ def test_any_send_frame_encodes_back_to_the_same_declared_bits(logic, frame):
 
 @each_logic
 @given(frame=frames, version=st.integers(0, 0xFFFF))
-def test_an_answer_of_another_logic_is_never_taken_for_this_ones(logic, frame, version):
+def test_an_answer_of_another_logic_is_never_mistaken_for_this_ones(logic, frame, version):
     frame = version.to_bytes(2, "little") + frame[2:]
     if version == logic:
         assert decode_read(frame, logic=logic)["logic_version"] == logic

@@ -69,7 +69,7 @@ def loop(memory):
     return Loop(memory)
 
 
-def test_nothing_is_served_unless_it_was_asked_for(memory, job):
+def test_nothing_is_served_unless_it_was_requested(memory, job):
     with live_view(memory, replace(job, live_port=None)):
         assert memory.words[Field.LIVE_PORT] == 0
 

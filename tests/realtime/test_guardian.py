@@ -302,7 +302,7 @@ class TestDeath:
             assert run.words[Field.RESCUED_PID] == 0
         run.until_rescued(process.pid)
 
-    def test_a_process_that_had_let_go_of_the_board_is_not_taken_for_one_that_held_it(self, run, child):
+    def test_a_process_that_had_let_go_of_the_board_is_not_mistaken_for_one_that_held_it(self, run, child):
         process = child()
         run.hold(process.pid)
         run.words[Field.HOLDER_PID] = 0

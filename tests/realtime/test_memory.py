@@ -139,7 +139,7 @@ class TestFile:
         assert os.strerror(number) in str(refusal.value)
         assert not list(memory_folder.iterdir())
 
-    def test_room_for_a_run_is_asked_for_to_the_byte(self, memory, memory_folder, monkeypatch):
+    def test_room_for_a_run_is_requested_to_the_byte(self, memory, memory_folder, monkeypatch):
         size = memory.path.stat().st_size
         assert run_bytes(TICK.size, 50, TRUTH.size, 50) == size
         monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=size * (folder == memory_folder)))
@@ -431,7 +431,7 @@ class TestAlive:
     def test_a_number_that_no_process_has_is_not(self, pid):
         assert not alive(pid)
 
-    def test_without_a_descriptor_to_look_through_a_process_is_not_taken_for_dead(self, child):
+    def test_without_a_descriptor_to_look_through_a_process_is_not_mistaken_for_dead(self, child):
         process = child()
         limits, taken = resource.getrlimit(resource.RLIMIT_NOFILE), []
         resource.setrlimit(resource.RLIMIT_NOFILE, (64, limits[1]))
@@ -467,7 +467,7 @@ class TestAlive:
         assert alive(pid)
         assert descriptors() == before
 
-    def test_more_than_a_thousand_descriptors_are_no_obstacle(self, child):
+    def test_more_than_a_thousand_descriptors_are_not_an_obstacle(self, child):
         process = child()
         limits = resource.getrlimit(resource.RLIMIT_NOFILE)
         if limits[0] < 1200:
@@ -484,7 +484,7 @@ class TestAlive:
         assert 0 < start_time(os.getpid()) <= start_time(child().pid)
         assert start_time(2**31 - 1) == 0
 
-    def test_the_number_of_a_thread_is_no_process(self):
+    def test_the_number_of_a_thread_is_not_a_process(self):
         over, numbers = threading.Event(), []
         thread = threading.Thread(target=lambda: (numbers.append(threading.get_native_id()), over.wait()))
         thread.start()

@@ -22,7 +22,7 @@ def test_it_returns_the_monotonic_time(fake_time):
     assert clock.now_ns() == fake_time.now_ns
 
 
-def test_the_first_beat_is_one_period_after_the_first_was_asked_for(fake_time):
+def test_the_first_beat_is_one_period_after_the_first_was_requested(fake_time):
     clock = PacedClock(PERIOD_NS)
     fake_time.spend(10**9)
     beats = iter(clock)

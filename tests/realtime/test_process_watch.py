@@ -105,7 +105,7 @@ def test_a_frozen_guardian_has_the_loop_stopped_once_its_window_is_over(scene):
     assert scene.loop.poll() is None  # it still runs, so that it can receive the stop
 
 
-def test_more_than_a_thousand_descriptors_are_no_obstacle(scene, memory, job_of):
+def test_more_than_a_thousand_descriptors_are_not_an_obstacle(scene, memory, job_of):
     limits, taken = resource.getrlimit(resource.RLIMIT_NOFILE), []
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(limits[1], 4096), limits[1]))
     try:
@@ -186,7 +186,7 @@ def test_a_loop_that_released_its_board_needs_no_rescue(scene):
     assert scene.words[Field.STOP] == 0
 
 
-def test_a_loop_that_was_silent_before_it_held_the_board_is_not_taken_for_hung(scene, monkeypatch):
+def test_a_loop_that_was_silent_before_it_held_the_board_is_not_mistaken_for_hung(scene, monkeypatch):
     killed = []
     monkeypatch.setattr(signal, "pidfd_send_signal", lambda *_: killed.append(1))
     scene.words[Field.HOLDER_PID] = 0

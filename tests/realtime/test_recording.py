@@ -258,7 +258,7 @@ class TestWrappedRing:
         )
         assert read_session(made.run.job.path).ticks["tick"].tolist() == list(range(made.held_from, made.run.ticks))
 
-    def test_what_another_run_has_written_there_is_not_taken_for_ticks_of_this_one(self, crash, tmp_path):
+    def test_what_another_run_has_written_there_is_not_mistaken_for_ticks_of_this_one(self, crash, tmp_path):
         made = crash()
         made.run.conclude()
         made.run.job.path.rename(tmp_path / "moved.mcap")
@@ -680,7 +680,7 @@ class TestDisk:
         recording.ticks(50)
         assert recording.memory.tick_reader().taken == 100
 
-    def test_a_slow_disk_is_no_lost_recorder_and_no_lost_tick(self, new_memory, job_of, child, until):
+    def test_a_slow_disk_is_neither_a_lost_recorder_nor_a_lost_tick(self, new_memory, job_of, child, until):
         memory = new_memory(2000, 2000)
         slow = Recording(memory, job_of(memory), child, until, SLOW)
         slow.ready()

@@ -155,7 +155,7 @@ class TestPrepare:
         ]
         assert asked == [1, 3]
 
-    def test_a_mistake_of_the_programs_own_is_not_taken_for_a_refusal(self):
+    def test_a_mistake_of_the_programs_own_is_not_mistaken_for_a_refusal(self):
         with pytest.raises(ZeroDivisionError):
             apply([Tuning("wrong", lambda: str(1 // 0), "")])
 

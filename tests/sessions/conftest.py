@@ -93,7 +93,7 @@ def chunked(tmp_path_factory):
     return _run(tmp_path_factory.mktemp("chunked") / "stop.mcap", CHUNKED)
 
 
-def record_anew(run: Run, path: Path, ticks: int, flushed_after: int) -> Path:
+def record_again(run: Run, path: Path, ticks: int, flushed_after: int) -> Path:
     """The first ticks of a run as a session of its own, in chunks of so many ticks."""
     session = run.session
     card = result_card(run.config, session.ticks[:ticks], session.truth[:ticks])
@@ -116,7 +116,7 @@ def record_anew(run: Run, path: Path, ticks: int, flushed_after: int) -> Path:
 @pytest.fixture(scope="session")
 def short(tmp_path_factory, tiny):
     """A session of 60 ticks in six chunks, for tests that break it in a thousand ways."""
-    return record_anew(tiny, tmp_path_factory.mktemp("short") / "short.mcap", 60, 10)
+    return record_again(tiny, tmp_path_factory.mktemp("short") / "short.mcap", 60, 10)
 
 
 @pytest.fixture(scope="session")

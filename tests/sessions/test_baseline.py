@@ -61,7 +61,7 @@ def test_another_kind_is_passed_over(folder, setting):
     assert before(folder.stop()) == "1.mcap"
 
 
-def test_other_folders_and_what_is_no_whole_session_are_passed_over(folder):
+def test_other_folders_and_what_is_not_a_whole_session_are_passed_over(folder):
     folder.stop()
     folder.stop(folder="elsewhere")
     (folder.path / "text.mcap").write_text("no session")
@@ -72,7 +72,7 @@ def test_other_folders_and_what_is_no_whole_session_are_passed_over(folder):
     assert before(folder.stop()) == "1.mcap"
 
 
-def test_a_run_whose_board_was_told_to_fail_is_passed_over(folder):
+def test_a_run_whose_board_was_made_to_fail_is_passed_over(folder):
     folder.stop()
     assert folder.stop(faults=["brake-weak=0.9@brake"])["outcome"] == "completed"
     assert before(folder.stop()) == "1.mcap"

@@ -87,7 +87,7 @@ def test_broken_files_are_rows_with_their_problem(folder, short, container, with
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_damaged_index_is_not_believed(altered, short, seed):
+def test_a_damaged_index_is_not_accepted(altered, short, seed):
     generator = random.Random(seed)
     data = bytearray(short.read_bytes())
     data[generator.randrange(len(data) - 4000, len(data))] ^= generator.randrange(1, 256)
@@ -125,7 +125,7 @@ def test_a_folder_that_is_none_is_refused(tmp_path):
         session_files(tmp_path / "nowhere")
 
 
-def test_a_card_with_numbers_that_are_none_is_no_reason_to_stop(short, container, altered):
+def test_a_card_with_invalid_numbers_is_not_a_reason_to_stop(short, container, altered):
     records = []
     for record in container.split(short.read_bytes()):
         if container.text("inteco_abs.result") in record.content:

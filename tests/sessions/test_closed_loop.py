@@ -31,7 +31,7 @@ def gone_on(session, *settings, at_s=0.0, controllers=CONTROLLERS):
         pytest.param(("experiment.stops=2",), id="stops", marks=pytest.mark.untraced),
     ],
 )
-def test_with_its_own_controller_a_virtual_run_goes_on_to_the_last_bit(run, settings):
+def test_with_its_own_controller_a_virtual_run_continues_to_the_last_bit(run, settings):
     session = run(*settings, seed=3).session
     for at_s in (-0.1, 0.05):
         found = gone_on(session, at_s=at_s)
@@ -68,7 +68,7 @@ def as_if_real(session):
     return replace(session, truth=session.truth[:0], metadata={**session.metadata, "rig": rig})
 
 
-def test_a_real_run_goes_on_from_its_estimates_on_the_published_rig(run):
+def test_a_real_run_continues_from_its_estimates_on_the_published_rig(run):
     session = as_if_real(run("simulation.rig=hard:17", "controller.name=boundary-layer").session)
     found = gone_on(session)
     assert (found.state_from, found.rig) == ("estimates", "mask")
@@ -81,7 +81,7 @@ def test_a_real_run_goes_on_from_its_estimates_on_the_published_rig(run):
 
 
 @pytest.mark.parametrize("at_s", [-9.0, 9.0])
-def test_a_time_at_which_nothing_ran_is_told_with_what_can_be_chosen(quick, at_s):
+def test_a_time_at_which_nothing_ran_is_reported_with_what_can_be_chosen(quick, at_s):
     with pytest.raises(SessionError, match=r"choose a time in -\d+\.\d+\.\.\d+\.\d+ s"):
         gone_on(quick.session, at_s=at_s)
 
@@ -100,7 +100,7 @@ class Refusing:
         return BrakeDemand(0.6)
 
 
-def test_a_controller_that_raises_in_simulation_is_told(quick):
+def test_a_controller_that_raises_in_simulation_is_reported(quick):
     controllers = {**CONTROLLERS, "refusing": Refusing}
     with pytest.raises(SessionError, match="in simulation, it raised ArithmeticError: enough"):
         gone_on(quick.session, "controller.name=refusing", controllers=controllers)

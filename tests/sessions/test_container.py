@@ -107,6 +107,6 @@ class TestStretches:
             (struct.pack("<BQ", Opcode.MESSAGE, 21) + bytes([7, 0]) * 11, "less than a message"),
         ],
     )
-    def test_what_is_no_message_behind_it_is_damage(self, end, problem):
+    def test_what_is_not_a_message_behind_it_is_damage(self, end, problem):
         with pytest.raises(DamagedError, match=problem):
             self.parts(self.RAW + end)

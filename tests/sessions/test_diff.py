@@ -83,7 +83,7 @@ def test_what_differs_of_every_two_runs_is_not_told(quick, changed, key):
     assert diff_sessions(quick.session, changed({"session": {key: "another"}, "software": {"argv": "x"}})).equal
 
 
-def test_only_what_is_asked_for_is_compared(quick, changed):
+def test_only_the_requested_sections_are_compared(quick, changed):
     other = changed({"host": {"kernel": "another"}})
     assert diff_sessions(quick.session, other, ("gains", "signals")).equal
     assert not diff_sessions(quick.session, other, ("gains", "host")).equal
@@ -125,7 +125,7 @@ def test_the_truth_is_a_signal_too(quick, changed):
     assert keys(diff_sessions(quick.session, changed(truth=spoil))) == {"signals": ["truth.slip"]}
 
 
-def test_a_truth_that_is_missing_is_told(quick):
+def test_a_truth_that_is_missing_is_reported(quick):
     without = replace(quick.session, truth=quick.session.truth[:0])
     assert diff_sessions(quick.session, without).changes["signals"] == [("truth", True, False)]
 

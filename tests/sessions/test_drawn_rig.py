@@ -32,7 +32,7 @@ def test_another_rig_and_another_power_up_give_another_payload(run, drawn, quick
     assert len({made.stop.card["payload_sha256"] for made in (drawn, *others)}) == 4
 
 
-def test_the_session_tells_which_rig_it_was(drawn):
+def test_the_session_says_which_rig_it_was(drawn):
     metadata = drawn.session.metadata
     assert drawn.stop.card["rig"] == "hard:17"
     assert metadata["rig"]["drawn"] == "hard:17"
@@ -40,7 +40,7 @@ def test_the_session_tells_which_rig_it_was(drawn):
     assert float(metadata["drawn_rig"]["parameters.J2"]) == draw("hard", 17).parameters.J2
 
 
-def test_of_the_published_rig_nothing_is_told(quick):
+def test_nothing_is_reported_of_the_published_rig(quick):
     assert quick.stop.card["rig"] is None
     assert "drawn" not in quick.session.metadata["rig"]
     assert "drawn_rig" not in quick.session.metadata

@@ -46,7 +46,7 @@ def test_a_file_is_in_the_way_of_a_folder_below_it(tmp_path):
         pytest.fail("it was entered")
 
 
-def test_a_disk_that_takes_no_folder_is_no_wrong_usage():
+def test_a_disk_that_takes_no_folder_is_not_wrong_usage():
     place = Path("/proc/none/such")
     with pytest.raises(SessionError, match=r"the folder /proc/none/such cannot be made: "), ensured_directory(place):
         pytest.fail("it was entered")

@@ -42,7 +42,7 @@ def test_a_clean_tree_has_no_changes(tree):
     assert uncommitted_changes(tree) == (b"", False)
 
 
-def test_changes_of_tracked_files_are_told_line_by_line(tree):
+def test_changes_of_tracked_files_are_reported_line_by_line(tree):
     (tree / "__init__.py").write_text("gain = 2\n")
     diff, cut = uncommitted_changes(tree)
     assert b"-gain = 1\n+gain = 2\n" in diff
@@ -87,7 +87,7 @@ def test_a_note_of_them_gives_the_same_again():
     assert Environment.of(json.loads(json.dumps(told.as_note()))) == told
 
 
-def test_a_cut_diff_is_told_among_the_facts(monkeypatch):
+def test_a_cut_diff_is_reported_among_the_facts(monkeypatch):
     current_environment.cache_clear()
     monkeypatch.setattr("inteco_abs.sessions.environment.uncommitted_changes", lambda _folder: (b"x", True))
     found = current_environment()

@@ -132,7 +132,9 @@ def test_an_existing_session_is_left_alone_and_the_board_too(run, devices, tmp_p
 
 
 @pytest.mark.parametrize("kind", [RuntimeError, KeyboardInterrupt, SystemExit])
-def test_whatever_breaks_the_run_off_the_board_is_safe_and_the_file_whole(run, devices, replayed, tmp_path, kind):
+def test_a_run_that_is_broken_off_in_any_way_leaves_the_board_safe_and_the_file_whole(
+    run, devices, replayed, tmp_path, kind
+):
     def progress(phase, _ticks):
         if phase is Phase.BRAKING:
             raise kind("the screen is gone")

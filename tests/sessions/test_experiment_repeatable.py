@@ -54,7 +54,7 @@ def test_the_board_is_safe_after_a_completed_run(run, devices):
     assert device.settings["pwm0_width"] == device.settings["pwm1_width"] == 0
 
 
-def test_progress_is_told_in_order(run):
+def test_progress_is_reported_in_order(run):
     told = []
     made = run("experiment.idle_s=1.0", progress=lambda phase, ticks: told.append((phase, ticks)))
     phases, ticks = zip(*told, strict=True)

@@ -48,7 +48,7 @@ def test_into_a_folder_under_its_own_name(session, tmp_path):
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_name_that_is_no_files_name_is_refused(session, tmp_path, name):
+def test_a_name_that_cannot_be_a_file_name_is_refused(session, tmp_path, name):
     (tmp_path / "place").mkdir()
     with pytest.raises(SessionError, match="not named as a file; name one: --out FILE"):
         extract(session(name), name, tmp_path / "place")

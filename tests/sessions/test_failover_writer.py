@@ -133,7 +133,7 @@ def test_on_a_good_disk_the_file_is_where_it_should_be_and_nothing_is_said(kept)
     assert not run.spill.exists()
 
 
-def test_frames_that_were_not_kept_are_told_beside_what_the_disk_has_refused(kept):
+def test_frames_that_were_not_kept_are_reported_beside_what_the_disk_has_refused(kept):
     def none():
         raise CaptureError("nobody has saved them")
 
@@ -202,7 +202,7 @@ def test_ticks_that_come_just_as_the_disk_refuses_are_not_forgotten(tmp_path, ch
     whole(run.out, run)
 
 
-def test_a_disk_that_goes_on_refusing_is_an_error_at_the_end_only_and_nothing_is_forgotten(kept):
+def test_a_disk_that_keeps_refusing_is_an_error_at_the_end_only_and_nothing_is_forgotten(kept):
     run = kept(spill=False).introduce()
     run.tell(before=lambda number: run.vanish() if number == 2 else None)
     with pytest.raises(SessionError, match=r"is gone: .*; the file could not be written again at the end either"):

@@ -68,7 +68,7 @@ def test_a_copy_has_the_ticks_but_neither_truth_nor_host(folder, quick):
     assert [copy.metadata["session"][key] for key in kept] == [original.metadata["session"][key] for key in kept]
 
 
-def test_the_table_tells_hash_reason_date_and_versions(folder):
+def test_the_table_has_hash_reason_date_and_versions(folder):
     table = tomllib.loads((folder.path / TABLE_NAME).read_text())
     (version,) = table["golden"]["quick"]["history"]
     assert (version["reason"], version["changed_ticks"], len(version["file_sha256"])) == ("a first one", 0, 64)
@@ -125,7 +125,7 @@ def test_an_update_that_changes_nothing_is_refused(folder):
         ("other", "why not", ("brke=1",), "did you mean brake"),
     ],
 )
-def test_what_cannot_be_added_is_told_and_changes_nothing(folder, quick, name, reason, tolerances, words):
+def test_what_cannot_be_added_is_reported_and_changes_nothing(folder, quick, name, reason, tolerances, words):
     before = contents(folder)
     with pytest.raises(ConfigError, match=words):
         folder.add(quick.session, name, reason, CONTROLLERS, tolerances)
@@ -197,13 +197,13 @@ def test_a_golden_session_that_is_gone_cannot_be_tested(folder):
     "text",
     ["not = = toml", "x = 1", "golden = 3", "[golden.quick]", "[golden.quick]\nticks=1\ntolerances=[]\nhistory=[]"],
 )
-def test_a_table_that_is_none_is_told(tmp_path, text):
+def test_an_invalid_table_is_reported(tmp_path, text):
     (tmp_path / TABLE_NAME).write_text(text)
     with pytest.raises(SessionError, match="is not a table of golden sessions"):
         GoldenFolder(tmp_path)
 
 
-def test_an_unknown_name_and_an_empty_folder_are_told(folder, tmp_path):
+def test_an_unknown_name_and_an_empty_folder_are_reported(folder, tmp_path):
     with pytest.raises(ConfigError, match=r"no 'quik' in .*; did you mean quick"):
         folder.test(["quik"], CONTROLLERS)
     with pytest.raises(ConfigError, match="has no golden sessions; add one"):

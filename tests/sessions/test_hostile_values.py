@@ -108,7 +108,7 @@ class TestNumbersWithoutEnd:
 
         return write
 
-    def test_a_card_and_a_setting_of_4000_digits_are_no_error_of_the_program(self, verb, with_card, tmp_path):
+    def test_a_card_and_a_setting_of_4000_digits_are_not_an_error_of_the_program(self, verb, with_card, tmp_path):
         huge = dict.fromkeys(("overruns", "stop_time_s", "slip_rms_true"), self.HUGE)
         files = with_card("a.mcap", **huge), with_card("b.mcap", **{**huge, "overruns": 7, "stop_time_s": 1.5})
         for words in (["diff", *files], ["diff", *files, "--rel", "0.5"], ["info", files[0]], ["list", tmp_path]):

@@ -160,7 +160,7 @@ def test_numbers_and_order_of_columns_may_be_others(later, tiny, replayed):
     assert replayed(session).differing == 0
 
 
-def test_a_missing_column_of_floating_point_is_no_number_and_told(later, tiny):
+def test_a_missing_column_of_floating_point_is_nan_and_reported(later, tiny):
     session = read_session(later("1", truth=table(TRUTH, without={"brake_torque_nm"})))
     assert np.isnan(session.truth["brake_torque_nm"]).all()
     assert same_bits(session.truth, tiny.session.truth, ("time_ns", "slip", "brake"))
@@ -205,7 +205,7 @@ def replace_ticks(run, **columns):
     return Altered
 
 
-def test_members_that_are_not_known_are_told_and_stand_for_no_known_one(later):
+def test_members_that_are_not_known_are_reported_and_stand_for_no_known_one(later):
     phases = enum("Phase", {**{member.name: int(member) for member in Phase}, "PARKED": 8})
     reasons = enum("Reason", {**{member.name: int(member) for member in Reason}, "TYRE_LOST": NO_REASON})
     path = later("1", tick=table(kinds={"phase": phases, "reason": reasons}), phase=8, reason=NO_REASON)

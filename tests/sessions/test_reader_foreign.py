@@ -136,7 +136,7 @@ def test_an_unknown_compression_is_named(container, altered, tiny, compression):
 
 
 @pytest.mark.parametrize(("compression", "packed"), [("", bytes), ("lz4", lz4.frame.compress)], ids=["none", "lz4"])
-def test_chunks_that_were_compressed_anew_are_read(container, altered, tiny, compression, packed):
+def test_chunks_that_were_compressed_again_are_read(container, altered, tiny, compression, packed):
     records = [
         container.chunk(packed(container.unpack(record)), len(container.unpack(record)), compression)
         if record.opcode == CHUNK
@@ -154,7 +154,7 @@ def test_a_message_of_an_unknown_channel_is_damage(container, altered):
 
 
 @pytest.fixture
-def encoded_anew(officially, tiny, tmp_path):
+def encoded_again(officially, tiny, tmp_path):
     """The tiny session as a program writes it that decodes messages and encodes them: zeros are left out."""
 
     def write(*, finish=True):
@@ -183,8 +183,8 @@ def encoded_anew(officially, tiny, tmp_path):
     return write
 
 
-def test_a_session_that_was_encoded_anew_is_read_as_it_was_recorded(encoded_anew, tiny):
-    path = encoded_anew()
+def test_a_session_that_was_encoded_again_is_read_as_it_was_recorded(encoded_again, tiny):
+    path = encoded_again()
     session = read_session(path)
     assert session.payload == tiny.session.payload
     assert session.truth.tobytes() == tiny.session.truth.tobytes()
@@ -193,14 +193,14 @@ def test_a_session_that_was_encoded_anew_is_read_as_it_was_recorded(encoded_anew
     assert replay_session(session, build_pipeline(config, CONTROLLERS)).differing == 0
 
 
-def test_without_its_end_it_is_read_too(encoded_anew, tiny):
-    session = read_session(encoded_anew(finish=False))
+def test_without_its_end_it_is_read_too(encoded_again, tiny):
+    session = read_session(encoded_again(finish=False))
     assert session.incomplete
     assert session.payload == tiny.session.payload
 
 
 @pytest.mark.parametrize("change", ["twice", "unknown field", "another wire type", "cut", "empty"])
-def test_a_message_that_is_none_of_ours_is_not_encoded_anew(tiny, change):
+def test_a_foreign_message_is_not_encoded_again(tiny, change):
     message = bytes(tiny.session.payload[: TICK.size])
     changed = {
         "twice": message + message[:9],

@@ -93,7 +93,7 @@ def test_a_chunk_without_compression_of_another_size_than_it_says(container, ref
     assert "is damaged" in refuse(container.craft(container.chunk(b"small", size, "")))
 
 
-def test_a_chunk_that_is_no_frame(container, refuse):
+def test_a_chunk_that_is_not_a_frame(container, refuse):
     assert "is damaged" in refuse(container.craft(container.chunk(b"no frame", 8, "zstd")))
 
 

@@ -115,7 +115,7 @@ def test_phases_are_logged_in_order(seen):
     assert log_of(seen.of("/abs/event")) == [(INFO, f"phase {phase}") for phase in phases]
 
 
-def test_an_event_has_the_time_of_the_tick_that_it_tells_of(seen):
+def test_an_event_has_the_time_of_its_tick(seen):
     first = {}
     for _, _, message, decoded in seen.of("/abs/tick"):
         first.setdefault(f"phase {Phase(decoded.phase).name}", message.log_time)
@@ -222,7 +222,7 @@ def test_the_result_is_the_card_in_a_message(seen, quick):
     assert message.log_time == seen.of("/abs/tick")[-1][2].log_time
 
 
-def test_what_is_not_known_is_no_zero_in_the_result(message_class):
+def test_an_unknown_value_is_not_zero_in_the_result(message_class):
     card = {"outcome": "aborted", "stop_time_s": None, "ticks": 3, "lateness_us": {"p50": None, "max": 0.0}}
     found = message_class(result_descriptor(), RESULT_NAME).FromString(pack_result(card))
     assert math.isnan(found.stop_time_s)

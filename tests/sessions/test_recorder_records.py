@@ -168,7 +168,7 @@ def test_outcome_timing_and_integrity_come_after_the_last_tick(chunked):
     assert {record.name for record in after if isinstance(record, Metadata)} == AFTER
 
 
-def test_what_was_told_first_is_on_the_disk_before_the_first_tick(tmp_path):
+def test_what_was_logged_first_is_on_the_disk_before_the_first_tick(tmp_path):
     path = tmp_path / "stop.mcap"
     with FileWriter(path, 0) as recorder:
         recorder.describe("rig", {"board": "sim:"})

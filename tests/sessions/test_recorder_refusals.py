@@ -30,7 +30,7 @@ def test_an_existing_file_is_not_overwritten(tmp_path):
     assert path.read_bytes() == b"precious"
 
 
-def test_a_folder_is_no_session(tmp_path):
+def test_a_folder_is_not_a_session(tmp_path):
     for refuse in (check_output, lambda path: FileWriter(path, 0)):
         with pytest.raises(ConfigError, match="is a folder"):
             refuse(tmp_path)
@@ -44,7 +44,7 @@ def test_a_missing_folder_is_not_made(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_is_no_folder(tmp_path):
+def test_a_file_is_not_a_folder(tmp_path):
     plain = tmp_path / "plain"
     plain.write_bytes(b"precious")
     with pytest.raises(ConfigError, match="plain"):
@@ -52,7 +52,7 @@ def test_a_file_is_no_folder(tmp_path):
     assert plain.read_bytes() == b"precious"
 
 
-def test_a_folder_where_nobody_may_write(tmp_path):
+def test_a_folder_without_permission_to_write(tmp_path):
     path = Path("/proc/stop.mcap")
     check_output(path)
     with pytest.raises(SessionError, match=r"stop\.mcap cannot be created: "):

@@ -424,7 +424,7 @@ def test_a_declaration_is_looked_at_once_however_many_there_are(rescue, containe
     assert len(looked_at) < 2 * number
 
 
-def test_parameters_are_told_anew(rescue, officially, short, tmp_path):
+def test_parameters_are_published_again(rescue, officially, short, tmp_path):
     rescue(short.read_bytes())
     ((_, _, _, told),) = officially(tmp_path / "out.mcap").of("/abs/params")
     facts = read_session(short).metadata["controller"]

@@ -44,7 +44,7 @@ def rewritten(tmp_path, quick):
     return write
 
 
-def test_replay_of_a_run_tells_that_all_agrees(command, quick):
+def test_replay_of_a_run_says_that_all_agrees(command, quick):
     code, printed, _ = command("replay", quick.path, "--json")
     report = json.loads(printed)
     assert code == 0
@@ -71,7 +71,7 @@ def test_replay_with_another_gain_that_changes_nothing_differs_all_the_same(comm
     assert list(json.loads(printed)["gains"]) == ["lag_s"]
 
 
-def test_replay_tells_what_comes_early_and_how_long_all_agreed(command, quick, retouched, rewritten):
+def test_replay_reports_what_comes_early_and_how_long_all_agreed(command, quick, retouched, rewritten):
     session = quick.session
     began = int((session.ticks["phase"] == Phase.BRAKING).argmax())
     path = rewritten(retouched(session, began, phase=int(Phase.SPIN_UP)))
@@ -91,7 +91,7 @@ def test_replay_with_tolerances_that_are_none_ends_with_2(command, quick):
     assert "--tol slip: must look like" in said
 
 
-def test_what_if_sweeps_and_tells_the_horizon(command, quick):
+def test_what_if_sweeps_and_reports_the_horizon(command, quick):
     code, printed, _ = command("what-if", quick.path, "--sweep", "controller.gains.Mk=2,5,20", "--json")
     report = json.loads(printed)
     horizons = [each["horizon_s"] for each in report["alternatives"]]
@@ -127,7 +127,7 @@ def test_what_if_says_that_open_loop_does_not_react_and_that_closed_loop_is_a_si
     assert "leaves the log by: road_speed_rad_s 0, slip 0, brake 0" in printed
 
 
-def test_what_if_tells_a_line_for_each_request_and_the_log_first_of_what_was_simulated(command, quick):
+def test_what_if_prints_a_line_for_each_request_and_the_log_before_the_simulated_results(command, quick):
     sweep = ("what-if", quick.path, "--sweep", "controller.gains.Mk=2,20", "--closed-loop")
     requests, _, simulated = command(*sweep)[1].partition("closed loop: a")[0].partition("simulated from there on")
     report = json.loads(command(*sweep, "--json")[1])
@@ -220,7 +220,7 @@ def test_golden_ends_with_1_where_a_session_cannot_be_tested(command, quick, tmp
         (("what-if", "none.mcap", "--controller", "relay"), 1, "none.mcap: cannot be read"),
     ],
 )
-def test_what_is_not_there_is_told(command, arguments, code, words):
+def test_what_is_not_there_is_reported(command, arguments, code, words):
     ended, _, said = command(*arguments)
     assert ended == code
     assert words in said
@@ -238,7 +238,7 @@ def test_what_is_not_there_is_told(command, arguments, code, words):
     ],
     ids=lambda arguments: arguments[-1],
 )
-def test_what_is_no_number_is_wrong_usage(command, arguments, number):
+def test_what_is_not_a_number_is_wrong_usage(command, arguments, number):
     ended, _, said = command(*arguments, number)
     assert ended == 2
     assert f"Invalid value for '{arguments[-1]}'" in said
@@ -247,7 +247,7 @@ def test_what_is_no_number_is_wrong_usage(command, arguments, number):
 @pytest.mark.parametrize(
     "verb", [("replay",), ("what-if",), ("golden", "add"), ("golden", "test"), ("golden", "update")]
 )
-def test_help_tells_the_exit_codes(command, verb):
+def test_help_lists_the_exit_codes(command, verb):
     code, printed, _ = command(*verb, "--help")
     assert code == 0
     assert "Exit codes: 0 " in " ".join(printed.split())

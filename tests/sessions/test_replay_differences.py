@@ -93,7 +93,7 @@ def test_nan_is_nan(quick, retouched, replayed):
 
 
 @pytest.mark.parametrize(("phase", "wrong", "right"), [(Phase.IDLE, 0.2, math.nan), (Phase.BRAKING, math.nan, 0.2)])
-def test_nan_is_no_number(quick, retouched, replayed, phase, wrong, right):
+def test_nan_is_not_a_number(quick, retouched, replayed, phase, wrong, right):
     session = quick.session
     row = row_in(session, phase)
     found = replayed(retouched(session, row, slip_reference=wrong))
@@ -184,7 +184,7 @@ def test_one_bit_of_any_logged_input_is_found_and_named(quick, retouched, replay
     assert row <= found.first.tick <= row + (0 if at_once else 2)
 
 
-def test_a_wrong_time_is_told_with_the_right_one(quick, retouched, replayed):
+def test_a_wrong_time_is_reported_with_the_right_one(quick, retouched, replayed):
     session = quick.session
     row = row_in(session, Phase.BRAKING)
     right = session.ticks["time_ns"][row].item()
@@ -241,14 +241,14 @@ def test_the_last_bit_of_a_gain_is_found(quick, replayed):
     assert again == pytest.approx(logged, rel=1e-14)
 
 
-def test_gains_named_but_as_they_were_differ_in_nothing(quick, replayed):
+def test_gains_named_with_their_recorded_values_differ_in_nothing(quick, replayed):
     assert replayed(with_gains(quick.session, Mk=2.0, Mq=1.0)).differing == 0
 
 
 IN_FORCE = {"reference_slip": 0.2, "Mk": 2.0, "Mq": 1.0, "lag_s": 0.0}
 
 
-def test_gains_that_the_session_has_recorded_otherwise_are_told(quick):
+def test_gains_that_the_session_has_recorded_otherwise_are_reported(quick):
     session = quick.session
     assert changed_gains(session, IN_FORCE) == {}
     changed = changed_gains(session, IN_FORCE | {"Mq": math.nextafter(1.0, 2.0), "unknown": 3.0})
@@ -257,7 +257,7 @@ def test_gains_that_the_session_has_recorded_otherwise_are_told(quick):
     assert changed == {"Mq": change}
 
 
-def test_a_gain_that_the_controller_has_no_more_is_told(quick):
+def test_a_gain_that_the_controller_has_no_more_is_reported(quick):
     change = changed_gains(quick.session, {name: value for name, value in IN_FORCE.items() if name != "lag_s"})["lag_s"]
     assert (change["recorded"], change["configured"]) == ("0.0", None)
 

@@ -135,7 +135,7 @@ def test_the_window_begins_with_the_tick_20_ms_after_band_entry_whichever_tick_t
 
 
 @pytest.mark.parametrize("entry", [0, 50, 700])
-def test_fixed_begins_a_quarter_of_a_second_after_braking_whatever_the_slip_did(config, entry):
+def test_fixed_begins_a_quarter_of_a_second_after_braking_at_any_slip(config, entry):
     slip = stair((500, 0.75), (400, 0.5), (400, 0.9))
     slip[entry] = REFERENCE
     speed = stair((900, 100.0), (400, 5.0))

@@ -134,7 +134,7 @@ def test_pack_tick_writes_its_own_bytes_only():
 
 
 @pytest.mark.parametrize("size", [1, TICK.size - 1, TICK.size + 1, 2 * TICK.size - 1])
-def test_a_length_that_is_no_multiple_is_not_well_formed(size):
+def test_a_length_that_is_not_a_multiple_is_not_well_formed(size):
     assert not TICK.well_formed((TICK.pack(row_of(TICK, LOWEST)) * 2)[:size])
 
 
@@ -174,7 +174,7 @@ def test_an_array_of_rows_has_the_values_of_the_messages(values):
 
 
 @pytest.mark.parametrize("name", ["phase", "reason", "stop_request", "estimate_valid"])
-def test_a_tick_with_a_value_that_its_enum_has_not_is_none(name):
+def test_a_tick_with_a_value_outside_its_enum_is_not_a_tick(name):
     number = next(at for at, column in enumerate(TICK.columns) if column.name == name)
     members = TICK.columns[number].kind.members or (False, True)
     values = row_of(TICK, SMALL)

@@ -100,12 +100,12 @@ def test_a_star_is_every_output_and_a_later_text_wins():
         ("phase=1", "phase is not a number and can only come early or late"),
     ],
 )
-def test_what_is_no_tolerance_is_told_with_what_is(text, words):
+def test_an_invalid_tolerance_is_reported_with_the_valid_form(text, words):
     with pytest.raises(ConfigError, match=words):
         parse_tolerances([text])
 
 
-def test_all_mistakes_are_told_at_once():
+def test_all_mistakes_are_reported_at_once():
     with pytest.raises(ConfigError) as caught:
         parse_tolerances(["brake=x", "slip=1e-9", "brke=1"])
     assert [mistake.path for mistake in caught.value.mistakes] == ["--tol brake=x", "--tol brke=1"]
@@ -122,7 +122,7 @@ def braking_from(session, retouched, row):
 
 
 @pytest.mark.parametrize("ticks", [-3, 2])
-def test_a_phase_that_comes_early_or_late_is_told_by_how_many_ticks(quick, retouched, replayed, ticks):
+def test_a_phase_that_comes_early_or_late_is_reported_by_how_many_ticks(quick, retouched, replayed, ticks):
     began = int(np.flatnonzero(quick.session.ticks["phase"] == Phase.BRAKING)[0])
     changed, _ = braking_from(quick.session, retouched, began + ticks)
     found = replayed(changed)
@@ -130,7 +130,7 @@ def test_a_phase_that_comes_early_or_late_is_told_by_how_many_ticks(quick, retou
     assert (found.differing, found.by_field) == (abs(ticks), {"phase": abs(ticks)})
 
 
-def test_a_phase_within_lead_and_lag_differs_in_nothing_but_is_still_told(quick, retouched, replayed):
+def test_a_phase_within_lead_and_lag_differs_in_nothing_but_is_still_reported(quick, retouched, replayed):
     began = int(np.flatnonzero(quick.session.ticks["phase"] == Phase.BRAKING)[0])
     changed, _ = braking_from(quick.session, retouched, began + 2)
     late = replayed(changed, tolerances=parse_tolerances(["phase=::0.001"]))
@@ -139,7 +139,7 @@ def test_a_phase_within_lead_and_lag_differs_in_nothing_but_is_still_told(quick,
     assert replayed(changed, tolerances=parse_tolerances(["phase=:::0.001"])).differing == 2
 
 
-def test_a_flag_that_only_one_of_them_shows_is_told(quick, retouched, replayed):
+def test_a_flag_that_only_one_of_them_shows_is_reported(quick, retouched, replayed):
     found = replayed(retouched(quick.session, 200, estimate_valid=False))
     assert found.shifts == (
         Shift("estimate_valid", "false", 200, None, None),
@@ -157,7 +157,7 @@ def test_a_number_within_its_tolerance_is_counted_apart(quick, retouched, replay
     assert found.first.tick == row + 50
 
 
-def test_the_longest_agreeing_beginning_is_told_in_ticks_and_seconds(quick, retouched, replayed):
+def test_the_longest_agreeing_beginning_is_reported_in_ticks_and_seconds(quick, retouched, replayed):
     session = quick.session
     whole = replayed(session)
     assert whole.agreeing_ticks == len(session.ticks)
@@ -168,5 +168,5 @@ def test_the_longest_agreeing_beginning_is_told_in_ticks_and_seconds(quick, reto
     assert (none.agreeing_ticks, none.agreeing_s) == (0, 0.0)
 
 
-def test_every_column_of_the_table_can_be_told_apart():
+def test_every_column_of_the_table_can_be_distinguished():
     assert set(parse_tolerances(["*=0"])) <= {column.name for column in TICK.columns}

@@ -156,7 +156,7 @@ def test_a_tick_that_comes_twice_is_wrong(few, tmp_path):
 
 
 @pytest.mark.parametrize("back_ns", [0, 1, 10**9])
-def test_time_that_does_not_go_on_is_wrong(few, tmp_path, back_ns):
+def test_time_that_does_not_continue_is_wrong(few, tmp_path, back_ns):
     few["time_ns"][5] = few["time_ns"][4] - np.uint64(min(back_ns, int(few["time_ns"][4])))
     assert recorded(tmp_path / "time.mcap", few)["tick 5"][0] == "wrong"
 
@@ -218,7 +218,7 @@ def test_another_version_of_the_ticks_is_wrong(container, judged):
     assert "another version of this program" in findings["schema"]
 
 
-def test_records_of_a_later_version_are_no_damage(container, judged):
+def test_records_of_a_later_version_are_not_damage(container, judged):
     verdict, findings = judged(lambda r: [r, container.record(0x81, b"later")] if r.opcode == METADATA else [r])
     assert verdict == "losses"
     assert all("index" in place + problem for place, problem in findings.items())  # which has the places from before
@@ -227,7 +227,7 @@ def test_records_of_a_later_version_are_no_damage(container, judged):
 @pytest.mark.parametrize(
     ("data", "words"), [(b"", "it is empty"), (b"text", "starts with b'text'")], ids=["empty", "text"]
 )
-def test_what_is_no_session_is_wrong(altered, data, words):
+def test_what_is_not_a_session_is_wrong(altered, data, words):
     (finding,) = validate(altered(data)).findings
     assert (finding.severity, finding.place) == (Severity.WRONG, "file")
     assert words in finding.problem
@@ -239,7 +239,7 @@ def test_an_mcap_file_of_another_program_is_wrong(container, altered):
     assert inspection.findings[-1].problem == "is an MCAP file, but not a session of this program"
 
 
-def test_of_many_findings_of_a_kind_a_few_are_told(few, tmp_path):
+def test_a_few_of_many_findings_of_a_kind_are_reported(few, tmp_path):
     many = np.frombuffer(bytearray(few.tobytes() * 30), TICK.dtype)
     many["tick"] = np.arange(300) * 2
     places = recorded(tmp_path / "many.mcap", many)

@@ -56,12 +56,12 @@ class TestList:
         monkeypatch.setenv("COLUMNS", "200")
         assert verb("list", folder).out == wide
 
-    def test_a_column_that_is_none_is_usage(self, verb, folder):
+    def test_an_unknown_column_is_wrong_usage(self, verb, folder):
         done = verb("list", folder, "--sort", "tick")
         assert done.code == 2
         assert "did you mean ticks?" in done.err
 
-    def test_a_folder_that_is_none_fails(self, verb, folder):
+    def test_a_missing_folder_fails(self, verb, folder):
         assert verb("list", folder / "nowhere").code == 1
         assert verb("list", folder / "a.mcap").code == 1
 
@@ -146,7 +146,7 @@ class TestRecover:
         assert done.code == 1
         assert "No such file" in done.err
 
-    def test_a_ring_of_another_version_is_told_as_a_ring(self, verb, altered, tmp_path):
+    def test_a_ring_of_another_version_is_reported_as_a_ring(self, verb, altered, tmp_path):
         done = verb("recover", altered(b"inteco-abs ring 9\n" + bytes(100)), "-o", tmp_path / "new.mcap")
         assert done.code == 1
         assert "not a tick ring of this version" in done.err
@@ -205,7 +205,7 @@ class TestExport:
             assert not (folder / name).exists()
         assert ".csv, .npz, .mat, .parquet" in verb("export", folder / "a.mcap", "-o", folder / "x.txt").err
 
-    def test_a_format_that_is_none_is_usage(self, verb, folder):
+    def test_an_unknown_format_is_wrong_usage(self, verb, folder):
         assert verb("export", folder / "a.mcap", "--format", "xls").code == 2
         assert verb("export", folder / "a.mcap").code == 2
 
@@ -251,7 +251,7 @@ class TestDiff:
         assert done.code == 4
         assert {"result", "configuration"} <= {line for line in done.out.splitlines() if not line.startswith(" ")}
 
-    def test_only_what_is_asked_for_decides(self, verb, folder):
+    def test_only_the_requested_sections_decide(self, verb, folder):
         done = verb("diff", folder / "a.mcap", folder / "b.mcap", "--only", "gains", "--only", "rig")
         assert done.code == 0
 
@@ -271,7 +271,7 @@ class TestDiff:
             line.startswith("  road_speed_rad_s: up to ") and "rad/s at" in line for line in done.out.split("\n")
         )
 
-    def test_a_section_that_is_none_is_usage(self, verb, folder):
+    def test_an_unknown_section_is_wrong_usage(self, verb, folder):
         done = verb("diff", folder / "a.mcap", folder / "b.mcap", "--only", "gain", "--only", "rug")
         assert done.code == 2
         assert "did you mean gains?" in done.err
@@ -301,7 +301,7 @@ def test_a_cut_session_is_said_to_be_recoverable(verb, folder):
     assert "ticks are complete; recover makes a session of them" in verb("info", folder / "cut.mcap").err
 
 
-def test_info_of_a_session_whose_card_is_no_json(verb, short, container, altered):
+def test_info_of_a_session_whose_card_is_not_json(verb, short, container, altered):
     records = []
     for record in container.split(short.read_bytes()):
         if container.text("inteco_abs.result") in record.content:

@@ -70,7 +70,7 @@ def test_a_switch_behind_the_end_asks_nothing_and_is_refused(quick, at_s):
 
 
 @pytest.mark.parametrize("section", ["controller", "estimator", "model"])
-def test_a_section_is_no_key(quick, section):
+def test_a_section_is_not_a_key(quick, section):
     with pytest.raises(ConfigError, match=f"{section}: 5: is a section; name a key in it"):
         alternative(quick.session, [f"{section}=5"], CONTROLLERS)
 
@@ -132,7 +132,7 @@ class Refusing:
         return BrakeDemand(1 if self.calls < 5 else math.nan)
 
 
-def test_a_controller_that_raises_is_told_with_the_tick(quick):
+def test_a_controller_that_raises_is_reported_with_the_tick(quick):
     session = quick.session
     tick = braking_row(session) + 10
     with pytest.raises(SessionError, match=rf"asked at tick {tick}, it raised ArithmeticError: enough"):
@@ -165,7 +165,7 @@ def test_another_controller_has_its_own_gains_and_the_estimator_that_it_needs(qu
         (["Mk"], "must look like"),
     ],
 )
-def test_what_cannot_be_asked_about_is_told(quick, settings, words):
+def test_a_setting_that_cannot_be_varied_is_reported(quick, settings, words):
     with pytest.raises(ConfigError, match=words):
         alternative(quick.session, settings, CONTROLLERS)
 

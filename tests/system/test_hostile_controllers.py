@@ -164,7 +164,7 @@ def test_an_error_with_a_book_for_its_text_is_the_controllers_all_the_same(run_w
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["struct", "signal", "numpy"])
-def test_a_file_of_the_users_is_not_taken_for_a_library(command_path, tmp_path, untraced, name):
+def test_a_file_of_the_users_is_not_mistaken_for_a_library(command_path, tmp_path, untraced, name):
     (tmp_path / f"{name}.py").write_text("raise SystemExit('not the library')")
     run = LiveRun(command_path, tmp_path, untraced)
     code, card, message = run.end()

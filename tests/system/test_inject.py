@@ -126,7 +126,7 @@ PCI = ("--set", "profile=sim_pci")
         ((), "alarm=2@1s", "alarm: a run does not read such flags"),
     ],
 )
-def test_what_this_board_or_a_run_cannot_show_is_refused_however_it_is_asked_for(
+def test_what_this_board_or_a_run_cannot_show_is_refused_however_it_is_requested(
     main_here, tmp_path, board, fault, said, way
 ):
     refused = main_here("run", *QUICK, *board, *way, "--inject", fault, "--out", "stop.mcap", check=2)

@@ -181,7 +181,7 @@ def test_nothing_is_imported_by_verbs_that_need_none(inteco_abs, site, arguments
     assert site.imported == []
 
 
-def test_nothing_is_imported_but_what_was_asked_for(here):
+def test_nothing_is_imported_but_what_was_requested(here):
     here.install()
     here.install("abs-other", "0.1", ["other = other_law:Threshold"], other_law=LAW)
     controllers = Controllers()

@@ -54,7 +54,7 @@ def test_files_are_named_where_nothing_differs(session):
     assert labels([replace(session, path=path) for path in paths]) == ["a/stop.mcap", "b/stop.mcap"]
 
 
-def test_a_session_that_tells_nothing_has_a_name(session):
+def test_a_session_that_says_nothing_has_a_name(session):
     silent = replace(session, metadata={}, attachments={})
     assert labels([silent]) == ["unknown controller on unknown estimator"]
     assert all(labels([silent, session]))

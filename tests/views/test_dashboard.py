@@ -199,7 +199,7 @@ class TestDuring:
         lines = shown.picture(BRAKED._replace(recent=course(*PHASES, seconds=0.1) + course(Phase.IDLE)))
         line_with(lines, "stop 2 of 3")
 
-    def test_lateness_is_told_by_its_quantiles(self):
+    def test_lateness_is_shown_as_quantiles(self):
         line_with(Shown().picture(BRAKED), "late p50 12, p99 98, p99.9 301, max 434 us; 0 periods missed")
 
     def test_what_is_not_known_yet_is_a_dash(self):
@@ -259,7 +259,7 @@ class TestEverySize:
         assert "braking 128 rad/s" in ESCAPE.sub("", self.after)
         assert "late" not in self.after
 
-    def test_a_plain_one_is_ascii_and_tells_curves_apart_by_their_marks(self):
+    def test_a_plain_one_is_ascii_and_distinguishes_curves_by_their_marks(self):
         text = ESCAPE.sub("", Shown((80, 24), plain=True).raw(BRAKED))
         assert text.isascii()
         for mark in ("** car", "o wheel", "** slip", "- reference", "> BRAKING", "x spin-up"):
@@ -347,7 +347,7 @@ class TestDashboard:
         assert bool(RED.search(text)) == (say == "warn")
         assert "MOTOR POWER MAY STILL BE ON: [press] the emergency switch" in ESCAPE.sub("", text)
 
-    def test_the_cursor_is_shown_again_whatever_ends_it(self):
+    def test_the_cursor_is_shown_again_regardless_of_what_ends_it(self):
         console = console_of()
         with pytest.raises(KeyboardInterrupt), Dashboard(console, CONFIG) as board:
             interrupted(board)

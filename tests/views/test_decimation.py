@@ -41,7 +41,7 @@ def test_times_never_go_back_and_span_the_whole(column, first, end, most):
     assert (few.time_s[0], few.time_s[-1]) == (0.0, (len(column) - 1) * 0.5)
 
 
-def test_there_are_about_as_many_points_as_were_asked_for():
+def test_there_are_about_as_many_points_as_were_requested():
     matters = np.zeros(100_000, bool)
     matters[60_000:80_000] = True
     few = thinned(np.sin(np.arange(100_000.0)), matters, most=1000)

@@ -76,7 +76,7 @@ def test_the_torques_swing_by_the_gain_over_g(report, drawn):
 
 
 @pytest.mark.parametrize("uncertain", ["J1=70%", "mu=0%"])
-def test_what_has_no_bound_or_is_nothing_is_left_out_quietly(drawn, uncertain):
+def test_infinite_or_missing_bounds_are_left_out_quietly(drawn, uncertain):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         figure = drawn(report_of("controller.gains.Mq=0", uncertain=[uncertain]))

@@ -78,7 +78,7 @@ def test_a_figure_that_is_there_stays(session, tmp_path):
     assert path.read_text() == "mine"
 
 
-def test_a_mistake_is_told_under_the_option_that_has_it(tmp_path):
+def test_a_mistake_is_reported_under_the_option_that_has_it(tmp_path):
     with pytest.raises(ConfigError, match=r"--out: .* must end in"):
         check_figure(tmp_path / "stop.eps", "--out")
 
@@ -279,7 +279,7 @@ def test_what_one_session_does_not_know_is_shown_of_none(session, others, drawn)
     )
 
 
-def test_a_name_is_no_formula_and_a_long_one_is_cut(session, others, told, tmp_path):
+def test_a_name_is_not_a_formula_and_a_long_one_is_cut(session, others, told, tmp_path):
     odd = told(others[1], "controller", name=r"$\nothing{$ " + "very " * 200 + "long")
     for name, sessions in (("alone.svg", [odd]), ("beside.svg", [session, odd])):
         draw_stops(sessions, tmp_path / name, "one")

@@ -80,5 +80,5 @@ def test_bars_beyond_the_period_are_red(monkeypatch):
     assert "\x1b[31m#" in text_of(render_histogram([500.0], 500.0), **options)
 
 
-def test_nothing_measured_is_no_histogram():
+def test_nothing_measured_is_not_a_histogram():
     assert text_of(render_histogram([], 500.0)).strip() == ""

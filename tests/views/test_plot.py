@@ -92,7 +92,7 @@ def test_what_is_beyond_an_axis_is_drawn_at_its_end():
     assert lines[-1].endswith("*" * (COLUMNS // 2 - 1))
 
 
-def test_what_is_no_number_is_left_out():
+def test_what_is_not_a_number_is_left_out():
     values = np.where(TIMES < 1.0, np.nan, 100.0)
     assert cells([curve(values)])[ROWS // 2].startswith(" " * (COLUMNS // 2 - 1))
     assert not "".join(cells([curve(np.full(401, np.inf))])).strip()

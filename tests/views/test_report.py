@@ -69,7 +69,7 @@ def page(source):
 
 @pytest.mark.untraced
 class TestPage:
-    def test_the_card_gains_and_commands_are_told(self, page, session, stop):
+    def test_card_gains_and_commands_are_shown(self, page, session, stop):
         for words in (
             "✓ completed",
             f"stop time {stop[0].card['stop_time_s']:.3f} s",
@@ -111,7 +111,7 @@ class TestPage:
         assert len(made.encode()) < MOST_BYTES
 
     @pytest.mark.usefixtures("without_matplotlib")
-    def test_nothing_out_of_a_session_becomes_a_tag_or_a_script_and_no_value_is_too_wild(self, session, told, page):
+    def test_nothing_from_a_session_becomes_a_tag_or_a_script_and_no_value_is_too_wild(self, session, told, page):
         evil = session
         for record in ("controller", "session", "software", "rig", EVIL):
             evil = told(evil, record, name=EVIL, outcome=EVIL, reason=EVIL, estimator=EVIL, board=EVIL, argv=EVIL)
@@ -139,7 +139,7 @@ class TestOddSessions:
         assert "The session holds no ticks: there is nothing to draw." in empty.words
         assert not empty.of("figure")
 
-    def test_one_that_tells_nothing_can_neither_be_replayed_nor_repeated(self, session):
+    def test_one_that_says_nothing_can_neither_be_replayed_nor_repeated(self, session):
         bare = replace(session, metadata={}, attachments={}, ticks=session.ticks[:0], truth=session.truth[:0])
         words = page_of(bare).words
         assert "The decisions cannot be replayed" in words
@@ -199,7 +199,7 @@ class TestVerb:
         assert (here / "cut.html").exists()
 
     @pytest.mark.parametrize("arguments", [("notes.txt", "-o", "x.html"), ("missing.mcap",)])
-    def test_what_is_no_session_fails_and_leaves_nothing(self, verb, here, arguments):
+    def test_what_is_not_a_session_fails_and_leaves_nothing(self, verb, here, arguments):
         assert verb("report", *arguments).code == 1
         assert not list(here.glob("*.html"))
 

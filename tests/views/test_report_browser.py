@@ -100,7 +100,7 @@ def test_a_zoom_in_one_plot_is_a_zoom_in_all(browser, page):
 
 
 @pytest.mark.long
-def test_the_cursor_tells_the_values_of_all_plots(browser, page, session):
+def test_the_cursor_shows_the_values_of_all_plots(browser, page, session):
     browser.show(page)
     browser.point_at("speeds")
     at_s = float(browser.run("return document.getElementById('when').textContent").split()[1])

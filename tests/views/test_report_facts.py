@@ -46,7 +46,7 @@ class TestResult:
         assert not rows["overruns"].differs
 
     @pytest.mark.parametrize("card", ['{"stop_time_s": "soon", "lateness_us": 3, "overruns": null}', "[]", "{"])
-    def test_a_card_that_is_none_has_dashes(self, session, told, card):
+    def test_an_invalid_card_has_dashes(self, session, told, card):
         bare = replace(told(session, "result", card=card), attachments={})
         rows = {row.name: row.values for row in result_rows([bare])}
         assert rows["stop time"] == rows["overruns"] == rows["late, most"] == ("–",)
@@ -68,7 +68,7 @@ class TestTables:
         assert rows["Mk"].differs
         assert not rows["estimator"].differs
 
-    def test_nothing_is_told_of_a_session_that_tells_nothing(self, session):
+    def test_a_session_without_records_has_no_facts(self, session):
         assert fact_tables([replace(session, metadata={}, attachments={})]) == []
 
 
@@ -112,7 +112,7 @@ class TestWarnings:
         (found,) = warnings_of(told(clean, record, **facts))
         assert found.startswith(words)
 
-    def test_warnings_of_the_log_but_not_those_that_are_told_already(self, clean, faulty):
+    def test_warnings_of_the_log_but_not_those_that_are_reported_already(self, clean, faulty):
         log = (LogEntry(0, 2, "all is well"), *(LogEntry(0, 3, f"trouble {number}") for number in range(12)))
         found = warnings_of(replace(clean, log=log))
         assert found[0] == "Log: trouble 0."
@@ -140,7 +140,7 @@ class TestWarnings:
         assert warnings_of(early) == ["The run ended before braking: times count from its first tick."]
         assert warnings_of(without_ticks(clean)) == ["The session holds no ticks: there is nothing to draw."]
 
-    def test_an_outcome_that_nobody_told(self, session):
+    def test_an_outcome_that_was_not_recorded(self, session):
         silent = replace(session, metadata={})
         assert outcome_of(silent) == "not recorded"
         assert outcome_of(replace(silent, incomplete="cut")) == "not known"
@@ -154,7 +154,7 @@ class TestCommands:
             assert verb(*shlex.split(line)[1:]).code == 0
         assert read_session(tmp_path / "again.mcap").payload == session.payload
 
-    def test_a_controller_of_ones_own_is_taken_out_first(self, session, told):
+    def test_a_users_controller_is_extracted_first(self, session, told):
         mine = told(session, "controller", name="my laws/law.py:Law")
         mine = replace(mine, attachments={**session.attachments, "controller.py": b"class Law: pass"})
         take = f"inteco-abs extract {session.path} controller.py -o law.py"

@@ -121,7 +121,7 @@ def test_a_run_without_braking_is_all_dashes():
     assert set(values.values()) == {"-"}
 
 
-def test_zero_is_a_figure_and_no_dash():
+def test_zero_is_a_figure_not_a_dash():
     values = values_in(text_of({**CARD, **dict.fromkeys(METRICS, 0.0)}))
     assert "-" not in values.values()
     assert values["wheel locked"] == "0.0 %"
@@ -148,7 +148,7 @@ def test_a_long_explanation_is_wrapped_and_not_cut():
     assert " ".join(re.sub(r"[│\s]+", " ", text).split()).count("controller's gains;") == 3
 
 
-def test_names_are_no_markup():
+def test_names_are_not_markup():
     text = text_of({**CARD, "controller": "[red]mine.py:Law", "session": "[b]stop.mcap"})
     assert "[red]mine.py:Law" in text
     assert "[b]stop.mcap" in text

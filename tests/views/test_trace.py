@@ -50,7 +50,7 @@ def test_it_is_the_same_whether_told_at_once_or_bit_by_bit(trace):
     assert other.entered_ns == trace.entered_ns
 
 
-def test_a_second_stop_begins_anew(trace):
+def test_a_second_stop_begins_an_empty_trace(trace):
     trace.add(points(PHASES[:5]))
     trace.add(points(PHASES[:3], begin_s=20.0))
     assert (trace.stop, trace.braked(), trace.seconds_in(Phase.BRAKING)) == (2, False, None)
