@@ -47,7 +47,7 @@ def test_without_the_phrase_nothing_is_written(lab, step, answer):
     assert lab.outcomes()[step] == "failed"
 
 
-@pytest.mark.parametrize("step", ["echo", "motors"])
+@pytest.mark.parametrize("step", ["echo", pytest.param("motors", marks=pytest.mark.long)])
 def test_the_phrase_is_taken_in_any_case_and_spacing(lab, scripts, step):
     lab.done_until(step)
     lab.session("", scripts[step][1].upper().replace(" ", "  "), *scripts[step][2:]).go(only=step)

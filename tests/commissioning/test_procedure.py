@@ -70,7 +70,9 @@ def test_the_unsigned_draft_opens_it_for_reading_only(lab):
 
 
 @pytest.mark.untraced
-@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize(
+    "step", [each if each in {"motors", "sign"} else pytest.param(each, marks=pytest.mark.long) for each in STEPS]
+)
 def test_an_interruption_at_any_step_keeps_the_draft_and_the_procedure_continues_there(lab, scripts, step):
     lab.done_until(step)
     before = lab.file.read_text() if lab.file.exists() else ""

@@ -54,7 +54,7 @@ def test_without_a_fault_the_stop_is_whole(short):
 
 
 @pytest.mark.parametrize("name", ONCE)
-@pytest.mark.parametrize("event", ["drive+40ms", "brake+20ms"])
+@pytest.mark.parametrize("event", [pytest.param("drive+40ms", marks=pytest.mark.long), "brake+20ms"])
 def test_one_bad_exchange_is_noticed_and_outlived(short, name, event):
     result = happened(ride(short, [f"{name}@{event}"]))
     assert (result.reason, result.refused, result.duties) == (R.NONE, None, (0.0, 0.0))

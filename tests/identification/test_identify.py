@@ -100,6 +100,7 @@ def test_the_parameter_file_is_a_configuration_for_all_that_uses_a_model(identif
     assert model.identified.drive_no_load_speed_rad_s == estimates["drive_no_load_speed"]["value"]
 
 
+@pytest.mark.long
 def test_a_coast_down_alone_leaves_the_brake_unknown_which_is_named(sessions, capsys):
     out = sessions["coast"].with_name("coast.toml")
     assert identify(sessions["coast"], "--json", "-o", out) == 3

@@ -26,7 +26,7 @@ def gone_on(session, *settings, at_s=0.0, controllers=CONTROLLERS):
         pytest.param(
             ("simulation.rig=rough:4", "controller.name=boundary-layer", "estimator.name=kalman"),
             id="rough",
-            marks=pytest.mark.untraced,
+            marks=[pytest.mark.untraced, pytest.mark.long],
         ),
         pytest.param(("experiment.stops=2",), id="stops", marks=pytest.mark.untraced),
     ],
