@@ -165,20 +165,23 @@ def act(parts: Parts, brake: float, observe: Function) -> None:
             return
 
 
-def make_parts(config: RigConfig, clock: Clock, rig: RigVariation, rolling_rad_s: float) -> Parts:
-    """All parts of a stop of this rig, whose wheels roll with the road at that speed and are driven."""
+def make_rig(rig: RigVariation, rolling_rad_s: float) -> tuple[Constants, State]:
+    """Constants and state of a rig, with the wheels rolling with the road at that speed."""
     k = Constants.of(rig)
     released = settled(k, 0.0)
-    state = State(k.r2 / k.r1 * rolling_rad_s, rolling_rad_s, k.L_sin, k.L_cos, k.adhesion_scale, released, released)
-    own = config_of_stop(config, rig)
-    estimator = make_estimator(own)
-    machine = PhaseMachine(own, cast(Controller, None), Phase.SPIN_UP)  # actions are what a controller would demand
-    guard = Guard(own)
-    places = MOST_DELAY_TICKS + 1
+    wheel_speed = k.r2 / k.r1 * rolling_rad_s
+    return k, State(wheel_speed, rolling_rad_s, k.L_sin, k.L_cos, k.adhesion_scale, released, released)
+
+
+def make_path(config: RigConfig, clock: Clock) -> tuple[Any, ...]:
+    """All other parts of a stop with this configuration, which begins with the run-up."""
+    estimator = make_estimator(config)
+    machine = PhaseMachine(config, cast(Controller, None), Phase.SPIN_UP)  # actions are what a controller would demand
+    guard = Guard(config)
     room = math.ceil(LONGEST_DEAD_TIME_S * 1e9 / clock.period_ns) + 2
+    places = MOST_DELAY_TICKS + 1
     stop = StopState([0.0] * room, [0.0] * room, [0.0] * places, [0.0] * places)
-    estimator_k = getattr(estimator, "k", None)
-    return Parts(k, state, estimator_k, estimator, machine.k, machine, guard.k, guard, clock, stop)
+    return getattr(estimator, "k", None), estimator, machine.k, machine, guard.k, guard, clock, stop
 
 
 class Stops(Protocol):
@@ -201,10 +204,13 @@ class PythonStops:
     """Stops in Python, with any estimator."""
 
     def __init__(self, config: RigConfig, clock: Clock, count: int, rolling_rad_s: float) -> None:
-        self._make = partial(make_parts, config, clock, rolling_rad_s=rolling_rad_s)
+        self._config, self._clock, self._rolling_rad_s = config, clock, rolling_rad_s
         estimate = function_of(make_estimator(config)) or _updated
         self._observe = partial(observe, estimate=estimate, word=_as_it_is)
         self._parts: list[Parts] = [self._make(RigVariation())] * count
+
+    def _make(self, rig: RigVariation) -> Parts:
+        return Parts(*make_rig(rig, self._rolling_rad_s), *make_path(config_of_stop(self._config, rig), self._clock))
 
     def begin(self, place: int, rig: RigVariation) -> None:
         """Drive this rig until its first decision is due."""

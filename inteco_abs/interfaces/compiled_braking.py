@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inteco_abs.config import RigConfig
-from inteco_abs.control import Function
-from inteco_abs.interfaces.braking import Clock, Parts, act, make_parts, observe, run_up
+from inteco_abs.control import Function, config_of_stop
+from inteco_abs.interfaces.braking import Clock, Parts, act, make_path, make_rig, observe, run_up
 from inteco_abs.machine_code import compiled, record
 from inteco_abs.montecarlo.arrays import rig_rows, state_rows
 from inteco_abs.rig import RigVariation
@@ -23,16 +23,27 @@ class CompiledStops:
     """As `PythonStops`, for an estimator that is the function `estimate`."""
 
     def __init__(self, config: RigConfig, clock: Clock, count: int, rolling_rad_s: float, estimate: Function) -> None:
-        self._make = partial(make_parts, config, clock, rolling_rad_s=rolling_rad_s)
+        self._config, self._clock, self._rolling_rad_s = config, clock, rolling_rad_s
+        self._paths: dict[float, list[Any]] = {}
         read = partial(observe, estimate=estimate, word=_unsigned)
         self._begin, self._act = (compiled(partial(_at_each, do=partial(do, observe=read))) for do in (run_up, act))
-        self._rows = Parts(*(np.repeat(row, count).view(np.recarray) for row in _rows(self._make(RigVariation()))))
+        self._rows = Parts(*(np.repeat(row, count).view(np.recarray) for row in self._row(RigVariation())))
 
     def begin(self, place: int, rig: RigVariation) -> None:
         """Drive this rig until its first decision is due."""
-        for rows, row in zip(self._rows, _rows(self._make(rig)), strict=True):
+        for rows, row in zip(self._rows, self._row(rig), strict=True):
             rows[place] = row[0]
         self._begin(self._rows, np.array([place]), np.zeros(1))
+
+    def _row(self, rig: RigVariation) -> list[Any]:
+        """A row of each part, before the first tick."""
+        k, state = make_rig(rig, self._rolling_rad_s)
+        speeds = np.array([[state.wheel_speed], [state.road_speed]])
+        config = config_of_stop(self._config, rig)
+        limit = config.guard.brake_limit  # all that a path has of its rig
+        if limit not in self._paths:
+            self._paths[limit] = [np.array([record(part)]) for part in make_path(config, self._clock)]
+        return [rig_rows([k]), state_rows([k], *speeds), *self._paths[limit]]
 
     def act(self, places: list[int], brakes: list[float]) -> None:
         """Demand these duties of the rigs at these places for the ticks of an action, or until a stop is over."""
@@ -42,13 +53,6 @@ class CompiledStops:
         """One field of a part of each stop."""
         column: NDArray[Any] = getattr(self._rows, part)[name]
         return column
-
-
-def _rows(parts: Parts) -> list[Any]:
-    """A row of each part."""
-    k, state = parts.rig_k, parts.rig
-    speeds = np.array([[state.wheel_speed], [state.road_speed]])
-    return [rig_rows([k]), state_rows([k], *speeds), *(np.array([record(part)]) for part in parts[2:])]
 
 
 def _at_each(rows: Parts, places: Places, brakes: Floats, do: Function) -> None:
