@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -258,16 +258,21 @@ def rig_settings(sampled: str | None) -> list[str]:
     return [] if sampled is None else [f"simulation.rig={json.dumps(sampled)}"]
 
 
-def write_csv(records: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write one line per record; a value that a record does not have, or None, is empty. Raises AbsError."""
+def write_csv(records: Iterable[Mapping[str, Any]], path: Path, columns: Sequence[str] = ()) -> None:
+    """Write one line per record; a value that a record does not have, or None, is empty. Raises AbsError.
+
+    Without `columns` they are those of all records, which are then all in memory.
+    """
     import csv
 
     from inteco_abs.sessions import atomic_write
 
-    columns = dict.fromkeys(key for record in records for key in record)
+    if not columns:
+        records = list(records)
+        columns = list(dict.fromkeys(key for record in records for key in record))
     try:
         with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, list(columns))
+            writer = csv.DictWriter(file, columns)
             writer.writeheader()
             writer.writerows(records)
     except OSError as error:

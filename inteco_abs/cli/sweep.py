@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
+import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
-from threading import Thread
 from typing import TYPE_CHECKING, Final
 
 import click
+from click.core import ParameterSource
 
 from inteco_abs.cli.completion import controller_names, estimator_names, key_names
 from inteco_abs.cli.options import (
@@ -27,19 +26,41 @@ from inteco_abs.cli.options import (
     write_csv,
 )
 from inteco_abs.cli.terminal import print_json, say, show, stops_progress
-from inteco_abs.errors import AbsError, ConfigError, ConfigIssue
+from inteco_abs.errors import ConfigError, ConfigIssue
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from inteco_abs.montecarlo import Combination, SampleSet, SweepRow
+    from inteco_abs.montecarlo import Braked, Combination, SampleSet, SweepFolder, SweepPlan, SweepRow
     from inteco_abs.plugins import Controllers
 
-_SMALLEST_SHARD: Final = 5
-_SHARDS_PER_JOB: Final = 4
-"""At least, so that no process waits long for the last one."""
+_FEWEST_STOPS: Final = 5
+"""For a process of its own."""
+_AHEAD: Final = 4
+"""Units for each worker, so that none waits for the next."""
 _NARROWEST: Final = 80
 """Columns of the table: a narrower terminal wraps lines; cutting them would lose names and digits."""
+_MOST_SEEDS: Final = 20
+"""Of rigs that are left out, in a message."""
+_SWEEP: Final = ("rigs", "controller", "estimator", "settings", "config", "no_run_up")
+_BRAKING: Final = ("jobs", "executor")
+_RESULT: Final = ("table", "figure", "as_json")
+_NEEDLESS: Final = {
+    "work": (*_SWEEP, *_RESULT, "store", "prepare", "shown"),
+    "shown": (*_SWEEP, *_BRAKING, "store", "prepare", "work", "part"),
+    "prepare": (*_BRAKING, *_RESULT),
+}
+"""By option, those that say nothing beside it."""
+
+
+def _part(_ctx: click.Context, _param: click.Parameter, text: str | None) -> tuple[int, int] | None:
+    """I/N, one of N parts, counted from 1."""
+    if text is None:
+        return None
+    index, _, count = text.partition("/")
+    if not (index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
+        raise click.BadParameter(f"{text!r}: must look like 3/10, the third of ten parts.")
+    return int(index), int(count)
 
 
 @click.command()
@@ -71,10 +92,23 @@ _NARROWEST: Final = 80
 @shared_option("config")
 @click.option("--no-run-up", is_flag=True, help="Begin at the start speed with rolling wheels and no drive.")
 @click.option("--jobs", type=Whole(1, 1024), help="Number of processes; default: one per core.")
+@click.option("--store", type=FILE, metavar="DIR", help="Keep the stops in this folder; the same command continues it.")
+@click.option("--prepare", is_flag=True, help="With --store: only describe the sweep there, for --work.")
+@click.option("--work", type=FILE, metavar="DIR", help="Brake what is missing in a folder of --store.")
+@click.option("--part", callback=_part, metavar="I/N", help="With --work: the I-th of N parts, as of a job array.")
+@click.option("--show", "shown", type=FILE, metavar="DIR", help="Show what is in a folder of --store, at any time.")
+@click.option(
+    "--executor",
+    metavar="NAME[=ARGUMENT]",
+    help="With --store or --work: brake elsewhere, as dask=tcp://host:8786, or module:callable, which makes a "
+    "concurrent.futures.Executor; its workers must see DIR.",
+)
 @click.option("--csv", "table", type=FILE, help="Also write one line per stop (.csv).")
 @click.option("--figure", type=FILE, help="Also draw the distribution of slip RMS over the stops: .png, .svg or .pdf.")
 @json_option
+@click.pass_context
 def sweep(
+    ctx: click.Context,
     rigs: tuple[str, ...],
     controller: tuple[str, ...],
     estimator: tuple[str, ...],
@@ -82,6 +116,12 @@ def sweep(
     config: Path | None,
     no_run_up: bool,
     jobs: int | None,
+    store: Path | None,
+    prepare: bool,
+    work: Path | None,
+    part: tuple[int, int] | None,
+    shown: Path | None,
+    executor: str | None,
     table: Path | None,
     figure: Path | None,
     as_json: bool,
@@ -91,42 +131,121 @@ def sweep(
     Every combination of controllers, gains and estimators brakes every rig once, from the start speed to standstill,
     and is judged by the true slip. The whole guard applies, and its trip ends a stop; rigs of the population capped
     have a brake limit of their own, and only those that can hold slip 0.2 with a margin of 0.5 N m count.
+
+    A sweep that is stored survives: what was braked stays when a process is killed or you press Ctrl-C, and several
+    computers that share a disk can work in one folder.
     """
-    from inteco_abs.montecarlo import SHARD, combinations, parse_draws
-    from inteco_abs.montecarlo import sweep as sweep_all
+    from inteco_abs.montecarlo import SweepFolder
     from inteco_abs.views.figure import check_figure
 
-    draws = [parse_draws(text) for text in dict.fromkeys(rigs)]
-    with redirect_stdout(sys.stderr):  # a controller's prints must not mix with the result
-        controllers, sources = _controllers(controller)
-    chosen = [f"controller.name={name}" for name in controller] + [f"estimator.name={name}" for name in estimator]
-    grid = combinations([*settings, *chosen], controllers, config)
+    _require_consistent(ctx)
     require_different({"--csv": table, "--figure": figure})
-    _require_no_rig(grid, draws)
     check_table(table)
     if figure is not None:
         check_figure(figure)
-    _report_left_out(draws)
-    stops = len(grid) * sum(len(each.rigs) for each in draws)
-    jobs = min(jobs or _cores(), -(-stops // _SMALLEST_SHARD))
-    say(f"combinations: {len(grid)}, stops to brake: {stops}; Ctrl-C ends without a result", err=True)
+    if work is not None:
+        folder = SweepFolder.open(work)
+        code = _brake(folder, jobs, executor, part or (1, 1))
+        say(f"inteco-abs sweep --show {work} makes the table", err=True)
+        return code
+    if shown is not None:
+        return _report(SweepFolder.open(shown, "--show"), table, figure, as_json=as_json)
+    plan = _plan(rigs, (controller, estimator, settings), config, run_up=not no_run_up)
+    if prepare and store is not None:
+        made = SweepFolder.make(store, plan)
+        say(f"sweep {made.plan.name[:12]}: {plan.count} stops to brake: inteco-abs sweep --work {store}", err=True)
+        return 0
+    with tempfile.TemporaryDirectory(prefix="inteco-abs-sweep-") as temporary:
+        folder = SweepFolder.make(store or Path(temporary), plan)
+        code = _brake(folder, jobs, executor, kept=store is not None)
+        return max(code, _report(folder, table, figure, as_json=as_json))
+
+
+def _require_consistent(ctx: click.Context) -> None:
+    """Raise ConfigError for options that say nothing together."""
+    typed = {
+        param.name: param.opts[0]
+        for param in ctx.command.params
+        if param.name and ctx.get_parameter_source(param.name) is ParameterSource.COMMANDLINE
+    }
+    mistakes = [
+        ConfigIssue(typed[other], f"changes nothing with {typed[mode]}; leave one of them out")
+        for mode in _NEEDLESS
+        if mode in typed
+        for other in _NEEDLESS[mode]
+        if other in typed
+    ]
+    if "part" in typed and "work" not in typed:
+        mistakes.append(ConfigIssue("--part", "needs --work DIR, the folder of which it is a part"))
+    if "prepare" in typed and "store" not in typed:
+        mistakes.append(ConfigIssue("--prepare", "needs --store DIR, the folder to describe the sweep in"))
+    if "executor" in typed and not {"store", "work"} & set(typed):
+        mistakes.append(ConfigIssue("--executor", "needs --store DIR or --work DIR, a folder that its workers see"))
+    if mistakes:
+        raise ConfigError(mistakes)
+
+
+def _plan(
+    rigs: Sequence[str],
+    chosen: tuple[Sequence[str], Sequence[str], Sequence[str]],
+    config: Path | None,
+    *,
+    run_up: bool,
+) -> SweepPlan:
+    """The sweep that the command line names; `chosen` are controllers, estimators and settings. Raises ConfigError."""
+    from inteco_abs.montecarlo import SweepPlan, combinations, parse_draws
+
+    controller, estimator, settings = chosen
+    draws = [parse_draws(text) for text in dict.fromkeys(rigs)]
+    with redirect_stdout(sys.stderr):  # a controller's prints must not mix with the result
+        controllers, sources = _controllers(controller)
+    names = [f"controller.name={name}" for name in controller] + [f"estimator.name={name}" for name in estimator]
+    grid = combinations([*settings, *names], controllers, config)
+    _require_no_rig(grid, draws)
+    return SweepPlan(grid, draws, sources, run_up)
+
+
+def _brake(
+    folder: SweepFolder, jobs: int | None, executor: str | None, part: tuple[int, int] = (1, 1), *, kept: bool = True
+) -> int:
+    """Brake what is missing; the exit code."""
+    from inteco_abs.montecarlo import InThisProcess, LocalProcesses, cores, count_workers, named_executor, work
+
+    plan = folder.plan
+    end = "Ctrl-C keeps what is done, and the same command continues" if kept else "Ctrl-C ends without a result"
+    say(f"combinations: {len(plan.grid)}, stops to brake: {plan.count}; {end}", err=True)
     began = time.monotonic()
-    with redirect_stdout(sys.stderr), _processes(jobs) as executor, stops_progress() as progress:
-        rows = sweep_all(
-            grid,
-            draws,
-            sources=sources,
-            run_up=not no_run_up,
-            executor=executor,
-            shard=max(_SMALLEST_SHARD, min(SHARD, stops // (_SHARDS_PER_JOB * jobs))),
-            progress=progress,
-        )
-    ticks, elapsed_s = sum(row.stops.ticks for row in rows), time.monotonic() - began
+    with redirect_stdout(sys.stderr):
+        if executor is not None:
+            where: Executor = named_executor(executor)
+            jobs = jobs or count_workers(where)
+        else:
+            jobs = min(jobs or cores(), -(-plan.count // _FEWEST_STOPS))
+            where = LocalProcesses(jobs) if jobs > 1 else InThisProcess()
+        with where, stops_progress() as progress:
+            braked = work(folder, where, _AHEAD * jobs if jobs > 1 else 1, part, progress)
+    _say_braked(braked, jobs, time.monotonic() - began)
+    for unit, problem in folder.failures().items():
+        say(f"inteco-abs: {unit} was given up: {problem}", err=True)
+    return LOSSES if braked.failed else 0
+
+
+def _say_braked(braked: Braked, jobs: int, elapsed_s: float) -> None:
+    stops, ticks, _ = braked
     say(
-        f"{stops} {'stops' if stops > 1 else 'stop'}, {ticks} ticks in {elapsed_s:.1f} s: "
+        f"{stops} {'stop' if stops == 1 else 'stops'}, {ticks} ticks in {elapsed_s:.1f} s: "
         f"{ticks / elapsed_s:.0f} ticks/s on {jobs} {'processes' if jobs > 1 else 'process'}",
         err=True,
     )
+
+
+def _report(folder: SweepFolder, table: Path | None, figure: Path | None, *, as_json: bool) -> int:
+    """Print and write the result, as far as there is one; the exit code."""
+    rows = folder.rows()
+    done = sum(row.stops + len(row.left_out) for row in rows)
+    if done < folder.plan.count:
+        say(f"inteco-abs: {done} of {folder.plan.count} stops so far", err=True)
+    _report_left_out(rows)
     # before the files: one that cannot be written must not cost the result
     if as_json:
         print_json({"schema_version": 1, "rows": [row.facts() for row in rows]})
@@ -135,7 +254,8 @@ def sweep(
 
         show(render_sweep(rows), width=_NARROWEST)
     if table is not None:
-        write_csv([record for row in rows for record in row.records()], table)
+        columns = list(dict.fromkeys(name for row in rows for name in row.columns))
+        write_csv((record for row in rows for record in row.records()), table, columns)
     if figure is not None:
         from inteco_abs.montecarlo.table import draw_sweep
 
@@ -166,7 +286,8 @@ def _require_no_rig(grid: Sequence[Combination], draws: Sequence[SampleSet]) -> 
     if any(one.config.simulation != SimulationConfig() for one in grid):
         mistakes.append(ConfigIssue("simulation", "a sweep brakes the rigs of --rigs; leave this section out"))
     configured = {one.config.encoders.counts_per_turn for one in grid}
-    drawn = {rig.road_encoder.counts_per_turn for each in draws for rig in each.rigs}
+    rigs = [rig for each in draws if (rig := each.first_rig)]  # all of a population have the same discs
+    drawn = {rig.road_encoder.counts_per_turn for rig in rigs}
     if configured != drawn:
         shown = ", ".join(map(str, sorted(configured - drawn)))
         mistakes.append(ConfigIssue("encoders.counts_per_turn", f"{shown}: these rigs have {max(drawn)}; leave it out"))
@@ -174,13 +295,15 @@ def _require_no_rig(grid: Sequence[Combination], draws: Sequence[SampleSet]) -> 
         raise ConfigError(mistakes)
 
 
-def _report_left_out(draws: Sequence[SampleSet]) -> None:
-    for each in draws:
-        if each.left_out:
-            count = len(each.left_out) + len(each.seeds)
+def _report_left_out(rows: Sequence[SweepRow]) -> None:
+    for row in {row.draws.name: row for row in rows}.values():
+        if row.left_out:
+            count, all_rigs = len(row.left_out), len(row.left_out) + row.stops
+            more = f" and {count - _MOST_SEEDS} more" if count > _MOST_SEEDS else ""
+            seeds = ", ".join(map(str, row.left_out[:_MOST_SEEDS])) + more
             say(
-                f"inteco-abs: {each.name}: {len(each.left_out)} of {count} rigs are left out: they cannot hold slip "
-                f"0.2 with a margin of 0.5 N m: seeds {', '.join(map(str, each.left_out))}",
+                f"inteco-abs: {row.draws.name}: {count} of {all_rigs} rigs are left out: they cannot hold slip "
+                f"0.2 with a margin of 0.5 N m: seeds {seeds}",
                 err=True,
             )
 
@@ -189,55 +312,11 @@ def _report_errors(rows: Sequence[SweepRow]) -> int:
     """Report each row with failed stops; return the exit code."""
     code = 0
     for row in rows:
-        failed = [(seed, error) for seed, error in zip(row.draws.seeds, row.stops.errors, strict=True) if error]
-        if failed:
-            (seed, error), code = failed[0], LOSSES
+        if row.summary.failed:
+            (seed, error), code = next(row.errors()), LOSSES
             say(
-                f"inteco-abs: {row.combination.name}: {len(failed)} of {len(row.stops)} stops failed, first "
+                f"inteco-abs: {row.combination.name}: {row.summary.failed} of {row.stops} stops failed, first "
                 f"{row.draws.population}:{seed}: {error}",
                 err=True,
             )
     return code
-
-
-def _cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextmanager
-def _processes(jobs: int) -> Iterator[Executor | None]:
-    """A pool of this many processes; None if this process is enough."""
-    if jobs == 1:
-        yield None
-        return
-    from concurrent.futures import ProcessPoolExecutor
-    from concurrent.futures.process import BrokenProcessPool
-    from multiprocessing import active_children, get_context
-
-    # spawned: a forked copy of a process with threads, as the progress bar's, may hang
-    with ProcessPoolExecutor(jobs, get_context("spawn"), _begin_worker) as pool:
-        try:
-            yield pool
-        except KeyboardInterrupt:
-            for worker in active_children():  # the pool would wait for their work
-                worker.terminate()
-            raise
-        except BrokenProcessPool as error:
-            raise AbsError("a process of the sweep died, perhaps of too little memory; try --jobs 1") from error
-
-
-def _begin_worker() -> None:
-    """Leave Ctrl-C to the parent, send prints to stderr, and end when the parent is killed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    sys.stdout = sys.stderr
-    Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    from multiprocessing import parent_process
-
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)

@@ -70,18 +70,30 @@ def stops_progress() -> Iterator[Progress | None]:
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class Rate(TextColumn):
+        def render(self, task: Task) -> Text:
+            return Text("stops" if task.speed is None else f"stops, {task.speed:.3g} per s", self.style)
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("stops"),
+        Rate(""),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("compiling, then braking", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total, description="braking")
+
+        def update(done: int, total: int) -> None:
+            if bar.tasks[task].total is None:  # what an earlier command braked says nothing of the rate
+                bar.reset(task, completed=done, total=total)
+            else:
+                bar.update(task, completed=done, description="braking")
+
+        yield update
 
 
 class Terminal:

@@ -2,8 +2,10 @@
 
 from inteco_abs.montecarlo.batch import BatchPlant
 from inteco_abs.montecarlo.batch_run import LONGEST_BRAKING_S, Experiment
+from inteco_abs.montecarlo.executors import InThisProcess, LocalProcesses, cores, count_workers, named_executor
 from inteco_abs.montecarlo.grid import MOST_COMBINATIONS, Combination, combinations, split_list
 from inteco_abs.montecarlo.oracle import Oracle
+from inteco_abs.montecarlo.plan import SweepPlan, Unit
 from inteco_abs.montecarlo.policies import (
     ESTIMATOR_NAMES,
     IDEAL,
@@ -15,7 +17,8 @@ from inteco_abs.montecarlo.policies import (
 from inteco_abs.montecarlo.results import METRICS, Distribution, ResultSummary, StopResults, Trace
 from inteco_abs.montecarlo.samples import SampleSet, parse_draws
 from inteco_abs.montecarlo.stops import SHARD, Progress, run_all, run_stops
-from inteco_abs.montecarlo.sweep import SweepRow, sweep
+from inteco_abs.montecarlo.store import SweepFolder, SweepRow
+from inteco_abs.montecarlo.work import Braked, work
 
 __all__ = [
     "ESTIMATOR_NAMES",
@@ -25,24 +28,33 @@ __all__ = [
     "MOST_COMBINATIONS",
     "SHARD",
     "BatchPlant",
+    "Braked",
     "Combination",
     "ConfiguredPolicy",
     "Distribution",
     "Experiment",
     "IdealPolicy",
+    "InThisProcess",
+    "LocalProcesses",
     "Oracle",
     "PolicyFactory",
     "Progress",
     "ResultSummary",
     "SampleSet",
     "StopResults",
+    "SweepFolder",
+    "SweepPlan",
     "SweepRow",
     "Trace",
     "TrueState",
+    "Unit",
     "combinations",
+    "cores",
+    "count_workers",
+    "named_executor",
     "parse_draws",
     "run_all",
     "run_stops",
     "split_list",
-    "sweep",
+    "work",
 ]

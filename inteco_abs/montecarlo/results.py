@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -96,13 +96,7 @@ class StopResults:
 
     def summary(self) -> ResultSummary:
         """Distribution of the metrics, and shares of stops that failed."""
-        return ResultSummary(
-            stops=len(self),
-            failed=sum(map(bool, self.errors)),
-            locked=float(np.mean(self["lock_fraction"] > 0.0)),
-            never_entered=float(np.mean(np.isnan(self["band_entry_s"]))),
-            spreads={name: _spread(self[name]) for name in METRICS},
-        )
+        return summarize({name: self[name] for name in METRICS}.items(), sum(map(bool, self.errors)))
 
     @staticmethod
     def joined(parts: Sequence[StopResults]) -> StopResults:
@@ -120,17 +114,29 @@ class StopResults:
         )
 
 
+def summarize(columns: Iterable[tuple[str, NDArray[np.float64]]], failed: int) -> ResultSummary:
+    """Summary of stops of which `failed` ended with an error; takes one metric of METRICS with its values at a time."""
+    stops, locked, never_entered, spreads = 0, 0.0, 0.0, {}
+    for name, values in columns:
+        stops, spreads[name] = len(values), _spread(values)
+        if name == "lock_fraction":
+            locked = float(np.mean(values > 0.0))
+        elif name == "band_entry_s":
+            never_entered = float(np.mean(np.isnan(values)))
+    return ResultSummary(stops, failed, locked, never_entered, spreads)
+
+
 def _spread(values: NDArray[np.float64]) -> Distribution:
     ranked = np.where(np.isnan(values), np.inf, values)
     worst = int(ranked.argmax())
-    ordered = np.sort(ranked).tolist()
-    return Distribution(_quantile(ordered, 0.5), _quantile(ordered, 0.99), ordered[-1], worst)
+    ranked.sort()
+    return Distribution(_quantile(ranked, 0.5), _quantile(ranked, 0.99), ranked.item(-1), worst)
 
 
-def _quantile(ordered: Sequence[float], share: float) -> float:
+def _quantile(ordered: NDArray[np.float64], share: float) -> float:
     """Quantile by linear interpolation, as numpy's, also between infinities."""
     place = share * (len(ordered) - 1)
-    below = ordered[int(place)]
-    above = ordered[min(int(place) + 1, len(ordered) - 1)]
+    below = ordered.item(int(place))
+    above = ordered.item(min(int(place) + 1, len(ordered) - 1))
     part = place % 1.0
     return below if part == 0.0 or above == below else below + (above - below) * part

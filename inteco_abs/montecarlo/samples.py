@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 from inteco_abs.errors import ConfigError, near_match
@@ -11,31 +13,65 @@ from inteco_abs.rig import POPULATIONS, RigVariation, draw, torque_margin
 
 _NAMED: Final = re.compile(r"([^:]*):([0-9]+)(?:-([0-9]+))?")
 _MOST_SEED: Final = (1 << 64) - 1
-_MOST_DRAWS: Final = 100_000
+_MOST_DRAWS: Final = 100_000_000
+"""A metric of so many stops takes 0.8 GB of memory when its distribution is computed."""
 HELD_SLIP: Final = 0.2
 SPARE_NM: Final = 0.5
 _NEEDY: Final = "capped"
 """Population some of whose rigs have a brake too weak to hold any slip, which says nothing of a controller."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SampleSet:
-    """Rigs of one population, by their seeds."""
+    """Rigs of one population, by their seeds; they are drawn when they are asked for."""
 
     population: str
     first: int
     last: int
-    seeds: tuple[int, ...]
-    """Of the rigs that count."""
-    rigs: tuple[RigVariation, ...]
-    """In the same order."""
-    left_out: tuple[int, ...]
-    """Seeds of rigs of `capped` that cannot hold slip 0.2 with 0.5 N m to spare."""
+
+    def __len__(self) -> int:
+        """Number of draws, those that are left out included."""
+        return self.last - self.first + 1
 
     @property
     def name(self) -> str:
         """As on the command line."""
         return f"{self.population}:{self.first}" + (f"-{self.last}" if self.last > self.first else "")
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Of the rigs that count."""
+        return tuple(self._drawn)
+
+    @property
+    def rigs(self) -> tuple[RigVariation, ...]:
+        """In the same order."""
+        return tuple(self._drawn.values())
+
+    @property
+    def left_out(self) -> tuple[int, ...]:
+        """Seeds of rigs of `capped` that cannot hold slip 0.2 with 0.5 N m to spare."""
+        return tuple(seed for seed in range(self.first, self.last + 1) if seed not in self._drawn)
+
+    @cached_property
+    def _drawn(self) -> dict[int, RigVariation]:
+        return dict(self._strong())
+
+    def _strong(self) -> Iterator[tuple[int, RigVariation]]:
+        for seed in range(self.first, self.last + 1):
+            rig = draw(self.population, seed)
+            if self.population != _NEEDY or torque_margin(rig, HELD_SLIP) >= SPARE_NM:
+                yield seed, rig
+
+    @property
+    def first_rig(self) -> RigVariation | None:
+        """The first that counts; None if there is none."""
+        return next((rig for _, rig in self._strong()), None)
+
+    def split(self, size: int) -> Iterator[SampleSet]:
+        """The draws in their order, in sets of at most `size`."""
+        for first in range(self.first, self.last + 1, size):
+            yield SampleSet(self.population, first, min(first + size - 1, self.last))
 
 
 def parse_draws(text: str) -> SampleSet:
@@ -50,12 +86,10 @@ def parse_draws(text: str) -> SampleSet:
         raise _mistake(f"{text}: the range is reversed; write {population}:{last}-{first}")
     if last > _MOST_SEED or last - first >= _MOST_DRAWS:
         raise _mistake(f"{text}: must be at most {_MOST_DRAWS} draws with seeds of at most {_MOST_SEED}")
-    rigs = {seed: draw(population, seed) for seed in range(first, last + 1)}
-    weak = {seed for seed, rig in rigs.items() if population == _NEEDY and torque_margin(rig, HELD_SLIP) < SPARE_NM}
-    seeds = tuple(seed for seed in rigs if seed not in weak)
-    if not seeds:
+    draws = SampleSet(population, first, last)
+    if draws.first_rig is None:
         raise _mistake(f"{text}: none of these rigs can hold slip {HELD_SLIP:g} with {SPARE_NM:g} N m to spare")
-    return SampleSet(population, first, last, seeds, tuple(rigs[seed] for seed in seeds), tuple(sorted(weak)))
+    return draws
 
 
 def _mistake(problem: str) -> ConfigError:

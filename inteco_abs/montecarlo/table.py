@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito
 _STYLES: Final = ("-", "--", ":", "-.")
 MOST_LINES: Final = len(_COLOURS) * len(_STYLES)
+_MOST_CORNERS: Final = 10_000
+"""Of a line in the figure, which is narrower than that in any print."""
 
 
 _NOTE: Final = (
@@ -38,19 +40,19 @@ def render_sweep(rows: Sequence[SweepRow]) -> RenderableType:
 
 
 def _table(name: str, rows: Sequence[SweepRow]) -> Table:
-    count = len(rows[0].stops)
+    count = max(row.stops for row in rows)
     title = f"{name}: slip RMS of {count} {'stops' if count > 1 else 'stop'} each"
     table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("controller on estimator", overflow="fold")
     for heading in _HEADINGS:
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
-        summary = row.stops.summary()
+        summary = row.summary
         slip, spreads = summary.spreads["slip_rms_true"], summary.spreads
         table.add_row(
             Text(row.combination.name),
             *(_number(value, ".4f") for value in (slip.median, slip.p99, slip.largest)),
-            str(row.draws.seeds[slip.worst]),
+            str(row.seeds[slip.worst]),
             f"{summary.locked:.0%}",
             f"{summary.never_entered:.0%}",
             _number(spreads["stop_distance_m"].median, ".2f"),
@@ -63,7 +65,7 @@ def _by_range(rows: Sequence[SweepRow]) -> list[tuple[str, list[SweepRow]]]:
     """Ranges of draws in their order, each with its rows by the 99th percentile of the slip's RMS."""
 
     def p99(row: SweepRow) -> float:
-        return row.stops.summary().spreads["slip_rms_true"].p99
+        return row.summary.spreads["slip_rms_true"].p99
 
     names = dict.fromkeys(row.draws.name for row in rows)
     return [(name, sorted((row for row in rows if row.draws.name == name), key=p99)) for name in names]
@@ -101,8 +103,11 @@ def draw_sweep(rows: Sequence[SweepRow], path: Path) -> None:
 
 
 def _shares(panel: Axes, row: SweepRow, **look: Any) -> None:
-    values = row.stops["slip_rms_true"]
+    values = row["slip_rms_true"]
     finite = np.sort(values[np.isfinite(values)])
     corners = np.concatenate([finite[:1], finite])  # up from zero at the first
     shares = np.arange(len(corners)) / len(values)
+    if len(corners) > _MOST_CORNERS:
+        shown = np.linspace(0, len(corners) - 1, _MOST_CORNERS).round().astype(int)
+        corners, shares = corners[shown], shares[shown]
     panel.step(corners, shares, where="post", label=row.combination.name, **look)

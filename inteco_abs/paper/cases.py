@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 from inteco_abs.config import RigConfig, load_config
 from inteco_abs.control import CONTROLLERS, control_check, reaching_time_bound
 from inteco_abs.montecarlo import ESTIMATOR_NAMES, IDEAL, ConfiguredPolicy, Experiment, SampleSet, parse_draws
-from inteco_abs.rig import RigParameters
+from inteco_abs.rig import RigParameters, RigVariation
 
 REFERENCE: Final = 0.2
 SIMULATION_GAINS: Final = (2.0, 1.0)
@@ -64,11 +64,13 @@ class PaperCondition:
     laws: tuple[Law, ...]
     run_up_from_rad_s: float | None = None
     """Speed from which the drive runs up, as in `Experiment`."""
+    changed: RigVariation | None = None
+    """Replaces the one rig that is drawn."""
 
     def experiment(self, law: Law) -> Experiment:
         """The Monte Carlo experiment of one of the laws."""
-        config = law.config(self.estimator)
-        return Experiment(self.draws.rigs, config, ConfiguredPolicy(config, CONTROLLERS), self.run_up_from_rad_s)
+        config, rigs = law.config(self.estimator), (self.changed,) if self.changed else self.draws.rigs
+        return Experiment(rigs, config, ConfiguredPolicy(config, CONTROLLERS), self.run_up_from_rad_s)
 
 
 def paper_conditions(draws: int) -> tuple[PaperCondition, ...]:
@@ -115,4 +117,4 @@ def _breaks(nominal: SampleSet, law: Law) -> Iterator[PaperCondition]:
         "more-friction": ("friction 10 % above the model's", replace(rig, adhesion_scale=1.1), IDEAL),
     }
     for name, (title, one, estimator) in changed.items():
-        yield PaperCondition(f"simulation-{name}", title, replace(nominal, rigs=(one,)), estimator, (law,))
+        yield PaperCondition(f"simulation-{name}", title, nominal, estimator, (law,), changed=one)

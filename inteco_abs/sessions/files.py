@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -102,7 +103,7 @@ def require_own_file(path: Path, session_id: str) -> None:
 @contextmanager
 def atomic_write(out: Path) -> Iterator[Path]:
     """A temporary path, renamed to `out` at the end; after an error, it is removed."""
-    part = out.with_name(f"{out.name}.{os.getpid()}{_PART}")
+    part = out.with_name(f"{out.name}.{secrets.token_hex(8)}{_PART}")  # other computers may write here, too
     try:
         yield part
     except BaseException:

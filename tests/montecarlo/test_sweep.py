@@ -10,7 +10,18 @@ from rich.console import Console
 
 from inteco_abs.control import CONTROLLERS
 from inteco_abs.errors import AbsError, ConfigError
-from inteco_abs.montecarlo import MOST_COMBINATIONS, combinations, parse_draws, run_stops, split_list, sweep
+from inteco_abs.montecarlo import (
+    METRICS,
+    MOST_COMBINATIONS,
+    InThisProcess,
+    SweepFolder,
+    SweepPlan,
+    combinations,
+    parse_draws,
+    run_stops,
+    split_list,
+    work,
+)
 from inteco_abs.montecarlo.table import draw_sweep, render_sweep
 from inteco_abs.rig import POPULATIONS, draw, torque_margin
 
@@ -58,10 +69,13 @@ def test_capped_rigs_that_cannot_hold_the_slip_are_left_out():
         ("hard:9-2", "hard:9-2: the range is reversed; write hard:2-9"),
         ("hard", "'hard': must look like hard:0-99, or hard:7 for one rig"),
         ("hard:-3", "'hard:-3': must look like hard:0-99, or hard:7 for one rig"),
-        ("hard:0-100000", "hard:0-100000: must be at most 100000 draws with seeds of at most 18446744073709551615"),
+        (
+            "hard:0-100000000",
+            "hard:0-100000000: must be at most 100000000 draws with seeds of at most 18446744073709551615",
+        ),
         (
             "hard:18446744073709551616",
-            "hard:18446744073709551616: must be at most 100000 draws with seeds of at most 18446744073709551615",
+            "hard:18446744073709551616: must be at most 100000000 draws with seeds of at most 18446744073709551615",
         ),
     ],
 )
@@ -159,10 +173,16 @@ def test_commas_in_brackets_and_quotes_separate_nothing():
     assert split_list("{a = [1, 2], b = 3},4") == ["{a = [1, 2], b = 3}", "4"]
 
 
+def braked(path, configurations, *ranges, run_up=True):
+    folder = SweepFolder.make(path, SweepPlan(configurations, list(map(parse_draws, ranges)), run_up=run_up))
+    work(folder, InThisProcess())
+    return folder.rows()
+
+
 @pytest.fixture(scope="module")
-def rows():
+def rows(tmp_path_factory):
     settings = ["experiment.start_speed_rad_s=60", "controller.name=steps,relay", "controller.gains.first=0.3,1.0"]
-    return sweep(grid(*settings), [parse_draws("hard:3-4"), parse_draws("rough:5")], run_up=False)
+    return braked(tmp_path_factory.mktemp("sweep"), grid(*settings), "hard:3-4", "rough:5", run_up=False)
 
 
 def test_every_configuration_brakes_every_range_of_draws(rows):
@@ -170,7 +190,7 @@ def test_every_configuration_brakes_every_range_of_draws(rows):
     expected = [(draws, name) for draws in ("hard:3-4", "rough:5") for name in names]
     assert [(row.draws.name, row.combination.name) for row in rows] == expected
     alone = run_stops([draw("hard", 4)], rows[1].combination.config, run_up_from_rad_s=None)
-    assert rows[1].stops.metrics[1:].tobytes() == alone.metrics.tobytes()
+    assert [rows[1][name][1:].tobytes() for name in METRICS] == [alone[name].tobytes() for name in METRICS]
 
 
 def test_the_json_of_a_sweep_has_nothing_infinite(rows):
@@ -198,10 +218,10 @@ def test_a_sweep_writes_one_line_per_stop(rows):
     assert first["band_entry_s"] is None
 
 
-def test_without_run_up_or_with_it_the_start_speed_is_the_configured_one():
-    (only,) = grid("experiment.start_speed_rad_s=12", "controller.name=steps")
-    with_run_up, without = (
-        sweep([only], [parse_draws("nominal:0")], run_up=run_up)[0].stops for run_up in (True, False)
+def test_without_run_up_or_with_it_the_start_speed_is_the_configured_one(tmp_path):
+    grids = grid("experiment.start_speed_rad_s=12", "controller.name=steps")
+    (with_run_up,), (without,) = (
+        braked(tmp_path / str(run_up), grids, "nominal:0", run_up=run_up) for run_up in (True, False)
     )
     assert with_run_up.ticks > without.ticks + 100
     assert with_run_up["stop_time_s"][0] == pytest.approx(without["stop_time_s"][0], rel=0.1)
@@ -229,7 +249,7 @@ def test_the_figure_shows_which_share_has_which_rms_and_leaves_out_who_never_cam
     assert panel.get_title() == "hard:3-4"
     assert other.get_title() == "rough:5"
     relay = lines["relay on moving-window"]
-    assert list(relay.get_xdata())[1:] == sorted(rows[2].stops["slip_rms_true"])
+    assert list(relay.get_xdata())[1:] == sorted(rows[2]["slip_rms_true"])
     assert list(relay.get_ydata()) == [0.0, 0.5, 1.0]
     assert len(lines["steps on moving-window, first=0.3"].get_xdata()) == 0
 
